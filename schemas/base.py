@@ -1,0 +1,67 @@
+"""The fields that every message carries, and the rules that every message obeys."""
+
+from __future__ import annotations
+
+from typing import Annotated, ClassVar, Final, Literal, Self, get_args
+
+from pydantic import BaseModel, ConfigDict, Field
+
+ROBOT_ID_PATTERN: Final = r"^[a-z0-9][a-z0-9_-]{0,31}$"
+EPISODE_ID_PATTERN: Final = r"^[a-z0-9][a-z0-9_-]{0,63}$"
+MAX_TICK: Final = 10_000_000
+
+RobotId = Annotated[str, Field(pattern=ROBOT_ID_PATTERN, description="Which robot: lower case, at most 32 characters.")]
+EpisodeId = Annotated[str, Field(pattern=EPISODE_ID_PATTERN, description="Which episode: one reset to one end.")]
+Tick = Annotated[int, Field(ge=0, le=MAX_TICK, description="Number of the camera frame in the episode, from 0.")]
+Atom = Literal["forward", "backward", "left", "right", "stop"]
+Source = Literal["emergency_stop", "teleop", "expert", "policy"]
+ATOMS: Final[tuple[Atom, ...]] = get_args(Atom)
+#: From the highest priority to the lowest: the actuator obeys the first source that has a fresh command.
+SOURCES: Final[tuple[Source, ...]] = get_args(Source)
+
+
+class Strict(BaseModel):
+    """A frozen model that refuses unknown fields, implicit conversions, NaN and infinity."""
+
+    model_config = ConfigDict(
+        frozen=True,
+        strict=True,
+        extra="forbid",
+        allow_inf_nan=False,
+        ser_json_bytes="base64",
+        val_json_bytes="base64",
+        use_attribute_docstrings=True,
+    )
+
+
+class Message(Strict):
+    """A message on a topic: who, when, and the observation that it descends from."""
+
+    #: Version of this message's fields; a receiver refuses every other.
+    version: ClassVar[int] = 1
+    #: Most bytes that this message may take on the wire.
+    max_bytes: ClassVar[int] = 64 * 1024
+    #: Name of the topic, after ``smal/<robot>/``; a class with several topics overrides ``topic_name``.
+    topic: ClassVar[str]
+
+    robot: RobotId
+    episode: EpisodeId
+    tick: Tick
+    stamp_ns: Annotated[int, Field(ge=0, lt=2**63)]
+    """Capture time of the observation that this message descends from, nanoseconds since 1970 (lockstep: simulated)."""
+
+    @classmethod
+    def schema_name(cls) -> str:
+        """Name and version as they stand in the encoding, for example ``smal.State/1``."""
+        return f"smal.{cls.__name__}/{cls.version}"
+
+    @property
+    def topic_name(self) -> str:
+        """Name of the topic that this message belongs to."""
+        return self.topic
+
+    @classmethod
+    def after(cls, cause: Message, **fields: object) -> Self:
+        """Make a message that descends from ``cause``: same robot, episode, tick and stamp."""
+        header = {"robot": cause.robot, "episode": cause.episode, "tick": cause.tick, "stamp_ns": cause.stamp_ns}
+        return cls.model_validate(header | fields)

@@ -1,0 +1,49 @@
+"""Commands to the actuator, and what the actuator did."""
+
+from __future__ import annotations
+
+from typing import Annotated, ClassVar, Literal
+
+from pydantic import Field
+
+from schemas.base import Atom, Message, Source
+
+
+class Command(Message):
+    """One atom movement asked of the robot by one source."""
+
+    topic: ClassVar[str] = "command"
+    max_bytes: ClassVar[int] = 1024
+
+    source: Source
+    """Who asks; also the last part of the key."""
+    sequence: Annotated[int, Field(ge=0, le=1_000_000)] = 0
+    """Order of the commands that one source sends for one tick, from 0."""
+    atom: Atom
+    """The movement."""
+    speed: Annotated[float, Field(ge=0, le=1)] = 1.0
+    """Fraction of the robot's nominal speed, 0 to 1."""
+
+    @property
+    def topic_name(self) -> str:
+        """``command/<source>``."""
+        return f"command/{self.source}"
+
+
+class CommandApplied(Message):
+    """What the actuator does from this tick on; the heartbeat of the robot."""
+
+    topic: ClassVar[str] = "command/applied"
+
+    atom: Atom
+    """The movement carried out."""
+    speed: Annotated[float, Field(ge=0, le=1)]
+    """Fraction of the nominal speed."""
+    source: Source | None
+    """Whose command it is; none when the robot stands for want of one."""
+    reason: Literal["command", "silence", "emergency_stop"]
+    """Why: a fresh command, no fresh command from anyone, or a latched emergency stop."""
+    latency_ns: Annotated[int | None, Field(ge=0)] = None
+    """From the capture of the frame that the command descends from to its acceptance, on the actuator's clock."""
+    refused: Annotated[int, Field(ge=0)] = 0
+    """Commands refused so far in this episode."""

@@ -1,0 +1,37 @@
+"""Beginnings and ends of episodes."""
+
+from __future__ import annotations
+
+from typing import Annotated, ClassVar, Literal, Self
+
+from pydantic import Field, model_validator
+
+from schemas.base import Message, Source
+
+Purpose = Literal["drive", "recovery", "run"]
+Outcome = Literal["found", "collision", "timeout", "aborted"]
+
+
+class Episode(Message):
+    """Something that happened to the episode as a whole; ``started`` is its first message, ``ended`` its last."""
+
+    topic: ClassVar[str] = "episode"
+
+    event: Literal["started", "victim_found", "collision", "timed_out", "ended"]
+    """What happened."""
+    purpose: Purpose
+    """drive: a whole demonstration; recovery: a short one that begins off the route; run: the robot by itself."""
+    driver: Source
+    """Who drives; sources of lower priority are refused."""
+    world: Annotated[str, Field(min_length=1, max_length=255)]
+    """Name of the world."""
+    seed: Annotated[int, Field(ge=0, lt=2**63)]
+    """Seed of start pose and actuation noise."""
+    outcome: Outcome | None = None
+    """How it ended; given with ``ended`` only."""
+
+    @model_validator(mode="after")
+    def _check(self) -> Self:
+        if (self.event == "ended") != (self.outcome is not None):
+            raise ValueError("outcome is given exactly with the event 'ended'")
+        return self

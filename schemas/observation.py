@@ -1,0 +1,22 @@
+"""What the features service makes of one camera frame."""
+
+from __future__ import annotations
+
+from typing import Annotated, ClassVar
+
+from pydantic import Field
+
+from schemas.array import Float32Array
+from schemas.base import Message
+
+
+class Observation(Message):
+    """Multimodal feature vector of one frame: each modality of unit length, concatenated, not yet centred."""
+
+    topic: ClassVar[str] = "observation"
+    max_bytes: ClassVar[int] = 4 * 1_000_000 + 1024
+
+    fingerprint: Annotated[str, Field(pattern=r"^[0-9a-f]{8,64}$")]
+    """Which modalities, settings and code version made the vector; a model refuses another's."""
+    features: Float32Array
+    """The vector, shape (m,)."""

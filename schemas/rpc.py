@@ -1,0 +1,121 @@
+"""Requests and replies of the services' queryables ``rpc/<service>/<verb>``; JSON, so that curl reads them too."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from pydantic import Field
+
+from schemas.base import EpisodeId, Source, Strict
+from schemas.episode import Purpose
+
+Mode = Literal["lockstep", "realtime"]
+
+
+class Nothing(Strict):
+    """A request without arguments, or a reply that only says that the work is done."""
+
+
+class Failure(Strict):
+    """A reply that says in one line why the request was not carried out."""
+
+    error: str
+    """The reason."""
+
+
+class Status(Strict):
+    """How a service is; the reply to every service's ``status``."""
+
+    service: str
+    """Name of the service."""
+    state: Literal["starting", "ready", "stopping"]
+    """Whether it takes work."""
+    pid: int
+    """Process number."""
+    uptime_s: float
+    """Seconds since it started."""
+    idle_s: float
+    """Seconds since it last finished a piece of work."""
+    received: dict[str, int]
+    """Messages taken, by topic."""
+    published: dict[str, int]
+    """Messages sent, by topic."""
+    dropped: dict[str, int]
+    """Messages replaced by newer ones before they were taken, by topic."""
+    bad: dict[str, int]
+    """Messages refused as malformed, by topic."""
+    failed: int
+    """Requests and messages whose handling failed; each is in the log."""
+    detail: dict[str, str | int | float | bool | None]
+    """What else the service tells of itself."""
+
+
+class ResetRequest(Strict):
+    """Begin an episode (simulator)."""
+
+    seed: Annotated[int, Field(ge=0, lt=2**63)]
+    """Seed of start pose and actuation noise."""
+    purpose: Purpose = "run"
+    """Which starts to draw from."""
+    driver: Source = "policy"
+    """Who drives."""
+    mode: Mode = "lockstep"
+    """Whether time waits for commands."""
+    max_ticks: Annotated[int, Field(ge=1, le=1_000_000)] = 3000
+    """Frames after which the episode times out."""
+
+
+class ResetReply(Strict):
+    """The episode that began."""
+
+    episode: EpisodeId
+    """Its id."""
+    world: str
+    """Name of the world."""
+    route: tuple[tuple[float, float], ...]
+    """Way points from the start to the victim, metres, for the scripted expert."""
+
+
+class EndRequest(Strict):
+    """End the running episode (simulator)."""
+
+    episode: EpisodeId
+    """Which; refused when another one runs."""
+
+
+class LoadRequest(Strict):
+    """Load a model (recognition, policy)."""
+
+    path: str
+    """Path of the model file, as the service sees it."""
+    stride: Annotated[int | None, Field(ge=1, le=1000)] = None
+    """Frames from one decision to the next; the model's sequence length if not given (the paper's scheme)."""
+
+
+class LoadReply(Strict):
+    """The model that was loaded."""
+
+    states: int
+    """Learned states."""
+    templates: int
+    """Template frames."""
+    sequence_length: int
+    """Frames of a sequence."""
+    stride: int
+    """Frames from one decision to the next."""
+
+
+class RecordRequest(Strict):
+    """Record every episode from now on (recorder)."""
+
+    folder: str
+    """Folder for the recordings, one file an episode."""
+
+
+class RecordReply(Strict):
+    """What was recorded (recorder ``stop``, ``flush``)."""
+
+    files: tuple[str, ...]
+    """Finished recordings since ``start``, oldest first."""
+    dropped: int
+    """Messages that could not be recorded."""

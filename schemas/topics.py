@@ -1,0 +1,96 @@
+"""The one table of topics: recorder, health checks, ``smal topic`` and the README are derived from it."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from typing import Final
+
+from schemas.action import Action
+from schemas.base import ROBOT_ID_PATTERN, SOURCES, Message
+from schemas.command import Command, CommandApplied
+from schemas.episode import Episode
+from schemas.image import Image
+from schemas.observation import Observation
+from schemas.pose import Pose
+from schemas.state import State
+
+ROOT: Final = "smal"
+
+
+@dataclass(frozen=True)
+class Topic:
+    """One row of the table.
+
+    Attributes
+    ----------
+    name
+        The key after ``smal/<robot>/``.
+    message
+        The class of its messages.
+    rate_hz
+        Nominal rate while an episode runs; None for events.
+    queue
+        Messages that a receiver keeps; the oldest gives way to the newest.
+    recorded
+        Whether the recorder writes it.
+    urgent
+        Express, with real-time priority, in a session of its own.
+    reliable
+        Whether the sender waits rather than drops when the network is full.
+    producer
+        The service or services that publish it.
+    """
+
+    name: str
+    message: type[Message]
+    rate_hz: float | None
+    queue: int
+    recorded: bool
+    producer: str
+    urgent: bool = False
+    reliable: bool = False
+
+    def key(self, robot: str) -> str:
+        """Return the Zenoh key of this topic for one robot (or ``*`` for every robot)."""
+        return f"{ROOT}/{robot}/{self.name}"
+
+    @property
+    def meaning(self) -> str:
+        """First line of the message's description."""
+        return (self.message.__doc__ or "").strip().splitlines()[0]
+
+
+CAMERA: Final = Topic("camera/rgb", Image, 10, 1, True, "simulator")
+POSE: Final = Topic("pose/truth", Pose, 10, 8, True, "simulator")
+OBSERVATION: Final = Topic("observation", Observation, 10, 8, True, "features")
+STATE: Final = Topic("state", State, 10, 8, True, "recognition")
+ACTION: Final = Topic("action", Action, None, 8, True, "policy")
+COMMANDS: Final = {source: Topic(f"command/{source}", Command, 10, 8, True, source, urgent=True) for source in SOURCES}
+APPLIED: Final = Topic("command/applied", CommandApplied, 10, 8, True, "simulator", urgent=True)
+EPISODE: Final = Topic("episode", Episode, None, 64, True, "simulator", reliable=True)
+
+TOPICS: Final[dict[str, Topic]] = {
+    topic.name: topic for topic in (CAMERA, POSE, OBSERVATION, STATE, ACTION, *COMMANDS.values(), APPLIED, EPISODE)
+}
+
+
+def check_robot_id(robot: str) -> str:
+    """Return a robot id unchanged, or raise ValueError that names it."""
+    if not re.fullmatch(ROBOT_ID_PATTERN, robot):
+        raise ValueError(f"robot id {robot!r} does not match {ROBOT_ID_PATTERN}")
+    return robot
+
+
+def topic_of(key: str) -> Topic | None:
+    """Return the topic of a Zenoh key, or None where the key is no topic of ours."""
+    root, _, rest = key.partition("/")
+    robot, _, name = rest.partition("/")
+    if root != ROOT or not re.fullmatch(ROBOT_ID_PATTERN, robot):
+        return None
+    return TOPICS.get(name)
+
+
+def rpc_key(robot: str, service: str, verb: str) -> str:
+    """Return the Zenoh key of a service's queryable."""
+    return f"{ROOT}/{robot}/rpc/{service}/{verb}"

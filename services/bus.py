@@ -1,0 +1,215 @@
+"""Zenoh behind a small door: sessions, publishers, subscribers, queryables and calls.
+
+This is the only file that imports zenoh, and the one place for its configuration.
+"""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Callable
+from typing import Final, TypeVar
+
+import zenoh
+from pydantic import ValidationError
+
+from schemas.base import Message, Strict
+from schemas.codec import describe, encode, encoding_of
+from schemas.rpc import Failure
+from schemas.topics import TOPICS, Topic, rpc_key
+
+DEFAULT_ROUTER: Final = "tcp/127.0.0.1:7447"
+JSON_ENCODING: Final = zenoh.Encoding("application/json")
+#: Largest request or reply of a queryable, bytes.
+MAX_RPC_BYTES: Final = 1_000_000
+Reply = TypeVar("Reply", bound=Strict)
+
+
+class BusError(Exception):
+    """The bus cannot be used as asked; the text says why in one line."""
+
+
+class RpcError(Exception):
+    """A call was refused by the service or not answered; the text says why in one line."""
+
+
+def _configuration(mode: str, where: str, endpoint: str) -> zenoh.Config:
+    config = zenoh.Config()
+    settings: dict[str, object] = {
+        "mode": mode,
+        f"{where}/endpoints": [endpoint],
+        # Nothing is found by multicast: a robot must never be steered by a stranger's stack on the same network.
+        "scouting/multicast/enabled": False,
+        "transport/link/tx/lease": 2000,
+        "transport/shared_memory/enabled": False,
+        # A full-size frame is 40 fragments; a machine busy with rendering may not drain them within the default 50 ms.
+        "transport/link/tx/queue/congestion_control/drop/max_wait_before_drop_fragments": 500_000,
+    }
+    if mode == "client":
+        settings["connect/timeout_ms"] = -1
+        settings["connect/exit_on_failure"] = False
+        settings["connect/retry"] = {"period_init_ms": 100, "period_max_ms": 500, "period_increase_factor": 1.5}
+    for key, value in settings.items():
+        config.insert_json5(key, json.dumps(value))
+    return config
+
+
+class Router:
+    """A Zenoh router in this process.
+
+    Parameters
+    ----------
+    endpoint
+        Where to listen, for example ``tcp/127.0.0.1:7447``.
+
+    Raises
+    ------
+    BusError
+        When the endpoint is malformed or its port is taken.
+    """
+
+    def __init__(self, endpoint: str = DEFAULT_ROUTER) -> None:
+        try:
+            self._session = zenoh.open(_configuration("router", "listen", endpoint))
+        except zenoh.ZError as error:
+            reason = "the port is in use" if "in use" in str(error) else str(error).splitlines()[0][:200]
+            raise BusError(
+                f"cannot listen on {endpoint}: {reason}; stop what uses it, or choose another port"
+            ) from None
+
+    def close(self) -> None:
+        """Stop routing."""
+        self._session.close()
+
+
+class Bus:
+    """One process's connection to the router.
+
+    Commands travel in a session of their own, so that no image can stand before them in a queue.
+
+    Parameters
+    ----------
+    robot
+        Robot id, part of every key.
+    endpoint
+        The router's address; the connection is made, and made again after an outage, in the background.
+    """
+
+    def __init__(self, robot: str, endpoint: str = DEFAULT_ROUTER) -> None:
+        self.robot = robot
+        self.endpoint = endpoint
+        try:
+            self._sessions = {
+                urgent: zenoh.open(_configuration("client", "connect", endpoint)) for urgent in (False, True)
+            }
+        except zenoh.ZError as error:
+            raise BusError(f"cannot use the router address {endpoint!r}: {str(error).splitlines()[0][:200]}") from None
+        self._publishers: dict[str, zenoh.Publisher] = {}
+        self._declared: list[zenoh.Subscriber[None] | zenoh.Queryable[None]] = []
+
+    def connected(self) -> bool:
+        """Whether both sessions have a router."""
+        return all(session.info.routers_zid() for session in self._sessions.values())
+
+    def wait_connected(self, timeout_s: float) -> None:
+        """Wait for the router.
+
+        Raises
+        ------
+        BusError
+            When there is none within ``timeout_s``.
+        """
+        deadline = time.monotonic() + timeout_s
+        while not self.connected():
+            if time.monotonic() > deadline:
+                raise BusError(f"no router at {self.endpoint}; start the stack with `smal up`")
+            time.sleep(0.02)
+
+    def publish(self, message: Message) -> None:
+        """Send a message on its topic; during an outage of the router it is lost."""
+        name = message.topic_name
+        publisher = self._publishers.get(name)
+        if publisher is None:
+            publisher = self._publishers[name] = self._declare_publisher(TOPICS[name])
+        publisher.put(encode(message))
+
+    def _declare_publisher(self, topic: Topic) -> zenoh.Publisher:
+        congestion = zenoh.CongestionControl.BLOCK if topic.reliable else zenoh.CongestionControl.DROP
+        return self._sessions[topic.urgent].declare_publisher(
+            topic.key(self.robot),
+            encoding=zenoh.Encoding(encoding_of(topic.message)),
+            congestion_control=congestion,
+            priority=zenoh.Priority.REAL_TIME if topic.urgent else zenoh.Priority.DATA,
+            express=topic.urgent,
+        )
+
+    def subscribe(self, topic: Topic, take: Callable[[bytes, str], None]) -> None:
+        """Call ``take(payload, encoding)`` for every sample of a topic, on Zenoh's thread; it must return at once."""
+        key = topic.key(self.robot)
+        self.listen(key, lambda _key, payload, encoding: take(payload, encoding), urgent=topic.urgent)
+
+    def listen(self, keys: str, take: Callable[[str, bytes, str], None], *, urgent: bool = False) -> None:
+        """Call ``take(key, payload, encoding)`` for every sample on matching keys, on Zenoh's thread."""
+
+        def on_sample(sample: zenoh.Sample) -> None:
+            take(str(sample.key_expr), sample.payload.to_bytes(), str(sample.encoding))
+
+        self._declared.append(self._sessions[urgent].declare_subscriber(keys, on_sample))
+
+    def serve(self, service: str, verb: str, answer: Callable[[bytes, Callable[[Strict], None]], None]) -> None:
+        """Answer calls: ``answer(request_json, reply)`` runs on Zenoh's thread and may pass ``reply`` on.
+
+        A ``Failure`` given to ``reply`` reaches the caller as an error.
+        """
+
+        def on_query(query: zenoh.Query) -> None:
+            def reply(message: Strict) -> None:
+                payload = message.model_dump_json().encode()
+                with query:
+                    if isinstance(message, Failure):
+                        query.reply_err(payload, encoding=JSON_ENCODING)
+                    else:
+                        query.reply(query.key_expr, payload, encoding=JSON_ENCODING)
+
+            payload = query.payload.to_bytes() if query.payload is not None else b"{}"
+            answer(payload[:MAX_RPC_BYTES], reply)
+
+        key = rpc_key(self.robot, service, verb)
+        self._declared.append(self._sessions[False].declare_queryable(key, on_query, complete=True))
+
+    def call(self, service: str, verb: str, request: Strict, reply_type: type[Reply], timeout_s: float = 10.0) -> Reply:
+        """Call a service and wait for its reply.
+
+        Raises
+        ------
+        RpcError
+            When the service refuses, does not answer in time, or answers nonsense.
+        """
+        key = rpc_key(self.robot, service, verb)
+        replies = self._sessions[False].get(
+            key, payload=request.model_dump_json(), encoding=JSON_ENCODING, timeout=timeout_s
+        )
+        for reply in replies:
+            try:
+                if reply.ok is not None:
+                    return reply_type.model_validate_json(reply.ok.payload.to_bytes())
+                failure = reply.err.payload.to_bytes() if reply.err is not None else b"no reason given"
+                raise RpcError(f"{service} {verb}: {_reason(failure)}")
+            except ValidationError as error:
+                raise RpcError(f"{service} {verb}: malformed reply: {describe(error)}") from None
+        raise RpcError(f"{service} {verb}: no answer; is the service running? (router {self.endpoint})")
+
+    def close(self) -> None:
+        """Take back every declaration and close the sessions."""
+        for declared in self._declared:
+            declared.undeclare()
+        for session in self._sessions.values():
+            session.close()
+
+
+def _reason(failure: bytes) -> str:
+    try:
+        return Failure.model_validate_json(failure).error
+    except ValidationError:
+        # Zenoh's own errors ("Timeout") are plain text.
+        return failure[:200].decode(errors="replace")

@@ -1,0 +1,48 @@
+"""The ``smal`` command.
+
+Every error that a user can cause is one line on standard error: exit status 2 for bad use, 1 for a failed job.
+"""
+
+from __future__ import annotations
+
+import sys
+
+import click
+import typer
+
+from services.bus import BusError, RpcError
+from services.commands import doctor, learn, teleop, topic
+from services.commands.errors import JobError, UsageError
+from services.process import EXIT_FAILED, EXIT_USAGE, ServiceError
+
+app = typer.Typer(
+    name="smal",
+    help="Teach a robot to find a victim by driving it there. Start with: smal doctor",
+    no_args_is_help=True,
+    add_completion=False,
+    rich_markup_mode=None,
+    pretty_exceptions_enable=False,
+)
+app.command("learn")(learn.learn)
+app.command("teleop")(teleop.teleop)
+app.command("doctor")(doctor.doctor)
+app.add_typer(topic.app, name="topic")
+
+
+def main() -> None:
+    """Run the command line and exit."""
+    try:
+        status = app(standalone_mode=False)
+    except (UsageError, click.UsageError) as error:
+        message = error.format_message() if isinstance(error, click.UsageError) else str(error)
+        status = _say(message, EXIT_USAGE)
+    except (JobError, ServiceError, BusError, RpcError, click.ClickException) as error:
+        status = _say(str(error), EXIT_FAILED)
+    except (KeyboardInterrupt, click.Abort):
+        status = _say("interrupted", 130)
+    sys.exit(status if isinstance(status, int) else 0)
+
+
+def _say(message: str, status: int) -> int:
+    sys.stderr.write(f"smal: {message}\n")
+    return status

@@ -1,0 +1,1 @@
+"""The commands of the ``smal`` command line, one a file."""

@@ -1,0 +1,309 @@
+"""What every service needs to be a good process: settings, logging, signals, health, and one loop.
+
+A service gives its handlers to a ``Node``; everything that arrives (messages, requests, timers) is handled on the
+one thread that calls ``spin``, so a service needs no locks.
+"""
+
+from __future__ import annotations
+
+import logging
+import os
+import signal
+import sys
+import threading
+import time
+from collections import Counter, deque
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from types import FrameType, TracebackType
+from typing import Annotated, Final, Literal, Self, TypeVar, cast
+
+from pydantic import Field, ValidationError
+from pydantic_settings import BaseSettings, SettingsConfigDict
+
+from schemas.base import ROBOT_ID_PATTERN, Message, Strict
+from schemas.codec import DecodeError, decode, describe
+from schemas.rpc import Failure, Nothing, Status
+from schemas.topics import Topic
+from services.bus import DEFAULT_ROUTER, Bus, BusError
+
+REQUEST_QUEUE: Final = 64
+EXIT_FAILED: Final = 1
+EXIT_USAGE: Final = 2
+M = TypeVar("M", bound=Message)
+R = TypeVar("R", bound=Strict)
+S = TypeVar("S", bound="ServiceSettings")
+Detail = dict[str, str | int | float | bool | None]
+
+
+class ServiceSettings(BaseSettings):
+    """Settings that every service has; each can be given as ``SMAL_<NAME>`` or ``--<name>``."""
+
+    model_config = SettingsConfigDict(env_prefix="SMAL_", cli_kebab_case=True, use_attribute_docstrings=True)
+
+    robot: Annotated[str, Field(pattern=ROBOT_ID_PATTERN)] = "rescuebot"
+    """Robot id, part of every topic's key."""
+    router: str = DEFAULT_ROUTER
+    """Address of the Zenoh router."""
+    log_level: Literal["debug", "info", "warning", "error"] = "info"
+    """Least severe messages that are logged."""
+
+
+class ServiceError(Exception):
+    """A service cannot do what was asked; the text says why in one line."""
+
+
+def read_settings(cls: type[S], service: str) -> S:
+    """Read settings from flags and environment; exit with status 2 and one line where they are wrong."""
+    try:
+        return cls(_cli_parse_args=True, _cli_prog_name=f"python -m services.{service}")
+    except ValidationError as error:
+        sys.stderr.write(f"{service}: {describe(error)}\n")
+        raise SystemExit(EXIT_USAGE) from None
+
+
+def configure_logging(level: str) -> None:
+    """Log to standard error, one line an event."""
+    logging.basicConfig(
+        level=level.upper(), stream=sys.stderr, format="%(asctime)s.%(msecs)03d %(levelname)-7s %(name)s: %(message)s",
+        datefmt="%H:%M:%S", force=True,
+    )  # fmt: skip
+
+
+def run_service(name: str, serve: Callable[[], None]) -> None:
+    """Run a service's main function; a failure to start is one line and exit status 1."""
+    try:
+        serve()
+    except (ServiceError, BusError) as error:
+        logging.getLogger(name).error("%s", error)  # noqa: TRY400 - one clear line is what an operator needs
+        raise SystemExit(EXIT_FAILED) from None
+
+
+class Inbox:
+    """Bounded queues, one a name; filled by any thread, emptied in order of arrival by one.
+
+    A full queue gives up its oldest item, and counts it.
+    """
+
+    def __init__(self) -> None:
+        self._ready = threading.Condition()
+        self._queues: dict[str, deque[tuple[int, object]]] = {}
+        self._arrivals = 0
+        self.dropped: Counter[str] = Counter()
+
+    def open(self, name: str, depth: int) -> None:
+        """Add a queue that keeps at most ``depth`` items."""
+        with self._ready:
+            self._queues[name] = deque(maxlen=depth)
+
+    def put(self, name: str, item: object) -> None:
+        """Add an item; never blocks."""
+        with self._ready:
+            queue = self._queues[name]
+            if len(queue) == queue.maxlen:
+                self.dropped[name] += 1
+            queue.append((self._arrivals, item))
+            self._arrivals += 1
+            self._ready.notify()
+
+    def wake(self) -> None:
+        """Make a waiting ``take`` return."""
+        with self._ready:
+            self._ready.notify_all()
+
+    def take(self, timeout_s: float | None) -> tuple[str, object] | None:
+        """Return the oldest item and its queue's name, or None after ``timeout_s`` or a ``wake``."""
+        with self._ready:
+            if not any(self._queues.values()):
+                self._ready.wait(timeout_s)
+            waiting = [(queue[0][0], name) for name, queue in self._queues.items() if queue]
+            if not waiting:
+                return None
+            name = min(waiting)[1]
+            return name, self._queues[name].popleft()[1]
+
+
+@dataclass
+class _Timer:
+    period_s: float
+    handler: Callable[[], object]
+    due_s: float
+
+
+class Node:
+    """One process on the bus.
+
+    Handlers take one message and return the messages to publish (or None). They run one at a time, on the thread
+    that calls ``spin``. An exception in a handler is logged and counted; the node goes on.
+
+    Parameters
+    ----------
+    name
+        Name of the service, part of the keys of its queryables.
+    settings
+        Robot and router.
+    """
+
+    def __init__(self, name: str, settings: ServiceSettings) -> None:
+        self.name = name
+        self.robot = settings.robot
+        self.log = logging.getLogger(name)
+        self.bus = Bus(settings.robot, settings.router)
+        self.detail: Callable[[], Detail] = dict
+        self._inbox = Inbox()
+        self._handlers: dict[str, Callable[[object], None]] = {}
+        self._timers: list[_Timer] = []
+        self._stop = threading.Event()
+        self._state: Literal["starting", "ready", "stopping"] = "starting"
+        self._started_s = self._worked_s = time.monotonic()
+        self._received: Counter[str] = Counter()
+        self._published: Counter[str] = Counter()
+        self._bad: Counter[str] = Counter()
+        self._bad_logged_s: dict[str, float] = {}
+        self._failed = 0
+        self.bus.serve(name, "status", lambda _request, reply: reply(self.status()))
+
+    # -- wiring ---------------------------------------------------------------------------------------------------
+
+    def subscribe(
+        self, topic: Topic, handler: Callable[[M], Message | Iterable[Message] | None], depth: int | None = None
+    ) -> None:
+        """Handle every message of a topic; ``depth`` overrides how many are kept while the handler is busy."""
+        self._inbox.open(topic.name, depth or topic.queue)
+
+        def work(item: object) -> None:
+            payload, encoding = cast("tuple[bytes, str]", item)
+            message = self._decode(topic, payload, encoding)
+            if message is not None:
+                self._received[topic.name] += 1
+                self.publish(handler(cast("M", message)))
+
+        self._handlers[topic.name] = work
+        self.bus.subscribe(topic, lambda payload, encoding: self._inbox.put(topic.name, (payload, encoding)))
+
+    def serve(self, verb: str, request_type: type[R], handler: Callable[[R], Strict | None]) -> None:
+        """Answer the calls of ``rpc/<name>/<verb>``; a ``ServiceError`` in the handler is the caller's to read."""
+        name = f"rpc/{verb}"
+        self._inbox.open(name, REQUEST_QUEUE)
+
+        def work(item: object) -> None:
+            payload, reply = cast("tuple[bytes, Callable[[Strict], None]]", item)
+            try:
+                reply(handler(request_type.model_validate_json(payload)) or Nothing())
+            except ValidationError as error:
+                reply(Failure(error=describe(error)))
+            except ServiceError as error:
+                self.log.warning("%s refused: %s", verb, error)
+                reply(Failure(error=str(error)))
+            except Exception as error:
+                reply(Failure(error=f"internal error: {type(error).__name__}: {error}"))
+                raise
+
+        self._handlers[name] = work
+        self.bus.serve(self.name, verb, lambda payload, reply: self._inbox.put(name, (payload, reply)))
+
+    def every(self, period_s: float, handler: Callable[[], object]) -> None:
+        """Call ``handler`` every ``period_s`` seconds; periods missed while busy are not made up."""
+        self._timers.append(_Timer(period_s, handler, time.monotonic() + period_s))
+
+    # -- work -----------------------------------------------------------------------------------------------------
+
+    def publish(self, messages: Message | Iterable[Message] | None) -> None:
+        """Send one message, several, or none."""
+        for message in [messages] if isinstance(messages, Message) else messages or ():
+            self.bus.publish(message)
+            self._published[message.topic_name] += 1
+
+    def spin(self, until: Callable[[], bool] = lambda: False, timeout_s: float | None = None) -> bool:
+        """Handle what arrives until ``until()`` holds (True), the time is over or the node is stopped (False)."""
+        self._state = "ready"
+        deadline = None if timeout_s is None else time.monotonic() + timeout_s
+        while not self._stop.is_set():
+            if until():
+                return True
+            now = time.monotonic()
+            if deadline is not None and now >= deadline:
+                return False
+            dues = [timer.due_s for timer in self._timers] + ([deadline] if deadline is not None else [])
+            self._handle(self._inbox.take(max(0.0, min(dues) - now) if dues else None))
+        self._state = "stopping"
+        return False
+
+    def stop(self) -> None:
+        """Make ``spin`` return."""
+        self._stop.set()
+        self._inbox.wake()
+
+    def stop_on_signals(self) -> None:
+        """Stop on SIGTERM and SIGINT."""
+
+        def on_signal(number: int, _frame: FrameType | None) -> None:
+            self.log.info("%s: stopping", signal.Signals(number).name)
+            # Not stop(): the interrupted thread may hold the inbox's lock. The loop looks at the event itself.
+            self._stop.set()
+            threading.Thread(target=self._inbox.wake, daemon=True).start()
+
+        for number in (signal.SIGTERM, signal.SIGINT):
+            signal.signal(number, on_signal)
+
+    def _handle(self, item: tuple[str, object] | None) -> None:
+        try:
+            if item is not None:
+                self._handlers[item[0]](item[1])
+                self._worked_s = time.monotonic()
+            for timer in self._timers:
+                if time.monotonic() >= timer.due_s:
+                    timer.due_s = max(timer.due_s + timer.period_s, time.monotonic())
+                    timer.handler()
+                    self._worked_s = time.monotonic()
+        except Exception:
+            self._failed += 1
+            self.log.exception("handling %s failed", item[0] if item else "a timer")
+
+    def _decode(self, topic: Topic, payload: bytes, encoding: str) -> Message | None:
+        try:
+            message = decode(topic.message, payload, encoding)
+            if message.robot != self.robot or message.topic_name != topic.name:
+                raise DecodeError(f"message of {message.robot}/{message.topic_name} on the key of {self.robot}")
+        except DecodeError as error:
+            self._bad[topic.name] += 1
+            now = time.monotonic()
+            # One line a second and topic: a broken sender must not fill the disk with the log.
+            if now - self._bad_logged_s.get(topic.name, -1.0e9) >= 1.0:
+                self._bad_logged_s[topic.name] = now
+                self.log.warning(
+                    "dropped a bad message on %s (%d so far): %s", topic.name, self._bad[topic.name], error
+                )
+            return None
+        return message
+
+    # -- health ---------------------------------------------------------------------------------------------------
+
+    def status(self) -> Status:
+        """Return how this node is; safe to call from any thread."""
+        now = time.monotonic()
+        return Status(
+            service=self.name,
+            state=self._state,
+            pid=os.getpid(),
+            uptime_s=round(now - self._started_s, 3),
+            idle_s=round(now - self._worked_s, 3),
+            received=dict(self._received),
+            published=dict(self._published),
+            dropped=dict(self._inbox.dropped),
+            bad=dict(self._bad),
+            failed=self._failed,
+            detail=self.detail(),
+        )
+
+    def close(self) -> None:
+        """Leave the bus."""
+        self.bus.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
