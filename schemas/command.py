@@ -35,6 +35,9 @@ class CommandApplied(Message):
 
     topic: ClassVar[str] = "command/applied"
 
+    sequence: Annotated[int, Field(ge=0, le=1_000_000)] = 0
+    """Order within the tick, from 0; the last of a tick is what moved the robot on to the next frame."""
+
     atom: Atom
     """The movement carried out."""
     speed: Annotated[float, Field(ge=0, le=1)]

@@ -9,6 +9,7 @@ from pydantic import Field, model_validator
 from schemas.base import Message, Source
 
 Purpose = Literal["drive", "recovery", "run"]
+EventName = Literal["started", "victim_found", "collision", "timed_out", "ended"]
 Outcome = Literal["found", "collision", "timeout", "aborted"]
 
 
@@ -17,7 +18,7 @@ class Episode(Message):
 
     topic: ClassVar[str] = "episode"
 
-    event: Literal["started", "victim_found", "collision", "timed_out", "ended"]
+    event: EventName
     """What happened."""
     purpose: Purpose
     """drive: a whole demonstration; recovery: a short one that begins off the route; run: the robot by itself."""

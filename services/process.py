@@ -229,6 +229,11 @@ class Node:
         self._state = "stopping"
         return False
 
+    @property
+    def stopping(self) -> bool:
+        """Whether the node was told to stop."""
+        return self._stop.is_set()
+
     def stop(self) -> None:
         """Make ``spin`` return."""
         self._stop.set()

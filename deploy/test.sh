@@ -1,0 +1,11 @@
+#!/usr/bin/env bash
+# Sets everything up and runs every check of the project: style, types, import rules, tests.
+set -euo pipefail
+cd "$(dirname "$0")/.."
+bash deploy/setup.sh
+export PATH="$PWD/.venv/bin:$PATH"
+ruff check .
+ruff format --check .
+mypy
+lint-imports
+python -m pytest "$@"

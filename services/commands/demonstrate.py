@@ -1,0 +1,115 @@
+"""``smal demonstrate``: the scripted expert drives, the recorder writes."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from tqdm import tqdm
+
+from schemas import topics
+from schemas.rpc import Nothing, RecordReply, RecordRequest, ResetRequest
+from services.commands import options
+from services.commands.episodes import EpisodeClient, EpisodeRecord
+from services.commands.options import Camera
+from services.commands.stack import flags, stack_for
+from services.expert.service import ExpertService
+from services.process import ServiceSettings
+
+#: A recovery drive is over after this many frames (8 s at 10 Hz).
+RECOVERY_TICKS = 80
+#: Frames after which a full drive is given up.
+DRIVE_TICKS = 4000
+#: Recovery drives for each full drive, where the user does not say: what it takes to come back after a drift.
+RECOVERIES_PER_DRIVE = 5
+
+
+def demonstrate(
+    world: options.World = "campus",
+    episodes: Annotated[int, typer.Option(min=1, help="Full drives from the start to the victim.")] = 12,
+    recoveries: Annotated[
+        int | None,
+        typer.Option(min=0, help="Short drives that begin off the route and come back to it. [default: 5 per drive]"),
+    ] = None,
+    seed: options.Seed = 1,
+    out: Annotated[Path, typer.Option(help="Folder for the recordings, one MCAP file a drive.")] = Path("recordings"),
+    camera: options.CameraSize = "1024x768",
+    connect: options.Connect = None,
+    robot: options.Robot = options.DEFAULT_ROBOT,
+) -> None:
+    """Have the scripted expert demonstrate the search, and record it.
+
+    Without --connect a stack of its own is started for the purpose, and ended after it. Episode k of a kind uses the
+    seed SEED + k, so the same command makes the same drives.
+
+    Example: smal demonstrate --world campus --episodes 12 --seed 1 --out drives
+    """
+    recoveries = RECOVERIES_PER_DRIVE * episodes if recoveries is None else recoveries
+    size = Camera.parse(camera)
+    requests = list(_requests(episodes, recoveries, seed))
+    out.mkdir(parents=True, exist_ok=True)
+    simulator = flags(world=world, camera_width=size.width, camera_height=size.height)
+    services = ("router", "simulator", "features", "recorder")
+    with stack_for(connect, services, robot, {"simulator": simulator}) as (settings, check):
+        recorded = _record(requests, settings, check, out)
+    typer.echo(f"recorded {recorded} drives in {out}; next: smal learn {out} --out MODEL")
+
+
+def _requests(episodes: int, recoveries: int, seed: int) -> Iterator[ResetRequest]:
+    for k in range(episodes):
+        yield ResetRequest(seed=seed + k, purpose="drive", driver="expert", max_ticks=DRIVE_TICKS)
+    for k in range(recoveries):
+        yield ResetRequest(seed=seed + k, purpose="recovery", driver="expert", max_ticks=RECOVERY_TICKS)
+
+
+def _record(requests: list[ResetRequest], settings: ServiceSettings, check: Callable[[], None], out: Path) -> int:
+    """Have every drive driven and recorded; return how many."""
+    client = EpisodeClient("demonstrate", settings)
+    expert = ExpertService()
+    client.watch_poses(expert.see)
+    client.node.subscribe(topics.OBSERVATION, expert.handle, depth=4)
+    client.node.stop_on_signals()
+    try:
+        client.node.bus.wait_connected(5.0)
+        client.node.bus.call("recorder", "start", RecordRequest(folder=str(out.resolve())), Nothing)
+        for request, progress in _with_progress(requests):
+            record = client.run(
+                request,
+                on_begin=lambda reply: expert.begin(reply.episode, reply.route),
+                done=lambda: expert.arrived,
+                on_tick=progress,
+                check=check,
+            )
+            _complain(record)
+        reply = client.node.bus.call("recorder", "stop", Nothing(), RecordReply, timeout_s=30.0)
+    finally:
+        client.close()
+    if reply.dropped:
+        tqdm.write(f"warning: the recorder dropped {reply.dropped} messages; drives with gaps are cut there")
+    return len(reply.files)
+
+
+def _with_progress(requests: list[ResetRequest]) -> Iterator[tuple[ResetRequest, Callable[[int], None]]]:
+    """Give each request with a function that moves the bar; the estimate learns from the drives so far."""
+    drive_ticks = 500.0
+    with tqdm(desc="demonstrating", unit="frame", dynamic_ncols=True) as bar:
+        driven: int = 0
+        for k, request in enumerate(requests):
+            left = sum(RECOVERY_TICKS if r.purpose == "recovery" else drive_ticks for r in requests[k:])
+            bar.total = driven + round(left)
+            bar.set_postfix_str(f"{request.purpose} {k + 1}/{len(requests)}")
+            yield request, lambda tick, before=driven: bar.update(before + tick - bar.n)  # type: ignore[misc]
+            if request.purpose == "drive":
+                drive_ticks += (bar.n - driven - drive_ticks) / (k + 1)
+            driven = int(bar.n)
+        bar.total = driven
+
+
+def _complain(record: EpisodeRecord) -> None:
+    name = f"{record.request.purpose} with seed {record.request.seed}"
+    if record.outcome == "collision":
+        tqdm.write(f"warning: {name} ended in a collision; smal learn leaves it out")
+    elif record.request.purpose == "drive" and record.outcome != "found":
+        tqdm.write(f"warning: {name} did not reach the victim ({record.outcome}); smal learn leaves it out")

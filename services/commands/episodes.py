@@ -1,0 +1,178 @@
+"""A client that has episodes run and keeps what a report needs of them."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from schemas import topics
+from schemas.action import Action
+from schemas.command import CommandApplied
+from schemas.episode import Episode, Outcome
+from schemas.image import Image
+from schemas.pose import Pose
+from schemas.rpc import EndRequest, Nothing, ResetReply, ResetRequest
+from services.commands.errors import JobError
+from services.process import Node, ServiceSettings
+
+#: Seconds without any sign of the robot after which an episode is given up.
+SILENCE_S: Final = 60.0
+
+
+@dataclass
+class EpisodeRecord:
+    """What was seen of one episode.
+
+    Attributes
+    ----------
+    request
+        How it was asked for.
+    ticks
+        Frames that passed.
+    outcome
+        How it ended.
+    poses
+        True poses, (x, y) metres, by tick.
+    decisions
+        Reason of every decision, by tick.
+    latencies_ms
+        From capture to command at the actuator, by tick.
+    frames
+        Some camera images of the way, by tick.
+    """
+
+    request: ResetRequest
+    ticks: int = 0
+    outcome: Outcome = "aborted"
+    route: tuple[tuple[float, float], ...] = ()
+    poses: dict[int, tuple[float, float]] = field(default_factory=dict)
+    decisions: dict[int, str] = field(default_factory=dict)
+    latencies_ms: dict[int, float] = field(default_factory=dict)
+    frames: dict[int, NDArray[np.uint8]] = field(default_factory=dict)
+
+    @property
+    def unknown(self) -> int:
+        """Decisions that were taken without a recognised state."""
+        return sum(reason in ("look_around", "lost") for reason in self.decisions.values())
+
+    @property
+    def decision_latencies_ms(self) -> list[float]:
+        """Latencies of the frames at which a decision was taken."""
+        return [ms for tick, ms in self.latencies_ms.items() if tick in self.decisions]
+
+
+class EpisodeClient:
+    """Runs one episode after another on a stack.
+
+    Parameters
+    ----------
+    name
+        Name of this client on the bus.
+    settings
+        Robot and router.
+    """
+
+    def __init__(self, name: str, settings: ServiceSettings) -> None:
+        self.node = Node(name, settings)
+        self._episode = ""
+        self._record: EpisodeRecord | None = None
+        self._ended = False
+        self._alive_s = 0.0
+        self.node.subscribe(topics.EPISODE, self._on_event)
+        self.node.subscribe(topics.APPLIED, self._on_applied, depth=256)
+        self.node.subscribe(topics.ACTION, self._on_action, depth=256)
+
+    def watch_poses(self, handler: Callable[[Pose], None] | None = None) -> None:
+        """Keep the true poses; ``handler`` sees each as well."""
+
+        def on_pose(pose: Pose) -> None:
+            if self._record is not None and pose.episode == self._episode:
+                self._record.poses[pose.tick] = (pose.x_m, pose.y_m)
+            if handler is not None:
+                handler(pose)
+
+        self.node.subscribe(topics.POSE, on_pose, depth=256)
+
+    def watch_frames(self, every: int) -> None:
+        """Keep each ``every``-th camera image."""
+
+        def on_image(image: Image) -> None:
+            if self._record is not None and image.episode == self._episode and image.tick % every == 0:
+                self._record.frames[image.tick] = image.to_numpy()
+
+        self.node.subscribe(topics.CAMERA, on_image, depth=4)
+
+    def run(
+        self,
+        request: ResetRequest,
+        on_begin: Callable[[ResetReply], None] = lambda _reply: None,
+        done: Callable[[], bool] = lambda: False,
+        on_tick: Callable[[int], None] = lambda _tick: None,
+        check: Callable[[], None] = lambda: None,
+    ) -> EpisodeRecord:
+        """Run one episode to its end.
+
+        Parameters
+        ----------
+        request
+            Seed, purpose, driver, mode.
+        on_begin
+            Called with the simulator's reply, before any message of the episode is handled.
+        done
+            Ends the episode when it holds.
+        on_tick
+            Called with the tick, now and then, for a progress bar.
+        check
+            Raises when the stack can no longer work.
+
+        Raises
+        ------
+        JobError
+            When the robot falls silent.
+        """
+        self._record = record = EpisodeRecord(request)
+        self._ended = False
+        # Rendering may be compiling its pipelines: the first reset takes seconds.
+        reply = self.node.bus.call("simulator", "reset", request, ResetReply, timeout_s=60.0)
+        self._episode, record.route = reply.episode, reply.route
+        self._alive_s = time.monotonic()
+        on_begin(reply)
+        while not self.node.spin(until=lambda: self._ended or done(), timeout_s=0.5):
+            on_tick(record.ticks)
+            check()
+            if self.node.stopping:
+                raise KeyboardInterrupt
+            if time.monotonic() - self._alive_s > SILENCE_S:
+                raise JobError(f"no sign of robot {self.node.robot} for {SILENCE_S:.0f} s; see the stack's logs")
+        if not self._ended:
+            self.node.bus.call("simulator", "end", EndRequest(episode=reply.episode), Nothing)
+            self.node.spin(until=lambda: self._ended, timeout_s=10.0)
+        on_tick(record.ticks)
+        return record
+
+    def close(self) -> None:
+        """Leave the bus."""
+        self.node.close()
+
+    def _on_event(self, event: Episode) -> None:
+        if self._record is not None and event.episode == self._episode and event.event == "ended":
+            self._record.ticks = event.tick
+            self._record.outcome = event.outcome or "aborted"
+            self._ended = True
+
+    def _on_applied(self, applied: CommandApplied) -> None:
+        if self._record is None or applied.episode != self._episode:
+            return
+        self._alive_s = time.monotonic()
+        self._record.ticks = max(self._record.ticks, applied.tick)
+        if applied.latency_ns is not None:
+            self._record.latencies_ms.setdefault(applied.tick, applied.latency_ns / 1e6)
+
+    def _on_action(self, action: Action) -> None:
+        if self._record is not None and action.episode == self._episode:
+            self._record.decisions[action.tick] = action.reason

@@ -1,0 +1,155 @@
+"""``smal run``: the robot searches by itself with a learned model."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+import typer
+from tqdm import tqdm
+
+from schemas.rpc import LoadReply, LoadRequest, Mode, Nothing, RecordReply, RecordRequest, ResetRequest
+from services.commands import options
+from services.commands.episodes import EpisodeClient, EpisodeRecord
+from services.commands.errors import UsageError
+from services.commands.options import Camera
+from services.commands.stack import flags, stack_for
+from services.process import ServiceSettings
+from smal.evaluation.success import wilson_interval
+from smal.model import Model, ModelError
+
+#: Camera images kept of every run for the report, one in so many frames.
+FRAMES_APART = 20
+
+
+def run(
+    model: options.Model,
+    world: options.World = "campus",
+    episodes: Annotated[int, typer.Option(min=1, help="Runs.")] = 20,
+    seed: options.Seed = 1,
+    stride: Annotated[
+        int | None,
+        typer.Option(min=1, help="Frames from one decision to the next. [default: the model's; l is the paper's]"),
+    ] = None,
+    realtime: Annotated[bool, typer.Option(help="Let the clock run, instead of waiting for every command.")] = False,
+    max_ticks: Annotated[int, typer.Option(min=1, help="Frames after which a run times out.")] = 3000,
+    json_file: Annotated[Path | None, typer.Option("--json", help="Write the results as JSON.")] = None,
+    report: Annotated[Path | None, typer.Option(help="Write a page of results, with pictures, to this folder.")] = None,
+    record: Annotated[Path | None, typer.Option(help="Record the runs into this folder.")] = None,
+    camera: options.CameraSize = "1024x768",
+    connect: options.Connect = None,
+    robot: options.Robot = options.DEFAULT_ROBOT,
+) -> None:
+    """Let the robot find the victim by itself, and count how often it does.
+
+    The starts differ from those of demonstrations with the same seed. Without --connect a stack of its own is started.
+
+    Example: smal run --model campus.smal --world campus --episodes 20 --seed 1 --json runs.json
+    """
+    mode: Mode = "realtime" if realtime else "lockstep"
+    loaded = _read_model(model, stride)
+    size = Camera.parse(camera)
+    simulator = flags(world=world, camera_width=size.width, camera_height=size.height)
+    services = ("router", "simulator", "features", "recognition", "policy", *(["recorder"] if record else []))
+    with (
+        stack_for(connect, services, robot, {"simulator": simulator}) as (settings, check),
+        _client(settings, model, stride) as client,
+        _recording(client, record),
+    ):
+        requests = [
+            ResetRequest(seed=seed + k, purpose="run", driver="policy", mode=mode, max_ticks=max_ticks)
+            for k in range(episodes)
+        ]
+        records = list(_run_all(client, requests, check))
+    summary = summarise(world, records)
+    if json_file is not None:
+        json_file.write_text(json.dumps(summary, indent=2) + "\n")
+    if report is not None:
+        from services.commands.report import write_report  # noqa: PLC0415 - matplotlib takes a second to import
+
+        typer.echo(f"results: {write_report(report, world, loaded, records, summary)}")
+    found = sum(r.outcome == "found" for r in records)
+    low, high = wilson_interval(found, len(records))
+    typer.echo(f"found the victim in {found} of {len(records)} runs (95 % interval {low:.2f} to {high:.2f})")
+
+
+def summarise(world: str, records: list[EpisodeRecord]) -> dict[str, object]:
+    """Return the results as ``--json`` writes them."""
+    found = sum(record.outcome == "found" for record in records)
+    latencies = [ms for record in records for ms in record.decision_latencies_ms]
+    p50, p95 = np.percentile(latencies, [50, 95]) if latencies else (None, None)
+    return {
+        "world": world,
+        "episodes": [
+            {
+                "seed": record.request.seed,
+                "outcome": record.outcome,
+                "ticks": record.ticks,
+                "decisions": len(record.decisions),
+                "unknown": record.unknown,
+            }
+            for record in records
+        ],
+        "success_rate": found / len(records),
+        "wilson_95": list(wilson_interval(found, len(records))),
+        "decision_latency_ms": {
+            "p50": None if p50 is None else round(float(p50), 3),
+            "p95": None if p95 is None else round(float(p95), 3),
+        },
+    }
+
+
+def _read_model(path: Path, stride: int | None) -> Model:
+    try:
+        model = Model.load(path)
+    except ModelError as error:
+        raise UsageError(str(error)) from None
+    if stride is not None and stride > model.sequence_length:
+        raise UsageError(f"--stride {stride}: at most the model's sequence length, {model.sequence_length}")
+    return model
+
+
+@contextmanager
+def _client(settings: ServiceSettings, model: Path, stride: int | None) -> Iterator[EpisodeClient]:
+    """Connect, and have recognition and policy load the model."""
+    client = EpisodeClient("run", settings)
+    try:
+        client.watch_poses()
+        client.watch_frames(FRAMES_APART)
+        client.node.stop_on_signals()
+        client.node.bus.wait_connected(5.0)
+        request = LoadRequest(path=str(model.resolve()), stride=stride)
+        for service in ("recognition", "policy"):
+            client.node.bus.call(service, "load", request, LoadReply, timeout_s=60.0)
+        yield client
+    finally:
+        client.close()
+
+
+@contextmanager
+def _recording(client: EpisodeClient, folder: Path | None) -> Iterator[None]:
+    if folder is None:
+        yield
+        return
+    folder.mkdir(parents=True, exist_ok=True)
+    client.node.bus.call("recorder", "start", RecordRequest(folder=str(folder.resolve())), Nothing)
+    yield
+    client.node.bus.call("recorder", "stop", Nothing(), RecordReply, timeout_s=30.0)
+
+
+def _run_all(client: EpisodeClient, requests: list[ResetRequest], check: Callable[[], None]) -> Iterator[EpisodeRecord]:
+    outcomes: list[str] = []
+    with tqdm(requests, desc="running", unit="run", dynamic_ncols=True) as bar:
+
+        def show(tick: int) -> None:
+            bar.set_postfix_str(f"{outcomes.count('found')} of {len(outcomes)} found, frame {tick}")
+
+        for request in bar:
+            record = client.run(request, on_tick=show, check=check)
+            outcomes.append(record.outcome)
+            show(record.ticks)
+            yield record

@@ -1,0 +1,1 @@
+"""The scripted expert: a client that sees the true pose and drives as a person with four keys would."""

@@ -1,0 +1,70 @@
+"""Which of the four keys to hold, given where the robot is and where it should go."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from schemas.base import Atom
+
+#: How far ahead on the route the driver looks, metres.
+LOOKAHEAD_M: Final = 2.5
+#: A person corrects the heading when it is off by this much, and then until it is this close, radians.
+START_TURNING_RAD: Final = math.radians(12.0)
+STOP_TURNING_RAD: Final = math.radians(3.0)
+#: Distance from the route's end (the victim) at which the driver has arrived, metres.
+ARRIVED_M: Final = 2.5
+
+
+class RouteDriver:
+    """Follows a route with the keys forward, left and right.
+
+    Parameters
+    ----------
+    route
+        Way points, metres, at least two.
+    """
+
+    def __init__(self, route: Sequence[tuple[float, float]]) -> None:
+        if len(route) < 2:
+            raise ValueError("a route needs at least two way points")
+        self._points = np.asarray(route, dtype=np.float64)
+        self._lengths = np.hypot(*np.diff(self._points, axis=0).T)
+        self._along = np.concatenate([[0.0], np.cumsum(self._lengths)])
+        self._progress_m = 0.0
+        self._turning: Atom | None = None
+
+    def arrived(self, x: float, y: float) -> bool:
+        """Whether the robot has come close enough to the route's end."""
+        return math.dist((x, y), self._points[-1]) <= ARRIVED_M
+
+    def key(self, x: float, y: float, heading: float) -> Atom:
+        """Return the key to hold at a pose (metres, radians counter-clockwise from east)."""
+        if self.arrived(x, y):
+            return "stop"
+        self._progress_m = self._project(np.array([x, y]))
+        target = self._point_at(self._progress_m + LOOKAHEAD_M)
+        bearing = math.atan2(target[1] - y, target[0] - x)
+        error = math.remainder(bearing - heading, math.tau)
+        if self._turning is None and abs(error) > START_TURNING_RAD:
+            self._turning = "left" if error > 0 else "right"
+        elif self._turning is not None and (abs(error) < STOP_TURNING_RAD or (error > 0) != (self._turning == "left")):
+            self._turning = None
+        return self._turning or "forward"
+
+    def _project(self, position: NDArray[np.float64]) -> float:
+        """Return how far along the route the nearest point is; never behind, and not past the next corner at once.
+
+        A route may pass the same place twice, so only the stretch that can have been reached is searched.
+        """
+        near, far = self._progress_m, self._progress_m + 2 * LOOKAHEAD_M
+        candidates = np.linspace(near, min(far, float(self._along[-1])), 64)
+        points = np.stack([self._point_at(s) for s in candidates])
+        return float(candidates[np.argmin(((points - position) ** 2).sum(axis=1))])
+
+    def _point_at(self, along_m: float) -> NDArray[np.float64]:
+        return np.array([np.interp(along_m, self._along, self._points[:, axis]) for axis in (0, 1)])

@@ -1,0 +1,1 @@
+"""Camera frame in, multimodal feature vector out."""

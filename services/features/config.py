@@ -1,0 +1,9 @@
+"""Settings of the features service."""
+
+from __future__ import annotations
+
+from services.process import ServiceSettings
+
+
+class FeaturesSettings(ServiceSettings):
+    """The modalities are those of ``smal.features``; they have no settings of their own yet."""

@@ -1,0 +1,1 @@
+"""States in, decisions and commands out."""

@@ -1,0 +1,1 @@
+"""Observations in, the learned state that the robot is in out (Eq. 9)."""

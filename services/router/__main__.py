@@ -1,0 +1,25 @@
+"""Run the router: ``python -m services.router --router tcp/127.0.0.1:7447``."""
+
+from __future__ import annotations
+
+from services.bus import Router
+from services.process import Node, configure_logging, read_settings, run_service
+from services.router.config import RouterSettings
+
+
+def serve() -> None:
+    """Route until stopped; the status queryable is a client of the router like any other."""
+    settings = read_settings(RouterSettings, "router")
+    configure_logging(settings.log_level)
+    router = Router(settings.router)
+    try:
+        with Node("router", settings) as node:
+            node.stop_on_signals()
+            node.log.info("listening on %s", settings.router)
+            node.spin()
+    finally:
+        router.close()
+
+
+if __name__ == "__main__":
+    run_service("router", serve)

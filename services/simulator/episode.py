@@ -1,0 +1,267 @@
+"""One simulated robot, episode after episode: what happens when a command comes, or when time passes.
+
+Pure: it takes commands and clock readings and gives messages. In lockstep the next frame is made when the driver has
+answered the last one; in real time the clock decides.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from typing import Final, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from schemas.base import Atom, Message, Source
+from schemas.command import Command, CommandApplied
+from schemas.episode import Episode, EventName, Outcome, Purpose
+from schemas.image import Image
+from schemas.pose import Pose
+from schemas.rpc import ResetReply, ResetRequest
+from services.simulator.drive import Pose as PlanarPose
+from services.simulator.gate import Applied, CommandGate
+
+#: Time from one camera frame to the next, seconds (10 Hz).
+TICK_S: Final = 0.1
+#: Real time: length of one step of the physics, seconds.
+STEP_S: Final = 0.02
+#: Lockstep: seconds without an answer after which a frame is sent again (a message may be lost), and given up.
+RESEND_S: Final = 2.0
+GIVE_UP_S: Final = 30.0
+#: Frames whose readiness is remembered; an older one's command is stale anyway.
+READY_KEPT: Final = 10
+_EPS_S: Final = 1e-9
+
+
+class World(Protocol):
+    """What an episode needs of the simulated world; see ``services.simulator.simulation``."""
+
+    name: str
+
+    def reset(self, seed: int, purpose: Purpose) -> PlanarPose:
+        """Put the robot at a seeded start."""
+
+    def advance(self, atom: Atom, speed: float, duration_s: float) -> None:
+        """Move the robot."""
+
+    def render(self) -> NDArray[np.uint8]:
+        """Return the camera image, (height, width, 3)."""
+
+    def victim_found(self) -> bool:
+        """Whether the victim is near and in view."""
+
+    def route(self) -> NDArray[np.float64]:
+        """Return way points from the robot to the victim, (k, 2)."""
+
+    @property
+    def pose(self) -> PlanarPose:
+        """Where the robot is."""
+
+    @property
+    def collided(self) -> bool:
+        """Whether the robot has hit something."""
+
+
+@dataclass
+class _Running:
+    """The state of the running episode."""
+
+    id: str
+    request: ResetRequest
+    start_s: float
+    start_ns: int
+    tick: int = 0
+    moved_s: float = 0.0
+    found: bool = False
+    applied: Applied | None = None
+    applied_sequence: int = 0
+    sent_s: float = 0.0
+    frame: tuple[Message, ...] = ()
+    #: When recent frames were ready to be sent, and how long each source's last accepted command took from there.
+    ready_s: dict[int, float] = field(default_factory=dict)
+    latency_s: dict[Source, float] = field(default_factory=dict)
+
+
+class EpisodeRunner:
+    """Runs episodes of one robot in one world.
+
+    Parameters
+    ----------
+    world
+        The simulated world.
+    robot
+        Robot id.
+    session
+        Distinguishes this process's episodes from an earlier one's.
+    clock, wall_clock_ns
+        Monotonic seconds, and nanoseconds since 1970.
+    """
+
+    def __init__(
+        self,
+        world: World,
+        robot: str,
+        session: str,
+        clock: Callable[[], float] = time.monotonic,
+        wall_clock_ns: Callable[[], int] = time.time_ns,
+    ) -> None:
+        self._world = world
+        self._clock = clock
+        self._wall_clock_ns = wall_clock_ns
+        self._robot = robot
+        self._session = session
+        self._count = 0
+        self.gate = CommandGate()
+        self._running: _Running | None = None
+        self.slow_ticks = 0
+        self.world_name = world.name
+
+    @property
+    def running(self) -> _Running | None:
+        """The running episode, if any."""
+        return self._running
+
+    def reset(self, request: ResetRequest) -> tuple[ResetReply, list[Message]]:
+        """End the running episode, if any, and begin the next one.
+
+        Returns
+        -------
+        reply, messages
+            The answer to the caller, and what to publish: the old episode's end, the new one's start, its frame 0.
+        """
+        messages = self.end(None)
+        self._world.reset(request.seed, request.purpose)
+        self._count += 1
+        episode = f"{request.purpose}-{request.seed}-{self._session}-{self._count}"
+        self._running = run = _Running(episode, request, self._clock(), self._wall_clock_ns())
+        self.gate.begin(episode, request.driver)
+        route = tuple((float(x), float(y)) for x, y in self._world.route())
+        messages.append(self._event("started"))
+        messages.extend(self._capture(run))
+        return ResetReply(episode=episode, world=self._world.name, route=route), messages
+
+    def end(self, outcome: Outcome | None) -> list[Message]:
+        """End the running episode; without an outcome it is ``found`` or ``aborted``, as it stands."""
+        if self._running is None:
+            return []
+        outcome = outcome or ("found" if self._running.found else "aborted")
+        message = self._event("ended", outcome)
+        self._running = None
+        return [message]
+
+    def offer(self, command: Command) -> Iterator[Message]:
+        """Take a command; in lockstep the world moves on when the driver has answered."""
+        run = self._running
+        if run is None:
+            return
+        now_s = self._gate_s(run)
+        if self.gate.offer(command, now_s) is None and command.tick in run.ready_s:
+            run.latency_s[command.source] = self._clock() - run.ready_s[command.tick]
+        if run.request.mode == "lockstep" and self.gate.answered(run.request.driver, run.tick):
+            applied = self.gate.applied(now_s)
+            yield self._apply(run, applied)
+            self._world.advance(applied.atom, applied.speed, TICK_S)
+            yield from self._next_tick(run)
+
+    def poll(self) -> Iterator[Message]:
+        """Let time pass: in real time the robot moves, in lockstep a frame without an answer is sent again."""
+        run = self._running
+        if run is None:
+            return
+        if run.request.mode == "lockstep":
+            yield from self._await_answer(run)
+            return
+        now_s = self._clock()
+        lag_s = now_s - run.start_s - run.moved_s
+        if lag_s > 2 * TICK_S:
+            # Rendering is slower than real time: the world's clock waits, so that no frame is skipped.
+            run.start_s += lag_s - TICK_S
+            self.slow_ticks += 1
+        while run is self._running and run.start_s + run.moved_s + STEP_S <= now_s:
+            applied = self.gate.applied(run.start_s + run.moved_s)
+            if run.applied is None or (applied.atom, applied.source) != (run.applied.atom, run.applied.source):
+                yield self._apply(run, applied)
+            self._world.advance(applied.atom, applied.speed, STEP_S)
+            run.moved_s += STEP_S
+            if run.moved_s >= (run.tick + 1) * TICK_S - _EPS_S:
+                yield from self._next_tick(run)
+                return
+
+    def _gate_s(self, run: _Running) -> float:
+        """Read the gate's clock: in lockstep the simulated one, so that a slow machine makes no command stale."""
+        return run.tick * TICK_S if run.request.mode == "lockstep" else self._clock()
+
+    def _await_answer(self, run: _Running) -> Iterator[Message]:
+        now_s = self._clock()
+        if now_s - run.ready_s[run.tick] > GIVE_UP_S:
+            yield from self.end(None)
+        elif now_s - run.sent_s > RESEND_S:
+            run.sent_s = now_s
+            yield from run.frame
+
+    def _next_tick(self, run: _Running) -> Iterator[Message]:
+        run.tick += 1
+        yield from self._capture(run)
+        if run.request.mode == "realtime":
+            yield self._apply(run, self.gate.applied(self._clock()))
+        if self._world.collided:
+            yield self._event("collision")
+            yield from self.end("collision")
+        elif run.found and run.request.purpose == "run":
+            yield from self.end("found")
+        elif run.tick >= run.request.max_ticks:
+            yield self._event("timed_out")
+            yield from self.end("timeout")
+
+    def _capture(self, run: _Running) -> Iterator[Message]:
+        pose = self._world.pose
+        self.gate.captured(run.tick, self._gate_s(run))
+        image = self._world.render()
+        height, width, _ = image.shape
+        run.sent_s = self._clock()
+        run.ready_s = {tick: at for tick, at in run.ready_s.items() if tick > run.tick - READY_KEPT}
+        run.ready_s[run.tick] = run.sent_s
+        header = self._header(run)
+        run.frame = (
+            Pose.after(header, x_m=pose.x, y_m=pose.y, heading_rad=pose.heading),
+            Image.after(header, width=width, height=height, data=image.tobytes()),
+        )
+        yield from run.frame
+        if not run.found and self._world.victim_found():
+            run.found = True
+            yield self._event("victim_found")
+
+    def _apply(self, run: _Running, applied: Applied) -> CommandApplied:
+        """Make the record of what moves the robot; remembers it, to say so again only when it changes."""
+        run.applied = applied
+        run.applied_sequence += 1
+        latency_s = None if applied.source is None else run.latency_s.get(applied.source)
+        return CommandApplied.after(
+            self._header(run),
+            sequence=run.applied_sequence,
+            atom=applied.atom,
+            speed=applied.speed,
+            source=applied.source,
+            reason=applied.reason,
+            latency_ns=None if latency_s is None else round(latency_s * 1e9),
+            refused=sum(self.gate.refused.values()),
+        )
+
+    def _event(self, name: EventName, outcome: Outcome | None = None) -> Episode:
+        run = self._running
+        assert run is not None  # noqa: S101 - callers hold a running episode
+        return Episode.after(
+            self._header(run),
+            event=name,
+            purpose=run.request.purpose,
+            driver=run.request.driver,
+            world=self._world.name,
+            seed=run.request.seed,
+            outcome=outcome,
+        )
+
+    def _header(self, run: _Running) -> Message:
+        stamp_ns = run.start_ns + round(run.tick * TICK_S * 1e9)
+        return Message(robot=self._robot, episode=run.id, tick=run.tick, stamp_ns=stamp_ns)

@@ -1,0 +1,119 @@
+"""The last check before the wheels: which command the actuator obeys, if any.
+
+Everything is judged on the actuator's own clock. A command names the frame (tick) that it descends from, and the gate
+remembers when it captured that frame; so neither a wrong clock in another process, nor a clock that jumps, nor a
+process that was frozen and wakes with old plans can make an old command look fresh.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from dataclasses import dataclass
+from typing import Final, Literal
+
+from schemas.base import SOURCES, Atom, Source
+from schemas.command import Command
+
+#: Age at which a command is no longer obeyed, seconds since the capture of the frame that it descends from. The robot
+#: must stand 0.5 s after the last command; the rest is for the actuator's own cycle.
+MAX_AGE_S: Final = 0.45
+Refusal = Literal["wrong episode", "not the driver", "not finite", "unknown frame", "stale", "out of order"]
+Reason = Literal["command", "silence", "emergency_stop"]
+
+
+@dataclass(frozen=True)
+class Applied:
+    """What the actuator does now."""
+
+    atom: Atom
+    speed: float
+    source: Source | None
+    reason: Reason
+
+
+@dataclass(frozen=True)
+class _Accepted:
+    command: Command
+    captured_s: float
+
+
+class CommandGate:
+    """Arbitrates between the sources of commands for one robot.
+
+    Parameters
+    ----------
+    max_age_s
+        Age at which a command expires, counted from the capture of its frame; silence therefore means stop within
+        this time of the last frame that was answered.
+    """
+
+    def __init__(self, max_age_s: float = MAX_AGE_S) -> None:
+        self.max_age_s = max_age_s
+        self._begin("", "policy")
+
+    def begin(self, episode: str, driver: Source) -> None:
+        """Start an episode: forget every command, release a latched emergency stop, and name the driver."""
+        self._begin(episode, driver)
+
+    def _begin(self, episode: str, driver: Source) -> None:
+        self._episode = episode
+        self._allowed = SOURCES[: SOURCES.index(driver) + 1]
+        self._captured_s: dict[int, float] = {}
+        self._latest: dict[Source, _Accepted] = {}
+        self._emergency = False
+        self.refused: Counter[Refusal] = Counter()
+
+    def captured(self, tick: int, now_s: float) -> None:
+        """Remember when a frame was captured; older frames than any fresh command may name are forgotten."""
+        self._captured_s = {t: at for t, at in self._captured_s.items() if now_s - at <= self.max_age_s}
+        self._captured_s[tick] = now_s
+
+    def offer(self, command: Command, now_s: float) -> Refusal | None:
+        """Take a command, or say why not.
+
+        An emergency stop is taken whatever its age, order and episode: it can only make the robot stand.
+        """
+        refusal = self._check(command, now_s)
+        if refusal is not None:
+            self.refused[refusal] += 1
+            return refusal
+        if command.source == "emergency_stop":
+            self._emergency = True
+            return None
+        self._latest[command.source] = _Accepted(command, self._captured_s[command.tick])
+        return None
+
+    def _check(self, command: Command, now_s: float) -> Refusal | None:
+        if command.source == "emergency_stop":
+            return None
+        if command.episode != self._episode:
+            return "wrong episode"
+        if command.source not in self._allowed:
+            return "not the driver"
+        if not (math.isfinite(command.speed) and 0.0 <= command.speed <= 1.0):
+            return "not finite"
+        last = self._latest.get(command.source)
+        if last is not None and (command.tick, command.sequence) <= (last.command.tick, last.command.sequence):
+            return "out of order"
+        captured_s = self._captured_s.get(command.tick)
+        if captured_s is None:
+            # Either forgotten because it is too old, or never captured at all.
+            return "stale" if self._captured_s and command.tick < min(self._captured_s) else "unknown frame"
+        return "stale" if now_s - captured_s > self.max_age_s else None
+
+    def answered(self, source: Source, tick: int) -> bool:
+        """Whether a source has commanded for this very frame (or an emergency stop leaves nothing to wait for)."""
+        latest = self._latest.get(source)
+        return self._emergency or (latest is not None and latest.command.tick == tick)
+
+    def applied(self, now_s: float) -> Applied:
+        """Return what the actuator has to do now: the fresh command of the highest-ranking source, or stand."""
+        if self._emergency:
+            return Applied("stop", 0.0, "emergency_stop", "emergency_stop")
+        for source in self._allowed:
+            latest = self._latest.get(source)
+            if latest is not None and now_s - latest.captured_s <= self.max_age_s:
+                command = latest.command
+                return Applied(command.atom, command.speed, source, "command")
+        return Applied("stop", 0.0, None, "silence")

@@ -1,0 +1,74 @@
+"""The simulator on the bus: calls and commands in, frames and episode events out."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from schemas.base import Message
+from schemas.command import Command
+from schemas.episode import Episode
+from schemas.rpc import EndRequest, ResetReply, ResetRequest
+from schemas.topics import COMMANDS
+from services.process import Detail, Node, ServiceError
+from services.simulator.episode import STEP_S, EpisodeRunner
+
+
+class SimulatorService:
+    """Wires an ``EpisodeRunner`` to a node.
+
+    Parameters
+    ----------
+    runner
+        The simulated robot.
+    node
+        Where to serve; every handler runs on its thread, which is also the one that renders.
+    """
+
+    def __init__(self, runner: EpisodeRunner, node: Node) -> None:
+        self._runner = runner
+        self._node = node
+        for topic in COMMANDS.values():
+            node.subscribe(topic, self.handle)
+        node.serve("reset", ResetRequest, self.reset)
+        node.serve("end", EndRequest, self.end)
+        node.every(STEP_S, self.poll)
+        node.detail = self.detail
+
+    def handle(self, command: Command) -> Iterator[Message]:
+        """Offer a command to the actuator."""
+        yield from self._log(self._runner.offer(command))
+
+    def poll(self) -> None:
+        """Let time pass."""
+        self._node.publish(self._log(self._runner.poll()))
+
+    def reset(self, request: ResetRequest) -> ResetReply:
+        """Begin an episode."""
+        reply, messages = self._runner.reset(request)
+        self._node.publish(self._log(iter(messages)))
+        return reply
+
+    def end(self, request: EndRequest) -> None:
+        """End the running episode."""
+        running = self._runner.running
+        if running is None or running.id != request.episode:
+            raise ServiceError(f"episode {request.episode} is not running")
+        self._node.publish(self._log(iter(self._runner.end(None))))
+
+    def detail(self) -> Detail:
+        """Tell the running episode and how the actuator fares."""
+        running = self._runner.running
+        refused = {f"refused {reason}": count for reason, count in self._runner.gate.refused.items()}
+        return {
+            "world": self._runner.world_name,
+            "episode": running.id if running else None,
+            "tick": running.tick if running else None,
+            "slow_ticks": self._runner.slow_ticks,
+        } | refused
+
+    def _log(self, messages: Iterator[Message]) -> Iterator[Message]:
+        for message in messages:
+            if isinstance(message, Episode):
+                outcome = f": {message.outcome}" if message.outcome else ""
+                self._node.log.info("episode %s, frame %d: %s%s", message.episode, message.tick, message.event, outcome)
+            yield message
