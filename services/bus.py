@@ -6,6 +6,7 @@ This is the only file that imports zenoh, and the one place for its configuratio
 from __future__ import annotations
 
 import json
+import re
 import time
 from collections.abc import Callable
 from typing import Final, TypeVar
@@ -19,6 +20,11 @@ from schemas.rpc import Failure
 from schemas.topics import TOPICS, Topic, rpc_key
 
 DEFAULT_ROUTER: Final = "tcp/127.0.0.1:7447"
+ENDPOINT_PATTERN: Final = r"(tcp|tls|quic|udp|ws)/[^\s/]+:(\d{1,5})"
+#: How long one attempt to reach the router lasts; between two attempts a signal is noticed.
+ATTEMPT_MS: Final = 500
+#: How long a process waits for a router that is perhaps just starting.
+PATIENCE_S: Final = 10.0
 JSON_ENCODING: Final = zenoh.Encoding("application/json")
 #: Largest request or reply of a queryable, bytes.
 MAX_RPC_BYTES: Final = 1_000_000
@@ -46,12 +52,31 @@ def _configuration(mode: str, where: str, endpoint: str) -> zenoh.Config:
         "transport/link/tx/queue/congestion_control/drop/max_wait_before_drop_fragments": 500_000,
     }
     if mode == "client":
-        settings["connect/timeout_ms"] = -1
+        # Only the first connection: after an outage it is made again for as long as it takes. Without this limit
+        # `zenoh.open` blocks for ever where there is no router, deaf to signals.
+        settings["connect/timeout_ms"] = ATTEMPT_MS
         settings["connect/exit_on_failure"] = False
         settings["connect/retry"] = {"period_init_ms": 100, "period_max_ms": 500, "period_increase_factor": 1.5}
     for key, value in settings.items():
         config.insert_json5(key, json.dumps(value))
     return config
+
+
+def _check_endpoint(endpoint: str) -> None:
+    # Zenoh would take an impossible address and try it for ever.
+    match = re.fullmatch(ENDPOINT_PATTERN, endpoint)
+    if match is None or int(match[2]) > 65535:
+        raise BusError(f"router address {endpoint[:100]!r}: expected tcp/<host>:<port>, for example {DEFAULT_ROUTER}")
+
+
+def _open_client(endpoint: str, patience_s: float) -> zenoh.Session:
+    deadline = time.monotonic() + patience_s
+    while True:
+        try:
+            return zenoh.open(_configuration("client", "connect", endpoint))
+        except zenoh.ZError:
+            if time.monotonic() > deadline:
+                raise BusError(f"no router at {endpoint}; start the stack with `smal up`") from None
 
 
 class Router:
@@ -69,10 +94,11 @@ class Router:
     """
 
     def __init__(self, endpoint: str = DEFAULT_ROUTER) -> None:
+        _check_endpoint(endpoint)
         try:
             self._session = zenoh.open(_configuration("router", "listen", endpoint))
         except zenoh.ZError as error:
-            reason = "the port is in use" if "in use" in str(error) else str(error).splitlines()[0][:200]
+            reason = "the port is in use" if "in use" in str(error) else str(error).partition(" at /")[0][:200]
             raise BusError(
                 f"cannot listen on {endpoint}: {reason}; stop what uses it, or choose another port"
             ) from None
@@ -92,18 +118,21 @@ class Bus:
     robot
         Robot id, part of every key.
     endpoint
-        The router's address; the connection is made, and made again after an outage, in the background.
+        The router's address; after an outage the connection is made again in the background.
+    patience_s
+        How long to wait for the router.
+
+    Raises
+    ------
+    BusError
+        When the address is malformed, or no router is there within ``patience_s``.
     """
 
-    def __init__(self, robot: str, endpoint: str = DEFAULT_ROUTER) -> None:
+    def __init__(self, robot: str, endpoint: str = DEFAULT_ROUTER, patience_s: float = PATIENCE_S) -> None:
+        _check_endpoint(endpoint)
         self.robot = robot
         self.endpoint = endpoint
-        try:
-            self._sessions = {
-                urgent: zenoh.open(_configuration("client", "connect", endpoint)) for urgent in (False, True)
-            }
-        except zenoh.ZError as error:
-            raise BusError(f"cannot use the router address {endpoint!r}: {str(error).splitlines()[0][:200]}") from None
+        self._sessions = {urgent: _open_client(endpoint, patience_s) for urgent in (False, True)}
         self._publishers: dict[str, zenoh.Publisher] = {}
         self._declared: list[zenoh.Subscriber[None] | zenoh.Queryable[None]] = []
 
@@ -149,12 +178,21 @@ class Bus:
         self.listen(key, lambda _key, payload, encoding: take(payload, encoding), urgent=topic.urgent)
 
     def listen(self, keys: str, take: Callable[[str, bytes, str], None], *, urgent: bool = False) -> None:
-        """Call ``take(key, payload, encoding)`` for every sample on matching keys, on Zenoh's thread."""
+        """Call ``take(key, payload, encoding)`` for every sample on matching keys, on Zenoh's thread.
+
+        Raises
+        ------
+        BusError
+            When ``keys`` is no valid key expression.
+        """
 
         def on_sample(sample: zenoh.Sample) -> None:
             take(str(sample.key_expr), sample.payload.to_bytes(), str(sample.encoding))
 
-        self._declared.append(self._sessions[urgent].declare_subscriber(keys, on_sample))
+        try:
+            self._declared.append(self._sessions[urgent].declare_subscriber(keys, on_sample))
+        except zenoh.ZError as error:
+            raise BusError(str(error).partition(" at /")[0]) from None  # without the place in Zenoh's source
 
     def serve(self, service: str, verb: str, answer: Callable[[bytes, Callable[[Strict], None]], None]) -> None:
         """Answer calls: ``answer(request_json, reply)`` runs on Zenoh's thread and may pass ``reply`` on.
@@ -201,8 +239,8 @@ class Bus:
 
     def close(self) -> None:
         """Take back every declaration and close the sessions."""
-        for declared in self._declared:
-            declared.undeclare()
+        while self._declared:
+            self._declared.pop().undeclare()
         for session in self._sessions.values():
             session.close()
 

@@ -11,7 +11,7 @@ import click
 import typer
 
 from services.bus import BusError, RpcError
-from services.commands import doctor, learn, teleop, topic
+from services.commands import demonstrate, doctor, learn, run, teleop, topic, up
 from services.commands.errors import JobError, UsageError
 from services.process import EXIT_FAILED, EXIT_USAGE, ServiceError
 
@@ -23,7 +23,10 @@ app = typer.Typer(
     rich_markup_mode=None,
     pretty_exceptions_enable=False,
 )
+app.command("up")(up.up)
+app.command("demonstrate")(demonstrate.demonstrate)
 app.command("learn")(learn.learn)
+app.command("run")(run.run)
 app.command("teleop")(teleop.teleop)
 app.command("doctor")(doctor.doctor)
 app.add_typer(topic.app, name="topic")

@@ -25,7 +25,7 @@ from schemas.base import ROBOT_ID_PATTERN, Message, Strict
 from schemas.codec import DecodeError, decode, describe
 from schemas.rpc import Failure, Nothing, Status
 from schemas.topics import Topic
-from services.bus import DEFAULT_ROUTER, Bus, BusError
+from services.bus import DEFAULT_ROUTER, PATIENCE_S, Bus, BusError
 
 REQUEST_QUEUE: Final = 64
 EXIT_FAILED: Final = 1
@@ -89,6 +89,7 @@ class Inbox:
         self._ready = threading.Condition()
         self._queues: dict[str, deque[tuple[int, object]]] = {}
         self._arrivals = 0
+        self._woken = False
         self.dropped: Counter[str] = Counter()
 
     def open(self, name: str, depth: int) -> None:
@@ -107,15 +108,18 @@ class Inbox:
             self._ready.notify()
 
     def wake(self) -> None:
-        """Make a waiting ``take`` return."""
+        """Make the ``take`` that waits, or else the next one, return at once."""
         with self._ready:
+            # Kept: a wake between the loop's look at the stop event and its wait would otherwise be lost.
+            self._woken = True
             self._ready.notify_all()
 
     def take(self, timeout_s: float | None) -> tuple[str, object] | None:
         """Return the oldest item and its queue's name, or None after ``timeout_s`` or a ``wake``."""
         with self._ready:
-            if not any(self._queues.values()):
+            if not any(self._queues.values()) and not self._woken:
                 self._ready.wait(timeout_s)
+            self._woken = False
             waiting = [(queue[0][0], name) for name, queue in self._queues.items() if queue]
             if not waiting:
                 return None
@@ -142,13 +146,15 @@ class Node:
         Name of the service, part of the keys of its queryables.
     settings
         Robot and router.
+    patience_s
+        How long to wait for the router before giving up with a ``BusError``.
     """
 
-    def __init__(self, name: str, settings: ServiceSettings) -> None:
+    def __init__(self, name: str, settings: ServiceSettings, patience_s: float = PATIENCE_S) -> None:
         self.name = name
         self.robot = settings.robot
         self.log = logging.getLogger(name)
-        self.bus = Bus(settings.robot, settings.router)
+        self.bus = Bus(settings.robot, settings.router, patience_s)
         self.detail: Callable[[], Detail] = dict
         self._inbox = Inbox()
         self._handlers: dict[str, Callable[[object], None]] = {}

@@ -48,12 +48,13 @@ def demonstrate(
     """
     recoveries = RECOVERIES_PER_DRIVE * episodes if recoveries is None else recoveries
     size = Camera.parse(camera)
+    options.check_world(world)
     requests = list(_requests(episodes, recoveries, seed))
     out.mkdir(parents=True, exist_ok=True)
     simulator = flags(world=world, camera_width=size.width, camera_height=size.height)
     services = ("router", "simulator", "features", "recorder")
     with stack_for(connect, services, robot, {"simulator": simulator}) as (settings, check):
-        recorded = _record(requests, settings, check, out)
+        recorded = _record(requests, settings, check, out, world)
     typer.echo(f"recorded {recorded} drives in {out}; next: smal learn {out} --out MODEL")
 
 
@@ -64,10 +65,13 @@ def _requests(episodes: int, recoveries: int, seed: int) -> Iterator[ResetReques
         yield ResetRequest(seed=seed + k, purpose="recovery", driver="expert", max_ticks=RECOVERY_TICKS)
 
 
-def _record(requests: list[ResetRequest], settings: ServiceSettings, check: Callable[[], None], out: Path) -> int:
+def _record(
+    requests: list[ResetRequest], settings: ServiceSettings, check: Callable[[], None], out: Path, world: str
+) -> int:
     """Have every drive driven and recorded; return how many."""
     client = EpisodeClient("demonstrate", settings)
     expert = ExpertService()
+    records: list[EpisodeRecord] = []
     client.watch_poses(expert.see)
     client.node.subscribe(topics.OBSERVATION, expert.handle, depth=4)
     client.node.stop_on_signals()
@@ -83,6 +87,9 @@ def _record(requests: list[ResetRequest], settings: ServiceSettings, check: Call
                 check=check,
             )
             _complain(record)
+            records.append(record)
+            if len(records) in {1, len(requests)}:
+                _draw(world, records, out / "drives.png")
         reply = client.node.bus.call("recorder", "stop", Nothing(), RecordReply, timeout_s=30.0)
     finally:
         client.close()
@@ -105,6 +112,13 @@ def _with_progress(requests: list[ResetRequest]) -> Iterator[tuple[ResetRequest,
                 drive_ticks += (bar.n - driven - drive_ticks) / (k + 1)
             driven = int(bar.n)
         bar.total = driven
+
+
+def _draw(world: str, records: list[EpisodeRecord], picture: Path) -> None:
+    from services.commands.route_map import draw_routes  # noqa: PLC0415 - matplotlib takes a second to import
+
+    draw_routes(world, records).savefig(picture, dpi=110)
+    tqdm.write(f"picture of {len(records)} drives: {picture}")
 
 
 def _complain(record: EpisodeRecord) -> None:

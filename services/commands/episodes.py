@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from schemas import topics
 from schemas.action import Action
+from schemas.base import Message
 from schemas.command import CommandApplied
 from schemas.episode import Episode, Outcome
 from schemas.image import Image
@@ -87,14 +88,13 @@ class EpisodeClient:
         self.node.subscribe(topics.APPLIED, self._on_applied, depth=256)
         self.node.subscribe(topics.ACTION, self._on_action, depth=256)
 
-    def watch_poses(self, handler: Callable[[Pose], None] | None = None) -> None:
-        """Keep the true poses; ``handler`` sees each as well."""
+    def watch_poses(self, handler: Callable[[Pose], Message | None] = lambda _pose: None) -> None:
+        """Keep the true poses; ``handler`` sees each as well, and may answer."""
 
-        def on_pose(pose: Pose) -> None:
+        def on_pose(pose: Pose) -> Message | None:
             if self._record is not None and pose.episode == self._episode:
                 self._record.poses[pose.tick] = (pose.x_m, pose.y_m)
-            if handler is not None:
-                handler(pose)
+            return handler(pose)
 
         self.node.subscribe(topics.POSE, on_pose, depth=256)
 

@@ -10,6 +10,7 @@ import typer
 
 from services.bus import DEFAULT_ROUTER
 from services.commands.errors import UsageError
+from services.simulator.world import WorldError, load_world
 
 DEFAULT_ROBOT: Final = "rescuebot"
 
@@ -49,3 +50,17 @@ class Camera:
         if not (32 <= camera.width <= 4096 and 24 <= camera.height <= 3072):
             raise UsageError(f"--camera {text!r}: from 32x24 to 4096x3072")
         return camera
+
+
+def check_world(world: str) -> None:
+    """Read a world, to say what is wrong with it before six processes start.
+
+    Raises
+    ------
+    UsageError
+        When there is no such world, or its file is no map.
+    """
+    try:
+        load_world(world)
+    except WorldError as error:
+        raise UsageError(f"--world {world}: {error}") from None

@@ -10,18 +10,14 @@ from pathlib import Path
 from typing import Final
 
 import cv2
-import matplotlib as mpl
 import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from services.commands.episodes import EpisodeRecord
-from services.simulator.map_view import draw_map
-from services.simulator.world import load_world
+from services.commands.route_map import OUTCOME_COLOURS, draw_routes
 from smal.model import Model
 
-mpl.use("Agg")
-COLOURS: Final = {"found": "#1a7f37", "collision": "#c62828", "timeout": "#b26a00", "aborted": "#666666"}
 #: Camera images shown of the example run.
 STRIP: Final = 6
 
@@ -35,7 +31,7 @@ def write_report(
     parts = [
         _tiles(model, records, summary),
         "<h2>Where the robot went</h2>",
-        _picture(_map(world, records), "routes on the map"),
+        _picture(draw_routes(world, records), "routes on the map"),
         f"<h2>What it saw on the run with seed {shown.request.seed}</h2>",
         _strip(shown),
         "<h2>How long a decision takes</h2>",
@@ -68,23 +64,6 @@ def _tiles(model: Model, records: list[EpisodeRecord], summary: Mapping[str, obj
     return f'<div class="tiles">{cells}</div>'
 
 
-def _map(world: str, records: Iterable[EpisodeRecord]) -> Figure:
-    figure = Figure(figsize=(9, 9), layout="constrained")
-    axes = figure.add_subplot()
-    draw_map(load_world(world), axes)
-    labelled: set[str] = set()
-    for record in records:
-        if not record.poses:
-            continue
-        xy = np.array([record.poses[tick] for tick in sorted(record.poses)])
-        label = None if record.outcome in labelled else record.outcome
-        labelled.add(record.outcome)
-        axes.plot(*xy.T, color=COLOURS[record.outcome], lw=1.6, alpha=0.75, label=label, zorder=3)
-        axes.plot(*xy[-1], "x", color=COLOURS[record.outcome], ms=6, zorder=3)
-    axes.legend(loc="best")
-    return figure
-
-
 def _latencies(records: Iterable[EpisodeRecord]) -> Figure:
     figure = Figure(figsize=(9, 2.6), layout="constrained")
     axes = figure.add_subplot()
@@ -108,8 +87,9 @@ def _strip(record: EpisodeRecord) -> str:
 
 def _table(records: Iterable[EpisodeRecord]) -> str:
     rows = "".join(
-        f'<tr><td>{r.request.seed}</td><td style="color:{COLOURS[r.outcome]}">{r.outcome}</td><td>{r.ticks}</td>'
-        f"<td>{len(r.decisions)}</td><td>{r.unknown}</td></tr>"
+        f"<tr><td>{r.request.seed}</td>"
+        f'<td style="color:{OUTCOME_COLOURS[r.outcome]}">{r.outcome}</td>'
+        f"<td>{r.ticks}</td><td>{len(r.decisions)}</td><td>{r.unknown}</td></tr>"
         for r in records
     )
     head = "".join(f"<th>{name}</th>" for name in ("seed", "outcome", "frames", "decisions", "state unknown"))

@@ -53,6 +53,7 @@ def run(
     mode: Mode = "realtime" if realtime else "lockstep"
     loaded = _read_model(model, stride)
     size = Camera.parse(camera)
+    options.check_world(world)
     simulator = flags(world=world, camera_width=size.width, camera_height=size.height)
     services = ("router", "simulator", "features", "recognition", "policy", *(["recorder"] if record else []))
     with (

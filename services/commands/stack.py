@@ -144,8 +144,8 @@ class Stack:
         if self._logs is None:
             return f"{service} ended with status {child.returncode}"
         lines = self._log(service).read_text(errors="replace").strip().splitlines()
-        last = lines[-1] if lines else "it said nothing"
-        return f"{service} ended with status {child.returncode}: {last}"
+        last = lines[-1].split(f" {service}: ", 1)[-1] if lines else f"it ended with status {child.returncode}"
+        return f"{service}: {last}"
 
 
 def _ready(bus: Bus, service: str) -> bool:

@@ -40,6 +40,7 @@ def up(
     Example: smal up --world campus --model campus.smal
     """
     size = Camera.parse(camera)
+    options.check_world(world)
     # Said here, in one line, before six processes start and one of them fails.
     Router(router).close()
     configure_logging("info")

@@ -19,7 +19,8 @@ class ExpertService:
     def __init__(self) -> None:
         self._episode = ""
         self._driver: RouteDriver | None = None
-        self._poses: dict[int, Pose] = {}
+        self._pose: Pose | None = None
+        self._observation: Observation | None = None
         self._last: Command | None = None
         self.arrived = False
 
@@ -27,26 +28,29 @@ class ExpertService:
         """Take up the route of an episode."""
         self._episode = episode
         self._driver = RouteDriver(route)
-        self._poses.clear()
+        self._pose = self._observation = None
         self._last = None
         self.arrived = False
 
-    def see(self, pose: Pose) -> None:
-        """Remember where the robot was at a frame."""
-        if pose.episode == self._episode:
-            self._poses[pose.tick] = pose
+    def see(self, pose: Pose) -> Command | None:
+        """Take the pose of a frame; the two topics of a frame may arrive in either order."""
+        self._pose = pose
+        return self._answer()
 
     def handle(self, observation: Observation) -> Command | None:
-        """Return the key for the frame that this observation was made from."""
-        if observation.episode != self._episode or self._driver is None:
+        """Take the observation of a frame, and return the key to hold once its pose is known too."""
+        self._observation = observation
+        return self._answer()
+
+    def _answer(self) -> Command | None:
+        pose, observation = self._pose, self._observation
+        if pose is None or observation is None or self._driver is None:
             return None
-        if self._last is not None and observation.tick == self._last.tick:
-            # The simulator asked again: the command was lost on the way.
-            return self._last
-        pose = self._poses.pop(observation.tick, None)
-        if pose is None:
+        if (pose.episode, pose.tick) != (observation.episode, observation.tick) or pose.episode != self._episode:
             return None
-        self.arrived = self._driver.arrived(pose.x_m, pose.y_m)
-        atom = self._driver.key(pose.x_m, pose.y_m, pose.heading_rad)
-        self._last = Command.after(observation, source="expert", atom=atom)
+        if self._last is None or self._last.tick != pose.tick:
+            # Otherwise the simulator asked again, because the command was lost on the way: the same answer.
+            self.arrived = self._driver.arrived(pose.x_m, pose.y_m)
+            atom = self._driver.key(pose.x_m, pose.y_m, pose.heading_rad)
+            self._last = Command.after(pose, source="expert", atom=atom)
         return self._last

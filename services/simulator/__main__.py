@@ -19,7 +19,8 @@ def serve() -> None:
     configure_logging(settings.log_level)
     try:
         world = load_world(settings.world)
-        simulation = Simulation(world, CameraSettings(settings.camera_width, settings.camera_height, settings.shadows))
+        camera = CameraSettings(settings.camera_width, settings.camera_height, settings.shadows)
+        simulation = Simulation(world, camera)
     except (WorldError, RenderingUnavailableError) as error:
         raise ServiceError(str(error)) from None
     # Episode ids stay unique when the simulator is restarted.

@@ -38,7 +38,9 @@ _EPS_S: Final = 1e-9
 class World(Protocol):
     """What an episode needs of the simulated world; see ``services.simulator.simulation``."""
 
-    name: str
+    @property
+    def name(self) -> str:
+        """Name of the world."""
 
     def reset(self, seed: int, purpose: Purpose) -> PlanarPose:
         """Put the robot at a seeded start."""
@@ -116,6 +118,7 @@ class EpisodeRunner:
         self.gate = CommandGate()
         self._running: _Running | None = None
         self.slow_ticks = 0
+        self.resent = 0
         self.world_name = world.name
 
     @property
@@ -199,6 +202,7 @@ class EpisodeRunner:
             yield from self.end(None)
         elif now_s - run.sent_s > RESEND_S:
             run.sent_s = now_s
+            self.resent += 1
             yield from run.frame
 
     def _next_tick(self, run: _Running) -> Iterator[Message]:

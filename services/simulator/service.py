@@ -58,13 +58,15 @@ class SimulatorService:
     def detail(self) -> Detail:
         """Tell the running episode and how the actuator fares."""
         running = self._runner.running
-        refused = {f"refused {reason}": count for reason, count in self._runner.gate.refused.items()}
-        return {
+        detail: Detail = {
             "world": self._runner.world_name,
             "episode": running.id if running else None,
             "tick": running.tick if running else None,
             "slow_ticks": self._runner.slow_ticks,
-        } | refused
+            "resent": self._runner.resent,
+        }
+        detail |= {f"refused {reason}": count for reason, count in self._runner.gate.refused.items()}
+        return detail
 
     def _log(self, messages: Iterator[Message]) -> Iterator[Message]:
         for message in messages:

@@ -1,0 +1,24 @@
+"""Run the recorder: ``python -m services.recorder --recordings drives``."""
+
+from __future__ import annotations
+
+from services.process import Node, configure_logging, read_settings, run_service
+from services.recorder.config import RecorderSettings
+from services.recorder.service import RecorderService
+
+
+def serve() -> None:
+    """Record until stopped; then finish every file."""
+    settings = read_settings(RecorderSettings, "recorder")
+    configure_logging(settings.log_level)
+    with Node("recorder", settings) as node:
+        node.stop_on_signals()
+        recorder = RecorderService(node, settings.recordings)
+        try:
+            node.spin()
+        finally:
+            recorder.close()
+
+
+if __name__ == "__main__":
+    run_service("recorder", serve)

@@ -1,0 +1,126 @@
+"""What a message looks like in an MCAP file: images as JPEG that every viewer shows, the rest as JSON with its schema.
+
+The topic is the message's Zenoh key. The channel's metadata names robot and episode, so that episodes stay apart when
+recordings are merged, and the record's sequence number is the tick.
+"""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from typing import Any, Final, cast
+
+import cv2
+import numpy as np
+from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
+from google.protobuf.descriptor import FileDescriptor
+from google.protobuf.descriptor_pb2 import FileDescriptorSet
+from google.protobuf.message import DecodeError as ProtobufDecodeError
+from google.protobuf.timestamp_pb2 import Timestamp
+from numpy.typing import NDArray
+
+from schemas.base import Message
+from schemas.image import Image
+
+JPEG_QUALITY: Final = 90
+
+
+@dataclass(frozen=True)
+class ChannelFormat:
+    """How the messages of one class are written.
+
+    Attributes
+    ----------
+    schema_name
+        Name of the schema, for viewers.
+    schema_encoding, message_encoding
+        Well-known names of the MCAP registry.
+    schema
+        The schema itself.
+    """
+
+    schema_name: str
+    schema_encoding: str
+    message_encoding: str
+    schema: bytes
+
+
+def format_of(message: type[Message]) -> ChannelFormat:
+    """Return how the messages of a class are written."""
+    if issubclass(message, Image):
+        return ChannelFormat("foxglove.CompressedImage", "protobuf", "protobuf", _image_schema())
+    schema = json.dumps(plain_json_schema(message)).encode()
+    return ChannelFormat(message.schema_name(), "jsonschema", "json", schema)
+
+
+def payload_of(message: Message) -> bytes:
+    """Return the bytes that stand in the file for a message."""
+    return _compress(message) if isinstance(message, Image) else message.model_dump_json().encode()
+
+
+def _compress(image: Image) -> bytes:
+    bgr = cv2.cvtColor(image.to_numpy(), cv2.COLOR_RGB2BGR)
+    done, jpeg = cv2.imencode(".jpg", bgr, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])
+    if not done:
+        raise ValueError(f"OpenCV cannot encode a {image.width}x{image.height} image as JPEG")
+    stamp = Timestamp(seconds=image.stamp_ns // 1_000_000_000, nanos=image.stamp_ns % 1_000_000_000)
+    packed = CompressedImage(timestamp=stamp, frame_id=image.topic, data=jpeg.tobytes(), format="jpeg")
+    return packed.SerializeToString()
+
+
+def decode_image(payload: bytes) -> NDArray[np.uint8]:
+    """Return the (height, width, 3) RGB pixels of a recorded image.
+
+    Raises
+    ------
+    ValueError
+        When the payload is no image.
+    """
+    try:
+        jpeg = CompressedImage.FromString(payload).data
+    except ProtobufDecodeError:
+        raise ValueError("not a foxglove.CompressedImage") from None
+    bgr = cv2.imdecode(np.frombuffer(jpeg, np.uint8), cv2.IMREAD_COLOR) if jpeg else None
+    if bgr is None:
+        raise ValueError("not a JPEG image")
+    return cast("NDArray[np.uint8]", cv2.cvtColor(bgr, cv2.COLOR_BGR2RGB))
+
+
+def _image_schema() -> bytes:
+    """Return the descriptors of ``foxglove.CompressedImage`` and of all that it imports, imports first."""
+    files: dict[str, FileDescriptor] = {}
+
+    def collect(file: FileDescriptor) -> None:
+        for imported in file.dependencies:
+            collect(imported)
+        files.setdefault(file.name, file)
+
+    collect(CompressedImage.DESCRIPTOR.file)
+    descriptors = FileDescriptorSet()
+    for file in files.values():
+        file.CopyToProto(descriptors.file.add())
+    return descriptors.SerializeToString()
+
+
+def plain_json_schema(message: type[Message]) -> dict[str, Any]:
+    """Return a message's JSON Schema in the plain form that viewers read.
+
+    Foxglove wants a ``type`` in every field and knows neither ``$ref`` nor ``anyOf``: references are written out, and
+    a field that may be null has the type of its other values.
+    """
+    schema = message.model_json_schema()
+    definitions = schema.pop("$defs", {})
+
+    def plain(node: Any) -> Any:  # noqa: ANN401 - any JSON value
+        if isinstance(node, list):
+            return [plain(item) for item in node]
+        if not isinstance(node, dict):
+            return node
+        if "$ref" in node:
+            node = definitions[node["$ref"].removeprefix("#/$defs/")] | {k: v for k, v in node.items() if k != "$ref"}
+        if "anyOf" in node:
+            (other,) = [option for option in node["anyOf"] if option.get("type") != "null"]
+            node = other | {k: v for k, v in node.items() if k not in ("anyOf", "default")}
+        return {key: plain(value) for key, value in node.items()}
+
+    return cast("dict[str, Any]", plain(schema))

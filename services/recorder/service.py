@@ -1,0 +1,260 @@
+"""The recorder on the bus: every message of an episode in, one file an episode out."""
+
+from __future__ import annotations
+
+import time
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final, Self
+
+from schemas.base import Message
+from schemas.episode import Episode
+from schemas.image import Image
+from schemas.rpc import Nothing, RecordReply, RecordRequest
+from schemas.topics import CAMERA, OBSERVATION, TOPICS
+from services.process import Detail, Node, ServiceError
+from services.recorder.mcap_writer import EpisodeWriter
+from services.recorder.recovery import recover
+
+#: Messages that wait while the disk is slow: at full size 64 images are 150 MB, and all else is small beside them.
+CAMERA_QUEUE: Final = 64
+QUEUE: Final = 1024
+#: An ended episode's file stays open for what still descends from the last frame: until the last observation is there
+#: and nothing more has come for ``QUIET_S``, at most ``GRACE_S``.
+QUIET_S: Final = 0.2
+GRACE_S: Final = 1.0
+SEAL_PERIOD_S: Final = 0.05
+#: Messages kept of an episode whose beginning has not arrived yet: commands travel in a session of their own. (Images
+#: travel behind the event that begins the episode.)
+EARLY_QUEUE: Final = 256
+
+
+@dataclass(frozen=True)
+class Totals:
+    """Sums over recordings."""
+
+    messages: int = 0
+    size: int = 0
+    duplicates: int = 0
+    gap_ticks: int = 0
+
+    @classmethod
+    def of(cls, writer: EpisodeWriter) -> Self:
+        """Return the figures of one recording."""
+        return cls(writer.messages, writer.size, writer.ledger.duplicates, writer.ledger.gap_ticks)
+
+    def __add__(self, other: Totals) -> Totals:
+        return Totals(
+            self.messages + other.messages,
+            self.size + other.size,
+            self.duplicates + other.duplicates,
+            self.gap_ticks + other.gap_ticks,
+        )
+
+
+@dataclass
+class _Recording:
+    """An episode being recorded; without a writer its messages are lost."""
+
+    writer: EpisodeWriter | None
+    touched_s: float
+    closing_s: float | None = None
+    end_tick: int | None = None
+
+    def complete(self, now_s: float) -> bool:
+        """Whether nothing more is to be expected."""
+        if self.closing_s is None:
+            return False
+        if now_s - self.closing_s >= GRACE_S:
+            return True
+        if self.end_tick is None or self.writer is None:
+            return False
+        observed = self.writer.ledger.last_tick(OBSERVATION.name) >= self.end_tick
+        return observed and now_s - self.touched_s >= QUIET_S
+
+
+class RecorderService:
+    """Records episodes, each from its ``started`` to its ``ended``.
+
+    Parameters
+    ----------
+    node
+        Where to listen and serve.
+    folder
+        Folder to record in from the start; None waits for the call ``start``.
+    clock
+        Seconds, for the grace after an episode's end.
+
+    Raises
+    ------
+    ServiceError
+        When the folder cannot be used.
+    """
+
+    def __init__(self, node: Node, folder: Path | None = None, clock: Callable[[], float] = time.monotonic) -> None:
+        self._node = node
+        self._clock = clock
+        self._folder: Path | None = None
+        self._open: dict[str, _Recording] = {}
+        self._early: deque[Message] = deque(maxlen=EARLY_QUEUE)
+        self._files: list[Path] = []
+        self._sealed = Totals()
+        self._lost = 0
+        self._dropped_before = 0
+        self._last_error: str | None = None
+        if folder is not None:
+            self._record_in(folder)
+        for topic in TOPICS.values():
+            if topic.recorded:
+                node.subscribe(topic, self.handle, depth=CAMERA_QUEUE if topic is CAMERA else QUEUE)
+        node.serve("start", RecordRequest, self.start)
+        node.serve("flush", Nothing, self.flush)
+        node.serve("stop", Nothing, self.stop)
+        node.every(SEAL_PERIOD_S, self.seal_complete)
+        node.detail = self.detail
+
+    # -- calls ----------------------------------------------------------------------------------------------------
+
+    def start(self, request: RecordRequest) -> None:
+        """Record every episode that begins from now on; one that is being recorded ends up where it began."""
+        self._record_in(Path(request.folder))
+
+    def flush(self, _request: Nothing) -> RecordReply:
+        """Finish the files of the episodes that have ended, and name all files since ``start``."""
+        self._settle()
+        return self._reply()
+
+    def stop(self, _request: Nothing) -> RecordReply:
+        """Finish every file, also of an episode that still runs, and record no more."""
+        self._folder = None
+        self._close_all()
+        self._settle()
+        return self._reply()
+
+    def close(self) -> None:
+        """Finish every file at once; the process ends."""
+        self._folder = None
+        for episode in list(self._open):
+            self._seal(episode)
+
+    def _record_in(self, folder: Path) -> None:
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+            for leftover in recover(folder):
+                if leftover.problem is not None:
+                    self._node.log.warning("cannot recover %s: %s", leftover.partial, leftover.problem)
+                elif leftover.path is not None:
+                    self._node.log.info("recovered %s, left by a recorder that was killed", leftover.path)
+        except OSError as error:
+            raise ServiceError(f"cannot record in {folder}: {error.strerror}") from None
+        self._folder = folder.resolve()
+        self._files, self._lost = [], 0
+        self._dropped_before = self._dropped_by_node()
+        self._node.log.info("recording in %s", self._folder)
+
+    def _settle(self) -> None:
+        """Go on recording until the grace of every ended episode is over."""
+        self._node.spin(until=lambda: all(r.closing_s is None for r in self._open.values()), timeout_s=2 * GRACE_S)
+
+    def _reply(self) -> RecordReply:
+        dropped = self._lost + self._dropped_by_node() - self._dropped_before
+        return RecordReply(files=tuple(str(path) for path in self._files), dropped=dropped)
+
+    def _dropped_by_node(self) -> int:
+        return sum(count for name, count in self._node.status().dropped.items() if name in TOPICS)
+
+    # -- messages -------------------------------------------------------------------------------------------------
+
+    def handle(self, message: Message) -> None:
+        """Record one message."""
+        if isinstance(message, Episode) and message.event == "started" and message.episode not in self._open:
+            self._begin(message)
+        recording = self._open.get(message.episode)
+        if recording is None:
+            if self._folder is not None and not isinstance(message, Image):
+                self._early.append(message)
+            return
+        self._write(recording, message)
+        if isinstance(message, Episode) and message.event == "ended":
+            recording.end_tick = message.tick
+            recording.closing_s = self._clock()
+
+    def seal_complete(self) -> None:
+        """Finish the files of episodes of which nothing more is to be expected."""
+        now_s = self._clock()
+        for episode in [episode for episode, recording in self._open.items() if recording.complete(now_s)]:
+            self._seal(episode)
+
+    def _begin(self, started: Episode) -> None:
+        if self._folder is None:
+            return
+        # A robot runs one episode at a time: a new one means that the end of the last did not reach us.
+        self._close_all()
+        writer = None
+        try:
+            writer = EpisodeWriter(self._folder, started)
+        except OSError as error:
+            self._complain(f"cannot record episode {started.episode}: {error.strerror}")
+        recording = self._open[started.episode] = _Recording(writer, self._clock())
+        self._write(recording, started)
+        for message in self._early:
+            if message.episode == started.episode:
+                self._write(recording, message)
+        self._early.clear()
+
+    def _write(self, recording: _Recording, message: Message) -> None:
+        recording.touched_s = self._clock()
+        if recording.writer is None:
+            self._lost += 1
+            return
+        try:
+            recording.writer.write(message)
+        except OSError as error:
+            self._lost += 1
+            self._complain(f"cannot go on recording {recording.writer.path}: {error.strerror}")
+            self._finish(recording)
+
+    def _close_all(self) -> None:
+        for recording in self._open.values():
+            if recording.closing_s is None:
+                recording.closing_s = self._clock()
+
+    def _seal(self, episode: str) -> None:
+        self._finish(self._open.pop(episode))
+
+    def _finish(self, recording: _Recording) -> None:
+        writer, recording.writer = recording.writer, None
+        if writer is None:
+            return
+        path = writer.seal(recording.end_tick)
+        if path != writer.path:
+            self._complain(f"cannot finish {path}: {writer.problem}; a recorder that starts in its folder will")
+        self._files.append(path)
+        self._sealed += Totals.of(writer)
+        gaps = "; ".join(f"{topic} lacks {ticks}" for topic, ticks in writer.ledger.gaps().items())
+        self._node.log.info("%s: %d messages, %.1f MB %s", path, writer.messages, writer.size / 1e6, gaps)
+
+    def _complain(self, problem: str) -> None:
+        self._last_error = problem
+        self._node.log.error("%s", problem)
+
+    # -- health ---------------------------------------------------------------------------------------------------
+
+    def detail(self) -> Detail:
+        """Tell what was recorded so far."""
+        # This runs on a thread of the bus: list() takes the open recordings at one moment.
+        writers = [recording.writer for recording in list(self._open.values())]
+        totals = sum((Totals.of(writer) for writer in writers if writer is not None), self._sealed)
+        return {
+            "folder": str(self._folder) if self._folder else None,
+            "recording": " ".join(list(self._open)) or None,
+            "files": len(self._files),
+            "messages": totals.messages,
+            "megabytes": round(totals.size / 1e6, 3),
+            "duplicates": totals.duplicates,
+            "gap_ticks": totals.gap_ticks,
+            "lost": self._lost,
+            "last_error": self._last_error,
+        }

@@ -1,0 +1,69 @@
+"""What stands in the way: distances to obstacles, and lines of sight past buildings."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+import shapely
+from shapely import Point, STRtree
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+    from shapely.geometry.base import BaseGeometry
+
+    from services.simulator.terrain import Terrain
+
+ROBOT_RADIUS_M: Final = 0.4
+
+
+class Obstacles:
+    """Everything solid of a terrain: buildings, trunks, barriers, water, and the edge of the world."""
+
+    def __init__(self, terrain: Terrain) -> None:
+        trunks = [Point(tree.x, tree.y).buffer(tree.trunk_radius_m) for tree in terrain.trees]
+        water = [area.polygon for area in terrain.areas if area.kind == "water"]
+        barriers = [barrier.line for barrier in terrain.barriers]
+        walls = [building.footprint for building in terrain.buildings]
+        edge = shapely.box(*terrain.bounds).exterior
+        solid: list[BaseGeometry] = [*walls, *trunks, *water, *barriers, edge]
+        self._bounds = terrain.bounds
+        self._solid = STRtree(solid)
+        self._walls = STRtree(walls)
+
+    def clearance(self, x: float, y: float) -> float:
+        """Return the distance in metres from a point to the nearest obstacle; 0 inside one or outside the world."""
+        if not self._contains(x, y):
+            return 0.0
+        _, distance = self._solid.query_nearest(Point(x, y), return_distance=True, all_matches=False)
+        return float(distance[0])
+
+    def is_free(self, x: float, y: float, radius_m: float = ROBOT_RADIUS_M) -> bool:
+        """Return whether a circle about a point touches nothing."""
+        return self._contains(x, y) and self._solid.query(Point(x, y), "dwithin", radius_m).size == 0
+
+    def are_clear(self, segments: NDArray[np.float64], clearance_m: float) -> NDArray[np.bool_]:
+        """Return which segments (n, 2, 2) keep more than `clearance_m` from every obstacle, as (n,)."""
+        return ~self._hits(self._solid, segments, clearance_m)
+
+    def in_sight(self, segments: NDArray[np.float64]) -> NDArray[np.bool_]:
+        """Return which segments (n, 2, 2) no building interrupts, as (n,); trees and hedges are not counted on."""
+        return ~self._hits(self._walls, segments, 0.0)
+
+    def _contains(self, x: float, y: float) -> bool:
+        x_min, y_min, x_max, y_max = self._bounds
+        return x_min < x < x_max and y_min < y < y_max
+
+    @staticmethod
+    def _hits(tree: STRtree, segments: NDArray[np.float64], distance_m: float) -> NDArray[np.bool_]:
+        hit = np.zeros(len(segments), dtype=np.bool_)
+        lines = shapely.linestrings(np.asarray(segments, dtype=np.float64).reshape(-1, 2, 2))
+        hit[tree.query(lines, "dwithin", distance_m)[0]] = True
+        return hit
+
+
+@lru_cache(maxsize=8)
+def obstacles_of(terrain: Terrain) -> Obstacles:
+    """Return the obstacles of a terrain, indexed once and shared."""
+    return Obstacles(terrain)

@@ -1,0 +1,170 @@
+"""Pictures of façades: a wall with windows for the upper storeys, one with doors for the ground floor."""
+
+from __future__ import annotations
+
+import zlib
+from dataclasses import astuple, dataclass
+from functools import lru_cache
+from typing import TYPE_CHECKING, Final
+
+import cv2
+import numpy as np
+
+from services.simulator.noise import as_picture, coloured, layered
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from services.simulator.terrain import Facade, FacadeStyle, Rgb
+
+#: A picture shows this many bays side by side and, of the upper storeys, this many one above the other.
+BAYS: Final = 4
+STOREYS: Final = 4
+BAY_M: Final = 3.2
+STOREY_M: Final = 3.0
+
+_CELL_PX: Final = 256
+_WALL_COLOURS: Final[dict[FacadeStyle, tuple[Rgb, ...]]] = {
+    "brick": ((150, 78, 60), (122, 60, 50), (168, 104, 76), (136, 92, 78)),
+    "plaster": ((224, 214, 190), (206, 176, 140), (186, 192, 176), (214, 190, 178)),
+    "concrete": ((172, 168, 160), (150, 152, 154), (190, 180, 164)),
+    "glass": ((96, 118, 134), (112, 126, 128), (84, 104, 128)),
+    "wood": ((150, 116, 84), (206, 204, 194), (116, 132, 130)),
+}
+
+
+@dataclass(frozen=True)
+class _Plan:
+    """How the windows of one façade look: sizes as fractions of a bay and a storey."""
+
+    wall: Rgb
+    frame: Rgb
+    width: float
+    height: float
+    panes: tuple[int, int]
+    surround: bool
+
+
+def paint_facade(facade: Facade) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
+    """Paint a façade.
+
+    Returns
+    -------
+    upper, ground
+        (1024, 1024, 3) of 4 by 4 windows and (256, 1024, 3) of 4 bays with a door in one, uint8 RGB, seamless to
+        the sides. Equal façades give equal pictures.
+    """
+    rng = np.random.default_rng(zlib.crc32(repr(astuple(facade)).encode()))
+    plan = _plan(facade, rng)
+    upper = _wall(facade.style, plan.wall, STOREYS, rng)
+    ground = _wall(facade.style, plan.wall, 1, rng)
+    for bay in range(BAYS):
+        for storey in range(STOREYS):
+            _window(upper, plan, bay, storey, rng)
+        if bay == facade.variant % BAYS:
+            _door(ground, plan, bay, rng)
+        else:
+            _window(ground, plan, bay, 0, rng)
+    _soil_the_foot(ground)
+    return upper, ground
+
+
+def _plan(facade: Facade, rng: np.random.Generator) -> _Plan:
+    choices = _WALL_COLOURS[facade.style]
+    wall = facade.colour or choices[facade.variant % len(choices)]
+    dark = facade.style == "glass" or bool(rng.random() < 0.4)
+    frame = (58, 60, 64) if dark else (232, 230, 224)
+    if facade.style == "glass":
+        return _Plan(wall, frame, 0.94, 0.72, (int(rng.integers(2, 4)), 1), False)
+    width, height = rng.uniform(0.34, 0.62), rng.uniform(0.46, 0.62)
+    if facade.style == "concrete":
+        width = rng.uniform(0.55, 0.9)
+    panes = int(rng.integers(1, 4)), int(rng.integers(1, 4))
+    return _Plan(wall, frame, float(width), float(height), panes, facade.style in {"brick", "plaster", "wood"})
+
+
+def _wall(style: FacadeStyle, colour: Rgb, storeys: int, rng: np.random.Generator) -> NDArray[np.uint8]:
+    shape = (storeys * _CELL_PX, BAYS * _CELL_PX)
+    shade = _weathered(shape, rng)
+    if style == "brick":
+        shade *= _courses(shape, rng, course_px=8, brick_px=24)
+    elif style == "wood":
+        shade *= np.where(np.arange(shape[0]) % 16 < 2, 0.72, 1.0)[:, None]
+    elif style == "concrete":
+        rows, columns = np.arange(shape[0]) % _CELL_PX, np.arange(shape[1]) % _CELL_PX
+        shade *= np.where((rows < 3)[:, None] | (columns < 3)[None, :], 0.75, 1.0)
+        shade *= 1.0 + 0.03 * rng.standard_normal(BAYS).repeat(_CELL_PX)
+    return coloured(colour, shade)
+
+
+def _weathered(shape: tuple[int, int], rng: np.random.Generator) -> NDArray[np.float64]:
+    """Return the shade of an old wall: a piece of one big sheet, since making noise is slow."""
+    sheet = _weather_sheet()
+    rolled = np.roll(sheet, rng.integers(0, sheet.shape[0], 2).tolist(), axis=(0, 1))
+    return 1.0 + 0.03 * rolled[: shape[0], : shape[1]]
+
+
+@lru_cache(maxsize=1)
+def _weather_sheet() -> NDArray[np.float64]:
+    return layered(np.random.default_rng(0), (STOREYS * _CELL_PX, BAYS * _CELL_PX), (2.0, 60.0))
+
+
+def _courses(shape: tuple[int, int], rng: np.random.Generator, course_px: int, brick_px: int) -> NDArray[np.float64]:
+    """Return the shades of a running bond of bricks with light joints."""
+    row, column = np.indices(shape)
+    course = row // course_px
+    shifted = (column + (course % 2) * (brick_px // 2)) % shape[1]
+    tones = 1.0 + 0.10 * rng.standard_normal((shape[0] // course_px, shape[1] // brick_px + 1))
+    joint = (row % course_px < 1) | (shifted % brick_px < 1)
+    return np.asarray(np.where(joint, 1.18, tones[course, shifted // brick_px]), dtype=np.float64)
+
+
+def _window(picture: NDArray[np.uint8], plan: _Plan, bay: int, storey: int, rng: np.random.Generator) -> None:
+    width, height = int(plan.width * _CELL_PX), int(plan.height * _CELL_PX)
+    left = bay * _CELL_PX + (_CELL_PX - width) // 2
+    top = storey * _CELL_PX + int((_CELL_PX - height) * 0.42)
+    if plan.surround:
+        _fill(picture, (left - 10, top - 16, width + 20, 12), tuple(int(0.5 * c + 110) for c in plan.wall))
+        _fill(picture, (left - 12, top + height + 5, width + 24, 9), (198, 194, 184))
+    _fill(picture, (left - 5, top - 5, width + 10, height + 10), plan.frame)
+    _glaze(picture, (left, top, width, height), rng)
+    across, down = plan.panes
+    for line in range(1, across):
+        _fill(picture, (left + line * width // across - 3, top, 6, height), plan.frame)
+    for line in range(1, down):
+        _fill(picture, (left, top + line * height // down - 3, width, 6), plan.frame)
+
+
+def _glaze(picture: NDArray[np.uint8], box: tuple[int, int, int, int], rng: np.random.Generator) -> None:
+    """Paint a pane that mirrors a pale sky above and dark trees below, perhaps with a blind half down."""
+    left, top, width, height = box
+    fade = np.linspace(1.0, 0.0, height)[:, None, None]
+    sky, dark = np.array([132, 152, 170]), np.array([44, 52, 60])
+    pane = np.broadcast_to(dark + (sky - dark) * fade**1.5, (height, width, 3)) * rng.uniform(0.75, 1.1)
+    pane = pane.copy()
+    if rng.random() < 0.35:
+        pane[: int(height * rng.uniform(0.2, 0.7))] = np.array([206, 200, 186]) * rng.uniform(0.8, 1.0)
+    pane[:6] *= 0.6
+    picture[top : top + height, left : left + width] = as_picture(pane)
+
+
+def _door(picture: NDArray[np.uint8], plan: _Plan, bay: int, rng: np.random.Generator) -> None:
+    width, height = 104, 186
+    left, top = bay * _CELL_PX + (_CELL_PX - width) // 2, _CELL_PX - height
+    leaf = tuple(int(value) for value in rng.choice([(92, 54, 38), (50, 72, 62), (66, 70, 92), (120, 40, 36)]))
+    _fill(picture, (left - 10, top - 10, width + 20, height + 10), plan.frame)
+    _fill(picture, (left, top, width, height), leaf)
+    _glaze(picture, (left + 12, top + 14, width - 24, 62), rng)
+    _fill(picture, (left + width // 2 - 2, top, 4, height), tuple(value // 2 for value in leaf))
+    _fill(picture, (left - 26, top - 28, width + 52, 14), tuple(int(0.6 * c) for c in plan.wall))
+
+
+def _soil_the_foot(picture: NDArray[np.uint8]) -> None:
+    """Paint a plinth along the ground, which grounds the building visually."""
+    plinth = picture[-26:].astype(np.float64)
+    picture[-26:] = as_picture(plinth * 0.45 + 52)
+
+
+def _fill(picture: NDArray[np.uint8], box: tuple[int, int, int, int], colour: tuple[int, ...]) -> None:
+    left, top, width, height = box
+    cv2.rectangle(picture, (left, top), (left + width - 1, top + height - 1), colour, -1)

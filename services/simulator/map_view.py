@@ -1,0 +1,62 @@
+"""Draw a world from above, for the pages of results."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+import shapely
+from matplotlib.collections import PatchCollection
+from matplotlib.patches import Circle, Polygon
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+    from services.simulator.terrain import AreaKind, BarrierKind, RoadKind, World
+
+_GROUND: Final = "#e7ecdd"
+_AREA: Final[dict[AreaKind, str]] = {"grass": "#cfe3b8", "water": "#b5d3e8", "paved": "#dcdad5"}
+_ROAD: Final[dict[RoadKind, str]] = {"street": "#ffffff", "path": "#f3e9d8"}
+_BARRIER: Final[dict[BarrierKind, str]] = {"hedge": "#7ba05b", "wall": "#8a8278", "fence": "#b0a493"}
+_CROWN_OF_HEIGHT: Final = 0.28
+
+
+def draw_map(world: World, ax: Axes) -> None:
+    """Draw a world's ground, roads, buildings and trees, its start (arrow) and its victim (star).
+
+    Parameters
+    ----------
+    world
+        The world to draw.
+    ax
+        Where to draw; its axes become metres east and north with equal scale. Routes drawn later lie on top.
+    """
+    x_min, y_min, x_max, y_max = world.bounds
+    ax.set(xlim=(x_min, x_max), ylim=(y_min, y_max), aspect="equal", xlabel="east (m)", ylabel="north (m)")
+    ax.set_facecolor(_GROUND)
+    for area in world.areas:
+        _fill(ax, area.polygon, _AREA[area.kind], order=0.5)
+    for road in sorted(world.roads, key=lambda road: road.kind):
+        _fill(ax, road.line.buffer(road.width_m / 2), _ROAD[road.kind], edge="#c9c4ba", order=1.0)
+    for building in world.buildings:
+        _fill(ax, building.footprint, "#b9a894", edge="#7d6f60", order=1.5)
+    for barrier in world.barriers:
+        ax.plot(*barrier.line.xy, color=_BARRIER[barrier.kind], linewidth=1.5, zorder=1.6)
+    crowns = [Circle((tree.x, tree.y), tree.height_m * _CROWN_OF_HEIGHT) for tree in world.trees]
+    ax.add_collection(PatchCollection(crowns, facecolor="#7ba05b", alpha=0.7, linewidth=0, zorder=1.7))
+    _draw_task(world, ax)
+
+
+def _draw_task(world: World, ax: Axes) -> None:
+    arrow = 0.03 * (world.bounds[2] - world.bounds[0])
+    start = world.start
+    tip = (start.x + arrow * math.cos(start.heading), start.y + arrow * math.sin(start.heading))
+    ax.annotate("", tip, (start.x, start.y), arrowprops={"arrowstyle": "-|>", "color": "#1f5fa8", "lw": 2}, zorder=4)
+    ax.plot(start.x, start.y, "o", color="#1f5fa8", markersize=6, label="start", zorder=4)
+    ax.plot(world.victim.x, world.victim.y, "*", color="#d62728", markersize=13, label="victim", zorder=4)
+
+
+def _fill(ax: Axes, polygon: shapely.Polygon, colour: str, *, order: float, edge: str = "none") -> None:
+    rings = shapely.get_coordinates(polygon.exterior)
+    ax.add_patch(Polygon(np.asarray(rings), closed=True, facecolor=colour, edgecolor=edge, linewidth=0.6, zorder=order))

@@ -1,0 +1,89 @@
+"""Trees as meshes: a trunk and one of three crowns, a little different at every place."""
+
+from __future__ import annotations
+
+import zlib
+from collections import defaultdict
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+from shapely import Point, Polygon
+
+from services.simulator.meshes import Mesh, ball, tube
+from services.simulator.noise import noise
+from services.simulator.terrain import Tree, TreeKind
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+
+    from services.simulator.textures import Material
+
+#: Of each kind: radius of the crown and height of its lower end, as fractions of the tree's height.
+_CROWN: Final[dict[TreeKind, tuple[float, float]]] = {"round": (0.34, 0.28), "tall": (0.2, 0.22), "conifer": (0.22, 0.12)}
+_DETAIL: Final = 6
+_SMALL_DETAIL: Final = 4
+_TIERS: Final = 4
+
+
+def trees(items: Iterable[Tree]) -> dict[Material, list[Mesh]]:
+    """Return trunks and crowns, by material."""
+    meshes: dict[Material, list[Mesh]] = defaultdict(list)
+    for tree in items:
+        rng = np.random.default_rng(zlib.crc32(f"{tree.x:.1f} {tree.y:.1f}".encode()))
+        base, neck = (tree.x, tree.y, 0.0), (tree.x, tree.y, tree.height_m * 0.6)
+        meshes["bark"].append(tube(base, neck, (tree.trunk_radius_m, tree.trunk_radius_m * 0.6)))
+        if tree.kind == "conifer":
+            meshes["needles"] += _tiers(tree)
+        else:
+            meshes["leaves" if tree.kind == "round" else "dark_leaves"] += _crown(tree, rng)
+    return meshes
+
+
+def crowns(items: Iterable[Tree]) -> list[tuple[Polygon, float, float]]:
+    """Return the outline of each crown from above with the heights between which it casts shade."""
+    found = []
+    for tree in items:
+        radius, low = (fraction * tree.height_m for fraction in _CROWN[tree.kind])
+        middle = (low + tree.height_m) / 2
+        disc = Point(tree.x, tree.y).buffer(radius * 0.9, quad_segs=4)
+        found.append((disc, middle - (middle - low) * 0.4, middle + (tree.height_m - middle) * 0.4))
+    return found
+
+
+def _crown(tree: Tree, rng: np.random.Generator) -> list[Mesh]:
+    """Return a big ball of leaves and smaller ones around it, none of them smooth."""
+    radius, low = (fraction * tree.height_m for fraction in _CROWN[tree.kind])
+    middle = (low + tree.height_m) / 2
+    half = (tree.height_m - low) / 2
+    blobs = [_blob((tree.x, tree.y, middle), (radius * 0.8, radius * 0.8, half * 0.95), _DETAIL, rng)]
+    for angle in np.linspace(0, 2 * np.pi, 4, endpoint=False) + rng.uniform(0, 1.5):
+        out = radius * rng.uniform(0.35, 0.5)
+        lift = half * rng.uniform(-0.45, 0.35)
+        size = radius * rng.uniform(0.5, 0.65)
+        centre = (tree.x + out * np.cos(angle), tree.y + out * np.sin(angle), middle + lift)
+        blobs.append(_blob(centre, (size, size, min(size, half * 0.6) * 0.9), _SMALL_DETAIL, rng))
+    return blobs
+
+
+def _blob(
+    centre: tuple[float, float, float], radii: tuple[float, float, float], detail: int, rng: np.random.Generator
+) -> Mesh:
+    bumps = np.ones((detail + 1, 2 * detail + 1))
+    bumps[1:-1, :-1] += 0.08 * noise(rng, (detail - 1, 2 * detail), 1.0)
+    bumps[:, -1] = bumps[:, 0]
+    return ball(centre, radii, detail, bumps)
+
+
+def _tiers(tree: Tree) -> list[Mesh]:
+    """Return cones stacked into each other, the upper ones smaller."""
+    radius, low = (fraction * tree.height_m for fraction in _CROWN["conifer"])
+    rise = tree.height_m - low
+    return [
+        tube(
+            (tree.x, tree.y, low + rise * step / _TIERS * 0.8),
+            (tree.x, tree.y, low + rise * min(1.0, (step + 1.6) / _TIERS)),
+            (radius * (1 - 0.8 * step / _TIERS), 0.0),
+            12,
+        )
+        for step in range(_TIERS)
+    ]

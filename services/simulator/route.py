@@ -1,0 +1,165 @@
+"""The way to the victim: shortest paths along roads, with a straight free leg at either end."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+import shapely
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import dijkstra
+
+from services.simulator.collision import ROBOT_RADIUS_M, obstacles_of
+from services.simulator.terrain import Terrain, World, WorldError
+
+if TYPE_CHECKING:
+    from numpy.typing import ArrayLike, NDArray
+    from scipy.sparse import csr_array
+
+_SPACING_M: Final = 2.0
+_CLEARANCE_M: Final = ROBOT_RADIUS_M + 0.3
+_ROOM_M: Final = 1.3
+# Metres of road that a metre close to a wall, or a metre off the road, is worth.
+_TIGHT_COST: Final = 3.0
+_OFF_ROAD_COST: Final = 1.5
+_LONGEST_LEG_M: Final = 40.0
+
+
+class RoadGraph:
+    """The drivable roads as points a couple of metres apart, joined where nothing is in the way.
+
+    Attributes
+    ----------
+    points
+        (n, 2), metres.
+    costs
+        (n, n) symmetric sparse matrix: metres of an edge, more where it is tight.
+    """
+
+    def __init__(self, terrain: Terrain) -> None:
+        lines = [shapely.segmentize(road.line, _SPACING_M) for road in terrain.roads if road.drivable]
+        if not lines:
+            raise WorldError(f"{terrain.name}: no road that a robot could drive on")
+        chains = [shapely.get_coordinates(line) for line in lines]
+        # Roads meet where they share a point; to the centimetre, since projection leaves rounding behind.
+        keys = np.round(np.concatenate(chains), 2)
+        points, index = np.unique(keys, axis=0, return_inverse=True)
+        self.points = np.asarray(points, dtype=np.float64)
+        self.costs = self._edges(terrain, _consecutive(chains, index.ravel()))
+        self._obstacles = obstacles_of(terrain)
+
+    def _edges(self, terrain: Terrain, pairs: NDArray[np.int64]) -> csr_array:
+        segments = self.points[pairs]
+        obstacles = obstacles_of(terrain)
+        clear = obstacles.are_clear(segments, _CLEARANCE_M)
+        roomy = obstacles.are_clear(segments, _ROOM_M)
+        length = np.linalg.norm(segments[:, 1] - segments[:, 0], axis=1)
+        cost = np.where(roomy, length, length * _TIGHT_COST)[clear]
+        first, second = pairs[clear].T
+        size = len(self.points)
+        both = np.concatenate([cost, cost]), (np.concatenate([first, second]), np.concatenate([second, first]))
+        # A pair drawn twice would be summed; keep one of each.
+        _, once = np.unique(both[1][0] * size + both[1][1], return_index=True)
+        return coo_array((both[0][once], (both[1][0][once], both[1][1][once])), shape=(size, size)).tocsr()
+
+    def links(self, xy: ArrayLike) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+        """Return the road points that a straight free leg from `xy` reaches, and what each leg costs."""
+        here = np.asarray(xy, dtype=np.float64)
+        distance = np.linalg.norm(self.points - here, axis=1)
+        near = np.flatnonzero(distance <= _LONGEST_LEG_M)
+        legs = np.stack([np.broadcast_to(here, (len(near), 2)), self.points[near]], axis=1)
+        # Who already stands tight, as a robot gone astray may, is only asked not to touch anything.
+        tight = self._obstacles.clearance(float(here[0]), float(here[1])) <= _CLEARANCE_M
+        free = near[self._obstacles.are_clear(legs, ROBOT_RADIUS_M if tight else _CLEARANCE_M)]
+        return free, distance[free] * _OFF_ROAD_COST
+
+
+class RoutesTo:
+    """All shortest ways to one goal."""
+
+    def __init__(self, graph: RoadGraph, goal: ArrayLike) -> None:
+        self._graph = graph
+        self._goal = np.asarray(goal, dtype=np.float64)
+        size = len(graph.points)
+        ends, leg_costs = graph.links(self._goal)
+        # One more node, the goal, with a one-way edge from it to each road point that sees it.
+        extended = graph.costs.tocoo()
+        rows = np.concatenate([extended.row, np.full(len(ends), size)])
+        columns = np.concatenate([extended.col, ends])
+        costs = np.concatenate([extended.data, leg_costs])
+        network = coo_array((costs, (rows, columns)), shape=(size + 1, size + 1)).tocsr()
+        cost, before = dijkstra(network, indices=np.array(size), return_predecessors=True)
+        self.cost, self._towards_goal = cost[:size], before[:size]
+
+    def path_from(self, start: ArrayLike) -> NDArray[np.float64] | None:
+        """Return the corners (k, 2) of the way from `start` to the goal, or None where there is none."""
+        here = np.asarray(start, dtype=np.float64)
+        entries, leg_costs = self._graph.links(here)
+        total = leg_costs + self.cost[entries]
+        if len(entries) == 0 or not np.isfinite(total.min()):
+            return None
+        node = int(entries[total.argmin()])
+        corners = [here]
+        while node != len(self._graph.points):
+            corners.append(self._graph.points[node])
+            node = int(self._towards_goal[node])
+        return _corners(np.array([*corners, self._goal]))
+
+
+@lru_cache(maxsize=8)
+def road_graph(terrain: Terrain) -> RoadGraph:
+    """Return the graph of a terrain's drivable roads, built once and shared."""
+    return RoadGraph(terrain)
+
+
+@lru_cache(maxsize=8)
+def _routes_to_victim(world: World) -> RoutesTo:
+    return RoutesTo(road_graph(world), (world.victim.x, world.victim.y))
+
+
+def plan_route(world: World, start_xy: ArrayLike) -> NDArray[np.float64]:
+    """Plan the way from anywhere to the victim.
+
+    The way goes back to the road, along roads, and leaves the road for the victim, at least 0.7 m off everything
+    solid (0.4 m on a first leg that begins closer).
+
+    Parameters
+    ----------
+    world
+        The world to drive in.
+    start_xy
+        (2,), metres.
+
+    Returns
+    -------
+    (k, 2) corners in metres, from `start_xy` to the victim's place, k at least 2.
+
+    Raises
+    ------
+    WorldError
+        No free way leads from there to the victim.
+    """
+    path = _routes_to_victim(world).path_from(start_xy)
+    if path is None:
+        x, y = np.asarray(start_xy, dtype=np.float64)
+        raise WorldError(f"{world.name}: no way from ({x:.1f}, {y:.1f}) m to the victim along the roads")
+    return path
+
+
+def route_length_m(route: NDArray[np.float64]) -> float:
+    """Return the length in metres of a route (k, 2)."""
+    return float(np.linalg.norm(np.diff(route, axis=0), axis=1).sum())
+
+
+def _consecutive(chains: list[NDArray[np.float64]], index: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Return the pairs (m, 2) of point numbers that follow each other on a chain."""
+    last = np.cumsum([len(chain) for chain in chains]) - 1
+    first = np.setdiff1d(np.arange(len(index) - 1), last)
+    pairs = np.stack([index[first], index[first + 1]], axis=1)
+    return np.asarray(pairs[pairs[:, 0] != pairs[:, 1]], dtype=np.int64)
+
+
+def _corners(path: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Drop repeated points and points on a straight line."""
+    return np.asarray(shapely.get_coordinates(shapely.simplify(shapely.LineString(path), 0.02)), dtype=np.float64)

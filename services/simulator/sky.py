@@ -1,0 +1,49 @@
+"""The picture of the sky: a gradient with clouds, and far hills and trees along the horizon."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from services.simulator.noise import as_picture, layered, noise
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+_SHAPE: Final = (1024, 4096)
+#: Elevation in degrees at the top and at the bottom of the picture.
+TOP_DEG: Final = 90.0
+BOTTOM_DEG: Final = -10.0
+
+_ZENITH: Final = np.array([84.0, 132.0, 200.0])
+_HORIZON: Final = np.array([206.0, 218.0, 228.0])
+_HILLS: Final = np.array([122.0, 134.0, 138.0])
+_TREES: Final = np.array([86.0, 104.0, 78.0])
+
+
+def paint_sky(seed: int) -> NDArray[np.uint8]:
+    """Return the whole horizon, (1024, 4096, 3) uint8 RGB, from 90 degrees up to 10 below, seamless to the sides."""
+    rng = np.random.default_rng(seed)
+    elevation = np.linspace(TOP_DEG, BOTTOM_DEG, _SHAPE[0])[:, None]
+    up = np.clip(elevation / 90.0, 0, 1)[..., None]
+    sky = _HORIZON + (_ZENITH - _HORIZON) * up**0.55
+    cloud = _clouds(rng, elevation)[..., None]
+    picture = sky * (1 - cloud) + np.array([246.0, 246.0, 244.0]) * cloud
+    picture = np.where(elevation[..., None] < _skyline(rng, 3.2, 1.1, 90.0), _HILLS, picture)
+    trees = _TREES * (1.0 + 0.10 * noise(rng, _SHAPE, 5.0))[..., None]
+    picture = np.where(elevation[..., None] < _skyline(rng, 1.2, 0.45, 12.0), trees, picture)
+    return as_picture(picture)
+
+
+def _clouds(rng: np.random.Generator, elevation: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return how much cloud covers each place, 0 to 1; clouds are flat and crowd towards the horizon."""
+    billows = 0.7 * noise(rng, _SHAPE, (60.0, 200.0)) + 0.45 * layered(rng, _SHAPE, (14.0, 40.0))
+    amount = np.clip((billows - 0.35) * 0.9, 0, 1)
+    return np.asarray(amount * np.clip(elevation / 12.0, 0, 1) * 0.9, dtype=np.float64)
+
+
+def _skyline(rng: np.random.Generator, mean_deg: float, spread_deg: float, grain_px: float) -> NDArray[np.float64]:
+    """Return the elevation in degrees of a rugged line around the horizon, (1, width, 1)."""
+    line = noise(rng, (1, _SHAPE[1]), (1.0, grain_px)) + 0.3 * noise(rng, (1, _SHAPE[1]), (1.0, 4.0))
+    return np.asarray(mean_deg + spread_deg * line[..., None], dtype=np.float64)

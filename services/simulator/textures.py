@@ -1,0 +1,142 @@
+"""Pictures for everything but façades and the sky: (h, w, 3) uint8 RGB, seamless, always the same."""
+
+from __future__ import annotations
+
+import zlib
+from typing import TYPE_CHECKING, Final, Literal
+
+import cv2
+import numpy as np
+
+from services.simulator.noise import as_picture, coloured, layered, noise
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from numpy.typing import NDArray
+
+    Painter = Callable[[np.random.Generator], NDArray[np.uint8]]
+
+Material = Literal[
+    "grass", "lawn", "asphalt", "kerb", "sidewalk", "path", "paved", "marking", "water", "gravel", "tiles", "slate",
+    "trim", "leaves", "dark_leaves", "needles", "bark", "hedge", "stone_wall", "fence",
+    "skin", "jacket", "trousers", "robot", "tyre",
+]  # fmt: skip
+
+_SHAPE: Final = (512, 512)
+_PLAIN_SHAPE: Final = (64, 64)
+
+
+def paint(material: Material) -> NDArray[np.uint8]:
+    """Return the picture of a material, (h, w, 3) uint8 RGB with h and w powers of two."""
+    # A seed of its own, so that adding a material changes no other.
+    return _PAINTERS[material](np.random.default_rng(zlib.crc32(material.encode())))
+
+
+def _speckled(*colour: int, grains: tuple[float, ...] = (2.0, 40.0), contrast: float = 0.08) -> Painter:
+    """Return a painter of one colour with irregular shade."""
+    return lambda rng: coloured(colour, 1.0 + contrast * layered(rng, _SHAPE, grains))
+
+
+def _asphalt(rng: np.random.Generator) -> NDArray[np.uint8]:
+    """Paint grit with a few cracks that somebody has filled with tar."""
+    picture = coloured((96, 96, 99), 1.0 + 0.10 * noise(rng, _SHAPE, 2.0) + 0.025 * noise(rng, _SHAPE, 60.0))
+    for _ in range(3):
+        steps = rng.normal((0.0, 9.0), 7.0, (24, 2)).cumsum(axis=0) + rng.integers(60, 300, 2)
+        cv2.polylines(picture, [steps.astype(np.int32)], False, (66, 66, 70), 3, cv2.LINE_AA)
+    return picture
+
+
+def _plain(*colour: int) -> Painter:
+    return lambda _: np.full((*_PLAIN_SHAPE, 3), colour, dtype=np.uint8)
+
+
+def _grass(*colour: int) -> Painter:
+    """Return a painter of blades: fine upright streaks over patches of dryer and fresher green."""
+
+    def painter(rng: np.random.Generator) -> NDArray[np.uint8]:
+        shade = 1.0 + 0.16 * noise(rng, _SHAPE, (5.0, 1.5)) + 0.10 * noise(rng, _SHAPE, 24.0)
+        dry = np.clip(0.5 + 0.35 * noise(rng, _SHAPE, 70.0), 0, 1)[..., None]
+        return as_picture((np.array(colour) * (1 - 0.25 * dry) + np.array([60, 48, 12]) * 0.5 * dry) * shade[..., None])
+
+    return painter
+
+
+def _paving(*colour: int, rows: int, columns: int, joint_px: int, running: bool = False) -> Painter:
+    """Return a painter of slabs, each a little different, with dark joints; `running` shifts every other row."""
+
+    def painter(rng: np.random.Generator) -> NDArray[np.uint8]:
+        height, width = _SHAPE[0] // rows, _SHAPE[1] // columns
+        tone = np.kron(1.0 + 0.07 * rng.standard_normal((rows, columns)), np.ones((height, width)))
+        within = np.ones((height, width))
+        within[:joint_px], within[:, :joint_px] = 0.66, 0.66
+        picture = tone * np.tile(within, (rows, columns))
+        if running:
+            for row in range(1, rows, 2):
+                band = slice(row * height, (row + 1) * height)
+                picture[band] = np.roll(picture[band], width // 2, axis=1)
+        return coloured(colour, picture * (1.0 + 0.05 * layered(rng, _SHAPE, (1.5, 30.0))))
+
+    return painter
+
+
+def _leaves(*colour: int) -> Painter:
+    """Return a painter of overlapping leaves, lit from above, with dark gaps between them."""
+
+    def painter(rng: np.random.Generator) -> NDArray[np.uint8]:
+        picture = np.full((*_SHAPE, 3), np.array(colour) * 0.35)
+        for depth in np.linspace(0.5, 1.25, 1400):
+            centre = rng.integers(0, _SHAPE[0], 2)
+            tint = np.array(colour) * depth * rng.uniform(0.8, 1.15) + rng.uniform(-8, 8, 3)
+            angle = float(rng.uniform(0, 180))
+            for wrap in np.array([[0, 0], [512, 0], [0, 512], [-512, 0], [0, -512]]):
+                place = (int(centre[0] + wrap[0]), int(centre[1] + wrap[1]))
+                cv2.ellipse(picture, place, (13, 7), angle, 0, 360, tint.tolist(), -1)
+        return as_picture(picture)
+
+    return painter
+
+
+def _stones(*colour: int) -> Painter:
+    def painter(rng: np.random.Generator) -> NDArray[np.uint8]:
+        rough = 1.0 + 0.10 * layered(rng, _SHAPE, (2.0, 20.0))
+        return as_picture(_paving(*colour, rows=8, columns=4, joint_px=5, running=True)(rng) * rough[..., None])
+
+    return painter
+
+
+def _bark(rng: np.random.Generator) -> NDArray[np.uint8]:
+    return coloured((96, 76, 58), 1.0 + 0.25 * noise(rng, _SHAPE, (40.0, 5.0)))
+
+
+def _boards(rng: np.random.Generator) -> NDArray[np.uint8]:
+    return cv2.rotate(_paving(134, 110, 84, rows=8, columns=1, joint_px=14)(rng), cv2.ROTATE_90_CLOCKWISE).astype(np.uint8)
+
+
+_PAINTERS: Final[dict[Material, Painter]] = {
+    "grass": _grass(98, 116, 58),
+    "lawn": _grass(80, 122, 52),
+    "asphalt": _asphalt,
+    "kerb": _speckled(168, 166, 160),
+    "sidewalk": _paving(172, 166, 156, rows=4, columns=4, joint_px=4),
+    "path": _paving(176, 150, 122, rows=16, columns=8, joint_px=3, running=True),
+    "paved": _speckled(116, 114, 112, grains=(2.0, 90.0)),
+    "marking": _speckled(226, 224, 214, contrast=0.05),
+    "water": _speckled(84, 116, 138, grains=(12.0, 80.0), contrast=0.10),
+    "gravel": _speckled(128, 122, 114, grains=(2.0, 4.0), contrast=0.15),
+    "tiles": _paving(158, 84, 60, rows=16, columns=16, joint_px=5, running=True),
+    "slate": _paving(92, 94, 102, rows=16, columns=8, joint_px=4, running=True),
+    "trim": _speckled(206, 202, 192, contrast=0.03),
+    "leaves": _leaves(92, 128, 52),
+    "dark_leaves": _leaves(66, 104, 50),
+    "needles": _leaves(48, 82, 56),
+    "bark": _bark,
+    "hedge": _leaves(62, 98, 44),
+    "stone_wall": _stones(150, 140, 126),
+    "fence": _boards,
+    "skin": _plain(214, 164, 136),
+    "jacket": _plain(240, 108, 20),
+    "trousers": _plain(46, 66, 128),
+    "robot": _plain(190, 190, 60),
+    "tyre": _plain(30, 30, 32),
+}

@@ -1,0 +1,73 @@
+"""Find a Vulkan driver before the renderer looks for one, and say plainly when there is none."""
+
+from __future__ import annotations
+
+import ctypes.util
+import os
+from pathlib import Path
+from typing import TYPE_CHECKING, Final
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+DRIVER_FOLDERS: Final = (
+    Path("/etc/vulkan/icd.d"),
+    Path("/usr/local/share/vulkan/icd.d"),
+    Path("/usr/share/vulkan/icd.d"),
+)
+_GPU_DEVICES: Final = (Path("/dev/nvidiactl"), Path("/dev/dri"))
+_SOFTWARE_PATTERN: Final = "lvp_icd*.json"
+INSTALL: Final = "install Mesa 24.3 or newer: apt-get install mesa-vulkan-drivers (Debian 12: from bookworm-backports)"
+
+
+class RenderingUnavailableError(Exception):
+    """No image can be made on this machine; the message is one line that says what to install."""
+
+
+def prepare() -> None:
+    """Choose the Vulkan driver for this process; call before the first import of sapien.
+
+    Raises
+    ------
+    RenderingUnavailableError
+        There is no Vulkan loader or no driver.
+    """
+    if ctypes.util.find_library("vulkan") is None:
+        raise RenderingUnavailableError(f"no Vulkan loader (libvulkan.so.1); {INSTALL} and libvulkan1")
+    driver = choose_driver(os.environ, DRIVER_FOLDERS, has_gpu())
+    if driver is not None:
+        os.environ["VK_ICD_FILENAMES"] = str(driver)
+
+
+def has_gpu() -> bool:
+    """Return whether the machine has a graphics device; without one a GPU's driver is of no use."""
+    nvidia, dri = _GPU_DEVICES
+    return nvidia.exists() or any(dri.glob("renderD*"))
+
+
+def choose_driver(environment: Mapping[str, str], folders: Sequence[Path], gpu: bool) -> Path | None:
+    """Return the driver file to set, or None to leave the choice to the loader.
+
+    The loader tries every installed driver. Without a graphics device that only costs time and warnings, so the
+    software driver is named; with one, or with a choice made by the user, nothing is changed.
+
+    Raises
+    ------
+    RenderingUnavailableError
+        No driver is installed, or the user's choice names a file that does not exist.
+    """
+    chosen = environment.get("VK_DRIVER_FILES") or environment.get("VK_ICD_FILENAMES")
+    if chosen:
+        missing = [name for name in chosen.split(os.pathsep) if not Path(name).is_file()]
+        if missing:
+            raise RenderingUnavailableError(
+                f"VK_ICD_FILENAMES names {missing[0]}, a missing file; unset it, or {INSTALL}"
+            )
+        return None
+    installed = [path for folder in folders for path in sorted(folder.glob("*.json"))]
+    software = [path for path in installed if path.match(_SOFTWARE_PATTERN)]
+    if gpu and installed:
+        return None
+    if not software:
+        raise RenderingUnavailableError(f"no Vulkan driver found; {INSTALL}")
+    return software[0]

@@ -1,0 +1,44 @@
+"""The ``smal`` command as a user runs it."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+Smal = Callable[..., "subprocess.CompletedProcess[str]"]
+
+
+@pytest.fixture(scope="session")
+def smal() -> Smal:
+    """Run ``smal`` with arguments and return what it printed."""
+
+    def run(*arguments: object, timeout_s: float = 240, **environment: str) -> subprocess.CompletedProcess[str]:
+        return subprocess.run(
+            [sys.executable, "-c", "from services.cli import main; main()", *map(str, arguments)],
+            capture_output=True,
+            text=True,
+            timeout=timeout_s,
+            check=False,
+            env=os.environ | environment,
+        )
+
+    return run
+
+
+@pytest.fixture(scope="session")
+def taught(smal: Smal, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with recordings of a small world, and the model learned from them."""
+    folder = tmp_path_factory.mktemp("taught")
+    drives = smal(
+        "demonstrate", "--world", "yard", "--episodes", 3, "--recoveries", 6, "--seed", 1,
+        "--camera", "160x120", "--out", folder / "drives",
+    )  # fmt: skip
+    assert drives.returncode == 0, drives.stderr
+    learned = smal("learn", folder / "drives", "--out", folder / "model.smal")
+    assert learned.returncode == 0, learned.stderr
+    return folder

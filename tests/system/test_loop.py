@@ -1,0 +1,47 @@
+"""The main job once, as a user does it: demonstrate, learn, run, with real processes and real pixels."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+
+import cv2
+import pytest
+
+pytestmark = [pytest.mark.rendering, pytest.mark.system, pytest.mark.timeout(600)]
+
+
+def run_json(smal: Callable[..., object], taught: Path, out: Path, *extra: object) -> dict[str, object]:
+    result = smal(
+        "run", "--model", taught / "model.smal", "--world", "yard", "--episodes", 3, "--seed", 1,
+        "--camera", "160x120", "--json", out, *extra,
+    )  # fmt: skip
+    assert result.returncode == 0, result.stderr  # type: ignore[attr-defined]
+    return json.loads(out.read_text())  # type: ignore[no-any-return]
+
+
+def test_demonstrations_are_recorded_one_file_a_drive_and_drawn(taught: Path) -> None:
+    assert len(list((taught / "drives").glob("*.mcap"))) == 9
+    assert not list((taught / "drives").glob("*.partial"))
+    picture = cv2.imread(str(taught / "drives" / "drives.png"))
+    assert picture is not None
+    assert picture.std() > 10
+
+
+def test_robot_finds_the_victim_by_itself_and_the_same_seed_gives_the_same_outcome(
+    smal: Callable[..., object], taught: Path, tmp_path: Path
+) -> None:
+    first = run_json(smal, taught, tmp_path / "first.json", "--report", tmp_path / "report")
+    outcomes = [episode["outcome"] for episode in first["episodes"]]  # type: ignore[attr-defined]
+    assert outcomes.count("found") >= 2, first
+    page = (tmp_path / "report" / "index.html").read_text()
+    assert page.count("<img") >= 3
+    assert "http" not in page.split("</style>")[1]
+    second = run_json(smal, taught, tmp_path / "second.json")
+    assert second["episodes"] == first["episodes"]
+
+
+def test_robot_finds_the_victim_in_real_time(smal: Callable[..., object], taught: Path, tmp_path: Path) -> None:
+    result = run_json(smal, taught, tmp_path / "realtime.json", "--realtime")
+    assert [e["outcome"] for e in result["episodes"]].count("found") >= 1, result  # type: ignore[attr-defined]
