@@ -1,0 +1,92 @@
+"""Action space (paper, Algorithm 3): an action is l atom movements, taken from the demonstrations."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from enum import IntEnum
+
+import numpy as np
+from numpy.typing import NDArray
+
+
+class Atom(IntEnum):
+    """What the robot does between one camera frame and the next."""
+
+    STOP = 0
+    FORWARD = 1
+    BACKWARD = 2
+    LEFT = 3
+    RIGHT = 4
+
+
+@dataclass(frozen=True, eq=False)
+class ActionSpace:
+    """The distinct actions, and which of them followed each sequence.
+
+    Parameters
+    ----------
+    actions : int8 array (number of actions, l)
+        Atoms of every action.
+    streams : tuple of int32 arrays
+        The paper's a-stream, one per demonstration: the action after each sequence.
+    """
+
+    actions: NDArray[np.int8]
+    streams: tuple[NDArray[np.int32], ...]
+
+
+def first_frame(frames: int, sequence_length: int) -> int:
+    """Frame at which the first sequence of a demonstration begins.
+
+    Sequences are aligned to the end, so that the last frame (the victim in view) is in the last sequence; up
+    to l - 1 frames at the start stay outside.
+    """
+    return frames % sequence_length
+
+
+def following_atoms(atoms: NDArray[np.int8], sequence_length: int) -> NDArray[np.int8]:
+    """Cut out the l atoms after each sequence.
+
+    Parameters
+    ----------
+    atoms : int8 array (f,)
+        Atom k was executed between frames k and k + 1; the last one after the last frame.
+    sequence_length : int
+        l.
+
+    Returns
+    -------
+    int8 array (f // l, l)
+        For a sequence of the frames t to t + l - 1 the atoms t + l - 1 to t + 2 l - 2: what was done *after* it.
+        (Atoms during the sequence, as a literal reading of Algorithm 3 has it, would replay the past.) The
+        last sequence has one recorded atom left; stops fill it up.
+    """
+    l = sequence_length  # noqa: E741
+    padded = np.concatenate([atoms, np.full(l - 1, Atom.STOP, dtype=np.int8)])
+    starts = np.arange(first_frame(atoms.size, l), atoms.size, l) + l - 1
+    following: NDArray[np.int8] = padded[starts[:, None] + np.arange(l)]
+    return following
+
+
+def learn_action_space(demonstrations: Sequence[NDArray[np.int8]], sequence_length: int) -> ActionSpace:
+    """Collect the distinct actions of all demonstrations, numbered in the order of their atoms.
+
+    Parameters
+    ----------
+    demonstrations : sequence of int8 arrays (f,)
+        Atoms of each demonstration.
+    sequence_length : int
+
+    Raises
+    ------
+    ValueError
+        An atom that is none, or no sequence at all.
+    """
+    for atoms in demonstrations:
+        if atoms.size and not (atoms.min() >= min(Atom) and atoms.max() <= max(Atom)):
+            raise ValueError(f"atoms must be {int(min(Atom))} to {int(max(Atom))}, got {sorted(set(atoms.tolist()))}")
+    each = [following_atoms(atoms, sequence_length) for atoms in demonstrations]
+    if not sum(map(len, each)):
+        raise ValueError(f"no demonstration has {sequence_length} frames")
+    actions, numbers = np.unique(np.concatenate(each), axis=0, return_inverse=True)
+    ends = np.cumsum([len(part) for part in each])[:-1]
+    return ActionSpace(actions, tuple(np.split(numbers.ravel().astype(np.int32), ends)))

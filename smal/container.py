@@ -1,0 +1,93 @@
+"""One file of JSON and arrays: no pickle, nothing executed, every byte under a checksum.
+
+Layout: 8 bytes magic, format version (uint32), length of the header (uint64), both little endian; the header in
+UTF-8 JSON ({"meta": ..., "arrays": [[name, dtype, shape], ...]}); the arrays one after the other, C order, little
+endian; 32 bytes SHA-256 of all that went before.
+"""
+
+import hashlib
+import json
+import math
+import os
+import struct
+import tempfile
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+MAGIC = b"SMAL\x00MDL"
+_FIXED = struct.Struct("<8sIQ")
+_DTYPES = {name: np.dtype(name) for name in ("<f4", "<f8", "<i8", "<i4", "|i1", "|b1")}
+
+
+class ModelError(ValueError):
+    """A file is not a usable model; the message says in one line why."""
+
+
+def write(path: Path, version: int, meta: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -> None:
+    """Write a file so that there is never a half-written one under its name."""
+    stored = {name: np.ascontiguousarray(array) for name, array in arrays.items()}
+    table = [[name, array.dtype.str, list(array.shape)] for name, array in stored.items()]
+    unknown = [row for row in table if row[1] not in _DTYPES]
+    if unknown:
+        raise TypeError(f"arrays of this type are not stored in a model: {unknown}")
+    header = json.dumps({"meta": meta, "arrays": table}, allow_nan=False).encode()
+    digest = hashlib.sha256()
+    with tempfile.NamedTemporaryFile(dir=path.parent, prefix=f".{path.name}.", delete=False) as file:
+        try:
+            parts: list[bytes | memoryview] = [_FIXED.pack(MAGIC, version, len(header)), header]
+            parts += [array.reshape(-1).data for array in stored.values()]
+            for part in parts:
+                digest.update(part)
+                file.write(part)
+            file.write(digest.digest())
+            file.flush()
+            os.fsync(file.fileno())
+            Path(file.name).replace(path)
+        except BaseException:
+            Path(file.name).unlink(missing_ok=True)
+            raise
+
+
+def read(path: Path, version: int) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
+    """Read a file that `write` wrote.
+
+    Raises
+    ------
+    ModelError
+        The file cannot be read, is no model, is of another version, truncated or altered.
+    """
+    try:
+        content = path.read_bytes()
+    except OSError as error:
+        raise ModelError(f"{path}: cannot be read: {error.strerror}") from error
+    if len(content) < _FIXED.size or content[: len(MAGIC)] != MAGIC:
+        raise ModelError(f"{path}: not a SMAL model")
+    _, found, header_size = _FIXED.unpack_from(content)
+    if found != version:
+        raise ModelError(f"{path}: model of format {found}, this program reads format {version}; learn it again")
+    body, digest = memoryview(content)[:-32], content[-32:]
+    if hashlib.sha256(body).digest() != digest:
+        raise ModelError(f"{path}: truncated or altered: its checksum does not match")
+    try:
+        header = json.loads(bytes(body[_FIXED.size : _FIXED.size + header_size]))
+        return header["meta"], _arrays(header["arrays"], body[_FIXED.size + header_size :])
+    except (ValueError, KeyError, TypeError) as error:
+        raise ModelError(f"{path}: the header does not describe a model: {error}") from error
+
+
+def _arrays(table: list[tuple[str, str, list[int]]], body: memoryview) -> dict[str, NDArray[Any]]:
+    arrays: dict[str, NDArray[Any]] = {}
+    at = 0
+    for name, dtype, shape in table:
+        count = math.prod(shape)
+        array = np.frombuffer(body, dtype=_DTYPES[dtype], count=count, offset=at) if count else np.empty(0, dtype)
+        # A copy, because the offset is not aligned, and products with unaligned arrays copy them every time.
+        arrays[name] = array.reshape(shape).copy()
+        at += array.nbytes
+    if at != len(body):
+        raise ValueError("its arrays do not fill the file")
+    return arrays

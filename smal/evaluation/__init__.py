@@ -1,0 +1,1 @@
+"""How well the method does: statistics of runs."""

@@ -1,0 +1,81 @@
+"""Centring: what all frames share says nothing about where the robot is.
+
+The paper matches uncentred descriptors. Their entries are all non-negative, so that any two frames have a
+cosine near 0.9 and no threshold separates places (design.md, section 7); without the mean it is near 0.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from smal.features.settings import FeatureSettings
+
+# A modality closer to the mean than this (unit-length vectors) is rounding noise: it has no direction.
+_NOISE = 1e-6
+
+
+@dataclass(frozen=True, eq=False)
+class Centering:
+    """Turns raw features into the columns of X and Y.
+
+    Parameters
+    ----------
+    mean : float32 array (m,)
+        Mean raw feature vector of the demonstrations.
+    settings : FeatureSettings
+    """
+
+    mean: NDArray[np.float32]
+    settings: FeatureSettings
+
+    def __post_init__(self) -> None:
+        if self.mean.shape != (self.settings.size,):
+            raise ValueError(f"the mean must have the shape ({self.settings.size},), got {self.mean.shape}")
+        if not np.isfinite(self.mean).all():
+            raise ValueError("the mean of the features is not finite")
+
+    @classmethod
+    def fit(cls, raw: NDArray[np.float32] | Sequence[NDArray[np.float32]], settings: FeatureSettings) -> Self:
+        """Take the mean of raw features (n, m), or of several such arrays; at least one row in all."""
+        parts = [raw] if isinstance(raw, np.ndarray) else raw
+        wrong = [part.shape for part in parts if part.ndim != 2 or part.shape[1] != settings.size]
+        count = sum(part.shape[0] for part in parts)
+        if wrong or count == 0:
+            raise ValueError(f"the mean needs features (n, {settings.size}) with n >= 1, got the shapes {wrong}")
+        total = np.zeros(settings.size)
+        for part in parts:
+            total += part.sum(axis=0, dtype=np.float64)
+        return cls((total / count).astype(np.float32), settings)
+
+    def apply(self, raw: NDArray[Any]) -> NDArray[np.float32]:
+        """Centre, normalise and weight raw features.
+
+        Parameters
+        ----------
+        raw : array (..., m)
+            From `extract`.
+
+        Returns
+        -------
+        float32 array (..., m)
+            Each modality minus its mean, of unit length times its unit weight: a full vector has norm 1.
+            A modality equal to the mean stays zero.
+
+        Raises
+        ------
+        ValueError
+            The last axis is not m, or a value is not finite.
+        """
+        if raw.ndim == 0 or raw.shape[-1] != self.settings.size:
+            raise ValueError(f"features must have {self.settings.size} entries, got the shape {raw.shape}")
+        centred = np.asarray(raw - self.mean, dtype=np.float32)
+        for where, weight in zip(self.settings.slices, self.settings.unit_weights, strict=True):
+            norm = np.linalg.norm(centred[..., where], axis=-1, keepdims=True)
+            if not np.isfinite(norm).all():
+                raise ValueError("features contain NaN or infinity")
+            scale = np.divide(weight, norm, out=np.zeros_like(norm), where=norm > _NOISE)
+            centred[..., where] *= scale
+        return centred

@@ -1,0 +1,36 @@
+"""Shape modality: histograms of oriented gradients (Dalal & Triggs 2005) on 240 x 320 grey values."""
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+ROWS, COLUMNS = 240, 320
+CELL, BINS = 20, 9
+BLOCK = 2 * CELL
+SIZE = ((ROWS - BLOCK) // CELL + 1) * ((COLUMNS - BLOCK) // CELL + 1) * 4 * BINS
+
+# OpenCV takes sizes as (width, height): window, block, block stride, cell.
+_HOG = cv2.HOGDescriptor((COLUMNS, ROWS), (BLOCK, BLOCK), (CELL, CELL), (CELL, CELL), BINS)
+
+
+def hog_descriptor(image: NDArray[np.uint8]) -> NDArray[np.float32]:
+    """Describe an image by the directions of its edges.
+
+    Parameters
+    ----------
+    image : uint8 array (height, width, 3)
+        RGB, any size; brought to 240 rows and 320 columns of grey.
+
+    Returns
+    -------
+    float32 array (5940,)
+        11 x 15 overlapping blocks of 2 x 2 cells of 9 directions, unit length. An image without any
+        edge (constant grey) has no direction and gives the zero vector.
+    """
+    grey = cv2.cvtColor(image, cv2.COLOR_RGB2GRAY)
+    shrinks = grey.shape[0] >= ROWS and grey.shape[1] >= COLUMNS
+    # Area averaging is right for shrinking only; when enlarging it would repeat pixels and invent edges.
+    small = cv2.resize(grey, (COLUMNS, ROWS), interpolation=cv2.INTER_AREA if shrinks else cv2.INTER_LINEAR)
+    vector = np.asarray(_HOG.compute(small), dtype=np.float32).ravel()
+    norm = float(np.linalg.norm(vector))
+    return vector / np.float32(norm) if norm > 0.0 else vector

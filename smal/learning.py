@@ -1,0 +1,285 @@
+"""From demonstrations to a model: Algorithms 1, 3 and 4, the reward and the policy, in the order of the paper."""
+
+import math
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from smal.action_space import ActionSpace, learn_action_space
+from smal.features import Centering, FeatureSettings
+from smal.model import Model
+from smal.novelty import RECOGNITION_DEFAULTS, novelty_test
+from smal.policy import check_discount, policy_iteration
+from smal.reward import learn_reward
+from smal.state_space import StateSpace, learn_state_space
+from smal.transitions import Transitions, learn_transitions
+
+# Called with the stage, what is done of it and how much there is of it.
+StageProgress = Callable[[str, int, int], None]
+
+
+@dataclass(frozen=True, eq=False)
+class Demonstration:
+    """One drive of the expert.
+
+    Parameters
+    ----------
+    name : str
+        Its episode.
+    features : float32 array (f, m)
+        Raw features of every frame (`smal.features.extract`), without dropped frames.
+    atoms : int8 array (f,)
+        `Atom` k was executed between frames k and k + 1; the last one after the last frame.
+    successful : bool
+        Whether it ended at the goal.
+    recovery : bool
+        Whether it began off the route, to show the way back to it.
+    """
+
+    name: str
+    features: NDArray[np.float32]
+    atoms: NDArray[np.int8]
+    successful: bool = True
+    recovery: bool = False
+
+    def __post_init__(self) -> None:
+        if self.features.ndim != 2 or self.atoms.shape != (self.features.shape[0],):
+            raise ValueError(
+                f"demonstration {self.name}: features (f, m) and atoms (f,) do not fit: "
+                f"{self.features.shape} and {self.atoms.shape}"
+            )
+
+
+@dataclass(frozen=True)
+class LearningSettings:
+    """How to learn.
+
+    Parameters
+    ----------
+    features : FeatureSettings
+    sequence_length : int
+        l, frames in a sequence and atoms in an action.
+    lambda_scale : float
+        a in lambda1 = lambda2 = a * sqrt(l), unless they are given: an active row or column of W has about
+        l entries, so that its norm grows with sqrt(l).
+    lambda1, lambda2 : float, optional
+    novelty : str
+        Name of the novelty test: "agreement" or the paper's "weight" (Eq. 8).
+    novelty_parameters : dict
+        Parameters of the test in learning; defaults where not given.
+    recognition_parameters : dict
+        Parameters of the test in execution; `smal.novelty.RECOGNITION_DEFAULTS` if None.
+    gamma : float
+        Discount factor.
+    sparsity, r_max : float
+        Of the reward program (`smal.reward`).
+    tolerance : float
+        Relative duality gap of each match.
+    max_bytes : int, optional
+        Bound on the memory of templates.
+    """
+
+    features: FeatureSettings = field(default_factory=FeatureSettings)
+    sequence_length: int = 5
+    lambda_scale: float = 0.1
+    lambda1: float | None = None
+    lambda2: float | None = None
+    novelty: str = "agreement"
+    novelty_parameters: dict[str, float] = field(default_factory=dict)
+    recognition_parameters: dict[str, float] | None = None
+    gamma: float = 0.95
+    sparsity: float = 0.1
+    r_max: float = 1.0
+    tolerance: float = 1e-3
+    max_bytes: int | None = None
+
+    def __post_init__(self) -> None:
+        if self.sequence_length < 1:
+            raise ValueError(f"sequence_length must be at least 1, got {self.sequence_length}")
+        for name in ("lambda_scale", "lambda1", "lambda2"):
+            value = getattr(self, name)
+            if value is not None and not (math.isfinite(value) and value > 0.0):
+                raise ValueError(f"{name} must be finite and positive, got {value}")
+        novelty_test(self.novelty, self.novelty_parameters)
+        novelty_test(self.novelty, self.recognition)
+        check_discount(self.gamma)
+
+    @property
+    def recognition(self) -> dict[str, float]:
+        """Parameters of the novelty test in execution."""
+        return self.recognition_parameters or RECOGNITION_DEFAULTS[self.novelty]
+
+    @property
+    def lambdas(self) -> tuple[float, float]:
+        """lambda1 and lambda2 of Eq. 7."""
+        default = self.lambda_scale * math.sqrt(self.sequence_length)
+        return self.lambda1 or default, self.lambda2 or default
+
+
+@dataclass(frozen=True)
+class LearningReport:
+    """What was learned, in numbers.
+
+    Parameters
+    ----------
+    demonstrations, frames, sequences, states, actions, goals : int
+    shared_states : int
+        States that occur in at least two demonstrations: without them the transition graph is a set of chains.
+    dead_ends : int
+        States that nothing is known to follow.
+    reward_states : int
+        States with a reward above 1e-6.
+    seconds : dict
+        Per stage.
+    """
+
+    demonstrations: int
+    frames: int
+    sequences: int
+    states: int
+    actions: int
+    goals: int
+    shared_states: int
+    dead_ends: int
+    reward_states: int
+    seconds: dict[str, float]
+
+
+class _Stages:
+    """Times the stages and reports their progress."""
+
+    def __init__(self, progress: StageProgress | None) -> None:
+        self._progress = progress
+        self.seconds: dict[str, float] = {}
+        self._since = time.perf_counter()
+
+    def report(self, stage: str) -> Callable[[int, int], None]:
+        def advance(done: int, total: int) -> None:
+            if self._progress is not None:
+                self._progress(stage, done, total)
+
+        return advance
+
+    def end(self, stage: str) -> None:
+        now = time.perf_counter()
+        self.seconds[stage] = now - self._since
+        self._since = now
+        self.report(stage)(1, 1)
+
+
+def learn(
+    demonstrations: Sequence[Demonstration], settings: LearningSettings, progress: StageProgress | None = None
+) -> tuple[Model, LearningReport]:
+    """Learn states, actions, transitions, reward and policy.
+
+    Parameters
+    ----------
+    demonstrations : sequence of Demonstration
+        At least one successful.
+    settings : LearningSettings
+    progress : callable, optional
+        Called with the stage ("centering", "states", "transitions", "reward", "policy"), done and total.
+
+    Returns
+    -------
+    (Model, LearningReport)
+
+    Raises
+    ------
+    ValueError
+        No successful demonstration of at least one sequence, or features that do not fit the settings.
+    """
+    if not demonstrations:
+        raise ValueError("there is no demonstration to learn from")
+    for one in demonstrations:
+        if one.features.shape[1] != settings.features.size:
+            raise ValueError(
+                f"demonstration {one.name}: {one.features.shape[1]} features a frame, "
+                f"the settings ask for {settings.features.size}"
+            )
+    stages = _Stages(progress)
+    frames = [one.features for one in demonstrations]
+    centering = Centering.fit(frames, settings.features)
+    centred = [centering.apply(each) for each in frames]
+    stages.end("centering")
+    space = learn_state_space(
+        centred,
+        settings.sequence_length,
+        *settings.lambdas,
+        novelty_test(settings.novelty, settings.novelty_parameters),
+        settings.tolerance,
+        settings.max_bytes,
+        stages.report("states"),
+    )
+    stages.seconds["states"] = time.perf_counter() - stages._since
+    return _plan(demonstrations, settings, centering, space, stages)
+
+
+def _plan(
+    demonstrations: Sequence[Demonstration],
+    settings: LearningSettings,
+    centering: Centering,
+    space: StateSpace,
+    stages: _Stages,
+) -> tuple[Model, LearningReport]:
+    """Everything after the states."""
+    actions = learn_action_space([one.atoms for one in demonstrations], settings.sequence_length)
+    successful = [one.successful for one in demonstrations]
+    transitions = learn_transitions(space.streams, actions.streams, successful, space.states)
+    stages.end("transitions")
+    reward = learn_reward(transitions, settings.gamma, settings.sparsity, settings.r_max)
+    stages.end("reward")
+    policy = policy_iteration(transitions, reward.state_reward, settings.gamma)
+    stages.end("policy")
+    lambda1, lambda2 = settings.lambdas
+    model = Model(
+        feature_settings=settings.features,
+        mean=centering.mean,
+        sequence_length=settings.sequence_length,
+        lambda1=lambda1,
+        lambda2=lambda2,
+        novelty=settings.novelty,
+        novelty_parameters=settings.novelty_parameters,
+        recognition_parameters=settings.recognition,
+        templates=space.templates,
+        actions=actions.actions,
+        state_streams=space.streams,
+        action_streams=actions.streams,
+        phases=space.phases,
+        atoms=tuple(one.atoms for one in demonstrations),
+        names=tuple(one.name for one in demonstrations),
+        successful=tuple(successful),
+        recovery=tuple(one.recovery for one in demonstrations),
+        transitions=transitions,
+        reward=reward.state_reward,
+        policy=policy.action,
+        value=policy.value,
+        gamma=settings.gamma,
+    )
+    return model, _report(demonstrations, space, actions, transitions, model, stages.seconds)
+
+
+def _report(
+    demonstrations: Sequence[Demonstration],
+    space: StateSpace,
+    actions: ActionSpace,
+    transitions: Transitions,
+    model: Model,
+    seconds: dict[str, float],
+) -> LearningReport:
+    seen_in = np.bincount(np.concatenate([np.unique(stream) for stream in space.streams]), minlength=space.states)
+    return LearningReport(
+        demonstrations=len(demonstrations),
+        frames=sum(len(one.atoms) for one in demonstrations),
+        sequences=sum(len(stream) for stream in space.streams),
+        states=space.states,
+        actions=len(actions.actions),
+        goals=transitions.goals.size,
+        shared_states=int((seen_in >= 2).sum()),
+        dead_ends=space.states - np.unique(transitions.state).size,
+        reward_states=int((model.reward > 1e-6).sum()),
+        seconds=seconds,
+    )

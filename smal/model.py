@@ -1,0 +1,189 @@
+"""What was learned: Omega = (S, A, T, R, gamma) of the paper with the templates that recognise S, as one file."""
+
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import Any, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from smal import container
+from smal.container import ModelError
+from smal.features import Centering, FeatureSettings
+from smal.novelty import AgreementTest, WeightTest, novelty_test
+from smal.transitions import Transitions
+
+__all__ = ["FORMAT_VERSION", "Model", "ModelError"]
+
+FORMAT_VERSION = 1
+
+_TRANSITION_ARRAYS = [field.name for field in fields(Transitions) if field.name != "states"]
+_STREAMS = ("state_streams", "action_streams", "phases", "atoms")
+
+
+@dataclass(frozen=True, eq=False)
+class Model:
+    """A learned model; `state` below is a template sequence, `demonstration` is d.
+
+    Parameters
+    ----------
+    feature_settings : FeatureSettings
+    mean : float32 array (m,)
+        Mean raw feature vector.
+    sequence_length : int
+        l.
+    lambda1, lambda2 : float
+        Of Eq. 7.
+    novelty : str
+        Name of the test by which states were learned, and by default are recognised.
+    novelty_parameters : dict
+        Its parameters.
+    recognition_parameters : dict
+        Parameters of the same test in execution, usually laxer: a view between two states is new, not unknown.
+    templates : float32 array (m, n)
+        X; state j is the columns j * l and following.
+    actions : int8 array (number of actions, l)
+        Atoms of every action.
+    state_streams, action_streams : tuples of int32 arrays (f_d // l,)
+        The sequences of every demonstration in time; they end with its last frame.
+    phases : tuple of float32 arrays (f_d // l,)
+        Template frame at which the last frame of each sequence is.
+    atoms : tuple of int8 arrays (f_d,)
+        Atom k was executed between frames k and k + 1.
+    names : tuple of str
+        Episode of each demonstration.
+    successful, recovery : tuples of bool
+        Whether it ended at the goal; whether it began off the route.
+    transitions : Transitions
+        T.
+    reward : float64 array (states,)
+        R.
+    policy : int32 array (states,)
+        Action of every state; -1 in goals and dead ends.
+    value : float64 array (states,)
+        V of the policy.
+    gamma : float
+        Discount factor.
+    """
+
+    feature_settings: FeatureSettings
+    mean: NDArray[np.float32]
+    sequence_length: int
+    lambda1: float
+    lambda2: float
+    novelty: str
+    novelty_parameters: dict[str, float]
+    recognition_parameters: dict[str, float]
+    templates: NDArray[np.float32]
+    actions: NDArray[np.int8]
+    state_streams: tuple[NDArray[np.int32], ...]
+    action_streams: tuple[NDArray[np.int32], ...]
+    phases: tuple[NDArray[np.float32], ...]
+    atoms: tuple[NDArray[np.int8], ...]
+    names: tuple[str, ...]
+    successful: tuple[bool, ...]
+    recovery: tuple[bool, ...]
+    transitions: Transitions
+    reward: NDArray[np.float64]
+    policy: NDArray[np.int32]
+    value: NDArray[np.float64]
+    gamma: float
+
+    def __post_init__(self) -> None:
+        l, states = self.sequence_length, self.transitions.states  # noqa: E741
+        checks = {
+            "templates": self.templates.shape == (self.feature_settings.size, states * l),
+            "mean": self.mean.shape == (self.feature_settings.size,),
+            "actions": self.actions.ndim == 2 and self.actions.shape[1] == l,
+            "reward": self.reward.shape == (states,),
+            "policy": self.policy.shape == (states,) and int(self.policy.max(initial=-1)) < len(self.actions),
+            "value": self.value.shape == (states,),
+            "names": len(self.names) == len(self.atoms) == len(self.successful) == len(self.recovery),
+            "state_streams": [len(s) for s in self.state_streams] == [len(a) // l for a in self.atoms],
+            "action_streams": [len(s) for s in self.action_streams] == [len(a) // l for a in self.atoms],
+            "phases": [len(s) for s in self.phases] == [len(a) // l for a in self.atoms],
+        }
+        wrong = [name for name, fits in checks.items() if not fits]
+        if wrong:
+            raise ValueError(f"the parts of the model do not fit together: {', '.join(wrong)}")
+        self.recognition_test()
+
+    @property
+    def states(self) -> int:
+        """Number of states."""
+        return self.transitions.states
+
+    @property
+    def centering(self) -> Centering:
+        """Turns raw features into those of the templates."""
+        return Centering(self.mean, self.feature_settings)
+
+    def recognition_test(self) -> WeightTest | AgreementTest:
+        """Return the test by which a query is unknown in execution."""
+        return novelty_test(self.novelty, self.recognition_parameters)
+
+    def save(self, path: Path) -> None:
+        """Write the model to a file; an existing one is replaced only when the new one is complete."""
+        arrays: dict[str, NDArray[Any]] = {
+            "mean": self.mean,
+            "templates": self.templates.T,
+            "actions": self.actions,
+            "reward": self.reward,
+            "policy": self.policy,
+            "value": self.value,
+        }
+        arrays |= {f"transitions.{name}": getattr(self.transitions, name) for name in _TRANSITION_ARRAYS}
+        arrays |= {name: np.concatenate(getattr(self, name)) for name in _STREAMS}
+        meta = {
+            "modalities": self.feature_settings.modalities,
+            "modality_weights": self.feature_settings.weights,
+            "feature_fingerprint": self.feature_settings.fingerprint,
+            "sequence_length": self.sequence_length,
+            "lambda1": self.lambda1,
+            "lambda2": self.lambda2,
+            "novelty": self.novelty,
+            "novelty_parameters": self.novelty_parameters,
+            "recognition_parameters": self.recognition_parameters,
+            "names": self.names,
+            "frames": [len(atoms) for atoms in self.atoms],
+            "successful": self.successful,
+            "recovery": self.recovery,
+            "states": self.states,
+            "gamma": self.gamma,
+        }
+        container.write(path, FORMAT_VERSION, meta, arrays)
+
+    @classmethod
+    def load(cls, path: Path) -> Self:
+        """Read a model.
+
+        Raises
+        ------
+        ModelError
+            The file is missing, no model, of another version, truncated, altered or inconsistent, or was
+            learned on features that this program computes differently.
+        """
+        meta, arrays = container.read(path, FORMAT_VERSION)
+        try:
+            settings = FeatureSettings(tuple(meta["modalities"]), tuple(meta["modality_weights"]))
+            if settings.fingerprint != meta["feature_fingerprint"]:
+                raise ValueError("it was learned on features that this version computes differently; learn it again")
+            frames, length = np.array(meta["frames"]), meta["sequence_length"]
+            parts = dict.fromkeys(_STREAMS, frames // length) | {"atoms": frames}
+            streams: dict[str, Any] = {
+                name: tuple(np.split(arrays[name], np.cumsum(parts[name])[:-1])) for name in _STREAMS
+            }
+            named: dict[str, Any] = {name: arrays[f"transitions.{name}"] for name in _TRANSITION_ARRAYS}
+            same: dict[str, Any] = {name: arrays[name] for name in ("mean", "actions", "reward", "policy", "value")}
+            same |= {name: tuple(meta[name]) for name in ("names", "successful", "recovery")}
+            same |= {name: meta[name] for name in ("novelty", "novelty_parameters", "recognition_parameters")}
+            same |= {name: meta[name] for name in ("sequence_length", "lambda1", "lambda2", "gamma")}
+            return cls(
+                feature_settings=settings,
+                templates=arrays["templates"].T,
+                transitions=Transitions(**named, states=meta["states"]),
+                **same,
+                **streams,
+            )
+        except (KeyError, TypeError, ValueError) as error:
+            raise ModelError(f"{path}: {error}") from error

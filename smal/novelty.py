@@ -1,0 +1,156 @@
+"""When does a query sequence match a known state? One small class per answer.
+
+`WeightTest` is the paper's (Eq. 8). It has a flaw that shows with several demonstrations of one route: sequences that
+resemble each other share the weight, so that the best one has less the more there are, and the threshold depends on
+the number of templates. `AgreementTest` asks two questions that do not depend on it: do the templates together
+explain the query, and does the best sequence alone look like it?
+"""
+
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from smal.state_matching import Solution
+
+
+def sequence_weights(weights: NDArray[Any], sequence_length: int) -> NDArray[np.float64]:
+    """Total weight of every template sequence, sum_i ||w_i^j||_1 (left side of Eq. 8).
+
+    Parameters
+    ----------
+    weights : array (n, q)
+        W.
+    sequence_length : int
+        l; the last sequence may be shorter.
+
+    Returns
+    -------
+    float64 array (k,)
+    """
+    if weights.shape[0] == 0:
+        return np.zeros(0)
+    starts = np.arange(0, weights.shape[0], sequence_length)
+    return np.add.reduceat(np.abs(weights).sum(axis=1, dtype=np.float64), starts)
+
+
+def identify(weights: NDArray[Any], sequence_length: int) -> int | None:
+    """Find the sequence with the largest weight (Eq. 9), or None when W is zero and nothing matches."""
+    totals = sequence_weights(weights, sequence_length)
+    if not totals.any():
+        return None
+    return int(np.argmax(totals))
+
+
+@dataclass(frozen=True)
+class Match:
+    """What the tests look at.
+
+    Parameters
+    ----------
+    state : int or None
+        Best template sequence (Eq. 9), None when W is zero.
+    score : float
+        Its weight per query frame, at least 0 (Eq. 8 divided by l).
+    total_weight : float
+        Weight of all sequences per query frame.
+    residual : float
+        sum ||y_i - X w_i|| / sum ||y_i||, 0 (explained) to 1 (W = 0).
+    agreement : float
+        Mean over the query frames of the largest cosine with a frame of the best sequence, -1 to 1.
+    """
+
+    state: int | None
+    score: float
+    total_weight: float
+    residual: float
+    agreement: float
+
+
+def describe_match(solution: Solution, correlations: NDArray[Any], query_norms: NDArray[Any]) -> Match:
+    """Summarise a solution.
+
+    Parameters
+    ----------
+    solution : Solution
+    correlations : array (n, q)
+        X^T Y, templates of unit length.
+    query_norms : array (q,)
+        ||y_i||.
+    """
+    length = solution.sequence_length
+    total = float(query_norms.sum(dtype=np.float64))
+    residual = float(solution.residual_norms.sum()) / total if total > 0.0 else 1.0
+    if not solution.active.size:
+        return Match(None, 0.0, 0.0, min(residual, 1.0), 0.0)
+    blocks, where = np.unique(solution.active // length, return_inverse=True)
+    weights = np.bincount(where, np.abs(solution.active_weights).sum(axis=1))
+    state = int(blocks[np.argmax(weights)])
+    best = correlations[state * length : (state + 1) * length].max(axis=0)
+    cosines = np.divide(best, query_norms, out=np.zeros(query_norms.size), where=query_norms > 0.0)
+    q = query_norms.size
+    return Match(state, float(weights.max()) / q, float(weights.sum()) / q, min(residual, 1.0), float(cosines.mean()))
+
+
+class NoveltyTest(Protocol):
+    """Decides whether a query sequence shows something that no template sequence shows."""
+
+    def is_novel(self, match: Match) -> bool:
+        """Return True if the query matches no template sequence."""
+
+
+@dataclass(frozen=True)
+class WeightTest:
+    """Eq. 8: no sequence has a weight above tau.
+
+    Parameters
+    ----------
+    tau : float
+        Per query frame, so that it need not change with l; the paper's tau is tau * l.
+    """
+
+    tau: float = 0.5
+
+    def is_novel(self, match: Match) -> bool:
+        """Compare the best weight; all others are smaller."""
+        return match.state is None or match.score <= self.tau
+
+
+@dataclass(frozen=True)
+class AgreementTest:
+    """The templates together leave too much unexplained, or the best sequence alone does not look like the query.
+
+    Parameters
+    ----------
+    max_residual : float
+        Largest share of the query that may stay unexplained, 0 to 1.
+    min_agreement : float
+        Smallest mean cosine with the best sequence, -1 to 1.
+    """
+
+    max_residual: float = 0.75
+    min_agreement: float = 0.6
+
+    def is_novel(self, match: Match) -> bool:
+        """Apply both limits."""
+        return match.state is None or match.residual > self.max_residual or match.agreement < self.min_agreement
+
+
+NOVELTY_TESTS: dict[str, type[WeightTest] | type[AgreementTest]] = {"weight": WeightTest, "agreement": AgreementTest}
+
+# In execution the question is whether a view is known at all, not whether it deserves a state of its own.
+RECOGNITION_DEFAULTS: dict[str, dict[str, float]] = {
+    "weight": {"tau": 0.1},
+    "agreement": {"max_residual": 0.9, "min_agreement": 0.4},
+}
+
+
+def novelty_test(name: str, parameters: dict[str, float]) -> WeightTest | AgreementTest:
+    """Make a test by name; parameters that are not given have their defaults."""
+    if name not in NOVELTY_TESTS:
+        raise ValueError(f"unknown novelty test {name!r}; known are {sorted(NOVELTY_TESTS)}")
+    try:
+        return NOVELTY_TESTS[name](**parameters)
+    except TypeError as error:
+        raise ValueError(f"the novelty test {name!r} has no such parameter: {error}") from error

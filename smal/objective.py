@@ -1,0 +1,58 @@
+"""The objective of the paper (Eq. 7) and its two penalties."""
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+
+def l21_norm(matrix: NDArray[Any]) -> float:
+    """Sum of the l2 norms of the rows (Eq. 1)."""
+    return float(np.linalg.norm(np.asarray(matrix, dtype=np.float64), axis=1).sum())
+
+
+def s1_norm(weights: NDArray[Any], sequence_length: int) -> float:
+    """Sum over query frames and template sequences of the l2 norm of their weights (Eq. 6).
+
+    Parameters
+    ----------
+    weights : array (n, q)
+        Row r belongs to template frame r, column i to query frame i.
+    sequence_length : int
+        Adjacent template frames in a sequence; the last sequence may be shorter.
+    """
+    if sequence_length < 1:
+        raise ValueError(f"sequence_length must be at least 1, got {sequence_length}")
+    if weights.shape[0] == 0:
+        return 0.0
+    squares = np.asarray(weights, dtype=np.float64) ** 2
+    starts = np.arange(0, weights.shape[0], sequence_length)
+    return float(np.sqrt(np.add.reduceat(squares, starts, axis=0)).sum())
+
+
+def objective(
+    templates: NDArray[Any],
+    query: NDArray[Any],
+    weights: NDArray[Any],
+    sequence_length: int,
+    lambda1: float,
+    lambda2: float,
+) -> float:
+    """Evaluate Eq. 7: ||(XW - Y)^T||_{2,1} + lambda1 ||W||_{2,1} + lambda2 ||W||_{S1}.
+
+    Parameters
+    ----------
+    templates : array (m, n)
+        X, one template frame a column.
+    query : array (m, q)
+        Y, one query frame a column.
+    weights : array (n, q)
+        W.
+    sequence_length : int
+    lambda1, lambda2 : float
+        Weights of the two penalties.
+    """
+    W = np.asarray(weights, dtype=np.float64)
+    used = np.flatnonzero(W.any(axis=1))
+    residual = np.asarray(query, dtype=np.float64) - np.asarray(templates[:, used], dtype=np.float64) @ W[used]
+    return l21_norm(residual.T) + lambda1 * l21_norm(W) + lambda2 * s1_norm(W, sequence_length)

@@ -1,0 +1,137 @@
+"""Policy: maximise the discounted reward (paper, section IV) over the actions that were seen in a state."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import sparse
+from scipy.sparse.linalg import spsolve
+
+from smal.transitions import NO_ACTION, Transitions
+
+Array = NDArray[np.float64]
+
+# Actions whose values differ by less, relative to the largest value, are tied.
+_TIE = 1e-9
+_MAX_ITERATIONS = 100_000
+
+
+@dataclass(frozen=True, eq=False)
+class Policy:
+    """What to do in every state.
+
+    Parameters
+    ----------
+    action : int32 array (states,)
+        Number of the action, or NO_ACTION in goal states and dead ends.
+    value : float64 array (states,)
+        V.
+    bellman_residual : float
+        max |V - (R + gamma max_a T V)|: V is within residual / (1 - gamma) of the optimum.
+    """
+
+    action: NDArray[np.int32]
+    value: Array
+    bellman_residual: float
+
+
+def check_discount(gamma: float) -> None:
+    """Refuse a discount factor outside [0, 1): with 1 a goal that stays would have an infinite value."""
+    if not 0.0 <= gamma < 1.0:
+        raise ValueError(f"gamma must be at least 0 and below 1, got {gamma}")
+
+
+def _backup(transitions: Transitions, reward: Array, gamma: float, value: Array) -> tuple[Array, Array]:
+    """One Bellman backup: the value of every pair, and of every state; a dead end is worth its reward."""
+    pair_values = reward[transitions.state] + gamma * (transitions.matrix @ value)
+    states, first = np.unique(transitions.state, return_index=True)
+    best = reward.copy()
+    best[states] = np.maximum.reduceat(pair_values, first)
+    return pair_values, best
+
+
+def _greedy_pairs(transitions: Transitions, pair_values: Array) -> NDArray[np.int64]:
+    """Best pair of every state, or -1; ties go to what the expert preferred."""
+    states, first, size = np.unique(transitions.state, return_index=True, return_counts=True)
+    best = np.repeat(np.maximum.reduceat(pair_values, first), size)
+    tied = pair_values >= best - _TIE * max(1.0, float(np.abs(pair_values).max()))
+    order = transitions.by_preference()
+    order = order[np.lexsort((~tied[order], transitions.state[order]))]
+    pairs = np.full(transitions.states, -1, dtype=np.int64)
+    pairs[states] = order[first]
+    return pairs
+
+
+def _finish(transitions: Transitions, reward: Array, gamma: float, value: Array) -> Policy:
+    pair_values, backed_up = _backup(transitions, reward, gamma, value)
+    pairs = _greedy_pairs(transitions, pair_values)
+    action = np.where(pairs >= 0, transitions.action[pairs], NO_ACTION).astype(np.int32)
+    return Policy(action, value, float(np.abs(backed_up - value).max()))
+
+
+def value_iteration(transitions: Transitions, reward: Array, gamma: float, tolerance: float = 1e-9) -> Policy:
+    """Repeat Bellman backups until V moves by no more than the tolerance.
+
+    Parameters
+    ----------
+    transitions : Transitions
+    reward : float64 array (states,)
+        R(s).
+    gamma : float
+        Discount factor, at least 0 and below 1.
+    tolerance : float
+        Largest change of V at which to stop.
+
+    Raises
+    ------
+    ValueError
+        gamma out of range.
+    """
+    check_discount(gamma)
+    value = reward.copy()
+    for _ in range(_MAX_ITERATIONS):
+        _, new = _backup(transitions, reward, gamma, value)
+        change = float(np.abs(new - value).max())
+        value = new
+        if change <= tolerance:
+            break
+    return _finish(transitions, reward, gamma, value)
+
+
+def policy_matrix(transitions: Transitions, pairs: NDArray[np.int64]) -> sparse.csr_array:
+    """P of a policy given as one pair per state (-1: dead end, an empty row), sparse (states, states)."""
+    chosen = np.flatnonzero(pairs >= 0)
+    choose = sparse.csr_array(
+        (np.ones(chosen.size), (chosen, pairs[chosen])), shape=(transitions.states, transitions.pairs)
+    )
+    return sparse.csr_array(choose @ transitions.matrix)
+
+
+def policy_iteration(transitions: Transitions, reward: Array, gamma: float) -> Policy:
+    """Howard's policy iteration: solve for the value of a policy, improve it, until nothing improves.
+
+    Parameters
+    ----------
+    transitions : Transitions
+    reward : float64 array (states,)
+    gamma : float
+        Discount factor, at least 0 and below 1.
+
+    Raises
+    ------
+    ValueError
+        gamma out of range.
+    """
+    check_discount(gamma)
+    pairs = transitions.expert_pairs()
+    identity = sparse.eye_array(transitions.states, format="csc")
+    while True:
+        system = sparse.csc_array(identity - gamma * policy_matrix(transitions, pairs))
+        value = np.asarray(spsolve(system, reward), dtype=np.float64)
+        pair_values, best = _backup(transitions, reward, gamma, value)
+        gain = best - value
+        # Only a real improvement changes a state's action: ties must not make it go round in circles.
+        better = (gain > _TIE * max(1.0, float(np.abs(value).max()))) & (pairs >= 0)
+        if not better.any():
+            return _finish(transitions, reward, gamma, value)
+        pairs = np.where(better, _greedy_pairs(transitions, pair_values), pairs)

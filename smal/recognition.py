@@ -1,0 +1,137 @@
+"""Execution, first half: from camera frames to a state."""
+
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from smal.gram import CachedTemplates
+from smal.model import Model
+from smal.novelty import describe_match
+from smal.state_matching import Solution, solve_from_correlations
+from smal.state_space import matched_phase
+
+
+@dataclass(frozen=True)
+class Recognition:
+    """Which state the last l frames show.
+
+    Parameters
+    ----------
+    status : str
+        "collecting": there are no l frames yet, or no answer was due; "recognized"; or "unknown": the frames
+        show nothing that was taught.
+    tick : int
+        Of the last frame.
+    state : int or None
+        Only if recognized.
+    phase : float or None
+        Frame of the state's template at which the last frame is (`smal.state_space.phase`); only if recognized.
+    score, total_weight, residual, agreement : float
+        See `smal.novelty.Match`; 0, 0, 1, 0 while collecting.
+    duality_gap : float
+        Of the match.
+    """
+
+    status: Literal["collecting", "recognized", "unknown"]
+    tick: int
+    state: int | None = None
+    phase: float | None = None
+    score: float = 0.0
+    total_weight: float = 0.0
+    residual: float = 1.0
+    agreement: float = 0.0
+    duality_gap: float = 0.0
+
+
+class Recognizer:
+    """Keeps the last l frames and matches them with the states of a model.
+
+    The correlations of a frame with all templates are computed when it arrives, so that after the last frame
+    of a sequence one matrix-vector product and a small solve remain.
+
+    Parameters
+    ----------
+    model : Model
+    tolerance : float
+        Relative duality gap of each match.
+    """
+
+    def __init__(self, model: Model, tolerance: float = 1e-3) -> None:
+        self._model = model
+        self._tolerance = tolerance
+        self._centering = model.centering
+        self._test = model.recognition_test()
+        self._products = CachedTemplates(model.templates, model.sequence_length)
+        # Ring: column t % l belongs to the frame that arrived as number t.
+        self._correlations = np.zeros((model.templates.shape[1], model.sequence_length), dtype=np.float32)
+        self._norms = np.zeros(model.sequence_length)
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget all frames, for a new episode."""
+        self._frames = 0
+        self._last_tick: int | None = None
+        self._previous: Solution | None = None
+
+    def observe(self, tick: int, raw_features: NDArray[Any], due: bool) -> Recognition:
+        """Take one frame.
+
+        Parameters
+        ----------
+        tick : int
+            Frame number in the episode. Unless it follows the last one, the window starts anew: a sequence
+            never spans a dropped frame.
+        raw_features : array (m,)
+            From `smal.features.extract`.
+        due : bool
+            Whether an answer is wanted; otherwise the frame is only taken in.
+
+        Raises
+        ------
+        ValueError
+            Features of the wrong length, NaN or infinity; the frame is then not taken in.
+        """
+        if raw_features.ndim != 1:
+            raise ValueError(f"features of one frame must have the shape (m,), got {raw_features.shape}")
+        features = self._centering.apply(raw_features)
+        if self._last_tick is not None and tick != self._last_tick + 1:
+            self.reset()
+        self._last_tick = tick
+        column = self._frames % self._norms.size
+        self._correlations[:, column] = self._model.templates.T @ features
+        self._norms[column] = np.linalg.norm(features)
+        self._frames += 1
+        if not due or self._frames < self._norms.size:
+            return Recognition("collecting", tick)
+        return self._recognize(tick)
+
+    def _recognize(self, tick: int) -> Recognition:
+        model = self._model
+        order = (self._frames + np.arange(self._norms.size)) % self._norms.size
+        correlations, norms = self._correlations[:, order], self._norms[order]
+        solution = solve_from_correlations(
+            correlations,
+            self._products,
+            norms,
+            model.sequence_length,
+            model.lambda1,
+            model.lambda2,
+            self._tolerance,
+            self._previous,
+        )
+        self._previous = solution
+        match = describe_match(solution, correlations, norms)
+        known = match.state is not None and not self._test.is_novel(match)
+        return Recognition(
+            status="recognized" if known else "unknown",
+            tick=tick,
+            state=match.state if known else None,
+            phase=matched_phase(solution, match.state) if known and match.state is not None else None,
+            score=match.score,
+            total_weight=match.total_weight,
+            residual=match.residual,
+            agreement=match.agreement,
+            duality_gap=solution.duality_gap,
+        )

@@ -1,0 +1,124 @@
+"""Reward by inverse reinforcement learning: the linear program of Ng & Russell (2000) for a known finite model.
+
+    maximise   sum_s min_{a != a1} [(P_a1(s) - P_a(s)) V] - lambda ||R||_1
+    such that  (P_a1(s) - P_a(s)) V >= 0 for every s and a,   V = R + gamma P_a1 V,   |R| <= Rmax
+
+with a1 the action that the expert took most often in s (`Transitions.expert_pairs`). We keep V as a variable instead
+of (I - gamma P_a1)^-1 R, so that every matrix stays sparse.
+
+Two departures. Demonstrations show few actions per state, and P_a is unknown for the others; we send every unseen
+(s, a) to a sink of value zero. Without it most states would have no constraint and R = 0 would be optimal. And
+lambda is given as a share of the value above which R = 0 is optimal when only the sink competes, because its scale
+depends on the number of states; near 1 only the states that matter most (the goals) keep a reward.
+
+The program makes the expert's policy optimal under R. That R is not unique (R = 0 does so too, by ties); the
+objective picks one where the expert's actions win by as much as possible.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import sparse
+from scipy.optimize import linprog
+from scipy.sparse.linalg import spsolve
+
+from smal.policy import check_discount, policy_matrix
+from smal.transitions import Transitions
+
+Array = NDArray[np.float64]
+
+
+class RewardError(RuntimeError):
+    """The linear program was not solved."""
+
+
+@dataclass(frozen=True, eq=False)
+class Reward:
+    """The learned reward.
+
+    Parameters
+    ----------
+    state_reward : float64 array (states,)
+        R(s), within [-r_max, r_max].
+    value : float64 array (states,)
+        V of the expert's majority policy under R.
+    penalty : float
+        lambda that was used.
+    objective : float
+        Optimal value of the program.
+    """
+
+    state_reward: Array
+    value: Array
+    penalty: float
+    objective: float
+
+
+def _advantages(transitions: Transitions, expert: NDArray[np.int64]) -> tuple[sparse.csr_array, NDArray[np.intp]]:
+    """Rows P_a1(s) - P_a(s) for every seen alternative a and for the sink, and the state of each row."""
+    T = transitions.matrix
+    rival = np.flatnonzero(expert[transitions.state] != np.arange(transitions.pairs))
+    acting = np.flatnonzero(expert >= 0)
+    seen = T[expert[transitions.state[rival]]] - T[rival]
+    rows = sparse.vstack([seen, T[expert[acting]]], format="csr")
+    return sparse.csr_array(rows), np.concatenate([transitions.state[rival], acting]).astype(np.intp)
+
+
+def _critical_penalty(P: sparse.csr_array, gamma: float, acting: Array) -> float:
+    """Smallest lambda at which R = 0 is optimal against the sink alone: max of (I - gamma P)^-T P^T 1."""
+    system = sparse.csc_array(sparse.eye_array(P.shape[0]) - gamma * P).T
+    return float(np.max(spsolve(sparse.csc_array(system), P.T @ acting)))
+
+
+def learn_reward(transitions: Transitions, gamma: float, sparsity: float = 0.1, r_max: float = 1.0) -> Reward:
+    """Find a reward under which the expert's majority policy is optimal.
+
+    Parameters
+    ----------
+    transitions : Transitions
+    gamma : float
+        Discount factor, at least 0 and below 1.
+    sparsity : float
+        lambda as a share, from 0 to 1, of its critical value (module docstring).
+    r_max : float
+        Largest |R(s)|, positive.
+
+    Raises
+    ------
+    ValueError
+        A parameter out of range.
+    RewardError
+        HiGHS did not solve the program. It is never infeasible in exact arithmetic: R = V = 0 is feasible.
+    """
+    check_discount(gamma)
+    if not (0.0 <= sparsity <= 1.0 and np.isfinite(r_max) and r_max > 0.0):
+        raise ValueError(f"sparsity must be 0 to 1 and r_max positive, got {sparsity} and {r_max}")
+    n = transitions.states
+    expert = transitions.expert_pairs()
+    P = policy_matrix(transitions, expert)
+    penalty = sparsity * _critical_penalty(P, gamma, (expert >= 0).astype(np.float64))
+    advantage, of_state = _advantages(transitions, expert)
+    rows = of_state.size
+    # Variables: V (n, free), R+ and R- (n each, 0..r_max), margin (n, >= 0). margin(s) <= every advantage in s also
+    # states that the advantages are not negative; a dead end has no advantage and its margin is fixed to 0.
+    margin = sparse.csr_array((np.ones(rows), (np.arange(rows), of_state)), shape=(rows, n))
+    inequality = sparse.hstack([-advantage, sparse.csr_array((rows, 2 * n)), margin], format="csr")
+    identity = sparse.eye_array(n, format="csr")
+    equality = sparse.hstack([identity - gamma * P, -identity, identity, sparse.csr_array((n, n))], format="csr")
+    cost = np.concatenate([np.zeros(n), np.full(2 * n, penalty), -np.ones(n)])
+    lower = np.concatenate([np.full(n, -np.inf), np.zeros(3 * n)])
+    upper = np.concatenate([np.full(n, np.inf), np.full(2 * n, r_max), np.where(expert >= 0, np.inf, 0.0)])
+    result = linprog(  # type: ignore[call-overload]  # takes sparse matrices; the stubs do not know it
+        cost,
+        A_ub=inequality,
+        b_ub=np.zeros(rows),
+        A_eq=equality,
+        b_eq=np.zeros(n),
+        bounds=np.stack([lower, upper], axis=1),
+        method="highs",
+    )
+    if not result.success:
+        raise RewardError(f"the reward program of {n} states was not solved: {result.message}")
+    x = np.asarray(result.x, dtype=np.float64)
+    return Reward(x[n : 2 * n] - x[2 * n : 3 * n], x[:n], penalty, -float(result.fun))

@@ -1,0 +1,222 @@
+"""State matching (paper, section III-A and Algorithm 2): find the weights W that minimise Eq. 7, with a certificate.
+
+Both penalties separate over template sequences and most sequences get no weight. So we solve Eq. 7 on a working
+set of few sequences (`smal.block_newton`), extend its dual point to all of them, add the sequences that violate
+it, and stop when the relative duality gap of the *full* problem is within the tolerance (`smal.working_set`,
+`smal.certificate`).
+Algorithm 2 as published is in `smal.reference`.
+"""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from smal.gram import Columns, DenseTemplates, GramMatrix, TemplateProducts
+from smal.working_set import Matching, minimise
+
+Array = NDArray[np.float64]
+
+# Products in float32 cannot tell a residual below 1e-3 of the query from zero (its square is 1e-6).
+_FLOAT32_SQUARE = 1e-6
+
+
+@dataclass(frozen=True, eq=False)
+class Solution:
+    """A certified solution of Eq. 7.
+
+    Parameters
+    ----------
+    active : intp array (p,)
+        Template frames (rows of W) that may have a weight, ascending.
+    active_weights : float64 array (p, q)
+        Their rows of W; all other rows are zero.
+    shape : (n, q)
+    sequence_length : int
+    objective : float
+        Eq. 7 at W.
+    duality_gap : float
+        Relative: the optimum of Eq. 7 is at least objective * (1 - duality_gap).
+    iterations : int
+        Newton steps in all rounds of the working set.
+    converged : bool
+        Whether the gap is within the tolerance that was asked for.
+    residual_norms : float64 array (q,)
+        ||y_i - X w_i||.
+    """
+
+    active: Columns
+    active_weights: Array
+    shape: tuple[int, int]
+    sequence_length: int
+    objective: float
+    duality_gap: float
+    iterations: int
+    converged: bool
+    residual_norms: Array
+
+    @property
+    def weights(self) -> Array:
+        """W, float64 (n, q)."""
+        weights = np.zeros(self.shape)
+        weights[self.active] = self.active_weights
+        return weights
+
+    @property
+    def active_blocks(self) -> Columns:
+        """Template sequences with weight, ascending."""
+        return np.unique(self.active // self.sequence_length)
+
+
+def _check(n: int, sequence_length: int, lambda1: float, lambda2: float, tolerance: float) -> None:
+    """Refuse parameters for which Eq. 7 or its certificate means nothing."""
+    if n < 1:
+        raise ValueError("matching needs at least one template")
+    if sequence_length < 1:
+        raise ValueError(f"sequence_length must be at least 1, got {sequence_length}")
+    if not (np.isfinite([lambda1, lambda2]).all() and min(lambda1, lambda2) >= 0.0 and lambda1 + lambda2 > 0.0):
+        raise ValueError(f"lambda1 and lambda2 must be finite, not negative and not both 0, got {lambda1}, {lambda2}")
+    if not 1e-8 <= tolerance < 1.0:
+        raise ValueError(f"tolerance must be at least 1e-8 and below 1, got {tolerance}")
+
+
+def _match(matching: Matching, warm_start: Solution | None) -> Solution:
+    """Solve for the query frames that are not zero; a zero query frame has the weights zero."""
+    seen = np.flatnonzero(matching.squares > 0.0)
+    n, q = matching.correlations.shape
+    length = matching.sequence_length
+    if not seen.size:
+        return Solution(np.zeros(0, np.intp), np.zeros((0, q)), (n, q), length, 0.0, 0.0, 0, True, np.zeros(q))
+    query_products = matching.query_products
+    reduced = Matching(
+        matching.correlations if seen.size == q else matching.correlations[:, seen],
+        query_products if seen.size == q else lambda columns: query_products(columns)[:, seen],
+        matching.products,
+        matching.squares[seen],
+        length,
+        matching.lambda1,
+        matching.lambda2,
+        matching.tolerance,
+    )
+    warm = warm_start.active_blocks if warm_start is not None else np.zeros(0, dtype=np.intp)
+    found = minimise(reduced, warm[warm * length < n])
+    used = np.flatnonzero(found.weights.any(axis=1))
+    weights, residuals = np.zeros((used.size, q)), np.zeros(q)
+    weights[:, seen], residuals[seen] = found.weights[used], found.residual_norms
+    gap = 1.0 - found.lower_bound / found.objective if found.objective > 0.0 else 0.0
+    converged = gap <= matching.tolerance
+    return Solution(
+        found.columns[used], weights, (n, q), length, found.objective, gap, found.steps, converged, residuals
+    )
+
+
+def solve(
+    templates: NDArray[Any],
+    query: NDArray[Any],
+    sequence_length: int,
+    lambda1: float,
+    lambda2: float,
+    tolerance: float = 1e-4,
+    gram: NDArray[Any] | None = None,
+) -> Solution:
+    """Match a query sequence against template sequences: minimise Eq. 7.
+
+    Parameters
+    ----------
+    templates : float array (m, n)
+        X. Sequence j is the columns j * sequence_length and following; the last one may be shorter.
+    query : float array (m, q)
+        Y, usually with q = sequence_length.
+    sequence_length : int
+        l, at least 1.
+    lambda1, lambda2 : float
+        Weights of ||W||_{2,1} and ||W||_{S1}; not negative, not both zero.
+    tolerance : float
+        Relative duality gap at which to stop.
+    gram : float array (n, n), optional
+        X^T X if it is known, which saves a pass over the templates per round; in float64, or residuals near
+        zero lose their digits.
+
+    Returns
+    -------
+    Solution
+        Its gap holds for the full problem, up to the rounding (about 1e-6) of one float32 product X^T Theta.
+
+    Raises
+    ------
+    ValueError
+        Shapes that do not fit, NaN or infinity, or parameters out of range.
+    """
+    if templates.ndim != 2 or query.ndim != 2 or templates.shape[0] != query.shape[0]:
+        raise ValueError(f"templates (m, n) and query (m, q) do not fit: {templates.shape} and {query.shape}")
+    if not np.issubdtype(templates.dtype, np.floating):
+        raise ValueError(f"templates must be floating point, got {templates.dtype}")
+    _check(templates.shape[1], sequence_length, lambda1, lambda2, tolerance)
+    if gram is not None and gram.shape != (templates.shape[1],) * 2:
+        raise ValueError(f"gram must have the shape {(templates.shape[1],) * 2}, got {gram.shape}")
+    Y = np.asarray(query, dtype=np.float64)
+    correlations = templates.T @ np.asarray(query, dtype=templates.dtype)
+    squares = np.square(Y).sum(axis=0)
+    # NaN or infinity anywhere in X or Y shows in X^T Y (0 * inf is NaN) or in ||Y||.
+    if not (np.isfinite(squares).all() and np.isfinite(correlations).all()):
+        raise ValueError("templates or query contain NaN or infinity, or overflow float32 products")
+
+    def query_products(columns: Columns) -> Array:
+        return np.asarray(templates[:, columns].astype(np.float64).T @ Y)
+
+    products: TemplateProducts = DenseTemplates(templates) if gram is None else GramMatrix(gram)
+    matching = Matching(correlations, query_products, products, squares, sequence_length, lambda1, lambda2, tolerance)
+    return _match(matching, None)
+
+
+def solve_from_correlations(
+    correlations: NDArray[Any],
+    gram: NDArray[Any] | TemplateProducts,
+    query_norms: NDArray[Any],
+    sequence_length: int,
+    lambda1: float,
+    lambda2: float,
+    tolerance: float = 1e-4,
+    warm_start: Solution | None = None,
+) -> Solution:
+    """Match when X^T Y is known already, frame by frame or for many queries at once.
+
+    Parameters
+    ----------
+    correlations : float array (n, q)
+        X^T Y.
+    gram : float array (n, n) or TemplateProducts
+        X^T X, or a way to compute parts of it.
+    query_norms : float array (q,)
+        ||y_i||.
+    sequence_length, lambda1, lambda2, tolerance
+        As in `solve`.
+    warm_start : Solution, optional
+        Of a similar query: its sequences enter the working set at once. Changes the time, not the answer.
+
+    Returns
+    -------
+    Solution
+        Of Eq. 7 with every query frame given a component of 1e-3 of its length orthogonal to all templates,
+        since products in float32 cannot tell smaller residuals from zero: objective and gap are those of that
+        problem, whose optimum is at most 1e-3 * sum ||y_i|| above the other one.
+
+    Raises
+    ------
+    ValueError
+        Shapes that do not fit, NaN or infinity, or parameters out of range.
+    """
+    if correlations.ndim != 2 or query_norms.shape != (correlations.shape[1],):
+        raise ValueError(f"correlations (n, q) and norms (q,) do not fit: {correlations.shape}, {query_norms.shape}")
+    _check(correlations.shape[0], sequence_length, lambda1, lambda2, tolerance)
+    squares = np.square(query_norms, dtype=np.float64) * (1.0 + _FLOAT32_SQUARE)
+    if not (np.isfinite(squares).all() and np.isfinite(correlations).all()):
+        raise ValueError("correlations or norms contain NaN or infinity")
+
+    def query_products(columns: Columns) -> Array:
+        return correlations[columns].astype(np.float64)
+
+    products = GramMatrix(gram) if isinstance(gram, np.ndarray) else gram
+    matching = Matching(correlations, query_products, products, squares, sequence_length, lambda1, lambda2, tolerance)
+    return _match(matching, warm_start)

@@ -1,0 +1,210 @@
+"""State space learning (paper, Algorithm 1): a sequence that matches no state becomes one."""
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from smal.action_space import first_frame
+from smal.gram import GramMatrix
+from smal.novelty import Match, NoveltyTest, describe_match
+from smal.state_matching import Solution, solve_from_correlations
+from smal.template_store import TemplateStore
+
+Progress = Callable[[int, int], None]
+
+_BATCH = 32
+# Share of the largest weight of a block below which a weight is rounding.
+_NO_WEIGHT = 1e-9
+
+
+def phase(weights_block: NDArray[Any]) -> float:
+    """Template frame at which the last query frame is, from one block of W.
+
+    Row r of the block with weight on query frame i says that the query is r - i frames ahead of the template.
+    The weighted median of r - i (interpolated) is the shift between the two sequences. Query frames beyond the
+    template put their weight on its first or last row, which pulls a mean towards no shift, a median less.
+
+    Parameters
+    ----------
+    weights_block : array (l, q)
+        Rows of W of the matched sequence. Negative weights say where the query is not, and do not count.
+
+    Returns
+    -------
+    float
+        0 is the first frame of the template, q - 1 no shift, more than l - 1 beyond its end.
+    """
+    length, queries = weights_block.shape
+    present = np.maximum(weights_block, 0.0)
+    largest = present.max()
+    if largest == 0.0:
+        return float(queries - 1)
+    # Entry j is the weight of the shift j - (q - 1), that is of the phase j.
+    by_phase = np.array([np.trace(present / largest, -shift) for shift in range(1 - queries, length)])
+    phases = np.flatnonzero(by_phase > _NO_WEIGHT)
+    middles = np.cumsum(by_phase[phases]) - by_phase[phases] / 2.0
+    return float(np.interp(by_phase[phases].sum() / 2.0, middles, phases))
+
+
+def matched_phase(solution: Solution, state: int) -> float:
+    """`phase` of a solution with respect to one template sequence."""
+    length = solution.sequence_length
+    block = np.zeros((length, solution.shape[1]))
+    inside = solution.active // length == state
+    block[solution.active[inside] % length] = solution.active_weights[inside]
+    return phase(block)
+
+
+@dataclass(frozen=True, eq=False)
+class StateSpace:
+    """What Algorithm 1 returns, and what it saw on the way.
+
+    Parameters
+    ----------
+    templates : float32 array (m, n)
+        X; state j is the columns j * l and following.
+    streams : tuple of int32 arrays (f_d // l,)
+        The paper's s-stream, one per demonstration.
+    phases : tuple of float32 arrays (f_d // l,)
+        For every sequence the frame of its state's template (0 to about 2 l) at which its last frame is.
+    residuals, scores, total_weights, agreements : tuples of float32 arrays (f_d // l,)
+        `Match` of every sequence before it was added.
+    sequence_length : int
+    """
+
+    templates: NDArray[np.float32]
+    streams: tuple[NDArray[np.int32], ...]
+    phases: tuple[NDArray[np.float32], ...]
+    residuals: tuple[NDArray[np.float32], ...]
+    scores: tuple[NDArray[np.float32], ...]
+    total_weights: tuple[NDArray[np.float32], ...]
+    agreements: tuple[NDArray[np.float32], ...]
+    sequence_length: int
+
+    @property
+    def states(self) -> int:
+        """Number of states."""
+        return int(self.templates.shape[1]) // self.sequence_length
+
+
+class _Learner:
+    """Algorithm 1 for one sequence after the other."""
+
+    def __init__(self, store: TemplateStore, test: NoveltyTest, length: int, lambda1: float, lambda2: float,
+                 tolerance: float) -> None:  # fmt: skip
+        self.store, self.test = store, test
+        self.length, self.lambda1, self.lambda2, self.tolerance = length, lambda1, lambda2, tolerance
+        self.previous: Solution | None = None
+
+    def step(self, frames: NDArray[np.float32], correlations: NDArray[np.float32]) -> tuple[int, float, Match]:
+        """Match one sequence (l, m) with correlations (n, l), or add it: its state and phase, and the match."""
+        match, solution = Match(None, 0.0, 0.0, 1.0, 0.0), None
+        if len(self.store):
+            norms = np.linalg.norm(frames, axis=1)
+            solution = solve_from_correlations(
+                correlations, GramMatrix(self.store.gram), norms, self.length, self.lambda1, self.lambda2,
+                self.tolerance, self.previous,
+            )  # fmt: skip
+            match = describe_match(solution, correlations, norms)
+        self.previous = solution
+        if match.state is None or solution is None or self.test.is_novel(match):
+            self.store.append(frames, correlations)
+            return len(self.store) // self.length - 1, float(self.length - 1), match
+        return match.state, matched_phase(solution, match.state), match
+
+
+def _batches(demonstrations: Sequence[NDArray[np.float32]], length: int) -> Iterator[NDArray[np.float32]]:
+    """Yield all sequences in order, up to 32 together, as (b, l, m)."""
+    sequences: list[NDArray[np.float32]] = []
+    for frames in demonstrations:
+        for start in range(first_frame(len(frames), length), len(frames), length):
+            sequences.append(frames[start : start + length])
+            if len(sequences) == _BATCH:
+                yield np.stack(sequences)
+                sequences = []
+    if sequences:
+        yield np.stack(sequences)
+
+
+def learn_state_space(
+    demonstrations: Sequence[NDArray[np.float32]],
+    sequence_length: int,
+    lambda1: float,
+    lambda2: float,
+    test: NoveltyTest,
+    tolerance: float = 1e-3,
+    max_bytes: int | None = None,
+    progress: Progress | None = None,
+) -> StateSpace:
+    """Cut demonstrations into sequences and build the states from them.
+
+    Correlations with the templates are computed for 32 sequences in one product; templates that are added
+    within the 32 take theirs from the product of the 32 with themselves. The result is that of one by one.
+
+    Parameters
+    ----------
+    demonstrations : sequence of float32 arrays (f, m)
+        Centred features, unit length; a sequence never spans two of them.
+    sequence_length : int
+        l.
+    lambda1, lambda2 : float
+        Of Eq. 7.
+    test : NoveltyTest
+        Eq. 8 or another.
+    tolerance : float
+        Relative duality gap of each match.
+    max_bytes : int, optional
+        Bound on the memory of templates and their Gram matrix: n frames need 4 n (m + n) bytes.
+    progress : callable, optional
+        Called with the number of sequences done and their total.
+
+    Raises
+    ------
+    ValueError
+        No demonstration has l frames.
+    MemoryBoundError
+    """
+    counts = [len(frames) // sequence_length for frames in demonstrations]
+    if not sum(counts):
+        raise ValueError(f"no demonstration has {sequence_length} frames")
+    store = TemplateStore(demonstrations[0].shape[1], keep_gram=True, max_bytes=max_bytes)
+    learner = _Learner(store, test, sequence_length, lambda1, lambda2, tolerance)
+    results: list[tuple[int, float, Match]] = []
+    for batch in _batches(demonstrations, sequence_length):
+        _learn_batch(learner, batch, results)
+        if progress is not None:
+            progress(len(results), sum(counts))
+    ends = np.cumsum(counts)[:-1]
+
+    def per_demonstration(values: list[float]) -> tuple[NDArray[np.float32], ...]:
+        return tuple(np.split(np.array(values, dtype=np.float32), ends))
+
+    return StateSpace(
+        store.templates,
+        tuple(np.split(np.array([state for state, _, _ in results], dtype=np.int32), ends)),
+        per_demonstration([where for _, where, _ in results]),
+        per_demonstration([match.residual for _, _, match in results]),
+        per_demonstration([match.score for _, _, match in results]),
+        per_demonstration([match.total_weight for _, _, match in results]),
+        per_demonstration([match.agreement for _, _, match in results]),
+        sequence_length,
+    )
+
+
+def _learn_batch(learner: _Learner, batch: NDArray[np.float32], results: list[tuple[int, float, Match]]) -> None:
+    """Match or add the sequences (b, l, m) in order."""
+    store, length = learner.store, learner.length
+    before = len(store)
+    frames = batch.reshape(-1, batch.shape[2])
+    among = frames @ frames.T
+    known = np.empty((before + len(frames), len(frames)), dtype=np.float32)
+    np.matmul(store.templates.T, frames.T, out=known[:before])
+    for index, sequence in enumerate(batch):
+        columns = slice(index * length, (index + 1) * length)
+        count = len(store)
+        results.append(learner.step(sequence, np.ascontiguousarray(known[:count, columns])))
+        if len(store) > count:
+            known[count : len(store)] = among[columns]

@@ -1,0 +1,142 @@
+"""State transitions (paper, Algorithm 4): T(s, a, s') by counting, over the pairs (s, a) that were seen."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import sparse
+
+# The action of a goal state: there is nothing left to do.
+NO_ACTION = -1
+
+
+@dataclass(frozen=True, eq=False)
+class Transitions:
+    """T as one row per seen pair (s, a).
+
+    Pairs are sorted by state, then action. A pair that was never seen is not a transition. A goal state has
+    exactly one pair, with the action `NO_ACTION`, that stays there for ever. A state without any pair is a
+    dead end: a demonstration stopped there without success and no other passed through.
+
+    Parameters
+    ----------
+    state, action : int32 array (p,)
+        The pairs.
+    offsets : int64 array (p + 1,)
+        Successors of pair i are the entries offsets[i] to offsets[i + 1].
+    next_state : int32 array (t,)
+    count : int32 array (t,)
+        How often pair i led to that state; 0 for a goal that stays.
+    probability : float64 array (t,)
+        T(s, a, s'); sums to 1 over the successors of a pair.
+    goals : int32 array (g,)
+        Last states of the successful demonstrations, ascending.
+    states : int
+        Number of states.
+    """
+
+    state: NDArray[np.int32]
+    action: NDArray[np.int32]
+    offsets: NDArray[np.int64]
+    next_state: NDArray[np.int32]
+    count: NDArray[np.int32]
+    probability: NDArray[np.float64]
+    goals: NDArray[np.int32]
+    states: int
+
+    @property
+    def pairs(self) -> int:
+        """Number of seen pairs."""
+        return int(self.state.size)
+
+    @property
+    def matrix(self) -> sparse.csr_array:
+        """T, sparse (pairs, states), rows sum to 1."""
+        return sparse.csr_array((self.probability, self.next_state, self.offsets), shape=(self.pairs, self.states))
+
+    @property
+    def pair_counts(self) -> NDArray[np.int64]:
+        """How often each pair was seen, (p,)."""
+        return np.add.reduceat(self.count, self.offsets[:-1], dtype=np.int64)
+
+    def by_preference(self) -> NDArray[np.int64]:
+        """Pairs sorted by state, and within a state by what the expert did: moving on, often, lower number.
+
+        When two sequences in a row fall on one state, the first of their actions always leads from the state to
+        itself. However often that happened, the expert did leave the state: among the actions of a state, those
+        that never leave it come last, or the expert's policy would be to stay for ever.
+        """
+        stays = np.asarray(self.matrix[np.arange(self.pairs), self.state]) >= 1.0
+        return np.lexsort((self.action, -self.pair_counts, stays, self.state))
+
+    def expert_pairs(self) -> NDArray[np.int64]:
+        """Preferred pair of every state, or -1 for a dead end; (states,)."""
+        order = self.by_preference()
+        seen, first = np.unique(self.state[order], return_index=True)
+        pairs = np.full(self.states, -1, dtype=np.int64)
+        pairs[seen] = order[first]
+        return pairs
+
+
+def learn_transitions(
+    state_streams: Sequence[NDArray[np.int32]],
+    action_streams: Sequence[NDArray[np.int32]],
+    successful: Sequence[bool],
+    states: int,
+) -> Transitions:
+    """Count what followed what, never across two demonstrations.
+
+    Parameters
+    ----------
+    state_streams, action_streams : sequences of int32 arrays
+        s-stream and a-stream of each demonstration, equally long.
+    successful : sequence of bool
+        Whether a demonstration ended at the goal. The end of one that did not (a recovery drive) is an
+        ordinary state: nothing is known of what follows its last sequence, so that it adds no pair.
+    states : int
+        Number of states.
+
+    Raises
+    ------
+    ValueError
+        Streams that do not fit together, or no successful demonstration.
+    """
+    if not len(state_streams) == len(action_streams) == len(successful):
+        raise ValueError("state streams, action streams and outcomes differ in number")
+    if any(s.shape != a.shape for s, a in zip(state_streams, action_streams, strict=True)):
+        raise ValueError("a state stream and its action stream differ in length")
+    ends = [int(s[-1]) for s, good in zip(state_streams, successful, strict=True) if good and s.size]
+    if not ends:
+        raise ValueError("no successful demonstration has a whole sequence, so there is no goal to learn")
+    goals = np.unique(ends).astype(np.int32)
+    now = np.concatenate([s[:-1] for s in state_streams])
+    action = np.concatenate([a[:-1] for a in action_streams])
+    then = np.concatenate([s[1:] for s in state_streams])
+    # A goal ends the task, also where another demonstration passes through it on its way.
+    going_on = ~np.isin(now, goals)
+    moved = np.stack([now[going_on], action[going_on], then[going_on]], axis=1).astype(np.int32)
+    stay = np.stack([goals, np.full_like(goals, NO_ACTION), goals], axis=1)
+    triples, count = np.unique(moved, axis=0, return_counts=True)
+    return _from_counts(np.concatenate([triples, stay]), np.concatenate([count, np.zeros(goals.size)]), goals, states)
+
+
+def _from_counts(
+    triples: NDArray[np.int32], count: NDArray[np.floating], goals: NDArray[np.int32], states: int
+) -> Transitions:
+    """Turn the counts of the distinct triples (s, a, s') into frequencies."""
+    order = np.lexsort(triples.T[::-1])
+    triples, counted = triples[order], count[order].astype(np.int32)
+    pairs, first, size = np.unique(triples[:, :2], axis=0, return_index=True, return_counts=True)
+    share = np.maximum(counted, 1)  # a goal stays with certainty though it was never counted
+    total = np.repeat(np.add.reduceat(share, first), size)
+    return Transitions(
+        pairs[:, 0].copy(),
+        pairs[:, 1].copy(),
+        np.append(first, triples.shape[0]).astype(np.int64),
+        triples[:, 2].copy(),
+        counted,
+        share / total,
+        goals,
+        states,
+    )

@@ -1,0 +1,225 @@
+"""Learning a corridor, then finding the way in it."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from smal.action_space import Atom
+from smal.execution import DecisionMaker, Recognition, Recognizer
+from smal.learning import Demonstration, LearningReport, LearningSettings, learn
+from smal.model import Model
+from tests.smal.worlds import COLOR, corridor, drive, unit
+
+PLACES, LENGTH = 120, 5
+VIEWS = corridor(PLACES)
+DRIVES = [drive(VIEWS, start, seed=start, name=f"drive {start}") for start in range(4)]
+RECOVERY = dataclasses.replace(drive(VIEWS, 40, seed=9, name="recovery", end=72), recovery=True)
+
+
+@pytest.fixture(scope="module")
+def learned() -> tuple[Model, LearningReport]:
+    return learn([*DRIVES, RECOVERY], LearningSettings(features=COLOR))
+
+
+@pytest.fixture(scope="module")
+def model(learned: tuple[Model, LearningReport]) -> Model:
+    return learned[0]
+
+
+def place_of(model: Model, recognition: Recognition) -> float:
+    """Where along the corridor a recognition says that the robot is."""
+    assert recognition.state is not None
+    assert recognition.phase is not None
+    for demonstration, stream in enumerate(model.state_streams):
+        for index in np.flatnonzero(stream == recognition.state):
+            frames = len(model.atoms[demonstration])
+            last = frames % LENGTH + (index + 1) * LENGTH - 1
+            start = [0, 1, 2, 3, 40][demonstration]
+            return float(start + last + recognition.phase - model.phases[demonstration][index])
+    raise AssertionError
+
+
+def test_report(learned: tuple[Model, LearningReport]) -> None:
+    model, report = learned
+    assert report.demonstrations == 5
+    assert report.frames == 120 + 119 + 118 + 117 + 32
+    assert report.states == model.states < 60
+    assert report.shared_states > 0.5 * report.states
+    assert report.goals == 1
+    assert report.reward_states >= 1
+    assert set(report.seconds) == {"centering", "states", "transitions", "reward", "policy"}
+
+
+def test_every_state_leads_to_the_goal(model: Model) -> None:
+    T = model.transitions.matrix
+    value = model.value
+    assert model.reward[model.transitions.goals[0]] == pytest.approx(1.0)
+    assert value[model.transitions.goals[0]] == pytest.approx(value.max())
+    expert = model.transitions.expert_pairs()
+    assert (T[expert] @ value > value - 1e-9).all()
+
+
+def test_recognizer_localises_within_one_sequence(model: Model) -> None:
+    recognizer, query = Recognizer(model), drive(VIEWS, 3, seed=77)
+    for tick, features in enumerate(query.features):
+        recognition = recognizer.observe(tick, features, due=True)
+        if tick < LENGTH - 1:
+            assert recognition.status == "collecting"
+            continue
+        assert recognition.status == "recognized"
+        assert place_of(model, recognition) == pytest.approx(3 + tick, abs=LENGTH)
+        assert recognition.duality_gap <= 1e-3
+
+
+def test_unrelated_views_are_unknown(model: Model) -> None:
+    recognizer = Recognizer(model)
+    strange = unit(np.random.default_rng(5).standard_normal((10, COLOR.size))).astype(np.float32)
+    answers = [recognizer.observe(tick, view, due=True) for tick, view in enumerate(strange)]
+    assert [one.status for one in answers] == ["collecting"] * 4 + ["unknown"] * 6
+    assert all(one.state is None and one.phase is None for one in answers)
+
+
+def test_zero_weights_are_no_state(model: Model) -> None:
+    """Views equal to the mean have no direction: every weight is zero, which is not state 0."""
+    recognizer = Recognizer(model)
+    answers = [recognizer.observe(tick, model.mean, due=True) for tick in range(LENGTH)]
+    assert answers[-1].status == "unknown"
+    assert answers[-1].total_weight == 0.0
+
+
+def test_streaming_agrees_with_a_fresh_recognizer(model: Model) -> None:
+    query = drive(VIEWS, 10, seed=3).features[:23]
+    streaming, fresh = Recognizer(model), Recognizer(model)
+    answers = [streaming.observe(tick, view, due=tick % 4 == 0) for tick, view in enumerate(query)]
+    again = [fresh.observe(tick, view, due=True) for tick, view in enumerate(query[16:21], start=16)]
+    assert answers[20].state == again[-1].state
+    assert answers[20].phase == pytest.approx(again[-1].phase, abs=0.05)
+    assert answers[21].status == "collecting"
+
+
+def test_a_gap_starts_the_window_anew(model: Model) -> None:
+    recognizer, query = Recognizer(model), DRIVES[0].features
+    for tick in range(8):
+        recognizer.observe(tick, query[tick], due=True)
+    statuses = [recognizer.observe(tick, query[tick], due=True).status for tick in range(9, 15)]
+    assert statuses == ["collecting"] * 4 + ["recognized"] * 2
+    recognizer.reset()
+    assert recognizer.observe(15, query[15], due=True).status == "collecting"
+
+
+def test_bad_features_are_refused_and_not_taken_in(model: Model) -> None:
+    recognizer, query = Recognizer(model), DRIVES[0].features
+    for tick in range(4):
+        recognizer.observe(tick, query[tick], due=True)
+    for bad in (
+        np.full(COLOR.size, np.nan, np.float32),
+        np.zeros(3, np.float32),
+        np.zeros((2, COLOR.size), np.float32),
+    ):
+        with pytest.raises(ValueError, match="features"):
+            recognizer.observe(4, bad, due=True)
+    assert recognizer.observe(4, query[4], due=True).status == "recognized"
+
+
+@pytest.mark.parametrize("stride", [1, 3, 5])
+def test_decisions_follow_the_expert(model: Model, stride: int) -> None:
+    """Most atoms are those of the expert at the same place; near a turn a few come a little early or late."""
+    recognizer, maker = Recognizer(model), DecisionMaker(model, stride)
+    query = drive(VIEWS, 2, seed=50)
+    right = total = 0
+    for tick, view in enumerate(query.features[:-5]):
+        due = tick >= LENGTH - 1 and (tick - LENGTH + 1) % stride == 0
+        maker.decide(recognizer.observe(tick, view, due))
+        atom = maker.next_atom()
+        if tick >= LENGTH - 1:
+            right, total = right + int(atom == query.atoms[tick]), total + 1
+        else:
+            assert atom == Atom.STOP
+    assert right / total > 0.8
+
+
+def test_goal_finishes_the_drive_then_stops(model: Model) -> None:
+    maker = DecisionMaker(model)
+    goal = int(model.transitions.goals[0])
+    decision = maker.decide(Recognition("recognized", 0, goal, float(model.phases[0][-1]) - 2.0))
+    assert decision.kind == "goal"
+    assert decision.demonstration is not None
+    assert decision.frame is not None
+    tail = model.atoms[decision.demonstration][decision.frame :]
+    expected = [*tail.tolist(), *[Atom.STOP] * 5][:5]
+    assert [maker.next_atom() for _ in range(5)] == expected
+    assert maker.next_atom() == Atom.STOP
+
+
+def test_unknown_looks_around_for_a_bounded_time(model: Model) -> None:
+    maker = DecisionMaker(model, stride=5, look_around_ticks=12)
+    atoms = []
+    kinds = []
+    for tick in range(4):
+        kinds.append(maker.decide(Recognition("unknown", tick)).kind)
+        atoms += [maker.next_atom() for _ in range(5)]
+    assert kinds == ["look_around"] * 3 + ["stop"]
+    assert atoms == [Atom.LEFT] * 12 + [Atom.STOP] * 8
+    maker.decide(Recognition("recognized", 5, 3, 4.0))
+    assert maker.decide(Recognition("unknown", 6)).kind == "look_around"
+
+
+def test_waiting_keeps_the_plan(model: Model) -> None:
+    maker = DecisionMaker(model)
+    plan = maker.decide(Recognition("recognized", 0, 3, 4.0)).atoms
+    assert maker.next_atom() == plan[0]
+    assert maker.decide(Recognition("collecting", 1)).kind == "wait"
+    assert maker.next_atom() == plan[1]
+    maker.reset()
+    assert maker.next_atom() == Atom.STOP
+
+
+def test_unaligned_is_the_scheme_of_the_paper(model: Model) -> None:
+    state = int(model.state_streams[0][5])
+    decision = DecisionMaker(model, aligned=False).decide(Recognition("recognized", 0, state, 6.5))
+    assert decision.action is not None
+    assert list(decision.atoms) == model.actions[decision.action].tolist()
+
+
+def test_dead_end_finishes_the_drive_then_looks_around() -> None:
+    elsewhere = corridor(20, seed=8, smooth=0.9)
+    astray = drive(np.concatenate([elsewhere, VIEWS]), 0, seed=4, end=20)
+    model, report = learn([DRIVES[0], astray], LearningSettings(features=COLOR))
+    assert report.dead_ends == 1
+    state = int(model.state_streams[1][-1])
+    maker = DecisionMaker(model)
+    assert maker.decide(Recognition("recognized", 0, state, 2.0)).kind == "dead_end"
+    assert maker.decide(Recognition("recognized", 5, state, 6.0)).kind == "look_around"
+
+
+@pytest.mark.parametrize(("stride", "ticks"), [(0, 5), (6, 5), (2, -1)])
+def test_bad_decision_settings_are_refused(model: Model, stride: int, ticks: int) -> None:
+    with pytest.raises(ValueError, match=r"stride|look_around"):
+        DecisionMaker(model, stride, ticks)
+
+
+@pytest.mark.parametrize("novelty", ["weight", "agreement"])
+@pytest.mark.parametrize("length", [1, 2, 10])
+def test_other_lengths_and_tests(novelty: str, length: int) -> None:
+    model, _ = learn(DRIVES[:2], LearningSettings(features=COLOR, sequence_length=length, novelty=novelty))
+    recognizer, maker = Recognizer(model), DecisionMaker(model)
+    for tick, view in enumerate(drive(VIEWS, 0, seed=31).features[:30]):
+        recognition = recognizer.observe(tick, view, due=True)
+        maker.decide(recognition)
+        maker.next_atom()
+    assert recognition.status == "recognized"
+
+
+def test_bad_demonstrations_and_settings_are_refused() -> None:
+    with pytest.raises(ValueError, match="no demonstration"):
+        learn([], LearningSettings(features=COLOR))
+    with pytest.raises(ValueError, match="settings ask for"):
+        learn([DRIVES[0]], LearningSettings())
+    with pytest.raises(ValueError, match="goal"):
+        learn([RECOVERY], LearningSettings(features=COLOR))
+    with pytest.raises(ValueError, match="do not fit"):
+        Demonstration("x", DRIVES[0].features, DRIVES[0].atoms[:-1])
+    for bad in ({"sequence_length": 0}, {"lambda1": 0.0}, {"gamma": 1.0}, {"novelty": "x"}):
+        with pytest.raises(ValueError, match=r"."):
+            LearningSettings(features=COLOR, **bad)

@@ -1,0 +1,115 @@
+"""Features: sizes, unit length, centring, and what is refused."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from smal.features import MODALITIES, Centering, FeatureSettings, extract
+from smal.features.settings import SIZES
+
+BOTH = FeatureSettings()
+
+
+def image(rows: int, columns: int, seed: int = 0) -> np.ndarray:
+    return np.random.default_rng(seed).integers(0, 256, (rows, columns, 3), dtype=np.uint8)
+
+
+@pytest.mark.parametrize(("name", "size"), [("color", 2304), ("hog", 5940)])
+def test_sizes_are_those_of_the_paper(name: str, size: int) -> None:
+    vector = MODALITIES[name](image(768, 1024))
+    assert vector.shape == (size,) == (SIZES[name],)
+    assert vector.dtype == np.float32
+
+
+@settings(max_examples=30, deadline=None)
+@given(rows=st.integers(24, 500), columns=st.integers(32, 500), seed=st.integers(0, 99))
+def test_any_size_gives_unit_modalities(rows: int, columns: int, seed: int) -> None:
+    vector = extract(image(rows, columns, seed), BOTH)
+    for where in BOTH.slices:
+        assert np.linalg.norm(vector[where]) == pytest.approx(1.0, abs=1e-5)
+
+
+def test_colour_is_averaged_over_areas() -> None:
+    picture = np.zeros((48, 64, 3), dtype=np.uint8)
+    picture[:, 32:] = (255, 0, 0)
+    vector = MODALITIES["color"](picture).reshape(24, 32, 3)
+    assert not vector[:, :16].any()
+    assert (vector[:, 16:, 0] > 0).all()
+    assert not vector[:, 16:, 1:].any()
+
+
+@pytest.mark.parametrize("grey", [0, 128])
+def test_constant_image_has_no_nan(grey: int) -> None:
+    vector = extract(np.full((48, 64, 3), grey, dtype=np.uint8), BOTH)
+    color, hog = (vector[where] for where in BOTH.slices)
+    assert np.linalg.norm(color) == pytest.approx(1.0 if grey else 0.0, abs=1e-6)
+    assert not hog.any()
+
+
+def test_non_contiguous_image_gives_the_same_features() -> None:
+    picture = image(60, 80)
+    np.testing.assert_array_equal(extract(picture[:, ::-1], BOTH), extract(picture[:, ::-1].copy(), BOTH))
+
+
+@pytest.mark.parametrize(
+    ("bad", "words"),
+    [
+        (np.zeros((48, 64, 3), dtype=np.float32), "uint8"),
+        (np.zeros((48, 64), dtype=np.uint8), "shape"),
+        (np.zeros((48, 64, 4), dtype=np.uint8), "shape"),
+        (np.zeros((23, 64, 3), dtype=np.uint8), "at least 24 rows"),
+    ],
+)
+def test_other_images_are_refused(bad: np.ndarray, words: str) -> None:
+    with pytest.raises(ValueError, match=words):
+        extract(bad, BOTH)
+
+
+@pytest.mark.parametrize(
+    ("modalities", "weights", "words"),
+    [
+        (("gist",), (1.0,), "unknown"),
+        ((), (), "unknown"),
+        (("color", "color"), (1.0, 1.0), "twice"),
+        (("color",), (1.0, 2.0), "weights"),
+        (("color",), (0.0,), "positive"),
+        (("color",), (float("nan"),), "positive"),
+    ],
+)
+def test_bad_settings_are_refused(modalities: tuple[str, ...], weights: tuple[float, ...], words: str) -> None:
+    with pytest.raises(ValueError, match=words):
+        FeatureSettings(modalities, weights)
+
+
+def test_fingerprint_names_the_raw_features() -> None:
+    assert BOTH.fingerprint == FeatureSettings(weights=(1.0, 3.0)).fingerprint
+    assert BOTH.fingerprint != FeatureSettings(("color",), (1.0,)).fingerprint
+    assert BOTH.fingerprint != FeatureSettings(("hog", "color")).fingerprint
+
+
+def test_centring_weights_and_normalises() -> None:
+    raw = np.stack([extract(image(48, 64, seed), BOTH) for seed in range(6)])
+    chosen = FeatureSettings(weights=(1.0, 2.0))
+    centred = Centering.fit(raw, chosen).apply(raw)
+    assert centred.dtype == np.float32
+    np.testing.assert_allclose(np.linalg.norm(centred, axis=1), 1.0, rtol=1e-5)
+    np.testing.assert_allclose(np.linalg.norm(centred[:, chosen.slices[1]], axis=1), 2 / np.sqrt(5), rtol=1e-5)
+    np.testing.assert_array_equal(Centering.fit(list(raw[:, None]), chosen).mean, Centering.fit(raw, chosen).mean)
+
+
+def test_a_modality_equal_to_the_mean_stays_zero() -> None:
+    raw = extract(image(48, 64), BOTH)
+    assert not Centering(raw, BOTH).apply(raw).any()
+
+
+def test_bad_features_are_refused() -> None:
+    centering = Centering(np.zeros(BOTH.size, dtype=np.float32), BOTH)
+    with pytest.raises(ValueError, match="8244 entries"):
+        centering.apply(np.zeros(7, dtype=np.float32))
+    with pytest.raises(ValueError, match="NaN"):
+        centering.apply(np.full(BOTH.size, np.nan, dtype=np.float32))
+    with pytest.raises(ValueError, match="the mean"):
+        Centering(np.zeros(3, dtype=np.float32), BOTH)
+    with pytest.raises(ValueError, match="n >= 1"):
+        Centering.fit(np.zeros((0, BOTH.size), dtype=np.float32), BOTH)

@@ -1,0 +1,114 @@
+"""A model survives its file, and a damaged file is refused."""
+
+import dataclasses
+import struct
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from smal import container
+from smal.learning import LearningSettings, learn
+from smal.model import FORMAT_VERSION, Model, ModelError
+from tests.smal.worlds import COLOR, corridor, drive
+
+
+@pytest.fixture(scope="module")
+def model() -> Model:
+    views = corridor(30)
+    drives = [drive(views, start, seed=start, name=f"drive {start}") for start in range(2)]
+    return learn([*drives, drive(views, 3, 9, name="ü", end=11)], LearningSettings(features=COLOR, sequence_length=3))[
+        0
+    ]
+
+
+@pytest.fixture
+def saved(model: Model, tmp_path: Path) -> Path:
+    path = tmp_path / "x.smal"
+    model.save(path)
+    return path
+
+
+def assert_same(one: object, other: object) -> None:
+    if isinstance(one, np.ndarray):
+        np.testing.assert_array_equal(one, other)
+        assert one.dtype == other.dtype  # type: ignore[attr-defined]
+    elif isinstance(one, tuple):
+        assert isinstance(other, tuple)
+        assert len(one) == len(other)
+        for a, b in zip(one, other, strict=True):
+            assert_same(a, b)
+    elif dataclasses.is_dataclass(one):
+        for field in dataclasses.fields(one):
+            assert_same(getattr(one, field.name), getattr(other, field.name))
+    else:
+        assert one == other
+
+
+def test_round_trip(model: Model, saved: Path) -> None:
+    assert_same(Model.load(saved), model)
+    assert list(saved.parent.iterdir()) == [saved]
+
+
+def test_saving_replaces_atomically(model: Model, saved: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    before = saved.read_bytes()
+    monkeypatch.setattr(container.os, "fsync", lambda _: (_ for _ in ()).throw(OSError("disk full")))
+    with pytest.raises(OSError, match="disk full"):
+        model.save(saved)
+    assert saved.read_bytes() == before
+    assert list(saved.parent.iterdir()) == [saved]
+
+
+def test_every_truncation_is_refused(saved: Path) -> None:
+    content = saved.read_bytes()
+    for size in [*range(64), *range(64, len(content), 997), *range(len(content) - 64, len(content))]:
+        saved.write_bytes(content[:size])
+        with pytest.raises(ModelError):
+            Model.load(saved)
+
+
+def test_every_alteration_is_refused(saved: Path) -> None:
+    content = bytearray(saved.read_bytes())
+    for at in [*range(200), *range(200, len(content), 997), *range(len(content) - 64, len(content))]:
+        content[at] ^= 1
+        saved.write_bytes(content)
+        with pytest.raises(ModelError):
+            Model.load(saved)
+        content[at] ^= 1
+
+
+@pytest.mark.parametrize("content", [b"", b"hello", b"\x00" * 500, b"\x89HDF\r\n\x1a\n" + b"x" * 200])
+def test_other_files_are_refused(content: bytes, tmp_path: Path) -> None:
+    (tmp_path / "other").write_bytes(content)
+    with pytest.raises(ModelError, match="not a SMAL model"):
+        Model.load(tmp_path / "other")
+
+
+def test_other_version_and_missing_file(saved: Path) -> None:
+    content = bytearray(saved.read_bytes())
+    content[8:12] = struct.pack("<I", FORMAT_VERSION + 1)
+    saved.write_bytes(content)
+    with pytest.raises(ModelError, match=f"format {FORMAT_VERSION + 1}.*reads format {FORMAT_VERSION}"):
+        Model.load(saved)
+    with pytest.raises(ModelError, match="No such file"):
+        Model.load(saved.parent / "none")
+
+
+def test_valid_checksum_of_something_else(tmp_path: Path) -> None:
+    path = tmp_path / "x.smal"
+    container.write(path, FORMAT_VERSION, {"modalities": ["color"]}, {"mean": np.zeros(3, np.float32)})
+    with pytest.raises(ModelError, match=r"x\.smal"):
+        Model.load(path)
+
+
+def test_features_computed_differently_are_refused(saved: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("smal.features.settings.DESCRIPTOR_VERSION", 2)
+    with pytest.raises(ModelError, match="learn it again"):
+        Model.load(saved)
+
+
+def test_parts_that_do_not_fit_are_refused(model: Model) -> None:
+    with pytest.raises(ValueError, match="policy"):
+        dataclasses.replace(model, policy=model.policy[:-1])
+    with pytest.raises(ValueError, match=r"streams|phases"):
+        dataclasses.replace(model, atoms=tuple(atoms[:-3] for atoms in model.atoms))

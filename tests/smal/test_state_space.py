@@ -1,0 +1,141 @@
+"""Algorithm 1, Eq. 8, Eq. 9, and the store of templates."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as hnp
+
+from smal.novelty import AgreementTest, Match, WeightTest, identify, novelty_test, sequence_weights
+from smal.state_matching import solve
+from smal.state_space import learn_state_space, matched_phase, phase
+from smal.template_store import MemoryBoundError, TemplateStore
+from tests.smal.worlds import corridor, unit
+
+SIZE, LENGTH, LAMBDA = 300, 5, 0.1 * np.sqrt(5)
+# Rough enough that neighbouring sequences are places of their own.
+ROUGH = 0.9
+VIEWS = corridor(60, SIZE, smooth=ROUGH)
+
+
+def noisy(views: np.ndarray, seed: int, noise: float = 0.3) -> np.ndarray:
+    rng = np.random.default_rng(seed)
+    return unit(views + noise * unit(rng.standard_normal(views.shape))).astype(np.float32)
+
+
+def test_sequence_weights_and_eq_9_by_hand() -> None:
+    W = np.array([[1.0, -1.0], [0.0, 0.5], [0.0, 4.0]])
+    assert sequence_weights(W, 2).tolist() == [2.5, 4.0]
+    assert identify(W, 2) == 1
+    assert identify(np.zeros((4, 2)), 2) is None
+    assert identify(np.zeros((0, 2)), 2) is None
+
+
+@pytest.mark.parametrize("shift", [-2, 0, 1, 3])
+def test_phase_of_a_pure_shift(shift: int) -> None:
+    assert phase(np.eye(5, k=-shift)) == pytest.approx(4 + shift)
+
+
+@given(hnp.arrays(np.float64, (4, 4), elements=st.floats(-1, 1)))
+def test_phase_is_bounded(block: np.ndarray) -> None:
+    assert 0.0 <= phase(block) <= 6.0
+
+
+def test_phase_follows_a_moving_query() -> None:
+    X = np.asfortranarray(VIEWS.T.astype(np.float32))
+    for shift in (0, 1, 2):
+        Y = np.asfortranarray(noisy(VIEWS[20 + shift : 25 + shift], 1).T)
+        assert matched_phase(solve(X, Y, LENGTH, LAMBDA, LAMBDA), 4) == pytest.approx(4 + shift, abs=0.7)
+
+
+def test_weight_test_is_eq_8() -> None:
+    test = WeightTest(tau=0.5)
+    assert test.is_novel(Match(3, 0.5, 0.9, 0.4, 0.9))
+    assert not test.is_novel(Match(3, 0.51, 0.9, 0.4, 0.9))
+    assert test.is_novel(Match(None, 0.0, 0.0, 1.0, 0.0))
+
+
+def test_agreement_test() -> None:
+    test = AgreementTest(max_residual=0.7, min_agreement=0.6)
+    assert not test.is_novel(Match(3, 0.1, 0.9, 0.7, 0.6))
+    assert test.is_novel(Match(3, 0.1, 0.9, 0.71, 0.6))
+    assert test.is_novel(Match(3, 0.1, 0.9, 0.7, 0.59))
+    assert test.is_novel(Match(None, 0.0, 0.0, 0.0, 1.0))
+
+
+def test_tests_by_name() -> None:
+    assert novelty_test("weight", {"tau": 0.3}) == WeightTest(0.3)
+    with pytest.raises(ValueError, match="unknown novelty"):
+        novelty_test("other", {})
+    with pytest.raises(ValueError, match="no such parameter"):
+        novelty_test("weight", {"sigma": 1.0})
+
+
+@pytest.mark.parametrize("test", [WeightTest(0.3), AgreementTest()])
+def test_a_repeated_drive_shares_its_states(test: WeightTest | AgreementTest) -> None:
+    space = learn_state_space([noisy(VIEWS, seed) for seed in range(3)], LENGTH, LAMBDA, LAMBDA, test)
+    assert space.states == 12
+    for stream in space.streams:
+        assert stream.tolist() == list(range(12))
+    np.testing.assert_allclose(space.phases[1], 4.0, atol=0.5)
+    np.testing.assert_array_equal(space.phases[0], 4.0)
+
+
+def test_unrelated_places_become_states() -> None:
+    other = corridor(30, SIZE, seed=5, smooth=ROUGH).astype(np.float32)
+    space = learn_state_space([noisy(VIEWS, 0), other], LENGTH, LAMBDA, LAMBDA, AgreementTest())
+    assert space.states == 12 + 6
+    assert space.streams[1].tolist() == list(range(12, 18))
+
+
+def test_batches_do_not_change_the_result() -> None:
+    """40 sequences do not fit one batch; the templates must be those of one by one."""
+    long = np.concatenate([VIEWS, VIEWS, corridor(80, SIZE, seed=3)])
+    whole = learn_state_space([noisy(long, 2)], LENGTH, LAMBDA, LAMBDA, AgreementTest())
+    frames = noisy(long, 2)
+    parts = [frames[i : i + LENGTH] for i in range(0, len(frames), LENGTH)]
+    apart = learn_state_space(parts, LENGTH, LAMBDA, LAMBDA, AgreementTest())
+    assert whole.streams[0].tolist() == np.concatenate(apart.streams).tolist()
+    np.testing.assert_array_equal(whole.templates, apart.templates)
+
+
+def test_sequences_end_with_the_demonstration() -> None:
+    frames = noisy(VIEWS[:13], 0)
+    seen: list[tuple[int, int]] = []
+    space = learn_state_space(
+        [frames, frames[:4]],
+        LENGTH,
+        LAMBDA,
+        LAMBDA,
+        WeightTest(1e9),
+        progress=lambda done, all_: seen.append((done, all_)),
+    )
+    np.testing.assert_array_equal(space.templates.T, frames[3:])
+    assert [len(stream) for stream in space.streams] == [2, 0]
+    assert seen == [(2, 2)]
+
+
+def test_nothing_to_learn_is_refused() -> None:
+    with pytest.raises(ValueError, match="5 frames"):
+        learn_state_space([VIEWS[:4].astype(np.float32)], LENGTH, LAMBDA, LAMBDA, WeightTest())
+
+
+def test_store_keeps_templates_and_gram() -> None:
+    frames = noisy(np.concatenate([VIEWS, VIEWS, VIEWS]), 0)
+    store = TemplateStore(SIZE)
+    for start in range(0, len(frames), LENGTH):
+        block = frames[start : start + LENGTH]
+        store.append(block, store.templates.T @ block.T)
+    np.testing.assert_array_equal(store.templates, frames.T)
+    np.testing.assert_allclose(store.gram, frames @ frames.T, atol=1e-5)
+    assert store.templates.flags.f_contiguous
+    with pytest.raises(ValueError, match="Gram"):
+        _ = TemplateStore(SIZE, keep_gram=False).gram
+
+
+def test_memory_bound() -> None:
+    bound = TemplateStore(SIZE).bytes_for(20)
+    with pytest.raises(MemoryBoundError, match="max_bytes"):
+        learn_state_space([noisy(VIEWS, 0)], LENGTH, LAMBDA, LAMBDA, WeightTest(1e9), max_bytes=bound)
+    enough = learn_state_space([noisy(VIEWS[:20], 0)], LENGTH, LAMBDA, LAMBDA, WeightTest(1e9), max_bytes=bound)
+    assert enough.states == 4
