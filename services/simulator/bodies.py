@@ -6,9 +6,10 @@ from typing import TYPE_CHECKING, Final
 
 from shapely import box
 
-from services.simulator.meshes import Mesh, ball, band, flat, tube
+from services.simulator.shapes import ball, band, flat, tube
 
 if TYPE_CHECKING:
+    from services.simulator.meshes import Mesh
     from services.simulator.textures import Material
 
 #: Where the robot's camera is: metres ahead of the wheels' axis, and above the ground.

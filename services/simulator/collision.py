@@ -58,7 +58,10 @@ class Obstacles:
     @staticmethod
     def _hits(tree: STRtree, segments: NDArray[np.float64], distance_m: float) -> NDArray[np.bool_]:
         hit = np.zeros(len(segments), dtype=np.bool_)
-        lines = shapely.linestrings(np.asarray(segments, dtype=np.float64).reshape(-1, 2, 2))
+        lines = np.asarray(shapely.linestrings(segments))
+        # GEOS finds nothing near a line without length, so that one is asked about as the point that it is.
+        still = (segments[:, 0] == segments[:, 1]).all(axis=1)
+        lines[still] = shapely.points(segments[still, 0])
         hit[tree.query(lines, "dwithin", distance_m)[0]] = True
         return hit
 

@@ -58,6 +58,7 @@ def paint_facade(facade: Facade) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
     plan = _plan(facade, rng)
     upper = _wall(facade.style, plan.wall, STOREYS, rng)
     ground = _wall(facade.style, plan.wall, 1, rng)
+    _soil_the_foot(ground)
     for bay in range(BAYS):
         for storey in range(STOREYS):
             _window(upper, plan, bay, storey, rng)
@@ -65,7 +66,6 @@ def paint_facade(facade: Facade) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
             _door(ground, plan, bay, rng)
         else:
             _window(ground, plan, bay, 0, rng)
-    _soil_the_foot(ground)
     return upper, ground
 
 

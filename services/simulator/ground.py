@@ -9,13 +9,15 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 import shapely
-from shapely import Polygon
+from shapely import Polygon, affinity
 from shapely.ops import substring
 
-from services.simulator.meshes import UP, Mesh, flat, merge
+from services.simulator.meshes import Mesh, merge
+from services.simulator.shapes import UP, flat
 from services.simulator.terrain import AreaKind, Road, Terrain
 
 if TYPE_CHECKING:
+    from numpy.typing import NDArray
     from shapely.geometry.base import BaseGeometry
 
     from services.simulator.textures import Material
@@ -69,8 +71,9 @@ def _layers(terrain: Terrain) -> dict[Material, BaseGeometry]:
     layers: dict[Material, BaseGeometry] = {}
     taken: BaseGeometry = Polygon()
     for material, claim in claims:
-        layers[material] = (claim if material == "grass" else claim.intersection(frame)).difference(taken)
-        taken = taken.union(claim)
+        inside = claim if material == "grass" else claim.intersection(frame)
+        layers[material] = inside.difference(taken)
+        taken = taken.union(inside)
     return layers
 
 
@@ -84,7 +87,9 @@ def _dashes(road: Road, streets: list[Road]) -> list[Polygon]:
     return [line.buffer(_MARKING_M / 2, cap_style="flat") for line in lines if not line.intersects(crossings)]
 
 
-def cast_shade(terrain: Terrain, sun: tuple[float, float, float], crowns: list[tuple[Polygon, float, float]]) -> BaseGeometry:
+def cast_shade(
+    terrain: Terrain, sun: tuple[float, float, float], crowns: list[tuple[Polygon, float, float]]
+) -> BaseGeometry:
     """Return where the ground lies in the shade of buildings, barriers and tree crowns.
 
     Parameters
@@ -102,13 +107,14 @@ def cast_shade(terrain: Terrain, sun: tuple[float, float, float], crowns: list[t
     return shapely.union_all([_swept(outline, step * low, step * high) for outline, low, high in [*solids, *crowns]])
 
 
-def _swept(polygon: Polygon, begin: np.ndarray, end: np.ndarray) -> BaseGeometry:
-    """Return what a polygon covers while it is pushed from one displacement to another."""
+def _swept(polygon: Polygon, begin: NDArray[np.float64], end: NDArray[np.float64]) -> BaseGeometry:
+    """Return what a polygon covers while it is pushed from one displacement (2,) to another."""
     ring = shapely.get_coordinates(polygon.exterior)
     edges = np.stack([ring[:-1] + begin, ring[1:] + begin, ring[1:] + end, ring[:-1] + end], axis=1)
-    pieces = shapely.polygons(edges)
-    ends = [shapely.transform(polygon, lambda points: points + begin), shapely.transform(polygon, lambda points: points + end)]
-    return shapely.union_all([*pieces[shapely.is_valid(pieces)], *ends])
+    # An edge along the push sweeps no area; its flat quadrilateral would be invalid.
+    sides = [side for side in map(Polygon, edges) if side.is_valid]
+    ends = [affinity.translate(polygon, *shift) for shift in (begin, end)]
+    return shapely.union_all([*sides, *ends])
 
 
 def _polygons(geometry: BaseGeometry) -> list[Polygon]:

@@ -10,7 +10,9 @@ if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
 
 
-def noise(rng: np.random.Generator, shape: tuple[int, int], grain_px: float | tuple[float, float]) -> NDArray[np.float64]:
+def noise(
+    rng: np.random.Generator, shape: tuple[int, int], grain_px: float | tuple[float, float]
+) -> NDArray[np.float64]:
     """Return smooth noise that repeats without a seam.
 
     Parameters

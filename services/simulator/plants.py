@@ -9,17 +9,22 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 from shapely import Point, Polygon
 
-from services.simulator.meshes import Mesh, ball, tube
 from services.simulator.noise import noise
+from services.simulator.shapes import ball, tube
 from services.simulator.terrain import Tree, TreeKind
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
+    from services.simulator.meshes import Mesh
     from services.simulator.textures import Material
 
 #: Of each kind: radius of the crown and height of its lower end, as fractions of the tree's height.
-_CROWN: Final[dict[TreeKind, tuple[float, float]]] = {"round": (0.34, 0.28), "tall": (0.2, 0.22), "conifer": (0.22, 0.12)}
+_CROWN: Final[dict[TreeKind, tuple[float, float]]] = {
+    "round": (0.34, 0.28),
+    "tall": (0.2, 0.22),
+    "conifer": (0.22, 0.12),
+}
 _DETAIL: Final = 6
 _SMALL_DETAIL: Final = 4
 _TIERS: Final = 4

@@ -55,7 +55,9 @@ class SceneCamera:
         try:
             self._fill(scene, settings)
         except RuntimeError as error:
-            raise vulkan.RenderingUnavailableError(f"the Vulkan driver cannot render ({error}); {vulkan.INSTALL}") from error
+            raise vulkan.RenderingUnavailableError(
+                f"the Vulkan driver cannot render ({error}); {vulkan.INSTALL}"
+            ) from error
         self._seen_from: Pose | None = None
 
     def render(self, pose: Pose) -> NDArray[np.uint8]:
@@ -111,9 +113,7 @@ class SceneCamera:
         for surface in surfaces:
             mesh = surface.mesh
             material = _material(render, surface)
-            body.attach(
-                render.RenderShapeTriangleMesh(mesh.vertices, mesh.triangles, mesh.normals, mesh.uvs, material)
-            )
+            body.attach(render.RenderShapeTriangleMesh(mesh.vertices, mesh.triangles, mesh.normals, mesh.uvs, material))
         entity = self._sapien.Entity()
         entity.add_component(body)
         self._scene.add_entity(entity)
@@ -141,7 +141,9 @@ def _load_renderer() -> Any:  # noqa: ANN401 - sapien has no types
         import sapien  # noqa: PLC0415
         import sapien.render  # noqa: PLC0415
     except (ImportError, OSError) as error:
-        raise vulkan.RenderingUnavailableError(f"the renderer cannot be loaded ({error}); pip install smal[simulator]") from error
+        raise vulkan.RenderingUnavailableError(
+            f"the renderer cannot be loaded ({error}); pip install smal[simulator]"
+        ) from error
     render = sapien.render
     render.set_log_level("error")
     render.set_global_config(max_num_materials=_MOST_PICTURES, max_num_textures=_MOST_PICTURES)

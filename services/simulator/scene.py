@@ -12,8 +12,9 @@ from shapely import Polygon
 from services.simulator import bodies
 from services.simulator.facades import paint_facade
 from services.simulator.ground import cast_shade, ground
-from services.simulator.meshes import Mesh, ball, make, merge
+from services.simulator.meshes import Mesh, make, merge
 from services.simulator.plants import crowns, trees
+from services.simulator.shapes import ball
 from services.simulator.sky import BOTTOM_DEG, TOP_DEG, paint_sky
 from services.simulator.structures import barriers, clad, roofs
 from services.simulator.textures import paint

@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 import numpy as np
 
 from services.simulator.facades import BAY_M, BAYS, STOREY_M, STOREYS
-from services.simulator.meshes import Mesh, band, flat, hipped_roof, merge, outline, walls
+from services.simulator.meshes import Mesh, merge
+from services.simulator.shapes import band, flat, hipped_roof, outline, walls
 from services.simulator.terrain import Barrier, BarrierKind, Building, Facade
 
 if TYPE_CHECKING:
@@ -24,6 +25,8 @@ _CORNICE_M: Final = 0.18
 # A wall too short for a window shows the bare strip at the edge of the façade's picture.
 _PIER_M: Final = 1.2
 _PIER_U: Final = 0.01
+# Not quite the whole height of the picture, or filtering would mix its foot into its top.
+_GROUND_ROWS: Final = (0.99, 0.01)
 _BARRIER: Final[dict[BarrierKind, tuple[Material, float]]] = {
     "hedge": ("hedge", 0.7), "wall": ("stone_wall", 0.3), "fence": ("fence", 0.08)
 }  # fmt: skip
@@ -45,7 +48,7 @@ def clad(buildings: Iterable[Building]) -> dict[Facade, Clad]:
         first = building.height_m / storeys
         for ring in outline(building.footprint):
             u = _bays(ring)
-            grounds[building.facade].append(walls(ring, 0.0, first, u, (1.0, 0.0)))
+            grounds[building.facade].append(walls(ring, 0.0, first, u, _GROUND_ROWS))
             if storeys > 1:
                 rows = ((storeys - 1) / STOREYS, 0.0)
                 uppers[building.facade].append(walls(ring, first, building.height_m, u, rows))
@@ -62,7 +65,9 @@ def roofs(buildings: Iterable[Building]) -> dict[Material, list[Mesh]]:
         top = building.height_m
         if building.roof == "hipped" and len(building.footprint.exterior.coords) == 5:
             eaves = building.footprint.buffer(_OVERHANG_M, join_style="mitre")
-            meshes["slate" if building.facade.variant % 2 else "tiles"].append(hipped_roof(eaves, top, _ROOF_SLOPE, 4.0))
+            meshes["slate" if building.facade.variant % 2 else "tiles"].append(
+                hipped_roof(eaves, top, _ROOF_SLOPE, 4.0)
+            )
             meshes["trim"] += [flat(eaves, top - 0.15, 4.0).flipped(), band(eaves, top - 0.15, top, 4.0)]
         else:
             edge = building.footprint.buffer(_CORNICE_M, join_style="mitre")

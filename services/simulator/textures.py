@@ -42,7 +42,7 @@ def _asphalt(rng: np.random.Generator) -> NDArray[np.uint8]:
     """Paint grit with a few cracks that somebody has filled with tar."""
     picture = coloured((96, 96, 99), 1.0 + 0.10 * noise(rng, _SHAPE, 2.0) + 0.025 * noise(rng, _SHAPE, 60.0))
     for _ in range(3):
-        steps = rng.normal((0.0, 9.0), 7.0, (24, 2)).cumsum(axis=0) + rng.integers(60, 300, 2)
+        steps = rng.normal((0.0, 9.0), (2.5, 3.0), (24, 2)).cumsum(axis=0) + rng.integers(60, 300, 2)
         cv2.polylines(picture, [steps.astype(np.int32)], False, (66, 66, 70), 3, cv2.LINE_AA)
     return picture
 
@@ -110,7 +110,9 @@ def _bark(rng: np.random.Generator) -> NDArray[np.uint8]:
 
 
 def _boards(rng: np.random.Generator) -> NDArray[np.uint8]:
-    return cv2.rotate(_paving(134, 110, 84, rows=8, columns=1, joint_px=14)(rng), cv2.ROTATE_90_CLOCKWISE).astype(np.uint8)
+    return cv2.rotate(_paving(134, 110, 84, rows=8, columns=1, joint_px=14)(rng), cv2.ROTATE_90_CLOCKWISE).astype(
+        np.uint8
+    )
 
 
 _PAINTERS: Final[dict[Material, Painter]] = {

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
@@ -74,12 +75,7 @@ def _role(extract: OsmExtract, role: str, path: Path) -> Pose | None:
     if not nodes:
         return None
     direction = nodes[0].tags.get("direction", "0")
-    try:
-        clockwise_from_north = math.radians(float(direction))
-    except ValueError as error:
-        raise WorldError(f"{path}: direction={direction} of smal:role={role} is not a number of degrees") from error
-    return Pose(float(nodes[0].xy[0]), float(nodes[0].xy[1]), _wrap(math.pi / 2 - clockwise_from_north))
-
-
-def _wrap(angle: float) -> float:
-    return math.remainder(angle, math.tau)
+    if not re.fullmatch(r"-?\d+(\.\d+)?", direction):
+        raise WorldError(f"{path}: direction={direction} of smal:role={role} is not a number of degrees")
+    heading = math.remainder(math.pi / 2 - math.radians(float(direction)), math.tau)
+    return Pose(float(nodes[0].xy[0]), float(nodes[0].xy[1]), heading)

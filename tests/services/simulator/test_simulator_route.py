@@ -1,0 +1,79 @@
+"""Routes: from anywhere near the roads to the victim, and never through anything."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import shapely
+from hypothesis import example, given, settings
+from hypothesis import strategies as st
+
+from services.simulator.collision import ROBOT_RADIUS_M, obstacles_of
+from services.simulator.route import plan_route, route_length_m
+from services.simulator.starts import sample_start
+from services.simulator.terrain import Pose, World, WorldError
+from services.simulator.world import load_world
+
+WORLDS = {name: load_world(name) for name in ("campus", "yard")}
+
+
+def solid(world: World) -> shapely.Geometry:
+    """Return everything solid, independently of `collision`."""
+    trunks = [shapely.Point(tree.x, tree.y).buffer(tree.trunk_radius_m) for tree in world.trees]
+    walls = [building.footprint for building in world.buildings]
+    return shapely.union_all([*trunks, *walls, *(barrier.line for barrier in world.barriers)])
+
+
+ROAD_POINTS = np.concatenate([shapely.get_coordinates(road.line) for road in WORLDS["campus"].roads])
+SOLID = {name: solid(world) for name, world in WORLDS.items()}
+
+
+@given(name=st.sampled_from(sorted(WORLDS)), seed=st.integers(0, 2**32 - 1), recovery=st.booleans())
+@settings(max_examples=150, deadline=None)
+def test_a_route_touches_nothing_and_ends_at_the_victim(name: str, seed: int, recovery: bool) -> None:
+    world = WORLDS[name]
+    start = sample_start(world, np.random.default_rng(seed), "recovery" if recovery else "run")
+    route = plan_route(world, (start.x, start.y))
+    np.testing.assert_allclose(route[0], (start.x, start.y))
+    np.testing.assert_allclose(route[-1], (world.victim.x, world.victim.y))
+    assert shapely.LineString(route).distance(SOLID[name]) >= ROBOT_RADIUS_M
+
+
+@given(x=st.floats(-99, 99), y=st.floats(-99, 99))
+@example(x=5e-324, y=5e-324)
+@settings(max_examples=200, deadline=None)
+def test_from_anywhere_the_way_is_free_or_missing_but_never_through_a_wall(x: float, y: float) -> None:
+    try:
+        route = plan_route(WORLDS["campus"], (x, y))
+    except WorldError:
+        # Cut off are the insides of things, their edges, and corners that see no road within 40 m.
+        seen = obstacles_of(WORLDS["campus"]).are_clear(
+            np.array([[(x, y), point] for point in ROAD_POINTS if np.hypot(*(point - (x, y))) < 40]).reshape(-1, 2, 2),
+            0.7,
+        )
+        assert not seen.any()
+    else:
+        assert not shapely.LineString(route).intersects(SOLID["campus"])
+
+
+def test_a_start_on_the_road_follows_the_road() -> None:
+    world = WORLDS["campus"]
+    route = plan_route(world, (world.start.x, world.start.y))
+    roads = shapely.union_all([road.line.buffer(0.1) for road in world.roads])
+    on_road = shapely.LineString(route[:-1])
+    assert on_road.within(roads)
+
+
+def test_the_route_is_the_shorter_way_round() -> None:
+    world = WORLDS["campus"]
+    east = plan_route(world, (40.0, 20.0))
+    assert route_length_m(east) < 70
+    assert np.all(east[:, 0] > 0), "from the east there is no reason to go round by the west"
+
+
+def test_a_victim_walled_in_cannot_be_reached() -> None:
+    world = WORLDS["campus"]
+    inside = world.buildings[0].footprint.representative_point()
+    walled = World(**{**vars(world), "victim": Pose(inside.x, inside.y, 0.0)})
+    with pytest.raises(WorldError, match="no way from"):
+        plan_route(walled, (world.start.x, world.start.y))

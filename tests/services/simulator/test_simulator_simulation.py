@@ -1,0 +1,135 @@
+"""The simulation without pixels: episodes repeat, walls stop the robot, the victim counts only near and seen."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+import shapely
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+from schemas.base import ATOMS, Atom
+from services.simulator.collision import ROBOT_RADIUS_M, obstacles_of
+from services.simulator.drive import Drive
+from services.simulator.simulation import Sight, Simulation
+from services.simulator.terrain import Pose
+from services.simulator.world import load_world
+from tests.services.simulator.simulator_driving import drive_to
+
+YARD = load_world("yard")
+PERFECT = Drive(tick_sigma=0.0, radius_sigma=0.0)
+
+
+class StubCamera:
+    """Sees the victim as a given fraction of the image, and remembers whether it was asked."""
+
+    def __init__(self, fraction: float = 0.0) -> None:
+        self.fraction = fraction
+        self.asked = 0
+
+    def render(self, pose: Pose) -> NDArray[np.uint8]:
+        return np.full((24, 32, 3), int(abs(pose.x)) % 256, dtype=np.uint8)
+
+    def victim_pixels(self, pose: Pose) -> float:
+        self.asked += 1
+        return self.fraction
+
+
+@given(
+    seed=st.integers(0, 1000),
+    purpose=st.sampled_from(["drive", "run", "recovery"]),
+    atoms=st.lists(st.sampled_from(ATOMS), max_size=30),
+)
+@settings(max_examples=40, deadline=None)
+def test_the_same_seed_gives_the_same_episode_however_it_is_stepped(seed: int, purpose: str, atoms: list[Atom]) -> None:
+    whole, sliced = (Simulation(YARD, StubCamera()) for _ in range(2))
+    assert whole.reset(seed, purpose) == sliced.reset(seed, purpose)  # type: ignore[arg-type]
+    for atom in atoms:
+        whole.advance(atom, 1.0, 0.1)
+        for _ in range(5):
+            sliced.advance(atom, 1.0, 0.02)
+    assert (whole.pose, whole.collided) == (sliced.pose, sliced.collided)
+
+
+def test_reset_forgets_the_episode_before() -> None:
+    simulation = Simulation(YARD, StubCamera())
+    simulation.reset(3, "run")
+    first = [(simulation.advance("forward", 1.0, 0.1), simulation.pose)[1] for _ in range(40)]
+    simulation.reset(3, "run")
+    assert not simulation.collided
+    assert [(simulation.advance("forward", 1.0, 0.1), simulation.pose)[1] for _ in range(40)] == first
+
+
+def test_seeds_and_purposes_differ() -> None:
+    simulation = Simulation(YARD, StubCamera())
+    poses = {simulation.reset(seed, purpose) for seed in range(5) for purpose in ("drive", "run", "recovery")}  # type: ignore[arg-type]
+    assert len(poses) == 15
+
+
+@given(seed=st.integers(0, 500), atoms=st.lists(st.sampled_from(ATOMS), min_size=5, max_size=25))
+@settings(max_examples=60, deadline=None)
+def test_the_robot_never_enters_anything(seed: int, atoms: list[Atom]) -> None:
+    simulation = Simulation(YARD, StubCamera())
+    simulation.reset(seed, "recovery")
+    for atom in atoms:
+        simulation.advance(atom, 1.0, 0.4)
+        assert obstacles_of(YARD).clearance(simulation.pose.x, simulation.pose.y) > ROBOT_RADIUS_M - 1e-9
+
+
+def test_a_wall_stops_the_robot_where_they_touch_and_lets_it_back_away() -> None:
+    simulation = Simulation(YARD, StubCamera(), drive=PERFECT)
+    simulation.reset(0, "run")
+    for _ in range(40):
+        simulation.advance("right", 1.0, 0.05)
+    for _ in range(30):
+        simulation.advance("forward", 1.0, 0.1)
+    assert simulation.collided
+    touching = simulation.pose
+    assert obstacles_of(YARD).clearance(touching.x, touching.y) == pytest.approx(ROBOT_RADIUS_M, abs=1e-3)
+    simulation.advance("backward", 1.0, 0.5)
+    assert math.hypot(simulation.pose.x - touching.x, simulation.pose.y - touching.y) == pytest.approx(1.0)
+    assert simulation.collided, "a collision stays on record until the reset"
+
+
+@pytest.mark.parametrize("speed", [0.0, 0.5, 1.0])
+def test_speed_scales_the_movement(speed: float) -> None:
+    simulation = Simulation(YARD, StubCamera(), drive=PERFECT)
+    start = simulation.reset(0, "run")
+    simulation.advance("forward", speed, 0.5)
+    assert math.hypot(simulation.pose.x - start.x, simulation.pose.y - start.y) == pytest.approx(speed)
+
+
+@pytest.mark.parametrize("name", ["yard", "campus"])
+def test_following_the_route_leads_to_the_victim_without_a_collision(name: str) -> None:
+    camera = StubCamera(fraction=0.01)
+    simulation = Simulation(load_world(name), camera)
+    simulation.reset(11, "run")
+    for x, y in simulation.route()[1:]:
+        assert not simulation.victim_found() or (x, y) == tuple(simulation.route()[-1])
+        drive_to(simulation, x, y)
+    assert not simulation.collided
+    assert simulation.victim_found()
+
+
+def test_the_victim_is_found_only_when_near_and_seen() -> None:
+    camera = StubCamera(fraction=0.5)
+    simulation = Simulation(YARD, camera, sight=Sight(distance_m=5.0, min_fraction=0.0005))
+    simulation.reset(0, "run")
+    assert not simulation.victim_found()
+    assert camera.asked == 0, "far away, the image is not searched at all"
+    for x, y in simulation.route()[1:]:
+        drive_to(simulation, x, y)
+    assert simulation.victim_found()
+    camera.fraction = 0.0004
+    assert not simulation.victim_found()
+
+
+def test_the_route_is_that_of_this_episode() -> None:
+    simulation = Simulation(YARD, StubCamera())
+    start = simulation.reset(4, "recovery")
+    simulation.advance("forward", 1.0, 0.5)
+    np.testing.assert_allclose(simulation.route()[0], (start.x, start.y))
+    assert shapely.LineString(simulation.route()).is_simple
