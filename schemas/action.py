@@ -14,8 +14,9 @@ class Action(Message):
 
     topic: ClassVar[str] = "action"
 
-    reason: Literal["policy", "look_around", "goal", "lost"]
-    """policy: the learned action; look_around: state unknown, turning; lost: gave up turning; goal: end state."""
+    kind: Literal["action", "goal", "dead_end", "look_around", "stop"]
+    """action: the policy's; goal: the rest of a demonstration that ended here; dead_end: the rest of a drive that
+    stopped here without success; look_around: state unknown, turning on the spot; stop: turning has not helped."""
     state: Annotated[int | None, Field(ge=0, le=1_000_000)] = None
     """The recognised state, if any."""
     atoms: Annotated[tuple[Atom, ...], Field(max_length=1000)]

@@ -10,7 +10,8 @@ from pydantic import ValidationError
 from schemas.base import Message
 
 ENCODING_PREFIX: Final = "application/vnd.msgpack;"
-
+#: Most maps and arrays in one message; the richest one (an observation) has three.
+MAX_CONTAINERS: Final = 16
 
 M = TypeVar("M", bound=Message)
 
@@ -58,10 +59,13 @@ def decode(cls: type[M], payload: bytes, encoding: str) -> M:
     if len(payload) > cls.max_bytes:
         raise DecodeError(f"{cls.schema_name()}: {len(payload)} bytes, at most {cls.max_bytes} allowed")
     try:
-        # Small limits on containers: four megabytes of empty maps would otherwise cost 1 s and 280 MB.
+        # Few and small containers: four megabytes of empty maps would otherwise cost 1 s and 280 MB.
+        count = _ContainerCount()
         fields = msgpack.unpackb(
             payload,
             use_list=False,
+            list_hook=count,
+            object_hook=count,
             max_str_len=4096,
             max_bin_len=cls.max_bytes,
             max_array_len=1024,
@@ -69,7 +73,9 @@ def decode(cls: type[M], payload: bytes, encoding: str) -> M:
             max_ext_len=0,
         )
     except (ValueError, msgpack.exceptions.UnpackException) as error:
-        raise DecodeError(f"{cls.schema_name()}: not msgpack: {_first_line(error)}") from None
+        raise DecodeError(
+            f"{cls.schema_name()}: not msgpack: {printable(str(error) or type(error).__name__)}"
+        ) from None
     try:
         return cls.model_validate(fields)
     except ValidationError as error:
@@ -81,8 +87,22 @@ def describe(error: ValidationError) -> str:
     first, *others = error.errors(include_url=False, include_context=False, include_input=False)
     where = ".".join(str(part) for part in first["loc"]) or "message"
     more = f" (and {len(others)} more)" if others else ""
-    return f"{where}: {first['msg']}{more}"
+    return f"{printable(where)}: {printable(first['msg'])}{more}"
 
 
-def _first_line(error: Exception) -> str:
-    return (str(error) or type(error).__name__).splitlines()[0][:200]
+class _ContainerCount:
+    """Called by msgpack with every finished map and array; ends the unpacking when there are too many."""
+
+    def __init__(self) -> None:
+        self._seen = 0
+
+    def __call__(self, container: object) -> object:
+        self._seen += 1
+        if self._seen > MAX_CONTAINERS:
+            raise ValueError(f"more than {MAX_CONTAINERS} maps and arrays")
+        return container
+
+
+def printable(text: str) -> str:
+    """Return at most 200 characters of a stranger's text, with nothing in it that moves a log or a terminal."""
+    return "".join(c if c.isprintable() else "?" for c in text[:200])

@@ -46,7 +46,7 @@ class CommandApplied(Message):
     """Whose command it is; none when the robot stands for want of one."""
     reason: Literal["command", "silence", "emergency_stop"]
     """Why: a fresh command, no fresh command from anyone, or a latched emergency stop."""
-    latency_ns: Annotated[int | None, Field(ge=0)] = None
+    latency_ns: Annotated[int | None, Field(ge=0, lt=2**63)] = None
     """From the capture of the frame that the command descends from to its acceptance, on the actuator's clock."""
-    refused: Annotated[int, Field(ge=0)] = 0
+    refused: Annotated[int, Field(ge=0, lt=2**63)] = 0
     """Commands refused so far in this episode."""

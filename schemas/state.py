@@ -6,7 +6,20 @@ from typing import Annotated, ClassVar, Literal, Self
 
 from pydantic import Field, model_validator
 
-from schemas.base import Message
+from schemas.base import Message, Strict
+
+MAX_CANDIDATES = 64
+
+
+class Candidate(Strict):
+    """A learned state that the last frames may show."""
+
+    state: Annotated[int, Field(ge=0, le=1_000_000)]
+    """Its index."""
+    phase: Annotated[float, Field(ge=-1e6, le=1e6)]
+    """Frame of its template sequence, from 0, at which the last frame is; may lie beyond its ends."""
+    weight: Annotated[float, Field(ge=0, le=1.001)]
+    """Its share of the belief."""
 
 
 class State(Message):
@@ -18,19 +31,24 @@ class State(Message):
     """idle: no model; collecting: no decision is due at this frame; unknown: no learned state matches."""
     state: Annotated[int | None, Field(ge=0, le=1_000_000)] = None
     """Index of the learned state, when recognized."""
-    position: Annotated[float, Field(ge=-1e6, le=1e6)] = 0.0
-    """Where in the matched template sequence the last frame stands, in frames from its first; may lie outside it."""
+    phase: Annotated[float | None, Field(ge=-1e6, le=1e6)] = None
+    """Frame of the matched template sequence, from 0, at which the last frame is; may lie beyond its ends."""
     score: Annotated[float, Field(ge=0, le=1e9)] = 0.0
     """Weight of the matched sequence over the sequence length (Eq. 9 divided by l)."""
     total_weight: Annotated[float, Field(ge=0, le=1e9)] = 0.0
     """Weight of all sequences over the sequence length."""
-    residual: Annotated[float, Field(ge=0, le=1e9)] = 0.0
-    """Mean length of what the templates leave unexplained of a query frame; a frame has length 1."""
+    residual: Annotated[float, Field(ge=0, le=1)] = 1.0
+    """Share of the query that the templates leave unexplained, 0 to 1."""
+    agreement: Annotated[float, Field(ge=-1.01, le=1.01)] = 0.0
+    """Mean cosine between the query frames and the nearest frames of the matched sequence."""
     duality_gap: Annotated[float, Field(ge=0, le=1e9)] = 0.0
     """Certificate of the weights: relative distance to the global optimum of Eq. 7 at most."""
+    candidates: Annotated[tuple[Candidate, ...], Field(max_length=MAX_CANDIDATES)] = ()
+    """The belief over states, heaviest first; empty unless recognized."""
 
     @model_validator(mode="after")
     def _check(self) -> Self:
-        if (self.status == "recognized") != (self.state is not None):
-            raise ValueError("state is given exactly when the status is 'recognized'")
+        recognized = self.status == "recognized"
+        if (self.state is not None, self.phase is not None) != (recognized, recognized):
+            raise ValueError("state and phase are given exactly when the status is 'recognized'")
         return self

@@ -66,7 +66,19 @@ POSE: Final = Topic("pose/truth", Pose, 10, 8, True, "simulator")
 OBSERVATION: Final = Topic("observation", Observation, 10, 8, True, "features")
 STATE: Final = Topic("state", State, 10, 8, True, "recognition")
 ACTION: Final = Topic("action", Action, None, 8, True, "policy")
-COMMANDS: Final = {source: Topic(f"command/{source}", Command, 10, 8, True, source, urgent=True) for source in SOURCES}
+COMMANDS: Final = {
+    source: Topic(
+        f"command/{source}",
+        Command,
+        # An emergency stop is an event, and teleoperation is where its key is.
+        rate_hz=None if source == "emergency_stop" else 10,
+        queue=8,
+        recorded=True,
+        producer="teleop" if source == "emergency_stop" else source,
+        urgent=True,
+    )
+    for source in SOURCES
+}
 APPLIED: Final = Topic("command/applied", CommandApplied, 10, 8, True, "simulator", urgent=True)
 EPISODE: Final = Topic("episode", Episode, None, 64, True, "simulator", reliable=True)
 

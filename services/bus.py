@@ -46,10 +46,14 @@ def _configuration(mode: str, where: str, endpoint: str) -> zenoh.Config:
         f"{where}/endpoints": [endpoint],
         # Nothing is found by multicast: a robot must never be steered by a stranger's stack on the same network.
         "scouting/multicast/enabled": False,
+        # A router would otherwise wait half a second for the scouting that is off.
+        "scouting/delay": 0,
         "transport/link/tx/lease": 2000,
         "transport/shared_memory/enabled": False,
         # A full-size frame is 40 fragments; a machine busy with rendering may not drain them within the default 50 ms.
         "transport/link/tx/queue/congestion_control/drop/max_wait_before_drop_fragments": 500_000,
+        # Nor is the default of 1 ms enough for a few commands in a row: a busy machine dropped 1 in 60 of them.
+        "transport/link/tx/queue/congestion_control/drop/wait_before_drop": 100_000,
     }
     if mode == "client":
         # Only the first connection: after an outage it is made again for as long as it takes. Without this limit

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import sys
 
-import click
 import typer
 
 from services.bus import BusError, RpcError
@@ -36,16 +35,18 @@ def main() -> None:
     """Run the command line and exit."""
     try:
         status = app(standalone_mode=False)
-    except (UsageError, click.UsageError) as error:
-        message = error.format_message() if isinstance(error, click.UsageError) else str(error)
-        status = _say(message, EXIT_USAGE)
-    except (JobError, ServiceError, BusError, RpcError, click.ClickException) as error:
+    except typer.TyperException as error:
+        status = _say(error.format_message(), error.exit_code)
+    except UsageError as error:
+        status = _say(str(error), EXIT_USAGE)
+    except (JobError, ServiceError, BusError, RpcError) as error:
         status = _say(str(error), EXIT_FAILED)
-    except (KeyboardInterrupt, click.Abort):
+    except (KeyboardInterrupt, typer.Abort):
         status = _say("interrupted", 130)
     sys.exit(status if isinstance(status, int) else 0)
 
 
 def _say(message: str, status: int) -> int:
-    sys.stderr.write(f"smal: {message}\n")
+    # Called without arguments, a group of commands answers with its help.
+    sys.stderr.write(f"{message}\n" if message.startswith("Usage: ") else f"smal: {message}\n")
     return status

@@ -1,14 +1,20 @@
 """Execution, second half: from a state to atom movements.
 
-The paper executes the l atoms of the action of the recognised state. Templates are cut at fixed phases, so that
-this action is up to l / 2 frames early or late, which is why its success falls as l grows. We know the phase of
-the query (`smal.state_space.phase`) and of every demonstrated occurrence of the state; so the decision maker takes
-an occurrence of (state, policy action) and continues its demonstration from the frame that the robot is at
-("aligned"). `aligned=False` is the scheme of the paper.
+The paper executes the l atoms of the action of the recognised state. Two things make that fail as l grows or as
+demonstrations of one route pile up, and both have their remedy in W.
+
+* Templates are cut at fixed phases, so that the action is up to l / 2 frames early or late. We know the phase of the
+  query (`smal.state_space.phase`) and of every demonstrated occurrence of a state; so we take an occurrence of (state,
+  policy action) and continue its demonstration from the frame that the robot is at ("aligned").
+* Several states share the weight where they resemble each other, and the heaviest alone (Eq. 9) may be a poor one.
+  The weights are a belief over states; as in QMDP (Littman, Cassandra and Kaelbling 1995) each state proposes what
+  its policy would do, and each atom of the plan is the one with the most weight behind it ("belief").
+
+`aligned=False, belief=False` is the scheme of the paper.
 """
 
 from collections import deque
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -16,7 +22,12 @@ from numpy.typing import NDArray
 
 from smal.action_space import Atom, first_frame
 from smal.model import Model
-from smal.recognition import Recognition
+from smal.recognition import Candidate, Recognition
+
+_TIE = 1e-9
+
+#: Share of a view that may stay unexplained for a robot to stop looking around.
+SETTLED_RESIDUAL = 0.7
 
 
 @dataclass(frozen=True)
@@ -33,7 +44,7 @@ class Decision:
         The plan, `stride` atoms long; empty for "wait", which leaves the last plan as it is.
     state, action : int or None
     demonstration, frame : int or None
-        Where the atoms come from.
+        Where the atoms come from; with a belief, those of the heaviest state.
     """
 
     kind: Literal["action", "goal", "dead_end", "look_around", "stop", "wait"]
@@ -64,9 +75,11 @@ class DecisionMaker:
     stride : int, optional
         Atoms between two decisions, 1 to l; l is the paper's scheme.
     look_around_ticks : int
-        How many atoms it turns left in all while the state stays unknown, before it stops.
+        How many atoms it turns left while states are unknown, before it stops; moving on restores them.
     aligned : bool
         Whether to continue from the frame that the robot is at (module docstring).
+    belief : bool
+        Whether all candidate states have a say, by their weight (module docstring).
 
     Raises
     ------
@@ -75,7 +88,12 @@ class DecisionMaker:
     """
 
     def __init__(
-        self, model: Model, stride: int | None = None, look_around_ticks: int = 40, aligned: bool = True
+        self,
+        model: Model,
+        stride: int | None = None,
+        look_around_ticks: int = 80,
+        aligned: bool = True,
+        belief: bool = True,
     ) -> None:
         self._model = model
         self._stride = model.sequence_length if stride is None else stride
@@ -85,6 +103,7 @@ class DecisionMaker:
             raise ValueError(f"look_around_ticks must not be negative, got {look_around_ticks}")
         self._look_around_ticks = look_around_ticks
         self._aligned = aligned
+        self._belief = belief
         self._goals = frozenset(model.transitions.goals.tolist())
         self._occurrences = _index_occurrences(model)
         self.reset()
@@ -93,6 +112,7 @@ class DecisionMaker:
         """Drop the plan, for a new episode."""
         self._plan: deque[Atom] = deque()
         self._turns_left = self._look_around_ticks
+        self._looking = False
 
     def next_atom(self) -> Atom:
         """Take the next atom of the plan; stop when there is none."""
@@ -102,14 +122,25 @@ class DecisionMaker:
         """Replace the plan according to what was recognised."""
         if recognition.status == "collecting":
             return Decision("wait", ())
-        if recognition.status == "unknown" or recognition.state is None or recognition.phase is None:
-            decision = self._look_around(None)
+        if recognition.state is None or recognition.phase is None or self._keeps_looking(recognition):
+            decision = self._look_around(recognition.state)
         else:
-            decision = self._act(recognition.state, recognition.phase)
-        if decision.kind in {"action", "goal"}:
+            alone = (Candidate(recognition.state, recognition.phase, 1.0),)
+            decision = self._act(recognition.candidates if self._belief and recognition.candidates else alone)
+        self._looking = decision.kind == "look_around"
+        # Not every decision restores the turns: a state that only turns back would make it swing for ever.
+        if Atom.FORWARD in decision.atoms or decision.kind == "goal":
             self._turns_left = self._look_around_ticks
         self._plan = deque(decision.atoms)
         return decision
+
+    def _keeps_looking(self, recognition: Recognition) -> bool:
+        """Whether a robot that is looking around goes on although this view is just about known.
+
+        Such a view often says to turn back to where the robot could not tell where it is; further round there may be
+        one that is really known. After a whole turn any will do.
+        """
+        return self._looking and self._turns_left > 0 and recognition.residual > SETTLED_RESIDUAL
 
     def _look_around(self, state: int | None) -> Decision:
         """Turn on the spot, a bounded number of atoms in all; the views may become known ones."""
@@ -118,12 +149,26 @@ class DecisionMaker:
         atoms = (Atom.LEFT,) * turns + (Atom.STOP,) * (self._stride - turns)
         return Decision("look_around" if turns else "stop", atoms, state)
 
-    def _act(self, state: int, phase: float) -> Decision:
+    def _act(self, candidates: tuple[Candidate, ...]) -> Decision:
+        """Let the states that know how to go on vote for every atom; the heaviest decides where they tie."""
+        proposals = [(self._continue(one.state, one.phase), one.weight) for one in candidates]
+        voters = [(plan, weight) for plan, weight in proposals if plan.kind != "dead_end"]
+        if not voters:
+            leader = proposals[0][0]
+            return leader if any(leader.atoms) else self._look_around(leader.state)
+        votes = np.zeros((self._stride, len(Atom)))
+        for plan, weight in voters:
+            votes[np.arange(self._stride), plan.atoms] += weight
+        leader = voters[0][0]
+        votes[np.arange(self._stride), leader.atoms] += _TIE
+        return replace(leader, atoms=tuple(Atom(int(atom)) for atom in votes.argmax(axis=1)))
+
+    def _continue(self, state: int, phase: float) -> Decision:
         """Find the demonstrated frame that is closest to where the robot is, and continue from there."""
         action = int(self._model.policy[state])
+        kind: Literal["action", "goal", "dead_end"]
         if state in self._goals:
-            kind: Literal["action", "goal", "dead_end"] = "goal"
-            fitting = [one for one in self._occurrences[state] if one.ends]
+            kind, fitting = "goal", [one for one in self._occurrences[state] if one.ends]
         else:
             kind = "action" if action >= 0 else "dead_end"
             fitting = [one for one in self._occurrences[state] if action in (one.action, -1)]
@@ -131,8 +176,6 @@ class DecisionMaker:
         shift = round(phase - nearest.phase) if self._aligned else 0
         frame = max(0, nearest.last_frame + shift)
         recorded = self._model.atoms[nearest.demonstration][frame : frame + self._stride]
-        if kind == "dead_end" and not np.any(recorded):
-            return self._look_around(state)
         atoms = tuple(Atom(int(atom)) for atom in recorded)
         atoms += (Atom.STOP,) * (self._stride - len(atoms))
         return Decision(kind, atoms, state, action if action >= 0 else None, nearest.demonstration, frame)

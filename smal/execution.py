@@ -4,6 +4,6 @@
 """
 
 from smal.decision import Decision, DecisionMaker
-from smal.recognition import Recognition, Recognizer
+from smal.recognition import Candidate, Recognition, Recognizer
 
-__all__ = ["Decision", "DecisionMaker", "Recognition", "Recognizer"]
+__all__ = ["Candidate", "Decision", "DecisionMaker", "Recognition", "Recognizer"]

@@ -114,3 +114,22 @@ class CachedTemplates:
     def correlate(self, columns: Columns, weights: Array) -> NDArray[np.float32]:
         """Combine the kept products."""
         return np.asarray(self._rows(columns).T @ weights.astype(np.float32))
+
+
+def prepare_products(
+    templates: NDArray[np.float32], sequence_length: int, max_bytes: int = 2**30
+) -> GramMatrix | CachedTemplates:
+    """Choose how to look up inner products of templates that many queries will be matched with.
+
+    The whole Gram matrix where it fits: one product now, none later. Otherwise what queries ask for, cached.
+
+    Parameters
+    ----------
+    templates : float32 array (m, n)
+    sequence_length : int
+    max_bytes : int
+        Memory for products; the Gram matrix takes 4 n^2 bytes.
+    """
+    if 4 * templates.shape[1] ** 2 <= max_bytes:
+        return GramMatrix(templates.T @ templates)
+    return CachedTemplates(templates, sequence_length, max_bytes)

@@ -270,7 +270,6 @@ def _report(
     model: Model,
     seconds: dict[str, float],
 ) -> LearningReport:
-    seen_in = np.bincount(np.concatenate([np.unique(stream) for stream in space.streams]), minlength=space.states)
     return LearningReport(
         demonstrations=len(demonstrations),
         frames=sum(len(one.atoms) for one in demonstrations),
@@ -278,7 +277,7 @@ def _report(
         states=space.states,
         actions=len(actions.actions),
         goals=transitions.goals.size,
-        shared_states=int((seen_in >= 2).sum()),
+        shared_states=model.shared_states,
         dead_ends=space.states - np.unique(transitions.state).size,
         reward_states=int((model.reward > 1e-6).sum()),
         seconds=seconds,

@@ -114,6 +114,12 @@ class Model:
         return self.transitions.states
 
     @property
+    def shared_states(self) -> int:
+        """Number of states that occur in at least two demonstrations; without any the graph is a set of chains."""
+        each = np.concatenate([np.unique(stream) for stream in self.state_streams])
+        return int((np.bincount(each, minlength=self.states) >= 2).sum())
+
+    @property
     def centering(self) -> Centering:
         """Turns raw features into those of the templates."""
         return Centering(self.mean, self.feature_settings)

@@ -130,7 +130,7 @@ class AgreementTest:
     """
 
     max_residual: float = 0.75
-    min_agreement: float = 0.6
+    min_agreement: float = 0.9
 
     def is_novel(self, match: Match) -> bool:
         """Apply both limits."""
@@ -142,7 +142,7 @@ NOVELTY_TESTS: dict[str, type[WeightTest] | type[AgreementTest]] = {"weight": We
 # In execution the question is whether a view is known at all, not whether it deserves a state of its own.
 RECOGNITION_DEFAULTS: dict[str, dict[str, float]] = {
     "weight": {"tau": 0.1},
-    "agreement": {"max_residual": 0.9, "min_agreement": 0.4},
+    "agreement": {"max_residual": 0.85, "min_agreement": 0.0},
 }
 
 

@@ -6,11 +6,32 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from smal.gram import CachedTemplates
+from smal.gram import prepare_products
 from smal.model import Model
 from smal.novelty import describe_match
 from smal.state_matching import Solution, solve_from_correlations
 from smal.state_space import matched_phase
+
+# Lighter candidates hold a few hundredths of the weight together.
+MAX_CANDIDATES = 32
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """A state that the last l frames may show.
+
+    Parameters
+    ----------
+    state : int
+    phase : float
+        Frame of its template at which the last frame is (`smal.state_space.phase`).
+    weight : float
+        Its share of the positive weights of W, above 0 and at most 1.
+    """
+
+    state: int
+    phase: float
+    weight: float
 
 
 @dataclass(frozen=True)
@@ -32,6 +53,8 @@ class Recognition:
         See `smal.novelty.Match`; 0, 0, 1, 0 while collecting.
     duality_gap : float
         Of the match.
+    candidates : tuple of Candidate
+        All states with weight, heaviest first: a belief over states. Empty stands for certainty about `state`.
     """
 
     status: Literal["collecting", "recognized", "unknown"]
@@ -43,6 +66,7 @@ class Recognition:
     residual: float = 1.0
     agreement: float = 0.0
     duality_gap: float = 0.0
+    candidates: tuple[Candidate, ...] = ()
 
 
 class Recognizer:
@@ -63,7 +87,7 @@ class Recognizer:
         self._tolerance = tolerance
         self._centering = model.centering
         self._test = model.recognition_test()
-        self._products = CachedTemplates(model.templates, model.sequence_length)
+        self._products = prepare_products(model.templates, model.sequence_length)
         # Ring: column t % l belongs to the frame that arrived as number t.
         self._correlations = np.zeros((model.templates.shape[1], model.sequence_length), dtype=np.float32)
         self._norms = np.zeros(model.sequence_length)
@@ -134,4 +158,16 @@ class Recognizer:
             residual=match.residual,
             agreement=match.agreement,
             duality_gap=solution.duality_gap,
+            candidates=_candidates(solution) if known else (),
         )
+
+
+def _candidates(solution: Solution) -> tuple[Candidate, ...]:
+    """States by their share of the positive weights; a negative weight is no evidence for a state."""
+    blocks, where = np.unique(solution.active // solution.sequence_length, return_inverse=True)
+    weights = np.bincount(where, np.maximum(solution.active_weights, 0.0).sum(axis=1))
+    total = float(weights.sum())
+    heaviest = [i for i in np.argsort(-weights, kind="stable") if weights[i] > 0.0][:MAX_CANDIDATES]
+    return tuple(
+        Candidate(int(blocks[i]), matched_phase(solution, int(blocks[i])), float(weights[i]) / total) for i in heaviest
+    )

@@ -40,7 +40,7 @@ class EpisodeRecord:
     poses
         True poses, (x, y) metres, by tick.
     decisions
-        Reason of every decision, by tick.
+        Kind of every decision, by tick.
     latencies_ms
         From capture to command at the actuator, by tick.
     frames
@@ -59,7 +59,7 @@ class EpisodeRecord:
     @property
     def unknown(self) -> int:
         """Decisions that were taken without a recognised state."""
-        return sum(reason in ("look_around", "lost") for reason in self.decisions.values())
+        return sum(kind in {"look_around", "stop"} for kind in self.decisions.values())
 
     @property
     def decision_latencies_ms(self) -> list[float]:
@@ -175,4 +175,4 @@ class EpisodeClient:
 
     def _on_action(self, action: Action) -> None:
         if self._record is not None and action.episode == self._episode:
-            self._record.decisions[action.tick] = action.reason
+            self._record.decisions[action.tick] = action.kind

@@ -56,7 +56,7 @@ def _tiles(model: Model, records: list[EpisodeRecord], summary: Mapping[str, obj
         "95 % interval": f"{low:.0%} to {high:.0%}",
         "states": str(model.states),
         "shared by demonstrations": str(model.shared_states),
-        "actions": str(model.action_count),
+        "actions": str(len(model.actions)),
         "decision, median": p50,
         "decision, 95 %": p95,
     }

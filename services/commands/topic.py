@@ -26,7 +26,7 @@ from services.process import Inbox
 #: Samples kept while the terminal is slower than the bus; a raw frame takes 2.4 MB.
 QUEUE: Final = 64
 CONNECT_S: Final = 2.0
-Keys = Annotated[str, typer.Argument(help="Key expression, or a topic's name such as camera/rgb.", metavar="[KEYEXPR]")]
+Keys = Annotated[str, typer.Argument(help="Key expression, or a topic's name such as camera/rgb.", metavar="KEYEXPR")]
 
 app = typer.Typer(help="List the topics; listen to them.", no_args_is_help=True, rich_markup_mode=None)
 
@@ -44,7 +44,7 @@ def list_topics(
         _say(markdown_table())
     else:
         for line in _columns([["topic", "message", "Hz", "from", "meaning"], *map(_cells, TOPICS.values())]):
-            _say(line)
+            _say(line.replace("``", ""))
 
 
 @app.command("info")
@@ -101,7 +101,7 @@ def echo(
 @app.command("hz")
 def hz(
     keys: Keys = f"{ROOT}/**",
-    seconds: Annotated[float, typer.Option(min=0.1, help="How long to listen.")] = 5.0,
+    seconds: Annotated[float, typer.Option(min=0.1, max=86400, help="How long to listen.")] = 5.0,
     as_json: Json = False,
     robot: Robot = DEFAULT_ROBOT,
     router: Router = DEFAULT_ROUTER,
@@ -131,7 +131,7 @@ def markdown_table() -> str:
     """Return the table of topics as Markdown, as the README shows it."""
     rows = [f"| `{name}` | `{message}` | {rate} | {producer} | {meaning} |"
             for name, message, rate, producer, meaning in map(_cells, TOPICS.values())]  # fmt: skip
-    return "\n".join(["| topic | message | Hz | from | meaning |", "|---|---|---|---|---|", *rows])
+    return "\n".join(["| topic | message | Hz | from | meaning |", "|---|---|---|---|---|", *rows]).replace("``", "`")
 
 
 def _row(topic: Topic) -> dict[str, object]:

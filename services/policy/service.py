@@ -10,7 +10,7 @@ from schemas.command import Command
 from schemas.rpc import LoadReply, LoadRequest
 from schemas.state import State
 from services.process import Detail, ServiceError
-from smal.execution import DecisionMaker, Recognition
+from smal.execution import Candidate, DecisionMaker, Recognition
 from smal.model import Model, ModelError
 
 
@@ -20,6 +20,7 @@ class PolicyService:
     def __init__(self) -> None:
         self._maker: DecisionMaker | None = None
         self._path = ""
+        self._stride = 0
         self._last: tuple[State, list[Message]] | None = None
 
     def load(self, request: LoadRequest) -> LoadReply:
@@ -32,7 +33,8 @@ class PolicyService:
         """
         try:
             model = Model.load(Path(request.path))
-            self._maker = DecisionMaker(model, request.stride)
+            self._stride = request.stride or model.sequence_length
+            self._maker = DecisionMaker(model, self._stride)
         except (ModelError, ValueError) as error:
             raise ServiceError(str(error)) from None
         self._path, self._last = request.path, None
@@ -40,7 +42,7 @@ class PolicyService:
             states=model.states,
             templates=model.templates.shape[1],
             sequence_length=model.sequence_length,
-            stride=self._maker.stride,
+            stride=self._stride,
         )
 
     def handle(self, state: State) -> list[Message]:
@@ -59,16 +61,19 @@ class PolicyService:
             decision = self._maker.decide(
                 Recognition(
                     status=state.status,
+                    tick=state.tick,
                     state=state.state,
-                    position=state.position,
+                    phase=state.phase,
                     score=state.score,
                     total_weight=state.total_weight,
                     residual=state.residual,
+                    agreement=state.agreement,
                     duality_gap=state.duality_gap,
+                    candidates=tuple(Candidate(c.state, c.phase, c.weight) for c in state.candidates),
                 )
             )
             atoms = tuple(atom.name.lower() for atom in decision.atoms)
-            answer.append(Action.after(state, reason=decision.reason, state=state.state, atoms=atoms))
+            answer.append(Action.after(state, kind=decision.kind, state=state.state, atoms=atoms))
         atom = self._maker.next_atom().name.lower()
         answer.append(Command.after(state, source="policy", atom=atom))
         self._last = (state, answer)
@@ -76,4 +81,4 @@ class PolicyService:
 
     def detail(self) -> Detail:
         """Tell the loaded model."""
-        return {"model": self._path or None, "stride": self._maker.stride if self._maker else None}
+        return {"model": self._path or None, "stride": self._stride or None}

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from schemas.observation import Observation
 from schemas.rpc import LoadReply, LoadRequest
-from schemas.state import State
+from schemas.state import Candidate, State
 from services.process import Detail, ServiceError
 from smal.execution import Recognizer
 from smal.model import Model, ModelError
@@ -28,19 +28,20 @@ class RecognitionService:
         Raises
         ------
         ServiceError
-            When the file is no model, or the stride is longer than its sequences.
+            When the file is no model.
         """
         try:
             model = Model.load(Path(request.path))
-            self._recognizer = Recognizer(model, request.stride)
-        except (ModelError, ValueError) as error:
+        except ModelError as error:
             raise ServiceError(str(error)) from None
+        self._stride = request.stride or model.sequence_length
+        self._recognizer = Recognizer(model)
         self._model, self._path, self._last = model, request.path, None
         return LoadReply(
             states=model.states,
             templates=model.templates.shape[1],
             sequence_length=model.sequence_length,
-            stride=self._recognizer.stride,
+            stride=self._stride,
         )
 
     def handle(self, observation: Observation) -> State:
@@ -53,10 +54,10 @@ class RecognitionService:
         """
         if self._recognizer is None or self._model is None:
             return State.after(observation, status="idle")
-        if observation.fingerprint != self._model.features.fingerprint:
+        wanted = self._model.feature_settings.fingerprint
+        if observation.fingerprint != wanted:
             raise ServiceError(
-                f"observations have features {observation.fingerprint}, the model {self._model.features.fingerprint}; "
-                "learn the model again"
+                f"observations have the features {observation.fingerprint}, the model {wanted}; learn the model again"
             )
         last = self._last
         if last is not None and last.episode == observation.episode and last.tick == observation.tick:
@@ -64,21 +65,25 @@ class RecognitionService:
             return last
         if last is None or last.episode != observation.episode:
             self._recognizer.reset()
-        found = self._recognizer.observe(observation.tick, observation.features.to_numpy())
+        # The first decision is due with the first whole window, the others follow at equal distances.
+        due = (observation.tick + 1 - self._model.sequence_length) % self._stride == 0
+        found = self._recognizer.observe(observation.tick, observation.features.to_numpy(), due)
         self._last = State.after(
             observation,
             status=found.status,
             state=found.state,
-            position=found.position,
+            phase=found.phase,
             score=found.score,
             total_weight=found.total_weight,
             residual=found.residual,
+            agreement=found.agreement,
             duality_gap=found.duality_gap,
+            candidates=tuple(Candidate(state=c.state, phase=c.phase, weight=c.weight) for c in found.candidates),
         )
         return self._last
 
     def detail(self) -> Detail:
         """Tell the loaded model."""
-        if self._model is None or self._recognizer is None:
+        if self._model is None:
             return {"model": None}
-        return {"model": self._path, "states": self._model.states, "stride": self._recognizer.stride}
+        return {"model": self._path, "states": self._model.states, "stride": self._stride}

@@ -80,7 +80,11 @@ def decode_image(payload: bytes) -> NDArray[np.uint8]:
         jpeg = CompressedImage.FromString(payload).data
     except ProtobufDecodeError:
         raise ValueError("not a foxglove.CompressedImage") from None
-    bgr = cv2.imdecode(np.frombuffer(jpeg, np.uint8), cv2.IMREAD_COLOR) if jpeg else None
+    try:
+        bgr = cv2.imdecode(np.frombuffer(jpeg, np.uint8), cv2.IMREAD_COLOR) if jpeg else None
+    except cv2.error:
+        # OpenCV refuses an image that claims to be enormous.
+        bgr = None
     if bgr is None:
         raise ValueError("not a JPEG image")
     return cast("NDArray[np.uint8]", cv2.cvtColor(bgr, cv2.COLOR_BGR2RGB))

@@ -1,118 +1,34 @@
 """Reads recordings back: for each episode what the camera saw and what the actuator did, tick by tick.
 
-Pure of Zenoh. Files may be truncated (their whole messages are read), may hold several episodes (each stays by
-itself), and may lack ticks (an episode is given in pieces without gaps).
+Pure of Zenoh. Files may be truncated (their whole messages are read) and may hold several episodes (each stays by
+itself).
 """
 
 from __future__ import annotations
 
 import struct
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field
+from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Final
 
-import numpy as np
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
 from mcap.records import Channel
-from numpy.typing import NDArray
 from pydantic import ValidationError
 
-from schemas.base import ATOMS, Message, Source
+from schemas.base import Message
 from schemas.command import CommandApplied
-from schemas.episode import Episode, Outcome, Purpose
+from schemas.episode import Episode
 from schemas.observation import Observation
 from schemas.pose import Pose
 from schemas.topics import APPLIED, CAMERA, EPISODE, OBSERVATION, POSE, Topic, topic_of
+from services.recorder.recorded import RecordedEpisode
 from services.recorder.records import MAGIC, fields, flat_records, message_header, message_payload, view_of
 from services.recorder.sink import PARTIAL_SUFFIX, is_being_recorded
-
-_STOP: Final = ATOMS.index("stop")
 
 
 class RecordingError(Exception):
     """A file cannot be used as a recording; the text names it and says why in one line."""
-
-
-@dataclass(frozen=True, eq=False)
-class Piece:
-    """Successive frames of one episode without a gap.
-
-    Attributes
-    ----------
-    ticks
-        (f,) int64, each one more than the last.
-    features
-        (f, m) float32, raw feature vectors.
-    atoms
-        (f,) int8, index in ``schemas.base.ATOMS`` of the movement between frame k and frame k + 1.
-    at_goal
-        Whether the last frame is the one with which the episode ended, victim found.
-    """
-
-    ticks: NDArray[np.int64]
-    features: NDArray[np.float32]
-    atoms: NDArray[np.int8]
-    at_goal: bool
-
-
-@dataclass(eq=False)
-class RecordedEpisode:
-    """One episode, everything by tick.
-
-    Attributes
-    ----------
-    robot, episode, world, seed, purpose, driver
-        As in the episode's events.
-    outcome, end_tick
-        None if the end was not recorded.
-    features
-        Raw feature vectors that were recorded with the wanted fingerprint.
-    images
-        Recorded images (for ``encoding.decode_image``) of the ticks without such a vector.
-    applied
-        What the actuator did from this tick to the next.
-    poses
-        True poses, for plots; learning must not use them.
-    """
-
-    robot: str
-    episode: str
-    world: str = ""
-    seed: int = 0
-    purpose: Purpose | None = None
-    driver: Source | None = None
-    outcome: Outcome | None = None
-    end_tick: int | None = None
-    features: dict[int, NDArray[np.float32]] = field(default_factory=dict)
-    images: dict[int, memoryview] = field(default_factory=dict)
-    applied: dict[int, CommandApplied] = field(default_factory=dict)
-    poses: dict[int, Pose] = field(default_factory=dict)
-
-    @property
-    def frames(self) -> int:
-        """How many frames were recorded."""
-        return len(self.features.keys() | self.images.keys())
-
-    def pieces(self) -> list[Piece]:
-        """Cut the episode wherever a frame's features, or what was done after it, are not known."""
-        known = sorted(tick for tick in self.features if tick in self.applied or self._is_goal(tick))
-        ticks = np.array(known, dtype=np.int64)
-        breaks = np.flatnonzero(np.diff(ticks) > 1) + 1
-        return [self._piece(run) for run in np.split(ticks, breaks) if run.size]
-
-    def _piece(self, ticks: NDArray[np.int64]) -> Piece:
-        features = np.stack([self.features[tick] for tick in ticks.tolist()])
-        atoms = np.array([self._atom(tick) for tick in ticks.tolist()], dtype=np.int8)
-        return Piece(ticks, features, atoms, at_goal=self._is_goal(int(ticks[-1])))
-
-    def _is_goal(self, tick: int) -> bool:
-        return self.outcome == "found" and tick == self.end_tick
-
-    def _atom(self, tick: int) -> int:
-        # With the victim found the robot stops. Any other end only says that nobody watched any more.
-        return _STOP if self._is_goal(tick) else ATOMS.index(self.applied[tick].atom)
 
 
 @dataclass(frozen=True, eq=False)
@@ -175,7 +91,7 @@ def _open(path: Path) -> memoryview:
         with path.open("rb") as file:
             data = view_of(file.fileno())
     except OSError as error:
-        raise RecordingError(f"{path}: {error.strerror}") from None
+        raise RecordingError(f"{path}: {error.strerror or error}") from None
     except ValueError:
         raise RecordingError(f"{path}: empty") from None
     if data[: len(MAGIC)] != MAGIC:
@@ -256,12 +172,3 @@ class _Reader:
     def _take_pose(self, record: RecordedEpisode, pose: Message) -> None:
         assert isinstance(pose, Pose)  # noqa: S101 - by the table of topics
         record.poses.setdefault(pose.tick, pose)
-
-
-def recordings_in(paths: list[Path]) -> Iterator[Path]:
-    """Yield the recordings among files and folders (of a folder: its ``*.mcap``, and those left unfinished)."""
-    for path in paths:
-        if path.is_dir():
-            yield from sorted(p for p in path.iterdir() if p.name.endswith((".mcap", f".mcap{PARTIAL_SUFFIX}")))
-        else:
-            yield path

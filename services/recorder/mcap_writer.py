@@ -7,7 +7,7 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any, Final, cast
 
-from mcap.writer import Writer
+from mcap.writer import CompressionType, Writer
 
 from schemas.base import Message
 from schemas.episode import Episode
@@ -25,8 +25,9 @@ GAPS_METADATA: Final = "smal.gaps"
 class EpisodeWriter:
     """Writes the messages of one episode.
 
-    The file is called ``<episode>.mcap.partial`` until it is sealed. It has no chunks: every message is whole in the
-    file when ``write`` returns.
+    The file is called ``<episode>.mcap.partial`` until it is sealed. Every message is a chunk of its own, uncompressed,
+    and whole in the file when ``write`` returns. Bigger chunks would be lost in a crash; without any, a viewer has no
+    index to seek by, and Foxglove refuses more than 1 GB.
 
     Parameters
     ----------
@@ -52,7 +53,7 @@ class EpisodeWriter:
         self._sink = Sink(partial_of(self.path))
         try:
             # The writer asks its output for no more than write, tell and flush.
-            self._writer = Writer(cast("Any", self._sink), use_chunking=False)
+            self._writer = Writer(cast("Any", self._sink), compression=CompressionType.NONE)
             self._writer.start(profile="", library=f"smal {_software()}")
             self._writer.add_metadata(EPISODE_METADATA, self._metadata | _description(started))
         except OSError:
@@ -80,6 +81,7 @@ class EpisodeWriter:
         payload = payload_of(message)
         try:
             self._writer.add_message(self._channel(message), message.stamp_ns, payload, message.stamp_ns, message.tick)
+            self._writer.flush()  # type: ignore[no-untyped-call]
         except OSError as error:
             self.problem = error.strerror or str(error)
             raise

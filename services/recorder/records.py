@@ -24,6 +24,9 @@ from zstandard import ZstdError
 MAGIC: Final = MCAP0_MAGIC
 _FRAME: Final = struct.Struct("<BQ")
 _MESSAGE: Final = struct.Struct("<HIQQ")
+#: A chunk: two times, size, checksum; length of the compression's name; with an empty name the length of the records.
+_COMPRESSION: Final = slice(28, 32)
+_UNCOMPRESSED_HEADER: Final = 40
 
 
 class Record(NamedTuple):
@@ -76,18 +79,25 @@ def records(data: memoryview, start: int = len(MAGIC)) -> Iterator[Record]:
 
 
 def flat_records(data: memoryview) -> Iterator[Record]:
-    """Yield the whole records, those inside chunks in place of their chunk.
-
-    Our own files have no chunks; files that were merged or filtered by other tools have.
-    """
+    """Yield the whole records, those inside chunks in place of their chunk."""
     for record in records(data):
         if record.opcode == Opcode.CHUNK:
-            yield from records(_unpack(record.body), start=0)
+            yield from records(chunk_content(record.body), start=0)
         else:
             yield record
 
 
-def _unpack(body: memoryview) -> memoryview:
+def chunk_content(body: memoryview) -> memoryview:
+    """Return the records in a chunk.
+
+    Raises
+    ------
+    McapError
+        When a compressed chunk cannot be unpacked.
+    """
+    if bytes(body[_COMPRESSION]) == b"\0\0\0\0":
+        # Not compressed, as in our own files: nothing is read or copied before it is wanted.
+        return body[_UNCOMPRESSED_HEADER:]
     try:
         stream, length = get_chunk_data_stream(Chunk.read(fields(body)), validate_crc=True)
         return memoryview(stream.read(length))

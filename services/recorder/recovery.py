@@ -12,9 +12,18 @@ from typing import Any, cast
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
 from mcap.records import Channel, Header, Metadata, Schema
-from mcap.writer import Writer
+from mcap.writer import CompressionType, Writer
 
-from services.recorder.records import MAGIC, fields, message_header, records, view_of
+from services.recorder.records import (
+    MAGIC,
+    Record,
+    chunk_content,
+    fields,
+    message_header,
+    message_payload,
+    records,
+    view_of,
+)
 from services.recorder.sink import PARTIAL_SUFFIX, free_path, lock, publish, write_all
 
 
@@ -69,98 +78,104 @@ def finish(descriptor: int) -> None:
     """Cut an unfinished file after its last whole record of the data section, append the summary, and sync.
 
     The summary comes from the same ``Writer`` that makes it in a normal close: everything in the file is told to it
-    again, while its output goes nowhere.
+    again, and what it writes must be what the file has, and goes on after the file's end.
 
     Raises
     ------
     RecoveryError
-        When the file was not written by this recorder.
+        When the file was not written by this recorder; it is left as it is.
     OSError
         When there is no room for the summary; the file then ends with its last whole record.
     """
-    sink = _ReplaySink(descriptor)
-    # The writer asks its output for no more than write, tell and flush.
-    writer = Writer(cast("Any", sink), use_chunking=False)
-    end = _replay(view_of(descriptor), writer, sink)
-    os.ftruncate(descriptor, end)
-    sink.begin(end)
+    data = view_of(descriptor)
+    if data[: len(MAGIC)] != MAGIC:
+        raise RecoveryError("not an MCAP file")
+    whole = [record for record in records(data) if record.opcode != Opcode.DATA_END]
+    if not whole:
+        raise RecoveryError("it ends before its first record")
     try:
+        tail = _tail(data, whole)
+    except RecoveryError:
+        # After a power failure the last record may have its length, but zeros in place of its end.
+        if len(whole) == 1:
+            raise
+        whole.pop()
+        tail = _tail(data, whole)
+    _append(descriptor, whole[-1].end, tail)
+
+
+def _tail(data: memoryview, whole: list[Record]) -> bytes:
+    """Return what has to follow these records to make a finished file."""
+    echo = _Echo(data[: whole[-1].end])
+    # The writer asks its output for no more than write, tell and flush.
+    writer = Writer(cast("Any", echo), compression=CompressionType.NONE)
+    try:
+        for record in whole:
+            _tell(writer, record.opcode, record.body)
         writer.finish()  # type: ignore[no-untyped-call]
+    except (McapError, ValueError, KeyError, struct.error) as error:
+        raise RecoveryError(f"not written by this recorder ({error})") from None
+    return bytes(echo.tail)
+
+
+def _append(descriptor: int, end: int, tail: bytes) -> None:
+    os.ftruncate(descriptor, end)
+    os.lseek(descriptor, end, os.SEEK_SET)
+    try:
+        write_all(descriptor, tail)
     except OSError:
         os.ftruncate(descriptor, end)
         raise
     os.fsync(descriptor)
 
 
-class _ReplaySink:
-    """Takes what the writer writes: nowhere at first, then to the end of the file."""
+class _Echo:
+    """Compares what the writer writes with what the file has, and keeps what comes after the file's end."""
 
-    def __init__(self, descriptor: int) -> None:
-        self.position = 0
-        self._descriptor = descriptor
-        self._live = False
-
-    def begin(self, position: int) -> None:
-        """Write from now on, from this position."""
-        os.lseek(self._descriptor, position, os.SEEK_SET)
-        self.position, self._live = position, True
+    def __init__(self, data: memoryview) -> None:
+        self._data = data
+        self._position = 0
+        self.tail = bytearray()
 
     def write(self, data: bytes) -> int:
-        if self._live:
-            write_all(self._descriptor, data)
-            self.position += len(data)
+        begin, self._position = self._position, self._position + len(data)
+        known = self._data[begin : self._position]
+        if known != data[: len(known)]:
+            raise ValueError(f"something else stands at byte {begin}")
+        self.tail += data[len(known) :]
         return len(data)
 
     def tell(self) -> int:
-        return self.position
+        return self._position
 
     def flush(self) -> None:
         """Do nothing: nothing is held back."""
 
 
-def _replay(data: memoryview, writer: Writer, sink: _ReplaySink) -> int:
-    """Tell the writer every whole record of the data section; return where the last one ends."""
-    if data[: len(MAGIC)] != MAGIC:
-        raise RecoveryError("not an MCAP file")
-    end = len(MAGIC)
-    try:
-        for record in records(data):
-            if record.opcode == Opcode.DATA_END:
-                break
-            sink.position = record.offset
-            _tell(writer, record.opcode, record.body)
-            end = record.end
-    except (McapError, ValueError, KeyError, struct.error) as error:
-        raise RecoveryError(f"not written by this recorder ({error})") from None
-    if end == len(MAGIC):
-        raise RecoveryError("it ends before its first record")
-    return end
-
-
 def _tell(writer: Writer, opcode: int, body: memoryview) -> None:
+    """Tell the writer one record; it numbers schemas and channels as it did before."""
     match opcode:
         case Opcode.HEADER:
             header = Header.read(fields(body))
             writer.start(header.profile, header.library)
-        case Opcode.SCHEMA:
-            schema = Schema.read(fields(body))
-            _expect(writer.register_schema(schema.name, schema.encoding, schema.data), schema.id)
-        case Opcode.CHANNEL:
-            channel = Channel.read(fields(body))
-            number = writer.register_channel(
-                channel.topic, channel.message_encoding, channel.schema_id, channel.metadata
-            )
-            _expect(number, channel.id)
-        case Opcode.MESSAGE:
-            message = message_header(body)
-            writer.add_message(message.channel_id, message.log_time, b"", message.publish_time, message.sequence)
         case Opcode.METADATA:
             metadata = Metadata.read(fields(body))
             writer.add_metadata(metadata.name, metadata.metadata)
+        case Opcode.CHUNK:
+            for record in records(chunk_content(body), start=0):
+                _tell(writer, record.opcode, record.body)
+            writer.flush()  # type: ignore[no-untyped-call]
+        case Opcode.SCHEMA:
+            schema = Schema.read(fields(body))
+            writer.register_schema(schema.name, schema.encoding, schema.data)
+        case Opcode.CHANNEL:
+            channel = Channel.read(fields(body))
+            writer.register_channel(channel.topic, channel.message_encoding, channel.schema_id, channel.metadata)
+        case Opcode.MESSAGE:
+            message, payload = message_header(body), bytes(message_payload(body))
+            writer.add_message(message.channel_id, message.log_time, payload, message.publish_time, message.sequence)
+        case Opcode.MESSAGE_INDEX:
+            # The writer makes it of the chunk before.
+            pass
         case _:
             raise ValueError(f"a record of kind {opcode}")
-
-
-def _expect(number: int, expected: int) -> None:
-    if number != expected:
-        raise ValueError(f"record number {expected} where {number} follows")

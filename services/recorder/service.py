@@ -11,7 +11,6 @@ from typing import Final, Self
 
 from schemas.base import Message
 from schemas.episode import Episode
-from schemas.image import Image
 from schemas.rpc import Nothing, RecordReply, RecordRequest
 from schemas.topics import CAMERA, OBSERVATION, TOPICS
 from services.process import Detail, Node, ServiceError
@@ -26,9 +25,8 @@ QUEUE: Final = 1024
 QUIET_S: Final = 0.2
 GRACE_S: Final = 1.0
 SEAL_PERIOD_S: Final = 0.05
-#: Messages kept of an episode whose beginning has not arrived yet: commands travel in a session of their own. (Images
-#: travel behind the event that begins the episode.)
-EARLY_QUEUE: Final = 256
+#: Messages kept of an episode whose beginning has not arrived yet: order holds within a topic, not between topics.
+EARLY_QUEUE: Final = 128
 
 
 @dataclass(frozen=True)
@@ -148,7 +146,7 @@ class RecorderService:
                 elif leftover.path is not None:
                     self._node.log.info("recovered %s, left by a recorder that was killed", leftover.path)
         except OSError as error:
-            raise ServiceError(f"cannot record in {folder}: {error.strerror}") from None
+            raise ServiceError(f"cannot record in {folder}: {error.strerror or error}") from None
         self._folder = folder.resolve()
         self._files, self._lost = [], 0
         self._dropped_before = self._dropped_by_node()
@@ -169,14 +167,16 @@ class RecorderService:
 
     def handle(self, message: Message) -> None:
         """Record one message."""
-        if isinstance(message, Episode) and message.event == "started" and message.episode not in self._open:
-            self._begin(message)
+        if isinstance(message, Episode) and message.event == "started" and self._folder is not None:
+            self._begin(message, self._folder)
         recording = self._open.get(message.episode)
         if recording is None:
-            if self._folder is not None and not isinstance(message, Image):
+            if self._folder is not None:
                 self._early.append(message)
             return
         self._write(recording, message)
+        if isinstance(message, Episode) and message.event == "started":
+            self._write_early(recording, message.episode)
         if isinstance(message, Episode) and message.event == "ended":
             recording.end_tick = message.tick
             recording.closing_s = self._clock()
@@ -187,22 +187,26 @@ class RecorderService:
         for episode in [episode for episode, recording in self._open.items() if recording.complete(now_s)]:
             self._seal(episode)
 
-    def _begin(self, started: Episode) -> None:
-        if self._folder is None:
+    def _begin(self, started: Episode, folder: Path) -> None:
+        if started.episode in self._open:
             return
         # A robot runs one episode at a time: a new one means that the end of the last did not reach us.
         self._close_all()
         writer = None
         try:
-            writer = EpisodeWriter(self._folder, started)
+            writer = EpisodeWriter(folder, started)
         except OSError as error:
-            self._complain(f"cannot record episode {started.episode}: {error.strerror}")
-        recording = self._open[started.episode] = _Recording(writer, self._clock())
-        self._write(recording, started)
-        for message in self._early:
-            if message.episode == started.episode:
-                self._write(recording, message)
+            self._complain(f"cannot record episode {started.episode}: {error.strerror or error}")
+        self._open[started.episode] = _Recording(writer, self._clock())
+
+    def _write_early(self, recording: _Recording, episode: str) -> None:
+        held = list(self._early)
         self._early.clear()
+        for message in held:
+            if message.episode == episode:
+                self._write(recording, message)
+            else:
+                self._early.append(message)
 
     def _write(self, recording: _Recording, message: Message) -> None:
         recording.touched_s = self._clock()
@@ -213,7 +217,7 @@ class RecorderService:
             recording.writer.write(message)
         except OSError as error:
             self._lost += 1
-            self._complain(f"cannot go on recording {recording.writer.path}: {error.strerror}")
+            self._complain(f"cannot go on recording {recording.writer.path}: {error.strerror or error}")
             self._finish(recording)
 
     def _close_all(self) -> None:

@@ -1,0 +1,151 @@
+"""``smal learn``: recordings in, a model out."""
+
+from __future__ import annotations
+
+import json
+import sys
+import time
+from dataclasses import asdict
+from pathlib import Path
+from typing import Annotated, NoReturn
+
+import typer
+from tqdm import tqdm
+
+from services.commands.errors import JobError, UsageError
+from services.commands.teaching import Teacher, Teaching, find_recordings
+from smal.learning import LearningReport, LearningSettings
+from smal.learning import learn as learn_model
+from smal.model import Model
+
+
+def learn(
+    recordings: Annotated[list[Path], typer.Argument(help="Recordings (MCAP), or folders of them.")],
+    out: Annotated[Path, typer.Option(help="Where to write the model.")],
+    length: Annotated[int | None, typer.Option(min=1, help="Frames of a sequence, l. [default: 5]")] = None,
+    lambda1: Annotated[float | None, typer.Option(help="Of Eq. 7. [default: 0.1 sqrt(l)]")] = None,
+    lambda2: Annotated[float | None, typer.Option(help="Of Eq. 7. [default: 0.1 sqrt(l)]")] = None,
+    tau: Annotated[
+        float | None,
+        typer.Option(help="Use the paper's test for new states (Eq. 8), with this threshold for each query frame."),
+    ] = None,
+    gamma: Annotated[float | None, typer.Option(help="Discount factor. [default: 0.95]")] = None,
+    include_runs: Annotated[
+        bool, typer.Option(help="Learn also from runs in which the robot found the victim.")
+    ] = False,
+    json_file: Annotated[Path | None, typer.Option("--json", help="Write the report as JSON.")] = None,
+) -> None:
+    """Learn states, actions, transitions, reward and policy from recorded drives.
+
+    Drives that reached the victim teach (by the scripted expert or by hand), and so do recovery drives; drives that
+    did not reach it, collisions, and the robot's own runs do not. What is left out of a recording is said on standard
+    error. Only camera and applied commands are used, never poses.
+
+    Example: smal learn drives --out campus.smal --length 5
+    """
+    began_s = time.perf_counter()
+    settings = _settings(length, lambda1, lambda2, tau, gamma)
+    if out.is_dir():
+        raise UsageError(f"--out {out}: is a folder; give the name of a file, for example {out / 'model.smal'}")
+    teaching = _read(recordings, settings, include_runs)
+    model, report = _learn(teaching, settings)
+    try:
+        out.parent.mkdir(parents=True, exist_ok=True)
+        model.save(out)
+        if json_file is not None:
+            json_file.write_text(json.dumps(_as_json(teaching, settings, report, out), indent=2) + "\n")
+    except OSError as error:
+        raise JobError(f"cannot write {error.filename or out}: {error.strerror}") from None
+    typer.echo(_as_text(teaching, report, out, time.perf_counter() - began_s))
+
+
+def _settings(
+    length: int | None, lambda1: float | None, lambda2: float | None, tau: float | None, gamma: float | None
+) -> LearningSettings:
+    given: dict[str, object] = {"sequence_length": length, "lambda1": lambda1, "lambda2": lambda2, "gamma": gamma}
+    chosen = {name: value for name, value in given.items() if value is not None}
+    if tau is not None:
+        chosen |= {"novelty": "weight", "novelty_parameters": {"tau": tau}}
+    try:
+        return LearningSettings(**chosen)  # type: ignore[arg-type]  # checked by LearningSettings
+    except ValueError as error:
+        raise UsageError(str(error)) from None
+
+
+def _read(paths: list[Path], settings: LearningSettings, include_runs: bool) -> Teaching:
+    try:
+        files = find_recordings(paths)
+    except OSError as error:
+        raise UsageError(str(error)) from None
+    teacher = Teacher(settings.features, settings.sequence_length, include_runs=include_runs)
+    for path in tqdm(files, desc="reading", unit="file", dynamic_ncols=True):
+        teacher.read(path)
+    teaching = teacher.teaching
+    if not teaching.demonstrations and len(teaching.remarks) == 1:
+        raise JobError(teaching.remarks[0])
+    for remark in teaching.remarks:
+        sys.stderr.write(f"smal: {remark}\n")
+    if not teaching.demonstrations:
+        raise JobError(f"nothing to learn from in {len(files)} recordings, for the reasons above")
+    return teaching
+
+
+class _StageBar:
+    """A progress bar that begins anew with every stage."""
+
+    def __init__(self) -> None:
+        self._bar: tqdm[NoReturn] | None = None
+        self._stage = ""
+
+    def __call__(self, stage: str, done: int, total: int) -> None:
+        bar = self._bar
+        if bar is None or stage != self._stage:
+            self.close()
+            bar = tqdm(desc=stage, dynamic_ncols=True)
+            self._stage, self._bar = stage, bar
+        bar.total = total
+        bar.update(done - bar.n)
+
+    def close(self) -> None:
+        if self._bar is not None:
+            self._bar.close()
+
+
+def _learn(teaching: Teaching, settings: LearningSettings) -> tuple[Model, LearningReport]:
+    bar = _StageBar()
+    try:
+        return learn_model(teaching.demonstrations, settings, bar)
+    except ValueError as error:
+        raise JobError(f"cannot learn from these recordings: {error}") from None
+    finally:
+        bar.close()
+
+
+def _as_text(teaching: Teaching, report: LearningReport, out: Path, seconds: float) -> str:
+    rows = {
+        "recordings": f"{teaching.recordings} ({teaching.episodes} episodes used)",
+        "frames": report.frames,
+        "states": report.states,
+        "shared states": f"{report.shared_states} (seen in at least two demonstrations)",
+        "actions": report.actions,
+        "goal states": report.goals,
+        "seconds": f"{seconds:.1f}",
+        "model": out,
+    }
+    return "\n".join(f"{name:14}{value}" for name, value in rows.items())
+
+
+def _as_json(teaching: Teaching, settings: LearningSettings, report: LearningReport, out: Path) -> dict[str, object]:
+    lambda1, lambda2 = settings.lambdas
+    return {
+        "model": str(out),
+        "recordings": teaching.recordings,
+        "episodes": teaching.episodes,
+        "remarks": teaching.remarks,
+        "length": settings.sequence_length,
+        "lambda1": lambda1,
+        "lambda2": lambda2,
+        "gamma": settings.gamma,
+        "novelty": settings.novelty,
+        **asdict(report),
+    }

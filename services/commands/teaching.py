@@ -1,0 +1,178 @@
+"""From recordings to demonstrations: which episodes teach, and what of them.
+
+Only what the robot's camera saw and what its actuator did is used, never a pose.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterable
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from schemas.base import ATOMS
+from services.recorder.encoding import decode_image
+from services.recorder.mcap_reader import RecordingError, read_recording
+from services.recorder.recorded import Piece, RecordedEpisode
+from smal.action_space import Atom
+from smal.features import FeatureSettings, extract
+from smal.learning import Demonstration
+
+#: The library's number of each movement, by its place in ``ATOMS``.
+_NUMBERS: Final = np.array([Atom[name.upper()] for name in ATOMS], dtype=np.int8)
+
+
+@dataclass
+class Teaching:
+    """What a set of recordings teaches.
+
+    Attributes
+    ----------
+    demonstrations
+        One for each piece without gaps of each usable episode.
+    recordings
+        Files that were read.
+    episodes
+        Episodes that are used.
+    remarks
+        One line for everything that is left out, damaged or computed anew.
+    """
+
+    demonstrations: list[Demonstration] = field(default_factory=list)
+    recordings: int = 0
+    episodes: int = 0
+    remarks: list[str] = field(default_factory=list)
+
+
+class Teacher:
+    """Collects the demonstrations of one recording after the other.
+
+    Parameters
+    ----------
+    features
+        Which feature vectors; frames that were recorded without them have them computed from their image.
+    shortest
+        Frames that a piece needs in order to teach anything: one sequence.
+    include_runs
+        Whether successful runs of the robot by itself teach too.
+    """
+
+    def __init__(self, features: FeatureSettings, shortest: int, *, include_runs: bool = False) -> None:
+        self.teaching = Teaching()
+        self._features = features
+        self._shortest = shortest
+        self._include_runs = include_runs
+        self._seen: dict[tuple[str, str], Path] = {}
+
+    def read(self, path: Path) -> None:
+        """Take what a file teaches; what it lacks becomes a remark, never an exception."""
+        try:
+            recording = read_recording(path, self._features.fingerprint)
+        except RecordingError as error:
+            self._remark(str(error))
+            return
+        self.teaching.recordings += 1
+        if recording.truncated:
+            frames = sum(episode.frames for episode in recording.episodes)
+            self._remark(f"{path}: truncated; the {frames} whole frames are read")
+        if recording.bad:
+            self._remark(f"{path}: {recording.bad} malformed messages are left out")
+        for episode in recording.episodes:
+            self._take(path, episode)
+
+    def _take(self, path: Path, episode: RecordedEpisode) -> None:
+        other = self._seen.setdefault((episode.robot, episode.episode), path)
+        reason = f"it is in {other} too" if other != path else unusable(episode, include_runs=self._include_runs)
+        if reason is not None:
+            self._remark(f"{path}: episode {episode.episode} is left out: {reason}")
+            return
+        computed = complete(episode, self._features)
+        if computed:
+            self._remark(f"{path}: the features of {computed} frames were computed from their images")
+        pieces = [piece for piece in episode.pieces() if piece.ticks.size >= self._shortest]
+        if not pieces:
+            self._remark(f"{path}: episode {episode.episode} is left out: no {self._shortest} successive frames")
+            return
+        self.teaching.episodes += 1
+        self.teaching.demonstrations.extend(_demonstration(episode, piece, len(pieces) == 1) for piece in pieces)
+
+    def _remark(self, text: str) -> None:
+        self.teaching.remarks.append(text)
+
+
+def unusable(episode: RecordedEpisode, *, include_runs: bool) -> str | None:
+    """Say why an episode must not teach, or None.
+
+    An episode whose end was not recorded teaches the way, but no goal.
+    """
+    if episode.purpose == "run" and not (include_runs and episode.outcome == "found"):
+        return "the robot drove by itself (--include-runs takes such runs if they found the victim)"
+    if episode.outcome == "collision":
+        return "it ended in a collision"
+    if episode.purpose == "drive" and episode.outcome in ("timeout", "aborted"):
+        return f"it did not reach the victim ({episode.outcome})"
+    return None
+
+
+def complete(episode: RecordedEpisode, settings: FeatureSettings) -> int:
+    """Compute the features that were not recorded, or were recorded by another version, from the images.
+
+    Returns
+    -------
+    int
+        How many were computed. A frame whose image is damaged stays without.
+    """
+    for tick in [tick for tick, vector in episode.features.items() if vector.shape != (settings.size,)]:
+        del episode.features[tick]
+    if not episode.images:
+        return 0
+
+    def compute(tick: int) -> NDArray[np.float32] | None:
+        try:
+            return extract(decode_image(bytes(episode.images[tick])), settings)
+        except ValueError:
+            return None
+
+    # OpenCV lets go of the interpreter's lock, so threads use every core.
+    with ThreadPoolExecutor(os.cpu_count()) as pool:
+        vectors = dict(zip(episode.images, pool.map(compute, episode.images), strict=True))
+    computed = {tick: vector for tick, vector in vectors.items() if vector is not None}
+    episode.features.update(computed)
+    return len(computed)
+
+
+def _demonstration(episode: RecordedEpisode, piece: Piece, whole: bool) -> Demonstration:
+    span = "" if whole else f"[{piece.ticks[0]}-{piece.ticks[-1]}]"
+    return Demonstration(
+        name=episode.episode + span,
+        features=piece.features,
+        atoms=_NUMBERS[piece.atoms],
+        successful=piece.at_goal,
+        recovery=episode.purpose == "recovery",
+    )
+
+
+def find_recordings(paths: Iterable[Path]) -> list[Path]:
+    """Return the recordings among files and folders; of a folder those in it, also unfinished ones.
+
+    Raises
+    ------
+    FileNotFoundError
+        For a path that is not there, or a folder without a recording; its text says so in one line.
+    """
+    found: list[Path] = []
+    for path in paths:
+        if not path.exists():
+            raise FileNotFoundError(f"{path}: no such file or folder")
+        here = [path]
+        if path.is_dir():
+            here = sorted(p for p in path.iterdir() if p.name.endswith((".mcap", ".mcap.partial")))
+            if not here:
+                raise FileNotFoundError(f"{path}: no recording (*.mcap) in this folder")
+        found.extend(p for p in here if p not in found)
+    return found

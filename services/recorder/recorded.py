@@ -1,0 +1,96 @@
+"""A recorded episode, and the pieces of it that have no gap."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from schemas.base import ATOMS, Source
+from schemas.command import CommandApplied
+from schemas.episode import Outcome, Purpose
+from schemas.pose import Pose
+
+_STOP: Final = ATOMS.index("stop")
+
+
+@dataclass(frozen=True, eq=False)
+class Piece:
+    """Successive frames of one episode without a gap.
+
+    Attributes
+    ----------
+    ticks
+        (f,) int64, each one more than the last.
+    features
+        (f, m) float32, raw feature vectors.
+    atoms
+        (f,) int8, index in ``schemas.base.ATOMS`` of the movement between frame k and frame k + 1.
+    at_goal
+        Whether the last frame is the one with which the episode ended, victim found.
+    """
+
+    ticks: NDArray[np.int64]
+    features: NDArray[np.float32]
+    atoms: NDArray[np.int8]
+    at_goal: bool
+
+
+@dataclass(eq=False)
+class RecordedEpisode:
+    """One episode, everything by tick.
+
+    Attributes
+    ----------
+    robot, episode, world, seed, purpose, driver
+        As in the episode's events.
+    outcome, end_tick
+        None if the end was not recorded.
+    features
+        Raw feature vectors that were recorded with the wanted fingerprint.
+    images
+        Recorded images (for ``encoding.decode_image``) of the ticks without such a vector.
+    applied
+        What the actuator did from this tick to the next.
+    poses
+        True poses, for plots; learning must not use them.
+    """
+
+    robot: str
+    episode: str
+    world: str = ""
+    seed: int = 0
+    purpose: Purpose | None = None
+    driver: Source | None = None
+    outcome: Outcome | None = None
+    end_tick: int | None = None
+    features: dict[int, NDArray[np.float32]] = field(default_factory=dict)
+    images: dict[int, memoryview] = field(default_factory=dict)
+    applied: dict[int, CommandApplied] = field(default_factory=dict)
+    poses: dict[int, Pose] = field(default_factory=dict)
+
+    @property
+    def frames(self) -> int:
+        """How many frames were recorded."""
+        return len(self.features.keys() | self.images.keys())
+
+    def pieces(self) -> list[Piece]:
+        """Cut the episode wherever a frame's features, or what was done after it, are not known."""
+        known = sorted(tick for tick in self.features if tick in self.applied or self._is_goal(tick))
+        ticks = np.array(known, dtype=np.int64)
+        breaks = np.flatnonzero(np.diff(ticks) > 1) + 1
+        return [self._piece(run) for run in np.split(ticks, breaks) if run.size]
+
+    def _piece(self, ticks: NDArray[np.int64]) -> Piece:
+        features = np.stack([self.features[tick] for tick in ticks.tolist()])
+        atoms = np.array([self._atom(tick) for tick in ticks.tolist()], dtype=np.int8)
+        return Piece(ticks, features, atoms, at_goal=self._is_goal(int(ticks[-1])))
+
+    def _is_goal(self, tick: int) -> bool:
+        return self.outcome == "found" and tick == self.end_tick
+
+    def _atom(self, tick: int) -> int:
+        # With the victim found the robot stops. Any other end only says that nobody watched any more.
+        return _STOP if self._is_goal(tick) else ATOMS.index(self.applied[tick].atom)

@@ -1,0 +1,21 @@
+"""Settings of teleoperation."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+from pydantic import Field
+
+from services.process import ServiceSettings
+from services.teleop.keys import FIRST_HOLD_S, REPEAT_HOLD_S
+
+
+class TeleopSettings(ServiceSettings):
+    """Which episodes to drive, and how the keyboard repeats."""
+
+    seed: Annotated[int | None, Field(ge=0, lt=2**63 - 1_000_000)] = None
+    """Seed of the first episode, the next ones count up; drawn at random if not given."""
+    first_hold_s: Annotated[float, Field(gt=0, le=2)] = FIRST_HOLD_S
+    """How long the first press of a key counts as held; at least the keyboard's delay before it repeats."""
+    repeat_hold_s: Annotated[float, Field(gt=0, le=2)] = REPEAT_HOLD_S
+    """How long each repeat counts as held; at least the keyboard's interval between two."""

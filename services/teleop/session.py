@@ -1,0 +1,151 @@
+"""One session at the keyboard: the terminal on one side, the robot on the other."""
+
+from __future__ import annotations
+
+import secrets
+import threading
+import time
+from collections.abc import Callable
+from queue import Empty, SimpleQueue
+from typing import Final
+
+from schemas import topics
+from schemas.command import CommandApplied
+from schemas.episode import Episode
+from schemas.rpc import EndRequest, Nothing, ResetReply, ResetRequest
+from services.bus import RpcError
+from services.process import Node
+from services.teleop.config import TeleopSettings
+from services.teleop.keys import Key, KeyHold, KeyParser
+from services.teleop.service import TeleopService
+from services.teleop.status import Status
+from services.teleop.terminal import Terminal, open_terminal
+
+#: How often keys are read, releases noticed and the status line drawn.
+POLL_S: Final = 0.02
+CONNECT_S: Final = 3.0
+#: The simulator's first frame takes seconds.
+RESET_S: Final = 60.0
+END_S: Final = 5.0
+HELP: Final = "arrows or w a s d: drive (hold)   space: stop   e: EMERGENCY STOP   n: new episode   q: quit"
+
+
+def run(settings: TeleopSettings) -> None:
+    """Drive until the operator quits or the process is told to stop."""
+    with Node("teleop", settings, CONNECT_S) as node, open_terminal() as terminal:
+        node.stop_on_signals()
+        session = TeleopSession(node, terminal, settings)
+        terminal.say(HELP)
+        node.spin()
+        session.finish()
+
+
+class TeleopSession:
+    """Wires keys, commands and status line to a node; everything happens on the node's thread.
+
+    Parameters
+    ----------
+    node
+        Where to publish.
+    terminal
+        Where the operator sits.
+    settings
+        Seed and timing of keys.
+    clock
+        Monotonic seconds.
+    """
+
+    def __init__(
+        self,
+        node: Node,
+        terminal: Terminal,
+        settings: TeleopSettings,
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self._node = node
+        self._terminal = terminal
+        self._parser = KeyParser()
+        self._service = TeleopService(KeyHold(clock, settings.first_hold_s, settings.repeat_hold_s))
+        self._status = Status(clock)
+        self._seed = secrets.randbelow(2**31) if settings.seed is None else settings.seed
+        self._mine: str | None = None
+        self._resetting: threading.Thread | None = None
+        self._replies: SimpleQueue[ResetReply | RpcError] = SimpleQueue()
+        node.subscribe(topics.APPLIED, self.on_applied)
+        node.subscribe(topics.EPISODE, self.on_event)
+        node.every(POLL_S, self.poll)
+
+    def on_applied(self, applied: CommandApplied) -> None:
+        """Answer the robot's heartbeat."""
+        self._node.publish(self._service.handle(applied))
+        self._status.on_applied(applied)
+
+    def on_event(self, event: Episode) -> None:
+        """Follow the episode."""
+        self._service.on_event(event)
+        self._terminal.say(self._status.on_event(event))
+        if event.event == "ended" and event.episode == self._mine:
+            self._mine = None
+
+    def poll(self) -> None:
+        """Read the keys, notice releases and replies, and draw the status line."""
+        typed = self._terminal.read()
+        if typed is None:
+            self._node.stop()
+            return
+        for key in self._parser.feed(typed):
+            self._press(key)
+        self._node.publish(self._service.poll())
+        self._take_reply()
+        self._terminal.show(self._status.line(self._service.held, self._service.emergency))
+
+    def finish(self) -> None:
+        """Stop the robot, and end the episode that was begun here, so that its recording is complete."""
+        self._node.publish(self._service.release())
+        if self._resetting is not None:
+            self._resetting.join(END_S)
+            self._take_reply()
+        if self._mine is not None:
+            try:
+                self._node.bus.call("simulator", "end", EndRequest(episode=self._mine), Nothing, END_S)
+            except RpcError as error:
+                self._terminal.say(str(error))
+
+    def _press(self, key: Key) -> None:
+        if key == "quit":
+            self._node.stop()
+        elif key == "new_episode":
+            self._begin_episode()
+        elif key == "emergency_stop":
+            self._node.publish(self._service.stop_for_emergency())
+            self._terminal.say("EMERGENCY STOP until the next episode (n)")
+        else:
+            self._node.publish(self._service.press(key))
+
+    def _begin_episode(self) -> None:
+        """Ask the simulator in a thread of its own: an emergency stop must not wait for a slow reset."""
+        if self._resetting is not None:
+            return
+        request = ResetRequest(seed=self._seed, purpose="drive", driver="teleop", mode="realtime")
+        self._seed += 1
+
+        def reset() -> None:
+            try:
+                self._replies.put(self._node.bus.call("simulator", "reset", request, ResetReply, RESET_S))
+            except RpcError as error:
+                self._replies.put(error)
+
+        self._terminal.say(f"new episode, seed {request.seed} ...")
+        self._resetting = threading.Thread(target=reset, name="reset", daemon=True)
+        self._resetting.start()
+
+    def _take_reply(self) -> None:
+        try:
+            reply = self._replies.get_nowait()
+        except Empty:
+            return
+        self._resetting = None
+        if isinstance(reply, RpcError):
+            self._terminal.say(str(reply))
+        else:
+            self._mine = reply.episode

@@ -1,0 +1,66 @@
+"""What the operator is told: who drives, what the robot does, and how the episode goes."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Final
+
+from schemas.base import Atom
+from schemas.codec import printable
+from schemas.command import CommandApplied
+from schemas.episode import Episode
+
+#: The robot's heart beats ten times a second.
+SILENCE_S: Final = 1.0
+
+
+class Status:
+    """Keeps the last of what was heard.
+
+    Parameters
+    ----------
+    clock
+        Monotonic seconds.
+    """
+
+    def __init__(self, clock: Callable[[], float]) -> None:
+        self._clock = clock
+        self._applied: CommandApplied | None = None
+        self._heard_s = 0.0
+        self._last_ended: str | None = None
+        self._episode = "no episode; press n to begin one"
+
+    def on_applied(self, applied: CommandApplied) -> None:
+        """Take the robot's heartbeat."""
+        if applied.episode == self._last_ended:
+            return  # Overtaken by the news of the end: it came on another topic.
+        self._applied = applied
+        self._heard_s = self._clock()
+
+    def on_event(self, event: Episode) -> str:
+        """Take an episode's event; returns it in words."""
+        what = event.event.replace("_", " ") if event.outcome is None else f"ended: {event.outcome}"
+        self._episode = what if event.event != "started" else f"{event.driver} drives"
+        if event.event == "ended":
+            self._applied = None
+            self._last_ended = event.episode
+            self._episode = f"{what}; press n for the next one"
+        return f"frame {event.tick}: {what} ({event.purpose} in {printable(event.world)}, seed {event.seed})"
+
+    def line(self, held: Atom | None, emergency: bool) -> str:
+        """Return the status line."""
+        parts = [self._robot(), f"you: {held or '-'}", self._episode]
+        if emergency:
+            parts.insert(0, "EMERGENCY STOP")
+        return "  |  ".join(parts)
+
+    def _robot(self) -> str:
+        applied = self._applied
+        if applied is None:
+            return "robot: -"
+        silent_s = self._clock() - self._heard_s
+        if silent_s > SILENCE_S:
+            return f"NO SIGN OF THE ROBOT for {silent_s:.0f} s"
+        by = {"command": f"by {applied.source}", "silence": "nobody drives", "emergency_stop": "emergency stop"}
+        doing = f"{applied.atom} ({by[applied.reason]})"
+        return f"frame {applied.tick}  |  robot: {doing}  |  refused {applied.refused}"
