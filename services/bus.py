@@ -52,7 +52,7 @@ def _configuration(mode: str, where: str, endpoint: str) -> zenoh.Config:
         "transport/shared_memory/enabled": False,
         # A full-size frame is 40 fragments; a machine busy with rendering may not drain them within the default 50 ms.
         "transport/link/tx/queue/congestion_control/drop/max_wait_before_drop_fragments": 500_000,
-        # Nor is the default of 1 ms enough for a few commands in a row: a busy machine dropped 1 in 60 of them.
+        # Nor is the default of 1 ms enough for a few commands in a row: a busy machine dropped 1 in 100 of them.
         "transport/link/tx/queue/congestion_control/drop/wait_before_drop": 100_000,
     }
     if mode == "client":
@@ -193,8 +193,10 @@ class Bus:
         def on_sample(sample: zenoh.Sample) -> None:
             take(str(sample.key_expr), sample.payload.to_bytes(), str(sample.encoding))
 
+        # Not indirect: a thread of its own for each subscriber would lose the order between topics.
+        handler = zenoh.handlers.Callback(on_sample, indirect=False)
         try:
-            self._declared.append(self._sessions[urgent].declare_subscriber(keys, on_sample))
+            self._declared.append(self._sessions[urgent].declare_subscriber(keys, handler))
         except zenoh.ZError as error:
             raise BusError(str(error).partition(" at /")[0]) from None  # without the place in Zenoh's source
 

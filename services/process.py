@@ -240,13 +240,18 @@ class Node:
         """Whether the node was told to stop."""
         return self._stop.is_set()
 
+    def drain(self) -> None:
+        """Handle what had arrived before the node was stopped."""
+        while (item := self._inbox.take(0.0)) is not None:
+            self._handle(item)
+
     def stop(self) -> None:
         """Make ``spin`` return."""
         self._stop.set()
         self._inbox.wake()
 
     def stop_on_signals(self) -> None:
-        """Stop on SIGTERM and SIGINT."""
+        """Stop on SIGTERM and SIGINT, and on SIGHUP (the terminal was closed) unless started with ``nohup``."""
 
         def on_signal(number: int, _frame: FrameType | None) -> None:
             self.log.info("%s: stopping", signal.Signals(number).name)
@@ -254,8 +259,9 @@ class Node:
             self._stop.set()
             threading.Thread(target=self._inbox.wake, daemon=True).start()
 
-        for number in (signal.SIGTERM, signal.SIGINT):
-            signal.signal(number, on_signal)
+        for number in (signal.SIGTERM, signal.SIGINT, signal.SIGHUP):
+            if number != signal.SIGHUP or signal.getsignal(number) is not signal.SIG_IGN:
+                signal.signal(number, on_signal)
 
     def _handle(self, item: tuple[str, object] | None) -> None:
         try:

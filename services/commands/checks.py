@@ -47,7 +47,7 @@ def check_python(version: tuple[int, int] = sys.version_info[:2]) -> Check:
     return Check("python", False, f"Python {found}; use 3.11, 3.12 or 3.13: python3.13 -m venv .venv")
 
 
-def check_rendering(command: tuple[str, ...] = (sys.executable, "-m", "services.simulator.probe")) -> Check:
+def check_rendering(command: tuple[str, ...] = (sys.executable, "-m", "services.simulator.scene.probe")) -> Check:
     """Render a tiny frame in a process of its own, which a broken driver may crash."""
     try:
         done = subprocess.run(command, capture_output=True, text=True, timeout=RENDER_TIMEOUT_S, check=False)  # noqa: S603

@@ -9,8 +9,8 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from services.commands.episodes import EpisodeRecord
-from services.simulator.map_view import draw_map
 from services.simulator.world import load_world
+from services.simulator.world.map_view import draw_map
 
 OUTCOME_COLOURS: Final = {"found": "#1a7f37", "collision": "#c62828", "timeout": "#b26a00", "aborted": "#666666"}
 

@@ -16,6 +16,7 @@ def serve() -> None:
         recorder = RecorderService(node, settings.recordings)
         try:
             node.spin()
+            node.drain()
         finally:
             recorder.close()
 

@@ -7,9 +7,9 @@ import time
 from services.process import Node, ServiceError, configure_logging, read_settings, run_service
 from services.simulator.config import SimulatorSettings
 from services.simulator.episode import EpisodeRunner
+from services.simulator.scene.vulkan import RenderingUnavailableError
 from services.simulator.service import SimulatorService
 from services.simulator.simulation import CameraSettings, Simulation
-from services.simulator.vulkan import RenderingUnavailableError
 from services.simulator.world import WorldError, load_world
 
 

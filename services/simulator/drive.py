@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final, NamedTuple
 
-from services.simulator.terrain import Pose
+from services.simulator.world.terrain import Pose
 
 if TYPE_CHECKING:
     import numpy as np

@@ -8,17 +8,17 @@ from typing import TYPE_CHECKING, Final, Protocol
 
 import numpy as np
 
-from services.simulator.collision import obstacles_of
 from services.simulator.drive import Actuator, Drive, WheelSpeeds, move
-from services.simulator.route import plan_route
-from services.simulator.starts import sample_start
+from services.simulator.world.collision import obstacles_of
+from services.simulator.world.route import plan_route
+from services.simulator.world.starts import sample_start
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from schemas.base import Atom
     from schemas.episode import Purpose
-    from services.simulator.terrain import Pose, World
+    from services.simulator.world.terrain import Pose, World
 
 LONGEST_STEP_S: Final = 0.02
 # Halvings of a step that would collide: 2 m/s for 20 ms is 40 mm, a 64th of which is under a millimetre.
@@ -172,6 +172,6 @@ class Simulation:
 
 def _open(world: World, settings: CameraSettings) -> Camera:
     """Make the rendered camera; imported here since only this needs a renderer on the machine."""
-    from services.simulator.rendering import SceneCamera  # noqa: PLC0415
+    from services.simulator.scene.rendering import SceneCamera  # noqa: PLC0415
 
     return SceneCamera(world, settings)

@@ -185,7 +185,9 @@ def test_unaligned_is_the_scheme_of_the_paper(model: Model) -> None:
 def test_dead_end_finishes_the_drive_then_looks_around() -> None:
     elsewhere = corridor(20, seed=8, smooth=0.9)
     astray = drive(np.concatenate([elsewhere, VIEWS]), 0, seed=4, end=20)
-    model, report = learn([DRIVES[0], astray], LearningSettings(features=COLOR, novelty_parameters={"min_agreement": 0.6}))
+    model, report = learn(
+        [DRIVES[0], astray], LearningSettings(features=COLOR, novelty_parameters={"min_agreement": 0.6})
+    )
     assert report.dead_ends == 1
     state = int(model.state_streams[1][-1])
     maker = DecisionMaker(model)

@@ -32,7 +32,7 @@ def smal() -> Smal:
 
 @pytest.fixture(scope="session")
 def taught(smal: Smal, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder with recordings of a small world, and the model learned from them."""
+    """Make recordings of a small world, and a model learned from them; return their folder."""
     folder = tmp_path_factory.mktemp("taught")
     drives = smal(
         "demonstrate", "--world", "yard", "--episodes", 3, "--recoveries", 6, "--seed", 1,

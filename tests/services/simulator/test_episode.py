@@ -13,7 +13,7 @@ from schemas.image import Image
 from schemas.pose import Pose
 from schemas.rpc import ResetRequest
 from services.simulator.episode import GIVE_UP_S, RESEND_S, STEP_S, TICK_S, EpisodeRunner
-from services.simulator.terrain import Pose as PlanarPose
+from services.simulator.world.terrain import Pose as PlanarPose
 
 
 class Line:

@@ -10,8 +10,8 @@ import shapely
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from services.simulator.collision import ROBOT_RADIUS_M, Obstacles
 from services.simulator.world import load_world
+from services.simulator.world.collision import ROBOT_RADIUS_M, Obstacles
 
 CAMPUS = load_world("campus")
 OBSTACLES = Obstacles(CAMPUS)

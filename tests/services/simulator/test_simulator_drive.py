@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from schemas.base import ATOMS, Atom
 from services.simulator.drive import Actuator, Drive, WheelSpeeds, move, wheel_speeds
-from services.simulator.terrain import Pose
+from services.simulator.world.terrain import Pose
 
 speeds = st.floats(-3, 3)
 headings = st.floats(-math.pi, math.pi)

@@ -7,11 +7,11 @@ import math
 import numpy as np
 import pytest
 
-from services.simulator.rendering import SceneCamera
-from services.simulator.route import plan_route
+from services.simulator.scene.rendering import SceneCamera
 from services.simulator.simulation import CameraSettings, Simulation
-from services.simulator.terrain import Pose
 from services.simulator.world import load_world
+from services.simulator.world.route import plan_route
+from services.simulator.world.terrain import Pose
 from tests.services.simulator.simulator_driving import drive_to
 
 pytestmark = pytest.mark.rendering

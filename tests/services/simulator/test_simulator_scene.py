@@ -7,18 +7,18 @@ import pytest
 import shapely
 from numpy.typing import NDArray
 
-from services.simulator.bodies import victim
-from services.simulator.facades import paint_facade
-from services.simulator.ground import cast_shade, ground
-from services.simulator.meshes import Mesh, merge
-from services.simulator.noise import noise
-from services.simulator.plants import crowns
-from services.simulator.scene import SUN
-from services.simulator.shapes import ball, flat, hipped_roof, tube
-from services.simulator.structures import clad
-from services.simulator.terrain import Facade
-from services.simulator.textures import Material, paint
+from services.simulator.scene.bodies import victim
+from services.simulator.scene.build import SUN
+from services.simulator.scene.facades import paint_facade
+from services.simulator.scene.ground import cast_shade, ground
+from services.simulator.scene.meshes import Mesh, merge
+from services.simulator.scene.noise import noise
+from services.simulator.scene.plants import crowns
+from services.simulator.scene.shapes import ball, flat, hipped_roof, tube
+from services.simulator.scene.structures import clad
+from services.simulator.scene.textures import Material, paint
 from services.simulator.world import load_world
+from services.simulator.world.terrain import Facade
 
 CAMPUS = load_world("campus")
 MATERIALS = tuple(Material.__args__)  # type: ignore[attr-defined]

@@ -12,11 +12,11 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from schemas.base import ATOMS, Atom
-from services.simulator.collision import ROBOT_RADIUS_M, obstacles_of
 from services.simulator.drive import Drive
 from services.simulator.simulation import Sight, Simulation
-from services.simulator.terrain import Pose
 from services.simulator.world import load_world
+from services.simulator.world.collision import ROBOT_RADIUS_M, obstacles_of
+from services.simulator.world.terrain import Pose
 from tests.services.simulator.simulator_driving import drive_to
 
 YARD = load_world("yard")

@@ -10,11 +10,11 @@ import shapely
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from services.simulator.collision import ROBOT_RADIUS_M, obstacles_of
-from services.simulator.route import plan_route
-from services.simulator.starts import sample_start
-from services.simulator.terrain import Building, Facade, Pose, World, WorldError
 from services.simulator.world import load_world
+from services.simulator.world.collision import ROBOT_RADIUS_M, obstacles_of
+from services.simulator.world.route import plan_route
+from services.simulator.world.starts import sample_start
+from services.simulator.world.terrain import Building, Facade, Pose, World, WorldError
 
 WORLDS = {name: load_world(name) for name in ("campus", "yard")}
 worlds = st.sampled_from(sorted(WORLDS))

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from services.simulator.vulkan import RenderingUnavailableError, choose_driver
+from services.simulator.scene.vulkan import RenderingUnavailableError, choose_driver
 
 
 @pytest.fixture
@@ -58,7 +58,7 @@ def test_a_driver_that_cannot_render_gives_one_line_and_no_crash(tmp_path: Path)
     )
     program = (
         "from services.simulator.simulation import CameraSettings, Simulation\n"
-        "from services.simulator.vulkan import RenderingUnavailableError\n"
+        "from services.simulator.scene.vulkan import RenderingUnavailableError\n"
         "from services.simulator.world import load_world\n"
         "try:\n"
         "    Simulation(load_world('yard'), CameraSettings(64, 48))\n"

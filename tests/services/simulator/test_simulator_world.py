@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 import shapely
 
-from services.simulator import looks
-from services.simulator.collision import obstacles_of
-from services.simulator.osm import read_osm
-from services.simulator.route import plan_route, route_length_m
-from services.simulator.world import WORLDS_FOLDER, World, WorldError, load_world
+from services.simulator.world import World, WorldError, load_world, looks
+from services.simulator.world.collision import obstacles_of
+from services.simulator.world.loading import WORLDS_FOLDER
+from services.simulator.world.osm import read_osm
+from services.simulator.world.route import plan_route, route_length_m
 
 BROWN = Path(__file__).parents[4] / "shared" / "data" / "osm" / "brown_university_campus.osm"
 CAMPUS = (WORLDS_FOLDER / "campus.osm").read_text()

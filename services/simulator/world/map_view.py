@@ -13,7 +13,7 @@ from matplotlib.patches import Circle, Polygon
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-    from services.simulator.terrain import AreaKind, BarrierKind, RoadKind, World
+    from services.simulator.world.terrain import AreaKind, BarrierKind, RoadKind, World
 
 _GROUND: Final = "#e7ecdd"
 _AREA: Final[dict[AreaKind, str]] = {"grass": "#cfe3b8", "water": "#b5d3e8", "paved": "#dcdad5"}

@@ -9,23 +9,23 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 from shapely import Polygon
 
-from services.simulator import bodies
-from services.simulator.facades import paint_facade
-from services.simulator.ground import cast_shade, ground
-from services.simulator.meshes import Mesh, make, merge
-from services.simulator.plants import crowns, trees
-from services.simulator.shapes import ball
-from services.simulator.sky import BOTTOM_DEG, TOP_DEG, paint_sky
-from services.simulator.structures import barriers, clad, roofs
-from services.simulator.textures import paint
+from services.simulator.scene import bodies
+from services.simulator.scene.facades import paint_facade
+from services.simulator.scene.ground import cast_shade, ground
+from services.simulator.scene.meshes import Mesh, make, merge
+from services.simulator.scene.plants import crowns, trees
+from services.simulator.scene.shapes import ball
+from services.simulator.scene.sky import BOTTOM_DEG, TOP_DEG, paint_sky
+from services.simulator.scene.structures import barriers, clad, roofs
+from services.simulator.scene.textures import paint
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
 
     from numpy.typing import NDArray
 
-    from services.simulator.terrain import World
-    from services.simulator.textures import Material
+    from services.simulator.scene.textures import Material
+    from services.simulator.world.terrain import World
 
 #: Where the sunlight goes: from the south-west, half way up.
 SUN: Final = (0.55, 0.62, -0.72)

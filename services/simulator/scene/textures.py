@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Final, Literal
 import cv2
 import numpy as np
 
-from services.simulator.noise import as_picture, coloured, layered, noise
+from services.simulator.scene.noise import as_picture, coloured, layered, noise
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from services.simulator.noise import as_picture, layered, noise
+from services.simulator.scene.noise import as_picture, layered, noise
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

@@ -7,7 +7,7 @@ import zlib
 from collections.abc import Mapping
 from typing import Final
 
-from services.simulator.terrain import Facade, FacadeStyle, Rgb, RoofShape
+from services.simulator.world.terrain import Facade, FacadeStyle, Rgb, RoofShape
 
 Tags = Mapping[str, str]
 

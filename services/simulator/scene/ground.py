@@ -12,15 +12,15 @@ import shapely
 from shapely import Polygon, affinity
 from shapely.ops import substring
 
-from services.simulator.meshes import Mesh, merge
-from services.simulator.shapes import UP, flat
-from services.simulator.terrain import AreaKind, Road, Terrain
+from services.simulator.scene.meshes import Mesh, merge
+from services.simulator.scene.shapes import UP, flat
+from services.simulator.world.terrain import AreaKind, Road, Terrain
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
     from shapely.geometry.base import BaseGeometry
 
-    from services.simulator.textures import Material
+    from services.simulator.scene.textures import Material
 
 _KERB_M: Final = 0.15
 _SIDEWALK_M: Final = 2.0

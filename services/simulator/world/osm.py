@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import osmium
 
-from services.simulator.terrain import WorldError
+from services.simulator.world.terrain import WorldError
 
 if TYPE_CHECKING:
     from collections.abc import Mapping

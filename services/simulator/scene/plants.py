@@ -9,15 +9,15 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 from shapely import Point, Polygon
 
-from services.simulator.noise import noise
-from services.simulator.shapes import ball, tube
-from services.simulator.terrain import Tree, TreeKind
+from services.simulator.scene.noise import noise
+from services.simulator.scene.shapes import ball, tube
+from services.simulator.world.terrain import Tree, TreeKind
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
-    from services.simulator.meshes import Mesh
-    from services.simulator.textures import Material
+    from services.simulator.scene.meshes import Mesh
+    from services.simulator.scene.textures import Material
 
 #: Of each kind: radius of the crown and height of its lower end, as fractions of the tree's height.
 _CROWN: Final[dict[TreeKind, tuple[float, float]]] = {

@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 import shapely
 
-from services.simulator.collision import obstacles_of
-from services.simulator.route import RoutesTo, road_graph
-from services.simulator.terrain import Pose, Terrain, WorldError
+from services.simulator.world.collision import obstacles_of
+from services.simulator.world.route import RoutesTo, road_graph
+from services.simulator.world.terrain import Pose, Terrain, WorldError
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

@@ -6,11 +6,11 @@ from typing import TYPE_CHECKING, Final
 
 from shapely import box
 
-from services.simulator.shapes import ball, band, flat, tube
+from services.simulator.scene.shapes import ball, band, flat, tube
 
 if TYPE_CHECKING:
-    from services.simulator.meshes import Mesh
-    from services.simulator.textures import Material
+    from services.simulator.scene.meshes import Mesh
+    from services.simulator.scene.textures import Material
 
 #: Where the robot's camera is: metres ahead of the wheels' axis, and above the ground.
 CAMERA_AHEAD_M: Final = 0.35

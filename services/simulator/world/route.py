@@ -10,8 +10,8 @@ import shapely
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import dijkstra
 
-from services.simulator.collision import ROBOT_RADIUS_M, obstacles_of
-from services.simulator.terrain import Terrain, World, WorldError
+from services.simulator.world.collision import ROBOT_RADIUS_M, obstacles_of
+from services.simulator.world.terrain import Terrain, World, WorldError
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray

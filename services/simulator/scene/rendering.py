@@ -9,18 +9,18 @@ from typing import TYPE_CHECKING, Any, Final
 import cv2
 import numpy as np
 
-from services.simulator import vulkan
-from services.simulator.bodies import CAMERA_AHEAD_M, CAMERA_HEIGHT_M
-from services.simulator.scene import SUN, Surface, build_scene
+from services.simulator.scene import vulkan
+from services.simulator.scene.bodies import CAMERA_AHEAD_M, CAMERA_HEIGHT_M
+from services.simulator.scene.build import SUN, Surface, build_scene
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
     from numpy.typing import NDArray
 
-    from services.simulator.scene import Scene
+    from services.simulator.scene.build import Scene
     from services.simulator.simulation import CameraSettings
-    from services.simulator.terrain import Pose, World
+    from services.simulator.world.terrain import Pose, World
 
 _NEAR_M: Final = 0.1
 _FAR_M: Final = 2000.0

@@ -7,19 +7,19 @@ import re
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
-from services.simulator.collision import obstacles_of
-from services.simulator.osm import read_osm
-from services.simulator.roles import choose_roles
-from services.simulator.route import plan_route
-from services.simulator.tagging import terrain_from
-from services.simulator.terrain import Pose, Terrain, World, WorldError
+from services.simulator.world.collision import obstacles_of
+from services.simulator.world.osm import read_osm
+from services.simulator.world.roles import choose_roles
+from services.simulator.world.route import plan_route
+from services.simulator.world.tagging import terrain_from
+from services.simulator.world.terrain import Pose, Terrain, World, WorldError
 
 if TYPE_CHECKING:
-    from services.simulator.osm import OsmExtract
+    from services.simulator.world.osm import OsmExtract
 
 __all__ = ["WORLDS_FOLDER", "Pose", "Terrain", "World", "WorldError", "known_worlds", "load_world"]
 
-WORLDS_FOLDER: Final = Path(__file__).resolve().parents[2] / "deploy" / "worlds"
+WORLDS_FOLDER: Final = Path(__file__).resolve().parents[3] / "deploy" / "worlds"
 
 
 def known_worlds() -> list[str]:

@@ -1,4 +1,4 @@
-"""Render one tiny frame and say with what: ``python -m services.simulator.probe``.
+"""Render one tiny frame and say with what: ``python -m services.simulator.scene.probe``.
 
 A process of its own, because a broken graphics driver takes its process with it.
 """
@@ -9,7 +9,7 @@ import json
 import sys
 import time
 
-from services.simulator import vulkan
+from services.simulator.scene import vulkan
 
 _SOFTWARE_DRIVERS = ("llvmpipe", "lavapipe", "swiftshader")
 

@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING, Final
 
 from shapely import LineString, Polygon, box, make_valid
 
-from services.simulator import looks
-from services.simulator.terrain import (
+from services.simulator.world import looks
+from services.simulator.world.terrain import (
     Area,
     AreaKind,
     Barrier,
@@ -22,7 +22,7 @@ from services.simulator.terrain import (
 if TYPE_CHECKING:
     from shapely.geometry.base import BaseGeometry
 
-    from services.simulator.osm import OsmExtract, OsmNode, OsmWay
+    from services.simulator.world.osm import OsmExtract, OsmNode, OsmWay
 
     Thing = Building | Road | Area | Barrier
 

@@ -7,17 +7,17 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
-from services.simulator.facades import BAY_M, BAYS, STOREY_M, STOREYS
-from services.simulator.meshes import Mesh, merge
-from services.simulator.shapes import band, flat, hipped_roof, outline, walls
-from services.simulator.terrain import Barrier, BarrierKind, Building, Facade
+from services.simulator.scene.facades import BAY_M, BAYS, STOREY_M, STOREYS
+from services.simulator.scene.meshes import Mesh, merge
+from services.simulator.scene.shapes import band, flat, hipped_roof, outline, walls
+from services.simulator.world.terrain import Barrier, BarrierKind, Building, Facade
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
     from numpy.typing import NDArray
 
-    from services.simulator.textures import Material
+    from services.simulator.scene.textures import Material
 
 _OVERHANG_M: Final = 0.4
 _ROOF_SLOPE: Final = 0.6

@@ -10,12 +10,12 @@ from typing import TYPE_CHECKING, Final
 import cv2
 import numpy as np
 
-from services.simulator.noise import as_picture, coloured, layered
+from services.simulator.scene.noise import as_picture, coloured, layered
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from services.simulator.terrain import Facade, FacadeStyle, Rgb
+    from services.simulator.world.terrain import Facade, FacadeStyle, Rgb
 
 #: A picture shows this many bays side by side and, of the upper storeys, this many one above the other.
 BAYS: Final = 4

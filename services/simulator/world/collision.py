@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
     from shapely.geometry.base import BaseGeometry
 
-    from services.simulator.terrain import Terrain
+    from services.simulator.world.terrain import Terrain
 
 ROBOT_RADIUS_M: Final = 0.4
 

@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 import shapely
 
-from services.simulator.collision import obstacles_of
-from services.simulator.route import plan_route
-from services.simulator.terrain import Pose, World, WorldError
+from services.simulator.world.collision import obstacles_of
+from services.simulator.world.route import plan_route
+from services.simulator.world.terrain import Pose, World, WorldError
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 import shapely
 
-from services.simulator.meshes import Mesh, grid, make, merge, quads
+from services.simulator.scene.meshes import Mesh, grid, make, merge, quads
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray

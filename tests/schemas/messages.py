@@ -1,0 +1,182 @@
+"""Messages made up for the tests: one example of each, and strategies that make any.
+
+After a deliberate change of the wire: ``python -m tests.schemas.messages`` writes ``golden.json`` anew.
+"""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+from hypothesis import strategies as st
+
+from schemas.action import Action
+from schemas.array import Float32Array
+from schemas.base import ATOMS, MAX_TICK, SOURCES, Message
+from schemas.codec import encode, encoding_of
+from schemas.command import Command, CommandApplied
+from schemas.episode import Episode
+from schemas.image import Image
+from schemas.observation import Observation
+from schemas.pose import Pose
+from schemas.state import State
+from schemas.topics import TOPICS
+
+HEADER = {"robot": "rescuebot", "episode": "drive-7-18c0-1", "tick": 300, "stamp_ns": 1_700_000_000_000_000_000}
+
+#: One of each class; ``golden.json`` holds their bytes.
+EXAMPLES: dict[type[Message], Message] = {
+    Image: Image(**HEADER, width=2, height=1, data=bytes(range(6))),
+    Pose: Pose(**HEADER, x_m=12.5, y_m=-3.25, heading_rad=1.5),
+    Observation: Observation(
+        **HEADER,
+        fingerprint="0123456789abcdef",
+        features=Float32Array.from_numpy(np.array([0.5, -0.25, 1.0], np.float32)),
+    ),
+    State: State(
+        **HEADER,
+        status="recognized",
+        state=7,
+        phase=2.5,
+        score=0.75,
+        total_weight=0.875,
+        residual=0.5,
+        agreement=0.625,
+        duality_gap=1e-6,
+    ),
+    Action: Action(**HEADER, kind="action", state=7, atoms=("forward", "left", "stop")),
+    Command: Command(**HEADER, source="teleop", sequence=2, atom="forward", speed=0.5),
+    CommandApplied: CommandApplied(
+        **HEADER,
+        sequence=1,
+        atom="forward",
+        speed=0.5,
+        source="teleop",
+        reason="command",
+        latency_ns=12_000_000,
+        refused=3,
+    ),
+    Episode: Episode(
+        **HEADER, event="ended", purpose="drive", driver="teleop", world="campus", seed=7, outcome="found"
+    ),
+}
+CLASSES = list(EXAMPLES)
+assert set(CLASSES) == {topic.message for topic in TOPICS.values()}, "every message has an example"
+
+GOLDEN = Path(__file__).parent / "golden.json"
+
+_large = st.floats(0, 1e9)
+_header = {
+    "robot": st.from_regex(r"[a-z0-9][a-z0-9_-]{0,31}", fullmatch=True),
+    "episode": st.from_regex(r"[a-z0-9][a-z0-9_-]{0,63}", fullmatch=True),
+    "tick": st.integers(0, MAX_TICK),
+    "stamp_ns": st.integers(0, 2**63 - 1),
+}
+_floats32 = st.lists(st.floats(width=32, allow_nan=False, allow_infinity=False), max_size=20)
+_arrays = _floats32.map(lambda values: Float32Array.from_numpy(np.array(values, np.float32)))
+_sizes = st.tuples(st.integers(1, 8), st.integers(1, 8))
+_images = _sizes.flatmap(
+    lambda size: st.fixed_dictionaries(
+        {
+            **_header,
+            "width": st.just(size[0]),
+            "height": st.just(size[1]),
+            "data": st.binary(min_size=3 * size[0] * size[1], max_size=3 * size[0] * size[1]),
+        }
+    )
+)
+_state = st.fixed_dictionaries(
+    {
+        **_header,
+        "score": _large,
+        "total_weight": _large,
+        "residual": st.floats(0, 1),
+        "agreement": st.floats(-1, 1),
+        "duality_gap": _large,
+    }
+)
+_status = st.one_of(
+    st.fixed_dictionaries(
+        {"status": st.just("recognized"), "state": st.integers(0, 1_000_000), "phase": st.floats(-1e6, 1e6)}
+    ),
+    st.fixed_dictionaries({"status": st.sampled_from(["idle", "collecting", "unknown"])}),
+)
+_event = st.one_of(
+    st.fixed_dictionaries(
+        {"event": st.just("ended"), "outcome": st.sampled_from(["found", "collision", "timeout", "aborted"])}
+    ),
+    st.fixed_dictionaries({"event": st.sampled_from(["started", "victim_found", "collision", "timed_out"])}),
+)
+_atoms = st.sampled_from(ATOMS)
+_sources = st.sampled_from(SOURCES)
+_counts = st.integers(0, 1_000_000)
+
+_fields: dict[type[Message], st.SearchStrategy[dict[str, object]]] = {
+    Image: _images,
+    Pose: st.fixed_dictionaries(
+        {
+            **_header,
+            "x_m": st.floats(-1e5, 1e5),
+            "y_m": st.floats(-1e5, 1e5),
+            "heading_rad": st.floats(-3.2, 3.2),
+        }
+    ),
+    Observation: st.fixed_dictionaries(
+        {**_header, "fingerprint": st.from_regex(r"[0-9a-f]{8,64}", fullmatch=True), "features": _arrays}
+    ),
+    State: st.builds(lambda a, b: a | b, _state, _status),
+    Action: st.fixed_dictionaries(
+        {
+            **_header,
+            "kind": st.sampled_from(["action", "goal", "dead_end", "look_around", "stop"]),
+            "state": st.none() | st.integers(0, 1_000_000),
+            "atoms": st.lists(_atoms, max_size=30).map(tuple),
+        }
+    ),
+    Command: st.fixed_dictionaries(
+        {**_header, "source": _sources, "sequence": _counts, "atom": _atoms, "speed": st.floats(0, 1)}
+    ),
+    CommandApplied: st.fixed_dictionaries(
+        {
+            **_header,
+            "sequence": _counts,
+            "atom": _atoms,
+            "speed": st.floats(0, 1),
+            "source": st.none() | _sources,
+            "reason": st.sampled_from(["command", "silence", "emergency_stop"]),
+            "latency_ns": st.none() | st.integers(0, 2**63 - 1),
+            "refused": st.integers(0, 2**63 - 1),
+        }
+    ),
+    Episode: st.builds(
+        lambda a, b: a | b,
+        st.fixed_dictionaries(
+            {
+                **_header,
+                "purpose": st.sampled_from(["drive", "recovery", "run"]),
+                "driver": _sources,
+                "world": st.text(st.characters(codec="utf-8"), min_size=1, max_size=255),
+                "seed": st.integers(0, 2**63 - 1),
+            }
+        ),
+        _event,
+    ),
+}
+
+
+def messages_of(cls: type[Message]) -> st.SearchStrategy[Message]:
+    """Make any message of a class."""
+    return _fields[cls].map(lambda fields: cls(**fields))
+
+
+any_message = st.sampled_from(CLASSES).flatmap(messages_of)
+
+
+def golden_of(cls: type[Message]) -> dict[str, str]:
+    """Return what ``golden.json`` says of a class."""
+    return {"encoding": encoding_of(cls), "hex": encode(EXAMPLES[cls]).hex()}
+
+
+if __name__ == "__main__":
+    GOLDEN.write_text(json.dumps({cls.__name__: golden_of(cls) for cls in CLASSES}, indent=2) + "\n")

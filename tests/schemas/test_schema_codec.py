@@ -1,0 +1,186 @@
+"""Whatever comes over the wire, ``decode`` gives a valid message or a DecodeError of one line, at little cost."""
+
+from __future__ import annotations
+
+import time
+import tracemalloc
+
+import msgpack
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from schemas.base import Message
+from schemas.codec import DecodeError, decode, encode, encoding_of
+from schemas.command import Command
+from schemas.image import Image
+from schemas.observation import Observation
+from tests.schemas.messages import CLASSES, EXAMPLES, any_message
+
+LARGEST = Image
+
+
+def refusal(cls: type[Message], payload: bytes, encoding: str | None = None) -> str:
+    with pytest.raises(DecodeError) as refused:
+        decode(cls, payload, encoding or encoding_of(cls))
+    text = str(refused.value)
+    assert text.isprintable()
+    assert len(text) < 500
+    return text
+
+
+def decode_or_refuse(cls: type[Message], payload: bytes) -> None:
+    try:
+        assert isinstance(decode(cls, payload, encoding_of(cls)), cls)
+    except DecodeError:
+        refusal(cls, payload)
+
+
+def test_the_same_message_always_gives_the_same_bytes() -> None:
+    assert all(encode(message) == encode(message.model_copy()) for message in EXAMPLES.values())
+
+
+@pytest.mark.parametrize("cls", CLASSES, ids=lambda cls: cls.__name__)
+def test_truncated_at_every_byte(cls: type[Message]) -> None:
+    payload = encode(EXAMPLES[cls])
+    for length in range(len(payload)):
+        refusal(cls, payload[:length])
+
+
+@pytest.mark.parametrize("cls", CLASSES, ids=lambda cls: cls.__name__)
+def test_trailing_bytes(cls: type[Message]) -> None:
+    assert "extra data" in refusal(cls, encode(EXAMPLES[cls]) + b"\xc0")
+
+
+@pytest.mark.parametrize(
+    "encoding",
+    [
+        " ",
+        "application/json",
+        "application/vnd.msgpack",
+        "application/vnd.msgpack;smal.Command/2",
+        "application/vnd.msgpack;smal.Command/1 ",
+        "application/vnd.msgpack;smal.State/1",
+        "\x1b[2J" * 100,
+    ],
+)
+def test_another_encoding_name_or_version(encoding: str) -> None:
+    assert "expected application/vnd.msgpack;smal.Command/1" in refusal(Command, encode(EXAMPLES[Command]), encoding)
+
+
+@pytest.mark.parametrize("cls", CLASSES, ids=lambda cls: cls.__name__)
+def test_oversized(cls: type[Message]) -> None:
+    assert "bytes, at most" in refusal(cls, bytes(cls.max_bytes + 1))
+
+
+@pytest.mark.parametrize("cls", CLASSES, ids=lambda cls: cls.__name__)
+def test_the_largest_message_of_each_class_fits(cls: type[Message]) -> None:
+    assert len(encode(EXAMPLES[cls])) <= cls.max_bytes
+
+
+@given(any_message, st.data())
+def test_one_changed_byte(message: Message, data: st.DataObject) -> None:
+    payload = bytearray(encode(message))
+    payload[data.draw(st.integers(0, len(payload) - 1))] = data.draw(st.integers(0, 255))
+    decode_or_refuse(type(message), bytes(payload))
+
+
+@settings(max_examples=300)
+@given(st.sampled_from(CLASSES), st.binary(max_size=200))
+def test_any_bytes(cls: type[Message], payload: bytes) -> None:
+    refusal(cls, payload)
+
+
+plain = st.recursive(
+    st.none() | st.booleans() | st.integers(-(2**63), 2**64 - 1) | st.floats() | st.text() | st.binary(),
+    lambda parts: st.lists(parts, max_size=4) | st.dictionaries(st.text() | st.binary(), parts, max_size=4),
+)
+
+
+@given(st.sampled_from(CLASSES), plain)
+def test_any_msgpack(cls: type[Message], value: object) -> None:
+    refusal(cls, msgpack.packb(value))
+
+
+@given(st.sampled_from(CLASSES), st.data())
+def test_any_value_in_any_field(cls: type[Message], data: st.DataObject) -> None:
+    fields = EXAMPLES[cls].model_dump()
+    fields[data.draw(st.sampled_from(list(fields)))] = data.draw(plain)
+    decode_or_refuse(cls, msgpack.packb(fields))
+
+
+@pytest.mark.parametrize(
+    "payload",
+    [
+        b"\xd6\xff" + bytes(4),  # timestamps and other extension types
+        b"\xd7\xff" + b"\xff" * 8,
+        b"\xc7\x0c\xff" + b"\xff" * 12,
+        b"\xd4\x05\x00",
+        b"\x81\x01\x02",  # a number, an array and a map as keys
+        b"\x81\x90\x01",
+        b"\x81\x80\x01",
+        b"\xa2\xff\xff",  # text that is no UTF-8
+        b"\xc1",  # never used
+        b"\xdd\xff\xff\xff\xff",  # four billion elements announced
+        b"\xdf\xff\xff\xff\xff",
+        b"\xc6\xff\xff\xff\xff",
+        b"\xdb\xff\xff\xff\xff",
+    ],
+    ids=bytes.hex,
+)
+def test_msgpack_that_is_no_message(payload: bytes) -> None:
+    refusal(LARGEST, payload)
+
+
+@pytest.mark.parametrize("opening", [b"\x91", b"\x81\xa1a", b"\xdc\x00\x01"], ids=bytes.hex)
+@pytest.mark.parametrize("depth", [10, 100, 1000, 100_000])
+def test_deep_nesting(opening: bytes, depth: int) -> None:
+    refusal(LARGEST, opening * depth + b"\xc0")
+
+
+def blown_up(leaf: bytes, size: int) -> bytes:
+    """Arrays of 1024 arrays of 1024 leaves each, ``size`` bytes in all."""
+    row = b"\xdc\x04\x00" + leaf * 1024
+    block = b"\xdc\x04\x00" + row * 1024
+    count = -(-size // len(block))
+    return bytes([0x90 + count]) + block * count
+
+
+@pytest.mark.parametrize("leaf", [b"\x80", b"\x90", b"\x91\xc0", b"\x81\xa1a\xc0", b"\xcd\xff\xff"], ids=bytes.hex)
+def test_four_megabytes_of_containers_cost_little(leaf: bytes) -> None:
+    """By default msgpack makes 280 MB of them in a second."""
+    payload = blown_up(leaf, 4_000_000)
+    assert 4_000_000 <= len(payload) < LARGEST.max_bytes
+    tracemalloc.start()
+    begin_s = time.process_time()
+    refusal(LARGEST, payload)
+    spent_s = time.process_time() - begin_s
+    _, peak_bytes = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert spent_s < 0.2
+    assert peak_bytes < 4_000_000
+
+
+def test_a_large_valid_message_is_not_copied_needlessly() -> None:
+    image = Image.after(EXAMPLES[Image], width=4096, height=3072, data=bytes(3 * 4096 * 3072))
+    payload = encode(image)
+    assert len(payload) <= Image.max_bytes
+    tracemalloc.start()
+    assert decode(Image, payload, encoding_of(Image)).to_numpy().shape == (3072, 4096, 3)
+    _, peak_bytes = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert peak_bytes < 1.1 * len(payload)
+
+
+def test_too_many_fields() -> None:
+    refusal(Command, msgpack.packb({str(i): None for i in range(65)}))
+
+
+def test_a_strangers_field_name_cannot_forge_a_log_line() -> None:
+    payload = msgpack.packb(EXAMPLES[Command].model_dump() | {"x\n12:00 INFO all is well\x1b[2J": 1})
+    assert "Extra inputs" in refusal(Command, payload)
+
+
+def test_describe_names_the_field_and_counts_the_others() -> None:
+    with pytest.raises(DecodeError, match=r"^smal.Observation/1: robot: Field required \(and 5 more\)$"):
+        decode(Observation, b"\x80", encoding_of(Observation))

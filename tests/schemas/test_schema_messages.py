@@ -1,0 +1,164 @@
+"""Every message: the bytes on the wire, round trips, and everything that must be refused."""
+
+from __future__ import annotations
+
+import json
+import math
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from pydantic import ValidationError
+
+from schemas.base import Message
+from schemas.codec import decode, encode, encoding_of
+from schemas.episode import Episode
+from schemas.image import Image
+from schemas.observation import Observation
+from schemas.state import State
+from tests.schemas import messages
+from tests.schemas.messages import CLASSES, EXAMPLES, any_message
+
+GOLDEN = json.loads(messages.GOLDEN.read_text())
+NUMBERS = [
+    (cls, name) for cls in CLASSES for name, field in cls.model_fields.items() if field.annotation in (int, float)
+]
+
+
+def name_of(cls: type[Message]) -> str:
+    return cls.__name__
+
+
+@pytest.mark.parametrize("cls", CLASSES, ids=name_of)
+def test_the_wire_does_not_change(cls: type[Message]) -> None:
+    """A change here breaks recordings and running robots: raise the message's version, then renew golden.json."""
+    assert messages.golden_of(cls) == GOLDEN[cls.__name__]
+
+
+@pytest.mark.parametrize("cls", CLASSES, ids=name_of)
+def test_golden_bytes_are_read(cls: type[Message]) -> None:
+    golden = GOLDEN[cls.__name__]
+    assert decode(cls, bytes.fromhex(golden["hex"]), golden["encoding"]) == EXAMPLES[cls]
+
+
+@given(any_message)
+def test_round_trip(message: Message) -> None:
+    payload = encode(message)
+    decoded = decode(type(message), payload, encoding_of(type(message)))
+    assert decoded == message
+    assert encode(decoded) == payload
+
+
+@given(any_message)
+def test_round_trip_through_json(message: Message) -> None:
+    assert type(message).model_validate_json(message.model_dump_json()) == message
+
+
+@given(any_message)
+def test_a_message_after_another_keeps_its_header(message: Message) -> None:
+    command = EXAMPLES[CLASSES[0]].after(message, width=1, height=1, data=b"rgb")
+    assert [getattr(command, f) for f in ("robot", "episode", "tick", "stamp_ns")] == [
+        message.robot,
+        message.episode,
+        message.tick,
+        message.stamp_ns,
+    ]
+
+
+@pytest.mark.parametrize("cls", CLASSES, ids=name_of)
+def test_every_field_and_message_is_documented(cls: type[Message]) -> None:
+    schema = cls.model_json_schema()
+    assert schema["description"]
+    assert [name for name, field in schema["properties"].items() if not field.get("description")] == []
+
+
+def altered(cls: type[Message], **fields: object) -> Message:
+    return cls.model_validate(EXAMPLES[cls].model_dump() | fields)
+
+
+@pytest.mark.parametrize("cls", CLASSES, ids=name_of)
+def test_messages_are_frozen(cls: type[Message]) -> None:
+    with pytest.raises(ValidationError, match="frozen"):
+        EXAMPLES[cls].tick = 5
+
+
+@pytest.mark.parametrize("cls", CLASSES, ids=name_of)
+def test_unknown_fields_are_refused(cls: type[Message]) -> None:
+    with pytest.raises(ValidationError, match="Extra inputs"):
+        altered(cls, colour="red")
+
+
+@pytest.mark.parametrize("cls", CLASSES, ids=name_of)
+def test_missing_fields_are_refused(cls: type[Message]) -> None:
+    for name, field in cls.model_fields.items():
+        if field.is_required():
+            fields = EXAMPLES[cls].model_dump()
+            del fields[name]
+            with pytest.raises(ValidationError, match="Field required"):
+                cls.model_validate(fields)
+
+
+@pytest.mark.parametrize(("cls", "name"), NUMBERS)
+@pytest.mark.parametrize("wrong", [math.nan, math.inf, -math.inf, -1e300, "1", True, None, b"1", (1,), 10**30])
+def test_wrong_numbers_are_refused(cls: type[Message], name: str, wrong: object) -> None:
+    with pytest.raises(ValidationError):
+        altered(cls, **{name: wrong})
+
+
+@pytest.mark.parametrize("cls", CLASSES, ids=name_of)
+@pytest.mark.parametrize("robot", ["", "Rescuebot", "a/b", "a*", "-a", "a" * 33, "a\n", "ä", 5, b"a"])
+def test_wrong_robot_ids_are_refused(cls: type[Message], robot: object) -> None:
+    with pytest.raises(ValidationError):
+        altered(cls, robot=robot)
+
+
+@pytest.mark.parametrize("cls", CLASSES, ids=name_of)
+@pytest.mark.parametrize(
+    "header",
+    [{"tick": -1}, {"tick": 10_000_001}, {"tick": 1.0}, {"stamp_ns": -1}, {"stamp_ns": 2**63}, {"episode": "../x"}],
+    ids=str,
+)
+def test_headers_out_of_range_are_refused(cls: type[Message], header: dict[str, object]) -> None:
+    with pytest.raises(ValidationError):
+        altered(cls, **header)
+
+
+@pytest.mark.parametrize(
+    ("cls", "fields"),
+    [
+        (Image, {"width": 3}),
+        (Image, {"data": b"12345"}),
+        (Image, {"data": "123456"}),
+        (Image, {"width": 0, "data": b""}),
+        (Image, {"width": 4097, "data": bytes(3 * 4097)}),
+        (Observation, {"features": {"dtype": "float32", "shape": (2,), "data": bytes(4)}}),
+        (Observation, {"features": {"dtype": "float64", "shape": (1,), "data": bytes(4)}}),
+        (Observation, {"features": {"dtype": "float32", "shape": (), "data": bytes(4)}}),
+        (Observation, {"features": {"dtype": "float32", "shape": (-1,), "data": b""}}),
+        (Observation, {"features": {"dtype": "float32", "shape": (1,), "data": bytes.fromhex("0000c07f")}}),
+        (Observation, {"features": {"dtype": "float32", "shape": (1,), "data": bytes.fromhex("0000807f")}}),
+        (Observation, {"fingerprint": "xyz"}),
+        (State, {"status": "unknown"}),
+        (State, {"state": None}),
+        (State, {"phase": None}),
+        (State, {"score": -0.1}),
+        (Episode, {"outcome": None}),
+        (Episode, {"event": "started"}),
+        (Episode, {"world": ""}),
+    ],
+    ids=str,
+)
+def test_contradictions_are_refused(cls: type[Message], fields: dict[str, object]) -> None:
+    with pytest.raises(ValidationError):
+        altered(cls, **fields)
+
+
+@given(st.sampled_from(CLASSES), st.data())
+def test_words_outside_a_choice_are_refused(cls: type[Message], data: st.DataObject) -> None:
+    choices = [
+        n for n in ("atom", "source", "reason", "kind", "status", "event", "purpose", "driver") if n in cls.model_fields
+    ]
+    if choices:
+        name, word = data.draw(st.sampled_from(choices)), data.draw(st.text(max_size=5))
+        with pytest.raises(ValidationError):
+            altered(cls, **{name: word})

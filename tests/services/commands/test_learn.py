@@ -1,0 +1,190 @@
+"""``smal learn``: which recordings teach, what is said of the others, and a model at the end."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from schemas.array import Float32Array
+from schemas.base import Message
+from schemas.episode import Outcome, Purpose
+from schemas.image import Image
+from schemas.observation import Observation
+from services.commands.errors import JobError, UsageError
+from services.commands.learn import learn
+from services.commands.teaching import Teacher, find_recordings
+from services.recorder.mcap_reader import read_recording
+from services.recorder.mcap_writer import EpisodeWriter
+from smal.action_space import Atom
+from smal.features import FeatureSettings, extract
+from smal.model import Model
+from tests.services.recorder.recorded_messages import applied, event, header
+from tests.services.recorder.test_recorder_files import leave, record
+
+FEATURES = FeatureSettings()
+#: A wall that the robot drives along; what it sees at a frame is where it is.
+WALL = np.repeat(np.repeat(np.random.default_rng(3).integers(0, 256, (6, 60, 3), dtype=np.uint8), 8, 0), 8, 1)
+
+
+def view(position: int) -> np.ndarray:
+    return np.ascontiguousarray(WALL[:, 4 * position : 4 * position + 64])
+
+
+def drive(name: str, first: int = 0, frames: int = 40, outcome: Outcome = "found", purpose: Purpose = "drive",
+          fingerprint: str = FEATURES.fingerprint) -> list[Message]:  # fmt: skip
+    """Drive along the wall, two frames forward and one to the left, in turn."""
+    messages: list[Message] = [event(name, 0, "started", purpose=purpose)]
+    for tick in range(frames):
+        pixels = view(first + tick)
+        cause = header(name, tick)
+        messages.append(Image.after(cause, width=64, height=48, data=pixels.tobytes()))
+        vector = Float32Array.from_numpy(extract(pixels, FEATURES))
+        messages.append(Observation.after(cause, fingerprint=fingerprint, features=vector))
+        messages.append(applied(name, tick, atom="left" if tick % 3 == 2 else "forward"))
+    return [*messages, event(name, frames - 1, "ended", outcome, purpose=purpose)]
+
+
+@pytest.fixture
+def drives(tmp_path: Path) -> Path:
+    folder = tmp_path / "drives"
+    folder.mkdir()
+    for number in range(3):
+        record(folder, drive(f"drive-{number}"))
+    record(folder, drive("recovery-1", first=10, frames=20, outcome="timeout", purpose="recovery"))
+    return folder
+
+
+def teach(*paths: Path, **options: bool) -> Teacher:
+    teacher = Teacher(FEATURES, shortest=5, **options)
+    for path in find_recordings(paths):
+        teacher.read(path)
+    return teacher
+
+
+def test_a_model_with_shared_states_is_learned(
+    drives: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out, report = tmp_path / "models" / "wall.smal", tmp_path / "report.json"
+    learn([drives], out, length=5, json_file=report)
+    model = Model.load(out)
+    assert (model.sequence_length, model.recovery) == (5, (False, False, False, True))
+    assert model.successful == (True, True, True, False)
+    said = json.loads(report.read_text())
+    assert (said["recordings"], said["episodes"], said["frames"]) == (4, 4, 140)
+    assert said["shared_states"] == said["states"] == 8
+    assert said["remarks"] == []
+    text = capsys.readouterr().out
+    assert "shared states 8" in text
+    assert "frames        140" in text
+
+
+def test_what_was_recorded_is_what_teaches(drives: Path) -> None:
+    teaching = teach(drives).teaching
+    assert [one.name for one in teaching.demonstrations] == ["drive-0", "drive-1", "drive-2", "recovery-1"]
+    one = teaching.demonstrations[0]
+    assert [Atom(atom).name for atom in one.atoms[:4]] == ["FORWARD", "FORWARD", "LEFT", "FORWARD"]
+    assert Atom(one.atoms[-1]) is Atom.STOP
+    np.testing.assert_array_equal(one.features[7], extract(view(7), FEATURES))
+    assert teaching.demonstrations[3].atoms[-1] == Atom.FORWARD
+
+
+def test_features_of_another_version_are_computed_from_the_images(drives: Path) -> None:
+    path = record(drives, drive("old", fingerprint="00000000ffff"))
+    teaching = teach(path).teaching
+    (one,) = teaching.demonstrations
+    assert teaching.remarks == [f"{path}: the features of 40 frames were computed from their images"]
+    cosines = [one.features[tick] @ extract(view(tick), FEATURES) / 2 for tick in range(40)]
+    assert min(cosines) > 0.98
+
+
+@pytest.mark.parametrize(
+    ("purpose", "outcome", "reason"),
+    [
+        ("drive", "collision", "it ended in a collision"),
+        ("recovery", "collision", "it ended in a collision"),
+        ("drive", "timeout", "it did not reach the victim (timeout)"),
+        ("drive", "aborted", "it did not reach the victim (aborted)"),
+        ("run", "found", "the robot drove by itself (--include-runs takes such runs if they found the victim)"),
+        ("run", "timeout", "the robot drove by itself (--include-runs takes such runs if they found the victim)"),
+    ],
+)
+def test_what_must_not_teach_is_left_out(tmp_path: Path, purpose: Purpose, outcome: Outcome, reason: str) -> None:
+    path = record(tmp_path, drive("e", purpose=purpose, outcome=outcome))
+    assert teach(path).teaching.remarks == [f"{path}: episode e is left out: {reason}"]
+    with pytest.raises(JobError, match="episode e is left out"):
+        learn([path], tmp_path / "model.smal")
+
+
+def test_successful_runs_teach_on_request(tmp_path: Path) -> None:
+    for name, outcome in (("good", "found"), ("bad", "timeout")):
+        record(tmp_path, drive(name, purpose="run", outcome=outcome))
+    assert [one.name for one in teach(tmp_path, include_runs=True).teaching.demonstrations] == ["good"]
+
+
+def test_a_gap_splits_a_drive(tmp_path: Path) -> None:
+    messages = [m for m in drive("e") if m.tick not in (10, 12)]
+    teaching = teach(record(tmp_path, messages)).teaching
+    assert [one.name for one in teaching.demonstrations] == ["e[0-9]", "e[13-39]"]
+    assert [one.successful for one in teaching.demonstrations] == [False, True]
+
+
+def test_an_episode_teaches_once(drives: Path, tmp_path: Path) -> None:
+    copy = tmp_path / "copy.mcap"
+    copy.write_bytes((drives / "drive-1.mcap").read_bytes())
+    teaching = teach(drives, copy, drives / "drive-1.mcap").teaching
+    assert len(teaching.demonstrations) == 4
+    assert teaching.remarks == [f"{copy}: episode drive-1 is left out: it is in {drives / 'drive-1.mcap'} too"]
+
+
+def test_damaged_recordings_are_named_and_the_rest_teaches(
+    drives: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    cut, foreign = drives / "drive-2.mcap", drives / "x.mcap"
+    cut.write_bytes(cut.read_bytes()[: cut.stat().st_size // 2])
+    foreign.write_bytes(b"not a recording")
+    living = EpisodeWriter(drives, event("living", 0, "started"))
+    leave(drives, drive("left-behind", frames=20)[:-1])
+    learn([drives], tmp_path / "model.smal")
+    said = capsys.readouterr().err
+    (whole,) = read_recording(cut).episodes
+    assert f"smal: {cut}: truncated; the {whole.frames} whole frames are read\n" in said
+    assert f"smal: {foreign}: not an MCAP file\n" in said
+    assert f"smal: {drives}/living.mcap.partial: still being recorded;" in said
+    assert f"smal: {drives}/left-behind.mcap.partial: truncated; the 20 whole frames are read\n" in said
+    assert Model.load(tmp_path / "model.smal").successful == (True, True, False, False, False)
+    living.seal()
+
+
+def test_every_mistake_is_one_line(drives: Path, tmp_path: Path) -> None:
+    out, empty = tmp_path / "model.smal", tmp_path / "empty"
+    empty.mkdir()
+    bad = tmp_path / "bad.mcap"
+    bad.write_bytes(b"")
+    failed = record(tmp_path, drive("failed", purpose="recovery", outcome="aborted"))
+    for paths, options, kind, line in (
+        ([tmp_path / "none"], {}, UsageError, f"{tmp_path}/none: no such file or folder"),
+        ([empty], {}, UsageError, f"{empty}: no recording (*.mcap) in this folder"),
+        ([drives], {"gamma": 1.5}, UsageError, "gamma"),
+        ([drives], {"lambda1": -1.0}, UsageError, "lambda1 must be finite and positive, got -1.0"),
+        ([bad], {}, JobError, f"{bad}: empty"),
+        ([drives], {"length": 41}, JobError, "nothing to learn from in 4 recordings, for the reasons above"),
+        ([failed], {}, JobError, "cannot learn from these recordings: "),
+    ):
+        with pytest.raises(kind) as caught:
+            learn(paths, out, **options)
+        assert line in str(caught.value)
+        assert "\n" not in str(caught.value)
+    with pytest.raises(UsageError, match="is a folder"):
+        learn([drives], tmp_path)
+    with pytest.raises(JobError, match="cannot write"):
+        learn([drives], bad / "model.smal")
+    assert not out.exists()
+
+
+def test_the_papers_test_is_chosen_by_its_threshold(drives: Path, tmp_path: Path) -> None:
+    learn([drives], tmp_path / "model.smal", tau=0.4)
+    model = Model.load(tmp_path / "model.smal")
+    assert (model.novelty, model.novelty_parameters) == ("weight", {"tau": 0.4})

@@ -1,0 +1,67 @@
+"""A real router in this process, nodes in threads, and a client: what the tests of every service need.
+
+The functions that wait are in ``waiting``.
+"""
+
+from __future__ import annotations
+
+import socket
+import threading
+from collections.abc import Callable, Iterator
+
+import pytest
+
+from services.bus import Bus, Router
+from services.process import Node, ServiceSettings
+
+RunNode = Callable[[Node], Node]
+
+
+@pytest.fixture
+def free_endpoint() -> str:
+    """Address on this machine where nobody listens."""
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return f"tcp/127.0.0.1:{probe.getsockname()[1]}"
+
+
+@pytest.fixture
+def router_endpoint(free_endpoint: str) -> Iterator[str]:
+    """Address of a router of this test's own."""
+    router = Router(free_endpoint)
+    yield free_endpoint
+    router.close()
+
+
+@pytest.fixture
+def settings(router_endpoint: str) -> ServiceSettings:
+    """Give the settings of a node on that router."""
+    return ServiceSettings(robot="rescuebot", router=router_endpoint)
+
+
+@pytest.fixture
+def client(router_endpoint: str) -> Iterator[Bus]:
+    """Connect a client to publish and call with."""
+    bus = Bus("rescuebot", router_endpoint)
+    bus.wait_connected(5.0)
+    yield bus
+    bus.close()
+
+
+@pytest.fixture
+def run_node(router_endpoint: str) -> Iterator[RunNode]:
+    """Spin nodes in threads until the test is over; each must then stop within five seconds."""
+    running: list[tuple[Node, threading.Thread]] = []
+
+    def run(node: Node) -> Node:
+        thread = threading.Thread(target=node.spin, name=node.name, daemon=True)
+        thread.start()
+        running.append((node, thread))
+        return node
+
+    yield run
+    for node, thread in running:
+        node.stop()
+        thread.join(5.0)
+        assert not thread.is_alive(), f"{node.name} did not stop"
+        node.close()

@@ -1,0 +1,315 @@
+"""What the recorder writes: readable by everyone, complete, and never lost."""
+
+from __future__ import annotations
+
+import errno
+import json
+import os
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from google.protobuf.descriptor_pb2 import FileDescriptorSet
+from google.protobuf.descriptor_pool import DescriptorPool
+from google.protobuf.message_factory import GetMessageClass
+from mcap.reader import make_reader
+from mcap.stream_reader import StreamReader
+from mcap.writer import Writer
+
+from schemas.base import Message
+from schemas.image import Image
+from schemas.topics import TOPICS, topic_of
+from services.recorder import mcap_writer
+from services.recorder.encoding import decode_image, plain_json_schema
+from services.recorder.ledger import Ledger
+from services.recorder.mcap_writer import EPISODE_METADATA, GAPS_METADATA, EpisodeWriter
+from services.recorder.recovery import recover
+from services.recorder.sink import Sink, partial_of
+from tests.services.recorder.recorded_messages import (
+    applied,
+    command,
+    episode,
+    event,
+    frame,
+    header,
+    image,
+    observation,
+)
+
+
+def write_all(writer: EpisodeWriter, messages: list[Message]) -> None:
+    for message in messages:
+        writer.write(message)
+
+
+def record(folder: Path, messages: list[Message], end_tick: int | None = None) -> Path:
+    writer = EpisodeWriter(folder, messages[0])
+    for message in messages:
+        writer.write(message)
+    path = writer.seal(end_tick)
+    assert writer.problem is None
+    return path
+
+
+def read_all(path: Path) -> list[tuple[str, int, bytes]]:
+    with path.open("rb") as file:
+        return [
+            (channel.topic, message.sequence, message.data) for _, channel, message in make_reader(file).iter_messages()
+        ]
+
+
+def metadata(path: Path) -> dict[str, dict[str, str]]:
+    with path.open("rb") as file:
+        return {record.name: record.metadata for record in make_reader(file).iter_metadata()}
+
+
+def test_every_message_comes_back_as_it_was(tmp_path: Path) -> None:
+    sent = list(episode("drive-1"))
+    path = record(tmp_path, sent, end_tick=4)
+    with path.open("rb") as file:
+        found = list(make_reader(file).iter_messages(log_time_order=False))
+    assert len(found) == len(sent)
+    for message, (_, channel, stored) in zip(sent, found, strict=True):
+        assert channel.topic == TOPICS[message.topic_name].key("rescuebot")
+        assert channel.metadata == {"robot": "rescuebot", "episode": "drive-1"}
+        assert (stored.log_time, stored.sequence) == (message.stamp_ns, message.tick)
+        if not isinstance(message, Image):
+            assert type(message).model_validate_json(stored.data) == message
+    assert {topic_of(channel.topic) for _, channel, _ in found} == {t for t in TOPICS.values() if t.recorded}
+
+
+def test_images_are_compressed_images_of_the_same_pixels(tmp_path: Path) -> None:
+    path = record(tmp_path, [event("drive-1", 0, "started"), image("drive-1", 0)])
+    with path.open("rb") as file:
+        ((schema, channel, stored),) = make_reader(file).iter_messages(topics=["smal/rescuebot/camera/rgb"])
+    assert (schema.name, schema.encoding) == ("foxglove.CompressedImage", "protobuf")
+    assert channel.message_encoding == "protobuf"
+    # As a viewer does: nothing but the file's own descriptors.
+    pool = DescriptorPool()
+    for descriptor in FileDescriptorSet.FromString(schema.data).file:
+        pool.Add(descriptor)
+    packed = GetMessageClass(pool.FindMessageTypeByName(schema.name)).FromString(stored.data)
+    assert packed.format == "jpeg"
+    assert packed.timestamp.seconds * 10**9 + packed.timestamp.nanos == image("drive-1", 0).stamp_ns
+    difference = decode_image(stored.data).astype(int) - image("drive-1", 0).to_numpy()
+    assert np.abs(difference).max() <= 4
+
+
+def test_summary_lists_schemas_channels_and_statistics(tmp_path: Path) -> None:
+    sent = list(episode("drive-1"))
+    path = record(tmp_path, sent, end_tick=4)
+    with path.open("rb") as file:
+        summary = make_reader(file, validate_crcs=True).get_summary()
+    assert summary is not None
+    assert summary.statistics is not None
+    recorded = [topic for topic in TOPICS.values() if topic.recorded]
+    assert len(summary.channels) == len(recorded)
+    assert {schema.name for schema in summary.schemas.values()} == {
+        "foxglove.CompressedImage" if t.message is Image else t.message.schema_name() for t in recorded
+    }
+    assert summary.statistics.message_count == len(sent)
+    assert sum(summary.statistics.channel_message_counts.values()) == len(sent)
+    assert summary.statistics.message_start_time == sent[0].stamp_ns
+    assert summary.statistics.message_end_time == sent[-1].stamp_ns
+    # The index lets a viewer seek, however big the file is.
+    assert len(summary.chunk_indexes) == len(sent)
+    with path.open("rb") as file:
+        third = [m for _, _, m in make_reader(file).iter_messages(starting_at=header("e", 3).stamp_ns)]
+    assert [message.sequence for message in third] == [message.tick for message in sent if message.tick >= 3]
+    assert [index.name for index in summary.metadata_indexes] == [EPISODE_METADATA, GAPS_METADATA]
+
+
+def test_metadata_says_what_the_episode_is(tmp_path: Path) -> None:
+    found = metadata(record(tmp_path, list(episode("drive-1")), end_tick=4))
+    said = found[EPISODE_METADATA]
+    assert said["software"]
+    assert {key: said[key] for key in ("robot", "episode", "world", "seed", "purpose", "driver")} == {
+        "robot": "rescuebot",
+        "episode": "drive-1",
+        "world": "campus",
+        "seed": "7",
+        "purpose": "drive",
+        "driver": "expert",
+    }
+    assert found[GAPS_METADATA] == {"duplicates": "0"}
+
+
+@pytest.mark.parametrize("topic", [t for t in TOPICS.values() if t.message is not Image], ids=lambda t: t.name)
+def test_json_schemas_are_of_the_kind_that_foxglove_reads(topic: Any) -> None:
+    def check(schema: dict[str, Any]) -> None:
+        assert schema["type"] in ("boolean", "string", "number", "integer", "object", "array")
+        for child in schema.get("properties", {}).values():
+            check(child)
+        if schema["type"] == "array":
+            check(schema["items"])
+
+    schema = plain_json_schema(topic.message)
+    check(schema)
+    assert "$ref" not in json.dumps(schema)
+
+
+def test_what_is_sent_again_is_written_once(tmp_path: Path) -> None:
+    again = [
+        *frame("e", 0),
+        *frame("e", 0),
+        applied("e", 0),
+        command("e", 0, sequence=1),
+        applied("e", 0),
+        *frame("e", 1),
+    ]
+    path = record(tmp_path, [event("e", 0, "started"), *again], end_tick=1)
+    assert len(read_all(path)) == 1 + 2 * len(frame("e", 0)) + 2
+    assert metadata(path)[GAPS_METADATA]["duplicates"] == str(len(frame("e", 0)) + 1)
+
+
+def test_missing_ticks_are_named_in_the_file(tmp_path: Path) -> None:
+    sent = [event("e", 0, "started")]
+    sent += [image("e", tick) for tick in (0, 1, 4, 6)] + [observation("e", tick) for tick in (1, 2, 3, 4, 5, 6, 7)]
+    path = record(tmp_path, sent, end_tick=7)
+    gaps = metadata(path)[GAPS_METADATA]
+    assert gaps == {"duplicates": "0", "camera/rgb": "2-3 5 7", "observation": "0"}
+
+
+def test_ledger_knows_every_order() -> None:
+    ledger = Ledger()
+    assert [
+        ledger.admit(m)
+        for m in (event("e", 3, "started"), event("e", 3, "collision"), event("e", 3, "ended", "collision"))
+    ] == [True] * 3
+    assert not ledger.admit(event("e", 3, "started"))
+    assert ledger.duplicates == 1
+
+
+def test_no_recording_is_overwritten(tmp_path: Path) -> None:
+    first, second = (record(tmp_path, list(episode("drive-1", frames=n))) for n in (2, 3))
+    assert [first.name, second.name] == ["drive-1.mcap", "drive-1-2.mcap"]
+    assert len(read_all(first)) == len(list(episode("drive-1", frames=2)))
+
+
+def leave(folder: Path, messages: list[Message]) -> Path:
+    """Record and die: the file is as the system has it after a kill."""
+    writer = EpisodeWriter(folder, messages[0])
+    for message in messages:
+        writer.write(message)
+    writer._sink.close()
+    return partial_of(writer.path)
+
+
+def test_leftovers_are_recovered_whole(tmp_path: Path) -> None:
+    sent = list(episode("drive-1"))
+    (tmp_path / "whole").mkdir()
+    reference = record(tmp_path / "whole", sent)
+    leave(tmp_path, sent)
+    (recovered,) = recover(tmp_path)
+    assert recovered.path == tmp_path / "drive-1.mcap"
+    assert read_all(recovered.path) == read_all(reference)
+    assert not list(tmp_path.glob("*.partial"))
+    with recovered.path.open("rb") as one, reference.open("rb") as other:
+        left, right = make_reader(one).get_summary(), make_reader(other).get_summary()
+    assert left is not None
+    assert right is not None
+    assert (left.schemas, left.channels) == (right.schemas, right.channels)
+    assert left.statistics is not None
+    assert right.statistics is not None
+    assert left.statistics.channel_message_counts == right.statistics.channel_message_counts
+    assert metadata(recovered.path)[EPISODE_METADATA]["episode"] == "drive-1"
+
+
+def test_leftovers_cut_anywhere_are_recovered_as_far_as_they_are_whole(tmp_path: Path) -> None:
+    partial = leave(tmp_path, list(episode("e", frames=2)))
+    content = partial.read_bytes()
+    partial.unlink()
+    whole = list(episode("e", frames=2))
+    counts = []
+    for size in (*range(0, len(content), 997), len(content)):
+        partial.write_bytes(content[:size] + (b"\0" * 100 if size % 2 else b""))
+        (recovered,) = recover(tmp_path)
+        if recovered.path is None:
+            assert size < 200, recovered.problem
+            partial.unlink(missing_ok=True)
+            continue
+        with recovered.path.open("rb") as file:
+            list(StreamReader(file, validate_crcs=True).records)
+        counts.append(len(read_all(recovered.path)))
+        recovered.path.unlink()
+    assert counts == sorted(counts)
+    assert counts[-1] == len(whole)
+
+
+def test_what_is_being_recorded_or_foreign_is_let_be(tmp_path: Path) -> None:
+    living = EpisodeWriter(tmp_path, event("living", 0, "started"))
+    foreign = tmp_path / "foreign.mcap.partial"
+    foreign.write_bytes(b"holiday pictures, not to be touched")
+    other = tmp_path / "other.mcap.partial"
+    with other.open("wb") as file:
+        writer = Writer(file)
+        writer.start()
+        channel = writer.register_channel("else", "json", 0)
+        for number in range(3):
+            writer.add_message(channel, number, b"{}", number)
+        writer.finish()
+    before = other.read_bytes()
+    left, right = recover(tmp_path)
+    assert (left.partial, left.problem) == (foreign, "not an MCAP file")
+    assert right.partial == other
+    assert str(right.problem).startswith("not written by this recorder")
+    assert foreign.exists()
+    assert other.read_bytes() == before
+    living.write(image("living", 0))
+    assert read_all(living.seal())
+
+
+def test_a_leftover_does_not_take_the_name_of_a_recording(tmp_path: Path) -> None:
+    leave(tmp_path, list(episode("e")))
+    (tmp_path / "e.mcap").write_bytes(b"another")
+    (recovered,) = recover(tmp_path)
+    assert recovered.path == tmp_path / "e-2.mcap"
+    assert (tmp_path / "e.mcap").read_bytes() == b"another"
+
+
+class FullDisk(Sink):
+    """A disk with room for ``room`` bytes; half of the write that does not fit is written."""
+
+    room = 20_000
+
+    def write(self, data: bytes) -> int:
+        if self.tell() + len(data) > self.room:
+            super().write(data[: max(0, self.room - self.tell())])
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        return super().write(data)
+
+
+def test_a_full_disk_seals_the_file_after_the_last_whole_message(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(mcap_writer, "Sink", FullDisk)
+    writer = EpisodeWriter(tmp_path, event("e", 0, "started"))
+    sent = list(episode("e", frames=50))
+    with pytest.raises(OSError, match="No space left"):
+        write_all(writer, sent)
+    before = writer.messages
+    writer.write(observation("e", 49))
+    path = writer.seal(49)
+    assert path.name == "e.mcap"
+    assert 10 < len(read_all(path)) == before == writer.messages < len(sent)
+
+
+def test_a_disk_too_full_for_the_index_leaves_what_the_next_start_finishes(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(*_: object) -> None:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    writer = EpisodeWriter(tmp_path, event("e", 0, "started"))
+    for message in episode("e"):
+        writer.write(message)
+    monkeypatch.setattr("services.recorder.sink.write_all", full)
+    monkeypatch.setattr("services.recorder.recovery.write_all", full)
+    path = writer.seal(4)
+    assert path.name == "e.mcap.partial"
+    assert writer.problem == "No space left on device"
+    monkeypatch.undo()
+    (recovered,) = recover(tmp_path)
+    assert recovered.path is not None
+    assert len(read_all(recovered.path)) == len(list(episode("e")))

@@ -1,0 +1,210 @@
+"""What reading a recording gives back, and what it says of files that are damaged, foreign or incomplete."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from mcap.reader import make_reader
+from mcap.writer import CompressionType, Writer
+
+from schemas.base import ATOMS, Message
+from schemas.image import Image
+from services.recorder.encoding import decode_image
+from services.recorder.mcap_reader import Recording, RecordingError, read_recording
+from services.recorder.mcap_writer import EpisodeWriter
+from tests.services.recorder.recorded_messages import (
+    FINGERPRINT,
+    applied,
+    command,
+    episode,
+    event,
+    features,
+    frame,
+    image,
+    observation,
+)
+from tests.services.recorder.test_recorder_files import leave, record
+
+
+def read_messages(folder: Path, messages: list[Message]) -> Recording:
+    return read_recording(record(folder, messages), FINGERPRINT)
+
+
+def merge(paths: list[Path], out: Path, compression: CompressionType = CompressionType.ZSTD) -> Path:
+    """Merge recordings as other tools do: chunked, compressed, in the order of time."""
+    with out.open("wb") as file:
+        writer = Writer(file, compression=compression, chunk_size=4096)
+        writer.start()
+        found = []
+        for path in paths:
+            with path.open("rb") as source:
+                found += [(path, *found) for found in make_reader(source).iter_messages()]
+        channels: dict[tuple[Path, int], int] = {}
+        for path, schema, channel, message in sorted(found, key=lambda f: f[3].log_time):
+            if (path, channel.id) not in channels:
+                number = writer.register_schema(schema.name, schema.encoding, schema.data)
+                channels[path, channel.id] = writer.register_channel(
+                    channel.topic, channel.message_encoding, number, channel.metadata
+                )
+            writer.add_message(channels[path, channel.id], message.log_time, message.data, 0, message.sequence)
+        writer.finish()
+    return out
+
+
+def test_read_back_is_what_was_sent(tmp_path: Path) -> None:
+    recording = read_messages(tmp_path, list(episode("drive-1", purpose="recovery")))
+    (read,) = recording.episodes
+    assert (recording.truncated, recording.bad) == (False, 0)
+    assert (read.robot, read.episode, read.world, read.seed) == ("rescuebot", "drive-1", "campus", 7)
+    assert (read.purpose, read.driver, read.outcome, read.end_tick) == ("recovery", "expert", "found", 4)
+    assert sorted(read.poses) == list(range(5))
+    assert read.poses[2].x_m == 3.0
+    (piece,) = read.pieces()
+    assert piece.at_goal
+    np.testing.assert_array_equal(piece.ticks, range(5))
+    np.testing.assert_array_equal(piece.features, [features("drive-1", tick) for tick in range(5)])
+    assert [ATOMS[atom] for atom in piece.atoms] == ["forward", "backward", "left", "right", "stop"]
+
+
+def test_images_stand_in_for_vectors_of_another_fingerprint(tmp_path: Path) -> None:
+    sent = [m for m in episode("e", frames=3) if m.topic_name != "observation"]
+    sent[2:2] = [observation("e", 0), observation("e", 1, fingerprint="00000000ffff")]
+    (read,) = read_messages(tmp_path, sent).episodes
+    assert (sorted(read.features), sorted(read.images), read.frames) == ([0], [1, 2], 3)
+    pixels = decode_image(bytes(read.images[1]))
+    assert np.abs(pixels.astype(int) - image("e", 1).to_numpy()).max() <= 4
+    assert [piece.ticks.tolist() for piece in read.pieces()] == [[0]]
+
+
+def test_the_last_command_of_a_tick_moved_the_robot(tmp_path: Path) -> None:
+    two = [applied("e", 0, sequence=1, atom="left"), applied("e", 0, sequence=2, atom="right")]
+    (read,) = read_messages(tmp_path, [event("e", 0, "started"), *frame("e", 0), *two]).episodes
+    assert [ATOMS[atom] for atom in read.pieces()[0].atoms] == ["right"]
+
+
+def test_no_piece_spans_a_gap(tmp_path: Path) -> None:
+    sent = [
+        message
+        for message in episode("e", frames=9)
+        if (message.topic_name, message.tick) not in {("observation", 3), ("camera/rgb", 3), ("command/applied", 6)}
+    ]
+    (read,) = read_messages(tmp_path, sent).episodes
+    pieces = read.pieces()
+    assert [piece.ticks.tolist() for piece in pieces] == [[0, 1, 2], [4, 5], [7, 8]]
+    assert [piece.at_goal for piece in pieces] == [False, False, True]
+
+
+@pytest.mark.parametrize("outcome", ["timeout", "collision", "aborted"])
+def test_an_episode_without_the_victim_has_no_goal_and_no_stop(tmp_path: Path, outcome: str) -> None:
+    (read,) = read_messages(tmp_path, list(episode("e", outcome=outcome))).episodes
+    (piece,) = read.pieces()
+    assert (piece.ticks.tolist(), piece.at_goal) == ([0, 1, 2, 3], False)
+
+
+@pytest.mark.parametrize("compression", list(CompressionType))
+def test_merged_episodes_stay_apart(tmp_path: Path, compression: CompressionType) -> None:
+    names = ("drive-1", "drive-2", "drive-3")
+    paths = [record(tmp_path, list(episode(name, frames=4))) for name in names]
+    recording = read_recording(merge(paths, tmp_path / "merged.mcap", compression), FINGERPRINT)
+    assert sorted(read.episode for read in recording.episodes) == list(names)
+    for read in recording.episodes:
+        (piece,) = read.pieces()
+        np.testing.assert_array_equal(piece.features, [features(read.episode, tick) for tick in range(4)])
+        (alone,) = read_recording(tmp_path / f"{read.episode}.mcap", FINGERPRINT).episodes
+        np.testing.assert_array_equal(piece.atoms, alone.pieces()[0].atoms)
+
+
+def test_a_file_cut_anywhere_is_read_as_far_as_it_is_whole(tmp_path: Path) -> None:
+    content = record(tmp_path, list(episode("e", frames=4)), end_tick=3).read_bytes()
+    cut = tmp_path / "cut.mcap"
+    read, refused, complaints = [], [], set()
+    # Every region is hit: magic, header, schemas, channels, messages, metadata, summary, footer.
+    for size in sorted({*range(64), *range(0, len(content), 101), *range(len(content) - 64, len(content))}):
+        cut.write_bytes(content[:size])
+        try:
+            recording = read_recording(cut, FINGERPRINT)
+        except RecordingError as error:
+            refused.append(size)
+            complaints.add(str(error))
+            continue
+        assert recording.truncated
+        assert recording.bad == 0
+        (only,) = recording.episodes
+        for tick, vector in only.features.items():
+            np.testing.assert_array_equal(vector, features("e", tick))
+        read.append(only.frames)
+    reasons = ("empty", "not an MCAP file", "holds no episode", "holds no camera frame")
+    assert complaints == {f"{cut}: {reason}" for reason in reasons}
+    assert read == sorted(read)
+    assert read[-1] == 4
+    assert max(refused) < len(content) // 3
+
+
+def test_noise_in_a_file_never_kills(tmp_path: Path) -> None:
+    whole = record(tmp_path, list(episode("e", frames=2)), end_tick=1)
+    sources = [
+        whole,
+        merge([whole], tmp_path / "merged.mcap"),
+        merge([whole], tmp_path / "l.mcap", CompressionType.LZ4),
+    ]
+    complaints: list[str] = []
+    noisy, random = tmp_path / "noisy.mcap", np.random.default_rng(1)
+    for source in sources:
+        content = source.read_bytes()
+        for _ in range(150):
+            damaged = bytearray(content)
+            for _ in range(random.integers(1, 20)):
+                damaged[random.integers(8, len(damaged))] = random.integers(256)
+            noisy.write_bytes(damaged)
+            try:
+                for read in read_recording(noisy, FINGERPRINT).episodes:
+                    read.pieces()
+            except RecordingError as error:
+                complaints.append(str(error))
+    assert not any("\n" in complaint for complaint in complaints)
+
+
+def test_files_that_are_no_recordings_say_so_in_one_line(tmp_path: Path) -> None:
+    def complaint(content: bytes) -> str:
+        path = tmp_path / "bad.mcap"
+        path.write_bytes(content)
+        with pytest.raises(RecordingError) as caught:
+            read_recording(path, FINGERPRINT)
+        assert str(caught.value).startswith(f"{path}: ")
+        return str(caught.value).removeprefix(f"{path}: ")
+
+    assert complaint(b"") == "empty"
+    assert complaint(b"PK\x03\x04 a zip file") == "not an MCAP file"
+    no_start = [applied("e", 0), image("e", 0)]
+    writer = EpisodeWriter(tmp_path, event("e", 0, "started"))
+    for message in no_start:
+        writer.write(message)
+    assert complaint(writer.seal().read_bytes()) == "holds no episode"
+    no_frame = [event("f", 0, "started"), command("f", 0)]
+    assert complaint(record(tmp_path, no_frame).read_bytes()) == "holds no camera frame"
+    with pytest.raises(RecordingError, match="No such file or directory"):
+        read_recording(tmp_path / "none.mcap")
+    with pytest.raises(RecordingError, match="Is a directory"):
+        read_recording(tmp_path)
+
+
+def test_a_living_recording_is_refused_and_a_dead_one_read(tmp_path: Path) -> None:
+    writer = EpisodeWriter(tmp_path, event("living", 0, "started"))
+    with pytest.raises(RecordingError, match="still being recorded"):
+        read_recording(tmp_path / "living.mcap.partial")
+    writer.seal()
+    recording = read_recording(leave(tmp_path, list(episode("dead"))), FINGERPRINT)
+    assert recording.truncated
+    assert len(recording.episodes[0].features) == 5
+
+
+def test_other_peoples_topics_are_let_be(tmp_path: Path) -> None:
+    path = record(tmp_path, list(episode("e")))
+    content = path.read_bytes().replace(b"smal/rescuebot/camera/rgb", b"else/rescuebot/camera/rgb")
+    path.write_bytes(content)
+    (read,) = read_recording(path, FINGERPRINT).episodes
+    assert not read.images
+    assert len(read.pieces()[0].ticks) == 5
+    assert Image.topic == "camera/rgb"

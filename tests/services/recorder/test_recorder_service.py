@@ -1,0 +1,271 @@
+"""The recorder on a real router: good, malformed and missing messages, and every way to end."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import signal
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+import zenoh
+
+from schemas.base import Message
+from schemas.codec import encoding_of
+from schemas.image import Image
+from schemas.pose import Pose
+from schemas.rpc import Nothing, RecordReply, RecordRequest
+from schemas.topics import TOPICS
+from services.bus import Bus, RpcError
+from services.process import Node, ServiceError, ServiceSettings
+from services.recorder.mcap_reader import read_recording
+from services.recorder.service import GRACE_S, RecorderService
+from services.recorder.sink import partial_of
+from tests.services.recorder.recorded_messages import FINGERPRINT, applied, episode, event, frame, header, observation
+from tests.services.recorder.test_recorder_files import FullDisk, read_all
+from tests.services.waiting import eventually, introduce, ready, status_of
+
+RunNode = Callable[[Node], Node]
+
+
+def introductions() -> list[Message]:
+    """One message for every topic, of an episode that never starts."""
+    return [*frame("nobody", 0), applied("nobody", 0), event("nobody", 0, "ended", "aborted")]
+
+
+def publish(bus: Bus, messages: list[Message]) -> None:
+    for message in messages:
+        bus.publish(message)
+
+
+def received(bus: Bus) -> int:
+    status = status_of(bus, "recorder")
+    return sum(status.received.values()) if status else 0
+
+
+def send(bus: Bus, messages: list[Message]) -> None:
+    """Publish, and wait until all of it was taken: the two sessions of a robot would else race each other."""
+    for message in messages:
+        before = received(bus)
+        bus.publish(message)
+        eventually(lambda before=before: received(bus) > before)
+
+
+def sealed(bus: Bus, count: int) -> bool:
+    status = status_of(bus, "recorder")
+    return status is not None and status.detail["files"] == count and status.detail["recording"] is None
+
+
+@pytest.fixture
+def recorder(settings: ServiceSettings, run_node: RunNode, client: Bus, tmp_path: Path) -> Iterator[RecorderService]:
+    node = Node("recorder", settings)
+    service = RecorderService(node, tmp_path)
+    run_node(node)
+    introduce(client, "recorder", *introductions())
+    return service
+
+
+def stop(bus: Bus) -> RecordReply:
+    return bus.call("recorder", "stop", Nothing(), RecordReply)
+
+
+def test_one_file_an_episode_with_every_message(recorder: RecorderService, client: Bus, tmp_path: Path) -> None:
+    sent = list(episode("drive-1")), list(episode("drive-2", frames=3))
+    for messages in sent:
+        publish(client, messages)
+    eventually(lambda: sealed(client, 2))
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["drive-1.mcap", "drive-2.mcap"]
+    for messages, name in zip(sent, ("drive-1", "drive-2"), strict=True):
+        assert len(read_all(tmp_path / f"{name}.mcap")) == len(messages)
+        (read,) = read_recording(tmp_path / f"{name}.mcap", FINGERPRINT).episodes
+        assert (read.episode, read.outcome, read.purpose) == (name, "found", "drive")
+    assert ready(client, "recorder").detail["duplicates"] == 0
+    reply = stop(client)
+    assert [Path(file).name for file in reply.files] == ["drive-1.mcap", "drive-2.mcap"]
+    assert reply.dropped == 0
+
+
+def test_what_descends_from_the_last_frame_is_awaited(recorder: RecorderService, client: Bus, tmp_path: Path) -> None:
+    *most, end = list(episode("drive-1"))
+    late = observation("drive-1", 4)
+    send(client, [m for m in most if m != late])
+    send(client, [end, event("drive-2", 0, "started"), late])
+    eventually((tmp_path / "drive-1.mcap").exists)
+    assert ("smal/rescuebot/observation", 4) in [
+        (topic, tick) for topic, tick, _ in read_all(tmp_path / "drive-1.mcap")
+    ]
+    assert partial_of(tmp_path / "drive-2.mcap").exists()
+
+
+def test_messages_before_the_beginning_are_kept(recorder: RecorderService, client: Bus, tmp_path: Path) -> None:
+    start, *rest = list(episode("drive-1"))
+    send(client, [applied("drive-1", 0), start])
+    publish(client, [m for m in rest if m != applied("drive-1", 0)])
+    eventually(lambda: sealed(client, 1))
+    assert len(read_all(tmp_path / "drive-1.mcap")) == len(rest) + 1
+
+
+def test_nothing_is_recorded_before_start_and_after_stop(
+    settings: ServiceSettings, run_node: RunNode, client: Bus, tmp_path: Path
+) -> None:
+    node = Node("recorder", settings)
+    RecorderService(node)
+    run_node(node)
+    introduce(client, "recorder", *introductions())
+    send(client, list(episode("before", frames=1)))
+    folder = tmp_path / "new" / "folder"
+    client.call("recorder", "start", RecordRequest(folder=str(folder)), Nothing)
+    publish(client, list(episode("during", frames=2)))
+    eventually(lambda: sealed(client, 1))
+    send(client, [event("cut", 0, "started"), *frame("cut", 0)])
+    reply = stop(client)
+    assert [Path(file).name for file in reply.files] == ["during.mcap", "cut.mcap"]
+    send(client, list(episode("after", frames=1)))
+    assert sorted(path.name for path in folder.iterdir()) == ["cut.mcap", "during.mcap"]
+    assert read_recording(folder / "cut.mcap", FINGERPRINT).episodes[0].outcome is None
+
+
+def test_flush_names_the_files_and_recording_goes_on(recorder: RecorderService, client: Bus, tmp_path: Path) -> None:
+    for name in ("first", "second"):
+        send(client, [event(name, 0, "started"), *frame(name, 0), event(name, 0, "ended", "found")])
+        reply = client.call("recorder", "flush", Nothing(), RecordReply)
+        assert reply.files[-1] == str(tmp_path / f"{name}.mcap")
+        assert not read_recording(tmp_path / f"{name}.mcap", FINGERPRINT).truncated
+
+
+def test_an_episode_that_never_ends_is_closed_by_the_next(
+    recorder: RecorderService, client: Bus, tmp_path: Path
+) -> None:
+    send(client, [event("lost", 0, "started"), *frame("lost", 0)])
+    publish(client, list(episode("next")))
+    eventually(lambda: sealed(client, 2))
+    assert read_recording(tmp_path / "lost.mcap", FINGERPRINT).episodes[0].end_tick is None
+    assert len(read_all(tmp_path / "next.mcap")) == len(list(episode("next")))
+
+
+def test_silence_changes_nothing(recorder: RecorderService, client: Bus, tmp_path: Path) -> None:
+    send(client, [event("quiet", 0, "started")])
+    eventually(lambda: ready(client, "recorder").uptime_s > GRACE_S + 0.2)
+    assert ready(client, "recorder").detail["recording"] == "quiet"
+    publish(client, list(episode("quiet"))[1:])
+    eventually(lambda: sealed(client, 1))
+    assert len(read_all(tmp_path / "quiet.mcap")) == len(list(episode("quiet")))
+
+
+def test_malformed_messages_are_counted_and_dropped(recorder: RecorderService, client: Bus, tmp_path: Path) -> None:
+    session = client._sessions[False]
+    send(client, [event("on", 0, "started")])
+    for topic in TOPICS.values():
+        encoding = zenoh.Encoding(encoding_of(topic.message))
+        for payload in (b"", b"\xc1" * 10, os.urandom(64), b"\x81" * 5000):
+            session.put(topic.key("rescuebot"), payload, encoding=encoding)
+        session.put(topic.key("rescuebot"), b"\x80", encoding=zenoh.Encoding("text/plain"))
+    eventually(lambda: ready(client, "recorder").bad == dict.fromkeys(TOPICS, 5))
+    publish(client, list(episode("on"))[1:])
+    eventually(lambda: sealed(client, 1))
+    assert len(read_all(tmp_path / "on.mcap")) == len(list(episode("on")))
+
+
+def test_a_folder_that_cannot_be_is_refused_in_one_line(
+    recorder: RecorderService, client: Bus, tmp_path: Path, settings: ServiceSettings
+) -> None:
+    (tmp_path / "file").write_text("")
+    with pytest.raises(RpcError, match=r"^recorder start: cannot record in .*file/folder: Not a directory$"):
+        client.call("recorder", "start", RecordRequest(folder=str(tmp_path / "file" / "folder")), Nothing)
+    with Node("other", settings) as node, pytest.raises(ServiceError, match="Not a directory"):
+        RecorderService(node, tmp_path / "file" / "folder")
+    publish(client, list(episode("on")))
+    eventually(lambda: sealed(client, 1))
+
+
+def test_a_full_disk_ends_the_file_and_not_the_recorder(
+    recorder: RecorderService, client: Bus, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("services.recorder.mcap_writer.Sink", FullDisk)
+    sent = list(episode("full", frames=40))
+    send(client, sent)
+    eventually(lambda: sealed(client, 1))
+    detail = ready(client, "recorder").detail
+    assert "cannot go on recording" in str(detail["last_error"])
+    assert "No space left on device" in str(detail["last_error"])
+    written = len(read_all(tmp_path / "full.mcap"))
+    assert written > 10
+    assert written + int(detail["lost"] or 0) == len(sent)
+    monkeypatch.undo()
+    publish(client, list(episode("room")))
+    eventually(lambda: sealed(client, 2))
+    assert len(read_all(tmp_path / "room.mcap")) == len(list(episode("room")))
+    assert stop(client).dropped == len(sent) - written
+
+
+def test_a_folder_that_vanishes_loses_one_episode_only(recorder: RecorderService, client: Bus, tmp_path: Path) -> None:
+    folder = tmp_path / "recordings"
+    client.call("recorder", "start", RecordRequest(folder=str(folder)), Nothing)
+    shutil.rmtree(folder)
+    send(client, list(episode("gone", frames=1)))
+    eventually(lambda: "cannot record episode gone" in str(ready(client, "recorder").detail["last_error"]))
+    folder.mkdir()
+    publish(client, list(episode("back")))
+    eventually((folder / "back.mcap").exists)
+
+
+@pytest.fixture
+def process(router_endpoint: str, tmp_path: Path) -> Iterator[subprocess.Popen[str]]:
+    command = [sys.executable, "-m", "services.recorder", "--router", router_endpoint, "--recordings", str(tmp_path)]
+    child = subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
+    yield child
+    child.kill()
+    child.communicate()
+
+
+def test_sigterm_finishes_the_running_recording(process: subprocess.Popen[str], client: Bus, tmp_path: Path) -> None:
+    introduce(client, "recorder", *introductions())
+    send(client, [event("cut", 0, "started"), *frame("cut", 0)])
+    process.send_signal(signal.SIGTERM)
+    assert process.wait(5.0) == 0
+    assert "Traceback" not in process.stderr.read()
+    recording = read_recording(tmp_path / "cut.mcap", FINGERPRINT)
+    assert not recording.truncated
+    assert len(read_all(tmp_path / "cut.mcap")) == 1 + len(frame("cut", 0))
+
+
+def test_kill_loses_nothing_that_was_taken(
+    process: subprocess.Popen[str], client: Bus, tmp_path: Path, settings: ServiceSettings
+) -> None:
+    introduce(client, "recorder", *introductions())
+    sent = list(episode("killed"))[:-1]
+    send(client, sent)
+    process.kill()
+    process.wait(5.0)
+    partial = tmp_path / "killed.mcap.partial"
+    assert len(read_recording(partial, FINGERPRINT).episodes[0].features) == 5
+    with Node("other", settings) as node:
+        RecorderService(node, tmp_path)
+    assert len(read_all(tmp_path / "killed.mcap")) == len(sent)
+    assert not partial.exists()
+
+
+def test_bad_settings_are_one_line(tmp_path: Path, router_endpoint: str) -> None:
+    (tmp_path / "file").write_text("")
+    for flags, status in ((["--recordings", str(tmp_path / "file" / "x")], 1), (["--robot", "Not An Id"], 2)):
+        command = [sys.executable, "-m", "services.recorder", "--router", router_endpoint, *flags]
+        done = subprocess.run(command, capture_output=True, text=True, timeout=20, check=False)
+        assert done.returncode == status
+        assert len(done.stderr.strip().splitlines()) == 1
+
+
+def test_images_wait_in_a_queue_that_is_bounded(settings: ServiceSettings, tmp_path: Path) -> None:
+    with Node("recorder", settings) as node:
+        recorder = RecorderService(node, tmp_path)
+        frames = 70
+        for _ in range(frames):
+            node._inbox.put("camera/rgb", (b"", ""))
+        assert node.status().dropped == {"camera/rgb": frames - 64}
+        recorder.handle(event("e", 0, "started"))
+        recorder.handle(Pose.after(header("e", 0), x_m=0.0, y_m=0.0, heading_rad=0.0))
+        recorder.close()
+    assert Image.topic == "camera/rgb"
+    assert len(read_all(tmp_path / "e.mcap")) == 2

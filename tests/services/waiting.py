@@ -1,0 +1,58 @@
+"""Waiting for events, never for a fixed time."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from typing import TypeVar
+
+import pytest
+
+from schemas.base import Message
+from schemas.rpc import Nothing, Status
+from services.bus import Bus, RpcError
+
+T = TypeVar("T")
+
+
+def eventually(get: Callable[[], T], timeout_s: float = 10.0) -> T:
+    """Call ``get`` until it returns something true; fail after ``timeout_s``."""
+    deadline = time.monotonic() + timeout_s
+    while not (value := get()):
+        if time.monotonic() > deadline:
+            pytest.fail(f"nothing true within {timeout_s} s from {get}")
+        time.sleep(0.005)
+    return value
+
+
+def status_of(client: Bus, service: str) -> Status | None:
+    """Return a service's status, or None while it does not answer."""
+    try:
+        return client.call(service, "status", Nothing(), Status, timeout_s=2.0)
+    except RpcError:
+        return None
+
+
+def ready(client: Bus, service: str) -> Status:
+    """Wait until a service is ready."""
+
+    def get() -> Status | None:
+        status = status_of(client, service)
+        return status if status is not None and status.state == "ready" else None
+
+    return eventually(get, timeout_s=30.0)
+
+
+def introduce(client: Bus, service: str, *messages: Message) -> None:
+    """Send messages until the service has received one on each of their topics: from then on none is lost."""
+    waiting = {message.topic_name: message for message in messages}
+
+    def all_received() -> bool:
+        status = status_of(client, service)
+        for topic in [name for name in waiting if status is not None and status.received.get(name)]:
+            del waiting[topic]
+        for message in waiting.values():
+            client.publish(message)
+        return not waiting
+
+    eventually(all_received)
