@@ -1,0 +1,76 @@
+"""A service as its own process, and the messages that the chain of services exchanges."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+
+from schemas.array import Float32Array
+from schemas.image import Image
+from schemas.observation import Observation
+from smal.action_space import Atom
+from smal.features import FeatureSettings, extract
+from smal.learning import Demonstration, LearningSettings, learn
+
+FEATURES = FeatureSettings()
+LENGTH = 3
+
+
+def picture(place: int) -> np.ndarray:
+    """Return the 48x64 image of a place: a coarse random pattern that belongs to it alone."""
+    coarse = np.random.default_rng(place).integers(0, 255, (6, 8, 3), dtype=np.uint8)
+    return np.kron(coarse, np.ones((8, 8, 1), dtype=np.uint8))
+
+
+def image(tick: int, place: int | None = None, episode: str = "e") -> Image:
+    """Return the camera frame of a tick, taken at a place (by default the one of that number)."""
+    pixels = picture(tick if place is None else place)
+    height, width, _ = pixels.shape
+    return Image(
+        robot="rescuebot", episode=episode, tick=tick, stamp_ns=tick, width=width, height=height, data=pixels.tobytes()
+    )
+
+
+def observation(tick: int, place: int | None = None, episode: str = "e") -> Observation:
+    """Return the observation of `image`."""
+    vector = extract(image(tick, place, episode).to_numpy(), FEATURES)
+    return Observation.after(
+        image(tick, place, episode), fingerprint=FEATURES.fingerprint, features=Float32Array.from_numpy(vector)
+    )
+
+
+def save_model(path: Path, frames: int = 18) -> Path:
+    """Learn a corridor of places 0, 1, 2, ... that is driven forward, with one turn at place 9."""
+    vectors = np.stack([extract(picture(place), FEATURES) for place in range(frames)])
+    atoms = np.full(frames, Atom.FORWARD, dtype=np.int8)
+    atoms[9] = Atom.LEFT
+    model, _ = learn([Demonstration("drive", vectors, atoms)], LearningSettings(sequence_length=LENGTH))
+    model.save(path)
+    return path
+
+
+@contextmanager
+def process(service: str, endpoint: str, *flags: str) -> Iterator[subprocess.Popen[str]]:
+    """Run a service as a process; it must end with status 0 within five seconds of SIGTERM."""
+    child = subprocess.Popen(
+        [sys.executable, "-m", f"services.{service}", "--router", endpoint, *flags],
+        stderr=subprocess.PIPE,
+        text=True,
+        env=os.environ | {"OPENBLAS_NUM_THREADS": "1"},
+    )
+    try:
+        yield child
+    finally:
+        child.send_signal(signal.SIGTERM)
+        try:
+            status = child.wait(5.0)
+        finally:
+            child.kill()
+    assert status == 0, child.stderr.read() if child.stderr else ""

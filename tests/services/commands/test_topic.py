@@ -1,0 +1,314 @@
+"""``smal topic`` as an operator runs it, and the pure pieces below it."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from itertools import pairwise
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from schemas import topics
+from schemas.codec import encode, encoding_of
+from schemas.command import Command
+from schemas.episode import Episode
+from schemas.image import Image
+from schemas.observation import Observation
+from schemas.topics import TOPICS
+from services.bus import Bus
+from services.commands.rates import Rate, rate_lines
+from services.commands.samples import Sample
+from services.commands.topic import key_expression, markdown_table
+from tests.schemas.messages import EXAMPLES
+from tests.services.waiting import eventually
+
+ROOT = Path(__file__).parents[3]
+SMAL = [sys.executable, "-c", "from services.cli import main; main()"]
+
+
+def smal(*arguments: str) -> subprocess.CompletedProcess[str]:
+    return subprocess.run([*SMAL, *arguments], cwd=ROOT, capture_output=True, text=True, check=False, timeout=60)
+
+
+def sample(message: topics.Message, **changes: object) -> Sample:
+    key = TOPICS[message.topic_name].key(message.robot)
+    return Sample(**({"key": key, "payload": encode(message), "encoding": encoding_of(type(message))} | changes))
+
+
+class Listening:
+    """A ``smal topic`` process that listens, and a robot that talks until it has heard something."""
+
+    def __init__(self, client: Bus, *arguments: str) -> None:
+        self._client = client
+        self.process = subprocess.Popen(
+            [*SMAL, "topic", *arguments, "--router", client.endpoint],
+            cwd=ROOT,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+        )
+        assert self.process.stdout is not None
+        assert self.process.stderr is not None
+        os.set_blocking(self.process.stdout.fileno(), False)
+
+    def lines_until(self, count: int, *messages: topics.Message) -> list[str]:
+        """Publish until that many lines have been printed."""
+        printed: list[str] = []
+
+        def enough() -> bool:
+            for message in messages:
+                self._client.publish(message)
+            assert self.process.stdout is not None
+            printed.extend(self.process.stdout.readlines())
+            return len(printed) >= count
+
+        eventually(enough, timeout_s=20.0)
+        return printed
+
+    def end(self) -> tuple[int, str]:
+        """Press Ctrl-C; returns exit status and standard error."""
+        self.process.send_signal(signal.SIGINT)
+        assert self.process.stderr is not None
+        error = self.process.stderr.read()
+        return self.process.wait(10.0), error
+
+
+Listen = Callable[..., Listening]
+
+
+@pytest.fixture
+def listen(client: Bus) -> Iterator[Listen]:
+    started: list[Listening] = []
+
+    def start(*arguments: str) -> Listening:
+        started.append(Listening(client, *arguments))
+        return started[-1]
+
+    yield start
+    for listening in started:
+        listening.process.kill()
+        listening.process.communicate()
+
+
+# -- the table --------------------------------------------------------------------------------------------------------
+
+
+def test_list_names_every_topic() -> None:
+    done = smal("topic", "list")
+    assert done.returncode == 0
+    assert [line.split()[0] for line in done.stdout.splitlines()] == ["topic", *TOPICS]
+
+
+def test_list_as_json() -> None:
+    rows = json.loads(smal("topic", "list", "--json").stdout)
+    assert [row["name"] for row in rows] == list(TOPICS)
+    assert rows[0] | {"meaning": ""} == {
+        "name": "camera/rgb",
+        "message": "smal.Image/1",
+        "rate_hz": 10,
+        "producer": "simulator",
+        "meaning": "",
+    }
+
+
+def test_list_as_markdown_is_the_table_of_the_readme() -> None:
+    table = smal("topic", "list", "--markdown").stdout.strip()
+    assert table == markdown_table()
+    assert all(line.startswith("| ") or line == "|---|---|---|---|---|" for line in table.splitlines())
+    assert len(table.splitlines()) == len(TOPICS) + 2
+
+
+@pytest.mark.parametrize("name", ["state", "smal/other/state"])
+def test_info_describes_a_topic_with_its_schema(name: str) -> None:
+    row = json.loads(smal("topic", "info", name, "--json", "--robot", "robo-2").stdout)
+    assert row["key"] == "smal/robo-2/state"
+    assert row["encoding"] == "application/vnd.msgpack;smal.State/1"
+    assert row["schema"]["additionalProperties"] is False
+    assert row["schema"]["properties"]["status"]["description"]
+
+
+def test_info_of_a_name_that_is_nearly_right() -> None:
+    done = smal("topic", "info", "camera/rbg")
+    assert (done.returncode, done.stderr) == (2, "smal: no topic 'camera/rbg'; did you mean: camera/rgb?\n")
+
+
+@pytest.mark.parametrize(
+    ("keys", "expression"),
+    [
+        ("smal/**", "smal/**"),
+        ("**", "**"),
+        ("camera/rgb", "smal/robo/camera/rgb"),
+        ("command/*", "smal/robo/command/*"),
+        ("smal/other/state", "smal/other/state"),
+    ],
+)
+def test_key_expressions(keys: str, expression: str) -> None:
+    assert key_expression(keys, "robo") == expression
+
+
+# -- samples ----------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("cls", EXAMPLES, ids=lambda cls: cls.__name__)
+def test_each_message_is_one_short_line_and_one_json_object(cls: type) -> None:
+    line = sample(EXAMPLES[cls]).line()
+    assert line.isprintable()
+    assert len(line) < 300
+    record = sample(EXAMPLES[cls]).record()
+    assert json.loads(json.dumps(record)) is not None
+    assert set(record["message"]) == set(cls.model_fields)
+
+
+def test_binary_data_is_not_dumped() -> None:
+    assert sample(EXAMPLES[Image]).line().endswith("width=2 height=1 data=<6 bytes>")
+    assert sample(EXAMPLES[Image]).record()["message"]["data"] == {"bytes": 6}
+    assert "features=<float32 3, 12 bytes>" in sample(EXAMPLES[Observation]).line()
+
+
+@pytest.mark.parametrize(
+    ("changes", "reason"),
+    [
+        ({"key": "other/key"}, "no topic of SMAL"),
+        ({"payload": b"\xc1"}, "not msgpack"),
+        ({"encoding": "text/plain"}, "got 'text/plain'"),
+        ({"key": "smal/stranger/command/teleop"}, "holds a message of rescuebot/command/teleop"),
+        ({"key": "smal/rescuebot/command/policy"}, "holds a message of rescuebot/command/teleop"),
+        ({"key": "smal/rescuebot/\x1b[2J\n"}, "no topic of SMAL"),
+    ],
+)
+def test_what_cannot_be_decoded_is_named_as_such(changes: dict[str, object], reason: str) -> None:
+    strange = sample(EXAMPLES[Command], **changes)
+    assert "not decodable (" in strange.line()
+    assert reason in strange.line()
+    assert strange.line().isprintable()
+    assert reason in str(strange.record()["error"])
+
+
+def test_a_strangers_text_cannot_move_the_terminal() -> None:
+    event = Episode.after(EXAMPLES[Episode], event="started", purpose="run", driver="policy", world="\x1b[2J\n", seed=1)
+    assert sample(event).line().isprintable()
+
+
+# -- rates ------------------------------------------------------------------------------------------------------------
+
+
+@given(st.lists(st.floats(0.001, 10), min_size=1, max_size=30), st.integers(0, 10_000))
+def test_rates(intervals_s: list[float], size: int) -> None:
+    times_s = [100.0]
+    for interval_s in intervals_s:
+        times_s.append(times_s[-1] + interval_s)
+    rate = Rate()
+    for time_s in times_s:
+        rate.add(size, time_s)
+    gaps = [later - earlier for earlier, later in pairwise(times_s)]
+    assert rate.mean_s == pytest.approx(sum(gaps) / len(gaps))
+    assert rate.rate_hz == pytest.approx(len(gaps) / sum(gaps))
+    assert rate.bytes_per_s == pytest.approx(size * len(gaps) / sum(gaps))
+    assert (rate.min_s, rate.max_s) == (min(gaps), max(gaps))
+
+
+def test_rates_of_too_few_samples_are_unknown_not_zero() -> None:
+    rate = Rate()
+    rate.add(10, 1.0)
+    assert rate.record() == {
+        "messages": 1, "rate_hz": None, "bytes_per_s": None, "mean_s": None, "min_s": None, "max_s": None,
+    }  # fmt: skip
+    rate.add(10, 1.0)
+    assert rate.rate_hz is None, "two at the same instant"
+    assert list(rate_lines({"key": rate}))[1].split() == ["key", "2", "-", "-", "0.00", "0.00", "0.00"]
+
+
+# -- listening --------------------------------------------------------------------------------------------------------
+
+
+def test_echo_prints_messages_and_ends_cleanly_on_ctrl_c(listen: Listen) -> None:
+    listening = listen("echo")
+    lines = listening.lines_until(4, EXAMPLES[Command], EXAMPLES[Image])
+    assert any(line.startswith("smal/rescuebot/command/teleop  episode=drive-7-18c0-1 tick=300 ") for line in lines)
+    assert any(line.endswith("data=<6 bytes>\n") for line in lines)
+    assert listening.end() == (0, "")
+
+
+def test_echo_of_a_short_name_counts_and_ends(listen: Listen) -> None:
+    listening = listen("echo", "command/teleop", "--count", "2", "--json")
+    lines = listening.lines_until(2, EXAMPLES[Image], EXAMPLES[Command])
+    assert listening.process.wait(10.0) == 0
+    assert [json.loads(line)["message"]["atom"] for line in lines] == ["forward", "forward"]
+
+
+def test_echo_into_a_pipe_that_is_closed(listen: Listen) -> None:
+    listening = listen("echo")
+    listening.lines_until(1, EXAMPLES[Command])
+    listening.process.stdout.close()
+
+    def ended() -> bool:
+        listening._client.publish(EXAMPLES[Command])
+        return listening.process.poll() is not None
+
+    eventually(ended)
+    assert listening.process.returncode == 0
+    assert listening.process.stderr.read() == ""
+    listening.process.stdout = None
+
+
+def test_hz_measures_each_key(listen: Listen, client: Bus) -> None:
+    listening = listen("hz", "--seconds", "60", "--json")
+    assert listening.process.stderr.readline() == "listening to smal/** for 60 s\n"
+    for _ in range(5):
+        client.publish(EXAMPLES[Command])
+        client.publish(EXAMPLES[Image])
+    # The subscription was there before the line above was printed, but the router passes it on in the background.
+    listener = listen("echo", "--count", "1")
+    listener.lines_until(1, EXAMPLES[Command])
+    client.publish(EXAMPLES[Command])
+    os.set_blocking(listening.process.stdout.fileno(), True)
+    status, _ = listening.end()
+    rates = json.loads(listening.process.stdout.read())
+    assert status == 0
+    assert rates["smal/rescuebot/command/teleop"]["messages"] >= 2
+    assert rates["smal/rescuebot/command/teleop"]["rate_hz"] > 0
+
+
+def test_hz_of_silence(listen: Listen) -> None:
+    listening = listen("hz", "pose/truth", "--seconds", "0.1")
+    assert listening.process.wait(20.0) == 0
+    assert listening.process.stderr.read().endswith("smal: nothing was published on smal/rescuebot/pose/truth\n")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "status", "error"),
+    [
+        (("echo", "--robot", "Bad"), 2, "robot id 'Bad' does not match"),
+        (("echo", "--count", "0"), 2, "--count"),
+        (("hz", "--seconds", "nan"), 2, "--seconds"),
+        (("echo", "--router", "nonsense"), 1, "expected tcp/<host>:<port>"),
+        (("nonsense",), 2, "No such command"),
+    ],
+)
+def test_bad_use_is_one_line(arguments: tuple[str, ...], status: int, error: str) -> None:
+    done = smal("topic", *arguments)
+    assert done.returncode == status
+    assert error in done.stderr
+    assert len(done.stderr.strip().splitlines()) == 1
+
+
+def test_a_bad_key_expression_is_one_line(client: Bus) -> None:
+    done = smal("topic", "echo", "smal//x", "--router", client.endpoint)
+    assert done.returncode == 1
+    assert done.stderr == (
+        "smal: Invalid Key Expr `smal//x`: empty chunks are forbidden, as well as leading and trailing slashes\n"
+    )
+
+
+def test_no_router_is_one_line(free_endpoint: str) -> None:
+    done = smal("topic", "echo", "--router", free_endpoint)
+    assert (done.returncode, done.stderr) == (
+        1, f"smal: no router at {free_endpoint}; start the stack with `smal up`\n",
+    )  # fmt: skip

@@ -1,0 +1,192 @@
+"""Features, recognition and policy as processes: good message, malformed message, silence, stop."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import TypeVar
+
+import numpy as np
+import pytest
+
+from schemas import topics
+from schemas.action import Action
+from schemas.base import Message
+from schemas.codec import decode, encoding_of
+from schemas.command import Command
+from schemas.observation import Observation
+from schemas.rpc import LoadReply, LoadRequest
+from schemas.state import Candidate, State
+from schemas.topics import Topic
+from services.bus import Bus, RpcError
+from smal.features import extract
+from tests.services.chain import FEATURES, LENGTH, image, observation, picture, process, save_model
+from tests.services.waiting import eventually, introduce, ready, status_of
+
+M = TypeVar("M", bound=Message)
+Listen = Callable[[Topic, type[M]], dict[int, M]]
+
+
+@pytest.fixture
+def listen(client: Bus) -> Listen[Message]:
+    """Collect the messages of a topic by tick."""
+
+    def collect(topic: Topic, cls: type[M]) -> dict[int, M]:
+        heard: dict[int, M] = {}
+
+        def take(payload: bytes, encoding: str) -> None:
+            message = decode(cls, payload, encoding)
+            heard[message.tick] = message
+
+        client.subscribe(topic, take)
+        return heard
+
+    return collect
+
+
+@pytest.fixture(scope="module")
+def model(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return save_model(tmp_path_factory.mktemp("model") / "corridor.smal")
+
+
+@pytest.fixture
+def recognition(client: Bus, router_endpoint: str, model: Path) -> Iterator[None]:
+    with process("recognition", router_endpoint, "--model", str(model)):
+        ready(client, "recognition")
+        introduce(client, "recognition", observation(0, episode="hello"))
+        yield
+
+
+@pytest.fixture
+def policy(client: Bus, router_endpoint: str, model: Path) -> Iterator[None]:
+    with process("policy", router_endpoint, "--model", str(model)):
+        ready(client, "policy")
+        introduce(client, "policy", state(0, episode="hello", status="collecting"))
+        yield
+
+
+def state(tick: int, episode: str = "e", **fields: object) -> State:
+    header = Message(robot="rescuebot", episode=episode, tick=tick, stamp_ns=0)
+    return State.after(header, **fields)
+
+
+def malformed(client: Bus, service: str, topic: Topic) -> None:
+    """Send rubbish on a topic, and see it counted by a service that goes on."""
+    publisher = client._sessions[topic.urgent].declare_publisher(topic.key("rescuebot"))
+    for count, payload in enumerate((b"", b"\xc1", b"\x81\xa1x" * 1000), start=1):
+        publisher.put(payload, encoding=encoding_of(topic.message))
+
+        def counted(count: int = count) -> bool:
+            status = status_of(client, service)
+            return status is not None and status.bad.get(topic.name, 0) == count
+
+        eventually(counted)
+
+
+def test_features_turns_every_frame_into_its_observation(
+    client: Bus, router_endpoint: str, listen: Listen[Observation]
+) -> None:
+    heard = listen(topics.OBSERVATION, Observation)
+    with process("features", router_endpoint):
+        ready(client, "features")
+        introduce(client, "features", image(0))
+        malformed(client, "features", topics.CAMERA)
+        client.publish(image(5))
+        eventually(lambda: 5 in heard)
+    expected = extract(picture(5), FEATURES)
+    np.testing.assert_array_equal(heard[5].features.to_numpy(), expected)
+    assert heard[5].fingerprint == FEATURES.fingerprint
+    assert heard[5].stamp_ns == 5
+
+
+@pytest.mark.usefixtures("recognition")
+def test_recognition_knows_where_the_robot_is(client: Bus, listen: Listen[State]) -> None:
+    heard = listen(topics.STATE, State)
+    malformed(client, "recognition", topics.OBSERVATION)
+    for tick in range(LENGTH):
+        client.publish(observation(tick, place=6 + tick))
+        eventually(lambda tick=tick: tick in heard)  # type: ignore[misc]
+    assert [heard[tick].status for tick in range(LENGTH)] == ["collecting"] * (LENGTH - 1) + ["recognized"]
+    answer = heard[LENGTH - 1]
+    # Sequence 2 holds the places 6, 7 and 8, and the last frame is its last.
+    assert (answer.state, answer.phase) == (2, pytest.approx(LENGTH - 1, abs=0.5))
+    assert answer.candidates[0].state == 2
+    assert answer.duality_gap < 1e-3
+
+
+@pytest.mark.usefixtures("recognition")
+def test_recognition_says_that_it_does_not_know(client: Bus, listen: Listen[State]) -> None:
+    heard = listen(topics.STATE, State)
+    for tick in range(LENGTH):
+        client.publish(observation(tick, place=1000 + tick))
+        eventually(lambda tick=tick: tick in heard)  # type: ignore[misc]
+    assert heard[LENGTH - 1].status == "unknown"
+    assert heard[LENGTH - 1].state is None
+
+
+@pytest.mark.usefixtures("recognition")
+def test_recognition_never_joins_two_episodes_or_a_gap(client: Bus, listen: Listen[State]) -> None:
+    heard = listen(topics.STATE, State)
+    for tick, episode in ((0, "a"), (1, "a"), (2, "b")):
+        client.publish(observation(tick, episode=episode))
+        eventually(lambda tick=tick: tick in heard)  # type: ignore[misc]
+    assert heard[2].status == "collecting"
+
+
+def test_recognition_without_a_model_is_idle_and_refuses_a_bad_one(
+    client: Bus, router_endpoint: str, listen: Listen[State], tmp_path: Path, model: Path
+) -> None:
+    heard = listen(topics.STATE, State)
+    with process("recognition", router_endpoint):
+        ready(client, "recognition")
+        introduce(client, "recognition", observation(0))
+        client.publish(observation(1))
+        eventually(lambda: 1 in heard)
+        assert heard[1].status == "idle"
+        truncated = tmp_path / "truncated.smal"
+        truncated.write_bytes(model.read_bytes()[:-7])
+        with pytest.raises(RpcError, match="truncated"):
+            client.call("recognition", "load", LoadRequest(path=str(truncated)), LoadReply)
+        reply = client.call("recognition", "load", LoadRequest(path=str(model)), LoadReply)
+        assert reply.sequence_length == LENGTH
+
+
+@pytest.mark.usefixtures("policy")
+def test_policy_commands_every_frame_and_decides_when_a_state_is_known(client: Bus, listen: Listen[Message]) -> None:
+    commands = listen(topics.COMMANDS["policy"], Command)
+    actions = listen(topics.ACTION, Action)
+    malformed(client, "policy", topics.STATE)
+    belief = (Candidate(state=2, phase=2.0, weight=1.0),)
+    client.publish(state(0, status="recognized", state=2, phase=2.0, candidates=belief))
+    for tick in (1, 2, 3):
+        client.publish(state(tick, status="collecting"))
+    eventually(lambda: 3 in commands and 0 in actions)
+    # Places 8, 9 (turn left), 10; then the plan is over, and nothing is known of where to go.
+    assert [commands[tick].atom for tick in range(4)] == ["forward", "left", "forward", "stop"]
+    assert (actions[0].kind, actions[0].atoms) == ("action", ("forward", "left", "forward"))
+
+
+@pytest.mark.usefixtures("policy")
+def test_policy_answers_a_repeated_state_with_the_same_command(client: Bus, listen: Listen[Message]) -> None:
+    commands = listen(topics.COMMANDS["policy"], Command)
+    known = state(0, status="recognized", state=2, phase=2.0)
+    client.publish(known)
+    eventually(lambda: 0 in commands)
+    first = commands.pop(0)
+    client.publish(known)
+    eventually(lambda: 0 in commands)
+    assert commands[0] == first
+    client.publish(state(1, status="collecting"))
+    eventually(lambda: 1 in commands)
+    assert commands[1].atom == "left"
+
+
+@pytest.mark.usefixtures("policy")
+def test_policy_is_silent_when_nobody_asks_and_looks_around_when_lost(client: Bus, listen: Listen[Message]) -> None:
+    commands = listen(topics.COMMANDS["policy"], Command)
+    actions = listen(topics.ACTION, Action)
+    client.publish(state(0, status="idle"))
+    client.publish(state(1, status="unknown"))
+    eventually(lambda: 1 in commands and 1 in actions)
+    assert 0 not in commands
+    assert (actions[1].kind, commands[1].atom) == ("look_around", "left")
