@@ -10,8 +10,8 @@ from pydantic import ValidationError
 from schemas.base import Message
 
 ENCODING_PREFIX: Final = "application/vnd.msgpack;"
-#: Most maps and arrays in one message; the richest one (an observation) has three.
-MAX_CONTAINERS: Final = 16
+#: Most maps and arrays in one message; the richest one, a state, has 66 (one a candidate).
+MAX_CONTAINERS: Final = 128
 
 M = TypeVar("M", bound=Message)
 

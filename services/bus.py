@@ -20,7 +20,7 @@ from schemas.rpc import Failure
 from schemas.topics import TOPICS, Topic, rpc_key
 
 DEFAULT_ROUTER: Final = "tcp/127.0.0.1:7447"
-ENDPOINT_PATTERN: Final = r"(tcp|tls|quic|udp|ws)/[^\s/]+:(\d{1,5})"
+ENDPOINT_PATTERN: Final = r"(?:tcp|tls|quic|udp|ws)/([^\s/]+):(\d{1,5})"
 #: How long one attempt to reach the router lasts; between two attempts a signal is noticed.
 ATTEMPT_MS: Final = 500
 #: How long a process waits for a router that is perhaps just starting.
@@ -66,11 +66,18 @@ def _configuration(mode: str, where: str, endpoint: str) -> zenoh.Config:
     return config
 
 
-def _check_endpoint(endpoint: str) -> None:
-    # Zenoh would take an impossible address and try it for ever.
+def host_and_port(endpoint: str) -> tuple[str, int]:
+    """Return the two parts of a router's address.
+
+    Raises
+    ------
+    BusError
+        When the address is malformed; Zenoh would try an impossible one for ever.
+    """
     match = re.fullmatch(ENDPOINT_PATTERN, endpoint)
     if match is None or int(match[2]) > 65535:
         raise BusError(f"router address {endpoint[:100]!r}: expected tcp/<host>:<port>, for example {DEFAULT_ROUTER}")
+    return match[1].strip("[]"), int(match[2])
 
 
 def _open_client(endpoint: str, patience_s: float) -> zenoh.Session:
@@ -98,7 +105,7 @@ class Router:
     """
 
     def __init__(self, endpoint: str = DEFAULT_ROUTER) -> None:
-        _check_endpoint(endpoint)
+        host_and_port(endpoint)
         try:
             self._session = zenoh.open(_configuration("router", "listen", endpoint))
         except zenoh.ZError as error:
@@ -133,7 +140,7 @@ class Bus:
     """
 
     def __init__(self, robot: str, endpoint: str = DEFAULT_ROUTER, patience_s: float = PATIENCE_S) -> None:
-        _check_endpoint(endpoint)
+        host_and_port(endpoint)
         self.robot = robot
         self.endpoint = endpoint
         self._sessions = {urgent: _open_client(endpoint, patience_s) for urgent in (False, True)}

@@ -91,7 +91,7 @@ class LearningSettings:
     novelty_parameters: dict[str, float] = field(default_factory=dict)
     recognition_parameters: dict[str, float] | None = None
     gamma: float = 0.95
-    sparsity: float = 0.1
+    sparsity: float = 0.5
     r_max: float = 1.0
     tolerance: float = 1e-3
     max_bytes: int | None = None

@@ -8,8 +8,9 @@ of (I - gamma P_a1)^-1 R, so that every matrix stays sparse.
 
 Two departures. Demonstrations show few actions per state, and P_a is unknown for the others; we send every unseen
 (s, a) to a sink of value zero. Without it most states would have no constraint and R = 0 would be optimal. And
-lambda is given as a share of the value above which R = 0 is optimal when only the sink competes, because its scale
-depends on the number of states; near 1 only the states that matter most (the goals) keep a reward.
+lambda is given as a share of the value above which R = 0 is optimal, because its scale depends on the number of
+states; near 1 only the states that matter most keep a reward. That value is the optimum of the same program with
+||R||_1 <= 1 in place of the penalty, since margins grow in proportion with R.
 
 The program makes the expert's policy optimal under R. That R is not unique (R = 0 does so too, by ties); the
 objective picks one where the expert's actions win by as much as possible.
@@ -21,7 +22,6 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 from scipy.optimize import linprog
-from scipy.sparse.linalg import spsolve
 
 from smal.policy import check_discount, policy_matrix
 from smal.transitions import Transitions
@@ -65,13 +65,53 @@ def _advantages(transitions: Transitions, expert: NDArray[np.int64]) -> tuple[sp
     return sparse.csr_array(rows), np.concatenate([transitions.state[rival], acting]).astype(np.intp)
 
 
-def _critical_penalty(P: sparse.csr_array, gamma: float, acting: Array) -> float:
-    """Smallest lambda at which R = 0 is optimal against the sink alone: max of (I - gamma P)^-T P^T 1."""
-    system = sparse.csc_array(sparse.eye_array(P.shape[0]) - gamma * P).T
-    return float(np.max(spsolve(sparse.csc_array(system), P.T @ acting)))
+class _Program:
+    """The constraints, with variables V (n, free), R+ and R- (n each, not negative) and margin (n, not negative).
+
+    margin(s) <= every advantage in s also states that advantages are not negative; a dead end has no advantage and
+    its margin is fixed to 0.
+    """
+
+    def __init__(self, transitions: Transitions, gamma: float) -> None:
+        self.n = n = transitions.states
+        expert = transitions.expert_pairs()
+        P = policy_matrix(transitions, expert)
+        advantage, of_state = _advantages(transitions, expert)
+        self.rows = rows = of_state.size
+        margin = sparse.csr_array((np.ones(rows), (np.arange(rows), of_state)), shape=(rows, n))
+        identity = sparse.eye_array(n, format="csr")
+        nothing = sparse.csr_array((n, n))
+        self.inequality = sparse.hstack([-advantage, sparse.csr_array((rows, 2 * n)), margin], format="csr")
+        self.equality = sparse.hstack([identity - gamma * P, -identity, identity, nothing], format="csr")
+        self.margin_bound = np.where(expert >= 0, np.inf, 0.0)
+
+    def solve(self, penalty: float, r_max: float, total: float = np.inf) -> tuple[Array, float]:
+        """Maximise the margins less `penalty` ||R||_1, with |R| <= r_max and ||R||_1 <= total: variables, optimum."""
+        n = self.n
+        sum_of_reward = np.repeat([0.0, 1.0, 0.0], [n, 2 * n, n])[None]
+        limited = sparse.vstack([self.inequality, sparse.csr_array(sum_of_reward)], format="csr")
+        bounded = np.isfinite(total)
+        result = linprog(  # type: ignore[call-overload]  # takes sparse matrices; the stubs do not know it
+            np.concatenate([np.zeros(n), np.full(2 * n, penalty), -np.ones(n)]),
+            A_ub=limited if bounded else self.inequality,
+            b_ub=np.append(np.zeros(self.rows), total) if bounded else np.zeros(self.rows),
+            A_eq=self.equality,
+            b_eq=np.zeros(n),
+            bounds=np.stack(
+                [
+                    np.concatenate([np.full(n, -np.inf), np.zeros(3 * n)]),
+                    np.concatenate([np.full(n, np.inf), np.full(2 * n, r_max), self.margin_bound]),
+                ],
+                axis=1,
+            ),
+            method="highs",
+        )
+        if not result.success:
+            raise RewardError(f"the reward program of {n} states was not solved: {result.message}")
+        return np.asarray(result.x, dtype=np.float64), -float(result.fun)
 
 
-def learn_reward(transitions: Transitions, gamma: float, sparsity: float = 0.1, r_max: float = 1.0) -> Reward:
+def learn_reward(transitions: Transitions, gamma: float, sparsity: float = 0.5, r_max: float = 1.0) -> Reward:
     """Find a reward under which the expert's majority policy is optimal.
 
     Parameters
@@ -94,31 +134,9 @@ def learn_reward(transitions: Transitions, gamma: float, sparsity: float = 0.1, 
     check_discount(gamma)
     if not (0.0 <= sparsity <= 1.0 and np.isfinite(r_max) and r_max > 0.0):
         raise ValueError(f"sparsity must be 0 to 1 and r_max positive, got {sparsity} and {r_max}")
+    program = _Program(transitions, gamma)
+    _, critical = program.solve(penalty=0.0, r_max=1.0, total=1.0)
+    penalty = sparsity * critical
+    x, objective = program.solve(penalty, r_max)
     n = transitions.states
-    expert = transitions.expert_pairs()
-    P = policy_matrix(transitions, expert)
-    penalty = sparsity * _critical_penalty(P, gamma, (expert >= 0).astype(np.float64))
-    advantage, of_state = _advantages(transitions, expert)
-    rows = of_state.size
-    # Variables: V (n, free), R+ and R- (n each, 0..r_max), margin (n, >= 0). margin(s) <= every advantage in s also
-    # states that the advantages are not negative; a dead end has no advantage and its margin is fixed to 0.
-    margin = sparse.csr_array((np.ones(rows), (np.arange(rows), of_state)), shape=(rows, n))
-    inequality = sparse.hstack([-advantage, sparse.csr_array((rows, 2 * n)), margin], format="csr")
-    identity = sparse.eye_array(n, format="csr")
-    equality = sparse.hstack([identity - gamma * P, -identity, identity, sparse.csr_array((n, n))], format="csr")
-    cost = np.concatenate([np.zeros(n), np.full(2 * n, penalty), -np.ones(n)])
-    lower = np.concatenate([np.full(n, -np.inf), np.zeros(3 * n)])
-    upper = np.concatenate([np.full(n, np.inf), np.full(2 * n, r_max), np.where(expert >= 0, np.inf, 0.0)])
-    result = linprog(  # type: ignore[call-overload]  # takes sparse matrices; the stubs do not know it
-        cost,
-        A_ub=inequality,
-        b_ub=np.zeros(rows),
-        A_eq=equality,
-        b_eq=np.zeros(n),
-        bounds=np.stack([lower, upper], axis=1),
-        method="highs",
-    )
-    if not result.success:
-        raise RewardError(f"the reward program of {n} states was not solved: {result.message}")
-    x = np.asarray(result.x, dtype=np.float64)
-    return Reward(x[n : 2 * n] - x[2 * n : 3 * n], x[:n], penalty, -float(result.fun))
+    return Reward(x[n : 2 * n] - x[2 * n : 3 * n], x[:n], penalty, objective)

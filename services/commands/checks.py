@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import shutil
 import signal
 import socket
@@ -16,10 +15,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
+from pydantic import ValidationError
+
 from schemas import topics
+from schemas.base import Strict
 from schemas.command import Command
 from schemas.rpc import Nothing, Status
-from services.bus import DEFAULT_ROUTER, Bus, BusError, Router, RpcError
+from services.bus import DEFAULT_ROUTER, Bus, BusError, Router, RpcError, host_and_port
 from services.commands.stack import SERVICES, free_endpoint
 
 PYTHONS: Final = ((3, 11), (3, 13))
@@ -37,6 +39,13 @@ class Check:
     name: str
     ok: bool
     text: str
+
+
+class _ProbeAnswer(Strict):
+    error: str | None = None
+    driver: str = ""
+    software: bool = True
+    seconds: float = 0.0
 
 
 def check_python(version: tuple[int, int] = sys.version_info[:2]) -> Check:
@@ -58,16 +67,15 @@ def check_rendering(command: tuple[str, ...] = (sys.executable, "-m", "services.
         return Check(
             "rendering", False, f"the Vulkan driver crashed ({name}); update it, or install Mesa 24.3 or newer"
         )
-    last = (done.stdout.strip().splitlines() or [""])[-1]
     try:
-        answer = json.loads(last)
-    except json.JSONDecodeError:
+        answer = _ProbeAnswer.model_validate_json((done.stdout.strip().splitlines() or [""])[-1])
+    except ValidationError:
         reason = (done.stderr.strip().splitlines() or ["it said nothing"])[-1]
         return Check("rendering", False, f"the renderer failed: {reason}; install with deploy/setup.sh")
-    if "error" in answer:
-        return Check("rendering", False, answer["error"])
-    kind = "software, on the CPU" if answer["software"] else "GPU"
-    return Check("rendering", True, f"{answer['driver']} ({kind}); first frame after {answer['seconds']} s")
+    if answer.error is not None:
+        return Check("rendering", False, answer.error)
+    kind = "software, on the CPU" if answer.software else "GPU"
+    return Check("rendering", True, f"{answer.driver} ({kind}); first frame after {answer.seconds} s")
 
 
 def check_zenoh() -> Check:
@@ -102,12 +110,14 @@ def _time_message(sender: Bus, arrived: threading.Event, sequence: int) -> float
 
 def check_port(endpoint: str = DEFAULT_ROUTER, robot: str = "rescuebot") -> Check:
     """Look who listens on the router's port: nobody, a running stack, or somebody else."""
-    host, _, port = endpoint.partition("/")[2].rpartition(":")
     try:
-        socket.create_connection((host.strip("[]"), int(port)), 1.0).close()
+        host, port = host_and_port(endpoint)
+        socket.create_connection((host, port), 1.0).close()
     except ConnectionRefusedError:
         return Check("port", True, f"{endpoint} is free")
-    except (OSError, ValueError) as error:
+    except BusError as error:
+        return Check("port", False, str(error))
+    except OSError as error:
         return Check("port", False, f"{endpoint}: {error}; give another with --router or SMAL_ROUTER")
     elsewhere = f"stop it (ss -ltnp 'sport = :{port}' names it), or set SMAL_ROUTER to another port"
     try:

@@ -13,6 +13,7 @@ from schemas import topics
 from schemas.rpc import Nothing, RecordReply, RecordRequest, ResetRequest
 from services.commands import options
 from services.commands.episodes import EpisodeClient, EpisodeRecord
+from services.commands.errors import UsageError
 from services.commands.options import Camera
 from services.commands.stack import flags, stack_for
 from services.expert.service import ExpertService
@@ -28,7 +29,7 @@ RECOVERIES_PER_DRIVE = 5
 
 def demonstrate(
     world: options.World = "campus",
-    episodes: Annotated[int, typer.Option(min=1, help="Full drives from the start to the victim.")] = 12,
+    episodes: Annotated[int, typer.Option(min=0, help="Full drives from the start to the victim.")] = 12,
     recoveries: Annotated[
         int | None,
         typer.Option(min=0, help="Short drives that begin off the route and come back to it. [default: 5 per drive]"),
@@ -50,6 +51,8 @@ def demonstrate(
     size = Camera.parse(camera)
     options.check_world(world)
     requests = list(_requests(episodes, recoveries, seed))
+    if not requests:
+        raise UsageError("--episodes 0 --recoveries 0: nothing to demonstrate")
     out.mkdir(parents=True, exist_ok=True)
     simulator = flags(world=world, camera_width=size.width, camera_height=size.height)
     services = ("router", "simulator", "features", "recorder")

@@ -18,6 +18,7 @@ from schemas.episode import Episode, Outcome
 from schemas.image import Image
 from schemas.pose import Pose
 from schemas.rpc import EndRequest, Nothing, ResetReply, ResetRequest
+from services.bus import RpcError
 from services.commands.errors import JobError
 from services.process import Node, ServiceSettings
 
@@ -150,10 +151,19 @@ class EpisodeClient:
             if time.monotonic() - self._alive_s > SILENCE_S:
                 raise JobError(f"no sign of robot {self.node.robot} for {SILENCE_S:.0f} s; see the stack's logs")
         if not self._ended:
-            self.node.bus.call("simulator", "end", EndRequest(episode=reply.episode), Nothing)
-            self.node.spin(until=lambda: self._ended, timeout_s=10.0)
+            self._end(reply.episode)
         on_tick(record.ticks)
         return record
+
+    def _end(self, episode: str) -> None:
+        refusal: RpcError | None = None
+        try:
+            self.node.bus.call("simulator", "end", EndRequest(episode=episode), Nothing)
+        except RpcError as error:
+            # It may have ended by itself in the meantime; then its last message is on the way.
+            refusal = error
+        if not self.node.spin(until=lambda: self._ended, timeout_s=10.0):
+            raise refusal or JobError(f"episode {episode} did not end")
 
     def close(self) -> None:
         """Leave the bus."""

@@ -69,6 +69,8 @@ def _text(value: object) -> str:
             return f"<{len(value)} bytes>"
         case float():
             return f"{value:.6g}"
+        case (dict(), *_):
+            return f"<{len(value)}>"
         case tuple() if len(value) > MOST_ITEMS:
             return ",".join(map(str, value[:MOST_ITEMS])) + f",...({len(value)})"
         case tuple():

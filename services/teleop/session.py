@@ -125,6 +125,7 @@ class TeleopSession:
     def _begin_episode(self) -> None:
         """Ask the simulator in a thread of its own: an emergency stop must not wait for a slow reset."""
         if self._resetting is not None:
+            self._terminal.say("still waiting for the simulator")
             return
         request = ResetRequest(seed=self._seed, purpose="drive", driver="teleop", mode="realtime")
         self._seed += 1
@@ -136,6 +137,7 @@ class TeleopSession:
                 self._replies.put(error)
 
         self._terminal.say(f"new episode, seed {request.seed} ...")
+        self._status.on_request()
         self._resetting = threading.Thread(target=reset, name="reset", daemon=True)
         self._resetting.start()
 
@@ -147,5 +149,6 @@ class TeleopSession:
         self._resetting = None
         if isinstance(reply, RpcError):
             self._terminal.say(str(reply))
+            self._status.on_failure()
         else:
             self._mine = reply.episode

@@ -12,6 +12,7 @@ from schemas.episode import Episode
 
 #: The robot's heart beats ten times a second.
 SILENCE_S: Final = 1.0
+NO_EPISODE: Final = "no episode; press n to begin one"
 
 
 class Status:
@@ -28,7 +29,7 @@ class Status:
         self._applied: CommandApplied | None = None
         self._heard_s = 0.0
         self._last_ended: str | None = None
-        self._episode = "no episode; press n to begin one"
+        self._episode = NO_EPISODE
 
     def on_applied(self, applied: CommandApplied) -> None:
         """Take the robot's heartbeat."""
@@ -36,6 +37,14 @@ class Status:
             return  # Overtaken by the news of the end: it came on another topic.
         self._applied = applied
         self._heard_s = self._clock()
+
+    def on_request(self) -> None:
+        """Take note that a new episode was asked for."""
+        self._episode = "waiting for the simulator (its first picture takes a while)"
+
+    def on_failure(self) -> None:
+        """Take note that it was refused."""
+        self._episode = NO_EPISODE
 
     def on_event(self, event: Episode) -> str:
         """Take an episode's event; returns it in words."""

@@ -20,7 +20,7 @@ from schemas.episode import Episode
 from schemas.image import Image
 from schemas.observation import Observation
 from schemas.pose import Pose
-from schemas.state import State
+from schemas.state import MAX_CANDIDATES, Candidate, State
 from schemas.topics import TOPICS
 
 HEADER = {"robot": "rescuebot", "episode": "drive-7-18c0-1", "tick": 300, "stamp_ns": 1_700_000_000_000_000_000}
@@ -44,6 +44,7 @@ EXAMPLES: dict[type[Message], Message] = {
         residual=0.5,
         agreement=0.625,
         duality_gap=1e-6,
+        candidates=(Candidate(state=7, phase=2.5, weight=0.75), Candidate(state=3, phase=-0.5, weight=0.25)),
     ),
     Action: Action(**HEADER, kind="action", state=7, atoms=("forward", "left", "stop")),
     Command: Command(**HEADER, source="teleop", sequence=2, atom="forward", speed=0.5),
@@ -86,6 +87,7 @@ _images = _sizes.flatmap(
         }
     )
 )
+_candidates = st.builds(Candidate, state=st.integers(0, 1_000_000), phase=st.floats(-1e6, 1e6), weight=st.floats(0, 1))
 _state = st.fixed_dictionaries(
     {
         **_header,
@@ -94,6 +96,7 @@ _state = st.fixed_dictionaries(
         "residual": st.floats(0, 1),
         "agreement": st.floats(-1, 1),
         "duality_gap": _large,
+        "candidates": st.lists(_candidates, max_size=MAX_CANDIDATES).map(tuple),
     }
 )
 _status = st.one_of(

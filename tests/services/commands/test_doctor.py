@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import json
 import socket
-import subprocess
 import sys
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
+from services.cli import main
 from services.commands.checks import (
     Check,
     check_disk,
@@ -21,8 +21,6 @@ from services.commands.checks import (
 )
 from services.process import Node, ServiceSettings
 from tests.services.conftest import RunNode
-
-ROOT = Path(__file__).parents[3]
 
 
 def printing(text: str, ending: str = "") -> tuple[str, ...]:
@@ -109,7 +107,7 @@ def test_a_port_of_something_else(stranger: str) -> None:
 def test_an_address_that_cannot_be(endpoint: str) -> None:
     check = check_port(endpoint)
     assert not check.ok
-    assert check.text.startswith(endpoint)
+    assert endpoint in check.text
 
 
 def test_disk(tmp_path: Path) -> None:
@@ -119,15 +117,16 @@ def test_disk(tmp_path: Path) -> None:
     assert str(tmp_path) in full.text
 
 
-def test_a_problem_is_one_line_and_exit_status_1(stranger: str) -> None:
-    done = subprocess.run(
-        [sys.executable, "-c", "from services.cli import main; main()", "doctor", "--router", stranger],
-        cwd=ROOT, capture_output=True, text=True, check=False, timeout=120,
-        env={"VK_ICD_FILENAMES": "/no/such/driver.json"},
-    )  # fmt: skip
-    assert done.returncode == 1, done.stderr
-    lines = done.stdout.splitlines()
+def test_a_problem_is_one_line_and_exit_status_1(
+    stranger: str, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("VK_ICD_FILENAMES", "/no/such/driver.json")
+    monkeypatch.setattr(sys, "argv", ["smal", "doctor", "--router", stranger])
+    with pytest.raises(SystemExit) as ended:
+        main()
+    out, err = capfd.readouterr()
+    assert (ended.value.code, err) == (1, "")
+    lines = out.splitlines()
     assert [line.split()[1] for line in lines] == ["python", "disk", "zenoh", "port", "rendering"]
     assert [line.split()[0] for line in lines] == ["ok", "ok", "ok", "problem", "problem"]
     assert "/no/such/driver.json" in lines[-1]
-    assert done.stderr == ""

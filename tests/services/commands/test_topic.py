@@ -23,6 +23,7 @@ from schemas.image import Image
 from schemas.observation import Observation
 from schemas.topics import TOPICS
 from services.bus import Bus
+from services.cli import main
 from services.commands.rates import Rate, rate_lines
 from services.commands.samples import Sample
 from services.commands.topic import key_expression, markdown_table
@@ -33,8 +34,22 @@ ROOT = Path(__file__).parents[3]
 SMAL = [sys.executable, "-c", "from services.cli import main; main()"]
 
 
-def smal(*arguments: str) -> subprocess.CompletedProcess[str]:
-    return subprocess.run([*SMAL, *arguments], cwd=ROOT, capture_output=True, text=True, check=False, timeout=60)
+Smal = Callable[..., tuple[int, str, str]]
+
+
+@pytest.fixture
+def smal(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Smal:
+    """Run a command in this process; returns exit status, output and errors."""
+
+    def run(*arguments: str) -> tuple[int, str, str]:
+        monkeypatch.setattr(sys, "argv", ["smal", *arguments])
+        with pytest.raises(SystemExit) as ended:
+            main()
+        out, err = capsys.readouterr()
+        assert isinstance(ended.value.code, int)
+        return ended.value.code, out, err
+
+    return run
 
 
 def sample(message: topics.Message, **changes: object) -> Sample:
@@ -100,14 +115,14 @@ def listen(client: Bus) -> Iterator[Listen]:
 # -- the table --------------------------------------------------------------------------------------------------------
 
 
-def test_list_names_every_topic() -> None:
-    done = smal("topic", "list")
-    assert done.returncode == 0
-    assert [line.split()[0] for line in done.stdout.splitlines()] == ["topic", *TOPICS]
+def test_list_names_every_topic(smal: Smal) -> None:
+    status, out, _ = smal("topic", "list")
+    assert status == 0
+    assert [line.split()[0] for line in out.splitlines()] == ["topic", *TOPICS]
 
 
-def test_list_as_json() -> None:
-    rows = json.loads(smal("topic", "list", "--json").stdout)
+def test_list_as_json(smal: Smal) -> None:
+    rows = json.loads(smal("topic", "list", "--json")[1])
     assert [row["name"] for row in rows] == list(TOPICS)
     assert rows[0] | {"meaning": ""} == {
         "name": "camera/rgb",
@@ -118,25 +133,24 @@ def test_list_as_json() -> None:
     }
 
 
-def test_list_as_markdown_is_the_table_of_the_readme() -> None:
-    table = smal("topic", "list", "--markdown").stdout.strip()
+def test_list_as_markdown_is_the_table_of_the_readme(smal: Smal) -> None:
+    table = smal("topic", "list", "--markdown")[1].strip()
     assert table == markdown_table()
     assert all(line.startswith("| ") or line == "|---|---|---|---|---|" for line in table.splitlines())
     assert len(table.splitlines()) == len(TOPICS) + 2
 
 
 @pytest.mark.parametrize("name", ["state", "smal/other/state"])
-def test_info_describes_a_topic_with_its_schema(name: str) -> None:
-    row = json.loads(smal("topic", "info", name, "--json", "--robot", "robo-2").stdout)
+def test_info_describes_a_topic_with_its_schema(smal: Smal, name: str) -> None:
+    row = json.loads(smal("topic", "info", name, "--json", "--robot", "robo-2")[1])
     assert row["key"] == "smal/robo-2/state"
     assert row["encoding"] == "application/vnd.msgpack;smal.State/1"
     assert row["schema"]["additionalProperties"] is False
     assert row["schema"]["properties"]["status"]["description"]
 
 
-def test_info_of_a_name_that_is_nearly_right() -> None:
-    done = smal("topic", "info", "camera/rbg")
-    assert (done.returncode, done.stderr) == (2, "smal: no topic 'camera/rbg'; did you mean: camera/rgb?\n")
+def test_info_of_a_name_that_is_nearly_right(smal: Smal) -> None:
+    assert smal("topic", "info", "camera/rbg") == (2, "", "smal: no topic 'camera/rbg'; did you mean: camera/rgb?\n")
 
 
 @pytest.mark.parametrize(
@@ -276,10 +290,10 @@ def test_hz_measures_each_key(listen: Listen, client: Bus) -> None:
     assert rates["smal/rescuebot/command/teleop"]["rate_hz"] > 0
 
 
-def test_hz_of_silence(listen: Listen) -> None:
-    listening = listen("hz", "pose/truth", "--seconds", "0.1")
-    assert listening.process.wait(20.0) == 0
-    assert listening.process.stderr.read().endswith("smal: nothing was published on smal/rescuebot/pose/truth\n")
+def test_hz_of_silence(smal: Smal, router_endpoint: str) -> None:
+    code, out, err = smal("topic", "hz", "pose/truth", "--seconds", "0.1", "--router", router_endpoint)
+    assert (code, out) == (0, "")
+    assert err.endswith("smal: nothing was published on smal/rescuebot/pose/truth\n")
 
 
 @pytest.mark.parametrize(
@@ -292,23 +306,21 @@ def test_hz_of_silence(listen: Listen) -> None:
         (("nonsense",), 2, "No such command"),
     ],
 )
-def test_bad_use_is_one_line(arguments: tuple[str, ...], status: int, error: str) -> None:
-    done = smal("topic", *arguments)
-    assert done.returncode == status
-    assert error in done.stderr
-    assert len(done.stderr.strip().splitlines()) == 1
+def test_bad_use_is_one_line(smal: Smal, arguments: tuple[str, ...], status: int, error: str) -> None:
+    code, _, err = smal("topic", *arguments)
+    assert code == status
+    assert error in err
+    assert len(err.strip().splitlines()) == 1
 
 
-def test_a_bad_key_expression_is_one_line(client: Bus) -> None:
-    done = smal("topic", "echo", "smal//x", "--router", client.endpoint)
-    assert done.returncode == 1
-    assert done.stderr == (
+def test_a_bad_key_expression_is_one_line(smal: Smal, client: Bus) -> None:
+    code, _, err = smal("topic", "echo", "smal//x", "--router", client.endpoint)
+    assert code == 1
+    assert err == (
         "smal: Invalid Key Expr `smal//x`: empty chunks are forbidden, as well as leading and trailing slashes\n"
     )
 
 
-def test_no_router_is_one_line(free_endpoint: str) -> None:
-    done = smal("topic", "echo", "--router", free_endpoint)
-    assert (done.returncode, done.stderr) == (
-        1, f"smal: no router at {free_endpoint}; start the stack with `smal up`\n",
-    )  # fmt: skip
+def test_no_router_is_one_line(smal: Smal, free_endpoint: str) -> None:
+    code, _, err = smal("topic", "echo", "--router", free_endpoint)
+    assert (code, err) == (1, f"smal: no router at {free_endpoint}; start the stack with `smal up`\n")
