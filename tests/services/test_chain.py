@@ -12,7 +12,7 @@ import pytest
 from schemas import topics
 from schemas.action import Action
 from schemas.base import Message
-from schemas.codec import decode, encoding_of
+from schemas.codec import decode
 from schemas.command import Command
 from schemas.observation import Observation
 from schemas.rpc import LoadReply, LoadRequest
@@ -21,7 +21,7 @@ from schemas.topics import Topic
 from services.bus import Bus, RpcError
 from smal.features import extract
 from tests.services.chain import FEATURES, LENGTH, image, observation, picture, process, save_model
-from tests.services.waiting import eventually, introduce, ready, status_of
+from tests.services.waiting import eventually, introduce, malformed, ready
 
 M = TypeVar("M", bound=Message)
 Listen = Callable[[Topic, type[M]], dict[int, M]]
@@ -68,19 +68,6 @@ def policy(client: Bus, router_endpoint: str, model: Path) -> Iterator[None]:
 def state(tick: int, episode: str = "e", **fields: object) -> State:
     header = Message(robot="rescuebot", episode=episode, tick=tick, stamp_ns=0)
     return State.after(header, **fields)
-
-
-def malformed(client: Bus, service: str, topic: Topic) -> None:
-    """Send rubbish on a topic, and see it counted by a service that goes on."""
-    publisher = client._sessions[topic.urgent].declare_publisher(topic.key("rescuebot"))
-    for count, payload in enumerate((b"", b"\xc1", b"\x81\xa1x" * 1000), start=1):
-        publisher.put(payload, encoding=encoding_of(topic.message))
-
-        def counted(count: int = count) -> bool:
-            status = status_of(client, service)
-            return status is not None and status.bad.get(topic.name, 0) == count
-
-        eventually(counted)
 
 
 def test_features_turns_every_frame_into_its_observation(

@@ -9,7 +9,9 @@ from typing import TypeVar
 import pytest
 
 from schemas.base import Message
+from schemas.codec import encoding_of
 from schemas.rpc import Nothing, Status
+from schemas.topics import Topic
 from services.bus import Bus, RpcError
 
 T = TypeVar("T")
@@ -56,3 +58,16 @@ def introduce(client: Bus, service: str, *messages: Message) -> None:
         return not waiting
 
     eventually(all_received)
+
+
+def malformed(client: Bus, service: str, topic: Topic) -> None:
+    """Send rubbish on a topic, and see it counted by a service that goes on."""
+    publisher = client._sessions[topic.urgent].declare_publisher(topic.key("rescuebot"))
+    for count, payload in enumerate((b"", b"\xc1", b"\x81\xa1x" * 1000), start=1):
+        publisher.put(payload, encoding=encoding_of(topic.message))
+
+        def counted(count: int = count) -> bool:
+            status = status_of(client, service)
+            return status is not None and status.bad.get(topic.name, 0) == count
+
+        eventually(counted)

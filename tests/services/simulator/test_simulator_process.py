@@ -1,0 +1,99 @@
+"""The simulator as a process: episodes over the bus, malformed commands on every topic, silence, stop."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+
+import pytest
+
+from schemas import topics
+from schemas.base import Message
+from schemas.codec import decode
+from schemas.command import Command, CommandApplied
+from schemas.episode import Episode
+from schemas.image import Image
+from schemas.rpc import EndRequest, Nothing, ResetReply, ResetRequest
+from services.bus import Bus, RpcError
+from tests.services.chain import process
+from tests.services.waiting import eventually, malformed, ready, status_of
+
+pytestmark = pytest.mark.rendering
+
+
+@dataclass
+class Heard:
+    """What the simulator said."""
+
+    images: list[Image] = field(default_factory=list)
+    applied: list[CommandApplied] = field(default_factory=list)
+    events: list[Episode] = field(default_factory=list)
+
+
+@pytest.fixture
+def heard(client: Bus, router_endpoint: str) -> Iterator[Heard]:
+    heard = Heard()
+
+    def into(collected: list[Message], cls: type[Message]) -> Callable[[bytes, str], None]:
+        return lambda payload, encoding: collected.append(decode(cls, payload, encoding))
+
+    client.subscribe(topics.CAMERA, into(heard.images, Image))  # type: ignore[arg-type]
+    client.subscribe(topics.APPLIED, into(heard.applied, CommandApplied))  # type: ignore[arg-type]
+    client.subscribe(topics.EPISODE, into(heard.events, Episode))  # type: ignore[arg-type]
+    flags = ("--world", "yard", "--camera-width", "64", "--camera-height", "48")
+    with process("simulator", router_endpoint, *flags):
+        ready(client, "simulator")
+        yield heard
+
+
+def reset(client: Bus, **request: object) -> ResetReply:
+    return client.call("simulator", "reset", ResetRequest.model_validate({"seed": 1} | request), ResetReply, 30.0)
+
+
+def command(episode: str, tick: int, atom: str = "forward") -> Command:
+    return Command.model_validate(
+        {"robot": "rescuebot", "episode": episode, "tick": tick, "stamp_ns": 0, "source": "policy", "atom": atom}
+    )
+
+
+def test_lockstep_episode_waits_for_commands_and_survives_malformed_ones_on_every_topic(
+    client: Bus, heard: Heard
+) -> None:
+    reply = reset(client)
+    assert reply.world == "yard"
+    eventually(lambda: heard.images)
+    for topic in topics.COMMANDS.values():
+        malformed(client, "simulator", topic)
+    assert [image.tick for image in heard.images] in ([0], [0, 0])
+    for tick in range(3):
+        client.publish(command(reply.episode, tick))
+        eventually(lambda tick=tick: heard.images[-1].tick == tick + 1)  # type: ignore[misc]
+    assert heard.images[0].data != heard.images[-1].data
+    client.call("simulator", "end", EndRequest(episode=reply.episode), Nothing)
+    eventually(lambda: heard.events[-1].event == "ended")
+    with pytest.raises(RpcError, match="not running"):
+        client.call("simulator", "end", EndRequest(episode=reply.episode), Nothing)
+
+
+def test_realtime_episode_stands_in_silence_and_times_out(client: Bus, heard: Heard) -> None:
+    reply = reset(client, mode="realtime", max_ticks=20)
+    eventually(lambda: heard.applied)
+    client.publish(command(reply.episode, heard.applied[-1].tick))
+    eventually(lambda: any(a.atom == "forward" for a in heard.applied))
+    eventually(lambda: heard.events[-1].event == "ended")
+    assert heard.events[-1].outcome == "timeout"
+    moved = [a.tick for a in heard.applied if a.atom == "forward"]
+    assert max(moved) - min(moved) <= 5
+    assert heard.applied[-1].reason == "silence"
+
+
+def test_refusals_are_told_in_the_status(client: Bus, heard: Heard) -> None:
+    reply = reset(client)
+    eventually(lambda: heard.images)
+    client.publish(command(reply.episode, 7))
+
+    def refused() -> bool:
+        status = status_of(client, "simulator")
+        return status is not None and status.detail.get("refused unknown frame") == 1
+
+    eventually(refused)
