@@ -46,6 +46,8 @@ def write(path: Path, version: int, meta: Mapping[str, Any], arrays: Mapping[str
             file.write(digest.digest())
             file.flush()
             os.fsync(file.fileno())
+            # A temporary file is its owner's alone; services of another user must be able to read a model.
+            Path(file.name).chmod(0o644)
             Path(file.name).replace(path)
         except BaseException:
             Path(file.name).unlink(missing_ok=True)
