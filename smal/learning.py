@@ -214,7 +214,7 @@ def learn(
         settings.max_bytes,
         stages.report("states"),
     )
-    stages.seconds["states"] = time.perf_counter() - stages._since
+    stages.end("states")
     return _plan(demonstrations, settings, centering, space, stages)
 
 

@@ -6,6 +6,7 @@ the number of templates. `AgreementTest` asks two questions that do not depend o
 explain the query, and does the best sequence alone look like it?
 """
 
+import math
 from dataclasses import dataclass
 from typing import Any, Protocol
 
@@ -112,6 +113,10 @@ class WeightTest:
 
     tau: float = 0.5
 
+    def __post_init__(self) -> None:
+        if not (math.isfinite(self.tau) and self.tau >= 0.0):
+            raise ValueError(f"tau must be finite and not negative, got {self.tau}")
+
     def is_novel(self, match: Match) -> bool:
         """Compare the best weight; all others are smaller."""
         return match.state is None or match.score <= self.tau
@@ -130,7 +135,13 @@ class AgreementTest:
     """
 
     max_residual: float = 0.75
-    min_agreement: float = 0.9
+    min_agreement: float = 0.95
+
+    def __post_init__(self) -> None:
+        if not (0.0 <= self.max_residual <= 1.0 and -1.0 <= self.min_agreement <= 1.0):
+            raise ValueError(
+                f"max_residual must be 0 to 1 and min_agreement -1 to 1, got {self.max_residual}, {self.min_agreement}"
+            )
 
     def is_novel(self, match: Match) -> bool:
         """Apply both limits."""

@@ -125,7 +125,7 @@ def policy_iteration(transitions: Transitions, reward: Array, gamma: float) -> P
     check_discount(gamma)
     pairs = transitions.expert_pairs()
     identity = sparse.eye_array(transitions.states, format="csc")
-    while True:
+    for _ in range(_MAX_ITERATIONS):
         system = sparse.csc_array(identity - gamma * policy_matrix(transitions, pairs))
         value = np.asarray(spsolve(system, reward), dtype=np.float64)
         pair_values, best = _backup(transitions, reward, gamma, value)
@@ -133,5 +133,6 @@ def policy_iteration(transitions: Transitions, reward: Array, gamma: float) -> P
         # Only a real improvement changes a state's action: ties must not make it go round in circles.
         better = (gain > _TIE * max(1.0, float(np.abs(value).max()))) & (pairs >= 0)
         if not better.any():
-            return _finish(transitions, reward, gamma, value)
+            break
         pairs = np.where(better, _greedy_pairs(transitions, pair_values), pairs)
+    return _finish(transitions, reward, gamma, value)

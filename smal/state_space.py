@@ -170,7 +170,7 @@ def learn_state_space(
     counts = [len(frames) // sequence_length for frames in demonstrations]
     if not sum(counts):
         raise ValueError(f"no demonstration has {sequence_length} frames")
-    store = TemplateStore(demonstrations[0].shape[1], keep_gram=True, max_bytes=max_bytes)
+    store = TemplateStore(demonstrations[0].shape[1], max_bytes=max_bytes)
     learner = _Learner(store, test, sequence_length, lambda1, lambda2, tolerance)
     results: list[tuple[int, float, Match]] = []
     for batch in _batches(demonstrations, sequence_length):

@@ -17,9 +17,6 @@ class TemplateStore:
     ----------
     size : int
         m, entries of a feature vector.
-    keep_gram : bool
-        Whether to keep X^T X as well. It costs no time, since appending a sequence needs its correlations
-        with X anyway, and 4 n bytes a template frame next to the 4 m bytes of the frame itself.
     max_bytes : int, optional
         Bound on the memory of both.
 
@@ -29,9 +26,8 @@ class TemplateStore:
         From `append`, naming the setting.
     """
 
-    def __init__(self, size: int, keep_gram: bool = True, max_bytes: int | None = None) -> None:
+    def __init__(self, size: int, max_bytes: int | None = None) -> None:
         self._max_bytes = max_bytes
-        self._keep_gram = keep_gram
         self._count = 0
         # Row-contiguous per template; `templates` shows the transpose.
         self._rows = np.empty((0, size), dtype=np.float32)
@@ -47,14 +43,16 @@ class TemplateStore:
 
     @property
     def gram(self) -> NDArray[np.float32]:
-        """X^T X, float32 (n, n): a view; only if it is kept."""
-        if not self._keep_gram:
-            raise ValueError("this template store does not keep the Gram matrix")
+        """X^T X, float32 (n, n): a view.
+
+        It costs no time, since appending a sequence needs its correlations with X anyway, and 4 n bytes a template
+        frame next to the 4 m bytes of the frame itself.
+        """
         return self._gram[: self._count, : self._count]
 
     def bytes_for(self, count: int) -> int:
         """Memory of so many template frames."""
-        return 4 * count * (self._rows.shape[1] + (count if self._keep_gram else 0))
+        return 4 * count * (self._rows.shape[1] + count)
 
     def append(self, frames: NDArray[np.float32], correlations: NDArray[np.float32]) -> None:
         """Add template frames.
@@ -68,10 +66,9 @@ class TemplateStore:
         old, new = self._count, self._count + frames.shape[0]
         self._reserve(new)
         self._rows[old:new] = frames
-        if self._keep_gram:
-            self._gram[old:new, :old] = correlations.T
-            self._gram[:old, old:new] = correlations
-            self._gram[old:new, old:new] = frames @ frames.T
+        self._gram[old:new, :old] = correlations.T
+        self._gram[:old, old:new] = correlations
+        self._gram[old:new, old:new] = frames @ frames.T
         self._count = new
 
     def _reserve(self, count: int) -> None:
@@ -89,7 +86,6 @@ class TemplateStore:
         rows = np.empty((grown, self._rows.shape[1]), dtype=np.float32)
         rows[: self._count] = self._rows[: self._count]
         self._rows = rows
-        if self._keep_gram:
-            gram = np.empty((grown, grown), dtype=np.float32)
-            gram[: self._count, : self._count] = self._gram[: self._count, : self._count]
-            self._gram = gram
+        gram = np.empty((grown, grown), dtype=np.float32)
+        gram[: self._count, : self._count] = self._gram[: self._count, : self._count]
+        self._gram = gram

@@ -20,6 +20,9 @@ if TYPE_CHECKING:
 _SPACING_M: Final = 2.0
 _CLEARANCE_M: Final = ROBOT_RADIUS_M + 0.3
 _ROOM_M: Final = 1.3
+# Off the road nothing keeps a driver in the middle, so that a leg wants more room, except close to its end.
+_LEG_ROOM_M: Final = 1.8
+_LEG_END_M: Final = 2.5
 # Metres of road that a metre close to a wall, or a metre off the road, is worth.
 _TIGHT_COST: Final = 3.0
 _OFF_ROAD_COST: Final = 1.5
@@ -71,8 +74,13 @@ class RoadGraph:
         legs = np.stack([np.broadcast_to(here, (len(near), 2)), self.points[near]], axis=1)
         # Who already stands tight, as a robot gone astray may, is only asked not to touch anything.
         tight = self._obstacles.clearance(float(here[0]), float(here[1])) <= _CLEARANCE_M
-        free = near[self._obstacles.are_clear(legs, ROBOT_RADIUS_M if tight else _CLEARANCE_M)]
-        return free, distance[free] * _OFF_ROAD_COST
+        clear = self._obstacles.are_clear(legs, ROBOT_RADIUS_M if tight else _CLEARANCE_M)
+        free, legs = near[clear], legs[clear]
+        # The end may be a victim beside a wall, or a robot gone astray.
+        share = np.minimum(1.0, _LEG_END_M / np.maximum(distance[free], _LEG_END_M))[:, None]
+        legs[:, 0] += share * (legs[:, 1] - legs[:, 0])
+        roomy = self._obstacles.are_clear(legs, _LEG_ROOM_M)
+        return free, distance[free] * _OFF_ROAD_COST * np.where(roomy, 1.0, _TIGHT_COST)
 
 
 class RoutesTo:
