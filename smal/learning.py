@@ -3,15 +3,15 @@
 import math
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from smal.action_space import ActionSpace, learn_action_space
+from smal.action_space import ActionSpace, Atom, learn_action_space
 from smal.features import Centering, FeatureSettings
 from smal.model import Model
-from smal.novelty import RECOGNITION_DEFAULTS, novelty_test
+from smal.novelty import RECOGNITION_DEFAULTS, neighbour_agreement, novelty_test
 from smal.policy import check_discount, policy_iteration
 from smal.reward import learn_reward
 from smal.state_space import StateSpace, learn_state_space
@@ -69,7 +69,7 @@ class LearningSettings:
     novelty : str
         Name of the novelty test: "agreement" or the paper's "weight" (Eq. 8).
     novelty_parameters : dict
-        Parameters of the test in learning; defaults where not given.
+        Parameters of the test in learning; where not given, defaults, or measured on the demonstrations.
     recognition_parameters : dict
         Parameters of the test in execution; `smal.novelty.RECOGNITION_DEFAULTS` if None.
     gamma : float
@@ -204,6 +204,7 @@ def learn(
     frames = [one.features for one in demonstrations]
     centering = Centering.fit(frames, settings.features)
     centred = [centering.apply(each) for each in frames]
+    settings = _calibrated(settings, demonstrations, centred)
     stages.end("centering")
     space = learn_state_space(
         centred,
@@ -216,6 +217,16 @@ def learn(
     )
     stages.end("states")
     return _plan(demonstrations, settings, centering, space, stages)
+
+
+def _calibrated(
+    settings: LearningSettings, demonstrations: Sequence[Demonstration], centred: Sequence[NDArray[np.float32]]
+) -> LearningSettings:
+    """Fill in the parameter of the novelty test that depends on the demonstrations."""
+    if settings.novelty != "agreement" or "min_agreement" in settings.novelty_parameters:
+        return settings
+    measured = neighbour_agreement(centred, [one.atoms != Atom.STOP for one in demonstrations])
+    return replace(settings, novelty_parameters=settings.novelty_parameters | {"min_agreement": measured})
 
 
 def _plan(

@@ -7,6 +7,7 @@ explain the query, and does the best sequence alone look like it?
 """
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol
 
@@ -131,11 +132,12 @@ class AgreementTest:
     max_residual : float
         Largest share of the query that may stay unexplained, 0 to 1.
     min_agreement : float
-        Smallest mean cosine with the best sequence, -1 to 1.
+        Smallest mean cosine with the best sequence, -1 to 1; learning takes it from the demonstrations
+        (`neighbour_agreement`) unless it is given.
     """
 
     max_residual: float = 0.75
-    min_agreement: float = 0.95
+    min_agreement: float = 0.9
 
     def __post_init__(self) -> None:
         if not (0.0 <= self.max_residual <= 1.0 and -1.0 <= self.min_agreement <= 1.0):
@@ -146,6 +148,40 @@ class AgreementTest:
     def is_novel(self, match: Match) -> bool:
         """Apply both limits."""
         return match.state is None or match.residual > self.max_residual or match.agreement < self.min_agreement
+
+
+def neighbour_agreement(demonstrations: Sequence[NDArray[np.float32]], moving: Sequence[NDArray[np.bool_]]) -> float:
+    """Measure how much a frame resembles the next one while the robot moves.
+
+    Two views should count as the same state if they are about as near as one frame's movement, and how much such views
+    resemble each other depends on camera, noise, speed and surroundings. The upper quartile is taken: the small
+    movements, since a turn on the spot changes a view more than any displacement that an action would survive.
+
+    Parameters
+    ----------
+    demonstrations : sequence of float32 arrays (f, m)
+        Centred features, unit length.
+    moving : sequence of bool arrays (f,)
+        Whether the robot moved between frame k and k + 1.
+
+    Returns
+    -------
+    float
+        Cosine, -1 to 1.
+
+    Raises
+    ------
+    ValueError
+        The robot never moved.
+    """
+    cosines = [
+        np.einsum("fm,fm->f", frames[:-1], frames[1:])[moves[:-1]]
+        for frames, moves in zip(demonstrations, moving, strict=True)
+    ]
+    every = np.concatenate(cosines)
+    if not every.size:
+        raise ValueError("the robot does not move in any demonstration")
+    return float(np.quantile(every, 0.75))
 
 
 NOVELTY_TESTS: dict[str, type[WeightTest] | type[AgreementTest]] = {"weight": WeightTest, "agreement": AgreementTest}

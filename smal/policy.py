@@ -133,6 +133,6 @@ def policy_iteration(transitions: Transitions, reward: Array, gamma: float) -> P
         # Only a real improvement changes a state's action: ties must not make it go round in circles.
         better = (gain > _TIE * max(1.0, float(np.abs(value).max()))) & (pairs >= 0)
         if not better.any():
-            break
+            return _finish(transitions, reward, gamma, value)
         pairs = np.where(better, _greedy_pairs(transitions, pair_values), pairs)
-    return _finish(transitions, reward, gamma, value)
+    raise RuntimeError(f"policy iteration did not end within {_MAX_ITERATIONS} improvements")

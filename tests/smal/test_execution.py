@@ -19,7 +19,7 @@ RECOVERY = dataclasses.replace(drive(VIEWS, 40, seed=9, name="recovery", end=72)
 
 @pytest.fixture(scope="module")
 def learned() -> tuple[Model, LearningReport]:
-    return learn([*DRIVES, RECOVERY], LearningSettings(features=COLOR, novelty_parameters={"min_agreement": 0.6}))
+    return learn([*DRIVES, RECOVERY], LearningSettings(features=COLOR))
 
 
 @pytest.fixture(scope="module")
@@ -161,7 +161,7 @@ def test_unknown_looks_around_for_a_bounded_time(model: Model) -> None:
         atoms += [maker.next_atom() for _ in range(5)]
     assert kinds == ["look_around"] * 3 + ["stop"]
     assert atoms == [Atom.LEFT] * 12 + [Atom.STOP] * 8
-    maker.decide(Recognition("recognized", 5, 3, 4.0))
+    maker.decide(Recognition("recognized", 5, 0, 2.0))
     assert maker.decide(Recognition("unknown", 6)).kind == "look_around"
 
 
@@ -185,9 +185,7 @@ def test_unaligned_is_the_scheme_of_the_paper(model: Model) -> None:
 def test_dead_end_finishes_the_drive_then_looks_around() -> None:
     elsewhere = corridor(20, seed=8, smooth=0.9)
     astray = drive(np.concatenate([elsewhere, VIEWS]), 0, seed=4, end=20)
-    model, report = learn(
-        [DRIVES[0], astray], LearningSettings(features=COLOR, novelty_parameters={"min_agreement": 0.6})
-    )
+    model, report = learn([DRIVES[0], astray], LearningSettings(features=COLOR))
     assert report.dead_ends == 1
     state = int(model.state_streams[1][-1])
     maker = DecisionMaker(model)
@@ -215,11 +213,11 @@ def test_other_lengths_and_tests(novelty: str, length: int) -> None:
 
 def test_bad_demonstrations_and_settings_are_refused() -> None:
     with pytest.raises(ValueError, match="no demonstration"):
-        learn([], LearningSettings(features=COLOR, novelty_parameters={"min_agreement": 0.6}))
+        learn([], LearningSettings(features=COLOR))
     with pytest.raises(ValueError, match="settings ask for"):
         learn([DRIVES[0]], LearningSettings())
     with pytest.raises(ValueError, match="goal"):
-        learn([RECOVERY], LearningSettings(features=COLOR, novelty_parameters={"min_agreement": 0.6}))
+        learn([RECOVERY], LearningSettings(features=COLOR))
     with pytest.raises(ValueError, match="do not fit"):
         Demonstration("x", DRIVES[0].features, DRIVES[0].atoms[:-1])
     for bad in ({"sequence_length": 0}, {"lambda1": 0.0}, {"gamma": 1.0}, {"novelty": "x"}):

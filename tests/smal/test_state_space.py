@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from smal.novelty import AgreementTest, Match, WeightTest, identify, novelty_test, sequence_weights
+from smal.novelty import AgreementTest, Match, WeightTest, identify, neighbour_agreement, novelty_test, sequence_weights
 from smal.state_matching import solve
 from smal.state_space import learn_state_space, matched_phase, phase
 from smal.template_store import MemoryBoundError, TemplateStore
@@ -137,3 +137,14 @@ def test_memory_bound() -> None:
         learn_state_space([noisy(VIEWS, 0)], LENGTH, LAMBDA, LAMBDA, WeightTest(1e9), max_bytes=bound)
     enough = learn_state_space([noisy(VIEWS[:20], 0)], LENGTH, LAMBDA, LAMBDA, WeightTest(1e9), max_bytes=bound)
     assert enough.states == 4
+
+
+def test_neighbour_agreement_is_that_of_moving_frames_only() -> None:
+    views = VIEWS[:40].astype(np.float32)
+    still = np.repeat(views[:1], 60, axis=0)
+    moving = [np.ones(40, dtype=bool), np.zeros(60, dtype=bool)]
+    measured = neighbour_agreement([views, still], moving)
+    cosines = (views[:-1] * views[1:]).sum(axis=1)
+    assert measured == pytest.approx(np.quantile(cosines, 0.75))
+    with pytest.raises(ValueError, match="move"):
+        neighbour_agreement([still], moving[1:])
