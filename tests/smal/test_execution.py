@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from smal.action_space import Atom
-from smal.execution import DecisionMaker, Recognition, Recognizer
+from smal.decision import SETTLED_RESIDUAL
+from smal.execution import Candidate, DecisionMaker, Recognition, Recognizer
 from smal.learning import Demonstration, LearningReport, LearningSettings, learn
 from smal.model import Model
 from tests.smal.worlds import COLOR, corridor, drive, unit
@@ -223,3 +224,43 @@ def test_bad_demonstrations_and_settings_are_refused() -> None:
     for bad in ({"sequence_length": 0}, {"lambda1": 0.0}, {"gamma": 1.0}, {"novelty": "x"}):
         with pytest.raises(ValueError, match=r"."):
             LearningSettings(features=COLOR, **bad)
+
+
+def turning_and_straight(model: Model) -> tuple[Candidate, Candidate]:
+    """Two states, as certain as can be, whose policies differ from the first atom on."""
+    maker = DecisionMaker(model, belief=False)
+    plans = {
+        state: maker.decide(Recognition("recognized", 0, state, LENGTH - 1.0)).atoms for state in range(model.states)
+    }
+    straight = next(state for state, atoms in plans.items() if atoms == (Atom.FORWARD,) * LENGTH)
+    turning = next(state for state, atoms in plans.items() if atoms == (Atom.LEFT,) * LENGTH)
+    return Candidate(turning, LENGTH - 1.0, 0.6), Candidate(straight, LENGTH - 1.0, 0.4)
+
+
+@pytest.mark.parametrize("swap", [False, True])
+def test_every_state_has_a_say_by_its_weight(model: Model, swap: bool) -> None:
+    turning, straight = turning_and_straight(model)
+    if swap:
+        turning, straight = (dataclasses.replace(turning, weight=0.4), dataclasses.replace(straight, weight=0.6))
+    seen = Recognition("recognized", 0, turning.state, turning.phase, candidates=(turning, straight))
+    expected = Atom.FORWARD if swap else Atom.LEFT
+    assert DecisionMaker(model).decide(seen).atoms == (expected,) * LENGTH
+    # The scheme of the paper: the recognised state alone.
+    assert DecisionMaker(model, belief=False).decide(seen).atoms == (Atom.LEFT,) * LENGTH
+
+
+def test_looking_around_goes_on_until_a_view_is_really_known(model: Model) -> None:
+    maker = DecisionMaker(model)
+    assert maker.decide(Recognition("unknown", 0)).kind == "look_around"
+    vague = Recognition("recognized", 5, 0, 2.0, residual=SETTLED_RESIDUAL + 0.1)
+    assert maker.decide(vague).kind == "look_around"
+    clear = dataclasses.replace(vague, residual=SETTLED_RESIDUAL - 0.1)
+    assert maker.decide(clear).kind == "action"
+    assert maker.decide(vague).kind == "action"
+
+
+def test_a_vague_view_will_do_after_a_whole_turn(model: Model) -> None:
+    maker = DecisionMaker(model, look_around_ticks=10)
+    vague = Recognition("recognized", 5, 0, 2.0, residual=SETTLED_RESIDUAL + 0.1)
+    kinds = [maker.decide(Recognition("unknown", 0)).kind] + [maker.decide(vague).kind for _ in range(2)]
+    assert kinds == ["look_around", "look_around", "action"]
