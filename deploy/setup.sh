@@ -28,16 +28,19 @@ add_backports() {
   [ "$codename" = bookworm ] || return 0
   grep -rqs bookworm-backports /etc/apt/sources.list /etc/apt/sources.list.d && return 0
   # The mirror that this machine already uses: another one may not be reachable.
-  mirror=$(sed -n 's/^URIs: *//p' /etc/apt/sources.list.d/*.sources 2>/dev/null | grep -v security | head -n 1)
-  [ -n "$mirror" ] || mirror=$(awk '$1 == "deb" {for (i = 2; i <= NF; i++) if ($i ~ /^https?:/) {print $i; exit}}' /etc/apt/sources.list)
+  mirror=$(sed -n 's/^URIs: *//p' /etc/apt/sources.list.d/*.sources 2>/dev/null | grep -v security | head -n 1 || true)
+  [ -n "$mirror" ] || mirror=$(awk '$1 == "deb" {for (i = 2; i <= NF; i++) if ($i ~ /^https?:/) {print $i; exit}}' /etc/apt/sources.list 2>/dev/null || true)
   [ -n "$mirror" ] || fail "no Debian mirror found in the apt sources; add bookworm-backports yourself"
   echo "deb [signed-by=/usr/share/keyrings/debian-archive-keyring.gpg] ${mirror%% *} bookworm-backports main" |
     as_root tee /etc/apt/sources.list.d/smal-backports.list >/dev/null
 }
 
+# By its path, since /sbin is not on everybody's PATH; read to the end, since `grep -q` would kill ldconfig (pipefail).
+have_vulkan() { [ -n "$(/sbin/ldconfig -p | grep -F libvulkan.so.1 || true)" ]; }
+
 install_vulkan() {
-  if [ -e /dev/nvidiactl ] && ldconfig -p | grep -q libvulkan.so.1; then return; fi
-  if mesa_ok && ldconfig -p | grep -q libvulkan.so.1; then return; fi
+  if [ -e /dev/nvidiactl ] && have_vulkan; then return; fi
+  if mesa_ok && have_vulkan; then return; fi
   command -v apt-get >/dev/null || fail "install a Vulkan driver (Mesa 24.3 or newer); this script knows apt only"
   local codename
   codename=$(. /etc/os-release && echo "${VERSION_CODENAME:-}")

@@ -6,7 +6,7 @@ from typing import Annotated, ClassVar, Literal
 
 from pydantic import Field
 
-from schemas.base import Atom, Message, Source
+from schemas.base import MAX_TICK, Atom, Message, Source
 
 
 class Command(Message):
@@ -33,6 +33,7 @@ class Command(Message):
 class CommandApplied(Message):
     """What the actuator does from this tick on; the heartbeat of the robot."""
 
+    version: ClassVar[int] = 2
     topic: ClassVar[str] = "command/applied"
 
     sequence: Annotated[int, Field(ge=0, le=1_000_000)] = 0
@@ -46,7 +47,10 @@ class CommandApplied(Message):
     """Whose command it is; none when the robot stands for want of one."""
     reason: Literal["command", "silence", "emergency_stop"]
     """Why: a fresh command, no fresh command from anyone, or a latched emergency stop."""
+    answered_tick: Annotated[int | None, Field(ge=0, le=MAX_TICK)] = None
+    """The frame that the obeyed command answered, at or before this tick; none without a command of this episode."""
     latency_ns: Annotated[int | None, Field(ge=0, lt=2**63)] = None
-    """From the capture of the frame that the command descends from to its acceptance, on the actuator's clock."""
+    """From the readiness of frame ``answered_tick`` (rendered, about to be sent) to the acceptance of the obeyed
+    command, on the actuator's clock."""
     refused: Annotated[int, Field(ge=0, lt=2**63)] = 0
     """Commands refused so far in this episode."""

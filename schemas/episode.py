@@ -29,7 +29,8 @@ class Episode(Message):
     seed: Annotated[int, Field(ge=0, lt=2**63)]
     """Seed of start pose and actuation noise."""
     outcome: Outcome | None = None
-    """How it ended; given with ``ended`` only."""
+    """How it ended; given with ``ended`` only. ``found``: near the victim, with the victim in view, in the last frame
+    (tick of this message); a drive that passed the victim and went on ends otherwise."""
 
     @model_validator(mode="after")
     def _check(self) -> Self:

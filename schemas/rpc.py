@@ -6,10 +6,12 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
-from schemas.base import EpisodeId, Source, Strict
+from schemas.base import EpisodeId, Strict
 from schemas.episode import Purpose
 
 Mode = Literal["lockstep", "realtime"]
+#: The sources that can drive; an emergency stop only ever makes the robot stand.
+Driver = Literal["teleop", "expert", "policy"]
 
 
 class Nothing(Strict):
@@ -57,12 +59,15 @@ class ResetRequest(Strict):
     """Seed of start pose and actuation noise."""
     purpose: Purpose = "run"
     """Which starts to draw from."""
-    driver: Source = "policy"
+    driver: Driver = "policy"
     """Who drives."""
     mode: Mode = "lockstep"
     """Whether time waits for commands."""
     max_ticks: Annotated[int, Field(ge=1, le=1_000_000)] = 3000
     """Frames after which the episode times out."""
+    release_emergency_stop: bool = False
+    """Release a latched emergency stop, which nothing else does; for the person at the robot only. A reset without it
+    is refused while the stop is latched."""
 
 
 class ResetReply(Strict):

@@ -29,7 +29,7 @@ class Piece:
     atoms
         (f,) int8, index in ``schemas.base.ATOMS`` of the movement between frame k and frame k + 1.
     at_goal
-        Whether the last frame is the one with which the episode ended, victim found.
+        Whether the last frame is the goal: the last frame of its episode, which ended there with the victim found.
     """
 
     ticks: NDArray[np.int64]
@@ -89,7 +89,15 @@ class RecordedEpisode:
         return Piece(ticks, features, atoms, at_goal=self._is_goal(int(ticks[-1])))
 
     def _is_goal(self, tick: int) -> bool:
-        return self.outcome == "found" and tick == self.end_tick
+        """Whether this is the frame that shows the goal.
+
+        That is the last one of an episode that ended with ``found``: the simulator says so only if the victim is near
+        and in view in that very frame (the event ``victim_found`` says merely that it once was). A recording with
+        frames after the end contradicts itself and has no goal.
+        """
+        if self.outcome != "found" or tick != self.end_tick:
+            return False
+        return tick == max(self.features.keys() | self.images.keys())
 
     def _atom(self, tick: int) -> int:
         # With the victim found the robot stops. Any other end only says that nobody watched any more.

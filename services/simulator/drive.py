@@ -15,6 +15,7 @@ if TYPE_CHECKING:
 
 __all__ = ["TICK_S", "Actuator", "Drive", "Pose", "WheelSpeeds", "move", "wheel_speeds"]
 
+#: Time from one camera frame to the next, seconds (10 Hz).
 TICK_S: Final = 0.1
 
 

@@ -20,11 +20,10 @@ from schemas.episode import Episode, EventName, Outcome, Purpose
 from schemas.image import Image
 from schemas.pose import Pose
 from schemas.rpc import ResetReply, ResetRequest
+from services.simulator.drive import TICK_S
 from services.simulator.drive import Pose as PlanarPose
 from services.simulator.gate import Applied, CommandGate
 
-#: Time from one camera frame to the next, seconds (10 Hz).
-TICK_S: Final = 0.1
 #: Real time: length of one step of the physics, seconds.
 STEP_S: Final = 0.02
 #: Lockstep: seconds without an answer after which a frame is sent again (a message may be lost), and given up.
@@ -76,12 +75,15 @@ class _Running:
     start_ns: int
     tick: int = 0
     moved_s: float = 0.0
+    #: Whether the victim has been found at all, and whether it is in the last frame.
     found: bool = False
+    in_view: bool = False
     applied: Applied | None = None
-    applied_sequence: int = 0
+    #: How many times it was said in this tick what moves the robot.
+    said: int = 0
     sent_s: float = 0.0
     frame: tuple[Message, ...] = ()
-    #: When recent frames were ready to be sent, and how long each source's last accepted command took from there.
+    #: When recent frames were ready to be sent, and how long each source's last accepted command took from then.
     ready_s: dict[int, float] = field(default_factory=dict)
     latency_s: dict[Source, float] = field(default_factory=dict)
 
@@ -139,28 +141,37 @@ class EpisodeRunner:
         self._count += 1
         episode = f"{request.purpose}-{request.seed}-{self._session}-{self._count}"
         self._running = run = _Running(episode, request, self._clock(), self._wall_clock_ns())
-        self.gate.begin(episode, request.driver)
+        self.gate.begin(episode, request.driver, release_emergency_stop=request.release_emergency_stop)
         route = tuple((float(x), float(y)) for x, y in self._world.route())
         messages.append(self._event("started"))
         messages.extend(self._capture(run))
         return ResetReply(episode=episode, world=self._world.name, route=route), messages
 
     def end(self, outcome: Outcome | None) -> list[Message]:
-        """End the running episode; without an outcome it is ``found`` or ``aborted``, as it stands."""
+        """End the running episode; without an outcome it is ``found`` if the last frame shows the victim, near.
+
+        That frame is what a drive teaches as its goal; one that passed the victim and went on is ``aborted``.
+        """
         if self._running is None:
             return []
-        outcome = outcome or ("found" if self._running.found else "aborted")
+        outcome = outcome or ("found" if self._running.in_view else "aborted")
         message = self._event("ended", outcome)
         self._running = None
         return [message]
 
     def offer(self, command: Command) -> Iterator[Message]:
-        """Take a command; in lockstep the world moves on when the driver has answered."""
+        """Take a command; in lockstep the world moves on when the driver has answered.
+
+        Without an episode there is nothing to move, but an emergency stop latches all the same.
+        """
         run = self._running
         if run is None:
+            if command.source == "emergency_stop":
+                self.gate.offer(command, self._clock())
             return
         now_s = self._gate_s(run)
-        if self.gate.offer(command, now_s) is None and command.tick in run.ready_s:
+        refusal = self.gate.offer(command, now_s)
+        if refusal is None and command.source != "emergency_stop":
             run.latency_s[command.source] = self._clock() - run.ready_s[command.tick]
         if run.request.mode == "lockstep" and self.gate.answered(run.request.driver, run.tick):
             applied = self.gate.applied(now_s)
@@ -183,8 +194,9 @@ class EpisodeRunner:
             run.start_s += lag_s - TICK_S
             self.slow_ticks += 1
         while run is self._running and run.start_s + run.moved_s + STEP_S <= now_s:
-            applied = self.gate.applied(run.start_s + run.moved_s)
-            if run.applied is None or (applied.atom, applied.source) != (run.applied.atom, run.applied.source):
+            # By the clock, not by the world's time, which lags behind it: a stale command must move nothing.
+            applied = self.gate.applied(self._clock())
+            if run.applied is None or _what(applied) != _what(run.applied):
                 yield self._apply(run, applied)
             self._world.advance(applied.atom, applied.speed, STEP_S)
             run.moved_s += STEP_S
@@ -207,13 +219,14 @@ class EpisodeRunner:
 
     def _next_tick(self, run: _Running) -> Iterator[Message]:
         run.tick += 1
+        run.said = 0
         yield from self._capture(run)
         if run.request.mode == "realtime":
             yield self._apply(run, self.gate.applied(self._clock()))
         if self._world.collided:
             yield self._event("collision")
             yield from self.end("collision")
-        elif run.found and run.request.purpose == "run":
+        elif run.in_view and (run.request.purpose == "run" or run.tick >= run.request.max_ticks):
             yield from self.end("found")
         elif run.tick >= run.request.max_ticks:
             yield self._event("timed_out")
@@ -233,22 +246,24 @@ class EpisodeRunner:
             Image.after(header, width=width, height=height, data=image.tobytes()),
         )
         yield from run.frame
-        if not run.found and self._world.victim_found():
+        run.in_view = self._world.victim_found()
+        if run.in_view and not run.found:
             run.found = True
             yield self._event("victim_found")
 
     def _apply(self, run: _Running, applied: Applied) -> CommandApplied:
         """Make the record of what moves the robot; remembers it, to say so again only when it changes."""
         run.applied = applied
-        run.applied_sequence += 1
+        sequence, run.said = run.said, run.said + 1
         latency_s = None if applied.source is None else run.latency_s.get(applied.source)
         return CommandApplied.after(
             self._header(run),
-            sequence=run.applied_sequence,
+            sequence=sequence,
             atom=applied.atom,
             speed=applied.speed,
             source=applied.source,
             reason=applied.reason,
+            answered_tick=applied.answered_tick,
             latency_ns=None if latency_s is None else round(latency_s * 1e9),
             refused=sum(self.gate.refused.values()),
         )
@@ -269,3 +284,8 @@ class EpisodeRunner:
     def _header(self, run: _Running) -> Message:
         stamp_ns = run.start_ns + round(run.tick * TICK_S * 1e9)
         return Message(robot=self._robot, episode=run.id, tick=run.tick, stamp_ns=stamp_ns)
+
+
+def _what(applied: Applied) -> tuple[Atom, float, Source | None]:
+    """Return what has to be told anew when it changes within a tick."""
+    return applied.atom, applied.speed, applied.source

@@ -24,12 +24,13 @@ Reason = Literal["command", "silence", "emergency_stop"]
 
 @dataclass(frozen=True)
 class Applied:
-    """What the actuator does now."""
+    """What the actuator does now, and which frame's command made it do so."""
 
     atom: Atom
     speed: float
     source: Source | None
     reason: Reason
+    answered_tick: int | None = None
 
 
 @dataclass(frozen=True)
@@ -50,18 +51,25 @@ class CommandGate:
 
     def __init__(self, max_age_s: float = MAX_AGE_S) -> None:
         self.max_age_s = max_age_s
+        self._emergency = False
         self._begin("", "policy")
 
-    def begin(self, episode: str, driver: Source) -> None:
-        """Start an episode: forget every command, release a latched emergency stop, and name the driver."""
+    @property
+    def emergency_stop(self) -> bool:
+        """Whether an emergency stop is latched."""
+        return self._emergency
+
+    def begin(self, episode: str, driver: Source, *, release_emergency_stop: bool = False) -> None:
+        """Start an episode: forget every command and name the driver; an emergency stop stays unless released."""
         self._begin(episode, driver)
+        if release_emergency_stop:
+            self._emergency = False
 
     def _begin(self, episode: str, driver: Source) -> None:
         self._episode = episode
         self._allowed = SOURCES[: SOURCES.index(driver) + 1]
         self._captured_s: dict[int, float] = {}
         self._latest: dict[Source, _Accepted] = {}
-        self._emergency = False
         self.refused: Counter[Refusal] = Counter()
 
     def captured(self, tick: int, now_s: float) -> None:
@@ -72,7 +80,8 @@ class CommandGate:
     def offer(self, command: Command, now_s: float) -> Refusal | None:
         """Take a command, or say why not.
 
-        An emergency stop is taken whatever its age, order and episode: it can only make the robot stand.
+        An emergency stop is taken whatever its age, order and episode, and without an episode too: it can only make
+        the robot stand. It stays until ``begin`` is told to release it.
         """
         refusal = self._check(command, now_s)
         if refusal is not None:
@@ -115,5 +124,5 @@ class CommandGate:
             latest = self._latest.get(source)
             if latest is not None and now_s - latest.captured_s <= self.max_age_s:
                 command = latest.command
-                return Applied(command.atom, command.speed, source, "command")
+                return Applied(command.atom, command.speed, source, "command", command.tick)
         return Applied("stop", 0.0, None, "silence")

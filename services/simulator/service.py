@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from typing import Final
 
 from schemas.base import Message
 from schemas.command import Command
@@ -11,6 +12,8 @@ from schemas.rpc import EndRequest, ResetReply, ResetRequest
 from schemas.topics import COMMANDS
 from services.process import Detail, Node, ServiceError
 from services.simulator.episode import STEP_S, EpisodeRunner
+
+LATCHED: Final = "the emergency stop is latched; release it with a new episode from smal teleop (n)"
 
 
 class SimulatorService:
@@ -43,7 +46,9 @@ class SimulatorService:
         self._node.publish(self._log(self._runner.poll()))
 
     def reset(self, request: ResetRequest) -> ResetReply:
-        """Begin an episode."""
+        """Begin an episode; refused while an emergency stop is latched that the request does not release."""
+        if self._runner.gate.emergency_stop and not request.release_emergency_stop:
+            raise ServiceError(LATCHED)
         reply, messages = self._runner.reset(request)
         self._node.publish(self._log(iter(messages)))
         return reply
@@ -64,8 +69,10 @@ class SimulatorService:
             "tick": running.tick if running else None,
             "slow_ticks": self._runner.slow_ticks,
             "resent": self._runner.resent,
+            "emergency_stop": self._runner.gate.emergency_stop,
         }
-        detail |= {f"refused {reason}": count for reason, count in self._runner.gate.refused.items()}
+        # This runs on a thread of the bus: list() takes the counts at one moment.
+        detail |= {f"refused {reason}": count for reason, count in list(self._runner.gate.refused.items())}
         return detail
 
     def _log(self, messages: Iterator[Message]) -> Iterator[Message]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 
-from schemas.base import Atom, Source
+from schemas.base import Atom, Message, Source
 from schemas.command import Command, CommandApplied
 from schemas.episode import Episode
 from services.teleop.keys import KeyHold
@@ -16,16 +16,22 @@ class TeleopService:
     While a key is held, every heartbeat is answered by its movement. A change between two heartbeats is sent at once,
     for the same frame. When the key is released one ``stop`` is sent, then nothing: another driver may go on.
 
-    An emergency stop is repeated until the robot says that it stands for it.
+    An emergency stop goes out at once, be there an episode or not, and is repeated until the robot says that it stands
+    for it. Only ``release_emergency_stop`` and the episode that then begins end it.
 
     Parameters
     ----------
     keys
         Tells which movement is asked for.
+    robot
+        Whom an emergency stop is for before anything was heard of the robot.
     """
 
-    def __init__(self, keys: KeyHold) -> None:
+    def __init__(self, keys: KeyHold, robot: str) -> None:
         self._keys = keys
+        #: What an emergency stop descends from: the last heartbeat; the actuator takes it whatever its episode.
+        self._heard = Message(robot=robot, episode="none", tick=0, stamp_ns=0)
+        self._releasing = False
         self._sent: Atom | None = None
         self._answered = -1
         self._sequences: Counter[Source] = Counter()
@@ -46,7 +52,7 @@ class TeleopService:
         self._enter(applied.episode)
         if self.applied is None or applied.tick != self.applied.tick:
             self._sequences.clear()
-        self.applied = applied
+        self.applied = self._heard = applied
         if self.emergency:
             return None if applied.reason == "emergency_stop" else self._command("emergency_stop", "stop")
         if self._keys.held() is not None and applied.tick != self._answered:
@@ -67,12 +73,21 @@ class TeleopService:
         self._keys.release()
         return self.poll()
 
-    def stop_for_emergency(self) -> Command | None:
-        """Stop, and stay so until the next episode; without a robot in sight, as soon as there is one."""
+    def stop_for_emergency(self) -> Command:
+        """Stop, and stay so until the operator releases it, also one who has just asked for that."""
         self._keys.release()
         self._sent = None
         self.emergency = True
+        self._releasing = False
         return self._command("emergency_stop", "stop")
+
+    def release_emergency_stop(self) -> None:
+        """Take note that the operator has asked for an episode that releases the emergency stop."""
+        self._releasing = True
+
+    def keep_emergency_stop(self) -> None:
+        """Take note that there is no such episode: the simulator has refused it."""
+        self._releasing = False
 
     def on_event(self, event: Episode) -> None:
         """Follow the beginnings and ends of episodes."""
@@ -88,8 +103,9 @@ class TeleopService:
     def _enter(self, episode: str) -> None:
         if episode == self.episode:
             return
-        # The first episode seen keeps an emergency stop that was asked for before anything was heard of the robot.
-        self.emergency = self.emergency and self.episode is None
+        # Any other new episode, of a robot that was started anew perhaps, is stopped with its first heartbeat.
+        self.emergency = self.emergency and not self._releasing
+        self._releasing = False
         self.episode = episode
         self.applied = None
         self._answered = -1
@@ -104,9 +120,7 @@ class TeleopService:
         self._answered = self.applied.tick
         return self._command("teleop", held or "stop")
 
-    def _command(self, source: Source, atom: Atom) -> Command | None:
-        if self.applied is None:
-            return None
-        command = Command.after(self.applied, source=source, sequence=self._sequences[source], atom=atom)
+    def _command(self, source: Source, atom: Atom) -> Command:
+        command = Command.after(self._heard, source=source, sequence=self._sequences[source], atom=atom)
         self._sequences[source] += 1
         return command

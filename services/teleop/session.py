@@ -65,7 +65,7 @@ class TeleopSession:
         self._node = node
         self._terminal = terminal
         self._parser = KeyParser()
-        self._service = TeleopService(KeyHold(clock, settings.first_hold_s, settings.repeat_hold_s))
+        self._service = TeleopService(KeyHold(clock, settings.first_hold_s, settings.repeat_hold_s), node.robot)
         self._status = Status(clock)
         self._seed = secrets.randbelow(2**31) if settings.seed is None else settings.seed
         self._mine: str | None = None
@@ -118,7 +118,7 @@ class TeleopSession:
             self._begin_episode()
         elif key == "emergency_stop":
             self._node.publish(self._service.stop_for_emergency())
-            self._terminal.say("EMERGENCY STOP until the next episode (n)")
+            self._terminal.say("EMERGENCY STOP until you begin a new episode (n)")
         else:
             self._node.publish(self._service.press(key))
 
@@ -127,7 +127,11 @@ class TeleopSession:
         if self._resetting is not None:
             self._terminal.say("still waiting for the simulator")
             return
-        request = ResetRequest(seed=self._seed, purpose="drive", driver="teleop", mode="realtime")
+        # Only a person who looks at the robot may release an emergency stop.
+        request = ResetRequest(
+            seed=self._seed, purpose="drive", driver="teleop", mode="realtime", release_emergency_stop=True
+        )
+        self._service.release_emergency_stop()
         self._seed += 1
 
         def reset() -> None:
@@ -148,6 +152,7 @@ class TeleopSession:
             return
         self._resetting = None
         if isinstance(reply, RpcError):
+            self._service.keep_emergency_stop()
             self._terminal.say(str(reply))
             self._status.on_failure()
         else:

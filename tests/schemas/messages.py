@@ -55,6 +55,7 @@ EXAMPLES: dict[type[Message], Message] = {
         speed=0.5,
         source="teleop",
         reason="command",
+        answered_tick=299,
         latency_ns=12_000_000,
         refused=3,
     ),
@@ -148,6 +149,7 @@ _fields: dict[type[Message], st.SearchStrategy[dict[str, object]]] = {
             "speed": st.floats(0, 1),
             "source": st.none() | _sources,
             "reason": st.sampled_from(["command", "silence", "emergency_stop"]),
+            "answered_tick": st.none() | st.integers(0, MAX_TICK),
             "latency_ns": st.none() | st.integers(0, 2**63 - 1),
             "refused": st.integers(0, 2**63 - 1),
         }

@@ -10,11 +10,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pydantic import ValidationError
 
-from schemas.base import Message
+from schemas.base import SOURCES, Message
 from schemas.codec import decode, encode, encoding_of
+from schemas.command import CommandApplied
 from schemas.episode import Episode
 from schemas.image import Image
 from schemas.observation import Observation
+from schemas.rpc import ResetRequest
 from schemas.state import State
 from tests.schemas import messages
 from tests.schemas.messages import CLASSES, EXAMPLES, any_message
@@ -147,6 +149,8 @@ def test_headers_out_of_range_are_refused(cls: type[Message], header: dict[str, 
         (Episode, {"outcome": None}),
         (Episode, {"event": "started"}),
         (Episode, {"world": ""}),
+        (CommandApplied, {"answered_tick": -1}),
+        (CommandApplied, {"answered_tick": 10_000_001}),
     ],
     ids=str,
 )
@@ -164,3 +168,13 @@ def test_words_outside_a_choice_are_refused(cls: type[Message], data: st.DataObj
         name, word = data.draw(st.sampled_from(choices)), data.draw(st.text(max_size=5))
         with pytest.raises(ValidationError):
             altered(cls, **{name: word})
+
+
+def test_every_source_can_drive_but_the_emergency_stop() -> None:
+    assert {ResetRequest(seed=1, driver=source).driver for source in SOURCES[1:]} == set(SOURCES[1:])
+    with pytest.raises(ValidationError, match="driver"):
+        ResetRequest.model_validate({"seed": 1, "driver": "emergency_stop"})
+
+
+def test_a_reset_releases_no_emergency_stop_unless_it_says_so() -> None:
+    assert not ResetRequest(seed=1).release_emergency_stop

@@ -103,6 +103,20 @@ def test_an_episode_without_the_victim_has_no_goal_and_no_stop(tmp_path: Path, o
     assert (piece.ticks.tolist(), piece.at_goal) == ([0, 1, 2, 3], False)
 
 
+def test_the_goal_is_the_last_frame_of_an_episode_that_ended_found(tmp_path: Path) -> None:
+    whole = list(episode("e", frames=4))
+    passed = [*whole[:-1], applied("e", 3), *frame("e", 4), event("e", 4, "ended", "aborted")]
+    came_back = [*passed[:-1], event("e", 4, "ended", "found")]
+    contradiction = [*whole[:-1], applied("e", 3), *frame("e", 4), whole[-1]]
+    goals = []
+    for k, sent in enumerate((whole, passed, came_back, contradiction)):
+        folder = tmp_path / str(k)
+        folder.mkdir()
+        (read,) = read_messages(folder, sent).episodes
+        goals.append([(int(piece.ticks[-1]), piece.at_goal) for piece in read.pieces()])
+    assert goals == [[(3, True)], [(3, False)], [(4, True)], [(3, False)]]
+
+
 @pytest.mark.parametrize("compression", list(CompressionType))
 def test_merged_episodes_stay_apart(tmp_path: Path, compression: CompressionType) -> None:
     names = ("drive-1", "drive-2", "drive-3")

@@ -2,17 +2,26 @@
 
 from __future__ import annotations
 
+import threading
+from collections import Counter
+from collections.abc import Callable, Iterator
+from typing import cast, get_args
+
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from schemas.base import Atom, Message
+from schemas.base import Atom, Message, Source
 from schemas.command import Command, CommandApplied
 from schemas.episode import Episode, Purpose
 from schemas.image import Image
 from schemas.pose import Pose
 from schemas.rpc import ResetRequest
-from services.simulator.episode import GIVE_UP_S, RESEND_S, STEP_S, TICK_S, EpisodeRunner
+from services.process import Node, ServiceError
+from services.simulator.drive import TICK_S
+from services.simulator.episode import GIVE_UP_S, RESEND_S, STEP_S, EpisodeRunner
+from services.simulator.gate import MAX_AGE_S, Refusal
+from services.simulator.service import LATCHED, SimulatorService
 from services.simulator.world.terrain import Pose as PlanarPose
 
 
@@ -21,8 +30,8 @@ class Line:
 
     name = "line"
 
-    def __init__(self, victim: float = 1e9, wall: float = 1e9) -> None:
-        self.x, self.victim, self.wall = 0.0, victim, wall
+    def __init__(self, victim: float = 1e9, wall: float = 1e9, sight: float = 1e9) -> None:
+        self.x, self.victim, self.wall, self.sight = 0.0, victim, wall, sight
         self.moves: list[tuple[Atom, float, float]] = []
 
     def reset(self, seed: int, purpose: Purpose) -> PlanarPose:
@@ -39,7 +48,7 @@ class Line:
         return np.full((24, 32, 3), int(10 * self.x) % 256, dtype=np.uint8)
 
     def victim_found(self) -> bool:
-        return self.x >= self.victim
+        return self.victim <= self.x <= self.victim + self.sight
 
     def route(self) -> NDArray[np.float64]:
         return np.array([[0.0, 0.0], [self.victim, 0.0]])
@@ -63,13 +72,19 @@ class Clock:
         return self.now_s
 
 
-def answer(runner: EpisodeRunner, atom: Atom = "forward", tick: int | None = None) -> list[Message]:
+def answer(
+    runner: EpisodeRunner, atom: Atom = "forward", tick: int | None = None, sequence: int = 0, speed: float = 1.0
+) -> list[Message]:
     run = runner.running
     assert run is not None
-    command = Command(
-        robot="r", episode=run.id, tick=run.tick if tick is None else tick, stamp_ns=0, source="policy", atom=atom
-    )
-    return list(runner.offer(command))
+    tick = run.tick if tick is None else tick
+    header = Message(robot="r", episode=run.id, tick=tick, stamp_ns=0)
+    return list(runner.offer(Command.after(header, source="policy", sequence=sequence, atom=atom, speed=speed)))
+
+
+def stop_for_emergency(runner: EpisodeRunner) -> list[Message]:
+    source: Source = "emergency_stop"
+    return list(runner.offer(Command(robot="r", episode="none", tick=0, stamp_ns=0, source=source, atom="stop")))
 
 
 def begin(world: Line, **request: object) -> tuple[EpisodeRunner, Clock, list[Message]]:
@@ -132,6 +147,37 @@ def test_demonstration_goes_on_after_the_victim_is_found_until_it_is_ended() -> 
     assert events(runner.end(None)) == [("ended", "found")]
 
 
+def test_demonstration_that_passes_the_victim_and_goes_on_has_not_found_it() -> None:
+    runner, _, _ = begin(Line(victim=0.3, sight=0.2), purpose="drive")
+    answer(runner)
+    assert events(answer(runner)) == [("victim_found", None)]
+    assert events(answer(runner)) == []
+    assert events(runner.end(None)) == [("ended", "aborted")]
+
+
+def test_demonstration_that_comes_back_to_the_victim_has_found_it_there() -> None:
+    runner, _, _ = begin(Line(victim=0.3, sight=0.2), purpose="drive")
+    for atom in ("forward", "forward", "forward", "backward"):
+        messages = answer(runner, atom)
+        assert events(messages) in ([], [("victim_found", None)])
+    (ended,) = runner.end(None)
+    assert isinstance(ended, Episode)
+    assert (ended.outcome, ended.tick) == ("found", 4)
+
+
+@pytest.mark.parametrize(
+    ("sight", "expected"), [(1.0, [("ended", "found")]), (0.2, [("timed_out", None), ("ended", "timeout")])]
+)
+@pytest.mark.parametrize("purpose", ["drive", "recovery"])
+def test_the_last_frame_allowed_is_a_goal_if_it_shows_the_victim(
+    sight: float, expected: list[tuple[str, str | None]], purpose: str
+) -> None:
+    runner, _, _ = begin(Line(victim=0.3, sight=sight), purpose=purpose, max_ticks=3)
+    answer(runner)
+    answer(runner)
+    assert events(answer(runner)) == expected
+
+
 @pytest.mark.parametrize(
     ("world", "request_", "expected"),
     [
@@ -192,5 +238,176 @@ def test_realtime_slow_rendering_slows_the_world_and_skips_no_frame() -> None:
 def test_messages_order_within_a_tick_is_told() -> None:
     runner, clock, _ = begin(Line(), mode="realtime")
     answer(runner)
-    applied = [m for m in advance(runner, clock, 1.0) if isinstance(m, CommandApplied)]
-    assert [m.sequence for m in applied] == sorted({m.sequence for m in applied})
+    messages = advance(runner, clock, 0.13)
+    answer(runner, "left")
+    messages += advance(runner, clock, 0.03)
+    answer(runner, "right", sequence=1)
+    messages += advance(runner, clock, 1.0)
+    applied = [m for m in messages if isinstance(m, CommandApplied)]
+    said = Counter(m.tick for m in applied)
+    assert [(m.tick, m.sequence) for m in applied] == [(tick, k) for tick in sorted(said) for k in range(said[tick])]
+    assert (said[0], said[1]) == (1, 3)
+
+
+def test_lockstep_says_once_a_tick_what_moves_the_robot() -> None:
+    runner, _, _ = begin(Line())
+    said = [m for _ in range(3) for m in answer(runner) if isinstance(m, CommandApplied)]
+    assert [(m.tick, m.sequence, m.answered_tick) for m in said] == [(0, 0, 0), (1, 0, 1), (2, 0, 2)]
+
+
+def test_a_change_of_speed_alone_is_told() -> None:
+    runner, clock, _ = begin(Line(), mode="realtime")
+    answer(runner)
+    advance(runner, clock, 0.03)
+    answer(runner, sequence=1, speed=0.5)
+    applied = [m for m in advance(runner, clock, 0.03) if isinstance(m, CommandApplied)]
+    assert [(m.atom, m.speed) for m in applied] == [("forward", 0.5)]
+
+
+def test_latency_belongs_to_the_frame_that_was_answered() -> None:
+    """The heartbeat of a frame goes out before that frame can have been answered."""
+    runner, clock, _ = begin(Line(), mode="realtime")
+    latencies: dict[int, set[int | None]] = {}
+    applied: list[CommandApplied] = []
+    for tick in range(5):
+        clock.now_s += 0.01 * (tick + 1)
+        answer(runner, tick=tick)
+        while runner.running is not None and runner.running.tick == tick:
+            applied += [m for m in advance(runner, clock, STEP_S) if isinstance(m, CommandApplied)]
+    assert [(m.tick, m.answered_tick) for m in applied] == [(0, 0), *((tick + 1, tick) for tick in range(5))]
+    for message in applied:
+        assert message.answered_tick is not None
+        latencies.setdefault(message.answered_tick, set()).add(message.latency_ns)
+    for tick, seen in latencies.items():
+        assert list(seen) == [pytest.approx(1e7 * (tick + 1))]
+
+
+class SlowLine(Line):
+    """A world whose pictures take their time, and which notes when the robot was moved."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.clock = Clock()
+        self.moved_s = 0.0
+
+    def advance(self, atom: Atom, speed: float, duration_s: float) -> PlanarPose:
+        if atom != "stop":
+            self.moved_s = self.clock.now_s
+        return super().advance(atom, speed, duration_s)
+
+    def render(self) -> NDArray[np.uint8]:
+        self.clock.now_s += 0.1
+        return super().render()
+
+
+def test_realtime_slow_rendering_does_not_prolong_a_command() -> None:
+    for answered in range(1, 30):
+        world = SlowLine()
+        runner = EpisodeRunner(world, "r", "s", world.clock, lambda: 5)
+        runner.reset(ResetRequest(seed=1, mode="realtime"))
+        while runner.running is not None and runner.running.tick < answered:
+            answer(runner, tick=runner.running.tick)
+            advance(runner, world.clock, STEP_S)
+        assert runner.running is not None
+        captured_s, tick = world.clock.now_s - 0.1, runner.running.tick
+        answer(runner, tick=tick)
+        advance(runner, world.clock, 2.0)
+        assert world.moved_s > captured_s
+        assert world.moved_s - captured_s <= MAX_AGE_S + 1e-9
+
+
+class FakeNode:
+    """A node that only keeps what a service gives it."""
+
+    def __init__(self) -> None:
+        self.published: list[Message] = []
+
+    def subscribe(self, *_: object) -> None: ...
+
+    def serve(self, *_: object) -> None: ...
+
+    def every(self, *_: object) -> None: ...
+
+    @property
+    def log(self) -> FakeNode:
+        return self
+
+    def info(self, *_: object) -> None: ...
+
+    def publish(self, messages: Iterator[Message]) -> None:
+        self.published += messages
+
+
+def serve(world: Line) -> tuple[SimulatorService, EpisodeRunner, FakeNode]:
+    runner, node = EpisodeRunner(world, "r", "s", Clock(), lambda: 5), FakeNode()
+    return SimulatorService(runner, cast("Node", node)), runner, node
+
+
+def running(runner: EpisodeRunner) -> None:
+    runner.reset(ResetRequest(seed=1))
+
+
+def ended(runner: EpisodeRunner) -> None:
+    runner.reset(ResetRequest(seed=1))
+    runner.end(None)
+
+
+def never_run(_: EpisodeRunner) -> None:
+    """Nothing has happened yet."""
+
+
+@pytest.mark.parametrize("before", [running, ended, never_run])
+def test_an_emergency_stop_outlives_every_reset_but_the_one_that_releases_it(
+    before: Callable[[EpisodeRunner], None],
+) -> None:
+    world = Line()
+    service, runner, node = serve(world)
+    before(runner)
+    stop_for_emergency(runner)
+    episode = runner.running
+    for driver in ("policy", "expert", "teleop"):
+        with pytest.raises(ServiceError) as caught:
+            service.reset(ResetRequest(seed=2, driver=driver))
+        assert str(caught.value) == LATCHED
+    assert runner.running is episode, "a refused reset ends nothing"
+    assert not node.published
+    assert service.detail()["emergency_stop"] is True
+    service.reset(ResetRequest(seed=2, release_emergency_stop=True))
+    assert service.detail()["emergency_stop"] is False
+    answer(runner)
+    assert world.moves == [("forward", 1.0, TICK_S)]
+
+
+def test_a_latched_robot_stands_in_whatever_episode() -> None:
+    world = Line()
+    runner, _, _ = begin(world)
+    runner.end(None)
+    assert stop_for_emergency(runner) == []
+    runner.reset(ResetRequest(seed=2))
+    (applied, *_) = answer(runner)
+    assert isinstance(applied, CommandApplied)
+    assert (applied.reason, applied.answered_tick, applied.latency_ns) == ("emergency_stop", None, None)
+    assert world.moves == [("stop", 0.0, TICK_S)]
+
+
+def test_status_is_told_while_commands_are_being_refused() -> None:
+    service, runner, _ = serve(Line())
+    runner.reset(ResetRequest(seed=1))
+
+    stop = threading.Event()
+
+    def refuse() -> None:
+        while not stop.is_set():
+            runner.gate.refused.clear()
+            for reason in get_args(Refusal):
+                runner.gate.refused[reason] += 1
+
+    thread = threading.Thread(target=refuse)
+    thread.start()
+    try:
+        for _ in range(300):
+            service.detail()
+    finally:
+        stop.set()
+        thread.join()
+    assert service.detail()["refused stale"] == 1

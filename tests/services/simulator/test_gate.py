@@ -32,7 +32,7 @@ def gate() -> CommandGate:
 
 def test_fresh_command_moves_the_robot_and_silence_stops_it(gate: CommandGate) -> None:
     assert gate.offer(command(0), 10.1) is None
-    assert gate.applied(10.2) == Applied("forward", 1.0, "policy", "command")
+    assert gate.applied(10.2) == Applied("forward", 1.0, "policy", "command", answered_tick=0)
     assert gate.applied(10.0 + MAX_AGE_S).atom == "forward"
     assert gate.applied(10.0 + MAX_AGE_S + 1e-6) == STAND
 
@@ -90,14 +90,36 @@ def test_policy_takes_over_again_when_teleop_falls_silent(gate: CommandGate) -> 
 
 @pytest.mark.parametrize("tick", [0, 99])
 @pytest.mark.parametrize("episode", ["e", "other"])
-def test_emergency_stop_holds_until_the_next_episode(gate: CommandGate, tick: int, episode: str) -> None:
+def test_emergency_stop_holds_until_an_episode_that_releases_it(gate: CommandGate, tick: int, episode: str) -> None:
     gate.offer(command(0), 10.0)
     assert gate.offer(command(tick, source="emergency_stop", atom="forward", episode=episode), 99.0) is None
     gate.captured(1, 10.1)
     gate.offer(command(1), 10.1)
     assert gate.applied(10.1) == Applied("stop", 0.0, "emergency_stop", "emergency_stop")
     gate.begin("f", "policy")
+    gate.captured(0, 10.2)
+    assert gate.offer(command(0, episode="f"), 10.2) is None
+    assert gate.applied(10.2).reason == "emergency_stop"
+    assert gate.emergency_stop
+    gate.begin("g", "policy", release_emergency_stop=True)
+    assert not gate.emergency_stop
     assert gate.applied(10.2) == STAND
+
+
+def test_emergency_stop_before_the_first_episode_holds() -> None:
+    gate = CommandGate()
+    assert gate.offer(command(0, source="emergency_stop"), 0.0) is None
+    gate.begin("e", "policy")
+    assert gate.applied(0.0).reason == "emergency_stop"
+
+
+def test_what_is_applied_names_the_frame_that_was_answered(gate: CommandGate) -> None:
+    gate.offer(command(0), 10.0)
+    gate.captured(1, 10.1)
+    assert gate.applied(10.1).answered_tick == 0
+    gate.offer(command(1), 10.15)
+    assert gate.applied(10.2).answered_tick == 1
+    assert gate.applied(11.0).answered_tick is None
 
 
 class GateMachine(RuleBasedStateMachine):
@@ -124,6 +146,15 @@ class GateMachine(RuleBasedStateMachine):
         self.tick += 1
         self.captured[self.tick] = self.now
         self.gate.captured(self.tick, self.now)
+
+    @rule(release=st.booleans())
+    def next_episode(self, release: bool) -> None:
+        self.gate.begin("e", self.driver, release_emergency_stop=release)
+        self.tick = 0
+        self.captured = {0: self.now}
+        self.gate.captured(0, self.now)
+        self.accepted.clear()
+        self.emergency = self.emergency and not release
 
     @rule(
         source=st.sampled_from(SOURCES),

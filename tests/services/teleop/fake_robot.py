@@ -43,6 +43,8 @@ class FakeRobot:
     def _reset(self, request: ResetRequest) -> ResetReply:
         if self.refuse is not None:
             raise ServiceError(self.refuse)
+        if self._emergency and not request.release_emergency_stop:
+            raise ServiceError("the emergency stop is latched")
         self.resets.append(request)
         self._episode = f"drive-{len(self.resets)}"
         self._tick, self._emergency = 0, False

@@ -18,7 +18,7 @@ class Operator:
 
     def __init__(self) -> None:
         self.now_s = 0.0
-        self.service = TeleopService(KeyHold(lambda: self.now_s))
+        self.service = TeleopService(KeyHold(lambda: self.now_s), "r")
 
     def beat(self, tick: int, reason: str = "silence", episode: str = "e") -> tuple[str, str, int, int] | None:
         source = {"silence": None, "emergency_stop": "emergency_stop", "command": "teleop"}[reason]
@@ -116,24 +116,50 @@ def test_an_emergency_stop_goes_out_at_once_and_is_repeated_until_it_holds(opera
     assert brief(operator.service.stop_for_emergency()) == ("emergency_stop", "stop", 3, 0)
     assert operator.beat(4, "command") == ("emergency_stop", "stop", 4, 0)
     assert operator.beat(5, "emergency_stop") is None
-    assert operator.service.press("forward") is None, "it holds until the next episode"
+    assert operator.service.press("forward") is None, "it holds until it is released"
     assert operator.beat(6, "emergency_stop") is None
 
 
 def test_an_emergency_stop_before_any_heartbeat_is_sent_with_the_first(operator: Operator) -> None:
-    assert operator.service.stop_for_emergency() is None
+    assert brief(operator.service.stop_for_emergency()) == ("emergency_stop", "stop", 0, 0)
     assert operator.beat(0) == ("emergency_stop", "stop", 0, 0)
 
 
-def test_the_next_episode_releases_the_emergency_stop(operator: Operator) -> None:
+def test_an_emergency_stop_between_two_episodes_is_sent(operator: Operator) -> None:
+    operator.beat(3)
+    operator.service.on_event(event("ended", outcome="aborted"))
+    command = operator.service.stop_for_emergency()
+    assert (command.source, command.robot, command.episode) == ("emergency_stop", "r", "e")
+
+
+def test_the_episode_that_the_operator_asks_for_releases_the_emergency_stop(operator: Operator) -> None:
     operator.beat(3)
     operator.service.stop_for_emergency()
     operator.service.on_event(event("ended", outcome="aborted"))
-    assert operator.service.emergency
+    operator.service.release_emergency_stop()
+    assert operator.service.emergency, "not before the simulator has done it"
     operator.service.on_event(event("started", "f"))
     assert not operator.service.emergency
     operator.beat(0, episode="f")
     assert brief(operator.service.press("left")) == ("teleop", "left", 0, 0)
+
+
+def test_no_other_episode_releases_it(operator: Operator) -> None:
+    operator.beat(3)
+    operator.service.stop_for_emergency()
+    operator.service.release_emergency_stop()
+    operator.service.keep_emergency_stop()
+    assert operator.beat(0, episode="f") == ("emergency_stop", "stop", 0, 0)
+    assert operator.beat(1, "emergency_stop", "f") is None
+    operator.service.on_event(event("started", "g"))
+    assert operator.service.emergency
+
+
+def test_an_emergency_stop_while_waiting_for_the_new_episode_stops_that_one(operator: Operator) -> None:
+    operator.beat(3)
+    operator.service.release_emergency_stop()
+    assert operator.service.stop_for_emergency() is not None
+    assert operator.beat(0, episode="f") == ("emergency_stop", "stop", 0, 0)
 
 
 def test_nothing_is_sent_after_the_end(operator: Operator) -> None:

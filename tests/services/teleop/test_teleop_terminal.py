@@ -105,7 +105,7 @@ def test_hold_to_drive_release_to_stop(console: Console, robot: FakeRobot) -> No
     eventually(lambda: robot.atoms()[-1:] == ["stop"])
 
 
-def test_emergency_stop_holds_until_the_next_episode(console: Console, robot: FakeRobot) -> None:
+def test_emergency_stop_holds_until_a_new_episode_is_asked_for(console: Console, robot: FakeRobot) -> None:
     begin(console, robot)
     console.type(b"we")
     eventually(lambda: robot.atoms("emergency_stop"))
@@ -116,7 +116,17 @@ def test_emergency_stop_holds_until_the_next_episode(console: Console, robot: Fa
     eventually(lambda: len(robot.resets) == 2)
     assert len(robot.atoms()) == driven, "no key moves the robot in between"
     assert robot.resets[1].seed == 6
+    assert robot.resets[1].release_emergency_stop
     console.wait_for("seed 6")
+    eventually(lambda: (console.type(b"w"), robot.atoms()[-1:] == ["forward"])[1])
+
+
+def test_emergency_stop_without_an_episode_is_sent(console: Console, robot: FakeRobot) -> None:
+    console.wait_for("no episode; press n")
+    eventually(lambda: (console.type(b"e"), robot.atoms("emergency_stop"))[1])
+    console.wait_for("EMERGENCY STOP until you begin a new episode")
+    console.type(b"n")
+    console.wait_for(r"frame \d+  \|  robot: stop \(nobody drives\)")
     eventually(lambda: (console.type(b"w"), robot.atoms()[-1:] == ["forward"])[1])
 
 
