@@ -8,7 +8,9 @@ from __future__ import annotations
 import sys
 
 import typer
+from pydantic import ValidationError
 
+from schemas.codec import describe
 from services.bus import BusError, RpcError
 from services.commands import demonstrate, doctor, learn, run, teleop, topic, up
 from services.commands.errors import JobError, UsageError
@@ -41,6 +43,11 @@ def main() -> None:
         status = _say(str(error), EXIT_USAGE)
     except (JobError, ServiceError, BusError, RpcError) as error:
         status = _say(str(error), EXIT_FAILED)
+    except ValidationError as error:
+        status = _say(describe(error), EXIT_USAGE)
+    except OSError as error:
+        reason = error.strerror or str(error) or type(error).__name__
+        status = _say(reason if error.filename is None else f"{error.filename}: {reason}", EXIT_FAILED)
     except (KeyboardInterrupt, typer.Abort):
         status = _say("interrupted", 130)
     sys.exit(status if isinstance(status, int) else 0)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from functools import partial
 from pathlib import Path
 from typing import Annotated
 
@@ -10,14 +11,12 @@ import typer
 from tqdm import tqdm
 
 from schemas import topics
-from schemas.rpc import Nothing, RecordReply, RecordRequest, ResetRequest
+from schemas.rpc import Nothing, RecordReply, RecordRequest, ResetReply, ResetRequest
 from services.commands import options
-from services.commands.episodes import EpisodeClient, EpisodeRecord
+from services.commands.episodes import EpisodeClient, EpisodeRecord, check_world_of
 from services.commands.errors import UsageError
-from services.commands.options import Camera
-from services.commands.stack import flags, stack_for
+from services.commands.stack import Access, flags, stack_for
 from services.expert.service import ExpertService
-from services.process import ServiceSettings
 
 #: A recovery drive is over after this many frames (8 s at 10 Hz).
 RECOVERY_TICKS = 80
@@ -36,7 +35,7 @@ def demonstrate(
     ] = None,
     seed: options.Seed = 1,
     out: Annotated[Path, typer.Option(help="Folder for the recordings, one MCAP file a drive.")] = Path("recordings"),
-    camera: options.CameraSize = "1024x768",
+    camera: options.OwnCameraSize = None,
     connect: options.Connect = None,
     robot: options.Robot = options.DEFAULT_ROBOT,
 ) -> None:
@@ -48,16 +47,16 @@ def demonstrate(
     Example: smal demonstrate --world campus --episodes 12 --seed 1 --out drives
     """
     recoveries = RECOVERIES_PER_DRIVE * episodes if recoveries is None else recoveries
-    size = Camera.parse(camera)
-    options.check_world(world)
+    size = options.camera_of_own_stack(camera, connect)
+    name = options.check_world(world)
     requests = list(_requests(episodes, recoveries, seed))
     if not requests:
         raise UsageError("--episodes 0 --recoveries 0: nothing to demonstrate")
-    out.mkdir(parents=True, exist_ok=True)
+    options.make_folder(out, "--out")
     simulator = flags(world=world, camera_width=size.width, camera_height=size.height)
     services = ("router", "simulator", "features", "recorder")
-    with stack_for(connect, services, robot, {"simulator": simulator}) as (settings, check):
-        recorded = _record(requests, settings, check, out, world)
+    with stack_for(connect, services, robot, {"simulator": simulator}) as access:
+        recorded = _record(requests, access, out, world, name)
     typer.echo(f"recorded {recorded} drives in {out}; next: smal learn {out} --out MODEL")
 
 
@@ -68,26 +67,23 @@ def _requests(episodes: int, recoveries: int, seed: int) -> Iterator[ResetReques
         yield ResetRequest(seed=seed + k, purpose="recovery", driver="expert", max_ticks=RECOVERY_TICKS)
 
 
-def _record(
-    requests: list[ResetRequest], settings: ServiceSettings, check: Callable[[], None], out: Path, world: str
-) -> int:
+def _record(requests: list[ResetRequest], access: Access, out: Path, world: str, name: str) -> int:
     """Have every drive driven and recorded; return how many."""
-    client = EpisodeClient("demonstrate", settings)
+    client = EpisodeClient("demonstrate", access.settings)
     expert = ExpertService()
     records: list[EpisodeRecord] = []
     client.watch_poses(expert.see)
     client.node.subscribe(topics.OBSERVATION, expert.handle, depth=4)
-    client.node.stop_on_signals()
     try:
         client.node.bus.wait_connected(5.0)
         client.node.bus.call("recorder", "start", RecordRequest(folder=str(out.resolve())), Nothing)
         for request, progress in _with_progress(requests):
             record = client.run(
                 request,
-                on_begin=lambda reply: expert.begin(reply.episode, reply.route),
+                on_begin=partial(_begin, expert, name),
                 done=lambda: expert.arrived,
                 on_tick=progress,
-                check=check,
+                check=access.check,
             )
             _complain(record)
             records.append(record)
@@ -99,6 +95,11 @@ def _record(
     if reply.dropped:
         tqdm.write(f"warning: the recorder dropped {reply.dropped} messages; drives with gaps are cut there")
     return len(reply.files)
+
+
+def _begin(expert: ExpertService, world: str, reply: ResetReply) -> None:
+    check_world_of(reply, world)
+    expert.begin(reply.episode, reply.route)
 
 
 def _with_progress(requests: list[ResetRequest]) -> Iterator[tuple[ResetRequest, Callable[[int], None]]]:

@@ -15,7 +15,10 @@ from services.process import EXIT_FAILED
 
 
 def doctor(as_json: Json = False, robot: Robot = DEFAULT_ROBOT, router: Router = DEFAULT_ROUTER) -> None:
-    """Check rendering, Zenoh, the router's port, Python and disk space; says what to install."""
+    """Check rendering, Zenoh, the router's port, Python and disk space; says what to install.
+
+    Example: smal doctor
+    """
     checks: tuple[Callable[[], Check], ...] = (
         check_python,
         check_disk,

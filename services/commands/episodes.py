@@ -42,8 +42,10 @@ class EpisodeRecord:
         True poses, (x, y) metres, by tick.
     decisions
         Kind of every decision, by tick.
+    unrecognised
+        Ticks of the decisions that were taken without a recognised state.
     latencies_ms
-        From capture to command at the actuator, by tick.
+        From a frame's readiness to the acceptance of its command, by tick.
     frames
         Some camera images of the way, by tick.
     """
@@ -54,18 +56,31 @@ class EpisodeRecord:
     route: tuple[tuple[float, float], ...] = ()
     poses: dict[int, tuple[float, float]] = field(default_factory=dict)
     decisions: dict[int, str] = field(default_factory=dict)
+    unrecognised: set[int] = field(default_factory=set)
     latencies_ms: dict[int, float] = field(default_factory=dict)
     frames: dict[int, NDArray[np.uint8]] = field(default_factory=dict)
 
     @property
     def unknown(self) -> int:
         """Decisions that were taken without a recognised state."""
-        return sum(kind in {"look_around", "stop"} for kind in self.decisions.values())
+        return len(self.unrecognised)
 
     @property
     def decision_latencies_ms(self) -> list[float]:
         """Latencies of the frames at which a decision was taken."""
         return [ms for tick, ms in self.latencies_ms.items() if tick in self.decisions]
+
+
+def check_world_of(reply: ResetReply, wanted: str) -> None:
+    """Compare the world of the stack with the one that was asked for.
+
+    Raises
+    ------
+    JobError
+        When they differ: the results would be those of another world.
+    """
+    if reply.world != wanted:
+        raise JobError(f"the stack runs {reply.world}, not {wanted}; start it with --world {wanted}")
 
 
 class EpisodeClient:
@@ -123,7 +138,7 @@ class EpisodeClient:
         request
             Seed, purpose, driver, mode.
         on_begin
-            Called with the simulator's reply, before any message of the episode is handled.
+            Called with the simulator's reply, before any message of the episode is handled; may raise JobError.
         done
             Ends the episode when it holds.
         on_tick
@@ -142,12 +157,15 @@ class EpisodeClient:
         reply = self.node.bus.call("simulator", "reset", request, ResetReply, timeout_s=60.0)
         self._episode, record.route = reply.episode, reply.route
         self._alive_s = time.monotonic()
-        on_begin(reply)
+        try:
+            on_begin(reply)
+        except JobError:
+            # Nobody will drive it.
+            self._end(reply.episode)
+            raise
         while not self.node.spin(until=lambda: self._ended or done(), timeout_s=0.5):
             on_tick(record.ticks)
             check()
-            if self.node.stopping:
-                raise KeyboardInterrupt
             if time.monotonic() - self._alive_s > SILENCE_S:
                 raise JobError(f"no sign of robot {self.node.robot} for {SILENCE_S:.0f} s; see the stack's logs")
         if not self._ended:
@@ -180,9 +198,12 @@ class EpisodeClient:
             return
         self._alive_s = time.monotonic()
         self._record.ticks = max(self._record.ticks, applied.tick)
-        if applied.latency_ns is not None:
-            self._record.latencies_ms.setdefault(applied.tick, applied.latency_ns / 1e6)
+        if applied.latency_ns is not None and applied.answered_tick is not None:
+            self._record.latencies_ms.setdefault(applied.answered_tick, applied.latency_ns / 1e6)
 
     def _on_action(self, action: Action) -> None:
         if self._record is not None and action.episode == self._episode:
             self._record.decisions[action.tick] = action.kind
+            # Not the kind says so: the robot also looks around where the state is known but has no way on.
+            if action.state is None:
+                self._record.unrecognised.add(action.tick)

@@ -3,20 +3,23 @@
 from __future__ import annotations
 
 import json
+import math
 import sys
 import time
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Annotated, NoReturn
 
 import typer
 from tqdm import tqdm
 
+from services.commands import options
 from services.commands.errors import JobError, UsageError
-from services.commands.teaching import Teacher, Teaching, find_recordings
+from services.commands.teaching import Teacher, Teaching, find_recordings, states_shared_by_episodes
 from smal.learning import LearningReport, LearningSettings
 from smal.learning import learn as learn_model
 from smal.model import Model
+from smal.reward import RewardError
 
 
 def learn(
@@ -47,10 +50,11 @@ def learn(
     settings = _settings(length, lambda1, lambda2, tau, gamma)
     if out.is_dir():
         raise UsageError(f"--out {out}: is a folder; give the name of a file, for example {out / 'model.smal'}")
+    options.make_folder(out.parent, "--out")
+    options.check_file(json_file, "--json")
     teaching = _read(recordings, settings, include_runs)
     model, report = _learn(teaching, settings)
     try:
-        out.parent.mkdir(parents=True, exist_ok=True)
         model.save(out)
         if json_file is not None:
             json_file.write_text(json.dumps(_as_json(teaching, settings, report, out), indent=2) + "\n")
@@ -64,6 +68,8 @@ def _settings(
 ) -> LearningSettings:
     given: dict[str, object] = {"sequence_length": length, "lambda1": lambda1, "lambda2": lambda2, "gamma": gamma}
     chosen = {name: value for name, value in given.items() if value is not None}
+    if tau is not None and not (math.isfinite(tau) and tau >= 0.0):
+        raise UsageError(f"--tau must be finite and not negative, got {tau}")
     if tau is not None:
         chosen |= {"novelty": "weight", "novelty_parameters": {"tau": tau}}
     try:
@@ -78,7 +84,8 @@ def _read(paths: list[Path], settings: LearningSettings, include_runs: bool) -> 
     except OSError as error:
         raise UsageError(str(error)) from None
     teacher = Teacher(settings.features, settings.sequence_length, include_runs=include_runs)
-    for path in tqdm(files, desc="reading", unit="file", dynamic_ncols=True):
+    # disable=None: no bars in a log file or a pipe, where the remarks would drown in them.
+    for path in tqdm(files, desc="reading", unit="file", dynamic_ncols=True, disable=None):
         teacher.read(path)
     teaching = teacher.teaching
     if not teaching.demonstrations and len(teaching.remarks) == 1:
@@ -101,7 +108,7 @@ class _StageBar:
         bar = self._bar
         if bar is None or stage != self._stage:
             self.close()
-            bar = tqdm(desc=stage, dynamic_ncols=True)
+            bar = tqdm(desc=stage, dynamic_ncols=True, disable=None)
             self._stage, self._bar = stage, bar
         bar.total = total
         bar.update(done - bar.n)
@@ -114,11 +121,12 @@ class _StageBar:
 def _learn(teaching: Teaching, settings: LearningSettings) -> tuple[Model, LearningReport]:
     bar = _StageBar()
     try:
-        return learn_model(teaching.demonstrations, settings, bar)
-    except ValueError as error:
+        model, report = learn_model(teaching.demonstrations, settings, bar)
+    except (ValueError, RewardError) as error:
         raise JobError(f"cannot learn from these recordings: {error}") from None
     finally:
         bar.close()
+    return model, replace(report, shared_states=states_shared_by_episodes(model))
 
 
 def _as_text(teaching: Teaching, report: LearningReport, out: Path, seconds: float) -> str:
@@ -126,7 +134,7 @@ def _as_text(teaching: Teaching, report: LearningReport, out: Path, seconds: flo
         "recordings": f"{teaching.recordings} ({teaching.episodes} episodes used)",
         "frames": report.frames,
         "states": report.states,
-        "shared states": f"{report.shared_states} (seen in at least two demonstrations)",
+        "shared states": f"{report.shared_states} (seen in at least two episodes)",
         "actions": report.actions,
         "goal states": report.goals,
         "seconds": f"{seconds:.1f}",

@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import os
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Final, Self
 
 import typer
 
+from schemas.topics import check_robot_id
 from services.bus import DEFAULT_ROUTER
 from services.commands.errors import UsageError
 from services.simulator.world import WorldError, load_world
+from smal import model as smal_model
 
 DEFAULT_ROBOT: Final = "rescuebot"
 
@@ -20,6 +23,10 @@ Json = Annotated[bool, typer.Option("--json", help="Print JSON.")]
 World = Annotated[str, typer.Option(help="World: a name in deploy/worlds, or the path of an OpenStreetMap file.")]
 Seed = Annotated[int, typer.Option(min=0, help="Seed of the first episode; episode k uses SEED + k.")]
 CameraSize = Annotated[str, typer.Option("--camera", help="Camera image, WIDTHxHEIGHT; smaller renders faster.")]
+OwnCameraSize = Annotated[
+    str | None,
+    typer.Option("--camera", help="Camera image, WIDTHxHEIGHT; smaller renders faster. [default: 1024x768]"),
+]
 Connect = Annotated[
     str | None,
     typer.Option(help=f"Use the running stack whose router is at this address (`smal up`: {DEFAULT_ROUTER})."),
@@ -52,8 +59,35 @@ class Camera:
         return camera
 
 
-def check_world(world: str) -> None:
-    """Read a world, to say what is wrong with it before six processes start.
+def camera_of_own_stack(camera: str | None, connect: str | None) -> Camera:
+    """Read ``--camera`` of a command that starts a stack of its own unless it connects to another.
+
+    Raises
+    ------
+    UsageError
+        When the text is no size, or the camera belongs to a stack that runs already.
+    """
+    if camera is not None and connect is not None:
+        raise UsageError("--camera: with --connect the running stack has its camera; give it to `smal up`")
+    return Camera.parse(camera or "1024x768")
+
+
+def check_robot(robot: str) -> str:
+    """Return a robot id.
+
+    Raises
+    ------
+    UsageError
+        When it cannot be part of a key.
+    """
+    try:
+        return check_robot_id(robot)
+    except ValueError as error:
+        raise UsageError(f"--robot: {error}") from None
+
+
+def check_world(world: str) -> str:
+    """Read a world, to say what is wrong with it before six processes start; return its name.
 
     Raises
     ------
@@ -61,6 +95,59 @@ def check_world(world: str) -> None:
         When there is no such world, or its file is no map.
     """
     try:
-        load_world(world)
+        return load_world(world).name
     except WorldError as error:
         raise UsageError(f"--world {world}: {error}") from None
+
+
+def read_model(path: Path, stride: int | None) -> smal_model.Model:
+    """Read the model of ``--model``, for which ``--stride`` must be right.
+
+    Raises
+    ------
+    UsageError
+        When the file is no model, or the stride is longer than its sequences.
+    """
+    try:
+        model = smal_model.Model.load(path)
+    except smal_model.ModelError as error:
+        raise UsageError(f"--model {error}") from None
+    if stride is not None and stride > model.sequence_length:
+        raise UsageError(f"--stride {stride}: at most the model's sequence length, {model.sequence_length}")
+    return model
+
+
+def make_folder(path: Path, option: str) -> None:
+    """Make the folder for results before the work begins whose results would be lost without it.
+
+    Raises
+    ------
+    UsageError
+        When nothing can be written there.
+    """
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+    except FileExistsError:
+        raise UsageError(f"{option} {path}: is a file, not a folder") from None
+    except OSError as error:
+        raise UsageError(f"{option} {path}: {error.strerror}") from None
+    if not os.access(path, os.W_OK):
+        raise UsageError(f"{option} {path}: cannot be written to")
+
+
+def check_file(path: Path | None, option: str) -> None:
+    """Check, before the work begins, that a file of results can be written, if one is wanted.
+
+    Raises
+    ------
+    UsageError
+        When it cannot.
+    """
+    if path is None:
+        return
+    if path.is_dir():
+        raise UsageError(f"{option} {path}: is a folder; give the name of a file")
+    if not path.parent.is_dir():
+        raise UsageError(f"{option} {path}: no folder {path.parent}")
+    if not os.access(path if path.exists() else path.parent, os.W_OK):
+        raise UsageError(f"{option} {path}: cannot be written")

@@ -69,7 +69,7 @@ def _latencies(records: Iterable[EpisodeRecord]) -> Figure:
     axes = figure.add_subplot()
     values = [ms for record in records for ms in record.decision_latencies_ms]
     axes.hist(values, bins=50, color="#1f5fa8")
-    axes.set(xlabel="from the capture of the last frame to the command at the actuator (ms)", ylabel="decisions")
+    axes.set(xlabel="from the last frame's readiness to its command at the actuator (ms)", ylabel="decisions")
     return figure
 
 

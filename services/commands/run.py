@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from typing import Annotated
 
@@ -14,13 +15,11 @@ from tqdm import tqdm
 
 from schemas.rpc import LoadReply, LoadRequest, Mode, Nothing, RecordReply, RecordRequest, ResetRequest
 from services.commands import options
-from services.commands.episodes import EpisodeClient, EpisodeRecord
-from services.commands.errors import UsageError
-from services.commands.options import Camera
-from services.commands.stack import flags, stack_for
+from services.commands.episodes import EpisodeClient, EpisodeRecord, check_world_of
+from services.commands.errors import JobError
+from services.commands.stack import Access, flags, stack_for
 from services.process import ServiceSettings
 from smal.evaluation.success import wilson_interval
-from smal.model import Model, ModelError
 
 #: Camera images kept of every run for the report, one in so many frames.
 FRAMES_APART = 20
@@ -40,7 +39,7 @@ def run(
     json_file: Annotated[Path | None, typer.Option("--json", help="Write the results as JSON.")] = None,
     report: Annotated[Path | None, typer.Option(help="Write a page of results, with pictures, to this folder.")] = None,
     record: Annotated[Path | None, typer.Option(help="Record the runs into this folder.")] = None,
-    camera: options.CameraSize = "1024x768",
+    camera: options.OwnCameraSize = None,
     connect: options.Connect = None,
     robot: options.Robot = options.DEFAULT_ROBOT,
 ) -> None:
@@ -51,24 +50,32 @@ def run(
     Example: smal run --model campus.smal --world campus --episodes 20 --seed 1 --json runs.json
     """
     mode: Mode = "realtime" if realtime else "lockstep"
-    loaded = _read_model(model, stride)
-    size = Camera.parse(camera)
-    options.check_world(world)
+    loaded = options.read_model(model, stride)
+    size = options.camera_of_own_stack(camera, connect)
+    name = options.check_world(world)
+    options.check_file(json_file, "--json")
+    for folder, option in ((report, "--report"), (record, "--record")):
+        if folder is not None:
+            options.make_folder(folder, option)
     simulator = flags(world=world, camera_width=size.width, camera_height=size.height)
     services = ("router", "simulator", "features", "recognition", "policy", *(["recorder"] if record else []))
-    with (
-        stack_for(connect, services, robot, {"simulator": simulator}) as (settings, check),
-        _client(settings, model, stride) as client,
-        _recording(client, record),
-    ):
-        requests = [
-            ResetRequest(seed=seed + k, purpose="run", driver="policy", mode=mode, max_ticks=max_ticks)
-            for k in range(episodes)
-        ]
-        records = list(_run_all(client, requests, check))
+    requests = [
+        ResetRequest(seed=seed + k, purpose="run", driver="policy", mode=mode, max_ticks=max_ticks)
+        for k in range(episodes)
+    ]
+    records: list[EpisodeRecord] = []
+    try:
+        with (
+            stack_for(connect, services, robot, {"simulator": simulator}) as access,
+            _client(access.settings, model, stride) as client,
+            _recording(client, record),
+        ):
+            records.extend(_run_all(client, requests, access, name))
+    finally:
+        # Also when a later run fails, or is interrupted: the finished ones have cost their time.
+        if json_file is not None and records:
+            json_file.write_text(json.dumps(summarise(world, records), indent=2) + "\n")
     summary = summarise(world, records)
-    if json_file is not None:
-        json_file.write_text(json.dumps(summary, indent=2) + "\n")
     if report is not None:
         from services.commands.report import write_report  # noqa: PLC0415 - matplotlib takes a second to import
 
@@ -104,16 +111,6 @@ def summarise(world: str, records: list[EpisodeRecord]) -> dict[str, object]:
     }
 
 
-def _read_model(path: Path, stride: int | None) -> Model:
-    try:
-        model = Model.load(path)
-    except ModelError as error:
-        raise UsageError(str(error)) from None
-    if stride is not None and stride > model.sequence_length:
-        raise UsageError(f"--stride {stride}: at most the model's sequence length, {model.sequence_length}")
-    return model
-
-
 @contextmanager
 def _client(settings: ServiceSettings, model: Path, stride: int | None) -> Iterator[EpisodeClient]:
     """Connect, and have recognition and policy load the model."""
@@ -121,7 +118,6 @@ def _client(settings: ServiceSettings, model: Path, stride: int | None) -> Itera
     try:
         client.watch_poses()
         client.watch_frames(FRAMES_APART)
-        client.node.stop_on_signals()
         client.node.bus.wait_connected(5.0)
         request = LoadRequest(path=str(model.resolve()), stride=stride)
         for service in ("recognition", "policy"):
@@ -136,13 +132,15 @@ def _recording(client: EpisodeClient, folder: Path | None) -> Iterator[None]:
     if folder is None:
         yield
         return
-    folder.mkdir(parents=True, exist_ok=True)
     client.node.bus.call("recorder", "start", RecordRequest(folder=str(folder.resolve())), Nothing)
     yield
     client.node.bus.call("recorder", "stop", Nothing(), RecordReply, timeout_s=30.0)
 
 
-def _run_all(client: EpisodeClient, requests: list[ResetRequest], check: Callable[[], None]) -> Iterator[EpisodeRecord]:
+def _run_all(
+    client: EpisodeClient, requests: list[ResetRequest], access: Access, world: str
+) -> Iterator[EpisodeRecord]:
+    """Give every run as it ends; one that was aborted is an error, since it says nothing of the model."""
     outcomes: list[str] = []
     with tqdm(requests, desc="running", unit="run", dynamic_ncols=True) as bar:
 
@@ -150,7 +148,14 @@ def _run_all(client: EpisodeClient, requests: list[ResetRequest], check: Callabl
             bar.set_postfix_str(f"{outcomes.count('found')} of {len(outcomes)} found, frame {tick}")
 
         for request in bar:
-            record = client.run(request, on_tick=show, check=check)
+            record = client.run(
+                request, on_begin=partial(check_world_of, wanted=world), on_tick=show, check=access.check
+            )
+            if record.outcome == "aborted":
+                where = f" ({access.logs})" if access.logs else ""
+                raise JobError(
+                    f"run with seed {request.seed}: no command came; see the logs of recognition and policy{where}"
+                )
             outcomes.append(record.outcome)
             show(record.ticks)
             yield record

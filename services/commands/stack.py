@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import os
 import signal
 import socket
@@ -10,15 +11,18 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import TracebackType
 from typing import Final, Self
 
 from schemas.rpc import Nothing, Status
-from services.bus import Bus, RpcError
+from services.bus import Bus, BusError, RpcError
+from services.commands.backoff import Backoff
 from services.commands.errors import JobError
+from services.commands.interrupts import interrupted_by_signals
+from services.commands.options import check_robot
 from services.process import ServiceSettings
 
 #: The services, in the order in which they start. Each runs as ``python -m services.<name>``.
@@ -26,6 +30,9 @@ SERVICES: Final = ("router", "simulator", "features", "recognition", "policy", "
 #: The first frame of a software renderer compiles its pipelines; on a busy machine that has taken 20 s.
 READY_TIMEOUT_S: Final = 60.0
 STOP_TIMEOUT_S: Final = 5.0
+#: The services run in sessions of their own, so that Ctrl-C reaches this process alone; this ties them to its life.
+_CHILD: Final = Path(__file__).with_name("child.py")
+_log = logging.getLogger("stack")
 
 
 def free_endpoint() -> str:
@@ -42,7 +49,7 @@ class StackPlan:
     Attributes
     ----------
     services
-        Names out of ``SERVICES``.
+        Names out of ``SERVICES``, the router first.
     robot, endpoint
         Robot id, and the address of the stack's own router.
     flags
@@ -63,15 +70,20 @@ class Stack:
 
     def __init__(self, plan: StackPlan) -> None:
         self.plan = plan
-        self.restarts = 0
         self._children: dict[str, subprocess.Popen[bytes]] = {}
+        self._backoffs: dict[str, Backoff] = {}
         self._logs = plan.logs
 
     def __enter__(self) -> Self:
         try:
-            for service in self.plan.services:
-                self._start(service)
-            self._wait_ready()
+            router, *others = self.plan.services
+            deadline_s = time.monotonic() + READY_TIMEOUT_S
+            self._start(router)
+            # The others would each give up on a router that takes longer than their patience.
+            with closing(self._reach_router(deadline_s)) as bus:
+                for service in others:
+                    self._start(service)
+                self._wait_ready(bus, deadline_s)
         except BaseException:
             self.stop()
             raise
@@ -89,12 +101,24 @@ class Stack:
                 raise JobError(self._epitaph(service, child))
 
     def restart_dead(self) -> list[str]:
-        """Start again every service that has ended, and return their names."""
-        dead = [service for service, child in self._children.items() if child.poll() is not None]
-        for service in dead:
+        """Start again the services that have ended, one that keeps dying less and less often.
+
+        Returns
+        -------
+        list of str
+            Those that were started now.
+        """
+        dead = {service: child for service, child in self._children.items() if child.poll() is not None}
+        for service, child in dead.items():
+            backoff = self._backoffs[service]
+            if not backoff.mourned:
+                wait_s = backoff.wait_s()
+                when = f"in {wait_s:.1f} s" if wait_s else "now"
+                _log.warning("%s; it is started again %s", self._epitaph(service, child), when)
+        due = [service for service in dead if self._backoffs[service].wait_s() <= 0.0]
+        for service in due:
             self._start(service)
-        self.restarts += len(dead)
-        return dead
+        return due
 
     def stop(self) -> None:
         """Ask every service to stop, router last, and end those that do not within five seconds."""
@@ -111,7 +135,9 @@ class Stack:
         environment = os.environ | {"SMAL_ROBOT": self.plan.robot, "SMAL_ROUTER": self.plan.endpoint}
         # The solves are small: a second BLAS thread only takes the other service's core.
         environment.setdefault("OPENBLAS_NUM_THREADS", "1")
-        command = [sys.executable, "-m", f"services.{service}", *self.plan.flags.get(service, ())]
+        program = [sys.executable, "-m", f"services.{service}", *self.plan.flags.get(service, ())]
+        command = [sys.executable, "-I", "-S", str(_CHILD), str(os.getpid()), *program]
+        self._backoffs.setdefault(service, Backoff()).begin()
         if self._logs is None:
             self._children[service] = subprocess.Popen(command, env=environment, start_new_session=True)  # noqa: S603
             return
@@ -121,20 +147,25 @@ class Stack:
                 command, env=environment, stdout=log, stderr=log, start_new_session=True
             )
 
-    def _wait_ready(self) -> None:
-        bus = Bus(self.plan.robot, self.plan.endpoint)
-        try:
-            waiting = set(self.plan.services)
-            deadline = time.monotonic() + READY_TIMEOUT_S
-            while waiting:
-                self.check()
-                waiting -= {service for service in waiting if _ready(bus, service)}
-                if waiting and time.monotonic() > deadline:
-                    raise JobError(f"not ready after {READY_TIMEOUT_S:.0f} s: {', '.join(sorted(waiting))}")
-                if waiting:
-                    time.sleep(0.05)
-        finally:
-            bus.close()
+    def _reach_router(self, deadline_s: float) -> Bus:
+        """Connect to the router; notice at once when it could not start."""
+        while True:
+            self.check()
+            try:
+                return Bus(self.plan.robot, self.plan.endpoint, patience_s=0.0)
+            except BusError:
+                if time.monotonic() > deadline_s:
+                    raise JobError(f"not ready after {READY_TIMEOUT_S:.0f} s: router") from None
+
+    def _wait_ready(self, bus: Bus, deadline_s: float) -> None:
+        waiting = set(self.plan.services)
+        while waiting:
+            self.check()
+            waiting -= {service for service in waiting if _ready(bus, service)}
+            if waiting and time.monotonic() > deadline_s:
+                raise JobError(f"not ready after {READY_TIMEOUT_S:.0f} s: {', '.join(sorted(waiting))}")
+            if waiting:
+                time.sleep(0.05)
 
     def _log(self, service: str) -> Path:
         assert self._logs is not None  # noqa: S101 - only asked where logs go to files
@@ -169,6 +200,25 @@ def flags(**values: object) -> tuple[str, ...]:
     return tuple(part for key, value in pairs for part in (f"--{key.replace('_', '-')}", str(value)))
 
 
+@dataclass(frozen=True)
+class Access:
+    """A stack that can be used.
+
+    Attributes
+    ----------
+    settings
+        How to reach it.
+    check
+        Raises JobError when one of its processes has ended.
+    logs
+        Folder of its services' logs; None for a stack that was running before.
+    """
+
+    settings: ServiceSettings
+    check: Callable[[], None]
+    logs: Path | None
+
+
 @contextmanager
 def stack_for(
     connect: str | None,
@@ -176,18 +226,14 @@ def stack_for(
     robot: str,
     service_flags: Mapping[str, tuple[str, ...]],
     logs: Path | None = None,
-) -> Iterator[tuple[ServiceSettings, Callable[[], None]]]:
-    """Use the running stack at ``connect``, or start one for as long as the context lasts.
-
-    Yields
-    ------
-    settings, check
-        How to reach the stack, and a function that raises JobError when one of its processes has ended.
-    """
-    if connect is not None:
-        yield ServiceSettings(robot=robot, router=connect), lambda: None
-        return
-    endpoint = free_endpoint()
-    plan = StackPlan(services, robot, endpoint, service_flags, logs or Path(tempfile.mkdtemp(prefix="smal-logs-")))
-    with Stack(plan) as stack:
-        yield ServiceSettings(robot=robot, router=endpoint), stack.check
+) -> Iterator[Access]:
+    """Use the running stack at ``connect``, or start one for as long as the context lasts."""
+    endpoint = free_endpoint() if connect is None else connect
+    settings = ServiceSettings(robot=check_robot(robot), router=endpoint)
+    with interrupted_by_signals():
+        if connect is not None:
+            yield Access(settings, lambda: None, None)
+            return
+        logs = logs or Path(tempfile.mkdtemp(prefix="smal-logs-"))
+        with Stack(StackPlan(services, robot, endpoint, service_flags, logs)) as stack:
+            yield Access(settings, stack.check, logs)

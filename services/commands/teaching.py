@@ -6,6 +6,7 @@ Only what the robot's camera saw and what its actuator did is used, never a pose
 from __future__ import annotations
 
 import os
+from collections import Counter
 from collections.abc import Iterable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
@@ -22,6 +23,7 @@ from services.recorder.recorded import Piece, RecordedEpisode
 from smal.action_space import Atom
 from smal.features import FeatureSettings, extract
 from smal.learning import Demonstration
+from smal.model import Model
 
 #: The library's number of each movement, by its place in ``ATOMS``.
 _NUMBERS: Final = np.array([Atom[name.upper()] for name in ATOMS], dtype=np.int8)
@@ -98,6 +100,9 @@ class Teacher:
         if not pieces:
             self._remark(f"{path}: episode {episode.episode} is left out: no {self._shortest} successive frames")
             return
+        lost = frames_left_out(episode, pieces)
+        if lost:
+            self._remark(f"{path}: episode {episode.episode}: {lost} frames beside gaps are left out")
         self.teaching.episodes += 1
         self.teaching.demonstrations.extend(_demonstration(episode, piece, len(pieces) == 1) for piece in pieces)
 
@@ -144,6 +149,25 @@ def complete(episode: RecordedEpisode, settings: FeatureSettings) -> int:
     computed = {tick: vector for tick, vector in vectors.items() if vector is not None}
     episode.features.update(computed)
     return len(computed)
+
+
+def frames_left_out(episode: RecordedEpisode, pieces: Iterable[Piece]) -> int:
+    """Count the recorded frames that are in none of the pieces.
+
+    The very last frame is not counted: unless the victim was found, nothing was done after it.
+    """
+    recorded = episode.features.keys() | episode.images.keys()
+    kept = {tick for piece in pieces for tick in piece.ticks.tolist()}
+    return len(recorded - kept - {max(recorded)})
+
+
+def states_shared_by_episodes(model: Model) -> int:
+    """Count the states that occur in at least two episodes; two pieces of one episode share nothing yet."""
+    states: dict[str, set[int]] = {}
+    for name, stream in zip(model.names, model.state_streams, strict=True):
+        states.setdefault(name.partition("[")[0], set()).update(stream.tolist())
+    counts = Counter(state for each in states.values() for state in each)
+    return sum(count >= 2 for count in counts.values())
 
 
 def _demonstration(episode: RecordedEpisode, piece: Piece, whole: bool) -> Demonstration:

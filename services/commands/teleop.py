@@ -24,6 +24,8 @@ def teleop(
     """Drive with the keyboard: arrows or w a s d, held; n begins an episode.
 
     What you drive is recorded by the stack's recorder and teaches like the expert's drives.
+
+    Example: smal teleop --seed 1
     """
     try:
         require_terminal()

@@ -15,10 +15,10 @@ from typing import Annotated, Final, cast
 import typer
 
 from schemas.codec import encoding_of
-from schemas.topics import ROOT, TOPICS, Topic, check_robot_id, topic_of
+from schemas.topics import ROOT, TOPICS, Topic, topic_of
 from services.bus import DEFAULT_ROUTER, Bus
 from services.commands.errors import UsageError
-from services.commands.options import DEFAULT_ROBOT, Json, Robot, Router
+from services.commands.options import DEFAULT_ROBOT, Json, Robot, Router, check_robot
 from services.commands.rates import Rate, rate_lines
 from services.commands.samples import Sample
 from services.process import Inbox
@@ -28,7 +28,11 @@ QUEUE: Final = 64
 CONNECT_S: Final = 2.0
 Keys = Annotated[str, typer.Argument(help="Key expression, or a topic's name such as camera/rgb.", metavar="KEYEXPR")]
 
-app = typer.Typer(help="List the topics; listen to them.", no_args_is_help=True, rich_markup_mode=None)
+app = typer.Typer(
+    help="List the topics; listen to them.\n\nExample: smal topic echo state --count 5",
+    no_args_is_help=True,
+    rich_markup_mode=None,
+)
 
 
 @app.command("list")
@@ -59,7 +63,7 @@ def info(
         near = get_close_matches(name, TOPICS, n=1) or ["smal topic list"]
         raise UsageError(f"no topic {name!r}; did you mean: {near[0]}?")
     row = _row(topic) | {
-        "key": topic.key(_robot(robot)),
+        "key": topic.key(check_robot(robot)),
         "encoding": encoding_of(topic.message),
         "most_bytes": topic.message.max_bytes,
         "queue": topic.queue,
@@ -85,7 +89,7 @@ def echo(
     """Print every message, one line each, until Ctrl-C."""
     inbox = Inbox()
     inbox.open("samples", QUEUE)
-    with closing(Bus(_robot(robot), router, CONNECT_S)) as bus, _ends_quietly():
+    with closing(Bus(check_robot(robot), router, CONNECT_S)) as bus, _ends_quietly():
         bus.listen(key_expression(keys, robot), lambda *sample: inbox.put("samples", Sample(*sample)))
         printed = 0
         while printed != count:
@@ -109,7 +113,7 @@ def hz(
     """Measure rate and bandwidth of each key."""
     expression = key_expression(keys, robot)
     rates: defaultdict[str, Rate] = defaultdict(Rate)
-    with closing(Bus(_robot(robot), router, CONNECT_S)) as bus, _ends_quietly():
+    with closing(Bus(check_robot(robot), router, CONNECT_S)) as bus, _ends_quietly():
         # Counted on Zenoh's thread, where the time of arrival is true; one subscription, so one thread.
         bus.listen(expression, lambda key, payload, _: rates[key].add(len(payload), time.monotonic()))
         typer.echo(f"listening to {expression} for {seconds:g} s", err=True)
@@ -153,13 +157,6 @@ def _columns(rows: list[list[str]]) -> Iterator[str]:
     widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
     for row in rows:
         yield "  ".join(f"{cell:{width}}" for cell, width in zip(row, widths, strict=True)).rstrip()
-
-
-def _robot(robot: str) -> str:
-    try:
-        return check_robot_id(robot)
-    except ValueError as error:
-        raise UsageError(str(error)) from None
 
 
 def _say(text: str) -> None:

@@ -3,18 +3,17 @@
 from __future__ import annotations
 
 import logging
-import signal
-import threading
+import time
+from contextlib import suppress
 from pathlib import Path
-from types import FrameType
 from typing import Annotated, Final
 
 import typer
 
-from schemas.rpc import LoadReply, LoadRequest
-from services.bus import DEFAULT_ROUTER, Bus, Router
+from services.bus import DEFAULT_ROUTER, Router
 from services.commands import options
 from services.commands.errors import UsageError
+from services.commands.interrupts import interrupted_by_signals
 from services.commands.options import Camera
 from services.commands.stack import SERVICES, Stack, StackPlan, flags
 from services.process import configure_logging
@@ -34,13 +33,17 @@ def up(
 ) -> None:
     """Start router, simulator, features, recognition, policy and recorder, and keep them running.
 
-    A service that ends is started again. Ctrl-C ends everything cleanly. Other terminals then use the stack:
-    smal teleop, smal topic hz, smal run --connect.
+    A service that ends is started again, one that keeps ending less and less often. Ctrl-C ends everything cleanly.
+    Other terminals then use the stack: smal teleop, smal topic hz, smal run --connect.
 
     Example: smal up --world campus --model campus.smal
     """
     size = Camera.parse(camera)
     options.check_world(world)
+    options.check_robot(robot)
+    if recordings is not None:
+        options.make_folder(recordings, "--recordings")
+    chain = _chain_flags(model, stride)
     # Said here, in one line, before six processes start and one of them fails.
     Router(router).close()
     configure_logging("info")
@@ -51,39 +54,25 @@ def up(
         router,
         {
             "simulator": flags(world=world, camera_width=size.width, camera_height=size.height),
+            "recognition": chain,
+            "policy": chain,
             "recorder": flags(recordings=recordings),
         },
     )
-    with Stack(plan) as stack:
-        if model is not None:
-            _load(robot, router, model, stride)
+    with interrupted_by_signals(), Stack(plan) as stack:
         log.info("ready: robot %s in %s on %s; Ctrl-C stops", robot, world, router)
-        stop = _stop_event()
-        while not stop.wait(WATCH_S):
-            for service in stack.restart_dead():
-                log.warning("%s had ended and was started again", service)
+        with suppress(KeyboardInterrupt):
+            while True:
+                time.sleep(WATCH_S)
+                stack.restart_dead()
     log.info("stopped")
 
 
-def _load(robot: str, router: str, model: Path, stride: int | None) -> None:
-    if not model.is_file():
-        raise UsageError(f"--model {model}: no such file")
-    bus = Bus(robot, router)
-    try:
-        bus.wait_connected(5.0)
-        request = LoadRequest(path=str(model.resolve()), stride=stride)
-        for service in ("recognition", "policy"):
-            bus.call(service, "load", request, LoadReply, timeout_s=60.0)
-    finally:
-        bus.close()
-
-
-def _stop_event() -> threading.Event:
-    stop = threading.Event()
-
-    def on_signal(_number: int, _frame: FrameType | None) -> None:
-        stop.set()
-
-    for number in (signal.SIGTERM, signal.SIGINT):
-        signal.signal(number, on_signal)
-    return stop
+def _chain_flags(model: Path | None, stride: int | None) -> tuple[str, ...]:
+    """Return the flags with which recognition and policy have their model from the start, and after every restart."""
+    if model is None:
+        if stride is not None:
+            raise UsageError(f"--stride {stride}: needs --model")
+        return ()
+    options.read_model(model, stride)
+    return flags(model=model.resolve(), stride=stride)

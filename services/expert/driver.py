@@ -14,7 +14,7 @@ from schemas.base import Atom
 #: How far ahead on the route the driver looks, metres.
 LOOKAHEAD_M: Final = 2.5
 #: A person corrects the heading when it is off by this much, and then until it is this close, radians.
-START_TURNING_RAD: Final = math.radians(12.0)
+START_TURNING_RAD: Final = math.radians(7.0)
 STOP_TURNING_RAD: Final = math.radians(3.0)
 #: Distance from the route's end (the victim) at which the driver has arrived, metres.
 ARRIVED_M: Final = 2.5
@@ -44,8 +44,6 @@ class RouteDriver:
 
     def key(self, x: float, y: float, heading: float) -> Atom:
         """Return the key to hold at a pose (metres, radians counter-clockwise from east)."""
-        if self.arrived(x, y):
-            return "stop"
         self._progress_m = self._project(np.array([x, y]))
         target = self._point_at(self._progress_m + LOOKAHEAD_M)
         bearing = math.atan2(target[1] - y, target[0] - x)

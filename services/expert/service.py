@@ -13,6 +13,9 @@ from services.expert.driver import RouteDriver
 class ExpertService:
     """Commands once for every frame, after that frame has been through the features service.
 
+    Having arrived it commands nothing more: the client ends the episode, and with a last command under way at the
+    same time chance would decide how many frames the episode has.
+
     Waiting for the observation keeps a lockstep demonstration from outrunning what it is meant to record.
     """
 
@@ -44,13 +47,15 @@ class ExpertService:
 
     def _answer(self) -> Command | None:
         pose, observation = self._pose, self._observation
-        if pose is None or observation is None or self._driver is None:
+        if pose is None or observation is None or self._driver is None or self.arrived:
             return None
         if (pose.episode, pose.tick) != (observation.episode, observation.tick) or pose.episode != self._episode:
             return None
         if self._last is None or self._last.tick != pose.tick:
             # Otherwise the simulator asked again, because the command was lost on the way: the same answer.
             self.arrived = self._driver.arrived(pose.x_m, pose.y_m)
+            if self.arrived:
+                return None
             atom = self._driver.key(pose.x_m, pose.y_m, pose.heading_rad)
             self._last = Command.after(pose, source="expert", atom=atom)
         return self._last

@@ -3,12 +3,17 @@
 from __future__ import annotations
 
 import socket
+import struct
 from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 
 from services.process import EXIT_FAILED, EXIT_USAGE
+from smal.model import FORMAT_VERSION
+from tests.services.chain import save_model
+from tests.services.recorder.recorded_messages import episode, event
+from tests.services.recorder.test_recorder_files import record
 
 pytestmark = pytest.mark.system
 
@@ -66,6 +71,67 @@ def test_recordings_that_are_none(smal: Callable[..., object], tmp_path: Path) -
     expect_one_line(result, EXIT_FAILED, "noise.mcap")
 
 
+def test_truncated_recording(smal: Callable[..., object], tmp_path: Path) -> None:
+    path = record(tmp_path, list(episode("drive-1")))
+    path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
+    result = smal("learn", path, "--out", tmp_path / "model.smal", "--length", 1000)
+    stderr: str = result.stderr  # type: ignore[attr-defined]
+    said = [line for line in stderr.splitlines() if line.startswith("smal: ")]
+    assert result.returncode == EXIT_FAILED, stderr  # type: ignore[attr-defined]
+    assert f"{path}: truncated" in said[0]
+    assert "nothing to learn from" in said[-1]
+    assert "Traceback" not in stderr
+
+
+def test_recording_without_an_episode(smal: Callable[..., object], tmp_path: Path) -> None:
+    path = record(tmp_path, [event("drive-1", 0, "started")])
+    result = smal("learn", path, "--out", tmp_path / "model.smal")
+    stderr: str = result.stderr  # type: ignore[attr-defined]
+    assert result.returncode == EXIT_FAILED, stderr  # type: ignore[attr-defined]
+    assert stderr.splitlines()[-1] == f"smal: {path}: holds no camera frame"
+    assert "Traceback" not in stderr
+
+
+@pytest.fixture(scope="module")
+def model(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return save_model(tmp_path_factory.mktemp("model") / "corridor.smal")
+
+
+@pytest.mark.parametrize("command", ["run", "up"])
+def test_model_of_another_version(smal: Callable[..., object], model: Path, tmp_path: Path, command: str) -> None:
+    content = bytearray(model.read_bytes())
+    content[8:12] = struct.pack("<I", FORMAT_VERSION + 1)
+    newer = tmp_path / "newer.smal"
+    newer.write_bytes(content)
+    expect_one_line(smal(command, "--model", newer), EXIT_USAGE, "newer.smal", f"format {FORMAT_VERSION + 1}")
+
+
+def test_places_for_results_are_checked_before_the_stack_starts(
+    smal: Callable[..., object], model: Path, tmp_path: Path
+) -> None:
+    (tmp_path / "file").touch()
+    for option, value in (
+        ("--json", tmp_path / "none" / "runs.json"),
+        ("--json", tmp_path),
+        ("--report", tmp_path / "file"),
+        ("--record", tmp_path / "file" / "deeper"),
+    ):
+        expect_one_line(smal("run", "--model", model, "--world", "yard", option, value), EXIT_USAGE, option, str(value))
+    result = smal("demonstrate", "--world", "yard", "--episodes", 1, "--out", tmp_path / "file")
+    expect_one_line(result, EXIT_USAGE, "--out", "file")
+
+
+@pytest.mark.parametrize("command", ["up", "demonstrate"])
+def test_robot_that_cannot_be_a_key(smal: Callable[..., object], tmp_path: Path, command: str) -> None:
+    out = ("--out", tmp_path) if command == "demonstrate" else ()
+    expect_one_line(smal(command, "--world", "yard", "--robot", "A B", *out), EXIT_USAGE, "--robot", "A B")
+
+
+def test_settings_of_the_environment_are_checked(smal: Callable[..., object], tmp_path: Path) -> None:
+    result = smal("demonstrate", "--world", "yard", "--episodes", 1, "--out", tmp_path, SMAL_LOG_LEVEL="loud")
+    expect_one_line(result, EXIT_USAGE, "log_level")
+
+
 @pytest.mark.parametrize(
     "arguments",
     [
@@ -75,6 +141,9 @@ def test_recordings_that_are_none(smal: Callable[..., object], tmp_path: Path) -
         ("run", "--model", "x", "--episodes", "0"),
         ("demonstrate", "--camera", "big"),
         ("demonstrate", "--seed", "-1"),
+        ("demonstrate", "--camera", "160x120", "--connect", "tcp/127.0.0.1:9"),
+        ("up", "--stride", "2"),
+        ("up", "--model", "none.smal"),
     ],
 )
 def test_bad_use(smal: Callable[..., object], arguments: tuple[str, ...]) -> None:

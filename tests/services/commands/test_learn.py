@@ -21,6 +21,7 @@ from services.recorder.mcap_writer import EpisodeWriter
 from smal.action_space import Atom
 from smal.features import FeatureSettings, extract
 from smal.model import Model
+from smal.reward import RewardError
 from tests.services.recorder.recorded_messages import applied, event, header
 from tests.services.recorder.test_recorder_files import leave, record
 
@@ -44,6 +45,8 @@ def drive(name: str, first: int = 0, frames: int = 40, outcome: Outcome = "found
         vector = Float32Array.from_numpy(extract(pixels, FEATURES))
         messages.append(Observation.after(cause, fingerprint=fingerprint, features=vector))
         messages.append(applied(name, tick, atom="left" if tick % 3 == 2 else "forward"))
+    if outcome == "found":
+        messages.append(event(name, frames - 1, "victim_found", purpose=purpose))
     return [*messages, event(name, frames - 1, "ended", outcome, purpose=purpose)]
 
 
@@ -129,6 +132,28 @@ def test_a_gap_splits_a_drive(tmp_path: Path) -> None:
     teaching = teach(record(tmp_path, messages)).teaching
     assert [one.name for one in teaching.demonstrations] == ["e[0-9]", "e[13-39]"]
     assert [one.successful for one in teaching.demonstrations] == [False, True]
+    assert teaching.remarks == [f"{tmp_path}/e.mcap: episode e: 1 frames beside gaps are left out"]
+
+
+def test_two_pieces_of_one_drive_share_no_state(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    there, back = drive("e"), drive("e")
+    path = record(tmp_path, [*there[:-1], *(m.model_copy(update={"tick": m.tick + 50}) for m in back[1:])])
+    learn([path], tmp_path / "model.smal", length=5)
+    model = Model.load(tmp_path / "model.smal")
+    assert model.names == ("e[0-39]", "e[50-89]")
+    assert model.shared_states == 8
+    assert "shared states 0 (seen in at least two episodes)" in capsys.readouterr().out
+
+
+def test_a_reward_that_is_not_found_fails_the_job(
+    drives: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fail(*_: object) -> None:
+        raise RewardError("the reward program of 8 states was not solved")
+
+    monkeypatch.setattr("smal.learning.learn_reward", fail)
+    with pytest.raises(JobError, match="not solved"):
+        learn([drives], tmp_path / "model.smal")
 
 
 def test_an_episode_teaches_once(drives: Path, tmp_path: Path) -> None:
@@ -168,6 +193,8 @@ def test_every_mistake_is_one_line(drives: Path, tmp_path: Path) -> None:
         ([tmp_path / "none"], {}, UsageError, f"{tmp_path}/none: no such file or folder"),
         ([empty], {}, UsageError, f"{empty}: no recording (*.mcap) in this folder"),
         ([drives], {"gamma": 1.5}, UsageError, "gamma"),
+        ([drives], {"gamma": float("nan")}, UsageError, "gamma"),
+        ([drives], {"lambda2": float("inf")}, UsageError, "lambda2 must be finite and positive, got inf"),
         ([drives], {"lambda1": -1.0}, UsageError, "lambda1 must be finite and positive, got -1.0"),
         ([bad], {}, JobError, f"{bad}: empty"),
         ([drives], {"length": 41}, JobError, "nothing to learn from in 4 recordings, for the reasons above"),
@@ -179,8 +206,14 @@ def test_every_mistake_is_one_line(drives: Path, tmp_path: Path) -> None:
         assert "\n" not in str(caught.value)
     with pytest.raises(UsageError, match="is a folder"):
         learn([drives], tmp_path)
-    with pytest.raises(JobError, match="cannot write"):
-        learn([drives], bad / "model.smal")
+    for place in (bad, bad / "deeper"):
+        with pytest.raises(UsageError, match="--out"):
+            learn([drives], place / "model.smal")
+    with pytest.raises(UsageError, match=r"--json .*no folder"):
+        learn([drives], out, json_file=tmp_path / "none" / "report.json")
+    for tau in (-0.1, float("nan"), float("inf")):
+        with pytest.raises(UsageError, match="--tau"):
+            learn([drives], out, tau=tau)
     assert not out.exists()
 
 

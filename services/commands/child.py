@@ -1,0 +1,29 @@
+"""Become a program that is told to stop when the process that started it dies, however that one dies.
+
+A script of the standard library alone, ``python child.py PARENT COMMAND...``: it starts in a moment, and asking the
+kernel here, rather than between fork and exec of the parent, cannot deadlock on a lock of the parent's threads.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import os
+import signal
+import sys
+
+#: From <linux/prctl.h>; the setting outlives exec. It is about the death of the thread that started the process.
+PR_SET_PDEATHSIG = 1
+
+
+def main() -> None:
+    """Tie this process to its parent, then become the command."""
+    parent, *command = sys.argv[1:]
+    if sys.platform == "linux":
+        ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, ctypes.c_ulong(signal.SIGTERM))
+        if os.getppid() != int(parent):
+            sys.exit("the process that wanted this service has died")
+    os.execv(command[0], command)  # noqa: S606 - the command is Stack's own
+
+
+if __name__ == "__main__":
+    main()

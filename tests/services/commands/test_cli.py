@@ -1,0 +1,66 @@
+"""Whatever a command raises is one line and the promised exit status; and what `smal up` gives its services."""
+
+from __future__ import annotations
+
+import errno
+from pathlib import Path
+
+import pytest
+
+from schemas.rpc import ResetRequest
+from services import cli
+from services.commands.errors import UsageError
+from services.commands.up import _chain_flags
+from services.process import EXIT_FAILED, EXIT_USAGE
+from tests.services.chain import LENGTH, save_model
+
+
+@pytest.mark.parametrize(
+    ("raised", "status", "line"),
+    [
+        (OSError(errno.ENOSPC, "No space left on device", "/data/x.json"), EXIT_FAILED,
+         "smal: /data/x.json: No space left on device\n"),
+        (OSError("the disk is gone"), EXIT_FAILED, "smal: the disk is gone\n"),
+        (TimeoutError(), EXIT_FAILED, "smal: TimeoutError\n"),
+        (KeyboardInterrupt(), 130, "smal: interrupted\n"),
+    ],
+)  # fmt: skip
+def test_every_error_is_one_line(
+    raised: BaseException, status: int, line: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def fail(**_: object) -> None:
+        raise raised
+
+    monkeypatch.setattr(cli, "app", fail)
+    with pytest.raises(SystemExit) as ended:
+        cli.main()
+    assert (ended.value.code, capsys.readouterr().err) == (status, line)
+
+
+def test_a_value_that_no_message_can_carry_is_bad_use(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(cli, "app", lambda **_: ResetRequest(seed=-1))
+    with pytest.raises(SystemExit) as ended:
+        cli.main()
+    said = capsys.readouterr().err
+    assert ended.value.code == EXIT_USAGE
+    assert said.startswith("smal: seed: ")
+    assert said.count("\n") == 1
+
+
+def test_recognition_and_policy_have_their_model_from_the_start(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    model = save_model(tmp_path / "corridor.smal")
+    assert _chain_flags(None, None) == ()
+    assert _chain_flags(Path("corridor.smal"), 2) == ("--model", str(model), "--stride", "2")
+    assert _chain_flags(Path("corridor.smal"), None) == ("--model", str(model))
+    for path, stride, line in (
+        (None, 2, "needs --model"),
+        (tmp_path / "none", None, "No such file"),
+        (model, LENGTH + 1, "at most"),
+    ):
+        with pytest.raises(UsageError, match=line):
+            _chain_flags(path, stride)

@@ -1,0 +1,102 @@
+"""The client that has episodes run, and what `smal run` makes of them."""
+
+from __future__ import annotations
+
+from functools import partial
+from pathlib import Path
+from typing import cast
+
+import pytest
+
+from schemas.action import Action
+from schemas.base import Message
+from schemas.episode import Episode
+from schemas.rpc import EndRequest, ResetReply, ResetRequest
+from services.commands.episodes import EpisodeClient, EpisodeRecord, check_world_of
+from services.commands.errors import JobError, UsageError
+from services.commands.options import Camera, camera_of_own_stack
+from services.commands.run import _run_all, summarise
+from services.commands.stack import Access
+from services.process import Node, ServiceSettings
+from tests.services.conftest import RunNode
+
+REQUEST = ResetRequest(seed=3)
+CAUSE = Message(robot="rescuebot", episode="e", tick=0, stamp_ns=0)
+
+
+class FakeSimulator:
+    """Begins an episode in the world "campus", with decisions of some kinds, and ends it when asked to."""
+
+    def __init__(self, node: Node) -> None:
+        self._node = node
+        self.ended: list[str] = []
+        node.serve("reset", ResetRequest, self.reset)
+        node.serve("end", EndRequest, self.end)
+
+    def reset(self, _request: ResetRequest) -> ResetReply:
+        for tick, (kind, state) in enumerate((("action", 4), ("look_around", None), ("look_around", 5), ("stop", 5))):
+            cause = CAUSE.model_copy(update={"tick": tick})
+            self._node.publish(Action.after(cause, kind=kind, state=state, atoms=("left",)))
+        return ResetReply(episode="e", world="campus", route=((0.0, 0.0), (1.0, 0.0)))
+
+    def end(self, request: EndRequest) -> None:
+        self.ended.append(request.episode)
+        self._node.publish(
+            Episode.after(CAUSE, event="ended", purpose="run", driver="policy", world="campus", seed=3, outcome="found")
+        )
+
+
+@pytest.fixture
+def simulator(settings: ServiceSettings, run_node: RunNode) -> FakeSimulator:
+    node = Node("simulator", settings)
+    fake = FakeSimulator(node)
+    run_node(node)
+    return fake
+
+
+def test_only_decisions_without_a_state_are_unknown(simulator: FakeSimulator, settings: ServiceSettings) -> None:
+    client = EpisodeClient("test", settings)
+    client.node.bus.wait_connected(5.0)
+    try:
+        record = client.run(REQUEST, done=lambda: bool(client._record and len(client._record.decisions) == 4))
+    finally:
+        client.close()
+    assert list(record.decisions.values()) == ["action", "look_around", "look_around", "stop"]
+    assert record.unknown == 1
+    assert simulator.ended == ["e"]
+
+
+def test_another_world_than_asked_for_is_an_error_and_its_episode_is_ended(
+    simulator: FakeSimulator, settings: ServiceSettings
+) -> None:
+    client = EpisodeClient("test", settings)
+    client.node.bus.wait_connected(5.0)
+    try:
+        with pytest.raises(JobError, match="the stack runs campus, not yard; start it with --world yard"):
+            client.run(REQUEST, on_begin=partial(check_world_of, wanted="yard"))
+    finally:
+        client.close()
+    assert simulator.ended == ["e"]
+
+
+def test_an_aborted_run_is_an_error_after_the_finished_ones(settings: ServiceSettings, tmp_path: Path) -> None:
+    class Client:
+        def run(self, request: ResetRequest, **_: object) -> EpisodeRecord:
+            return EpisodeRecord(request, outcome="found" if request.seed < 3 else "aborted")
+
+    records: list[EpisodeRecord] = []
+    requests = [ResetRequest(seed=seed) for seed in (1, 2, 3, 4)]
+    access = Access(settings, lambda: None, tmp_path)
+    with pytest.raises(JobError) as caught:
+        records.extend(_run_all(cast("EpisodeClient", Client()), requests, access, "yard"))
+    assert str(caught.value) == (
+        f"run with seed 3: no command came; see the logs of recognition and policy ({tmp_path})"
+    )
+    assert [one["seed"] for one in summarise("yard", records)["episodes"]] == [1, 2]  # type: ignore[attr-defined]
+
+
+def test_camera_belongs_to_the_stack_that_is_started() -> None:
+    assert camera_of_own_stack(None, "tcp/127.0.0.1:1") == Camera(1024, 768)
+    assert camera_of_own_stack("64x48", None) == Camera(64, 48)
+    with pytest.raises(UsageError, match="--connect"):
+        camera_of_own_stack("64x48", "tcp/127.0.0.1:1")

@@ -1,0 +1,136 @@
+"""The scripted expert stays on its route, and answers every frame once, until it has arrived."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from shapely import LineString, Point
+
+from schemas.array import Float32Array
+from schemas.base import Message
+from schemas.observation import Observation
+from schemas.pose import Pose
+from services.expert.driver import ARRIVED_M, RouteDriver
+from services.expert.service import ExpertService
+from services.simulator.drive import TICK_S, Drive, move, wheel_speeds
+from services.simulator.drive import Pose as PlanarPose
+
+DRIVE = Drive()
+ROUTE = [(0.0, 0.0), (10.0, 0.0), (10.0, 10.0)]
+
+
+@st.composite
+def routes(draw: st.DrawFn, sharpest_deg: float) -> list[tuple[float, float]]:
+    """Draw stretches that are longer than the driver looks ahead, with a corner between each two."""
+    heading = draw(st.floats(-math.pi, math.pi))
+    points = [(0.0, 0.0)]
+    for _ in range(draw(st.integers(1, 5))):
+        length = draw(st.floats(5.0, 30.0))
+        points.append((points[-1][0] + length * math.cos(heading), points[-1][1] + length * math.sin(heading)))
+        heading += math.radians(draw(st.floats(-sharpest_deg, sharpest_deg)))
+    return points
+
+
+def follow(route: list[tuple[float, float]]) -> list[PlanarPose]:
+    """Drive a route with exact wheels from its start, at first turned to its first stretch."""
+    driver = RouteDriver(route)
+    (x, y), (to_x, to_y) = route[:2]
+    poses = [PlanarPose(x, y, math.atan2(to_y - y, to_x - x))]
+    # Twice the time that the way alone takes leaves plenty for turning on the spot.
+    most = 100 + round(2 * LineString(route).length / (DRIVE.speed_m_s * TICK_S))
+    while not driver.arrived(poses[-1].x, poses[-1].y):
+        assert len(poses) < most, "the driver does not arrive"
+        poses.append(drive_on(driver, poses[-1]))
+    return poses
+
+
+def drive_on(driver: RouteDriver, pose: PlanarPose) -> PlanarPose:
+    wheels = wheel_speeds(driver.key(pose.x, pose.y, pose.heading), DRIVE)
+    return move(pose, wheels, DRIVE.track_m, TICK_S)
+
+
+# Looking 2.5 m ahead cuts corners: by less than half a metre at a bend, most at a right angle.
+@pytest.mark.parametrize(("sharpest_deg", "most_m"), [(35.0, 0.5), (110.0, 0.9)])
+def test_driver_keeps_to_its_route(sharpest_deg: float, most_m: float) -> None:
+    @settings(max_examples=15, deadline=None)
+    @given(routes(sharpest_deg))
+    def check(route: list[tuple[float, float]]) -> None:
+        line = LineString(route)
+        poses = follow(route)
+        assert max(line.distance(Point(pose.x, pose.y)) for pose in poses) <= most_m
+        assert math.dist((poses[-1].x, poses[-1].y), route[-1]) <= ARRIVED_M
+
+    check()
+
+
+def test_driver_comes_back_from_beside_the_route() -> None:
+    driver = RouteDriver([(0.0, 0.0), (30.0, 0.0)])
+    pose = PlanarPose(0.0, 3.0, math.pi / 2)
+    for _ in range(80):
+        pose = drive_on(driver, pose)
+    assert abs(pose.y) < 0.5
+
+
+def test_a_route_is_more_than_a_point() -> None:
+    with pytest.raises(ValueError, match="at least two"):
+        RouteDriver([(0.0, 0.0)])
+
+
+def cause(tick: int, episode: str) -> Message:
+    return Message(robot="rescuebot", episode=episode, tick=tick, stamp_ns=tick)
+
+
+def pose(tick: int, x: float = 0.0, y: float = 0.0, heading: float = 0.0, episode: str = "e") -> Pose:
+    return Pose.after(cause(tick, episode), x_m=x, y_m=y, heading_rad=heading)
+
+
+def observation(tick: int, episode: str = "e") -> Observation:
+    vector = Float32Array.from_numpy(np.zeros(4, np.float32))
+    return Observation.after(cause(tick, episode), fingerprint="0123456789ab", features=vector)
+
+
+@pytest.fixture
+def expert() -> ExpertService:
+    service = ExpertService()
+    service.begin("e", ROUTE)
+    return service
+
+
+def test_pose_and_observation_come_in_either_order(expert: ExpertService) -> None:
+    assert expert.see(pose(0)) is None
+    first = expert.handle(observation(0))
+    assert expert.handle(observation(1)) is None
+    second = expert.see(pose(1, heading=1.0))
+    assert first is not None
+    assert second is not None
+    assert (first.tick, first.atom, first.source) == (0, "forward", "expert")
+    assert (second.tick, second.atom) == (1, "right")
+
+
+def test_a_frame_that_is_sent_again_has_the_same_answer(expert: ExpertService) -> None:
+    expert.see(pose(0, heading=1.0))
+    answer = expert.handle(observation(0))
+    assert answer is not None
+    assert expert.see(pose(0, heading=1.0)) == answer
+    assert expert.handle(observation(0)) == answer
+
+
+def test_other_episodes_are_not_answered(expert: ExpertService) -> None:
+    expert.see(pose(0, episode="other"))
+    assert expert.handle(observation(0, episode="other")) is None
+    assert expert.handle(observation(0)) is None
+
+
+def test_nothing_is_commanded_after_arrival(expert: ExpertService) -> None:
+    for tick, y in enumerate((8.0, 8.0, 0.0)):
+        assert expert.see(pose(tick, 10.0, y)) is None
+        assert expert.handle(observation(tick)) is None
+        assert expert.arrived
+    expert.begin("next", ROUTE)
+    assert not expert.arrived
+    expert.see(pose(0, episode="next"))
+    assert expert.handle(observation(0, episode="next")) is not None
