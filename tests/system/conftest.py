@@ -17,7 +17,7 @@ Smal = Callable[..., "subprocess.CompletedProcess[str]"]
 def smal() -> Smal:
     """Run ``smal`` with arguments and return what it printed."""
 
-    def run(*arguments: object, timeout_s: float = 240, **environment: str) -> subprocess.CompletedProcess[str]:
+    def run(*arguments: object, timeout_s: float = 500, **environment: str) -> subprocess.CompletedProcess[str]:
         return subprocess.run(
             [sys.executable, "-c", "from services.cli import main; main()", *map(str, arguments)],
             capture_output=True,
@@ -35,10 +35,10 @@ def taught(smal: Smal, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Make recordings of a small world, and a model learned from them; return their folder."""
     folder = tmp_path_factory.mktemp("taught")
     drives = smal(
-        "demonstrate", "--world", "yard", "--episodes", 3, "--recoveries", 6, "--seed", 1,
+        "demonstrate", "--world", "yard", "--episodes", 6, "--recoveries", 24, "--seed", 1,
         "--camera", "160x120", "--out", folder / "drives",
     )  # fmt: skip
     assert drives.returncode == 0, drives.stderr
-    learned = smal("learn", folder / "drives", "--out", folder / "model.smal")
+    learned = smal("learn", folder / "drives", "--out", folder / "model.smal", "--json", folder / "learned.json")
     assert learned.returncode == 0, learned.stderr
     return folder
