@@ -1,15 +1,16 @@
 #!/usr/bin/env bash
 # The main job, end to end, on this machine: set up, demonstrate, learn, run; ends with a page of results.
-#   bash deploy/demo.sh          fewer drives and a 320x240 camera image: some minutes on two cores without a GPU
-#   bash deploy/demo.sh --full   the whole thing: 12 drives, 60 recovery drives, 20 runs at 1024x768
+#   bash deploy/demo.sh          a 320x240 camera image and 5 runs: some minutes on two cores without a GPU
+#   bash deploy/demo.sh --full   the whole thing: 20 runs, all at 1024x768
 set -euo pipefail
 cd "$(dirname "$0")/.."
 
 case "${1:-}" in
-  "") drives=6 recoveries=30 runs=5 camera=320x240 ;;
-  --full) drives=12 recoveries=60 runs=20 camera=1024x768 ;;
+  "") runs=5 camera=320x240 ;;
+  --full) runs=20 camera=1024x768 ;;
   *) sed -n '2,4s/^# *//p' "$0" >&2; exit 2 ;;
 esac
+drives=12 recoveries=60
 seed=${SMAL_DEMO_SEED:-1}
 world=${SMAL_DEMO_WORLD:-campus}
 out=${SMAL_DEMO_OUT:-out/demo-$(date +%Y%m%d-%H%M%S)}
@@ -18,7 +19,7 @@ bash deploy/setup.sh
 smal=.venv/bin/smal
 echo
 echo "This demo teaches with $drives drives and $recoveries recovery drives at $camera and then lets the robot search $runs times."
-[ "${1:-}" = --full ] || echo "It uses fewer drives and a smaller camera image than the paper so that it ends soon; --full does it all at 1024x768."
+[ "${1:-}" = --full ] || echo "The camera image is smaller than the robot's 1024x768 so that it ends soon; --full does it all at full size."
 echo
 echo "1/3 The expert demonstrates; the recorder writes $out/drives"
 "$smal" demonstrate --world "$world" --episodes "$drives" --recoveries "$recoveries" --seed "$seed" --camera "$camera" --out "$out/drives"
