@@ -21,7 +21,7 @@ class DecodeError(ValueError):
 
 
 def encoding_of(message: type[Message]) -> str:
-    """Return the encoding that goes with a message class, for example ``application/vnd.msgpack;smal.State/1``."""
+    """Return the encoding that goes with a message class, for example ``application/vnd.msgpack;smal.State/2``."""
     return ENCODING_PREFIX + message.schema_name()
 
 

@@ -25,10 +25,13 @@ class Candidate(Strict):
 class State(Message):
     """Answer of recognition for one frame; only ``recognized`` and ``unknown`` call for a decision."""
 
+    version: ClassVar[int] = 2
     topic: ClassVar[str] = "state"
 
     status: Literal["idle", "collecting", "recognized", "unknown"]
     """idle: no model; collecting: no decision is due at this frame; unknown: no learned state matches."""
+    model: Annotated[str | None, Field(pattern=r"^[0-9a-f]{8,64}$")] = None
+    """Beginning of the checksum of the model that the state belongs to; a policy refuses another's. None when idle."""
     state: Annotated[int | None, Field(ge=0, le=1_000_000)] = None
     """Index of the learned state, when recognized."""
     phase: Annotated[float | None, Field(ge=-1e6, le=1e6)] = None
@@ -48,6 +51,8 @@ class State(Message):
 
     @model_validator(mode="after")
     def _check(self) -> Self:
+        if (self.model is None) != (self.status == "idle"):
+            raise ValueError("the model is given exactly when the status is not 'idle'")
         recognized = self.status == "recognized"
         if (self.state is not None, self.phase is not None) != (recognized, recognized):
             raise ValueError("state and phase are given exactly when the status is 'recognized'")

@@ -7,12 +7,13 @@ one thread that calls ``spin``, so a service needs no locks.
 from __future__ import annotations
 
 import logging
+import math
 import os
 import signal
 import sys
 import threading
 import time
-from collections import Counter, deque
+from collections import Counter, defaultdict, deque
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from types import FrameType, TracebackType
@@ -77,6 +78,22 @@ def run_service(name: str, serve: Callable[[], None]) -> None:
     except (ServiceError, BusError) as error:
         logging.getLogger(name).error("%s", error)  # noqa: TRY400 - one clear line is what an operator needs
         raise SystemExit(EXIT_FAILED) from None
+
+
+class Throttle:
+    """Lets one line a second through: a sender that goes on and on must not fill the disk with the log."""
+
+    def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
+        self._clock = clock
+        self._next_s = -math.inf
+
+    def due(self) -> bool:
+        """Whether a line may be logged now."""
+        now_s = self._clock()
+        if now_s < self._next_s:
+            return False
+        self._next_s = now_s + 1.0
+        return True
 
 
 class Inbox:
@@ -165,7 +182,7 @@ class Node:
         self._received: Counter[str] = Counter()
         self._published: Counter[str] = Counter()
         self._bad: Counter[str] = Counter()
-        self._bad_logged_s: dict[str, float] = {}
+        self._complaints: defaultdict[str, Throttle] = defaultdict(Throttle)
         self._failed = 0
         self.bus.serve(name, "status", lambda _request, reply: reply(self.status()))
 
@@ -284,10 +301,7 @@ class Node:
                 raise DecodeError(f"message of {message.robot}/{message.topic_name} on the key of {self.robot}")
         except DecodeError as error:
             self._bad[topic.name] += 1
-            now = time.monotonic()
-            # One line a second and topic: a broken sender must not fill the disk with the log.
-            if now - self._bad_logged_s.get(topic.name, -1.0e9) >= 1.0:
-                self._bad_logged_s[topic.name] = now
+            if self._complaints[topic.name].due():
                 self.log.warning(
                     "dropped a bad message on %s (%d so far): %s", topic.name, self._bad[topic.name], error
                 )

@@ -29,17 +29,10 @@ class ModelError(ValueError):
 
 def write(path: Path, version: int, meta: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -> None:
     """Write a file so that there is never a half-written one under its name."""
-    stored = {name: np.ascontiguousarray(array) for name, array in arrays.items()}
-    table = [[name, array.dtype.str, list(array.shape)] for name, array in stored.items()]
-    unknown = [row for row in table if row[1] not in _DTYPES]
-    if unknown:
-        raise TypeError(f"arrays of this type are not stored in a model: {unknown}")
-    header = json.dumps({"meta": meta, "arrays": table}, allow_nan=False).encode()
+    parts = _parts(version, meta, arrays)
     digest = hashlib.sha256()
     with tempfile.NamedTemporaryFile(dir=path.parent, prefix=f".{path.name}.", delete=False) as file:
         try:
-            parts: list[bytes | memoryview] = [_FIXED.pack(MAGIC, version, len(header)), header]
-            parts += [array.reshape(-1).data for array in stored.values()]
             for part in parts:
                 digest.update(part)
                 file.write(part)
@@ -52,6 +45,14 @@ def write(path: Path, version: int, meta: Mapping[str, Any], arrays: Mapping[str
         except BaseException:
             Path(file.name).unlink(missing_ok=True)
             raise
+
+
+def checksum(version: int, meta: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -> str:
+    """Return the SHA-256, in hex, with which `write` ends the file of this content."""
+    digest = hashlib.sha256()
+    for part in _parts(version, meta, arrays):
+        digest.update(part)
+    return digest.hexdigest()
 
 
 def read(path: Path, version: int) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
@@ -79,6 +80,17 @@ def read(path: Path, version: int) -> tuple[dict[str, Any], dict[str, NDArray[An
         return header["meta"], _arrays(header["arrays"], body[_FIXED.size + header_size :])
     except (ValueError, KeyError, TypeError) as error:
         raise ModelError(f"{path}: the header does not describe a model: {error}") from error
+
+
+def _parts(version: int, meta: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -> list[bytes | memoryview]:
+    """Return the bytes of the file one after the other, except its checksum."""
+    stored = {name: np.ascontiguousarray(array) for name, array in arrays.items()}
+    table = [[name, array.dtype.str, list(array.shape)] for name, array in stored.items()]
+    unknown = [row for row in table if row[1] not in _DTYPES]
+    if unknown:
+        raise TypeError(f"arrays of this type are not stored in a model: {unknown}")
+    header = json.dumps({"meta": meta, "arrays": table}, allow_nan=False).encode()
+    return [_FIXED.pack(MAGIC, version, len(header)), header, *(array.reshape(-1).data for array in stored.values())]
 
 
 def _arrays(table: list[tuple[str, str, list[int]]], body: memoryview) -> dict[str, NDArray[Any]]:

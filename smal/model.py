@@ -1,6 +1,7 @@
 """What was learned: Omega = (S, A, T, R, gamma) of the paper with the templates that recognise S, as one file."""
 
 from dataclasses import dataclass, fields
+from functools import cached_property
 from pathlib import Path
 from typing import Any, Self
 
@@ -124,12 +125,21 @@ class Model:
         """Turns raw features into those of the templates."""
         return Centering(self.mean, self.feature_settings)
 
+    @cached_property
+    def checksum(self) -> str:
+        """SHA-256 of all that the model holds, in hex: the one with which its file ends."""
+        return container.checksum(FORMAT_VERSION, *self._content())
+
     def recognition_test(self) -> WeightTest | AgreementTest:
         """Return the test by which a query is unknown in execution."""
         return novelty_test(self.novelty, self.recognition_parameters)
 
     def save(self, path: Path) -> None:
         """Write the model to a file; an existing one is replaced only when the new one is complete."""
+        container.write(path, FORMAT_VERSION, *self._content())
+
+    def _content(self) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
+        """Return what the file says of the model, and the arrays in it."""
         arrays: dict[str, NDArray[Any]] = {
             "mean": self.mean,
             "templates": self.templates.T,
@@ -157,7 +167,7 @@ class Model:
             "states": self.states,
             "gamma": self.gamma,
         }
-        container.write(path, FORMAT_VERSION, meta, arrays)
+        return meta, arrays
 
     @classmethod
     def load(cls, path: Path) -> Self:

@@ -11,10 +11,11 @@ import typer
 from tqdm import tqdm
 
 from schemas import topics
-from schemas.rpc import Nothing, RecordReply, RecordRequest, ResetReply, ResetRequest
+from schemas.rpc import ResetReply, ResetRequest
 from services.commands import options
 from services.commands.episodes import EpisodeClient, EpisodeRecord, check_world_of
 from services.commands.errors import UsageError
+from services.commands.recording import recording
 from services.commands.stack import Access, flags, stack_for
 from services.expert.service import ExpertService
 
@@ -76,25 +77,22 @@ def _record(requests: list[ResetRequest], access: Access, out: Path, world: str,
     client.node.subscribe(topics.OBSERVATION, expert.handle, depth=4)
     try:
         client.node.bus.wait_connected(5.0)
-        client.node.bus.call("recorder", "start", RecordRequest(folder=str(out.resolve())), Nothing)
-        for request, progress in _with_progress(requests):
-            record = client.run(
-                request,
-                on_begin=partial(_begin, expert, name),
-                done=lambda: expert.arrived,
-                on_tick=progress,
-                check=access.check,
-            )
-            _complain(record)
-            records.append(record)
-            if len(records) in {1, len(requests)}:
-                _draw(world, records, out / "drives.png")
-        reply = client.node.bus.call("recorder", "stop", Nothing(), RecordReply, timeout_s=30.0)
+        with recording(client.node.bus, out) as recorded:
+            for request, progress in _with_progress(requests):
+                record = client.run(
+                    request,
+                    on_begin=partial(_begin, expert, name),
+                    done=lambda: expert.arrived,
+                    on_tick=progress,
+                    check=access.check,
+                )
+                _complain(record)
+                records.append(record)
+                if len(records) in {1, len(requests)}:
+                    _draw(world, records, out / "drives.png")
     finally:
         client.close()
-    if reply.dropped:
-        tqdm.write(f"warning: the recorder dropped {reply.dropped} messages; drives with gaps are cut there")
-    return len(reply.files)
+    return len(recorded.files)
 
 
 def _begin(expert: ExpertService, world: str, reply: ResetReply) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from functools import partial
 from pathlib import Path
 from typing import Annotated
@@ -13,16 +13,20 @@ import numpy as np
 import typer
 from tqdm import tqdm
 
-from schemas.rpc import LoadReply, LoadRequest, Mode, Nothing, RecordReply, RecordRequest, ResetRequest
+from schemas.rpc import LoadReply, LoadRequest, Mode, Nothing, ResetRequest, Status
 from services.commands import options
 from services.commands.episodes import EpisodeClient, EpisodeRecord, check_world_of
 from services.commands.errors import JobError
+from services.commands.recording import recording
 from services.commands.stack import Access, flags, stack_for
+from services.model_service import identity_of
 from services.process import ServiceSettings
 from smal.evaluation.success import wilson_interval
 
 #: Camera images kept of every run for the report, one in so many frames.
 FRAMES_APART = 20
+#: The services that work with the model.
+CHAIN = ("recognition", "policy")
 
 
 def run(
@@ -51,6 +55,7 @@ def run(
     """
     mode: Mode = "realtime" if realtime else "lockstep"
     loaded = options.read_model(model, stride)
+    identity = identity_of(loaded)
     size = options.camera_of_own_stack(camera, connect)
     name = options.check_world(world)
     options.check_file(json_file, "--json")
@@ -67,10 +72,12 @@ def run(
     try:
         with (
             stack_for(connect, services, robot, {"simulator": simulator}) as access,
-            _client(access.settings, model, stride) as client,
-            _recording(client, record),
+            _client(access.settings, model, stride, identity) as client,
+            recording(client.node.bus, record) if record else nullcontext(),
         ):
-            records.extend(_run_all(client, requests, access, name))
+            for one in _run_all(client, requests, access, name):
+                _check_models(client, identity)
+                records.append(one)
     finally:
         # Also when a later run fails, or is interrupted: the finished ones have cost their time.
         if json_file is not None and records:
@@ -112,7 +119,7 @@ def summarise(world: str, records: list[EpisodeRecord]) -> dict[str, object]:
 
 
 @contextmanager
-def _client(settings: ServiceSettings, model: Path, stride: int | None) -> Iterator[EpisodeClient]:
+def _client(settings: ServiceSettings, model: Path, stride: int | None, identity: str) -> Iterator[EpisodeClient]:
     """Connect, and have recognition and policy load the model."""
     client = EpisodeClient("run", settings)
     try:
@@ -120,21 +127,29 @@ def _client(settings: ServiceSettings, model: Path, stride: int | None) -> Itera
         client.watch_frames(FRAMES_APART)
         client.node.bus.wait_connected(5.0)
         request = LoadRequest(path=str(model.resolve()), stride=stride)
-        for service in ("recognition", "policy"):
+        for service in CHAIN:
             client.node.bus.call(service, "load", request, LoadReply, timeout_s=60.0)
+        _check_models(client, identity)
         yield client
     finally:
         client.close()
 
 
-@contextmanager
-def _recording(client: EpisodeClient, folder: Path | None) -> Iterator[None]:
-    if folder is None:
-        yield
-        return
-    client.node.bus.call("recorder", "start", RecordRequest(folder=str(folder.resolve())), Nothing)
-    yield
-    client.node.bus.call("recorder", "stop", Nothing(), RecordReply, timeout_s=30.0)
+def _check_models(client: EpisodeClient, identity: str) -> None:
+    """Ask recognition and policy whether they work with the model whose results these are to be.
+
+    Raises
+    ------
+    JobError
+        When one does not: the file was replaced, or the service was started again, with the model of its stack.
+    """
+    for service in CHAIN:
+        found = client.node.bus.call(service, "status", Nothing(), Status).detail.get("checksum")
+        if found != identity:
+            raise JobError(
+                f"{service} has model {found or 'none'}, not {identity} as --model; "
+                "it was started again, or loaded another file: run again"
+            )
 
 
 def _run_all(

@@ -61,8 +61,9 @@ class RouteDriver:
         """
         near, far = self._progress_m, self._progress_m + 2 * LOOKAHEAD_M
         candidates = np.linspace(near, min(far, float(self._along[-1])), 64)
-        points = np.stack([self._point_at(s) for s in candidates])
+        points = self._point_at(candidates)
         return float(candidates[np.argmin(((points - position) ** 2).sum(axis=1))])
 
-    def _point_at(self, along_m: float) -> NDArray[np.float64]:
-        return np.array([np.interp(along_m, self._along, self._points[:, axis]) for axis in (0, 1)])
+    def _point_at(self, along_m: float | NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the point so far along the route, shape (2,); of many, shape (..., 2)."""
+        return np.stack([np.interp(along_m, self._along, self._points[:, axis]) for axis in (0, 1)], axis=-1)

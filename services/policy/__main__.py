@@ -3,27 +3,9 @@
 from __future__ import annotations
 
 from schemas import topics
-from schemas.rpc import LoadRequest
-from services.policy.config import PolicySettings
+from services.model_service import serve_model
 from services.policy.service import PolicyService
-from services.process import Node, configure_logging, read_settings, run_service
-
-
-def serve() -> None:
-    """Decide until stopped."""
-    settings = read_settings(PolicySettings, "policy")
-    configure_logging(settings.log_level)
-    service = PolicyService()
-    if settings.model is not None:
-        service.load(LoadRequest(path=str(settings.model), stride=settings.stride))
-    with Node("policy", settings) as node:
-        node.stop_on_signals()
-        node.detail = service.detail
-        node.serve("load", LoadRequest, service.load)
-        node.subscribe(topics.STATE, service.handle)
-        node.log.info("model %s", settings.model or "not loaded yet; waiting for rpc/policy/load")
-        node.spin()
-
+from services.process import run_service
 
 if __name__ == "__main__":
-    run_service("policy", serve)
+    run_service("policy", lambda: serve_model("policy", PolicyService(), topics.STATE))

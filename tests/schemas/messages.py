@@ -37,6 +37,7 @@ EXAMPLES: dict[type[Message], Message] = {
     State: State(
         **HEADER,
         status="recognized",
+        model="0123456789abcdef",
         state=7,
         phase=2.5,
         score=0.75,
@@ -100,11 +101,18 @@ _state = st.fixed_dictionaries(
         "candidates": st.lists(_candidates, max_size=MAX_CANDIDATES).map(tuple),
     }
 )
+_checksums = st.from_regex(r"[0-9a-f]{8,64}", fullmatch=True)
 _status = st.one_of(
     st.fixed_dictionaries(
-        {"status": st.just("recognized"), "state": st.integers(0, 1_000_000), "phase": st.floats(-1e6, 1e6)}
+        {
+            "status": st.just("recognized"),
+            "model": _checksums,
+            "state": st.integers(0, 1_000_000),
+            "phase": st.floats(-1e6, 1e6),
+        }
     ),
-    st.fixed_dictionaries({"status": st.sampled_from(["idle", "collecting", "unknown"])}),
+    st.fixed_dictionaries({"status": st.sampled_from(["collecting", "unknown"]), "model": _checksums}),
+    st.just({"status": "idle"}),
 )
 _event = st.one_of(
     st.fixed_dictionaries(
@@ -126,9 +134,7 @@ _fields: dict[type[Message], st.SearchStrategy[dict[str, object]]] = {
             "heading_rad": st.floats(-3.2, 3.2),
         }
     ),
-    Observation: st.fixed_dictionaries(
-        {**_header, "fingerprint": st.from_regex(r"[0-9a-f]{8,64}", fullmatch=True), "features": _arrays}
-    ),
+    Observation: st.fixed_dictionaries({**_header, "fingerprint": _checksums, "features": _arrays}),
     State: st.builds(lambda a, b: a | b, _state, _status),
     Action: st.fixed_dictionaries(
         {

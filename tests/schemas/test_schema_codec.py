@@ -86,6 +86,7 @@ LARGEST_OF_EACH = [
     State.after(
         EXAMPLES[Image],
         status="recognized",
+        model="f" * 64,
         state=1_000_000,
         phase=0.1,
         candidates=(Candidate(state=1_000_000, phase=0.1, weight=0.1),) * MAX_CANDIDATES,

@@ -13,8 +13,10 @@ from pathlib import Path
 import numpy as np
 
 from schemas.array import Float32Array
+from schemas.base import Message
 from schemas.image import Image
 from schemas.observation import Observation
+from schemas.state import State
 from smal.action_space import Atom
 from smal.features import FeatureSettings, extract
 from smal.learning import Demonstration, LearningSettings, learn
@@ -44,6 +46,18 @@ def observation(tick: int, place: int | None = None, episode: str = "e") -> Obse
     return Observation.after(
         image(tick, place, episode), fingerprint=FEATURES.fingerprint, features=Float32Array.from_numpy(vector)
     )
+
+
+def identity(model: Path) -> str:
+    """Return what states say of the model that they come from: the beginning of its file's checksum."""
+    return model.read_bytes()[-32:].hex()[:16]
+
+
+def state(tick: int, model: Path | None, episode: str = "e", **fields: object) -> State:
+    """Return a state of a model, or an idle one."""
+    header = Message(robot="rescuebot", episode=episode, tick=tick, stamp_ns=0)
+    named = {"status": "idle"} if model is None else {"model": identity(model)}
+    return State.after(header, **named, **fields)
 
 
 def save_model(path: Path, frames: int = 18) -> Path:

@@ -20,8 +20,8 @@ from schemas.state import Candidate, State
 from schemas.topics import Topic
 from services.bus import Bus, RpcError
 from smal.features import extract
-from tests.services.chain import FEATURES, LENGTH, image, observation, picture, process, save_model
-from tests.services.waiting import eventually, introduce, malformed, ready
+from tests.services.chain import FEATURES, LENGTH, identity, image, observation, picture, process, save_model, state
+from tests.services.waiting import eventually, introduce, malformed, ready, status_of
 
 M = TypeVar("M", bound=Message)
 Listen = Callable[[Topic, type[M]], dict[int, M]]
@@ -61,13 +61,8 @@ def recognition(client: Bus, router_endpoint: str, model: Path) -> Iterator[None
 def policy(client: Bus, router_endpoint: str, model: Path) -> Iterator[None]:
     with process("policy", router_endpoint, "--model", str(model)):
         ready(client, "policy")
-        introduce(client, "policy", state(0, episode="hello", status="collecting"))
+        introduce(client, "policy", state(0, model, episode="hello", status="collecting"))
         yield
-
-
-def state(tick: int, episode: str = "e", **fields: object) -> State:
-    header = Message(robot="rescuebot", episode=episode, tick=tick, stamp_ns=0)
-    return State.after(header, **fields)
 
 
 def test_features_turns_every_frame_into_its_observation(
@@ -87,7 +82,7 @@ def test_features_turns_every_frame_into_its_observation(
 
 
 @pytest.mark.usefixtures("recognition")
-def test_recognition_knows_where_the_robot_is(client: Bus, listen: Listen[State]) -> None:
+def test_recognition_knows_where_the_robot_is(client: Bus, listen: Listen[State], model: Path) -> None:
     heard = listen(topics.STATE, State)
     malformed(client, "recognition", topics.OBSERVATION)
     for tick in range(LENGTH):
@@ -99,6 +94,7 @@ def test_recognition_knows_where_the_robot_is(client: Bus, listen: Listen[State]
     assert (answer.state, answer.phase) == (2, pytest.approx(LENGTH - 1, abs=0.5))
     assert answer.candidates[0].state == 2
     assert answer.duality_gap < 1e-3
+    assert answer.model == identity(model)
 
 
 @pytest.mark.usefixtures("recognition")
@@ -139,14 +135,16 @@ def test_recognition_without_a_model_is_idle_and_refuses_a_bad_one(
 
 
 @pytest.mark.usefixtures("policy")
-def test_policy_commands_every_frame_and_decides_when_a_state_is_known(client: Bus, listen: Listen[Message]) -> None:
+def test_policy_commands_every_frame_and_decides_when_a_state_is_known(
+    client: Bus, listen: Listen[Message], model: Path
+) -> None:
     commands = listen(topics.COMMANDS["policy"], Command)
     actions = listen(topics.ACTION, Action)
     malformed(client, "policy", topics.STATE)
     belief = (Candidate(state=2, phase=2.0, weight=1.0),)
-    client.publish(state(0, status="recognized", state=2, phase=2.0, candidates=belief))
+    client.publish(state(0, model, status="recognized", state=2, phase=2.0, candidates=belief))
     for tick in (1, 2, 3):
-        client.publish(state(tick, status="collecting"))
+        client.publish(state(tick, model, status="collecting"))
     eventually(lambda: 3 in commands and 0 in actions)
     # Places 8, 9 (turn left), 10; then the plan is over, and nothing is known of where to go.
     assert [commands[tick].atom for tick in range(4)] == ["forward", "left", "forward", "stop"]
@@ -154,26 +152,57 @@ def test_policy_commands_every_frame_and_decides_when_a_state_is_known(client: B
 
 
 @pytest.mark.usefixtures("policy")
-def test_policy_answers_a_repeated_state_with_the_same_command(client: Bus, listen: Listen[Message]) -> None:
+def test_policy_answers_a_repeated_state_with_the_same_command(
+    client: Bus, listen: Listen[Message], model: Path
+) -> None:
     commands = listen(topics.COMMANDS["policy"], Command)
-    known = state(0, status="recognized", state=2, phase=2.0)
+    known = state(0, model, status="recognized", state=2, phase=2.0)
     client.publish(known)
     eventually(lambda: 0 in commands)
     first = commands.pop(0)
     client.publish(known)
     eventually(lambda: 0 in commands)
     assert commands[0] == first
-    client.publish(state(1, status="collecting"))
+    client.publish(state(1, model, status="collecting"))
     eventually(lambda: 1 in commands)
     assert commands[1].atom == "left"
 
 
 @pytest.mark.usefixtures("policy")
-def test_policy_is_silent_when_nobody_asks_and_looks_around_when_lost(client: Bus, listen: Listen[Message]) -> None:
+def test_policy_is_silent_when_nobody_asks_and_looks_around_when_lost(
+    client: Bus, listen: Listen[Message], model: Path
+) -> None:
     commands = listen(topics.COMMANDS["policy"], Command)
     actions = listen(topics.ACTION, Action)
-    client.publish(state(0, status="idle"))
-    client.publish(state(1, status="unknown"))
+    client.publish(state(0, None))
+    client.publish(state(1, model, status="unknown"))
     eventually(lambda: 1 in commands and 1 in actions)
     assert 0 not in commands
     assert (actions[1].kind, commands[1].atom) == ("look_around", "left")
+
+
+@pytest.mark.usefixtures("recognition")
+def test_robot_stands_while_recognition_and_policy_have_different_models(
+    client: Bus, router_endpoint: str, listen: Listen[Message], model: Path, tmp_path: Path
+) -> None:
+    commands = listen(topics.COMMANDS["policy"], Command)
+    actions = listen(topics.ACTION, Action)
+    other = save_model(tmp_path / "longer.smal", frames=21)
+    with process("policy", router_endpoint, "--model", str(other)):
+        ready(client, "policy")
+        introduce(client, "policy", state(0, other, episode="hello", status="collecting"))
+        for tick in range(LENGTH):
+            client.publish(observation(tick, place=6 + tick))
+            eventually(lambda tick=tick: tick in commands)  # type: ignore[misc]
+            assert commands[tick].atom == "stop"
+        assert not actions
+        status = status_of(client, "policy")
+        assert status is not None
+        assert status.detail["states_of_another_model"] == LENGTH
+        client.call("policy", "load", LoadRequest(path=str(model)), LoadReply)
+        for tick in range(LENGTH, 2 * LENGTH):
+            client.publish(observation(tick, place=3 + tick, episode="next"))
+            eventually(lambda tick=tick: tick in commands)  # type: ignore[misc]
+        # The last place was 8, and the corridor goes on forward to 9.
+        eventually(lambda: 2 * LENGTH - 1 in actions)
+        assert commands[2 * LENGTH - 1].atom == "forward"

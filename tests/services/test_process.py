@@ -26,7 +26,7 @@ from schemas.pose import Pose
 from schemas.rpc import EndRequest, Nothing, Status
 from schemas.topics import Topic
 from services.bus import Bus, BusError, RpcError
-from services.process import Inbox, Node, ServiceError, ServiceSettings, read_settings, run_service
+from services.process import Inbox, Node, ServiceError, ServiceSettings, Throttle, read_settings, run_service
 from tests.services.conftest import RunNode
 from tests.services.waiting import eventually, introduce, ready, status_of
 
@@ -266,6 +266,17 @@ def test_a_wake_before_the_wait_is_not_lost() -> None:
     inbox.open("queue", 1)
     inbox.wake()
     assert inbox.take(timeout_s=None) is None
+
+
+def test_throttle_lets_one_line_a_second_through() -> None:
+    now_s = 0.0
+    throttle = Throttle(lambda: now_s)
+    due = []
+    for step in range(31):
+        now_s = step * 0.125
+        if throttle.due():
+            due.append(now_s)
+    assert due == [0.0, 1.0, 2.0, 3.0]
 
 
 # -- the inbox --------------------------------------------------------------------------------------------------------

@@ -50,6 +50,11 @@ def test_round_trip(model: Model, saved: Path) -> None:
     assert list(saved.parent.iterdir()) == [saved]
 
 
+def test_checksum_is_the_one_in_the_file(model: Model, saved: Path) -> None:
+    assert model.checksum == Model.load(saved).checksum == saved.read_bytes()[-32:].hex()
+    assert dataclasses.replace(model, gamma=0.5).checksum != model.checksum
+
+
 def test_saving_replaces_atomically(model: Model, saved: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     before = saved.read_bytes()
     monkeypatch.setattr(container.os, "fsync", lambda _: (_ for _ in ()).throw(OSError("disk full")))

@@ -15,7 +15,7 @@ from schemas.rpc import EndRequest, ResetReply, ResetRequest
 from services.commands.episodes import EpisodeClient, EpisodeRecord, check_world_of
 from services.commands.errors import JobError, UsageError
 from services.commands.options import Camera, camera_of_own_stack
-from services.commands.run import _run_all, summarise
+from services.commands.run import CHAIN, _check_models, _run_all, summarise
 from services.commands.stack import Access
 from services.process import Node, ServiceSettings
 from tests.services.conftest import RunNode
@@ -93,6 +93,27 @@ def test_an_aborted_run_is_an_error_after_the_finished_ones(settings: ServiceSet
         f"run with seed 3: no command came; see the logs of recognition and policy ({tmp_path})"
     )
     assert [one["seed"] for one in summarise("yard", records)["episodes"]] == [1, 2]  # type: ignore[attr-defined]
+
+
+@pytest.mark.parametrize("others", ["fedcba9876543210", None])
+@pytest.mark.parametrize("wrong", CHAIN)
+def test_results_of_another_model_are_an_error(
+    wrong: str, others: str | None, settings: ServiceSettings, run_node: RunNode
+) -> None:
+    has: dict[str, str | None] = dict.fromkeys(CHAIN, "0123456789abcdef")
+    for service in CHAIN:
+        node = Node(service, settings)
+        node.detail = lambda service=service: {"checksum": has[service]}  # type: ignore[misc]
+        run_node(node)
+    client = EpisodeClient("test", settings)
+    client.node.bus.wait_connected(5.0)
+    try:
+        _check_models(client, "0123456789abcdef")
+        has[wrong] = others
+        with pytest.raises(JobError, match=f"^{wrong} has model {others or 'none'}, not 0123456789abcdef"):
+            _check_models(client, "0123456789abcdef")
+    finally:
+        client.close()
 
 
 def test_camera_belongs_to_the_stack_that_is_started() -> None:

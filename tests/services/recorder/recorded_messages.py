@@ -17,6 +17,7 @@ from schemas.pose import Pose
 from schemas.state import State
 
 FINGERPRINT = "0123456789ab"
+MODEL = "fedcba9876543210"
 WIDTH, HEIGHT, FEATURES = 64, 48, 16
 START_NS = 1_700_000_000_000_000_000
 
@@ -69,7 +70,7 @@ def frame(episode: str, tick: int) -> list[Message]:
         Pose.after(cause, x_m=1.5 * tick, y_m=-2.0, heading_rad=0.5),
         image(episode, tick),
         observation(episode, tick),
-        State.after(cause, status="unknown", score=0.25, residual=0.75),
+        State.after(cause, status="unknown", model=MODEL, score=0.25, residual=0.75),
         Action.after(cause, kind="look_around", state=None, atoms=("forward", "left")),
         *(command(episode, tick, source) for source in SOURCES),
     ]

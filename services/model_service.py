@@ -1,0 +1,114 @@
+"""What the services that work with a learned model share: its settings, loading it, and the main function."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Final, Protocol, Self, TypeVar
+
+from pydantic import Field
+
+from schemas.base import Message
+from schemas.rpc import LoadReply, LoadRequest
+from schemas.topics import Topic
+from services.process import Detail, Node, ServiceError, ServiceSettings, configure_logging, read_settings
+from smal.model import Model, ModelError
+
+#: So many hex digits of a model's checksum tell one model from another.
+_DIGITS: Final = 16
+M_contra = TypeVar("M_contra", bound=Message, contravariant=True)
+
+
+class ModelSettings(ServiceSettings):
+    """The model to start with; another is loaded by the queryable ``load``."""
+
+    model: Path | None = None
+    """Model file, made by `smal learn`."""
+    stride: Annotated[int | None, Field(ge=1, le=1000)] = None
+    """Frames from one decision to the next; the model's own if not given."""
+
+
+def identity_of(model: Model) -> str:
+    """Return the name by which messages and health tell of a model: the beginning of its checksum."""
+    return model.checksum[:_DIGITS]
+
+
+@dataclass(frozen=True)
+class LoadedModel:
+    """A model that a service may work with.
+
+    Attributes
+    ----------
+    model
+        The model.
+    identity
+        See ``identity_of``.
+    path
+        Its file.
+    stride
+        Frames from one decision to the next.
+    """
+
+    model: Model
+    identity: str
+    path: str
+    stride: int
+
+    @classmethod
+    def read(cls, request: LoadRequest) -> Self:
+        """Read a model.
+
+        Raises
+        ------
+        ServiceError
+            When the file is no model, or the stride is longer than its sequences.
+        """
+        try:
+            model = Model.load(Path(request.path))
+        except ModelError as error:
+            raise ServiceError(str(error)) from None
+        stride = request.stride or model.sequence_length
+        if stride > model.sequence_length:
+            raise ServiceError(f"stride must be 1 to the sequence length {model.sequence_length}, got {stride}")
+        return cls(model, identity_of(model), request.path, stride)
+
+    def reply(self) -> LoadReply:
+        """Tell who asked for it what was loaded."""
+        return LoadReply(
+            states=self.model.states,
+            templates=self.model.templates.shape[1],
+            sequence_length=self.model.sequence_length,
+            stride=self.stride,
+        )
+
+    def detail(self) -> Detail:
+        """Tell of the model in the service's status."""
+        return {"model": self.path, "checksum": self.identity, "states": self.model.states, "stride": self.stride}
+
+
+class ModelService(Protocol[M_contra]):
+    """What ``serve_model`` needs of a service."""
+
+    def load(self, request: LoadRequest) -> LoadReply:
+        """Load a model; when it is refused, go on with the one before."""
+
+    def handle(self, message: M_contra, /) -> Message | list[Message]:
+        """Answer a message."""
+
+    def detail(self) -> Detail:
+        """Tell how the service is."""
+
+
+def serve_model(name: str, service: ModelService[M_contra], topic: Topic) -> None:
+    """Load the model of the settings, if any, and handle the messages of a topic until stopped."""
+    settings = read_settings(ModelSettings, name)
+    configure_logging(settings.log_level)
+    if settings.model is not None:
+        service.load(LoadRequest(path=str(settings.model), stride=settings.stride))
+    with Node(name, settings) as node:
+        node.stop_on_signals()
+        node.detail = service.detail
+        node.serve("load", LoadRequest, service.load)
+        node.subscribe(topic, service.handle)
+        node.log.info("model %s", settings.model or f"not loaded yet; waiting for rpc/{name}/load")
+        node.spin()
