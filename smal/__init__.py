@@ -5,5 +5,7 @@ Read in the order of the paper: `features`, `objective`, `state_matching`, `stat
 """
 
 from smal.state_matching import Solution, solve, solve_from_correlations
+from smal.streaming import StreamingMatcher
+from smal.template_index import TemplateIndex
 
-__all__ = ["Solution", "solve", "solve_from_correlations"]
+__all__ = ["Solution", "StreamingMatcher", "TemplateIndex", "solve", "solve_from_correlations"]

@@ -1,4 +1,4 @@
-"""Solve Eq. 7 on a few template sequences: a primal-dual Newton method on smoothed norms.
+"""Solve Eq. 7 on few template frames: a primal-dual Newton method on smoothed norms.
 
 Algorithm 2 of the paper divides by norms that become zero and converges linearly, slowly where frames of a
 sequence resemble each other. We keep its idea (every norm is replaced by a quadratic) and change three things:
@@ -6,49 +6,56 @@ sequence resemble each other. We keep its idea (every norm is replaced by a quad
 * each norm ||x|| is smoothed to sqrt(||x||^2 + epsilon^2), and epsilon falls as the duality gap falls;
 * the subgradients U (rows) and V (columns of blocks) are variables of their own, linearised as in Chan,
   Golub & Mulet (1999), which makes Newton steps good far from the optimum too;
-* the Newton system is l systems of size p (one per query frame, the paper's Eq. 9 matrices) coupled by
-  one rank-one term per row, so the Woodbury identity solves it at the price of l inversions.
+* the Newton system is solved by preconditioned conjugate gradients: applying it costs one product with X^T X,
+  which all query frames share, where the paper's Eq. 9 inverts one matrix per query frame.
 
 A stationary point of the smoothed problem satisfies X^T Theta = lambda1 U + lambda2 V with all of Theta, U, V
 in their unit balls, which is a point of the dual problem: the certificate comes with the solution.
 """
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from smal.certificate import polar_bounds
+from smal.certificate import cheap_polar_bound, polar_bound
+from smal.compiled import compiled
 
 Array = NDArray[np.float64]
 
-_FIRST_EPSILON, _LAST_EPSILON = 0.3, 1e-9
-
+#: Where smoothing starts without a better guess; lengths are near 1.
+FIRST_EPSILON = 0.3
+_LAST_EPSILON = 1e-9
 _GAP_TO_EPSILON = 0.7
+_FASTEST = 0.2
 _MAX_STEPS = 150
+# A Newton direction need not be more accurate than this: the next step corrects it.
+_INEXACT = 0.1
+_MAX_CONJUGATE = 300
 # Rounding must not make a Newton system indefinite; it changes the path, never the certificate.
 _RIDGE = 1e-11
 # Squared residuals below this share of the query are rounding.
 _ROUNDING = 1e-15
 _ARMIJO = 1e-4
 _SHORTEST_STEP = 1e-8
-_TINY = np.finfo(np.float64).tiny
+_TINY = 1e-300
 
 
-@dataclass(frozen=True)
-class BlockProblem:
-    """Eq. 7 restricted to b template sequences, in terms of inner products.
+class BlockProblem(NamedTuple):
+    """Eq. 7 restricted to p template frames of b sequences, in terms of inner products.
 
     Parameters
     ----------
     gram : float64 array (p, p)
-        X^T X with p = b * l rows; the rows that fill up a short last sequence are zero.
+        X^T X.
     correlations : float64 array (p, q)
         X^T Y.
     squares : float64 array (q,)
         ||y_i||^2, all positive.
     lambda1, lambda2 : float
-    sequence_length : int
+    starts : intp array (b + 1,)
+        Sequence j has the rows starts[j] to starts[j + 1].
     """
 
     gram: Array
@@ -56,31 +63,7 @@ class BlockProblem:
     squares: Array
     lambda1: float
     lambda2: float
-    sequence_length: int
-
-    def residual_squares(self, weights: Array, products: Array) -> Array:
-        """||y_i - X w_i||^2 with `products` = gram @ weights."""
-        squares = self.squares - np.einsum("pi,pi->i", weights, 2.0 * self.correlations - products)
-        floored: Array = np.maximum(squares, _ROUNDING * self.squares)
-        return floored
-
-    def residual_norms(self, weights: Array) -> Array:
-        """||y_i - X w_i|| of every query frame."""
-        norms: Array = np.sqrt(self.residual_squares(weights, self.gram @ weights))
-        return norms
-
-    def blocks(self, weights: Array) -> Array:
-        """View (p, q) as (b, l, q)."""
-        return weights.reshape(-1, self.sequence_length, weights.shape[1])
-
-    def objective(self, weights: Array, epsilon: float = 0.0) -> float:
-        """Eq. 7, every norm smoothed by epsilon."""
-        epsilon2 = epsilon * epsilon
-        residuals = np.sqrt(self.residual_squares(weights, self.gram @ weights) + epsilon2)
-        squares = weights * weights
-        rows = np.sqrt(squares.sum(axis=1) + epsilon2).sum()
-        columns = np.sqrt(self.blocks(squares).sum(axis=1) + epsilon2).sum()
-        return float(residuals.sum() + self.lambda1 * rows + self.lambda2 * columns)
+    starts: NDArray[np.intp]
 
 
 @dataclass(frozen=True)
@@ -95,10 +78,12 @@ class BlockSolution:
         alpha in the dual point Theta = Y diag(alpha) - X B, whose columns are in the unit ball.
     dual_weights : float64 array (p, q)
         B in the dual point.
-    rows : float64 array (p, q)
-        U, the guess that lets `polar_bounds` certify the blocks that were solved for.
+    rows, columns : float64 arrays (p, q)
+        U and V. U is the guess that lets `smal.certificate.polar_bound` certify the sequences that were solved for.
     gap : float
         Relative duality gap of the restricted problem.
+    epsilon : float
+        How smooth the norms were at the end.
     steps : int
         Newton steps.
     """
@@ -107,141 +92,279 @@ class BlockSolution:
     query_shares: Array
     dual_weights: Array
     rows: Array
+    columns: Array
     gap: float
+    epsilon: float
     steps: int
 
 
-def _columnwise(start: Array, left: Array, right: Array) -> Array:
-    """start_i + <left_i, right_i> for every column i."""
-    sums: Array = start + np.einsum("pi,pi->i", left, right)
+class _Primal(NamedTuple):
+    """W, X^T X W, and the squares of all norms in Eq. 7."""
+
+    W: Array
+    products: Array
+    residuals: Array
+    rows: Array
+    columns: Array
+
+
+class _Dual(NamedTuple):
+    """The subgradients: Theta by alpha and B (with X^T X B), U of rows, V of columns of blocks."""
+
+    alpha: Array
+    B: Array
+    products: Array
+    U: Array
+    V: Array
+
+
+class _System(NamedTuple):
+    """The Newton system: X^T X / d + diagonal, minus rank-one terms of residuals, rows and columns of blocks."""
+
+    d: Array
+    diagonal: Array
+    residual_edges: Array
+    row_edges: Array
+    column_edges: Array
+    preconditioner: Array
+
+
+@compiled
+def _dots(left: Array, right: Array) -> Array:
+    """<left_i, right_i> for every column i."""
+    sums = np.zeros(left.shape[1])
+    for r in range(left.shape[0]):
+        for i in range(left.shape[1]):
+            sums[i] += left[r, i] * right[r, i]
     return sums
 
 
-class _Iterate:
-    """W, the subgradients Theta, U and V, and every norm that a Newton step needs, at one epsilon."""
-
-    def __init__(self, problem: BlockProblem, weights: Array, epsilon: float) -> None:
-        self.problem = problem
-        self.weights = weights
-        self._measure()
-        self.smooth(epsilon)
-        self.query_shares = 1.0 / self.d
-        self.dual_weights = weights / self.d
-        self.rows = weights / self.e[:, None]
-        self.columns = problem.blocks(weights) / self.f[:, None, :]
-
-    def _measure(self) -> None:
-        problem, W = self.problem, self.weights
-        products = problem.gram @ W
-        self.gradient = problem.correlations - products  # X^T (Y - X W)
-        self.residual_squares = problem.residual_squares(W, products)
-        squares = W * W
-        self.row_squares = squares.sum(axis=1)
-        self.column_squares = problem.blocks(squares).sum(axis=1)
-
-    def smooth(self, epsilon: float) -> None:
-        """Set the smoothed norms: d of residuals, e of rows, f of columns of blocks."""
-        self.epsilon = epsilon
-        epsilon2 = epsilon * epsilon
-        self.d = np.sqrt(self.residual_squares + epsilon2)
-        self.e = np.sqrt(self.row_squares + epsilon2)
-        self.f = np.sqrt(self.column_squares + epsilon2)
-
-    def gap(self) -> tuple[float, float]:
-        """Relative duality gap of the restricted problem, and the objective."""
-        problem = self.problem
-        primal = (
-            np.sqrt(self.residual_squares).sum()
-            + problem.lambda1 * np.sqrt(self.row_squares).sum()
-            + problem.lambda2 * np.sqrt(self.column_squares).sum()
-        )
-        gradients = problem.correlations * self.query_shares - problem.gram @ self.dual_weights
-        rows = problem.blocks(self.rows)
-        polar = polar_bounds(problem.blocks(gradients), problem.lambda1, problem.lambda2, rows, rounds=2).max()
-        dual = _columnwise(self.query_shares * problem.squares, problem.correlations, -self.dual_weights).sum()
-        return float(1.0 - dual / max(1.0, float(polar)) / primal), float(primal)
-
-    def move(self, direction: Array) -> None:
-        """Take a step, with the subgradients linearised along it and brought back into their balls."""
-        blocks = self.problem.blocks
-        W, step = self.weights, direction
-        self._move_dual(step)
-        along = np.einsum("pi,pi->p", W, step) / self.e**2
-        self.rows = (W + step) / self.e[:, None] - self.rows * along[:, None]
-        self.rows /= np.maximum(np.linalg.norm(self.rows, axis=1, keepdims=True), 1.0)
-        along = np.einsum("bri,bri->bi", blocks(W), blocks(step)) / self.f**2
-        self.columns = blocks(W + step) / self.f[:, None, :] - self.columns * along[:, None, :]
-        self.columns /= np.maximum(np.sqrt(np.square(self.columns).sum(axis=1, keepdims=True)), 1.0)
-        self.weights = W + step
-        self._measure()
-
-    def _move_dual(self, step: Array) -> None:
-        """Theta + dTheta = (R + dR) / d - Theta <R, dR> / d^2, in terms of alpha and B."""
-        problem = self.problem
-        along = -np.einsum("pi,pi->i", self.gradient, step) / self.d**2
-        alpha = 1.0 / self.d - self.query_shares * along
-        B = (self.weights + step) / self.d - self.dual_weights * along
-        squares = alpha * alpha * problem.squares
-        squares = _columnwise(squares, B, problem.gram @ B - 2.0 * alpha * problem.correlations)
-        shrink = np.sqrt(np.maximum(squares, 1.0))
-        self.query_shares, self.dual_weights = alpha / shrink, B / shrink
-
-    def residual_share(self) -> Array:
-        """<theta_i, r_i> / d_i, at most 1: how far the curvature of a residual norm is that of a cone."""
-        problem = self.problem
-        start = self.query_shares * _columnwise(problem.squares, problem.correlations, -self.weights)
-        return np.maximum(_columnwise(start, self.dual_weights, -self.gradient), 0.0) / self.d
+@compiled
+def _measure(problem: BlockProblem, W: Array, products: Array) -> _Primal:
+    p, q = W.shape
+    rows, columns = np.zeros(p), np.zeros((problem.starts.size - 1, q))
+    residuals = problem.squares.copy()
+    for j in range(problem.starts.size - 1):
+        for r in range(problem.starts[j], problem.starts[j + 1]):
+            for i in range(q):
+                residuals[i] -= W[r, i] * (2.0 * problem.correlations[r, i] - products[r, i])
+                square = W[r, i] * W[r, i]
+                rows[r] += square
+                columns[j, i] += square
+    return _Primal(W, products, np.maximum(residuals, _ROUNDING * problem.squares), rows, columns)
 
 
-def _newton_direction(at: _Iterate, slope: Array) -> Array:
-    """Solve the Newton system H D = -slope; H is positive definite.
-
-    H is block diagonal with the blocks A_i (one per query frame) minus Z Z^T, one column of Z per row of W.
-    """
-    problem = at.problem
-    p, q = slope.shape
-    l = problem.sequence_length  # noqa: E741
-    radial_rows = np.maximum(np.einsum("pi,pi->p", at.rows, at.weights), 0.0) / at.e
-    Z = at.weights * np.sqrt(problem.lambda1 * radial_rows / at.e / np.maximum(at.row_squares, _TINY))[:, None]
-    blocks = problem.blocks(at.weights)
-    radial_columns = np.maximum(np.einsum("bri,bri->bi", at.columns, blocks), 0.0) / at.f
-    scale = np.sqrt(problem.lambda2 * radial_columns / at.f / np.maximum(at.column_squares, _TINY))
-    inner = blocks * scale[:, None, :]
-
-    g = (at.gradient * np.sqrt(at.residual_share() / at.d / at.residual_squares)).T
-    A = problem.gram / at.d[:, None, None] - g[:, :, None] * g[:, None, :]
-    diagonal = np.arange(p)
-    A[:, diagonal, diagonal] += (
-        _RIDGE / at.d[:, None] + problem.lambda1 / at.e + problem.lambda2 * np.repeat(1.0 / at.f, l, axis=0).T
-    )
-    block = np.arange(p // l)
-    A.reshape(q, p // l, l, p // l, l)[:, block, :, block, :] -= np.einsum("bri,bsi->birs", inner, inner)
-
-    inverse = np.linalg.inv(A)
-    coupling = np.eye(p) - np.einsum("ri,irs,si->rs", Z, inverse, Z)
-    plain = np.einsum("irs,si->ri", inverse, slope)
-    shared = np.linalg.solve(coupling, np.einsum("pi,pi->p", Z, plain))
-    direction: Array = -(plain + np.einsum("irs,si->ri", inverse, Z * shared[:, None]))
-    return direction
+@compiled
+def _objective(problem: BlockProblem, primal: _Primal, epsilon: float) -> float:
+    """Eq. 7, every norm smoothed by epsilon."""
+    square = epsilon * epsilon
+    rows, columns = np.sqrt(primal.rows + square).sum(), np.sqrt(primal.columns + square).sum()
+    value: float = np.sqrt(primal.residuals + square).sum() + problem.lambda1 * rows + problem.lambda2 * columns
+    return value
 
 
-def _line_search(at: _Iterate, slope: Array, direction: Array) -> float:
-    """Halve the step until the smoothed objective falls enough (Armijo)."""
-    problem = at.problem
-    start = problem.objective(at.weights, at.epsilon)
-    descent = float(np.einsum("pi,pi->", slope, direction))
-    step = 1.0
-    while problem.objective(at.weights + step * direction, at.epsilon) > start * (1 + 1e-14) + _ARMIJO * step * descent:
-        step *= 0.5
-        if step < _SHORTEST_STEP:
+@compiled
+def smoothing_for(problem: BlockProblem, excess: float) -> float:
+    """Return the epsilon that costs about as much as the excess of the objective: 0.3 epsilon per norm, doubled."""
+    p, q = problem.correlations.shape
+    norms = q + problem.lambda1 * p + problem.lambda2 * q * (problem.starts.size - 1)
+    epsilon: float = _GAP_TO_EPSILON * excess / norms
+    return epsilon
+
+
+@compiled
+def _start_dual(problem: BlockProblem, primal: _Primal, epsilon: float) -> _Dual:
+    """Take the gradients of the smoothed norms."""
+    square = epsilon * epsilon
+    d, e, f = np.sqrt(primal.residuals + square), np.sqrt(primal.rows + square), np.sqrt(primal.columns + square)
+    U, V = np.empty_like(primal.W), np.empty_like(primal.W)
+    for j in range(problem.starts.size - 1):
+        for r in range(problem.starts[j], problem.starts[j + 1]):
+            U[r] = primal.W[r] / e[r]
+            V[r] = primal.W[r] / f[j]
+    return _Dual(1.0 / d, primal.W / d, primal.products / d, U, V)
+
+
+@compiled
+def _largest_polar(problem: BlockProblem, dual: _Dual) -> float:
+    gradients = problem.correlations * dual.alpha - dual.products
+    lambda1, lambda2 = problem.lambda1, problem.lambda2
+    worst = 1.0
+    for j in range(problem.starts.size - 1):
+        start, end = problem.starts[j], problem.starts[j + 1]
+        bound = cheap_polar_bound(gradients[start:end], lambda1, lambda2)
+        if bound > worst:
+            U, V = dual.U[start:end].copy(), np.empty_like(dual.U[start:end])
+            bound = polar_bound(gradients[start:end], lambda1, lambda2, U, V, 2, worst)
+        worst = max(worst, bound)
+    return worst
+
+
+@compiled
+def _relative_gap(problem: BlockProblem, primal: _Primal, dual: _Dual) -> float:
+    value = (dual.alpha * problem.squares).sum() - _dots(problem.correlations, dual.B).sum()
+    gap: float = 1.0 - value / _largest_polar(problem, dual) / _objective(problem, primal, 0.0)
+    return gap
+
+
+@compiled
+def _newton_system(problem: BlockProblem, primal: _Primal, dual: _Dual, epsilon: float) -> tuple[_System, Array]:
+    """Linearise at W: the system and its right-hand side, minus the slope of the smoothed objective."""
+    W, square = primal.W, epsilon * epsilon
+    d, e, f = np.sqrt(primal.residuals + square), np.sqrt(primal.rows + square), np.sqrt(primal.columns + square)
+    gradients = problem.correlations - primal.products
+    # <theta_i, r_i> / d_i, at most 1: how far the curvature of a residual norm is that of a cone.
+    radial = dual.alpha * (problem.squares - _dots(problem.correlations, W)) - _dots(dual.B, gradients)
+    residual_edges = gradients * np.sqrt(np.maximum(radial, 0.0) / primal.residuals) / d
+    diagonal, descent = np.empty_like(W), np.empty_like(W)
+    row_edges, column_edges, preconditioner = np.empty_like(W), np.empty_like(W), np.empty_like(W)
+    for j in range(problem.starts.size - 1):
+        start, end = problem.starts[j], problem.starts[j + 1]
+        along = np.maximum(_dots(dual.V[start:end], W[start:end]), 0.0)
+        column_scale = np.sqrt(problem.lambda2 * along / np.maximum(primal.columns[j], _TINY)) / f[j]
+        for r in range(start, end):
+            row_scale = np.sqrt(problem.lambda1 * max(np.dot(dual.U[r], W[r]), 0.0) / max(primal.rows[r], _TINY)) / e[r]
+            for i in range(W.shape[1]):
+                penalty = problem.lambda1 / e[r] + problem.lambda2 / f[j, i]
+                descent[r, i] = gradients[r, i] / d[i] - penalty * W[r, i]
+                row_edges[r, i], column_edges[r, i] = row_scale * W[r, i], column_scale[i] * W[r, i]
+                diagonal[r, i] = _RIDGE / d[i] + penalty
+                edges = residual_edges[r, i] ** 2 + row_edges[r, i] ** 2 + column_edges[r, i] ** 2
+                curvature = problem.gram[r, r] / d[i] + diagonal[r, i]
+                preconditioner[r, i] = 1.0 / max(curvature - edges, 1e-3 * diagonal[r, i])
+    return _System(d, diagonal, residual_edges, row_edges, column_edges, preconditioner), descent
+
+
+@compiled
+def _apply(problem: BlockProblem, system: _System, D: Array, products: Array, result: Array) -> float:
+    """Multiply the Newton system with D, given X^T X D; return the curvature <D, result>."""
+    p, q = D.shape
+    along_residuals, along_columns, curvature = np.zeros(q), np.zeros(q), 0.0
+    for r in range(p):
+        for i in range(q):
+            along_residuals[i] += system.residual_edges[r, i] * D[r, i]
+    for j in range(problem.starts.size - 1):
+        start, end = problem.starts[j], problem.starts[j + 1]
+        along_columns[:] = 0.0
+        for r in range(start, end):
+            for i in range(q):
+                along_columns[i] += system.column_edges[r, i] * D[r, i]
+        for r in range(start, end):
+            along_row = 0.0
+            for i in range(q):
+                along_row += system.row_edges[r, i] * D[r, i]
+            for i in range(q):
+                edges = system.row_edges[r, i] * along_row + system.column_edges[r, i] * along_columns[i]
+                edges += system.residual_edges[r, i] * along_residuals[i]
+                result[r, i] = products[r, i] / system.d[i] + system.diagonal[r, i] * D[r, i] - edges
+                curvature += D[r, i] * result[r, i]
+    return curvature
+
+
+@compiled
+def _newton_direction(problem: BlockProblem, system: _System, descent: Array) -> tuple[Array, Array]:
+    """Solve the Newton system by preconditioned conjugate gradients: D and X^T X D."""
+    p, q = descent.shape
+    D, products, curved = np.zeros_like(descent), np.zeros_like(descent), np.empty_like(descent)
+    rest = descent.copy()
+    conjugate = system.preconditioner * rest
+    size = (rest * conjugate).sum()
+    enough = _INEXACT**2 * size
+    for _ in range(_MAX_CONJUGATE):
+        if size <= enough:
             break
-    return step
+        image = np.dot(problem.gram, conjugate)
+        curvature = _apply(problem, system, conjugate, image, curved)
+        if curvature <= 0.0:
+            break
+        step, before, size = size / curvature, size, 0.0
+        for r in range(p):
+            for i in range(q):
+                D[r, i] += step * conjugate[r, i]
+                products[r, i] += step * image[r, i]
+                rest[r, i] -= step * curved[r, i]
+                size += rest[r, i] * rest[r, i] * system.preconditioner[r, i]
+        for r in range(p):
+            for i in range(q):
+                conjugate[r, i] = system.preconditioner[r, i] * rest[r, i] + (size / before) * conjugate[r, i]
+    return D, products
 
 
-def solve_blocks(problem: BlockProblem, weights: Array, tolerance: float) -> BlockSolution:
-    """Minimise Eq. 7 over the weights of a few template sequences.
+@compiled
+def _line_search(
+    problem: BlockProblem, primal: _Primal, direction: Array, products: Array, slope: float, epsilon: float
+) -> tuple[_Primal, float]:
+    """Halve the step until the smoothed objective falls enough (Armijo)."""
+    ceiling = _objective(problem, primal, epsilon) * (1.0 + 1e-14)
+    step = 1.0
+    while True:
+        moved = _measure(problem, primal.W + step * direction, primal.products + step * products)
+        if _objective(problem, moved, epsilon) <= ceiling + _ARMIJO * step * slope or step < _SHORTEST_STEP:
+            return moved, step
+        step *= 0.5
 
-    Lengths are expected near 1 (`smal.state_matching` scales them), since epsilon is absolute.
+
+@compiled
+def _move_dual(
+    problem: BlockProblem, primal: _Primal, dual: _Dual, direction: Array, products: Array, epsilon: float
+) -> _Dual:
+    """Linearise the subgradients along the step and bring them back into their balls."""
+    square = epsilon * epsilon
+    d, e, f = np.sqrt(primal.residuals + square), np.sqrt(primal.rows + square), np.sqrt(primal.columns + square)
+    moved = primal.W + direction
+    # Theta + dTheta = (R + dR) / d - Theta <R, dR> / d^2, in terms of alpha and B.
+    along = -_dots(problem.correlations - primal.products, direction) / (d * d)
+    alpha = 1.0 / d - dual.alpha * along
+    B = moved / d - dual.B * along
+    images = (primal.products + products) / d - dual.products * along
+    squares = alpha * alpha * problem.squares + _dots(B, images - 2.0 * alpha * problem.correlations)
+    shrink = np.sqrt(np.maximum(squares, 1.0))
+    U, V = np.empty_like(B), np.empty_like(B)
+    for j in range(problem.starts.size - 1):
+        start, end = problem.starts[j], problem.starts[j + 1]
+        along = _dots(primal.W[start:end], direction[start:end]) / (f[j] * f[j])
+        V[start:end] = moved[start:end] / f[j] - dual.V[start:end] * along
+        V[start:end] /= np.maximum(np.sqrt(_dots(V[start:end], V[start:end])), 1.0)
+        for r in range(start, end):
+            U[r] = moved[r] / e[r] - dual.U[r] * (np.dot(primal.W[r], direction[r]) / (e[r] * e[r]))
+            U[r] /= max(np.sqrt(np.dot(U[r], U[r])), 1.0)
+    return _Dual(alpha / shrink, B / shrink, images / shrink, U, V)
+
+
+@compiled
+def _minimise(
+    problem: BlockProblem, weights: Array, rows: Array, columns: Array, epsilon: float, tolerance: float
+) -> tuple[_Primal, _Dual, float, float, int]:
+    primal = _measure(problem, weights, np.dot(problem.gram, weights))
+    dual = _start_dual(problem, primal, epsilon)
+    if rows.size > 0:
+        dual = _Dual(dual.alpha, dual.B, dual.products, rows, columns)
+    gap, steps = _relative_gap(problem, primal, dual), 0
+    while gap > tolerance and steps < _MAX_STEPS:
+        system, descent = _newton_system(problem, primal, dual, epsilon)
+        direction, products = _newton_direction(problem, system, descent)
+        slope = -(descent * direction).sum()
+        moved, step = _line_search(problem, primal, direction, products, slope, epsilon)
+        dual = _move_dual(problem, primal, dual, step * direction, step * products, epsilon)
+        primal = moved
+        gap = _relative_gap(problem, primal, dual)
+        # A larger gap says that Newton's method has not yet caught up with epsilon.
+        wanted = smoothing_for(problem, gap * _objective(problem, primal, 0.0))
+        epsilon = max(min(max(wanted, _FASTEST * epsilon), epsilon), _LAST_EPSILON)
+        steps += 1
+    return primal, dual, gap, epsilon, steps
+
+
+def solve_blocks(
+    problem: BlockProblem,
+    weights: Array,
+    tolerance: float,
+    epsilon: float = FIRST_EPSILON,
+    subgradients: tuple[Array, Array] | None = None,
+) -> BlockSolution:
+    """Minimise Eq. 7 over the weights of a few template frames.
+
+    Lengths are expected near 1 (`smal.working_set` scales them), since epsilon is absolute.
 
     Parameters
     ----------
@@ -250,26 +373,28 @@ def solve_blocks(problem: BlockProblem, weights: Array, tolerance: float) -> Blo
         Where to start; zero is fine.
     tolerance : float
         Relative duality gap at which to stop.
+    epsilon : float
+        Smoothing to start with: less for a better start.
+    subgradients : pair of float64 arrays (p, q), optional
+        U and V to start with, in their balls; those of the smoothed norms if None.
 
     Returns
     -------
     BlockSolution
         The best that was reached; its gap tells whether that is within the tolerance.
     """
-    # Smoothing alone costs a gap of about 0.3 epsilon per norm.
-    p, q = weights.shape
-    norms = q + problem.lambda1 * p + problem.lambda2 * q * (p // problem.sequence_length)
-    epsilon, steps = _FIRST_EPSILON, 0
-    at = _Iterate(problem, weights, epsilon)
-    gap, primal = at.gap()
-    while gap > tolerance and steps < _MAX_STEPS:
-        slope = problem.lambda1 * at.weights / at.e[:, None] - at.gradient / at.d
-        slope += problem.lambda2 * (problem.blocks(at.weights) / at.f[:, None, :]).reshape(slope.shape)
-        direction = _newton_direction(at, slope)
-        at.move(_line_search(at, slope, direction) * direction)
-        gap, primal = at.gap()
-        # A larger gap says that Newton's method has not yet caught up with epsilon.
-        epsilon = max(float(np.clip(_GAP_TO_EPSILON * gap * primal / norms, 0.2 * epsilon, epsilon)), _LAST_EPSILON)
-        at.smooth(epsilon)
-        steps += 1
-    return BlockSolution(at.weights, at.query_shares, at.dual_weights, at.rows, gap, steps)
+    none = np.zeros((0, 0))
+    U, V = (none, none) if subgradients is None else subgradients
+    primal, dual, gap, epsilon, steps = _minimise(problem, weights, U, V, epsilon, tolerance)
+    return BlockSolution(primal.W, dual.alpha, dual.B, dual.U, dual.V, gap, epsilon, steps)
+
+
+def block_objective(problem: BlockProblem, weights: Array) -> float:
+    """Eq. 7 at the weights (p, q)."""
+    return _objective(problem, _measure(problem, weights, problem.gram @ weights), 0.0)
+
+
+def residual_norms(problem: BlockProblem, weights: Array) -> Array:
+    """||y_i - X w_i|| of every query frame."""
+    norms: Array = np.sqrt(_measure(problem, weights, problem.gram @ weights).residuals)
+    return norms

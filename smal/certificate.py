@@ -5,10 +5,16 @@ template sequence j, G = X_j^T Theta (l x q) in lambda1 * {rows in the unit ball
 ball}. The polar of the penalty of one sequence, ||W||_{2,1} times lambda1 plus the column norms times lambda2, is
 the smallest s for which G / s is in that set. Dividing Theta by the largest upper bound of all polars (if it
 exceeds 1) gives a feasible point, whose value bounds the optimum of Eq. 7 from below.
+
+Functions of one sequence are compiled and take G as (l, q).
 """
+
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+
+from smal.compiled import compiled
 
 Array = NDArray[np.float64]
 
@@ -16,61 +22,160 @@ Array = NDArray[np.float64]
 _TINY = 1e-150
 
 
-def cheap_polar_bounds(gradients: NDArray[np.floating], lambda1: float, lambda2: float) -> Array:
-    """Bound the polar of every block from its longest row and its longest column.
+@compiled
+def cheap_polar_bound(gradient: NDArray[Any], lambda1: float, lambda2: float) -> float:
+    """Bound the polar of one sequence from its longest row and its longest column.
 
     With a the longest row and b the longest column of G, U = V = G / (lambda1 + lambda2) weighted by a and b
     splits G with the value 1 / (lambda1 / a + lambda2 / b), which is exact for diagonal and for flat blocks.
 
     Parameters
     ----------
-    gradients : array (b, l, q)
+    gradient : float array (l, q)
     lambda1, lambda2 : float
         Not negative, at least one positive.
-
-    Returns
-    -------
-    float64 array (b,)
     """
-    squares = np.square(gradients, dtype=np.float64)
-    rows = np.sqrt(squares.sum(axis=2).max(axis=1))
-    columns = np.sqrt(squares.sum(axis=1).max(axis=1))
-    bounds: Array = 1.0 / (lambda1 / np.maximum(rows, _TINY) + lambda2 / np.maximum(columns, _TINY))
-    return bounds
+    rows, queries = gradient.shape
+    longest_row, longest_column = 0.0, 0.0
+    for r in range(rows):
+        square = 0.0
+        for i in range(queries):
+            square += float(gradient[r, i]) ** 2
+        longest_row = max(longest_row, square)
+    for i in range(queries):
+        square = 0.0
+        for r in range(rows):
+            square += float(gradient[r, i]) ** 2
+        longest_column = max(longest_column, square)
+    return bound_by_lengths(np.sqrt(longest_row), np.sqrt(longest_column), lambda1, lambda2)
 
 
-def _into_balls(vectors: Array, axis: int) -> Array:
-    """Project the vectors along an axis onto the unit ball."""
-    norms = np.sqrt(np.square(vectors).sum(axis=axis, keepdims=True))
-    inside: Array = vectors / np.maximum(norms, 1.0)
-    return inside
+@compiled
+def bound_by_lengths(longest_row: float, longest_column: float, lambda1: float, lambda2: float) -> float:
+    """Bound the polar of any G whose rows and columns are no longer than these."""
+    return 1.0 / (lambda1 / max(longest_row, _TINY) + lambda2 / max(longest_column, _TINY))
 
 
-def polar_bounds(gradients: Array, lambda1: float, lambda2: float, rows: Array, rounds: int = 0) -> Array:
-    """Bound the polar of every block from a split G = lambda1 U + lambda2 V + E.
+@compiled
+def _project_rows(gradient: Array, lambda1: float, lambda2: float, U: Array, V: Array) -> None:
+    """U = (G - lambda2 V) / lambda1, every row brought back into the unit ball."""
+    rows, queries = gradient.shape
+    for r in range(rows):
+        square = 0.0
+        for i in range(queries):
+            U[r, i] = (gradient[r, i] - lambda2 * V[r, i]) / lambda1
+            square += U[r, i] ** 2
+        if square > 1.0:
+            for i in range(queries):
+                U[r, i] /= np.sqrt(square)
+
+
+@compiled
+def _project_columns(gradient: Array, lambda1: float, lambda2: float, U: Array, V: Array) -> None:
+    """V = (G - lambda1 U) / lambda2, every column brought back into the unit ball."""
+    rows, queries = gradient.shape
+    for i in range(queries):
+        square = 0.0
+        for r in range(rows):
+            V[r, i] = (gradient[r, i] - lambda1 * U[r, i]) / lambda2
+            square += V[r, i] ** 2
+        if square > 1.0:
+            for r in range(rows):
+                V[r, i] /= np.sqrt(square)
+
+
+@compiled
+def polar_bound(
+    gradient: Array, lambda1: float, lambda2: float, U: Array, V: Array, rounds: int, enough: float
+) -> float:
+    """Bound the polar of one sequence from a split G = lambda1 U + lambda2 V + E.
 
     U and V in their balls have polar at most 1, E is bounded cheaply, and the polar is a norm: 1 + bound(E).
     The split starts from a guess of U; alternating projections shrink E.
 
     Parameters
     ----------
-    gradients : float64 array (b, l, q)
+    gradient : float64 array (l, q)
     lambda1, lambda2 : float
-    rows : float64 array (b, l, q)
-        Guess of U; rows longer than 1 are shortened.
+        As in `cheap_polar_bound`.
+    U : float64 array (l, q)
+        Guess with rows in the unit ball; overwritten by the last U.
+    V : float64 array (l, q)
+        Overwritten by the last V.
     rounds : int
         Alternating projections after the first.
+    enough : float
+        Stop as soon as the bound is not larger.
+    """
+    best = cheap_polar_bound(gradient, lambda1, lambda2)
+    V[:] = 0.0
+    for turn in range(rounds + 1):
+        if turn > 0 and lambda1 > 0.0:
+            _project_rows(gradient, lambda1, lambda2, U, V)
+        if lambda2 > 0.0:
+            _project_columns(gradient, lambda1, lambda2, U, V)
+        rest = gradient - lambda1 * U - lambda2 * V
+        best = min(best, 1.0 + cheap_polar_bound(rest, lambda1, lambda2))
+        if best <= enough:
+            break
+    return best
+
+
+@compiled
+def row_balls(rows: Array) -> Array:
+    """Bring every row back into the unit ball."""
+    inside = rows.copy()
+    for r in range(rows.shape[0]):
+        square = (rows[r] * rows[r]).sum()
+        if square > 1.0:
+            inside[r] /= np.sqrt(square)
+    return inside
+
+
+@compiled
+def all_polar_bounds(
+    gradients: NDArray[np.float32],
+    radii: Array,
+    length: int,
+    lambda1: float,
+    lambda2: float,
+    rounds: int,
+    enough: float,
+) -> Array:
+    """Bound the polars of many sequences, cheaply where that is enough.
+
+    Parameters
+    ----------
+    gradients : float32 array (n, q)
+        X^T Theta, or an estimate; sequence j is the rows j * length and following, the last one may be shorter.
+    radii : float64 array (n,)
+        How far each row of the true X^T Theta may be; the bounds hold for the true one.
+    length : int
+        l.
+    lambda1, lambda2, rounds, enough
+        As in `polar_bound`.
 
     Returns
     -------
-    float64 array (b,)
+    float64 array (k,)
     """
-    U = _into_balls(rows, axis=2)
-    V = np.zeros_like(U)
-    for turn in range(rounds + 1):
-        if turn and lambda1 > 0.0:
-            U = _into_balls((gradients - lambda2 * V) / lambda1, axis=2)
-        if lambda2 > 0.0:
-            V = _into_balls((gradients - lambda1 * U) / lambda2, axis=1)
-    rest = gradients - lambda1 * U - lambda2 * V
-    return np.minimum(1.0 + cheap_polar_bounds(rest, lambda1, lambda2), cheap_polar_bounds(gradients, lambda1, lambda2))
+    n = gradients.shape[0]
+    bounds = np.empty(-(-n // length))
+    for block in range(bounds.size):
+        start, end = block * length, min(block * length + length, n)
+        # The polar of the error, by which that of the truth is at most larger.
+        largest, square = 0.0, 0.0
+        for r in range(start, end):
+            largest, square = max(largest, radii[r]), square + radii[r] ** 2
+        error = bound_by_lengths(largest, np.sqrt(square), lambda1, lambda2)
+        bound = cheap_polar_bound(gradients[start:end], lambda1, lambda2) + error
+        if bound > enough and error < 1.0:
+            gradient = gradients[start:end].astype(np.float64)
+            # Split into a part within (1 - error) times the dual set, if that can be done.
+            shrunk1, shrunk2 = lambda1 * (1.0 - error), lambda2 * (1.0 - error)
+            U = row_balls(gradient / (lambda1 + lambda2))
+            wanted = (enough - error) / (1.0 - error)
+            split = polar_bound(gradient, shrunk1, shrunk2, U, np.empty_like(U), rounds, wanted)
+            bound = min(bound, (1.0 - error) * split + error)
+        bounds[block] = bound
+    return bounds

@@ -7,7 +7,7 @@ explain the query, and does the best sequence alone look like it?
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol
 
@@ -70,14 +70,14 @@ class Match:
     agreement: float
 
 
-def describe_match(solution: Solution, correlations: NDArray[Any], query_norms: NDArray[Any]) -> Match:
+def describe_match(solution: Solution, correlate: Callable[[slice], NDArray[Any]], query_norms: NDArray[Any]) -> Match:
     """Summarise a solution.
 
     Parameters
     ----------
     solution : Solution
-    correlations : array (n, q)
-        X^T Y, templates of unit length.
+    correlate : callable
+        X_S^T Y (l, q) of adjacent template frames S, of unit length.
     query_norms : array (q,)
         ||y_i||.
     """
@@ -89,7 +89,7 @@ def describe_match(solution: Solution, correlations: NDArray[Any], query_norms: 
     blocks, where = np.unique(solution.active // length, return_inverse=True)
     weights = np.bincount(where, np.abs(solution.active_weights).sum(axis=1))
     state = int(blocks[np.argmax(weights)])
-    best = correlations[state * length : (state + 1) * length].max(axis=0)
+    best = correlate(slice(state * length, (state + 1) * length)).max(axis=0)
     cosines = np.divide(best, query_norms, out=np.zeros(query_norms.size), where=query_norms > 0.0)
     q = query_norms.size
     return Match(state, float(weights.max()) / q, float(weights.sum()) / q, min(residual, 1.0), float(cosines.mean()))

@@ -6,11 +6,11 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from smal.gram import prepare_products
 from smal.model import Model
 from smal.novelty import describe_match
-from smal.state_matching import Solution, solve_from_correlations
+from smal.state_matching import Solution
 from smal.state_space import matched_phase
+from smal.streaming import StreamingMatcher
 
 # Lighter candidates hold a few hundredths of the weight together.
 MAX_CANDIDATES = 32
@@ -84,20 +84,17 @@ class Recognizer:
 
     def __init__(self, model: Model, tolerance: float = 1e-3) -> None:
         self._model = model
-        self._tolerance = tolerance
         self._centering = model.centering
         self._test = model.recognition_test()
-        self._products = prepare_products(model.templates, model.sequence_length)
-        # Ring: column t % l belongs to the frame that arrived as number t.
-        self._correlations = np.zeros((model.templates.shape[1], model.sequence_length), dtype=np.float32)
-        self._norms = np.zeros(model.sequence_length)
+        self._matcher = StreamingMatcher(
+            model.templates, model.sequence_length, model.lambda1, model.lambda2, tolerance
+        )
         self.reset()
 
     def reset(self) -> None:
         """Forget all frames, for a new episode."""
-        self._frames = 0
+        self._matcher.reset()
         self._last_tick: int | None = None
-        self._previous: Solution | None = None
 
     def observe(self, tick: int, raw_features: NDArray[Any], due: bool) -> Recognition:
         """Take one frame.
@@ -123,30 +120,17 @@ class Recognizer:
         if self._last_tick is not None and tick != self._last_tick + 1:
             self.reset()
         self._last_tick = tick
-        column = self._frames % self._norms.size
-        self._correlations[:, column] = self._model.templates.T @ features
-        self._norms[column] = np.linalg.norm(features)
-        self._frames += 1
-        if not due or self._frames < self._norms.size:
+        self._matcher.observe(features)
+        if not due or not self._matcher.ready:
             return Recognition("collecting", tick)
         return self._recognize(tick)
 
     def _recognize(self, tick: int) -> Recognition:
-        model = self._model
-        order = (self._frames + np.arange(self._norms.size)) % self._norms.size
-        correlations, norms = self._correlations[:, order], self._norms[order]
-        solution = solve_from_correlations(
-            correlations,
-            self._products,
-            norms,
-            model.sequence_length,
-            model.lambda1,
-            model.lambda2,
-            self._tolerance,
-            self._previous,
+        solution, window = self._matcher.match(), self._matcher.window()
+        templates = self._model.templates
+        match = describe_match(
+            solution, lambda frames: templates[:, frames].T @ window.T, np.linalg.norm(window, axis=1)
         )
-        self._previous = solution
-        match = describe_match(solution, correlations, norms)
         known = match.state is not None and not self._test.is_novel(match)
         return Recognition(
             status="recognized" if known else "unknown",

@@ -13,8 +13,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from smal.gram import Columns, DenseTemplates, GramMatrix, TemplateProducts
-from smal.working_set import Matching, minimise
+from smal.inner_products import Columns, GramAndCorrelations, InnerProducts, TemplatesAndQuery
+from smal.screening import Penalty
+from smal.template_index import IndexAndQuery, TemplateIndex
+from smal.working_set import minimise
 
 Array = NDArray[np.float64]
 
@@ -69,7 +71,7 @@ class Solution:
         return np.unique(self.active // self.sequence_length)
 
 
-def _check(n: int, sequence_length: int, lambda1: float, lambda2: float, tolerance: float) -> None:
+def check_parameters(n: int, sequence_length: int, lambda1: float, lambda2: float, tolerance: float) -> None:
     """Refuse parameters for which Eq. 7 or its certificate means nothing."""
     if n < 1:
         raise ValueError("matching needs at least one template")
@@ -81,38 +83,37 @@ def _check(n: int, sequence_length: int, lambda1: float, lambda2: float, toleran
         raise ValueError(f"tolerance must be at least 1e-8 and below 1, got {tolerance}")
 
 
-def _match(matching: Matching, warm_start: Solution | None) -> Solution:
-    """Solve for the query frames that are not zero; a zero query frame has the weights zero."""
-    seen = np.flatnonzero(matching.squares > 0.0)
-    n, q = matching.correlations.shape
-    length = matching.sequence_length
+def match(products: InnerProducts, seen: Columns, q: int, penalty: Penalty, warm_start: Solution | None) -> Solution:
+    """Match in terms of inner products (`solve` and its siblings choose them).
+
+    Parameters
+    ----------
+    products : InnerProducts
+        Of the templates and the query frames that are not zero; the others have the weights zero.
+    seen : intp array
+        Which query frames those are.
+    q : int
+        Query frames in all.
+    penalty : Penalty
+    warm_start : Solution, optional
+        Of a similar query: its sequences enter the working set at once. Changes the time, not the answer.
+    """
+    n, length = products.size, penalty.sequence_length
     if not seen.size:
         return Solution(np.zeros(0, np.intp), np.zeros((0, q)), (n, q), length, 0.0, 0.0, 0, True, np.zeros(q))
-    query_products = matching.query_products
-    reduced = Matching(
-        matching.correlations if seen.size == q else matching.correlations[:, seen],
-        query_products if seen.size == q else lambda columns: query_products(columns)[:, seen],
-        matching.products,
-        matching.squares[seen],
-        length,
-        matching.lambda1,
-        matching.lambda2,
-        matching.tolerance,
-    )
     warm = warm_start.active_blocks if warm_start is not None else np.zeros(0, dtype=np.intp)
-    found = minimise(reduced, warm[warm * length < n])
+    found = minimise(products, penalty, warm[warm * length < n])
     used = np.flatnonzero(found.weights.any(axis=1))
     weights, residuals = np.zeros((used.size, q)), np.zeros(q)
     weights[:, seen], residuals[seen] = found.weights[used], found.residual_norms
-    gap = 1.0 - found.lower_bound / found.objective if found.objective > 0.0 else 0.0
-    converged = gap <= matching.tolerance
+    converged = found.gap <= penalty.tolerance
     return Solution(
-        found.columns[used], weights, (n, q), length, found.objective, gap, found.steps, converged, residuals
+        found.columns[used], weights, (n, q), length, found.objective, found.gap, found.steps, converged, residuals
     )
 
 
 def solve(
-    templates: NDArray[Any],
+    templates: NDArray[Any] | TemplateIndex,
     query: NDArray[Any],
     sequence_length: int,
     lambda1: float,
@@ -124,8 +125,9 @@ def solve(
 
     Parameters
     ----------
-    templates : float array (m, n)
-        X. Sequence j is the columns j * sequence_length and following; the last one may be shorter.
+    templates : float array (m, n) or TemplateIndex
+        X. Sequence j is the columns j * sequence_length and following; the last one may be shorter. Float32 in
+        Fortran order (a template contiguous) is fastest; an index pays from the second query on.
     query : float array (m, q)
         Y, usually with q = sequence_length.
     sequence_length : int
@@ -135,44 +137,41 @@ def solve(
     tolerance : float
         Relative duality gap at which to stop.
     gram : float array (n, n), optional
-        X^T X if it is known, which saves a pass over the templates per round; in float64, or residuals near
-        zero lose their digits.
+        X^T X if it is known; in float64, or residuals near zero lose their digits.
 
     Returns
     -------
     Solution
-        Its gap holds for the full problem, up to the rounding (about 1e-6) of one float32 product X^T Theta.
+        Its gap holds for the full problem.
 
     Raises
     ------
     ValueError
         Shapes that do not fit, NaN or infinity, or parameters out of range.
     """
-    if templates.ndim != 2 or query.ndim != 2 or templates.shape[0] != query.shape[0]:
+    if len(templates.shape) != 2 or query.ndim != 2 or templates.shape[0] != query.shape[0]:
         raise ValueError(f"templates (m, n) and query (m, q) do not fit: {templates.shape} and {query.shape}")
-    if not np.issubdtype(templates.dtype, np.floating):
+    if not isinstance(templates, TemplateIndex) and not np.issubdtype(templates.dtype, np.floating):
         raise ValueError(f"templates must be floating point, got {templates.dtype}")
-    _check(templates.shape[1], sequence_length, lambda1, lambda2, tolerance)
+    check_parameters(templates.shape[1], sequence_length, lambda1, lambda2, tolerance)
     if gram is not None and gram.shape != (templates.shape[1],) * 2:
         raise ValueError(f"gram must have the shape {(templates.shape[1],) * 2}, got {gram.shape}")
     Y = np.asarray(query, dtype=np.float64)
-    correlations = templates.T @ np.asarray(query, dtype=templates.dtype)
     squares = np.square(Y).sum(axis=0)
-    # NaN or infinity anywhere in X or Y shows in X^T Y (0 * inf is NaN) or in ||Y||.
-    if not (np.isfinite(squares).all() and np.isfinite(correlations).all()):
-        raise ValueError("templates or query contain NaN or infinity, or overflow float32 products")
-
-    def query_products(columns: Columns) -> Array:
-        return np.asarray(templates[:, columns].astype(np.float64).T @ Y)
-
-    products: TemplateProducts = DenseTemplates(templates) if gram is None else GramMatrix(gram)
-    matching = Matching(correlations, query_products, products, squares, sequence_length, lambda1, lambda2, tolerance)
-    return _match(matching, None)
+    if not np.isfinite(squares).all():
+        raise ValueError("the query contains NaN or infinity")
+    seen = np.flatnonzero(squares > 0.0)
+    products: InnerProducts
+    if isinstance(templates, TemplateIndex):
+        products = IndexAndQuery(templates, Y[:, seen], gram)
+    else:
+        products = TemplatesAndQuery(templates, Y[:, seen], gram)
+    return match(products, seen, Y.shape[1], Penalty(sequence_length, lambda1, lambda2, tolerance), None)
 
 
 def solve_from_correlations(
     correlations: NDArray[Any],
-    gram: NDArray[Any] | TemplateProducts,
+    gram: NDArray[Any],
     query_norms: NDArray[Any],
     sequence_length: int,
     lambda1: float,
@@ -180,14 +179,14 @@ def solve_from_correlations(
     tolerance: float = 1e-4,
     warm_start: Solution | None = None,
 ) -> Solution:
-    """Match when X^T Y is known already, frame by frame or for many queries at once.
+    """Match when X^T Y and X^T X are known already.
 
     Parameters
     ----------
     correlations : float array (n, q)
         X^T Y.
-    gram : float array (n, n) or TemplateProducts
-        X^T X, or a way to compute parts of it.
+    gram : float array (n, n)
+        X^T X.
     query_norms : float array (q,)
         ||y_i||.
     sequence_length, lambda1, lambda2, tolerance
@@ -209,14 +208,11 @@ def solve_from_correlations(
     """
     if correlations.ndim != 2 or query_norms.shape != (correlations.shape[1],):
         raise ValueError(f"correlations (n, q) and norms (q,) do not fit: {correlations.shape}, {query_norms.shape}")
-    _check(correlations.shape[0], sequence_length, lambda1, lambda2, tolerance)
+    check_parameters(correlations.shape[0], sequence_length, lambda1, lambda2, tolerance)
     squares = np.square(query_norms, dtype=np.float64) * (1.0 + _FLOAT32_SQUARE)
     if not (np.isfinite(squares).all() and np.isfinite(correlations).all()):
         raise ValueError("correlations or norms contain NaN or infinity")
-
-    def query_products(columns: Columns) -> Array:
-        return correlations[columns].astype(np.float64)
-
-    products = GramMatrix(gram) if isinstance(gram, np.ndarray) else gram
-    matching = Matching(correlations, query_products, products, squares, sequence_length, lambda1, lambda2, tolerance)
-    return _match(matching, warm_start)
+    seen = np.flatnonzero(squares > 0.0)
+    products = GramAndCorrelations(correlations[:, seen], gram, squares[seen])
+    penalty = Penalty(sequence_length, lambda1, lambda2, tolerance)
+    return match(products, seen, query_norms.size, penalty, warm_start)

@@ -8,7 +8,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from smal.action_space import first_frame
-from smal.gram import GramMatrix
 from smal.novelty import Match, NoveltyTest, describe_match
 from smal.state_matching import Solution, solve_from_correlations
 from smal.template_store import TemplateStore
@@ -105,10 +104,10 @@ class _Learner:
         if len(self.store):
             norms = np.linalg.norm(frames, axis=1)
             solution = solve_from_correlations(
-                correlations, GramMatrix(self.store.gram), norms, self.length, self.lambda1, self.lambda2,
+                correlations, self.store.gram, norms, self.length, self.lambda1, self.lambda2,
                 self.tolerance, self.previous,
             )  # fmt: skip
-            match = describe_match(solution, correlations, norms)
+            match = describe_match(solution, lambda frames: correlations[frames], norms)
         self.previous = solution
         if match.state is None or solution is None or self.test.is_novel(match):
             self.store.append(frames, correlations)

@@ -1,153 +1,39 @@
-"""A working set over template sequences for Eq. 7, with a duality gap of the full problem."""
+"""A working set of template frames for Eq. 7, grown until a duality gap of the full problem is small.
 
-from collections.abc import Callable
+1. Guess which sequences matter, solve Eq. 7 on them alone (`smal.block_newton`), and drop the frames that get no
+   weight.
+2. Extend the dual point of that solution to other sequences (`smal.screening`), first to the likely ones, then to
+   all. Sequences that it does not rule out enter the working set.
+"""
+
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from smal.block_newton import BlockProblem, BlockSolution, solve_blocks
-from smal.certificate import cheap_polar_bounds, polar_bounds
-from smal.gram import Columns, TemplateProducts
+from smal.block_newton import (
+    FIRST_EPSILON,
+    BlockProblem,
+    BlockSolution,
+    block_objective,
+    residual_norms,
+    smoothing_for,
+    solve_blocks,
+)
+from smal.inner_products import Columns, DualPoint, InnerProducts, common
+from smal.screening import Penalty, Screening, Violations
 
 Array = NDArray[np.float64]
 
-_FIRST_BLOCKS = 3
-_MAX_ROUNDS = 100
-_REFINEMENTS = 12
-
-
-@dataclass(frozen=True)
-class Matching:
-    """One problem: what is known about all templates, and how to learn more about some.
-
-    Parameters
-    ----------
-    correlations : float array (n, q)
-        X^T Y.
-    query_products : callable
-        X_S^T Y in float64 (p, q) for chosen template frames S, as exactly as possible.
-    products : TemplateProducts
-    squares : float64 array (q,)
-        ||y_i||^2, all positive.
-    sequence_length : int
-    lambda1, lambda2 : float
-    tolerance : float
-        Relative duality gap at which to stop.
-    """
-
-    correlations: NDArray[Any]
-    query_products: Callable[[Columns], Array]
-    products: TemplateProducts
-    squares: Array
-    sequence_length: int
-    lambda1: float
-    lambda2: float
-    tolerance: float
-
-    @property
-    def slack(self) -> float:
-        """How far a polar may exceed 1 without needing attention."""
-        return 0.25 * self.tolerance
-
-    def blocks(self, array: NDArray[Any]) -> NDArray[Any]:
-        """View (n, q) as (k, l, q), the last block filled up with zeros."""
-        n, q = array.shape
-        missing = -n % self.sequence_length
-        if missing:
-            array = np.concatenate([array, np.zeros((missing, q), dtype=array.dtype)])
-        return array.reshape(-1, self.sequence_length, q)
-
-    def columns(self, working: Columns) -> Columns:
-        """Template frames of the working sequences."""
-        every = (working[:, None] * self.sequence_length + np.arange(self.sequence_length)).ravel()
-        existing: Columns = every[every < self.correlations.shape[0]]
-        return existing
-
-    def polar(self, gradients: NDArray[Any], threshold: float) -> Array:
-        """Bound the polar of every block, sharply where the cheap bound exceeds the threshold."""
-        bounds = cheap_polar_bounds(gradients, self.lambda1, self.lambda2)
-        doubtful = np.flatnonzero(bounds > threshold)
-        if doubtful.size:
-            exact = gradients[doubtful].astype(np.float64)
-            guess = exact / (self.lambda1 + self.lambda2)
-            bounds[doubtful] = polar_bounds(exact, self.lambda1, self.lambda2, guess, _REFINEMENTS)
-        return bounds
-
-    def without_templates(self) -> tuple[Array, float]:
-        """Certify W = 0 by Theta = Y / ||Y||: bounds on the polars, and the lower bound of Eq. 7."""
-        norms = np.sqrt(self.squares)
-        bounds = self.polar(self.blocks(self.correlations) / norms, threshold=1.0)
-        return bounds, float(norms.sum()) / max(1.0, float(bounds.max(initial=0.0)))
-
-
-class _Restriction:
-    """Eq. 7 on some template sequences, lengths scaled to 1, and its solution."""
-
-    def __init__(self, matching: Matching, working: Columns) -> None:
-        self.matching, self.working = matching, working
-        self.columns = matching.columns(working)
-        gram, correlations = matching.products.gram(self.columns), matching.query_products(self.columns)
-        self.template_scale = float(np.sqrt(gram.diagonal().max(initial=0.0))) or 1.0
-        self.query_scale = float(np.sqrt(matching.squares.max()))
-        missing = -self.columns.size % matching.sequence_length
-        self.problem = BlockProblem(
-            np.pad(gram / self.template_scale**2, ((0, missing), (0, missing))),
-            np.pad(correlations / (self.template_scale * self.query_scale), ((0, missing), (0, 0))),
-            matching.squares / self.query_scale**2,
-            matching.lambda1 / self.template_scale,
-            matching.lambda2 / self.template_scale,
-            matching.sequence_length,
-        )
-
-    def solve(self, known: Columns, weights: Array, tolerance: float) -> BlockSolution:
-        """Solve, starting from the weights (p', q) of some of the template frames."""
-        start = np.zeros_like(self.problem.correlations)
-        start[np.searchsorted(self.columns, known)] = weights * (self.template_scale / self.query_scale)
-        return solve_blocks(self.problem, start, tolerance)
-
-    def unscaled(self, weights: Array) -> Array:
-        """Weights of the actual, not scaled, template frames."""
-        return np.asarray(weights[: self.columns.size] * (self.query_scale / self.template_scale))
-
-    def certify(self, inner: BlockSolution) -> tuple[Array, float]:
-        """Extend the dual point to all templates: bounds on all polars, and the lower bound of Eq. 7."""
-        matching, problem = self.matching, self.problem
-        alpha = inner.query_shares / self.query_scale
-        used = matching.products.correlate(self.columns, inner.dual_weights[: self.columns.size] / self.template_scale)
-        gradients = matching.blocks(matching.correlations * alpha.astype(matching.correlations.dtype) - used)
-        bounds = matching.polar(gradients, threshold=1.0 + matching.slack)
-        # The working sequences lie on the edge of the dual set, where only the solver's subgradients are sharp.
-        sharp = problem.blocks(problem.correlations * inner.query_shares - problem.gram @ inner.dual_weights)
-        rows = problem.blocks(inner.rows)
-        bounds[self.working] = polar_bounds(sharp, problem.lambda1, problem.lambda2, rows, rounds=2)
-        value = (inner.query_shares * problem.squares).sum() - (problem.correlations * inner.dual_weights).sum()
-        return bounds, float(value) * self.query_scale / max(1.0, float(bounds.max()))
-
-
-def _without_crumbs(problem: BlockProblem, weights: Array, allowed: float) -> Array:
-    """Set rows, and columns of blocks, to zero that differ from it by the smoothing only."""
-    ceiling = problem.objective(weights) * (1.0 + allowed)
-    best = weights
-    for share in (1e-4, 1e-3, 1e-2):
-        squares = np.square(weights)
-        rows = np.sqrt(squares.sum(axis=1))
-        columns = np.sqrt(problem.blocks(squares).sum(axis=1, keepdims=True))
-        in_row = np.broadcast_to((rows > share * rows.max())[:, None], weights.shape)
-        kept = problem.blocks(in_row) & (columns > share * columns.max())
-        candidate = np.where(kept, problem.blocks(weights), 0.0).reshape(weights.shape)
-        if problem.objective(candidate) > ceiling:
-            break
-        best = candidate
-    return best
-
-
-def _grow(bounds: Array, working: Columns, slack: float) -> Columns:
-    """Add the sequences that violate the dual point most, as many as there are already."""
-    violating = np.setdiff1d(np.flatnonzero(bounds > 1.0 + slack), working, assume_unique=True)
-    worst = violating[np.argsort(-bounds[violating], kind="stable")]
-    return np.union1d(working, worst[: max(_FIRST_BLOCKS, working.size)])
+# Sequences to start with, and those that are looked at before all others.
+_FIRST, _LIKELY = 4, 48
+_MAX_ROUNDS = 200
+# A row whose smoothed subgradient is shorter has no weight.
+_ALIVE = 0.8
+# Rounded products show violations of this size.
+_VISIBLE = 1e-3
+# Gap to which Eq. 7 is solved while the likely sequences are being sorted out.
+_LOOSE = 1e-2
 
 
 @dataclass(frozen=True)
@@ -161,39 +47,184 @@ class Outcome:
     lower_bound: float
     steps: int
 
+    @property
+    def gap(self) -> float:
+        """Relative duality gap."""
+        return 1.0 - self.lower_bound / self.objective if self.objective > 0.0 else 0.0
 
-def minimise(matching: Matching, warm_blocks: Columns) -> Outcome:
+
+@dataclass(frozen=True)
+class _Start:
+    """Weights and subgradients (U and V) of some template frames, and the smoothing that suits them."""
+
+    columns: Columns
+    weights: Array
+    U: Array
+    V: Array
+    epsilon: float
+
+
+class _Restriction:
+    """Eq. 7 on some template frames, lengths scaled to 1, and its solution."""
+
+    def __init__(self, products: InnerProducts, penalty: Penalty, columns: Columns) -> None:
+        self.columns = columns
+        gram, correlations = products.restricted(columns)
+        self.template_scale = float(np.sqrt(gram.diagonal().max(initial=0.0))) or 1.0
+        self.query_scale = float(np.sqrt(products.squares.max()))
+        starts = np.flatnonzero(np.diff(columns // penalty.sequence_length, prepend=-1))
+        self.problem = BlockProblem(
+            gram / self.template_scale**2,
+            correlations / (self.template_scale * self.query_scale),
+            products.squares / self.query_scale**2,
+            penalty.lambda1 / self.template_scale,
+            penalty.lambda2 / self.template_scale,
+            np.append(starts, columns.size),
+        )
+        self.weight_scale = self.query_scale / self.template_scale
+
+    def solve(self, start: _Start, tolerance: float) -> BlockSolution:
+        """Solve, starting from what is known of some template frames, not all of which need be here."""
+        weights, U, V = (np.zeros_like(self.problem.correlations) for _ in range(3))
+        here, there = common(self.columns, start.columns)
+        weights[here] = start.weights[there] / self.weight_scale
+        U[here], V[here] = start.U[there], start.V[there]
+        return solve_blocks(self.problem, weights, tolerance, start.epsilon, (U, V) if here.size else None)
+
+    def dual_point(self, inner: BlockSolution) -> DualPoint:
+        """Theta in terms of actual, not scaled, frames."""
+        shares, weights = inner.query_shares / self.query_scale, inner.dual_weights / self.template_scale
+        return DualPoint(shares, self.columns, weights, inner.rows)
+
+    def dual_value(self, inner: BlockSolution) -> float:
+        """<Theta, Y>."""
+        value = (inner.query_shares * self.problem.squares).sum()
+        return float(value - (self.problem.correlations * inner.dual_weights).sum()) * self.query_scale
+
+    def objective(self, weights: Array) -> float:
+        """Eq. 7 at scaled weights."""
+        return block_objective(self.problem, weights) * self.query_scale
+
+    def epsilon_for(self, gap: float, inner: BlockSolution) -> float:
+        """Smoothing that costs about as much as the gap."""
+        wanted = smoothing_for(self.problem, gap * block_objective(self.problem, inner.weights))
+        return min(max(wanted, inner.epsilon), FIRST_EPSILON)
+
+
+def _without_crumbs(problem: BlockProblem, weights: Array, allowed: float) -> Array:
+    """Set rows, and columns of blocks, to zero that differ from it by the smoothing only."""
+    ceiling = block_objective(problem, weights) * (1.0 + allowed)
+    squares = np.square(weights)
+    rows = np.sqrt(squares.sum(axis=1))
+    columns = np.sqrt(np.add.reduceat(squares, problem.starts[:-1])) if len(weights) else squares
+    of_row = np.repeat(np.arange(len(columns)), np.diff(problem.starts))
+    best = weights
+    for share in (1e-4, 1e-3, 1e-2):
+        kept = (rows > share * rows.max(initial=0.0))[:, None]
+        kept = kept & (columns > share * columns.max(initial=0.0))[of_row]
+        candidate = np.where(kept, weights, 0.0)
+        if block_objective(problem, candidate) > ceiling:
+            break
+        best = candidate
+    return best
+
+
+class _Search:
+    """The working set, the best solution on it, and what rules the other sequences out."""
+
+    def __init__(self, products: InnerProducts, penalty: Penalty, warm: Columns) -> None:
+        self.products, self.penalty = products, penalty
+        self.screening = Screening(products, penalty)
+        norms = np.sqrt(products.squares)
+        likely = _likely(products, norms, penalty.sequence_length)
+        self.likely = np.union1d(likely, warm)
+        self.columns = self.screening.frames(warm if warm.size else np.sort(likely[:_FIRST]))
+        # Frames that came back after they had been dropped: they stay, or the search might go round in circles.
+        self.dropped, self.kept = np.zeros(0, dtype=np.intp), np.zeros(0, dtype=np.intp)
+        nothing, none = np.zeros(0, dtype=np.intp), np.zeros((0, norms.size))
+        self.start, self.steps = _Start(nothing, none, none, none, FIRST_EPSILON), 0
+        self.outcome = Outcome(nothing, none, norms, float(norms.sum()), 0.0, 0)
+
+    def solve(self, tolerance: float) -> None:
+        """Solve on the working set."""
+        self.part = _Restriction(self.products, self.penalty, self.columns)
+        self.inner = self.part.solve(self.start, tolerance)
+        self.steps += self.inner.steps
+        self.dual = self.part.dual_point(self.inner)
+
+    def probe(self, threshold: float) -> Violations:
+        """Look at the likely sequences only."""
+        return self.screening.probe(self.dual, self.likely, threshold)
+
+    def certify(self) -> Violations:
+        """Extend the dual point to all sequences, which bounds the optimum from below; clean the solution up."""
+        working = np.unique(self.columns // self.penalty.sequence_length)
+        violations = self.screening.extend(self.dual, working)
+        part = self.part
+        weights = _without_crumbs(part.problem, self.inner.weights, 0.2 * self.penalty.tolerance)
+        residuals = residual_norms(part.problem, weights) * part.query_scale
+        lower_bound = part.dual_value(self.inner) / self.screening.largest
+        self.outcome = Outcome(
+            self.columns, weights * part.weight_scale, residuals, part.objective(weights), lower_bound, self.steps
+        )
+        return violations
+
+    def lacking(self, violations: Violations) -> Columns:
+        """Frames of the worst violations that are not in the working set, ascending."""
+        working = np.unique(self.columns // self.penalty.sequence_length).size
+        frames: Columns = np.setdiff1d(violations.worst(max(_FIRST, working)), self.columns)
+        return frames
+
+    def grow(self, lacking: Columns, violations: Violations) -> None:
+        """Add frames, drop those without weight, and smooth as much as the violations ask for."""
+        inner = self.inner
+        alive = np.linalg.norm(inner.rows, axis=1) >= _ALIVE
+        self.kept = np.union1d(self.kept, np.intersect1d(lacking, self.dropped))
+        stay = self.columns[alive | np.isin(self.columns, self.kept)]
+        self.dropped = np.union1d(self.dropped, np.setdiff1d(self.columns, stay))
+        excess = 1.0 - 1.0 / violations.polars.max(initial=1.0)
+        epsilon, weights = self.part.epsilon_for(excess, inner), inner.weights * self.part.weight_scale
+        self.start = _Start(self.columns, weights, inner.rows, inner.columns, epsilon)
+        self.columns = np.union1d(stay, lacking)
+
+
+def _likely(products: InnerProducts, norms: Array, length: int) -> Columns:
+    """Sequences by how much they resemble the query at a first guess, best first."""
+    guess = np.square(products.guess() / norms.astype(np.float32)).sum(axis=1)
+    scores = np.add.reduceat(guess, np.arange(0, guess.size, length))
+    best = np.argpartition(-scores, _LIKELY)[:_LIKELY] if scores.size > _LIKELY else np.arange(scores.size)
+    ordered: Columns = best[np.lexsort((best, -scores[best]))]
+    return ordered
+
+
+def minimise(products: InnerProducts, penalty: Penalty, warm_blocks: Columns) -> Outcome:
     """Grow a working set until the gap of the full problem is within the tolerance.
 
     Parameters
     ----------
-    matching : Matching
+    products : InnerProducts
+        Every query frame has a length above 0.
+    penalty : Penalty
     warm_blocks : intp array
         Template sequences to start with, for instance those that a similar query used.
     """
-    norms = np.sqrt(matching.squares)
-    columns, weights = np.zeros(0, dtype=np.intp), np.zeros((0, norms.size))
-    bounds, lower = matching.without_templates()
-    outcome = Outcome(columns, weights, norms, float(norms.sum()), lower, 0)
-    working = _grow(bounds, warm_blocks, matching.slack)
-    tolerance, steps = 0.3 * matching.tolerance, 0
+    search = _Search(products, penalty, warm_blocks)
+    finest = 0.3 * penalty.tolerance
+    tolerance, everywhere = (finest, True) if warm_blocks.size else (max(_LOOSE, finest), False)
     for _ in range(_MAX_ROUNDS):
-        if outcome.objective - outcome.lower_bound <= matching.tolerance * outcome.objective or not working.size:
+        search.solve(tolerance)
+        violations = search.certify() if everywhere else search.probe(1.0 + max(tolerance, _VISIBLE))
+        lacking = search.lacking(violations)
+        if not (everywhere or lacking.size) and tolerance <= finest:
+            everywhere = True
+            violations = search.certify()
+            lacking = search.lacking(violations)
+        if everywhere and search.outcome.gap <= penalty.tolerance:
             break
-        part = _Restriction(matching, working)
-        inner = part.solve(columns, weights, tolerance)
-        steps += inner.steps
-        bounds, lower = part.certify(inner)
-        cleaned = _without_crumbs(part.problem, inner.weights, 0.2 * matching.tolerance)
-        residuals = part.problem.residual_norms(cleaned) * part.query_scale
-        objective = part.problem.objective(cleaned) * part.query_scale
-        outcome = Outcome(part.columns, part.unscaled(cleaned), residuals, objective, lower, steps)
-        columns, weights = part.columns, part.unscaled(inner.weights)
-        grown = _grow(bounds, working, matching.slack)
-        if grown.size == working.size:
-            # No sequence is missing: the restricted solution itself must become sharper, or has reached its limit.
-            if inner.gap > tolerance or tolerance < 1e-3 * matching.tolerance:
+        if not lacking.size:
+            # Nothing is missing: the restricted solution itself must become sharper, or has reached its limit.
+            if tolerance < 1e-3 * penalty.tolerance:
                 break
-            tolerance *= 0.3
-        working = grown
-    return outcome
+            tolerance = finest if tolerance > finest else 0.3 * tolerance
+        search.grow(lacking, violations)
+    return search.outcome

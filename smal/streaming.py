@@ -1,0 +1,165 @@
+"""Matching a stream of frames: most of the work is done before the last frame of a sequence arrives.
+
+The correlations of a frame with all templates are computed when it arrives. After the last frame of a sequence
+there remain one product with that frame, a small solve, and a combination of known inner products to certify it.
+"""
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from smal.inner_products import Columns, DualPoint, Gradients
+from smal.narrow_product import rounding
+from smal.screening import Penalty
+from smal.state_matching import Solution, check_parameters, match
+from smal.template_index import IndexAndQuery, TemplateIndex
+
+Array = NDArray[np.float64]
+
+
+class _StreamedQuery(IndexAndQuery):
+    """X^T X (or not, where it is too large) and an estimate of X^T Y are known beforehand."""
+
+    def __init__(
+        self,
+        index: TemplateIndex,
+        query: Array,
+        gram: NDArray[np.float32] | None,
+        correlations: NDArray[np.float32],
+        radii: NDArray[np.float32],
+    ) -> None:
+        super().__init__(index, query)
+        self._products, self._correlations, self._radii = gram, correlations, radii
+
+    def guess(self) -> NDArray[np.float32]:
+        """No guess is needed."""
+        return self._correlations
+
+    def gradients(self, dual: DualPoint, columns: Columns | None, *, fine: bool = False) -> Gradients:
+        """Combine rows of X^T X, or else multiply with the rounded templates."""
+        if columns is not None or self._products is None:
+            return super().gradients(dual, columns, fine=fine)
+        values = self._correlations * dual.alpha.astype(np.float32)
+        values -= self._products[dual.columns].T @ dual.B.astype(np.float32)
+        lengths = self.lengths()
+        # Each product is off by rounding(m), and their sum by rounding(p).
+        m, p = self._templates.shape[0], dual.columns.size
+        reach = float((lengths[dual.columns] * np.linalg.norm(dual.B, axis=1)).sum())
+        reach += float(np.linalg.norm(dual.alpha * np.sqrt(self.squares)))
+        radii = np.sqrt(np.square(self._radii) @ np.square(dual.alpha).astype(np.float32)).astype(np.float64)
+        return Gradients(values, radii * (1.0 + 1e-5) + lengths * (reach * rounding(m + p + 4)))
+
+
+class StreamingMatcher:
+    """Keeps the last l frames and matches them.
+
+    Parameters
+    ----------
+    templates : float array (m, n) or TemplateIndex
+        X.
+    sequence_length : int
+        l.
+    lambda1, lambda2 : float
+        Of Eq. 7.
+    tolerance : float
+        Relative duality gap of each match.
+    max_gram_bytes : int
+        Memory for X^T X, 4 n^2 bytes. Where it does not fit, certifying a match takes a pass over the rounded
+        templates instead.
+
+    Raises
+    ------
+    ValueError
+        Parameters out of range, or templates that are not finite.
+    """
+
+    def __init__(
+        self,
+        templates: NDArray[Any] | TemplateIndex,
+        sequence_length: int,
+        lambda1: float,
+        lambda2: float,
+        tolerance: float = 1e-4,
+        max_gram_bytes: int = 2**30,
+    ) -> None:
+        self._index = templates if isinstance(templates, TemplateIndex) else TemplateIndex(templates)
+        m, n = self._index.shape
+        check_parameters(n, sequence_length, lambda1, lambda2, tolerance)
+        self._penalty = Penalty(sequence_length, lambda1, lambda2, tolerance)
+        X = self._index.templates
+        self._gram = X.T @ X if 4 * n * n <= max_gram_bytes else None
+        # Rings: place t % l belongs to the frame that arrived as number t.
+        self._frames = np.zeros((sequence_length, m))
+        self._correlations = np.zeros((n, sequence_length), dtype=np.float32)
+        self._radii = np.zeros((n, sequence_length), dtype=np.float32)
+        self.reset()
+        self._rehearse()
+
+    def _rehearse(self) -> None:
+        """Match the templates with themselves once: code is compiled now, not when a robot waits for an answer."""
+        for column in range(self._penalty.sequence_length):
+            self.observe(self._index.templates[:, column % self._index.shape[1]])
+        self.match()
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget all frames."""
+        self._count = 0
+        self._previous: Solution | None = None
+
+    @property
+    def ready(self) -> bool:
+        """Whether l frames have arrived."""
+        return self._count >= self._penalty.sequence_length
+
+    def observe(self, frame: NDArray[Any]) -> None:
+        """Take a frame in, and correlate it with all templates.
+
+        Parameters
+        ----------
+        frame : float array (m,)
+
+        Raises
+        ------
+        ValueError
+            Of another length, NaN or infinity; the frame is then not taken in.
+        """
+        if frame.shape != (self._frames.shape[1],):
+            raise ValueError(f"a frame must have the shape ({self._frames.shape[1]},), got {frame.shape}")
+        if not np.isfinite(frame).all():
+            raise ValueError("the frame contains NaN or infinity")
+        place = self._count % self._penalty.sequence_length
+        self._frames[place] = frame
+        estimate = self._index.correlate(self._frames[place : place + 1])
+        self._correlations[:, place] = estimate.values[:, 0]
+        self._radii[:, place] = estimate.radii
+        self._count += 1
+
+    def window(self) -> Array:
+        """Return the last l frames in order, float64 (l, m)."""
+        return self._frames[self._order()]
+
+    def match(self) -> Solution:
+        """Match the last l frames; the sequences of the last match enter the working set at once.
+
+        Raises
+        ------
+        ValueError
+            There are no l frames yet.
+        """
+        if not self.ready:
+            raise ValueError(f"matching needs {self._penalty.sequence_length} frames, there are {self._count}")
+        order = self._order()
+        seen = np.flatnonzero(np.square(self._frames[order]).sum(axis=1) > 0.0)
+        places = order[seen]
+        products = _StreamedQuery(
+            self._index, self._frames[places].T, self._gram, self._correlations[:, places], self._radii[:, places]
+        )
+        self._previous = match(products, seen, order.size, self._penalty, self._previous)
+        return self._previous
+
+    def _order(self) -> Columns:
+        length = self._penalty.sequence_length
+        order: Columns = (self._count + np.arange(length)) % length
+        return order
