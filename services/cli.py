@@ -12,7 +12,7 @@ from pydantic import ValidationError
 
 from schemas.codec import describe
 from services.bus import BusError, RpcError
-from services.commands import demonstrate, doctor, learn, run, teleop, topic, up
+from services.commands import bench, demonstrate, doctor, learn, run, teleop, topic, up
 from services.commands.errors import JobError, UsageError
 from services.process import EXIT_FAILED, EXIT_USAGE, ServiceError
 
@@ -30,6 +30,7 @@ app.command("learn")(learn.learn)
 app.command("run")(run.run)
 app.command("teleop")(teleop.teleop)
 app.command("doctor")(doctor.doctor)
+app.command("bench", context_settings={"allow_extra_args": True, "ignore_unknown_options": True})(bench.bench)
 app.add_typer(topic.app, name="topic")
 
 

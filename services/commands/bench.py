@@ -1,0 +1,93 @@
+"""``smal bench``: run a benchmark of the checkout, with a fixed number of threads."""
+
+from __future__ import annotations
+
+import ast
+import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
+from typing import Annotated, Final
+
+import typer
+
+from services.commands import child
+from services.commands.errors import JobError, UsageError
+from services.commands.interrupts import interrupted_by_signals
+from services.commands.stack import flags
+
+#: Where benchmarks are: beside the packages, in a checkout only.
+FOLDER: Final = Path(__file__).parents[2] / "tests" / "benchmarks"
+#: Read by numerical libraries when they are loaded, so they must be set before the benchmark starts.
+THREADS: Final = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
+_STOP_TIMEOUT_S: Final = 10.0
+
+
+def bench(
+    context: typer.Context,
+    name: Annotated[str, typer.Argument(help="Which benchmark; the first is: recognition")],
+    json_file: Annotated[Path | None, typer.Option("--json", help="Write the results as JSON.")] = None,
+    out: Annotated[Path | None, typer.Option(help="Folder for pictures.")] = None,
+    quick: Annotated[bool, typer.Option("--quick", help="A small run, of a minute or two.")] = False,
+    threads: Annotated[int, typer.Option(min=1, help="Threads of the numerical libraries.")] = 1,
+) -> None:
+    """Run a benchmark, print its tables and write its results as JSON. It needs a checkout of the project.
+
+    Options that are not listed here are the benchmark's own; smal bench NAME -- --help lists them. Those of
+    recognition: --recordings DIR (drives made by smal demonstrate --camera 320x240; without it some are driven),
+    --images DIR (real frames; may be repeated), and to run less --part, --dataset and --mode.
+
+    Example: smal bench recognition --json results.json --images photos
+    """
+    known = benchmarks(FOLDER)
+    if name not in known:
+        raise UsageError(f"no benchmark {name!r}; known are: {', '.join(known)}")
+    own = flags(json=json_file, out=out) + (("--quick",) if quick else ())
+    status = _run(f"tests.benchmarks.{name}", [*own, *context.args], threads)
+    if status:
+        raise typer.Exit(status)
+
+
+def benchmarks(folder: Path) -> list[str]:
+    """Name the benchmarks in a folder: the modules that can be run.
+
+    Raises
+    ------
+    JobError
+        There is no such folder.
+    """
+    if not folder.is_dir():
+        raise JobError(
+            "benchmarks need a checkout of the project: run deploy/setup.sh in one, then .venv/bin/smal bench"
+        )
+    return [path.stem for path in sorted(folder.glob("*.py")) if _can_be_run(path)]
+
+
+def _can_be_run(path: Path) -> bool:
+    """Whether a module ends with ``if __name__ == "__main__"``."""
+    statements = ast.parse(path.read_text()).body
+    return bool(statements) and ast.unparse(statements[-1]).startswith("if __name__ == '__main__'")
+
+
+def _run(module: str, arguments: list[str], threads: int) -> int:
+    """Run a module of the checkout in a process that ends with this one; return its exit status."""
+    path = os.pathsep.join(filter(None, [str(FOLDER.parents[1]), os.environ.get("PYTHONPATH")]))
+    environment = os.environ | dict.fromkeys(THREADS, str(threads)) | {"PYTHONPATH": path}
+    # -P: packages of the folder that the user is in, which may have a `tests` as well, are not looked at.
+    command = [sys.executable, "-I", "-S", child.__file__, str(os.getpid()), sys.executable, "-P", "-m", module]
+    with interrupted_by_signals(), subprocess.Popen([*command, *arguments], env=environment) as process:  # noqa: S603
+        try:
+            return process.wait()
+        except KeyboardInterrupt:
+            _stop(process)
+            raise
+
+
+def _stop(process: subprocess.Popen[bytes]) -> None:
+    """End the benchmark, which may have a simulator to stop; Ctrl-C has reached it as well."""
+    process.send_signal(signal.SIGTERM)
+    try:
+        process.wait(_STOP_TIMEOUT_S)
+    except subprocess.TimeoutExpired:
+        process.kill()

@@ -1,0 +1,58 @@
+"""The ways to match that are timed."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import partial
+from typing import TYPE_CHECKING, Final
+
+from smal.state_matching import Solution, solve
+
+if TYPE_CHECKING:
+    from smal.template_index import TemplateIndex
+    from tests.benchmarks.datasets import Frames, Problem
+
+#: What each mode times. Streaming matches the same query; the window before it was matched already, untimed.
+MODES: Final = {
+    "plain": "solve(templates, query)",
+    "index": "solve(TemplateIndex(templates), query)",
+    "streaming": "observe(last frame) and match(), the window before being one frame earlier",
+    "streaming-by-l": "observe(last frame) and match(), the window before being l frames earlier",
+}
+TOLERANCE: Final = 1e-4
+
+
+def prepare(
+    mode: str, problem: Problem, stream: Frames, index: TemplateIndex | None
+) -> Callable[[], Callable[[], Solution]]:
+    """Give what prepares one timed match; each preparation forgets what the last one learned about the query."""
+    length, penalty = problem.length, problem.penalty
+    query = stream[:, length:]
+    if mode == "plain":
+        return lambda: partial(solve, problem.templates, query, length, penalty, penalty, TOLERANCE)
+    if index is None:
+        raise ValueError(f"the mode {mode} needs an index")
+    if mode == "index":
+        return lambda: partial(solve, index, query, length, penalty, penalty, TOLERANCE)
+    earlier = length if mode == "streaming-by-l" else 1
+    return partial(_prepare_streaming, problem, stream, index, earlier)
+
+
+def _prepare_streaming(problem: Problem, stream: Frames, index: TemplateIndex, earlier: int) -> Callable[[], Solution]:
+    """Observe and match the window so many frames earlier, then observe all frames but the last."""
+    from smal.streaming import StreamingMatcher  # noqa: PLC0415
+
+    length, penalty = problem.length, problem.penalty
+    matcher = StreamingMatcher(index, length, penalty, penalty, TOLERANCE)
+    for frame in stream.T[length - earlier : 2 * length - earlier]:
+        matcher.observe(frame)
+    matcher.match()
+    for frame in stream.T[2 * length - earlier : -1]:
+        matcher.observe(frame)
+    last = stream.T[-1]
+
+    def observe_and_match() -> Solution:
+        matcher.observe(last)
+        return matcher.match()
+
+    return observe_and_match
