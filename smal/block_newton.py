@@ -30,9 +30,9 @@ _LAST_EPSILON = 1e-9
 _GAP_TO_EPSILON = 0.7
 _FASTEST = 0.2
 _MAX_STEPS = 150
-# A Newton direction need not be more accurate than this: the next step corrects it.
-_INEXACT = 0.1
-_MAX_CONJUGATE = 300
+# A Newton direction need not be more accurate than this, since the next step corrects it, while the gap falls.
+_INEXACT, _EXACT = 0.1, 1e-4
+_MAX_CONJUGATE = 1000
 # Rounding must not make a Newton system indefinite; it changes the path, never the certificate.
 _RIDGE = 1e-11
 # Squared residuals below this share of the query are rounding.
@@ -262,14 +262,14 @@ def _apply(problem: BlockProblem, system: _System, D: Array, products: Array, re
 
 
 @compiled
-def _newton_direction(problem: BlockProblem, system: _System, descent: Array) -> tuple[Array, Array]:
+def _newton_direction(problem: BlockProblem, system: _System, descent: Array, accuracy: float) -> tuple[Array, Array]:
     """Solve the Newton system by preconditioned conjugate gradients: D and X^T X D."""
     p, q = descent.shape
     D, products, curved = np.zeros_like(descent), np.zeros_like(descent), np.empty_like(descent)
     rest = descent.copy()
     conjugate = system.preconditioner * rest
     size = (rest * conjugate).sum()
-    enough = _INEXACT**2 * size
+    enough = accuracy**2 * size
     for _ in range(_MAX_CONJUGATE):
         if size <= enough:
             break
@@ -339,15 +339,16 @@ def _minimise(
     dual = _start_dual(problem, primal, epsilon)
     if rows.size > 0:
         dual = _Dual(dual.alpha, dual.B, dual.products, rows, columns)
-    gap, steps = _relative_gap(problem, primal, dual), 0
+    gap, steps, accuracy = _relative_gap(problem, primal, dual), 0, _INEXACT
     while gap > tolerance and steps < _MAX_STEPS:
         system, descent = _newton_system(problem, primal, dual, epsilon)
-        direction, products = _newton_direction(problem, system, descent)
+        direction, products = _newton_direction(problem, system, descent, accuracy)
         slope = -(descent * direction).sum()
         moved, step = _line_search(problem, primal, direction, products, slope, epsilon)
         dual = _move_dual(problem, primal, dual, step * direction, step * products, epsilon)
         primal = moved
-        gap = _relative_gap(problem, primal, dual)
+        before, gap = gap, _relative_gap(problem, primal, dual)
+        accuracy = _INEXACT if gap < 0.7 * before else max(0.3 * accuracy, _EXACT)
         # A larger gap says that Newton's method has not yet caught up with epsilon.
         wanted = smoothing_for(problem, gap * _objective(problem, primal, 0.0))
         epsilon = max(min(max(wanted, _FASTEST * epsilon), epsilon), _LAST_EPSILON)

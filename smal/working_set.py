@@ -138,7 +138,7 @@ class _Search:
         norms = np.sqrt(products.squares)
         likely = _likely(products, norms, penalty.sequence_length)
         self.likely = np.union1d(likely, warm)
-        self.columns = self.screening.frames(warm if warm.size else np.sort(likely[:_FIRST]))
+        self.columns = self.screening.frames(np.union1d(likely[:_FIRST], warm))
         # Frames that came back after they had been dropped: they stay, or the search might go round in circles.
         self.dropped, self.kept = np.zeros(0, dtype=np.intp), np.zeros(0, dtype=np.intp)
         nothing, none = np.zeros(0, dtype=np.intp), np.zeros((0, norms.size))
