@@ -79,6 +79,8 @@ install_packages() {
   # --no-deps: the list is complete, and sapien's own wish for opencv-python would break opencv-python-headless.
   .venv/bin/python -m pip install -q --disable-pip-version-check --no-deps --require-hashes -r deploy/requirements/dev.txt
   .venv/bin/python -m pip install -q --disable-pip-version-check --no-deps --no-build-isolation -e .
+  say "compiling the solver for this processor"
+  .venv/bin/python -c 'from smal.streaming import compile_ahead; compile_ahead()'
   printf '%s' "$wanted" >"$stamp"
 }
 

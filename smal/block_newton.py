@@ -7,7 +7,8 @@ sequence resemble each other. We keep its idea (every norm is replaced by a quad
 * the subgradients U (rows) and V (columns of blocks) are variables of their own, linearised as in Chan,
   Golub & Mulet (1999), which makes Newton steps good far from the optimum too;
 * the Newton system is solved by preconditioned conjugate gradients: applying it costs one product with X^T X,
-  which all query frames share, where the paper's Eq. 9 inverts one matrix per query frame.
+  which all query frames share, where the paper's Eq. 9 inverts one matrix per query frame. We do that too where
+  conjugate gradients stall, which is where residuals vanish or templates depend on each other linearly.
 
 A stationary point of the smoothed problem satisfies X^T Theta = lambda1 U + lambda2 V with all of Theta, U, V
 in their unit balls, which is a point of the dual problem: the certificate comes with the solution.
@@ -31,8 +32,11 @@ _GAP_TO_EPSILON = 0.7
 _FASTEST = 0.2
 _MAX_STEPS = 150
 # A Newton direction need not be more accurate than this, since the next step corrects it, while the gap falls.
-_INEXACT, _EXACT = 0.1, 1e-4
-_MAX_CONJUGATE = 1000
+_INEXACT, _ACCURATE = 0.1, 1e-4
+_ENOUGH_PROGRESS = 0.7
+# Conjugate gradients beyond so many steps cost more than inversions do, unless p^3 q is larger than this.
+_MAX_CONJUGATE = 150
+_LARGEST_INVERSION = 1e9
 # Rounding must not make a Newton system indefinite; it changes the path, never the certificate.
 _RIDGE = 1e-11
 # Squared residuals below this share of the query are rounding.
@@ -262,8 +266,10 @@ def _apply(problem: BlockProblem, system: _System, D: Array, products: Array, re
 
 
 @compiled
-def _newton_direction(problem: BlockProblem, system: _System, descent: Array, accuracy: float) -> tuple[Array, Array]:
-    """Solve the Newton system by preconditioned conjugate gradients: D and X^T X D."""
+def _newton_direction(
+    problem: BlockProblem, system: _System, descent: Array, accuracy: float
+) -> tuple[Array, Array, bool]:
+    """Solve the Newton system by preconditioned conjugate gradients: D, X^T X D, and whether D is accurate."""
     p, q = descent.shape
     D, products, curved = np.zeros_like(descent), np.zeros_like(descent), np.empty_like(descent)
     rest = descent.copy()
@@ -287,7 +293,36 @@ def _newton_direction(problem: BlockProblem, system: _System, descent: Array, ac
         for r in range(p):
             for i in range(q):
                 conjugate[r, i] = system.preconditioner[r, i] * rest[r, i] + (size / before) * conjugate[r, i]
-    return D, products
+    return D, products, size <= enough
+
+
+@compiled
+def _exact_direction(problem: BlockProblem, system: _System, descent: Array) -> tuple[Array, Array]:
+    """Solve the Newton system by inverting one matrix per query frame: D and X^T X D.
+
+    The system is block diagonal with the blocks A_i (one per query frame) minus Z Z^T, one column of Z per row of W
+    (Woodbury).
+    """
+    p, q = descent.shape
+    inverses, plain = np.empty((q, p, p)), np.empty((p, q))
+    coupling, shared = np.eye(p), np.zeros(p)
+    for i in range(q):
+        A = problem.gram / system.d[i] - np.outer(system.residual_edges[:, i], system.residual_edges[:, i])
+        for j in range(problem.starts.size - 1):
+            for r in range(problem.starts[j], problem.starts[j + 1]):
+                A[r, r] += system.diagonal[r, i]
+                for s in range(problem.starts[j], problem.starts[j + 1]):
+                    A[r, s] -= system.column_edges[r, i] * system.column_edges[s, i]
+        inverses[i] = np.linalg.inv(A)
+        plain[:, i] = np.dot(inverses[i], np.ascontiguousarray(descent[:, i]))
+        for r in range(p):
+            shared[r] += system.row_edges[r, i] * plain[r, i]
+            for s in range(p):
+                coupling[r, s] -= system.row_edges[r, i] * inverses[i, r, s] * system.row_edges[s, i]
+    common = np.linalg.solve(coupling, shared)
+    for i in range(q):
+        plain[:, i] += np.dot(inverses[i], system.row_edges[:, i] * common)
+    return plain, np.dot(problem.gram, plain)
 
 
 @compiled
@@ -334,26 +369,34 @@ def _move_dual(
 @compiled
 def _minimise(
     problem: BlockProblem, weights: Array, rows: Array, columns: Array, epsilon: float, tolerance: float
-) -> tuple[_Primal, _Dual, float, float, int]:
+) -> tuple[Array, Array, Array, Array, Array, float, float, int]:
+    p, q = float(weights.shape[0]), weights.shape[1]
     primal = _measure(problem, weights, np.dot(problem.gram, weights))
     dual = _start_dual(problem, primal, epsilon)
     if rows.size > 0:
         dual = _Dual(dual.alpha, dual.B, dual.products, rows, columns)
     gap, steps, accuracy = _relative_gap(problem, primal, dual), 0, _INEXACT
+    best, best_primal, best_dual = gap, primal, dual
     while gap > tolerance and steps < _MAX_STEPS:
         system, descent = _newton_system(problem, primal, dual, epsilon)
-        direction, products = _newton_direction(problem, system, descent, accuracy)
+        direction, products, accurate = _newton_direction(problem, system, descent, accuracy)
+        if not accurate and p**3 * q <= _LARGEST_INVERSION:
+            direction, products = _exact_direction(problem, system, descent)
         slope = -(descent * direction).sum()
         moved, step = _line_search(problem, primal, direction, products, slope, epsilon)
         dual = _move_dual(problem, primal, dual, step * direction, step * products, epsilon)
         primal = moved
         before, gap = gap, _relative_gap(problem, primal, dual)
-        accuracy = _INEXACT if gap < 0.7 * before else max(0.3 * accuracy, _EXACT)
+        if gap < best:
+            best, best_primal, best_dual = gap, primal, dual
+        accuracy = _INEXACT if gap < _ENOUGH_PROGRESS * before else max(0.1 * accuracy, _ACCURATE)
         # A larger gap says that Newton's method has not yet caught up with epsilon.
         wanted = smoothing_for(problem, gap * _objective(problem, primal, 0.0))
         epsilon = max(min(max(wanted, _FASTEST * epsilon), epsilon), _LAST_EPSILON)
         steps += 1
-    return primal, dual, gap, epsilon, steps
+    # Not the named tuples: making Python objects of them runs Python code, which a signal may interrupt unnoticed.
+    dual = best_dual
+    return best_primal.W, dual.alpha, dual.B, dual.U, dual.V, best, epsilon, steps
 
 
 def solve_blocks(
@@ -386,16 +429,17 @@ def solve_blocks(
     """
     none = np.zeros((0, 0))
     U, V = (none, none) if subgradients is None else subgradients
-    primal, dual, gap, epsilon, steps = _minimise(problem, weights, U, V, epsilon, tolerance)
-    return BlockSolution(primal.W, dual.alpha, dual.B, dual.U, dual.V, gap, epsilon, steps)
+    return BlockSolution(*_minimise(problem, weights, U, V, epsilon, tolerance))
 
 
+@compiled
 def block_objective(problem: BlockProblem, weights: Array) -> float:
     """Eq. 7 at the weights (p, q)."""
-    return _objective(problem, _measure(problem, weights, problem.gram @ weights), 0.0)
+    return _objective(problem, _measure(problem, weights, np.dot(problem.gram, weights)), 0.0)
 
 
+@compiled
 def residual_norms(problem: BlockProblem, weights: Array) -> Array:
     """||y_i - X w_i|| of every query frame."""
-    norms: Array = np.sqrt(_measure(problem, weights, problem.gram @ weights).residuals)
+    norms: Array = np.sqrt(_measure(problem, weights, np.dot(problem.gram, weights)).residuals)
     return norms

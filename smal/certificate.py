@@ -40,12 +40,12 @@ def cheap_polar_bound(gradient: NDArray[Any], lambda1: float, lambda2: float) ->
     for r in range(rows):
         square = 0.0
         for i in range(queries):
-            square += float(gradient[r, i]) ** 2
+            square += np.float64(gradient[r, i]) ** 2
         longest_row = max(longest_row, square)
     for i in range(queries):
         square = 0.0
         for r in range(rows):
-            square += float(gradient[r, i]) ** 2
+            square += np.float64(gradient[r, i]) ** 2
         longest_column = max(longest_column, square)
     return bound_by_lengths(np.sqrt(longest_row), np.sqrt(longest_column), lambda1, lambda2)
 
@@ -169,7 +169,7 @@ def all_polar_bounds(
             largest, square = max(largest, radii[r]), square + radii[r] ** 2
         error = bound_by_lengths(largest, np.sqrt(square), lambda1, lambda2)
         bound = cheap_polar_bound(gradients[start:end], lambda1, lambda2) + error
-        if bound > enough and error < 1.0:
+        if not (bound <= enough) and error < 1.0:
             gradient = gradients[start:end].astype(np.float64)
             # Split into a part within (1 - error) times the dual set, if that can be done.
             shrunk1, shrunk2 = lambda1 * (1.0 - error), lambda2 * (1.0 - error)

@@ -17,6 +17,7 @@ Columns = NDArray[np.intp]
 
 # A first guess looks at one entry of a template in 32, in so many places.
 _SHARE, _PLACES = 32, 32
+_SMALL = 1e-25
 
 
 def common(left: Columns, right: Columns) -> tuple[Columns, Columns]:
@@ -93,6 +94,16 @@ class InnerProducts(Protocol):
         """||x_r||, float64 (n,), or bounds on them from above; known after the first `gradients` of all."""
 
 
+def _lengths(rows: NDArray[Any], squares: NDArray[Any]) -> Array:
+    """||x_r||, float64 (n,), rounded up, from squares in float32 or better."""
+    lengths: Array = np.sqrt(squares, dtype=np.float64) * (1.0 + rounding(rows.shape[1]))
+    # Small squares lose their digits, down to nothing.
+    small = squares < _SMALL
+    if small.any():
+        lengths[small] = np.linalg.norm(rows[small].astype(np.float64), axis=1)
+    return lengths
+
+
 def sample(m: int, places: int = _PLACES) -> tuple[Columns, int]:
     """Where a first guess looks: evenly spread runs of entries, by their starts and their common length."""
     width = -(-m // (_SHARE * places))
@@ -131,7 +142,10 @@ class _Vectors:
         if self._known_gram is None:
             self._gram[old:count, :count] = self._rows[old:count] @ self._rows[:count].T
         else:
-            self._gram[old:count, :count] = self._known_gram[np.ix_(new, self._columns)]
+            known = self._known_gram[np.ix_(new, self._columns)]
+            if not np.isfinite(known).all():
+                raise ValueError("gram contains NaN or infinity")
+            self._gram[old:count, :count] = known
         self._gram[:old, old:count] = self._gram[old:count, :old].T
         self._correlations[old:count] = self._rows[old:count] @ self._query.T
 
@@ -214,8 +228,9 @@ class TemplatesAndQuery:
             values = self._correlate_all(theta)
             lengths = self.lengths()
         else:
-            values, squares = narrow_product_and_squares(self._chosen(columns), theta.astype(np.float32))
-            lengths = np.sqrt(squares, dtype=np.float64) * (1.0 + rounding(theta.shape[1]))
+            chosen = self._chosen(columns)
+            values, squares = narrow_product_and_squares(chosen, theta.astype(np.float32))
+            lengths = _lengths(chosen, squares)
         return Gradients(values, lengths * (rounding(theta.shape[1] + 2) * np.linalg.norm(theta)))
 
     def _chosen(self, columns: Columns) -> NDArray[np.float32]:
@@ -232,11 +247,11 @@ class TemplatesAndQuery:
             values, squares = narrow_product_and_squares(rows, query)
         else:
             values = np.asarray(rows @ query.T, dtype=np.float32)
-            squares = np.einsum("mn,mn->n", self._templates, self._templates).astype(np.float32)
+            squares = np.einsum("mn,mn->n", self._templates, self._templates)
         # NaN or infinity anywhere in X shows in these.
         if not np.isfinite(squares).all():
             raise ValueError("templates contain NaN or infinity, or overflow float32 products")
-        self._lengths = np.sqrt(squares, dtype=np.float64) * (1.0 + rounding(rows.shape[1]))
+        self._lengths = _lengths(rows, squares)
         return values
 
     def exact_gradients(self, dual: DualPoint, columns: Columns) -> Array:
@@ -331,4 +346,6 @@ class GramAndCorrelations:
     def lengths(self) -> Array:
         """||x_r||, float64 (n,)."""
         lengths: Array = np.sqrt(self._gram.diagonal().astype(np.float64))
+        if not np.isfinite(lengths).all():
+            raise ValueError("gram contains NaN or infinity, or a negative square")
         return lengths

@@ -15,6 +15,7 @@ from smal.novelty import RECOGNITION_DEFAULTS, neighbour_agreement, novelty_test
 from smal.policy import check_discount, policy_iteration
 from smal.reward import learn_reward
 from smal.state_space import StateSpace, learn_state_space
+from smal.template_store import TemplateStore
 from smal.transitions import Transitions, learn_transitions
 
 # Called with the stage, what is done of it and how much there is of it.
@@ -132,6 +133,9 @@ class LearningReport:
         States that nothing is known to follow.
     reward_states : int
         States with a reward above 1e-6.
+    template_bytes : int
+        Memory that templates and their inner products took while the states were learned: 4 n (n + m) for n template
+        frames of m features.
     seconds : dict
         Per stage.
     """
@@ -145,6 +149,7 @@ class LearningReport:
     shared_states: int
     dead_ends: int
     reward_states: int
+    template_bytes: int
     seconds: dict[str, float]
 
 
@@ -291,5 +296,6 @@ def _report(
         shared_states=model.shared_states,
         dead_ends=space.states - np.unique(transitions.state).size,
         reward_states=int((model.reward > 1e-6).sum()),
+        template_bytes=TemplateStore.bytes_for(*space.templates.shape),
         seconds=seconds,
     )

@@ -10,7 +10,7 @@ from smal.model import Model
 from smal.novelty import describe_match
 from smal.state_matching import Solution
 from smal.state_space import matched_phase
-from smal.streaming import StreamingMatcher
+from smal.streaming import StreamingMatcher, compile_ahead
 
 # Lighter candidates hold a few hundredths of the weight together.
 MAX_CANDIDATES = 32
@@ -86,6 +86,7 @@ class Recognizer:
         self._model = model
         self._centering = model.centering
         self._test = model.recognition_test()
+        compile_ahead()
         self._matcher = StreamingMatcher(
             model.templates, model.sequence_length, model.lambda1, model.lambda2, tolerance
         )

@@ -135,7 +135,8 @@ def solve(
     lambda1, lambda2 : float
         Weights of ||W||_{2,1} and ||W||_{S1}; not negative, not both zero.
     tolerance : float
-        Relative duality gap at which to stop.
+        Relative duality gap at which to stop. Where a query frame is a combination of templates, its residual
+        vanishes, and below about 1e-5 rounding may keep the gap from getting there; `converged` tells.
     gram : float array (n, n), optional
         X^T X if it is known; in float64, or residuals near zero lose their digits.
 
@@ -156,6 +157,10 @@ def solve(
     check_parameters(templates.shape[1], sequence_length, lambda1, lambda2, tolerance)
     if gram is not None and gram.shape != (templates.shape[1],) * 2:
         raise ValueError(f"gram must have the shape {(templates.shape[1],) * 2}, got {gram.shape}")
+    if not (np.issubdtype(query.dtype, np.floating) or np.issubdtype(query.dtype, np.integer)):
+        raise ValueError(f"the query must be real numbers, got {query.dtype}")
+    if isinstance(templates, np.ndarray) and templates.dtype.itemsize < 4:
+        templates = templates.astype(np.float32)
     Y = np.asarray(query, dtype=np.float64)
     squares = np.square(Y).sum(axis=0)
     if not np.isfinite(squares).all():

@@ -94,14 +94,6 @@ class StreamingMatcher:
         self._correlations = np.zeros((n, sequence_length), dtype=np.float32)
         self._radii = np.zeros((n, sequence_length), dtype=np.float32)
         self.reset()
-        self._rehearse()
-
-    def _rehearse(self) -> None:
-        """Match the templates with themselves once: code is compiled now, not when a robot waits for an answer."""
-        for column in range(self._penalty.sequence_length):
-            self.observe(self._index.templates[:, column % self._index.shape[1]])
-        self.match()
-        self.reset()
 
     def reset(self) -> None:
         """Forget all frames."""
@@ -127,7 +119,7 @@ class StreamingMatcher:
         """
         if frame.shape != (self._frames.shape[1],):
             raise ValueError(f"a frame must have the shape ({self._frames.shape[1]},), got {frame.shape}")
-        if not np.isfinite(frame).all():
+        if not np.isfinite(np.square(frame, dtype=np.float64).sum()):
             raise ValueError("the frame contains NaN or infinity")
         place = self._count % self._penalty.sequence_length
         self._frames[place] = frame
@@ -163,3 +155,11 @@ class StreamingMatcher:
         length = self._penalty.sequence_length
         order: Columns = (self._count + np.arange(length)) % length
         return order
+
+
+def compile_ahead() -> None:
+    """Compile what matching needs, so that no robot waits for it; from the second time on that takes under a second."""
+    matcher = StreamingMatcher(np.eye(8, dtype=np.float32), 2, 0.1, 0.1)
+    for frame in np.eye(8, dtype=np.float32)[2:4]:
+        matcher.observe(frame)
+    matcher.match()

@@ -30,12 +30,12 @@ def _round(X: NDArray[np.float32], rounded: NDArray[np.int8], scales: Array, err
     for r in range(n):
         largest = 0.0
         for k in range(m):
-            largest = max(largest, abs(float(X[r, k])))
+            largest = max(largest, abs(np.float64(X[r, k])))
         scale = largest / _LARGEST
         inverse = 1.0 / scale if scale > 0.0 else 0.0
         error, square = 0.0, 0.0
         for k in range(m):
-            x = float(X[r, k])
+            x = np.float64(X[r, k])
             nearest = np.rint(x * inverse)
             rounded[r, k] = np.int8(nearest)
             error += (x - scale * nearest) ** 2

@@ -50,9 +50,10 @@ class TemplateStore:
         """
         return self._gram[: self._count, : self._count]
 
-    def bytes_for(self, count: int) -> int:
-        """Memory of so many template frames."""
-        return 4 * count * (self._rows.shape[1] + count)
+    @staticmethod
+    def bytes_for(size: int, count: int) -> int:
+        """Memory of so many template frames of m = size entries, with their inner products."""
+        return 4 * count * (size + count)
 
     def append(self, frames: NDArray[np.float32], correlations: NDArray[np.float32]) -> None:
         """Add template frames.
@@ -76,12 +77,13 @@ class TemplateStore:
         if count <= capacity:
             return
         grown = max(count, 2 * capacity, _FIRST_CAPACITY)
-        if self._max_bytes is not None and self.bytes_for(grown) > self._max_bytes:
+        if self._max_bytes is not None and self.bytes_for(self._rows.shape[1], grown) > self._max_bytes:
             grown = count
-            if self.bytes_for(count) > self._max_bytes:
+            if self.bytes_for(self._rows.shape[1], count) > self._max_bytes:
+                needed, allowed = self.bytes_for(self._rows.shape[1], count) / 2**20, self._max_bytes / 2**20
                 raise MemoryBoundError(
-                    f"{count} template frames need {self.bytes_for(count)} bytes, more than "
-                    f"max_bytes={self._max_bytes}; raise it, or merge more by a laxer novelty test"
+                    f"{count} template frames need {needed:.1f} MiB, more than the {allowed:.1f} MiB allowed; "
+                    "allow more, or merge more by a laxer novelty test"
                 )
         rows = np.empty((grown, self._rows.shape[1]), dtype=np.float32)
         rows[: self._count] = self._rows[: self._count]

@@ -6,7 +6,7 @@
    all. Sequences that it does not rule out enter the working set.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -163,10 +163,12 @@ class _Search:
         part = self.part
         weights = _without_crumbs(part.problem, self.inner.weights, 0.2 * self.penalty.tolerance)
         residuals = residual_norms(part.problem, weights) * part.query_scale
-        lower_bound = part.dual_value(self.inner) / self.screening.largest
-        self.outcome = Outcome(
-            self.columns, weights * part.weight_scale, residuals, part.objective(weights), lower_bound, self.steps
-        )
+        # The best weights and the best bound need not come from the same round.
+        best, objective = self.outcome, part.objective(weights)
+        lower_bound = max(part.dual_value(self.inner) / self.screening.largest, best.lower_bound)
+        if objective <= best.objective:
+            best = Outcome(self.columns, weights * part.weight_scale, residuals, objective, lower_bound, self.steps)
+        self.outcome = replace(best, lower_bound=lower_bound, steps=self.steps)
         return violations
 
     def lacking(self, violations: Violations) -> Columns:

@@ -20,6 +20,7 @@ from smal.learning import LearningReport, LearningSettings
 from smal.learning import learn as learn_model
 from smal.model import Model
 from smal.reward import RewardError
+from smal.template_store import MemoryBoundError
 
 
 def learn(
@@ -36,6 +37,15 @@ def learn(
     include_runs: Annotated[
         bool, typer.Option(help="Learn also from runs in which the robot found the victim.")
     ] = False,
+    memory: Annotated[
+        int | None,
+        typer.Option(
+            min=1,
+            metavar="MIB",
+            help="Stop, rather than take more memory than this for templates and their inner products: 4 n (n + m) "
+            "bytes for n template frames of m features. [default: no limit]",
+        ),
+    ] = None,
     json_file: Annotated[Path | None, typer.Option("--json", help="Write the report as JSON.")] = None,
 ) -> None:
     """Learn states, actions, transitions, reward and policy from recorded drives.
@@ -48,6 +58,8 @@ def learn(
     """
     began_s = time.perf_counter()
     settings = _settings(length, lambda1, lambda2, tau, gamma)
+    if memory is not None:
+        settings = replace(settings, max_bytes=memory * 2**20)
     if out.is_dir():
         raise UsageError(f"--out {out}: is a folder; give the name of a file, for example {out / 'model.smal'}")
     options.make_folder(out.parent, "--out")
@@ -124,6 +136,8 @@ def _learn(teaching: Teaching, settings: LearningSettings) -> tuple[Model, Learn
         model, report = learn_model(teaching.demonstrations, settings, bar)
     except (ValueError, RewardError) as error:
         raise JobError(f"cannot learn from these recordings: {error}") from None
+    except MemoryBoundError as error:
+        raise JobError(f"--memory: {error}") from None
     finally:
         bar.close()
     return model, replace(report, shared_states=states_shared_by_episodes(model))
@@ -137,6 +151,7 @@ def _as_text(teaching: Teaching, report: LearningReport, out: Path, seconds: flo
         "shared states": f"{report.shared_states} (seen in at least two episodes)",
         "actions": report.actions,
         "goal states": report.goals,
+        "memory": f"{report.template_bytes / 2**20:.0f} MiB for templates and their inner products",
         "seconds": f"{seconds:.1f}",
         "model": out,
     }

@@ -1,9 +1,8 @@
-"""Eq. 7 and the polar of its penalty, by hand."""
+"""Eq. 7 by hand."""
 
 import numpy as np
 import pytest
 
-from smal.certificate import cheap_polar_bounds, polar_bounds
 from smal.objective import l21_norm, objective, s1_norm
 
 
@@ -21,18 +20,18 @@ def test_objective_by_hand() -> None:
     X, Y = np.eye(2), np.array([[1.0], [2.0]])
     W = np.array([[1.0], [0.0]])
     assert objective(X, Y, W, 1, 0.5, 0.25) == pytest.approx(2.0 + 0.5 + 0.25)
+    assert objective(X, Y, np.zeros((2, 1)), 1, 0.5, 0.25) == pytest.approx(np.sqrt(5.0))
 
 
-@pytest.mark.parametrize("seed", range(5))
-def test_polar_bounds_are_upper_bounds(seed: int) -> None:
-    """The polar is the maximum of <G, W> / penalty(W): no W may exceed the bounds."""
+@pytest.mark.parametrize("seed", range(4))
+def test_objective_term_by_term(seed: int) -> None:
+    """The sums of the paper, written out, for float32 input and a shorter last sequence."""
     rng = np.random.default_rng(seed)
-    G = rng.standard_normal((4, 3, 5))
-    lambda1, lambda2 = rng.uniform(0.1, 1.0, 2)
-    cheap = cheap_polar_bounds(G, lambda1, lambda2)
-    sharp = polar_bounds(G / cheap[:, None, None], lambda1, lambda2, G, 20) * cheap
-    assert (sharp <= cheap * (1 + 1e-12)).all()
-    for block in range(4):
-        W = rng.standard_normal((2000, 3, 5)) * rng.integers(0, 2, (2000, 3, 5)) + G[block]
-        penalty = lambda1 * np.linalg.norm(W, axis=2).sum(axis=1) + lambda2 * np.linalg.norm(W, axis=1).sum(axis=1)
-        assert ((W * G[block]).sum(axis=(1, 2)) <= sharp[block] * penalty * (1 + 1e-9)).all()
+    length, n, q = 3, 11, 4
+    X, Y = rng.standard_normal((6, n)).astype(np.float32), rng.standard_normal((6, q)).astype(np.float32)
+    W = rng.standard_normal((n, q)) * (rng.random((n, 1)) < 0.6)
+    residuals = Y.astype(float) - X.astype(float) @ W
+    expected = sum(np.sqrt(sum(residuals[k, i] ** 2 for k in range(6))) for i in range(q))
+    expected += 0.3 * sum(np.sqrt((W[r] ** 2).sum()) for r in range(n))
+    expected += 0.7 * sum(np.sqrt((W[j : j + length, i] ** 2).sum()) for j in range(0, n, length) for i in range(q))
+    assert objective(X, Y, W, length, 0.3, 0.7) == pytest.approx(expected, rel=1e-12)

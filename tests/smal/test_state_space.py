@@ -132,8 +132,8 @@ def test_store_keeps_templates_and_gram() -> None:
 
 
 def test_memory_bound() -> None:
-    bound = TemplateStore(SIZE).bytes_for(20)
-    with pytest.raises(MemoryBoundError, match="max_bytes"):
+    bound = TemplateStore.bytes_for(SIZE, 20)
+    with pytest.raises(MemoryBoundError, match="MiB allowed"):
         learn_state_space([noisy(VIEWS, 0)], LENGTH, LAMBDA, LAMBDA, WeightTest(1e9), max_bytes=bound)
     enough = learn_state_space([noisy(VIEWS[:20], 0)], LENGTH, LAMBDA, LAMBDA, WeightTest(1e9), max_bytes=bound)
     assert enough.states == 4

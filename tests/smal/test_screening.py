@@ -1,0 +1,89 @@
+"""Sequences are ruled out only where they have no weight in the solution of the full problem."""
+
+import numpy as np
+import pytest
+
+from smal import Solution, TemplateIndex, solve
+from smal.reference import algorithm2
+from tests.smal.matching import Problem, check, check_bounds, from_correlations, streamed, structured
+from tests.smal.worlds import matching_problem, unit
+
+
+def shares(weights: np.ndarray, length: int) -> np.ndarray:
+    """Of every sequence, its part of the absolute weights."""
+    sums = np.add.reduceat(np.abs(weights).sum(axis=1), np.arange(0, len(weights), length))
+    return sums / max(sums.sum(), 1e-300)
+
+
+def screened(problem: Problem, tolerance: float) -> dict[str, Solution]:
+    """Solve where products are rounded and most sequences are never looked at exactly."""
+    return {
+        "plain": solve(problem.X, problem.Y, *problem.parameters, tolerance=tolerance),
+        "float64": solve(problem.X.astype(np.float64), problem.Y, *problem.parameters, tolerance=tolerance),
+        "index": solve(TemplateIndex(problem.X), problem.Y, *problem.parameters, tolerance=tolerance),
+        "stream": streamed(problem, tolerance),
+        "stream without Gram matrix": streamed(problem, tolerance, 0),
+    }
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_sequences_of_algorithm_2_are_not_ruled_out(seed: int) -> None:
+    """Algorithm 2 rules nothing out."""
+    X, Y = matching_problem(seed, blocks=12, length=5, size=100, mixed=3)
+    problem = Problem(X, Y, 5, 0.2, 0.2)
+    used = np.flatnonzero(shares(algorithm2(X, Y, 5, 0.2, 0.2, tolerance=1e-9).weights, 5) > 1e-2)
+    assert used.size >= 2
+    for name, solution in screened(problem, 1e-6).items():
+        assert set(used) <= set(solution.active_blocks.tolist()), name
+
+
+@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("kind", ["unit", "outliers", "near duplicates"])
+def test_large_problems(seed: int, kind: str) -> None:
+    """Of 400 sequences 1 to 10 have weight; outliers make the rounded copy of a template nearly useless."""
+    rng = np.random.default_rng(seed)
+    X, Y = matching_problem(seed, blocks=400, length=5, size=120, noise=0.5, mixed=1 + seed)
+    if kind == "outliers":
+        X, Y = np.concatenate([X, np.where(rng.random(2000) < 0.5, 3.0, -3.0)[None]]), np.pad(Y, ((0, 1), (0, 0)))
+    elif kind == "near duplicates":
+        copies = unit(X[:, :25].T + 0.02 * unit(rng.standard_normal((25, 120))))
+        X[:, 1000:1025] = copies.T
+    problem = Problem(np.asfortranarray(X, dtype=np.float32), np.asfortranarray(Y), 5, 0.3, 0.3)
+    solutions = screened(problem, 1e-6)
+    for name, solution in solutions.items():
+        check(solution, problem, 1e-6, name)
+    check_bounds(solutions, min(solution.objective for solution in solutions.values()))
+    heavy = np.flatnonzero(shares(solutions["plain"].weights, 5) > 1e-2)
+    assert heavy.size
+    for name, solution in solutions.items():
+        assert set(heavy) <= set(solution.active_blocks.tolist()), name
+        if kind != "near duplicates":  # unique weights
+            np.testing.assert_allclose(solution.weights, solutions["plain"].weights, atol=5e-3, err_msg=name)
+    known, lifted = from_correlations(problem, 1e-6)
+    check(known, lifted, 1e-6, "correlations")
+    check_bounds({"correlations": known}, lifted.value(solutions["plain"].weights))
+
+
+@pytest.mark.parametrize("tolerance", [1e-3, 1e-4])
+def test_a_sequence_on_the_edge_is_kept(tolerance: float) -> None:
+    """The query is one template and a little of another one far away, so little that eight bits cannot see it."""
+    rng = np.random.default_rng(0)
+    X = np.asfortranarray(unit(rng.standard_normal((3000, 400))).T, dtype=np.float32)
+    for place in (2900, 17):
+        Y = (X[:, 1500:1505] + 0.4 * X[:, place : place + 5]).copy(order="F")
+        problem = Problem(X, Y, 5, 0.1, 0.1)
+        for name, solution in screened(problem, tolerance).items():
+            check(solution, problem, tolerance, name)
+            assert {300, place // 5} <= set(solution.active_blocks.tolist()), name
+
+
+@pytest.mark.parametrize("seed", range(10))
+def test_coarse_answers_against_sharp_ones(seed: int) -> None:
+    """A bound that screening made too high at any tolerance shows against the optimum."""
+    problem = structured("mixture", 100 + seed)
+    problem = Problem(problem.X, problem.X[:, : problem.length].copy(order="F"), *problem.parameters)
+    sharp = screened(problem, 1e-6)
+    best = min(problem.value(solution.weights) for solution in sharp.values())
+    rounding = 4e-8 * float(np.linalg.norm(problem.Y, axis=0).sum())
+    for tolerance in (0.1, 1e-2, 1e-3):
+        check_bounds(screened(problem, tolerance), best + rounding)
