@@ -368,13 +368,18 @@ def _move_dual(
 
 @compiled
 def _minimise(
-    problem: BlockProblem, weights: Array, rows: Array, columns: Array, epsilon: float, tolerance: float
-) -> tuple[Array, Array, Array, Array, Array, float, float, int]:
-    p, q = float(weights.shape[0]), weights.shape[1]
-    primal = _measure(problem, weights, np.dot(problem.gram, weights))
+    problem: BlockProblem, W: Array, alpha: Array, B: Array, U: Array, V: Array, epsilon: float, tolerance: float
+) -> tuple[float, float, int]:
+    """Minimise in place; the gap, the smoothing, the steps.
+
+    W, U and V are the start, if U is not zero everywhere. Nothing but numbers is returned: making Python objects of
+    arrays runs Python code, which an interrupt (Ctrl-C) would break off in the middle.
+    """
+    p, q = float(W.shape[0]), W.shape[1]
+    primal = _measure(problem, W.copy(), np.dot(problem.gram, W))
     dual = _start_dual(problem, primal, epsilon)
-    if rows.size > 0:
-        dual = _Dual(dual.alpha, dual.B, dual.products, rows, columns)
+    if np.any(U):
+        dual = _Dual(dual.alpha, dual.B, dual.products, U.copy(), V.copy())
     gap, steps, accuracy = _relative_gap(problem, primal, dual), 0, _INEXACT
     best, best_primal, best_dual = gap, primal, dual
     while gap > tolerance and steps < _MAX_STEPS:
@@ -394,9 +399,9 @@ def _minimise(
         wanted = smoothing_for(problem, gap * _objective(problem, primal, 0.0))
         epsilon = max(min(max(wanted, _FASTEST * epsilon), epsilon), _LAST_EPSILON)
         steps += 1
-    # Not the named tuples: making Python objects of them runs Python code, which a signal may interrupt unnoticed.
-    dual = best_dual
-    return best_primal.W, dual.alpha, dual.B, dual.U, dual.V, best, epsilon, steps
+    W[:], alpha[:], B[:] = best_primal.W, best_dual.alpha, best_dual.B
+    U[:], V[:] = best_dual.U, best_dual.V
+    return best, epsilon, steps
 
 
 def solve_blocks(
@@ -427,9 +432,11 @@ def solve_blocks(
     BlockSolution
         The best that was reached; its gap tells whether that is within the tolerance.
     """
-    none = np.zeros((0, 0))
-    U, V = (none, none) if subgradients is None else subgradients
-    return BlockSolution(*_minimise(problem, weights, U, V, epsilon, tolerance))
+    W, alpha, B = weights.copy(), np.empty(weights.shape[1]), np.empty_like(weights)
+    U, V = (np.zeros_like(weights), np.zeros_like(weights)) if subgradients is None else subgradients
+    U, V = U.copy(), V.copy()
+    gap, epsilon, steps = _minimise(problem, W, alpha, B, U, V, epsilon, tolerance)
+    return BlockSolution(W, alpha, B, U, V, gap, epsilon, steps)
 
 
 @compiled
@@ -438,8 +445,8 @@ def block_objective(problem: BlockProblem, weights: Array) -> float:
     return _objective(problem, _measure(problem, weights, np.dot(problem.gram, weights)), 0.0)
 
 
-@compiled
 def residual_norms(problem: BlockProblem, weights: Array) -> Array:
     """||y_i - X w_i|| of every query frame."""
-    norms: Array = np.sqrt(_measure(problem, weights, np.dot(problem.gram, weights)).residuals)
+    along = np.einsum("pi,pi->i", weights, 2.0 * problem.correlations - problem.gram @ weights)
+    norms: Array = np.sqrt(np.maximum(problem.squares - along, _ROUNDING * problem.squares))
     return norms

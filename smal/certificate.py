@@ -121,18 +121,12 @@ def polar_bound(
     return best
 
 
-@compiled
 def row_balls(rows: Array) -> Array:
     """Bring every row back into the unit ball."""
-    inside = rows.copy()
-    for r in range(rows.shape[0]):
-        square = (rows[r] * rows[r]).sum()
-        if square > 1.0:
-            inside[r] /= np.sqrt(square)
+    inside: Array = rows / np.maximum(np.linalg.norm(rows, axis=1, keepdims=True), 1.0)
     return inside
 
 
-@compiled
 def all_polar_bounds(
     gradients: NDArray[np.float32],
     radii: Array,
@@ -159,8 +153,23 @@ def all_polar_bounds(
     -------
     float64 array (k,)
     """
+    bounds = np.empty(-(-gradients.shape[0] // length))
+    _bound_all(gradients, radii, length, lambda1, lambda2, rounds, enough, bounds)
+    return bounds
+
+
+@compiled
+def _bound_all(
+    gradients: NDArray[np.float32],
+    radii: Array,
+    length: int,
+    lambda1: float,
+    lambda2: float,
+    rounds: int,
+    enough: float,
+    bounds: Array,
+) -> None:
     n = gradients.shape[0]
-    bounds = np.empty(-(-n // length))
     for block in range(bounds.size):
         start, end = block * length, min(block * length + length, n)
         # The polar of the error, by which that of the truth is at most larger.
@@ -173,9 +182,10 @@ def all_polar_bounds(
             gradient = gradients[start:end].astype(np.float64)
             # Split into a part within (1 - error) times the dual set, if that can be done.
             shrunk1, shrunk2 = lambda1 * (1.0 - error), lambda2 * (1.0 - error)
-            U = row_balls(gradient / (lambda1 + lambda2))
+            U = gradient / (lambda1 + lambda2)
+            for r in range(end - start):
+                U[r] /= max(np.sqrt((U[r] * U[r]).sum()), 1.0)
             wanted = (enough - error) / (1.0 - error)
             split = polar_bound(gradient, shrunk1, shrunk2, U, np.empty_like(U), rounds, wanted)
             bound = min(bound, (1.0 - error) * split + error)
         bounds[block] = bound
-    return bounds

@@ -7,6 +7,7 @@ from functools import partial
 from typing import TYPE_CHECKING, Final
 
 from smal.state_matching import Solution, solve
+from smal.streaming import StreamingMatcher
 
 if TYPE_CHECKING:
     from smal.template_index import TemplateIndex
@@ -23,27 +24,28 @@ TOLERANCE: Final = 1e-4
 
 
 def prepare(
-    mode: str, problem: Problem, stream: Frames, index: TemplateIndex | None
+    mode: str,
+    problem: Problem,
+    stream: Frames,
+    index: TemplateIndex | None = None,
+    matcher: StreamingMatcher | None = None,
 ) -> Callable[[], Callable[[], Solution]]:
     """Give what prepares one timed match; each preparation forgets what the last one learned about the query."""
     length, penalty = problem.length, problem.penalty
     query = stream[:, length:]
     if mode == "plain":
         return lambda: partial(solve, problem.templates, query, length, penalty, penalty, TOLERANCE)
-    if index is None:
-        raise ValueError(f"the mode {mode} needs an index")
-    if mode == "index":
+    if mode == "index" and index is not None:
         return lambda: partial(solve, index, query, length, penalty, penalty, TOLERANCE)
+    if matcher is None:
+        raise ValueError(f"the mode {mode} needs an index or a matcher")
     earlier = length if mode == "streaming-by-l" else 1
-    return partial(_prepare_streaming, problem, stream, index, earlier)
+    return partial(_prepare_streaming, matcher, length, stream, earlier)
 
 
-def _prepare_streaming(problem: Problem, stream: Frames, index: TemplateIndex, earlier: int) -> Callable[[], Solution]:
+def _prepare_streaming(matcher: StreamingMatcher, length: int, stream: Frames, earlier: int) -> Callable[[], Solution]:
     """Observe and match the window so many frames earlier, then observe all frames but the last."""
-    from smal.streaming import StreamingMatcher  # noqa: PLC0415
-
-    length, penalty = problem.length, problem.penalty
-    matcher = StreamingMatcher(index, length, penalty, penalty, TOLERANCE)
+    matcher.reset()
     for frame in stream.T[length - earlier : 2 * length - earlier]:
         matcher.observe(frame)
     matcher.match()

@@ -35,8 +35,8 @@ class Plan:
     sizes: tuple[int, ...] = (500, 2_000, 10_000, 50_000)
     lengths: tuple[int, ...] = (1, 5, 10, 20)
     features: int = 4096
-    queries: int = 7
-    repetitions: dict[int, int] = field(default_factory=lambda: {2_000: 7, 10_000: 5, 10**9: 3})
+    queries: int = 5
+    repetitions: dict[int, int] = field(default_factory=lambda: {2_000: 5, 10_000: 3, 10**9: 2})
     growth_from: int = 2_000
     whole_runs: tuple[tuple[int, int], ...] = ((500, 5), (500, 10), (1_000, 5), (1_000, 10))
     one_solves: tuple[tuple[int, int], ...] = ((5_000, 5), (5_000, 10))

@@ -86,8 +86,6 @@ def test_everything_is_measured(tmp_path: Path, photos: Path, capsys: pytest.Cap
 
 @pytest.mark.usefixtures("tiny")
 def test_index_and_streaming_find_the_same(tmp_path: Path) -> None:
-    pytest.importorskip("smal.template_index")
-    pytest.importorskip("smal.streaming")
     file = tmp_path / "results.json"
     recognition.main(["--quick", "--part", "matching", "--dataset", "synthetic", "--json", str(file)])
     for one in json.loads(file.read_text())["matching"]:
