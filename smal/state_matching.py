@@ -13,9 +13,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from smal.inner_products import Columns, GramAndCorrelations, InnerProducts, TemplatesAndQuery
+from smal.inner_products import Columns, GramAndCorrelations, InnerProducts
 from smal.screening import Penalty
 from smal.template_index import IndexAndQuery, TemplateIndex
+from smal.template_products import TemplatesAndQuery
 from smal.working_set import minimise
 
 Array = NDArray[np.float64]

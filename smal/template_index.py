@@ -15,8 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from smal.compiled import compiled
-from smal.inner_products import Columns, DualPoint, Gradients, TemplatesAndQuery, sample
+from smal.inner_products import Columns, DualPoint, Gradients
 from smal.narrow_product import narrow_product, rounding
+from smal.template_products import TemplatesAndQuery, sample
 
 Array = NDArray[np.float64]
 

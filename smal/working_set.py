@@ -11,15 +11,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from smal.block_newton import (
-    FIRST_EPSILON,
-    BlockProblem,
-    BlockSolution,
-    block_objective,
-    residual_norms,
-    smoothing_for,
-    solve_blocks,
-)
+from smal.block_newton import FIRST_EPSILON, BlockSolution, solve_blocks
+from smal.block_problem import BlockProblem, block_objective, residual_norms, smoothing_for
 from smal.inner_products import Columns, DualPoint, InnerProducts, common
 from smal.screening import Penalty, Screening, Violations
 

