@@ -13,7 +13,7 @@ from pydantic import ValidationError
 from schemas.codec import describe
 from services.bus import BusError, RpcError
 from services.commands import bench, demonstrate, doctor, learn, run, teleop, topic, up
-from services.commands.errors import JobError, UsageError
+from services.commands.errors import JobError, UsageError, describe_os_error
 from services.process import EXIT_FAILED, EXIT_USAGE, ServiceError
 
 app = typer.Typer(
@@ -47,8 +47,7 @@ def main() -> None:
     except ValidationError as error:
         status = _say(describe(error), EXIT_USAGE)
     except OSError as error:
-        reason = error.strerror or str(error) or type(error).__name__
-        status = _say(reason if error.filename is None else f"{error.filename}: {reason}", EXIT_FAILED)
+        status = _say(describe_os_error(error), EXIT_FAILED)
     except (KeyboardInterrupt, typer.Abort):
         status = _say("interrupted", 130)
     sys.exit(status if isinstance(status, int) else 0)

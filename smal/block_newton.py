@@ -20,7 +20,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from smal.block_problem import BlockProblem, Primal, dots, measure, objective, smoothing_for
+from smal.block_problem import BlockProblem, Primal, dots, measure, objective, smoothed, smoothing_for
 from smal.certificate import cheap_polar_bound, polar_bound
 from smal.compiled import compiled
 from smal.newton_direction import System, newton_direction
@@ -87,8 +87,7 @@ class _Dual(NamedTuple):
 @compiled
 def _start_dual(problem: BlockProblem, primal: Primal, epsilon: float) -> _Dual:
     """Take the gradients of the smoothed norms."""
-    square = epsilon * epsilon
-    d, e, f = np.sqrt(primal.residuals + square), np.sqrt(primal.rows + square), np.sqrt(primal.columns + square)
+    d, e, f = smoothed(primal, epsilon)
     U, V = np.empty_like(primal.W), np.empty_like(primal.W)
     for j in range(problem.starts.size - 1):
         for r in range(problem.starts[j], problem.starts[j + 1]):
@@ -122,8 +121,8 @@ def _relative_gap(problem: BlockProblem, primal: Primal, dual: _Dual) -> float:
 @compiled
 def _newton_system(problem: BlockProblem, primal: Primal, dual: _Dual, epsilon: float) -> tuple[System, Array]:
     """Linearise at W: the system and its right-hand side, minus the slope of the smoothed objective."""
-    W, square = primal.W, epsilon * epsilon
-    d, e, f = np.sqrt(primal.residuals + square), np.sqrt(primal.rows + square), np.sqrt(primal.columns + square)
+    W = primal.W
+    d, e, f = smoothed(primal, epsilon)
     gradients = problem.correlations - primal.products
     # <theta_i, r_i> / d_i, at most 1: how far the curvature of a residual norm is that of a cone.
     radial = dual.alpha * (problem.squares - dots(problem.correlations, W)) - dots(dual.B, gradients)
@@ -166,8 +165,7 @@ def _move_dual(
     problem: BlockProblem, primal: Primal, dual: _Dual, direction: Array, products: Array, epsilon: float
 ) -> _Dual:
     """Linearise the subgradients along the step and bring them back into their balls."""
-    square = epsilon * epsilon
-    d, e, f = np.sqrt(primal.residuals + square), np.sqrt(primal.rows + square), np.sqrt(primal.columns + square)
+    d, e, f = smoothed(primal, epsilon)
     moved = primal.W + direction
     # Theta + dTheta = (R + dR) / d - Theta <R, dR> / d^2, in terms of alpha and B.
     along = -dots(problem.correlations - primal.products, direction) / (d * d)

@@ -75,11 +75,17 @@ def measure(problem: BlockProblem, W: Array, products: Array) -> Primal:
 
 
 @compiled
+def smoothed(primal: Primal, epsilon: float) -> tuple[Array, Array, Array]:
+    """Return the norms of residuals (q,), rows (p,) and columns of blocks (b, q), smoothed by epsilon."""
+    square = epsilon * epsilon
+    return np.sqrt(primal.residuals + square), np.sqrt(primal.rows + square), np.sqrt(primal.columns + square)
+
+
+@compiled
 def objective(problem: BlockProblem, primal: Primal, epsilon: float) -> float:
     """Eq. 7, every norm smoothed by epsilon."""
-    square = epsilon * epsilon
-    rows, columns = np.sqrt(primal.rows + square).sum(), np.sqrt(primal.columns + square).sum()
-    value: float = np.sqrt(primal.residuals + square).sum() + problem.lambda1 * rows + problem.lambda2 * columns
+    d, e, f = smoothed(primal, epsilon)
+    value: float = d.sum() + problem.lambda1 * e.sum() + problem.lambda2 * f.sum()
     return value
 
 

@@ -57,31 +57,17 @@ def bound_by_lengths(longest_row: float, longest_column: float, lambda1: float, 
 
 
 @compiled
-def _project_rows(gradient: Array, lambda1: float, lambda2: float, U: Array, V: Array) -> None:
-    """U = (G - lambda2 V) / lambda1, every row brought back into the unit ball."""
-    rows, queries = gradient.shape
+def _project(gradient: Array, scale: float, other_scale: float, out: Array, other: Array) -> None:
+    """Fit out to (gradient - other_scale other) / scale, every row in the unit ball; columns by transposes."""
+    rows, columns = gradient.shape
     for r in range(rows):
         square = 0.0
-        for i in range(queries):
-            U[r, i] = (gradient[r, i] - lambda2 * V[r, i]) / lambda1
-            square += U[r, i] ** 2
+        for i in range(columns):
+            out[r, i] = (gradient[r, i] - other_scale * other[r, i]) / scale
+            square += out[r, i] ** 2
         if square > 1.0:
-            for i in range(queries):
-                U[r, i] /= np.sqrt(square)
-
-
-@compiled
-def _project_columns(gradient: Array, lambda1: float, lambda2: float, U: Array, V: Array) -> None:
-    """V = (G - lambda1 U) / lambda2, every column brought back into the unit ball."""
-    rows, queries = gradient.shape
-    for i in range(queries):
-        square = 0.0
-        for r in range(rows):
-            V[r, i] = (gradient[r, i] - lambda1 * U[r, i]) / lambda2
-            square += V[r, i] ** 2
-        if square > 1.0:
-            for r in range(rows):
-                V[r, i] /= np.sqrt(square)
+            for i in range(columns):
+                out[r, i] /= np.sqrt(square)
 
 
 @compiled
@@ -111,9 +97,9 @@ def polar_bound(
     V[:] = 0.0
     for turn in range(rounds + 1):
         if turn > 0 and lambda1 > 0.0:
-            _project_rows(gradient, lambda1, lambda2, U, V)
+            _project(gradient, lambda1, lambda2, U, V)
         if lambda2 > 0.0:
-            _project_columns(gradient, lambda1, lambda2, U, V)
+            _project(gradient.T, lambda2, lambda1, V.T, U.T)
         rest = gradient - lambda1 * U - lambda2 * V
         best = min(best, 1.0 + cheap_polar_bound(rest, lambda1, lambda2))
         if best <= enough:

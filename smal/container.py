@@ -11,9 +11,10 @@ import math
 import os
 import struct
 import tempfile
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,16 +28,12 @@ class ModelError(ValueError):
     """A file is not a usable model; the message says in one line why."""
 
 
-def write(path: Path, version: int, meta: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -> None:
+@contextmanager
+def replacing(path: Path) -> Iterator[IO[bytes]]:
     """Write a file so that there is never a half-written one under its name."""
-    parts = _parts(version, meta, arrays)
-    digest = hashlib.sha256()
     with tempfile.NamedTemporaryFile(dir=path.parent, prefix=f".{path.name}.", delete=False) as file:
         try:
-            for part in parts:
-                digest.update(part)
-                file.write(part)
-            file.write(digest.digest())
+            yield file
             file.flush()
             os.fsync(file.fileno())
             # A temporary file is its owner's alone; services of another user must be able to read a model.
@@ -47,6 +44,17 @@ def write(path: Path, version: int, meta: Mapping[str, Any], arrays: Mapping[str
             raise
 
 
+def write(path: Path, version: int, meta: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -> None:
+    """Write a file, all of it or none."""
+    parts = _parts(version, meta, arrays)
+    digest = hashlib.sha256()
+    with replacing(path) as file:
+        for part in parts:
+            digest.update(part)
+            file.write(part)
+        file.write(digest.digest())
+
+
 def checksum(version: int, meta: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -> str:
     """Return the SHA-256, in hex, with which `write` ends the file of this content."""
     digest = hashlib.sha256()
@@ -55,8 +63,8 @@ def checksum(version: int, meta: Mapping[str, Any], arrays: Mapping[str, NDArray
     return digest.hexdigest()
 
 
-def read(path: Path, version: int) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
-    """Read a file that `write` wrote.
+def read(path: Path, version: int) -> tuple[dict[str, Any], dict[str, NDArray[Any]], str]:
+    """Read a file that `write` wrote: what it says, its arrays, and its checksum in hex.
 
     Raises
     ------
@@ -77,7 +85,7 @@ def read(path: Path, version: int) -> tuple[dict[str, Any], dict[str, NDArray[An
         raise ModelError(f"{path}: truncated or altered: its checksum does not match")
     try:
         header = json.loads(bytes(body[_FIXED.size : _FIXED.size + header_size]))
-        return header["meta"], _arrays(header["arrays"], body[_FIXED.size + header_size :])
+        return header["meta"], _arrays(header["arrays"], body[_FIXED.size + header_size :]), digest.hex()
     except (ValueError, KeyError, TypeError) as error:
         raise ModelError(f"{path}: the header does not describe a model: {error}") from error
 

@@ -179,7 +179,7 @@ class Model:
             The file is missing, no model, of another version, truncated, altered or inconsistent, or was
             learned on features that this program computes differently.
         """
-        meta, arrays = container.read(path, FORMAT_VERSION)
+        meta, arrays, checksum = container.read(path, FORMAT_VERSION)
         try:
             settings = FeatureSettings(tuple(meta["modalities"]), tuple(meta["modality_weights"]))
             if settings.fingerprint != meta["feature_fingerprint"]:
@@ -194,7 +194,7 @@ class Model:
             same |= {name: tuple(meta[name]) for name in ("names", "successful", "recovery")}
             same |= {name: meta[name] for name in ("novelty", "novelty_parameters", "recognition_parameters")}
             same |= {name: meta[name] for name in ("sequence_length", "lambda1", "lambda2", "gamma")}
-            return cls(
+            model = cls(
                 feature_settings=settings,
                 templates=arrays["templates"].T,
                 transitions=Transitions(**named, states=meta["states"]),
@@ -203,3 +203,6 @@ class Model:
             )
         except (KeyError, TypeError, ValueError) as error:
             raise ModelError(f"{path}: {error}") from error
+        # Known from the file: hashing all templates again would delay the start of a service.
+        vars(model)["checksum"] = checksum
+        return model

@@ -111,16 +111,10 @@ class Screening:
         gradients = values[chosen].astype(np.float64)
         return self._split(blocks[suspects], frames[chosen], gradients, dual, _QUICK, threshold)[1]
 
-    def extend(self, dual: DualPoint, working: Columns) -> Violations:
-        """Bound all polars; where the last dual point is near enough, without new products.
-
-        Parameters
-        ----------
-        dual : DualPoint
-        working : intp array
-            Sequences that the dual point was made for: they lie on the edge of the dual set, where only exact
-            products tell.
-        """
+    def extend(self, dual: DualPoint) -> Violations:
+        """Bound all polars; where the last dual point is near enough, without new products."""
+        # The sequences that the dual point was made for lie on the edge of the dual set: only exact products tell.
+        working = np.unique(dual.columns // self._penalty.sequence_length)
         enough = 1.0 + self._penalty.slack
         self._follow(dual)
         doubtful = np.flatnonzero(self._polars > enough)

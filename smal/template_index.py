@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from smal.compiled import compiled
 from smal.inner_products import Columns, DualPoint, Gradients
 from smal.narrow_product import narrow_product, rounding
-from smal.template_products import TemplatesAndQuery, sample
+from smal.template_products import TemplatesAndQuery, sample, spectral_norm
 
 Array = NDArray[np.float64]
 
@@ -119,7 +119,7 @@ class TemplateIndex:
         values = narrow_product(rounded, vectors.astype(np.float32))
         values *= self._scales[chosen].astype(np.float32)[:, None]
         # ||Theta^T e|| <= ||Theta||_2 ||e||, and the sums are rounded too.
-        spectral = float(np.sqrt(max(np.linalg.eigvalsh(vectors @ vectors.T)[-1], 0.0)))
+        spectral = spectral_norm(vectors @ vectors.T)
         radii = errors * spectral + (lengths + errors) * (rounding(vectors.shape[1] + 4) * np.linalg.norm(vectors))
         return Gradients(values, radii)
 

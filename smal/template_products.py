@@ -31,6 +31,11 @@ def sample(m: int, places: int = _PLACES) -> tuple[Columns, int]:
     return np.unique(np.linspace(0, m - width, places).astype(np.intp)), width
 
 
+def spectral_norm(products: Array) -> float:
+    """||A||_2 from A A^T, for few rows."""
+    return float(np.sqrt(max(np.linalg.eigvalsh(products)[-1], 0.0)))
+
+
 class _Vectors:
     """Template frames in float64, each converted once, with their inner products; frames are only ever added."""
 
@@ -191,8 +196,7 @@ class TemplatesAndQuery:
         before = self.theta(old)
         step = self.theta(new) - before
         products = step @ step.T
-        spectral = float(np.sqrt(max(np.linalg.eigvalsh(products)[-1], 0.0)))
-        return spectral, float(np.sqrt(products.diagonal().max()))
+        return spectral_norm(products), float(np.sqrt(products.diagonal().max()))
 
     def lengths(self) -> Array:
         """||x_r||, float64 (n,), rounded up."""

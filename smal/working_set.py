@@ -82,7 +82,7 @@ class _Restriction:
         here, there = common(self.columns, start.columns)
         weights[here] = start.weights[there] / self.weight_scale
         U[here], V[here] = start.U[there], start.V[there]
-        return solve_blocks(self.problem, weights, tolerance, start.epsilon, (U, V) if here.size else None)
+        return solve_blocks(self.problem, weights, tolerance, start.epsilon, (U, V))
 
     def dual_point(self, inner: BlockSolution) -> DualPoint:
         """Theta in terms of actual, not scaled, frames."""
@@ -151,8 +151,7 @@ class _Search:
 
     def certify(self) -> Violations:
         """Extend the dual point to all sequences, which bounds the optimum from below; clean the solution up."""
-        working = np.unique(self.columns // self.penalty.sequence_length)
-        violations = self.screening.extend(self.dual, working)
+        violations = self.screening.extend(self.dual)
         part = self.part
         weights = _without_crumbs(part.problem, self.inner.weights, 0.2 * self.penalty.tolerance)
         residuals = residual_norms(part.problem, weights) * part.query_scale

@@ -12,7 +12,7 @@ from typing import Annotated, Final
 
 import typer
 
-from services.commands import child
+from services.commands.child import tied
 from services.commands.errors import JobError, UsageError
 from services.commands.interrupts import interrupted_by_signals
 from services.commands.stack import flags
@@ -75,8 +75,8 @@ def _run(module: str, arguments: list[str], threads: int) -> int:
     path = os.pathsep.join(filter(None, [str(FOLDER.parents[1]), os.environ.get("PYTHONPATH")]))
     environment = os.environ | dict.fromkeys(THREADS, str(threads)) | {"PYTHONPATH": path}
     # -P: packages of the folder that the user is in, which may have a `tests` as well, are not looked at.
-    command = [sys.executable, "-I", "-S", child.__file__, str(os.getpid()), sys.executable, "-P", "-m", module]
-    with interrupted_by_signals(), subprocess.Popen([*command, *arguments], env=environment) as process:  # noqa: S603
+    command = tied(sys.executable, "-P", "-m", module, *arguments)
+    with interrupted_by_signals(), subprocess.Popen(command, env=environment) as process:  # noqa: S603
         try:
             return process.wait()
         except KeyboardInterrupt:

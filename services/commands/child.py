@@ -15,6 +15,11 @@ import sys
 PR_SET_PDEATHSIG = 1
 
 
+def tied(*command: str) -> list[str]:
+    """Return the command that runs another one for as long as this process lives."""
+    return [sys.executable, "-I", "-S", __file__, str(os.getpid()), *command]
+
+
 def main() -> None:
     """Tie this process to its parent, then become the command."""
     parent, *command = sys.argv[1:]

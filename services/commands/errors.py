@@ -9,3 +9,9 @@ class UsageError(Exception):
 
 class JobError(Exception):
     """The command was right, the job failed; exit status 1."""
+
+
+def describe_os_error(error: OSError) -> str:
+    """Say in one line what the system refused, and of which file."""
+    reason = error.strerror or str(error) or type(error).__name__
+    return reason if error.filename is None else f"{error.filename}: {reason}"

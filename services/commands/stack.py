@@ -20,6 +20,7 @@ from typing import Final, Self
 from schemas.rpc import Nothing, Status
 from services.bus import Bus, BusError, RpcError
 from services.commands.backoff import Backoff
+from services.commands.child import tied
 from services.commands.errors import JobError
 from services.commands.interrupts import interrupted_by_signals
 from services.commands.options import check_robot
@@ -30,8 +31,6 @@ SERVICES: Final = ("router", "simulator", "features", "recognition", "policy", "
 #: The first frame of a software renderer compiles its pipelines; on a busy machine that has taken 20 s.
 READY_TIMEOUT_S: Final = 60.0
 STOP_TIMEOUT_S: Final = 5.0
-#: The services run in sessions of their own, so that Ctrl-C reaches this process alone; this ties them to its life.
-_CHILD: Final = Path(__file__).with_name("child.py")
 _log = logging.getLogger("stack")
 
 
@@ -135,8 +134,8 @@ class Stack:
         environment = os.environ | {"SMAL_ROBOT": self.plan.robot, "SMAL_ROUTER": self.plan.endpoint}
         # The solves are small: a second BLAS thread only takes the other service's core.
         environment.setdefault("OPENBLAS_NUM_THREADS", "1")
-        program = [sys.executable, "-m", f"services.{service}", *self.plan.flags.get(service, ())]
-        command = [sys.executable, "-I", "-S", str(_CHILD), str(os.getpid()), *program]
+        # In a session of its own, so that Ctrl-C reaches this process alone; `tied` ends it with this one.
+        command = tied(sys.executable, "-m", f"services.{service}", *self.plan.flags.get(service, ()))
         self._backoffs.setdefault(service, Backoff()).begin()
         if self._logs is None:
             self._children[service] = subprocess.Popen(command, env=environment, start_new_session=True)  # noqa: S603

@@ -10,7 +10,7 @@ import tempfile
 from pathlib import Path
 from typing import Final
 
-from services.commands import child
+from services.commands.child import tied
 from services.commands.teaching import Teacher, find_recordings
 from smal.features import Centering, FeatureSettings
 from tests.benchmarks.datasets import Recorded
@@ -62,9 +62,8 @@ def _demonstrate(folder: Path, episodes: int, recoveries: int) -> None:
     """Run `smal demonstrate`; its progress goes to standard error, and its last line is the reason of a failure."""
     arguments = ["demonstrate", "--world", "campus", "--episodes", str(episodes), "--recoveries", str(recoveries)]
     arguments += ["--camera", "320x240", "--out", str(folder)]
-    # child.py ends it with this process, however this one ends.
-    command = [sys.executable, "-I", "-S", child.__file__, str(os.getpid()), sys.executable, "-P", "-c", _SMAL]
-    with subprocess.Popen([*command, *arguments], stdout=subprocess.DEVNULL, stderr=subprocess.PIPE) as process:
+    command = tied(sys.executable, "-P", "-c", _SMAL, *arguments)
+    with subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE) as process:
         try:
             said = _pass_on(process)
         except KeyboardInterrupt:

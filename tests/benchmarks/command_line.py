@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import NoReturn
 
 from services.commands import options
-from services.commands.errors import JobError, UsageError
+from services.commands.errors import JobError, UsageError, describe_os_error
 from services.commands.interrupts import interrupted_by_signals
 from services.process import EXIT_FAILED, EXIT_USAGE
 
@@ -54,8 +54,7 @@ def run_benchmark(main: Callable[[list[str]], None]) -> NoReturn:
     except JobError as error:
         status = _say(str(error), EXIT_FAILED)
     except OSError as error:
-        reason = error.strerror or str(error)
-        status = _say(reason if error.filename is None else f"{error.filename}: {reason}", EXIT_FAILED)
+        status = _say(describe_os_error(error), EXIT_FAILED)
     except KeyboardInterrupt:
         status = 130  # `smal bench` says it
     sys.exit(status)

@@ -85,8 +85,8 @@ class Recorded:
     def problem(self, n: int, length: int, queries: int) -> Problem:
         """Cut the first sequences; they overlap where n frames cannot be had otherwise."""
         count = n // length
-        strides = range(length, 1 if self.overlapping else length - 1, -1)
-        stride = next((s for s in strides if len(self._starts(s, length)) >= count), 1 if self.overlapping else length)
+        shortest = 1 if self.overlapping else length
+        stride = next((s for s in range(length, shortest, -1) if len(self._starts(s, length)) >= count), shortest)
         starts = self._starts(stride, length)[:count]
         rows = np.concatenate([self.taught[k][start : start + length] for k, start in starts])
         windows = [(k, start) for k, one in enumerate(self.held_out) for start in range(len(one) - 2 * length + 1)]

@@ -9,12 +9,12 @@ import numpy as np
 
 from smal.state_matching import Solution
 from smal.streaming import StreamingMatcher
+from smal.template_index import TemplateIndex
 from tests.benchmarks.machine import array_bytes, peak_memory_increase
 from tests.benchmarks.modes import TOLERANCE, prepare
 from tests.benchmarks.timing import Paired, paired, seconds_of
 
 if TYPE_CHECKING:
-    from smal.template_index import TemplateIndex
     from tests.benchmarks.datasets import Dataset, Problem
     from tests.benchmarks.results import Record
 
@@ -70,8 +70,6 @@ def measure(problem: Problem, modes: Sequence[str], repetitions: int) -> Record:
 
 
 def _build_index(problem: Problem) -> tuple[TemplateIndex, Record]:
-    from smal.template_index import TemplateIndex  # noqa: PLC0415
-
     TemplateIndex(problem.templates[:, : problem.length])  # compiles
     seconds, index = seconds_of(lambda: TemplateIndex(problem.templates))
     size = array_bytes(index, but=problem.templates)

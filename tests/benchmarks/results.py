@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import json
-import os
-import tempfile
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+
+from smal.container import replacing
 
 #: What a benchmark found out about one thing; JSON can hold it.
 Record = dict[str, object]
@@ -19,16 +19,8 @@ class LeftOutError(Exception):
 def write_json(path: Path, results: Mapping[str, object]) -> None:
     """Write results so that there is never a half-written file under that name; infinity and NaN are refused."""
     text = json.dumps(results, indent=2, allow_nan=False) + "\n"
-    with tempfile.NamedTemporaryFile("w", dir=path.parent, prefix=f".{path.name}.", delete=False) as file:
-        try:
-            file.write(text)
-            file.flush()
-            os.fsync(file.fileno())
-            Path(file.name).chmod(0o644)
-            Path(file.name).replace(path)
-        except BaseException:
-            Path(file.name).unlink(missing_ok=True)
-            raise
+    with replacing(path) as file:
+        file.write(text.encode())
 
 
 def table(title: str, rows: Sequence[Mapping[str, object]]) -> str:
