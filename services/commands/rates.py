@@ -1,12 +1,13 @@
-"""What ``smal topic hz`` measures: rate, bandwidth and regularity of the samples on each key."""
+"""What ``smal topic hz`` measures: rate and regularity of the samples on each key."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+import math
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from typing import Final
 
 from schemas.codec import printable
+from services.commands.tables import number, table
 
 
 @dataclass
@@ -19,6 +20,9 @@ class Rate:
     last_s: float = 0.0
     min_s: float | None = None
     max_s: float | None = None
+    #: Welford's running sum of squared deviations, and its mean: no list of intervals however long one listens.
+    squares: float = 0.0
+    running_mean_s: float = 0.0
 
     def add(self, size: int, now_s: float) -> None:
         """Count one sample of ``size`` bytes that arrived at ``now_s``."""
@@ -26,6 +30,9 @@ class Rate:
             interval_s = now_s - self.last_s
             self.min_s = interval_s if self.min_s is None else min(self.min_s, interval_s)
             self.max_s = interval_s if self.max_s is None else max(self.max_s, interval_s)
+            deviation_s = interval_s - self.running_mean_s
+            self.running_mean_s += deviation_s / self.count
+            self.squares += deviation_s * (interval_s - self.running_mean_s)
         else:
             self.first_s = now_s
         self.last_s = now_s
@@ -48,6 +55,11 @@ class Rate:
         """Mean interval between two samples."""
         return (self.last_s - self.first_s) / (self.count - 1) if self.count > 1 else None
 
+    @property
+    def std_s(self) -> float | None:
+        """Standard deviation of the intervals, the jitter."""
+        return math.sqrt(self.squares / (self.count - 1)) if self.count > 1 else None
+
     def record(self) -> dict[str, float | int | None]:
         """Return every figure, for JSON."""
         return {
@@ -57,28 +69,15 @@ class Rate:
             "mean_s": self.mean_s,
             "min_s": self.min_s,
             "max_s": self.max_s,
+            "std_s": self.std_s,
         }
-
-
-#: Heading, width and text of each column of the table.
-_COLUMNS: Final[tuple[tuple[str, int, Callable[[Rate], str]], ...]] = (
-    ("messages", 8, lambda rate: str(rate.count)),
-    ("Hz", 8, lambda rate: _number(rate.rate_hz, 1)),
-    ("kB/s", 9, lambda rate: _number(rate.bytes_per_s, 1e-3)),
-    ("mean ms", 8, lambda rate: _number(rate.mean_s, 1e3)),
-    ("min ms", 8, lambda rate: _number(rate.min_s, 1e3)),
-    ("max ms", 8, lambda rate: _number(rate.max_s, 1e3)),
-)
 
 
 def rate_lines(rates: Mapping[str, Rate]) -> Iterator[str]:
     """Yield the table of rates: a line of headings, then one line a key."""
-    rows = {printable(key): rate for key, rate in sorted(rates.items())}
-    width = max(map(len, ["key", *rows]))
-    yield f"{'key':{width}}  " + " ".join(f"{heading:>{w}}" for heading, w, _ in _COLUMNS)
-    for key, rate in rows.items():
-        yield f"{key:{width}}  " + " ".join(f"{text(rate):>{w}}" for _, w, text in _COLUMNS)
-
-
-def _number(value: float | None, scale: float) -> str:
-    return "-" if value is None else f"{scale * value:.2f}"
+    rows = [["key", "messages", "Hz", "mean ms", "min ms", "max ms", "std dev ms"]]
+    for key, rate in sorted(rates.items()):
+        intervals_s = (rate.mean_s, rate.min_s, rate.max_s, rate.std_s)
+        figures = [number(rate.rate_hz), *(number(value, 1e3) for value in intervals_s)]
+        rows.append([printable(key), str(rate.count), *figures])
+    return table(rows)

@@ -1,15 +1,20 @@
-"""What ``smal topic echo`` says of a sample: one line, or one JSON object."""
+"""What came from the bus: as one line for ``smal topic echo``, as one JSON object, or the header alone."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from typing import Final
 
+import msgpack
+from pydantic import ValidationError
+
 from schemas.base import Message
-from schemas.codec import DecodeError, decode, printable
-from schemas.topics import topic_of
+from schemas.codec import DecodeError, decode, describe, encoding_of, printable
+from schemas.topics import Topic, topic_of
 
 MOST_ITEMS: Final = 12
+#: The header is at most 143 bytes.
+HEADER_BYTES: Final = 256
 
 
 @dataclass(frozen=True)
@@ -50,6 +55,34 @@ class Sample:
         except DecodeError as error:
             return f"{printable(self.key)}  not decodable ({len(self.payload)} bytes): {error}"
         return f"{printable(self.key)}  " + " ".join(f"{name}={_text(value)}" for name, value in fields.items())
+
+
+def header_of(topic: Topic, payload: bytes, encoding: str) -> Message:
+    """Read robot, episode, tick and stamp off the beginning of a payload, and nothing else.
+
+    It takes microseconds for any message, a raw image among them; the rest of the payload is not looked at.
+
+    Raises
+    ------
+    DecodeError
+        When the payload does not begin as a message of the topic does.
+    """
+    expected = encoding_of(topic.message)
+    if encoding != expected:
+        raise DecodeError(f"expected {expected}, got {encoding[:80]!r}")
+    unpacker = msgpack.Unpacker(max_buffer_size=HEADER_BYTES)
+    unpacker.feed(payload[:HEADER_BYTES])
+    fields: dict[str, object] = {}
+    try:
+        # Field by field, as they were written: the four of the header come first.
+        for _ in range(min(unpacker.read_map_header(), len(Message.model_fields))):
+            name = unpacker.unpack()
+            fields[name] = unpacker.unpack()
+        return Message.model_validate(fields)
+    except ValidationError as error:
+        raise DecodeError(f"{topic.name}: {describe(error)}") from None
+    except (ValueError, TypeError, msgpack.exceptions.UnpackException) as error:
+        raise DecodeError(f"{topic.name}: no header: {printable(str(error) or type(error).__name__)}") from None
 
 
 def without_binary(value: object) -> object:

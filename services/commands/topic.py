@@ -3,30 +3,18 @@
 from __future__ import annotations
 
 import json
-import os
-import sys
-import time
-from collections import defaultdict
-from collections.abc import Iterator
-from contextlib import closing, contextmanager
 from difflib import get_close_matches
-from typing import Annotated, Final, cast
+from typing import Annotated
 
 import typer
 
 from schemas.codec import encoding_of
-from schemas.topics import ROOT, TOPICS, Topic, topic_of
-from services.bus import DEFAULT_ROUTER, Bus
+from schemas.topics import TOPICS, Topic, topic_of
 from services.commands.errors import UsageError
-from services.commands.options import DEFAULT_ROBOT, Json, Robot, Router, check_robot
-from services.commands.rates import Rate, rate_lines
-from services.commands.samples import Sample
-from services.process import Inbox
-
-#: Samples kept while the terminal is slower than the bus; a raw frame takes 2.4 MB.
-QUEUE: Final = 64
-CONNECT_S: Final = 2.0
-Keys = Annotated[str, typer.Argument(help="Key expression, or a topic's name such as camera/rgb.", metavar="KEYEXPR")]
+from services.commands.latency_command import latency
+from services.commands.listening import bw, echo, hz, say
+from services.commands.options import DEFAULT_ROBOT, Json, Robot, check_robot
+from services.commands.tables import table
 
 app = typer.Typer(
     help="List the topics; listen to them.\n\nExample: smal topic echo state --count 5",
@@ -40,15 +28,19 @@ def list_topics(
     as_json: Json = False,
     as_markdown: Annotated[bool, typer.Option("--markdown", help="Print a Markdown table.")] = False,
 ) -> None:
-    """List every topic; needs no running stack."""
+    """List every topic; needs no running stack.
+
+    Example: smal topic list --json
+    """
     rows = [_row(topic) for topic in TOPICS.values()]
     if as_json:
-        _say(json.dumps(rows, indent=2))
+        say(json.dumps(rows, indent=2))
     elif as_markdown:
-        _say(markdown_table())
+        say(markdown_table())
     else:
-        for line in _columns([["topic", "message", "Hz", "from", "meaning"], *map(_cells, TOPICS.values())]):
-            _say(line.replace("``", ""))
+        headings = ["topic", "message", "Hz", "from", "meaning"]
+        for line in table([headings, *map(_cells, TOPICS.values())], left=len(headings)):
+            say(line.replace("``", ""))
 
 
 @app.command("info")
@@ -57,7 +49,12 @@ def info(
     robot: Robot = DEFAULT_ROBOT,
     as_json: Json = False,
 ) -> None:
-    """Describe one topic and the JSON Schema of its messages; needs no running stack."""
+    """Describe one topic; needs no running stack.
+
+    The JSON Schema of its messages is part of it.
+
+    Example: smal topic info command/teleop
+    """
     topic = TOPICS.get(name) or topic_of(name)
     if topic is None:
         near = get_close_matches(name, TOPICS, n=1) or ["smal topic list"]
@@ -71,64 +68,17 @@ def info(
     }
     schema = topic.message.model_json_schema()
     if as_json:
-        _say(json.dumps(row | {"schema": schema}, indent=2))
+        say(json.dumps(row | {"schema": schema}, indent=2))
         return
     for label, value in row.items():
-        _say(f"{label:10}  {value}")
-    _say(json.dumps(schema, indent=2))
+        say(f"{label:10}  {value}")
+    say(json.dumps(schema, indent=2))
 
 
-@app.command("echo")
-def echo(
-    keys: Keys = f"{ROOT}/**",
-    count: Annotated[int | None, typer.Option(min=1, help="End after this many messages.")] = None,
-    as_json: Json = False,
-    robot: Robot = DEFAULT_ROBOT,
-    router: Router = DEFAULT_ROUTER,
-) -> None:
-    """Print every message, one line each, until Ctrl-C."""
-    inbox = Inbox()
-    inbox.open("samples", QUEUE)
-    with closing(Bus(check_robot(robot), router, CONNECT_S)) as bus, _ends_quietly():
-        bus.listen(key_expression(keys, robot), lambda *sample: inbox.put("samples", Sample(*sample)))
-        printed = 0
-        while printed != count:
-            item = inbox.take(None)
-            if item is not None:
-                sample = cast("Sample", item[1])
-                _say(json.dumps(sample.record()) if as_json else sample.line())
-                printed += 1
-    if inbox.dropped["samples"]:
-        typer.echo(f"smal: {inbox.dropped['samples']} messages came faster than they were printed", err=True)
-
-
-@app.command("hz")
-def hz(
-    keys: Keys = f"{ROOT}/**",
-    seconds: Annotated[float, typer.Option(min=0.1, max=86400, help="How long to listen.")] = 5.0,
-    as_json: Json = False,
-    robot: Robot = DEFAULT_ROBOT,
-    router: Router = DEFAULT_ROUTER,
-) -> None:
-    """Measure rate and bandwidth of each key."""
-    expression = key_expression(keys, robot)
-    rates: defaultdict[str, Rate] = defaultdict(Rate)
-    with closing(Bus(check_robot(robot), router, CONNECT_S)) as bus, _ends_quietly():
-        # Counted on Zenoh's thread, where the time of arrival is true; one subscription, so one thread.
-        bus.listen(expression, lambda key, payload, _: rates[key].add(len(payload), time.monotonic()))
-        typer.echo(f"listening to {expression} for {seconds:g} s", err=True)
-        time.sleep(seconds)
-    if as_json:
-        _say(json.dumps({key: rate.record() for key, rate in sorted(rates.items())}, indent=2))
-    elif not rates:
-        typer.echo(f"smal: nothing was published on {expression}", err=True)
-    else:
-        _say("\n".join(rate_lines(rates)))
-
-
-def key_expression(keys: str, robot: str) -> str:
-    """Return a key expression as it is, or that of a topic's short name for one robot."""
-    return keys if keys == ROOT or keys.startswith((f"{ROOT}/", "*")) else f"{ROOT}/{robot}/{keys}"
+app.command("echo")(echo)
+app.command("hz")(hz)
+app.command("bw")(bw)
+app.command("latency")(latency)
 
 
 def markdown_table() -> str:
@@ -151,26 +101,3 @@ def _row(topic: Topic) -> dict[str, object]:
 def _cells(topic: Topic) -> list[str]:
     rate = "event" if topic.rate_hz is None else f"{topic.rate_hz:g}"
     return [topic.name, topic.message.schema_name(), rate, topic.producer, topic.meaning]
-
-
-def _columns(rows: list[list[str]]) -> Iterator[str]:
-    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
-    for row in rows:
-        yield "  ".join(f"{cell:{width}}" for cell, width in zip(row, widths, strict=True)).rstrip()
-
-
-def _say(text: str) -> None:
-    sys.stdout.write(f"{text}\n")
-    sys.stdout.flush()
-
-
-@contextmanager
-def _ends_quietly() -> Iterator[None]:
-    """Take Ctrl-C, and a reader that closed the pipe, for the end of listening."""
-    try:
-        yield
-    except KeyboardInterrupt:
-        pass
-    except BrokenPipeError:
-        # Python flushes standard output once more at exit; that must not fail again.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())

@@ -3,113 +3,31 @@
 from __future__ import annotations
 
 import json
-import os
-import signal
-import subprocess
-import sys
-from collections.abc import Callable, Iterator
-from itertools import pairwise
-from pathlib import Path
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from schemas import topics
-from schemas.codec import encode, encoding_of
+from schemas.codec import DecodeError, encode, encoding_of
 from schemas.command import Command
 from schemas.episode import Episode
 from schemas.image import Image
 from schemas.observation import Observation
+from schemas.state import State
 from schemas.topics import TOPICS
 from services.bus import Bus
-from services.cli import main
-from services.commands.rates import Rate, rate_lines
-from services.commands.samples import Sample
-from services.commands.topic import key_expression, markdown_table
-from tests.schemas.messages import EXAMPLES
+from services.commands.listening import key_expression
+from services.commands.samples import Sample, header_of
+from services.commands.topic import markdown_table
+from tests.schemas.messages import EXAMPLES, any_message
+from tests.services.commands.conftest import Listen, Smal
 from tests.services.waiting import eventually
-
-ROOT = Path(__file__).parents[3]
-SMAL = [sys.executable, "-c", "from services.cli import main; main()"]
-
-
-Smal = Callable[..., tuple[int, str, str]]
-
-
-@pytest.fixture
-def smal(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Smal:
-    """Run a command in this process; returns exit status, output and errors."""
-
-    def run(*arguments: str) -> tuple[int, str, str]:
-        monkeypatch.setattr(sys, "argv", ["smal", *arguments])
-        with pytest.raises(SystemExit) as ended:
-            main()
-        out, err = capsys.readouterr()
-        assert isinstance(ended.value.code, int)
-        return ended.value.code, out, err
-
-    return run
 
 
 def sample(message: topics.Message, **changes: object) -> Sample:
     key = TOPICS[message.topic_name].key(message.robot)
     return Sample(**({"key": key, "payload": encode(message), "encoding": encoding_of(type(message))} | changes))
-
-
-class Listening:
-    """A ``smal topic`` process that listens, and a robot that talks until it has heard something."""
-
-    def __init__(self, client: Bus, *arguments: str) -> None:
-        self._client = client
-        self.process = subprocess.Popen(
-            [*SMAL, "topic", *arguments, "--router", client.endpoint],
-            cwd=ROOT,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.PIPE,
-            text=True,
-        )
-        assert self.process.stdout is not None
-        assert self.process.stderr is not None
-        os.set_blocking(self.process.stdout.fileno(), False)
-
-    def lines_until(self, count: int, *messages: topics.Message) -> list[str]:
-        """Publish until that many lines have been printed."""
-        printed: list[str] = []
-
-        def enough() -> bool:
-            for message in messages:
-                self._client.publish(message)
-            assert self.process.stdout is not None
-            printed.extend(self.process.stdout.readlines())
-            return len(printed) >= count
-
-        eventually(enough, timeout_s=20.0)
-        return printed
-
-    def end(self) -> tuple[int, str]:
-        """Press Ctrl-C; returns exit status and standard error."""
-        self.process.send_signal(signal.SIGINT)
-        assert self.process.stderr is not None
-        error = self.process.stderr.read()
-        return self.process.wait(10.0), error
-
-
-Listen = Callable[..., Listening]
-
-
-@pytest.fixture
-def listen(client: Bus) -> Iterator[Listen]:
-    started: list[Listening] = []
-
-    def start(*arguments: str) -> Listening:
-        started.append(Listening(client, *arguments))
-        return started[-1]
-
-    yield start
-    for listening in started:
-        listening.process.kill()
-        listening.process.communicate()
 
 
 # -- the table --------------------------------------------------------------------------------------------------------
@@ -205,38 +123,25 @@ def test_what_cannot_be_decoded_is_named_as_such(changes: dict[str, object], rea
     assert reason in str(strange.record()["error"])
 
 
+@given(any_message)
+def test_the_header_alone(message: topics.Message) -> None:
+    topic = TOPICS[message.topic_name]
+    header = header_of(topic, encode(message), encoding_of(topic.message))
+    fields = ("robot", "episode", "tick", "stamp_ns")
+    assert [getattr(header, name) for name in fields] == [getattr(message, name) for name in fields]
+
+
+@given(st.binary(max_size=64))
+def test_a_header_that_is_none(payload: bytes) -> None:
+    with pytest.raises(DecodeError):
+        header_of(TOPICS["state"], payload, encoding_of(TOPICS["state"].message))
+    with pytest.raises(DecodeError, match=r"got 'text/plain'"):
+        header_of(TOPICS["state"], encode(EXAMPLES[State]), "text/plain")
+
+
 def test_a_strangers_text_cannot_move_the_terminal() -> None:
     event = Episode.after(EXAMPLES[Episode], event="started", purpose="run", driver="policy", world="\x1b[2J\n", seed=1)
     assert sample(event).line().isprintable()
-
-
-# -- rates ------------------------------------------------------------------------------------------------------------
-
-
-@given(st.lists(st.floats(0.001, 10), min_size=1, max_size=30), st.integers(0, 10_000))
-def test_rates(intervals_s: list[float], size: int) -> None:
-    times_s = [100.0]
-    for interval_s in intervals_s:
-        times_s.append(times_s[-1] + interval_s)
-    rate = Rate()
-    for time_s in times_s:
-        rate.add(size, time_s)
-    gaps = [later - earlier for earlier, later in pairwise(times_s)]
-    assert rate.mean_s == pytest.approx(sum(gaps) / len(gaps))
-    assert rate.rate_hz == pytest.approx(len(gaps) / sum(gaps))
-    assert rate.bytes_per_s == pytest.approx(size * len(gaps) / sum(gaps))
-    assert (rate.min_s, rate.max_s) == (min(gaps), max(gaps))
-
-
-def test_rates_of_too_few_samples_are_unknown_not_zero() -> None:
-    rate = Rate()
-    rate.add(10, 1.0)
-    assert rate.record() == {
-        "messages": 1, "rate_hz": None, "bytes_per_s": None, "mean_s": None, "min_s": None, "max_s": None,
-    }  # fmt: skip
-    rate.add(10, 1.0)
-    assert rate.rate_hz is None, "two at the same instant"
-    assert list(rate_lines({"key": rate}))[1].split() == ["key", "2", "-", "-", "0.00", "0.00", "0.00"]
 
 
 # -- listening --------------------------------------------------------------------------------------------------------
@@ -247,7 +152,8 @@ def test_echo_prints_messages_and_ends_cleanly_on_ctrl_c(listen: Listen) -> None
     lines = listening.lines_until(4, EXAMPLES[Command], EXAMPLES[Image])
     assert any(line.startswith("smal/rescuebot/command/teleop  episode=drive-7-18c0-1 tick=300 ") for line in lines)
     assert any(line.endswith("data=<6 bytes>\n") for line in lines)
-    assert listening.end() == (0, "")
+    status, _, error = listening.end()
+    assert (status, error) == (0, "")
 
 
 def test_echo_of_a_short_name_counts_and_ends(listen: Listen) -> None:
@@ -272,36 +178,14 @@ def test_echo_into_a_pipe_that_is_closed(listen: Listen) -> None:
     listening.process.stdout = None
 
 
-def test_hz_measures_each_key(listen: Listen, client: Bus) -> None:
-    listening = listen("hz", "--seconds", "60", "--json")
-    assert listening.process.stderr.readline() == "listening to smal/** for 60 s\n"
-    for _ in range(5):
-        client.publish(EXAMPLES[Command])
-        client.publish(EXAMPLES[Image])
-    # The subscription was there before the line above was printed, but the router passes it on in the background.
-    listener = listen("echo", "--count", "1")
-    listener.lines_until(1, EXAMPLES[Command])
-    client.publish(EXAMPLES[Command])
-    os.set_blocking(listening.process.stdout.fileno(), True)
-    status, _ = listening.end()
-    rates = json.loads(listening.process.stdout.read())
-    assert status == 0
-    assert rates["smal/rescuebot/command/teleop"]["messages"] >= 2
-    assert rates["smal/rescuebot/command/teleop"]["rate_hz"] > 0
-
-
-def test_hz_of_silence(smal: Smal, router_endpoint: str) -> None:
-    code, out, err = smal("topic", "hz", "pose/truth", "--seconds", "0.1", "--router", router_endpoint)
-    assert (code, out) == (0, "")
-    assert err.endswith("smal: nothing was published on smal/rescuebot/pose/truth\n")
-
-
 @pytest.mark.parametrize(
     ("arguments", "status", "error"),
     [
         (("echo", "--robot", "Bad"), 2, "robot id 'Bad' does not match"),
         (("echo", "--count", "0"), 2, "--count"),
         (("hz", "--seconds", "nan"), 2, "--seconds"),
+        (("bw", "--seconds", "0"), 2, "--seconds"),
+        (("latency", "--robot", "Bad"), 2, "robot id 'Bad' does not match"),
         (("echo", "--router", "nonsense"), 1, "expected tcp/<host>:<port>"),
         (("nonsense",), 2, "No such command"),
     ],
