@@ -28,6 +28,11 @@ class ModelError(ValueError):
     """A file is not a usable model; the message says in one line why."""
 
 
+def one_line(error: Exception) -> str:
+    """Return the beginning of what an error says, with nothing of a stranger's in it that moves a log or a terminal."""
+    return "".join(c if c.isprintable() else "?" for c in str(error)[:200])
+
+
 @contextmanager
 def replacing(path: Path) -> Iterator[IO[bytes]]:
     """Write a file so that there is never a half-written one under its name."""
@@ -86,8 +91,8 @@ def read(path: Path, version: int) -> tuple[dict[str, Any], dict[str, NDArray[An
     try:
         header = json.loads(bytes(body[_FIXED.size : _FIXED.size + header_size]))
         return header["meta"], _arrays(header["arrays"], body[_FIXED.size + header_size :]), digest.hex()
-    except (ValueError, KeyError, TypeError) as error:
-        raise ModelError(f"{path}: the header does not describe a model: {error}") from error
+    except (LookupError, TypeError, ValueError, ArithmeticError, RecursionError) as error:
+        raise ModelError(f"{path}: the header does not describe a model: {one_line(error)}") from error
 
 
 def _parts(version: int, meta: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -> list[bytes | memoryview]:
@@ -105,8 +110,8 @@ def _arrays(table: list[tuple[str, str, list[int]]], body: memoryview) -> dict[s
     arrays: dict[str, NDArray[Any]] = {}
     at = 0
     for name, dtype, shape in table:
-        count = math.prod(shape)
-        array = np.frombuffer(body, dtype=_DTYPES[dtype], count=count, offset=at) if count else np.empty(0, dtype)
+        kind, count = _DTYPES[dtype], math.prod(shape)
+        array = np.frombuffer(body, dtype=kind, count=count, offset=at) if count else np.empty(0, kind)
         # A copy, because the offset is not aligned, and products with unaligned arrays copy them every time.
         arrays[name] = array.reshape(shape).copy()
         at += array.nbytes

@@ -181,6 +181,7 @@ class Model:
         """
         meta, arrays, checksum = container.read(path, FORMAT_VERSION)
         try:
+            _check_numbers(meta)
             settings = FeatureSettings(tuple(meta["modalities"]), tuple(meta["modality_weights"]))
             if settings.fingerprint != meta["feature_fingerprint"]:
                 raise ValueError("it was learned on features that this version computes differently; learn it again")
@@ -189,6 +190,8 @@ class Model:
             streams: dict[str, Any] = {
                 name: tuple(np.split(arrays[name], np.cumsum(parts[name])[:-1])) for name in _STREAMS
             }
+            if [len(atoms) for atoms in streams["atoms"]] != meta["frames"]:
+                raise ValueError("its demonstrations are not as long as it says")
             named: dict[str, Any] = {name: arrays[f"transitions.{name}"] for name in _TRANSITION_ARRAYS}
             same: dict[str, Any] = {name: arrays[name] for name in ("mean", "actions", "reward", "policy", "value")}
             same |= {name: tuple(meta[name]) for name in ("names", "successful", "recovery")}
@@ -201,8 +204,17 @@ class Model:
                 **same,
                 **streams,
             )
-        except (KeyError, TypeError, ValueError) as error:
-            raise ModelError(f"{path}: {error}") from error
+        except (LookupError, TypeError, ValueError, ArithmeticError) as error:
+            raise ModelError(f"{path}: {container.one_line(error)}") from error
         # Known from the file: hashing all templates again would delay the start of a service.
         vars(model)["checksum"] = checksum
         return model
+
+
+def _check_numbers(meta: dict[str, Any]) -> None:
+    """Refuse a header whose numbers are none, before anything is computed with them."""
+    counts, reals = ("sequence_length", "states"), ("lambda1", "lambda2", "gamma")
+    wrong = [name for name in counts if type(meta[name]) is not int or meta[name] < 1]
+    wrong += [name for name in reals if type(meta[name]) not in (int, float)]
+    if wrong:
+        raise ValueError(f"not a number that a model could have: {', '.join(wrong)}")

@@ -8,17 +8,20 @@ from __future__ import annotations
 
 import mmap
 import struct
+import zlib
 from collections.abc import Iterator
 from io import BytesIO
 from typing import Final, NamedTuple
 
+from lz4.frame import LZ4FrameDecompressor
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
 from mcap.records import Chunk
-from mcap.stream_reader import get_chunk_data_stream
 from mcap.writer import MCAP0_MAGIC
-from zstandard import ZstdError
+from zstandard import ZstdDecompressor, ZstdError
+
+from schemas.codec import printable
 
 #: First and last bytes of every MCAP file.
 MAGIC: Final = MCAP0_MAGIC
@@ -27,6 +30,8 @@ _MESSAGE: Final = struct.Struct("<HIQQ")
 #: A chunk: two times, size, checksum; length of the compression's name; with an empty name the length of the records.
 _COMPRESSION: Final = slice(28, 32)
 _UNCOMPRESSED_HEADER: Final = 40
+#: Most bytes that a packed chunk may unpack to; other tools make chunks of a few megabytes.
+_LARGEST_CHUNK: Final = 256 * 1024 * 1024
 
 
 class Record(NamedTuple):
@@ -99,11 +104,28 @@ def chunk_content(body: memoryview) -> memoryview:
         # Not compressed, as in our own files: nothing is read or copied before it is wanted.
         return body[_UNCOMPRESSED_HEADER:]
     try:
-        stream, length = get_chunk_data_stream(Chunk.read(fields(body)), validate_crc=True)
-        return memoryview(stream.read(length))
-    except (ZstdError, RuntimeError, MemoryError) as error:
-        # What the two decompressors raise is no business of the caller's.
+        chunk = Chunk.read(fields(body))
+        data = _unpacked(chunk)
+    except (ZstdError, RuntimeError, MemoryError, OverflowError) as error:
+        # What the two decompressors raise, and a length beyond all memory, is no business of the caller's.
         raise McapError(f"a chunk cannot be unpacked: {error}") from None
+    if len(data) != chunk.uncompressed_size or chunk.uncompressed_crc not in (0, zlib.crc32(data)):
+        raise McapError("a chunk cannot be unpacked: its content is not what it says")
+    return memoryview(data)
+
+
+def _unpacked(chunk: Chunk) -> bytes:
+    """Unpack a chunk, never more of it than it announces: a few bytes can be packed that fill any memory."""
+    size = chunk.uncompressed_size
+    if size > _LARGEST_CHUNK:
+        raise McapError(f"a chunk of {size} bytes, at most {_LARGEST_CHUNK} are read")
+    match chunk.compression:
+        case "zstd":
+            return ZstdDecompressor().stream_reader(chunk.data).read(size + 1)
+        case "lz4":
+            return bytes(LZ4FrameDecompressor().decompress(chunk.data, max_length=size + 1))
+        case other:
+            raise McapError(f"a chunk has the unknown compression {printable(other)}")
 
 
 def fields(body: memoryview) -> ReadDataStream:

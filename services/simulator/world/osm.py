@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import osmium
 
+from schemas.codec import printable
 from services.simulator.world.terrain import WorldError
 
 if TYPE_CHECKING:
@@ -20,6 +21,11 @@ if TYPE_CHECKING:
 # WGS84: semi-major axis in metres and first eccentricity squared.
 _SEMI_MAJOR_M = 6_378_137.0
 _ECCENTRICITY_SQUARED = 6.694_379_990_14e-3
+# A larger world would take more memory than a machine has: roads become points a couple of metres apart.
+_LARGEST_M = 10_000.0
+_MOST_WAY_M = 500_000.0
+# OpenStreetMap's own limit; only a file made by hand has longer ones.
+_LONGEST_TAG = 255
 
 
 @dataclass(frozen=True)
@@ -85,7 +91,7 @@ def read_osm(path: Path) -> OsmExtract:
     Raises
     ------
     WorldError
-        The file cannot be read, is not OpenStreetMap XML, is cut short, or holds no located element.
+        The file cannot be read, is not OpenStreetMap XML, is cut short, holds no located element, or is too large.
     """
     collector = _Collector()
     try:
@@ -96,12 +102,27 @@ def read_osm(path: Path) -> OsmExtract:
             elif isinstance(element, osmium.osm.Way):
                 collector.way(element)
         box = processor.header.box()
-    except (RuntimeError, OSError) as error:
-        raise WorldError(f"{path}: not a readable OpenStreetMap XML file ({error})") from error
+    except (RuntimeError, OSError, ValueError, osmium.InvalidLocationError) as error:
+        raise WorldError(f"{path}: not a readable OpenStreetMap XML file ({printable(str(error))})") from error
     degrees = _degree_bounds(collector, box)
     if degrees is None:
         raise WorldError(f"{path}: the file holds no located nodes or ways")
-    return _to_metres(collector, degrees)
+    extract = _to_metres(collector, degrees)
+    _check_size(extract, path)
+    return extract
+
+
+def _check_size(extract: OsmExtract, path: Path) -> None:
+    x_min, y_min, x_max, y_max = extract.bounds
+    extent_m = max(x_max - x_min, y_max - y_min)
+    if extent_m > _LARGEST_M:
+        raise WorldError(f"{path}: spans {extent_m / 1000:.0f} km; a world spans at most {_LARGEST_M / 1000:.0f} km")
+    length_m = sum(float(np.linalg.norm(np.diff(way.points, axis=0), axis=1).sum()) for way in extract.ways)
+    if length_m > _MOST_WAY_M:
+        raise WorldError(f"{path}: {length_m / 1000:.0f} km of ways; a world has at most {_MOST_WAY_M / 1000:.0f} km")
+    tags = [thing.tags for thing in extract.nodes] + [thing.tags for thing in extract.ways]
+    if any(len(value) > _LONGEST_TAG for some in tags for value in some.values()):
+        raise WorldError(f"{path}: a tag is longer than the {_LONGEST_TAG} characters that OpenStreetMap allows")
 
 
 def _degree_bounds(collector: _Collector, box: osmium.osm.Box) -> NDArray[np.float64] | None:

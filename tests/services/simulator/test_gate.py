@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import pickle
 from collections.abc import Callable
+from dataclasses import FrozenInstanceError
 
 import pytest
 from hypothesis import settings
@@ -17,9 +19,18 @@ STAND = Applied("stop", 0.0, None, "silence")
 
 
 def command(
-    tick: int, *, sequence: int = 0, source: Source = "policy", atom: Atom = "forward", episode: str = "e"
+    tick: int,
+    *,
+    sequence: int = 0,
+    source: Source = "policy",
+    atom: Atom = "forward",
+    episode: str = "e",
+    speed: float = 1.0,
 ) -> Command:
-    return Command(robot="r", episode=episode, tick=tick, stamp_ns=0, source=source, sequence=sequence, atom=atom)
+    header = {"robot": "r", "episode": episode, "tick": tick, "stamp_ns": 0}
+    whole = Command(**header, source=source, sequence=sequence, atom=atom)
+    # The schema would refuse what the gate has to refuse by itself.
+    return whole.model_copy(update={"speed": speed})
 
 
 @pytest.fixture
@@ -40,11 +51,15 @@ def test_fresh_command_moves_the_robot_and_silence_stops_it(gate: CommandGate) -
 @pytest.mark.parametrize(
     ("offered", "now_s", "refusal"),
     [
+        (command(0, episode="a"), 10.1, "wrong episode"),
         (command(0, episode="other"), 10.1, "wrong episode"),
         (command(1), 10.1, "unknown frame"),
         (command(0), 10.46, "stale"),
-        (command(0).model_copy(update={"speed": float("nan")}), 10.1, "not finite"),
-        (command(0).model_copy(update={"speed": 1.5}), 10.1, "not finite"),
+        (command(0, speed=float("nan")), 10.1, "not finite"),
+        (command(0, speed=float("inf")), 10.1, "not finite"),
+        (command(0, speed=1.01), 10.1, "not finite"),
+        (command(0, speed=1.5), 10.1, "not finite"),
+        (command(0, speed=-0.01), 10.1, "not finite"),
     ],
 )
 def test_refusals_are_named_counted_and_harmless(
@@ -53,6 +68,78 @@ def test_refusals_are_named_counted_and_harmless(
     assert gate.offer(offered, now_s) == refusal
     assert gate.refused == {refusal: 1}
     assert gate.applied(now_s) == STAND
+
+
+def test_refusals_add_up_until_the_next_episode(gate: CommandGate) -> None:
+    for _ in range(3):
+        gate.offer(command(1), 10.1)
+    assert gate.refused == {"unknown frame": 3}
+    gate.begin("f", "policy")
+    assert gate.refused == {}
+
+
+@pytest.mark.parametrize("speed", [0.0, 0.5, 1.0])
+def test_speed_is_passed_on(gate: CommandGate, speed: float) -> None:
+    assert gate.offer(command(0, speed=speed), 10.0) is None
+    assert gate.applied(10.0).speed == speed
+
+
+def test_a_command_expires_after_its_last_moment_and_not_in_it() -> None:
+    gate = CommandGate(max_age_s=0.5)  # which floating point represents exactly
+    gate.begin("e", "policy")
+    gate.captured(0, 10.0)
+    gate.captured(1, 10.5)
+    assert gate.offer(command(0), 10.5) is None
+    assert gate.applied(10.5).answered_tick == 0
+    assert gate.applied(10.500001) == STAND
+    assert gate.offer(command(0, sequence=1), 10.500001) == "stale"
+    gate.captured(2, 10.6)
+    assert gate.offer(command(0, sequence=1), 10.6) == "stale"
+
+
+def test_the_frame_before_the_last_may_still_be_answered(gate: CommandGate) -> None:
+    gate.captured(1, 10.1)
+    gate.captured(2, 10.2)
+    assert gate.offer(command(1), 10.25) is None
+    assert gate.applied(10.25).answered_tick == 1
+
+
+def test_a_frame_that_was_dropped_is_unknown_and_not_stale(gate: CommandGate) -> None:
+    gate.captured(2, 10.2)
+    assert gate.offer(command(1), 10.2) == "unknown frame"
+
+
+def test_a_gate_that_runs_for_long_stays_small(gate: CommandGate) -> None:
+    def size() -> int:
+        return len(pickle.dumps(gate))
+
+    for tick in range(10):
+        gate.captured(tick, 10.0 + 0.1 * tick)
+        gate.offer(command(tick), 10.0 + 0.1 * tick)
+    after_a_second = size()
+    for tick in range(10, 1000):
+        gate.captured(tick, 10.0 + 0.1 * tick)
+    gate.offer(command(999), 10.0 + 0.1 * 999)
+    assert size() < after_a_second + 100
+
+
+def test_no_frame_is_known_before_the_first(gate: CommandGate) -> None:
+    gate.begin("f", "policy")
+    assert gate.offer(command(0, episode="f"), 10.0) == "unknown frame"
+
+
+@pytest.mark.parametrize("episode", ["e", "x"])
+def test_nothing_moves_before_the_first_episode(episode: str) -> None:
+    gate = CommandGate()
+    gate.captured(0, 10.0)
+    assert gate.offer(command(0, episode=episode), 10.0) == "wrong episode"
+    assert gate.applied(10.0) == STAND
+    assert not gate.emergency_stop
+
+
+def test_what_is_applied_cannot_be_changed(gate: CommandGate) -> None:
+    with pytest.raises(FrozenInstanceError):
+        gate.applied(10.0).atom = "forward"  # type: ignore[misc]
 
 
 def test_frozen_sender_that_wakes_with_an_old_plan_is_stale(gate: CommandGate) -> None:
@@ -68,6 +155,14 @@ def test_out_of_order_and_repeated_commands_are_refused(gate: CommandGate) -> No
     assert gate.offer(command(1, atom="left"), 10.1) == "out of order"
     assert gate.offer(command(1, sequence=1, atom="left"), 10.1) is None
     assert gate.applied(10.1).atom == "left"
+
+
+def test_order_is_that_of_the_frames_first(gate: CommandGate) -> None:
+    for tick in (2, 3):
+        gate.captured(tick, 10.0)
+    assert gate.offer(command(2), 10.0) is None
+    assert gate.offer(command(3), 10.0) is None
+    assert gate.offer(command(2, sequence=5), 10.0) == "out of order"
 
 
 def test_sources_of_lower_rank_than_the_driver_are_refused() -> None:
@@ -120,6 +215,17 @@ def test_what_is_applied_names_the_frame_that_was_answered(gate: CommandGate) ->
     gate.offer(command(1), 10.15)
     assert gate.applied(10.2).answered_tick == 1
     assert gate.applied(11.0).answered_tick is None
+
+
+def test_a_frame_is_answered_by_a_command_for_it(gate: CommandGate) -> None:
+    for tick in (1, 2):
+        gate.captured(tick, 10.0)
+    assert not gate.answered("policy", 1)
+    gate.offer(command(1), 10.0)
+    assert [gate.answered("policy", tick) for tick in (0, 1, 2)] == [False, True, False]
+    assert not gate.answered("teleop", 1)
+    gate.offer(command(0, source="emergency_stop"), 10.0)
+    assert gate.answered("teleop", 2), "an emergency stop leaves nothing to wait for"
 
 
 class GateMachine(RuleBasedStateMachine):
@@ -188,7 +294,14 @@ class GateMachine(RuleBasedStateMachine):
         else:
             highest = min(fresh, key=lambda c: SOURCES.index(c.source)).source
             newest = max((c for c in fresh if c.source == highest), key=lambda c: (c.tick, c.sequence))
-            assert (applied.atom, applied.source) == (newest.atom, highest)
+            assert applied == Applied(newest.atom, newest.speed, highest, "command", newest.tick)
+
+    @invariant()
+    def a_frame_is_answered_when_the_newest_command_of_the_driver_is_for_it(self) -> None:
+        if not hasattr(self, "gate"):
+            return
+        mine = [c.tick for c, _ in self.accepted if c.source == self.driver]
+        assert self.gate.answered(self.driver, self.tick) == (self.emergency or mine[-1:] == [self.tick])
 
 
 GateMachine.TestCase.settings = settings(max_examples=100, stateful_step_count=30, deadline=None)

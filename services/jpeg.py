@@ -1,0 +1,64 @@
+"""JPEG: camera images for recordings, people and slow links."""
+
+from __future__ import annotations
+
+from typing import Final, cast
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+QUALITY: Final = 90
+#: Most pixels of an image that is decoded; a few bytes can claim to be any number of them.
+MOST_PIXELS: Final = 4096 * 3072
+_FRAME_MARKERS: Final = (0xC0, 0xC1, 0xC2)
+_TABLE_MARKERS: Final = (0xC4, 0xDB, 0xDD, 0xFE, *range(0xE0, 0xF0))
+
+
+def encode_jpeg(image: NDArray[np.uint8]) -> bytes:
+    """Compress a (height, width, 3) RGB image.
+
+    Raises
+    ------
+    ValueError
+        When it has more pixels than JPEG can hold.
+    """
+    done, jpeg = cv2.imencode(".jpg", cv2.cvtColor(image, cv2.COLOR_RGB2BGR), [cv2.IMWRITE_JPEG_QUALITY, QUALITY])
+    if not done:
+        height, width = image.shape[:2]
+        raise ValueError(f"OpenCV cannot encode a {width}x{height} image as JPEG")
+    return jpeg.tobytes()
+
+
+def decode_jpeg(data: bytes) -> NDArray[np.uint8]:
+    """Return the (height, width, 3) RGB pixels of a compressed image.
+
+    Raises
+    ------
+    ValueError
+        When it is none, or larger than a camera's.
+    """
+    # Before OpenCV, which makes room for as many pixels as the header claims, up to 3 GB.
+    if not 0 < _claimed_pixels(data) <= MOST_PIXELS:
+        raise ValueError("not a JPEG image of a size that a camera has")
+    try:
+        bgr = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR)
+    except cv2.error:
+        bgr = None
+    if bgr is None:
+        raise ValueError("not a JPEG image")
+    return cast("NDArray[np.uint8]", cv2.cvtColor(bgr, cv2.COLOR_BGR2RGB))
+
+
+def _claimed_pixels(data: bytes) -> int:
+    """Return how many pixels the header of a JPEG's frame claims; 0 where no such header is found."""
+    at = 2
+    while data[:2] == b"\xff\xd8" and at + 9 <= len(data) and data[at] == 0xFF:
+        marker = data[at + 1]
+        if marker in _FRAME_MARKERS:
+            return int.from_bytes(data[at + 5 : at + 7], "big") * int.from_bytes(data[at + 7 : at + 9], "big")
+        # Tables and comments have a length; anything else before the frame is no camera's JPEG.
+        if marker not in _TABLE_MARKERS:
+            return 0
+        at += 2 + int.from_bytes(data[at + 2 : at + 4], "big")
+    return 0

@@ -1,0 +1,97 @@
+"""``Model.load``; an input is a file without its checksum, which is made right (a wrong one is refused before all)."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import random
+import struct
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from smal.features import FeatureSettings
+from smal.model import FORMAT_VERSION, Model, ModelError
+from smal.transitions import NO_ACTION, learn_transitions
+from tests.fuzz.targets import check_line, scratch
+from tests.fuzz.trees import changed
+
+_FIXED = struct.Struct("<8sIQ")
+_CHECKSUM_BYTES = 32
+
+
+def seeds() -> list[bytes]:
+    path = scratch.folder() / "seed.smal"
+    found = []
+    for novelty, parameters in (("weight", {"tau": 0.5}), ("agreement", {"max_residual": 0.75})):
+        smallest_model(novelty, parameters).save(path)
+        found.append(path.read_bytes()[:-_CHECKSUM_BYTES])
+    path.unlink()
+    return found
+
+
+def smallest_model(novelty: str, parameters: dict[str, float]) -> Model:
+    """Two states of one frame each, one drive from the one to the other."""
+    settings = FeatureSettings(("color",), (1.0,))
+    stream, action = np.array([0, 1], np.int32), np.array([0, 0], np.int32)
+    return Model(
+        feature_settings=settings,
+        mean=np.zeros(settings.size, np.float32),
+        sequence_length=1,
+        lambda1=0.1,
+        lambda2=0.1,
+        novelty=novelty,
+        novelty_parameters=parameters,
+        recognition_parameters=parameters,
+        templates=np.zeros((settings.size, 2), np.float32),
+        actions=np.zeros((1, 1), np.int8),
+        state_streams=(stream,),
+        action_streams=(action,),
+        phases=(np.zeros(2, np.float32),),
+        atoms=(np.zeros(2, np.int8),),
+        names=("drive-1",),
+        successful=(True,),
+        recovery=(False,),
+        transitions=learn_transitions((stream,), (action,), (True,), 2),
+        reward=np.zeros(2),
+        policy=np.array([0, NO_ACTION], np.int32),
+        value=np.zeros(2),
+        gamma=0.9,
+    )
+
+
+def run(data: bytes) -> bool:
+    path = scratch.file_of(data + hashlib.sha256(data).digest(), "x.smal")
+    try:
+        model = Model.load(path)
+    except ModelError as error:
+        check_line(error)
+        return False
+    assert model.checksum == hashlib.sha256(data).hexdigest()
+    assert model.templates.shape == (model.feature_settings.size, model.states * model.sequence_length)
+    return True
+
+
+def mutate(data: bytes, rng: random.Random) -> bytes | None:
+    """Change the header's JSON, and bring the arrays to what it says where they differ in length only."""
+    try:
+        magic, version, size = _FIXED.unpack_from(data)
+        header: Any = changed(json.loads(data[_FIXED.size : _FIXED.size + size]), rng)
+        text = json.dumps(header, default=repr).encode()
+    except (ValueError, struct.error, RecursionError, OverflowError):
+        return None
+    if rng.random() < 0.02:
+        text = b"[" * 100_000
+    body = data[_FIXED.size + size :]
+    if version != FORMAT_VERSION or rng.random() < 0.1:
+        body = body[: rng.randrange(len(body) + 1)]
+    return _FIXED.pack(magic, FORMAT_VERSION, len(text)) + text + body
+
+
+def with_meta(data: bytes, change: Callable[[dict[str, Any]], dict[str, Any]]) -> bytes:
+    """Return an input with another header, the arrays as they were."""
+    magic, version, size = _FIXED.unpack_from(data)
+    header = json.loads(data[_FIXED.size : _FIXED.size + size])
+    text = json.dumps(header | {"meta": change(header["meta"])}).encode()
+    return _FIXED.pack(magic, version, len(text)) + text + data[_FIXED.size + size :]

@@ -1,0 +1,67 @@
+"""The tests of the gate notice every small mistake in it, and take every branch of it."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+from typing import Final
+
+import pytest
+
+ROOT: Final = Path(__file__).parents[3]
+GATE: Final = "services/simulator/gate.py"
+TESTS: Final = Path(__file__).with_name("test_gate.py")
+_NEVER_ASSIGNED = "nothing assigns to an accepted command, and nobody outside the gate has one"
+_FIRST_OF_ALL = "of the names of the sources emergency_stop is the first in the alphabet"
+#: Mutants that do what the gate does, each with the reason.
+EQUIVALENT: Final = {
+    "_Accepted: dataclass(frozen=True) -> dataclass()": _NEVER_ASSIGNED,
+    "_Accepted: True -> False": _NEVER_ASSIGNED,
+    "CommandGate.offer: command.source == 'emergency_stop' -> command.source <= 'emergency_stop'": _FIRST_OF_ALL,
+    "CommandGate._check: command.source == 'emergency_stop' -> command.source <= 'emergency_stop'": _FIRST_OF_ALL,
+    "CommandGate.offer: return None -> pass (2)": "a function that ends without a value returns None",
+    "CommandGate._check: command.tick < min(self._captured_s) -> command.tick <= min(self._captured_s)": (
+        "the oldest frame that is remembered is found, so that this is not asked of it"
+    ),
+}
+
+
+def run(*arguments: str, **variables: str) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [sys.executable, *arguments],
+        cwd=ROOT,
+        env=os.environ | variables,
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=200,
+    )
+
+
+def test_every_mutant_of_the_gate_is_killed(capsys: pytest.CaptureFixture[str]) -> None:
+    done = run("-m", "tests.services.simulator.gate_mutants")
+    assert done.returncode == 0, done.stdout + done.stderr
+    found = json.loads(done.stdout.splitlines()[-1])
+    survivors, killed = set(found["survivors"]), found["killed"]
+    equivalent = len(survivors & EQUIVALENT.keys())
+    with capsys.disabled():
+        sys.stdout.write(f"\ngate: {killed + len(survivors)} mutants, {killed} killed, {equivalent} equivalent\n")
+    assert survivors == EQUIVALENT.keys()
+    assert killed > 200
+
+
+def test_the_tests_of_the_gate_take_every_branch_of_it(tmp_path: Path) -> None:
+    report = tmp_path / "coverage.json"
+    place = {"COVERAGE_FILE": str(tmp_path / "coverage")}
+    # The fixed examples alone: chance must not decide.
+    pytest_run = ("-m", "pytest", "-q", "-k", "not Machine", "-p", "no:cacheprovider", str(TESTS))
+    done = run("-m", "coverage", "run", "--branch", *pytest_run, **place)
+    assert done.returncode == 0, done.stdout + done.stderr
+    done = run("-m", "coverage", "json", f"--include={GATE}", "-o", str(report), **place)
+    assert done.returncode == 0, done.stdout + done.stderr
+    gate = json.loads(report.read_text())["files"][GATE]
+    assert gate["summary"]["num_branches"] > 20
+    assert (gate["missing_lines"], gate["missing_branches"], gate["excluded_lines"]) == ([], [], [])
