@@ -34,10 +34,18 @@ class Status(Strict):
     """Whether it takes work."""
     pid: int
     """Process number."""
+    connected: bool
+    """Whether it has a router."""
     uptime_s: float
     """Seconds since it started."""
     idle_s: float
     """Seconds since it last finished a piece of work."""
+    busy_s: float
+    """Seconds that the piece of work at hand has taken so far; 0 while it waits for some."""
+    oldest_s: float
+    """Seconds that the oldest message or request has waited for its turn."""
+    waiting: dict[str, int]
+    """Messages and requests that wait for their turn, by topic."""
     received: dict[str, int]
     """Messages taken, by topic."""
     published: dict[str, int]

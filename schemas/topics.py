@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from dataclasses import dataclass
 from typing import Final
@@ -9,6 +10,7 @@ from typing import Final
 from schemas.action import Action
 from schemas.base import ROBOT_ID_PATTERN, SOURCES, Message
 from schemas.command import Command, CommandApplied
+from schemas.compressed_image import CompressedImage
 from schemas.episode import Episode
 from schemas.image import Image
 from schemas.observation import Observation
@@ -16,6 +18,8 @@ from schemas.pose import Pose
 from schemas.state import State
 
 ROOT: Final = "smal"
+#: How long a sender keeps what is recorded, so that a recorder which was away gets it afterwards.
+KEPT_S: Final = 30.0
 
 
 @dataclass(frozen=True)
@@ -56,12 +60,18 @@ class Topic:
         return f"{ROOT}/{robot}/{self.name}"
 
     @property
+    def kept(self) -> int:
+        """How many messages of a recorded topic its sender keeps; of events as many as if they came at 10 Hz."""
+        return math.ceil(KEPT_S * (self.rate_hz or 10))
+
+    @property
     def meaning(self) -> str:
         """First line of the message's description."""
         return (self.message.__doc__ or "").strip().splitlines()[0]
 
 
-CAMERA: Final = Topic("camera/rgb", Image, 10, 1, True, "simulator")
+CAMERA: Final = Topic("camera/rgb", Image, 10, 1, False, "simulator")
+JPEG: Final = Topic("camera/jpeg", CompressedImage, 10, 8, True, "simulator")
 POSE: Final = Topic("pose/truth", Pose, 10, 8, True, "simulator")
 OBSERVATION: Final = Topic("observation", Observation, 10, 8, True, "features")
 STATE: Final = Topic("state", State, 10, 8, True, "recognition")
@@ -83,7 +93,8 @@ APPLIED: Final = Topic("command/applied", CommandApplied, 10, 8, True, "simulato
 EPISODE: Final = Topic("episode", Episode, None, 64, True, "simulator", reliable=True)
 
 TOPICS: Final[dict[str, Topic]] = {
-    topic.name: topic for topic in (CAMERA, POSE, OBSERVATION, STATE, ACTION, *COMMANDS.values(), APPLIED, EPISODE)
+    topic.name: topic
+    for topic in (CAMERA, JPEG, POSE, OBSERVATION, STATE, ACTION, *COMMANDS.values(), APPLIED, EPISODE)
 }
 
 

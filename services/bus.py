@@ -12,12 +12,13 @@ from collections.abc import Callable
 from typing import Final, TypeVar
 
 import zenoh
+import zenoh.ext
 from pydantic import ValidationError
 
 from schemas.base import Message, Strict
-from schemas.codec import describe, encode, encoding_of
+from schemas.codec import describe, encode, encoding_of, printable
 from schemas.rpc import Failure
-from schemas.topics import TOPICS, Topic, rpc_key
+from schemas.topics import KEPT_S, TOPICS, Topic, rpc_key
 
 DEFAULT_ROUTER: Final = "tcp/127.0.0.1:7447"
 ENDPOINT_PATTERN: Final = r"(?:tcp|tls|quic|udp|ws)/([^\s/]+):(\d{1,5})"
@@ -25,10 +26,15 @@ ENDPOINT_PATTERN: Final = r"(?:tcp|tls|quic|udp|ws)/([^\s/]+):(\d{1,5})"
 ATTEMPT_MS: Final = 500
 #: How long a process waits for a router that is perhaps just starting.
 PATIENCE_S: Final = 10.0
+#: A publisher that was silent tells at most this long after its last sample how many there were, so that a subscriber
+#: that missed it notices.
+HEARTBEAT_S: Final = 0.25
 JSON_ENCODING: Final = zenoh.Encoding("application/json")
 #: Largest request or reply of a queryable, bytes.
 MAX_RPC_BYTES: Final = 1_000_000
 Reply = TypeVar("Reply", bound=Strict)
+#: What a subscriber is called with: payload, encoding, seconds on the way.
+Take = Callable[[bytes, str, float | None], None]
 
 
 class BusError(Exception):
@@ -50,6 +56,8 @@ def _configuration(mode: str, where: str, endpoint: str) -> zenoh.Config:
         "scouting/delay": 0,
         "transport/link/tx/lease": 2000,
         "transport/shared_memory/enabled": False,
+        # Every sample tells when it was sent: the receiver's metrics want it, and so does replay.
+        "timestamping/enabled": True,
         # A full-size frame is 40 fragments; a machine busy with rendering may not drain them within the default 50 ms.
         "transport/link/tx/queue/congestion_control/drop/max_wait_before_drop_fragments": 500_000,
         # Nor is the default of 1 ms enough for a few commands in a row: a busy machine dropped 1 in 100 of them.
@@ -144,8 +152,8 @@ class Bus:
         self.robot = robot
         self.endpoint = endpoint
         self._sessions = {urgent: _open_client(endpoint, patience_s) for urgent in (False, True)}
-        self._publishers: dict[str, zenoh.Publisher] = {}
-        self._declared: list[zenoh.Subscriber[None] | zenoh.Queryable[None]] = []
+        self._publishers: dict[str, zenoh.Publisher | zenoh.ext.AdvancedPublisher] = {}
+        self._declared: list[zenoh.Subscriber[None] | zenoh.ext.AdvancedSubscriber[None] | zenoh.Queryable[None]] = []
 
     def connected(self) -> bool:
         """Whether both sessions have a router."""
@@ -166,27 +174,75 @@ class Bus:
             time.sleep(0.02)
 
     def publish(self, message: Message) -> None:
-        """Send a message on its topic; during an outage of the router it is lost."""
+        """Send a message on its topic.
+
+        During an outage of the router it is lost, but for the topics that are recorded: those are kept for
+        ``topics.KEPT_S``, and subscribers with ``replay`` have them sent afterwards.
+        """
         name = message.topic_name
         publisher = self._publishers.get(name)
         if publisher is None:
             publisher = self._publishers[name] = self._declare_publisher(TOPICS[name])
         publisher.put(encode(message))
 
-    def _declare_publisher(self, topic: Topic) -> zenoh.Publisher:
+    def _declare_publisher(self, topic: Topic) -> zenoh.Publisher | zenoh.ext.AdvancedPublisher:
+        session, key = self._sessions[topic.urgent], topic.key(self.robot)
+        encoding = zenoh.Encoding(encoding_of(topic.message))
         congestion = zenoh.CongestionControl.BLOCK if topic.reliable else zenoh.CongestionControl.DROP
-        return self._sessions[topic.urgent].declare_publisher(
-            topic.key(self.robot),
-            encoding=zenoh.Encoding(encoding_of(topic.message)),
+        priority = zenoh.Priority.REAL_TIME if topic.urgent else zenoh.Priority.DATA
+        if not topic.recorded:
+            return session.declare_publisher(
+                key, encoding=encoding, congestion_control=congestion, priority=priority, express=topic.urgent
+            )
+        replies = zenoh.ext.RepliesConfig(
+            congestion_control=zenoh.CongestionControl.BLOCK, priority=zenoh.Priority.BACKGROUND, express=False
+        )
+        return zenoh.ext.declare_advanced_publisher(
+            session,
+            key,
+            encoding=encoding,
             congestion_control=congestion,
-            priority=zenoh.Priority.REAL_TIME if topic.urgent else zenoh.Priority.DATA,
+            priority=priority,
             express=topic.urgent,
+            cache=zenoh.ext.CacheConfig(topic.kept, replies_config=replies),
+            sample_miss_detection=zenoh.ext.MissDetectionConfig(heartbeat=None, sporadic_heartbeat=HEARTBEAT_S),
+            publisher_detection=True,
         )
 
-    def subscribe(self, topic: Topic, take: Callable[[bytes, str], None]) -> None:
-        """Call ``take(payload, encoding)`` for every sample of a topic, on Zenoh's thread; it must return at once."""
-        key = topic.key(self.robot)
-        self.listen(key, lambda _key, payload, encoding: take(payload, encoding), urgent=topic.urgent)
+    def subscribe(self, topic: Topic, take: Take, *, replay: bool = False) -> None:
+        """Call ``take`` for every sample of a topic, on Zenoh's thread; it must return at once.
+
+        Parameters
+        ----------
+        topic
+            What to listen to.
+        take
+            Called with payload, encoding, and the seconds that the sample took from its sender, by the clocks of both
+            machines (None where it does not tell).
+        replay
+            Whether to have those samples sent, in order, that were published in the last ``topics.KEPT_S`` before
+            this subscription, and those that get lost on the way, in an outage of the router too. For what keeps a
+            record; never for what moves a robot.
+        """
+
+        def on_sample(sample: zenoh.Sample) -> None:
+            stamp = sample.timestamp
+            transit_s = None if stamp is None else time.time() - stamp.get_time().timestamp()
+            take(sample.payload.to_bytes(), str(sample.encoding), transit_s)
+
+        key, session = topic.key(self.robot), self._sessions[topic.urgent]
+        if not replay:
+            self._declared.append(session.declare_subscriber(key, _in_order(on_sample)))
+            return
+        self._declared.append(
+            zenoh.ext.declare_advanced_subscriber(
+                session,
+                key,
+                _in_order(on_sample),
+                history=zenoh.ext.HistoryConfig(detect_late_publishers=True, max_age=KEPT_S),
+                recovery=zenoh.ext.RecoveryConfig(periodic_queries=None, heartbeat=True),
+            )
+        )
 
     def listen(self, keys: str, take: Callable[[str, bytes, str], None], *, urgent: bool = False) -> None:
         """Call ``take(key, payload, encoding)`` for every sample on matching keys, on Zenoh's thread.
@@ -200,10 +256,8 @@ class Bus:
         def on_sample(sample: zenoh.Sample) -> None:
             take(str(sample.key_expr), sample.payload.to_bytes(), str(sample.encoding))
 
-        # Not indirect: a thread of its own for each subscriber would lose the order between topics.
-        handler = zenoh.handlers.Callback(on_sample, indirect=False)
         try:
-            self._declared.append(self._sessions[urgent].declare_subscriber(keys, handler))
+            self._declared.append(self._sessions[urgent].declare_subscriber(keys, _in_order(on_sample)))
         except zenoh.ZError as error:
             raise BusError(str(error).partition(" at /")[0]) from None  # without the place in Zenoh's source
 
@@ -258,9 +312,14 @@ class Bus:
             session.close()
 
 
+def _in_order(on_sample: Callable[[zenoh.Sample], None]) -> zenoh.handlers.Callback[zenoh.Sample]:
+    """Make a callback that runs on the session's thread: one thread for each would lose the order between topics."""
+    return zenoh.handlers.Callback(on_sample, indirect=False)
+
+
 def _reason(failure: bytes) -> str:
     try:
-        return Failure.model_validate_json(failure).error
+        return printable(Failure.model_validate_json(failure).error)
     except ValidationError:
         # Zenoh's own errors ("Timeout") are plain text.
-        return failure[:200].decode(errors="replace")
+        return printable(failure[:200].decode(errors="replace"))

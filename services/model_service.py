@@ -11,7 +11,8 @@ from pydantic import Field
 from schemas.base import Message
 from schemas.rpc import LoadReply, LoadRequest
 from schemas.topics import Topic
-from services.process import Detail, Node, ServiceError, ServiceSettings, configure_logging, read_settings
+from services.process import Detail, Node, ServiceError, configure_logging, read_settings
+from services.settings import ServiceSettings
 from smal.model import Model, ModelError
 
 #: So many hex digits of a model's checksum tell one model from another.

@@ -13,20 +13,24 @@ import signal
 import sys
 import threading
 import time
-from collections import Counter, defaultdict, deque
+from collections import Counter, defaultdict
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from types import FrameType, TracebackType
-from typing import Annotated, Final, Literal, Self, TypeVar, cast
+from typing import Final, Literal, Self, TypeVar, cast
 
-from pydantic import Field, ValidationError
-from pydantic_settings import BaseSettings, SettingsConfigDict
+from pydantic import ValidationError
 
-from schemas.base import ROBOT_ID_PATTERN, Message, Strict
+from schemas.base import Message, Strict
 from schemas.codec import DecodeError, decode, describe
 from schemas.rpc import Failure, Nothing, Status
 from schemas.topics import Topic
-from services.bus import DEFAULT_ROUTER, PATIENCE_S, Bus, BusError
+from services.bus import PATIENCE_S, Bus, BusError
+from services.health import ailment
+from services.http import HttpError, HttpServer
+from services.inbox import Inbox, Item
+from services.metrics import Metrics
+from services.settings import ServiceSettings
 
 REQUEST_QUEUE: Final = 64
 EXIT_FAILED: Final = 1
@@ -35,19 +39,6 @@ M = TypeVar("M", bound=Message)
 R = TypeVar("R", bound=Strict)
 S = TypeVar("S", bound="ServiceSettings")
 Detail = dict[str, str | int | float | bool | None]
-
-
-class ServiceSettings(BaseSettings):
-    """Settings that every service has; each can be given as ``SMAL_<NAME>`` or ``--<name>``."""
-
-    model_config = SettingsConfigDict(env_prefix="SMAL_", cli_kebab_case=True, use_attribute_docstrings=True)
-
-    robot: Annotated[str, Field(pattern=ROBOT_ID_PATTERN)] = "rescuebot"
-    """Robot id, part of every topic's key."""
-    router: str = DEFAULT_ROUTER
-    """Address of the Zenoh router."""
-    log_level: Literal["debug", "info", "warning", "error"] = "info"
-    """Least severe messages that are logged."""
 
 
 class ServiceError(Exception):
@@ -75,7 +66,7 @@ def run_service(name: str, serve: Callable[[], None]) -> None:
     """Run a service's main function; a failure to start is one line and exit status 1."""
     try:
         serve()
-    except (ServiceError, BusError) as error:
+    except (ServiceError, BusError, HttpError) as error:
         logging.getLogger(name).error("%s", error)  # noqa: TRY400 - one clear line is what an operator needs
         raise SystemExit(EXIT_FAILED) from None
 
@@ -94,54 +85,6 @@ class Throttle:
             return False
         self._next_s = now_s + 1.0
         return True
-
-
-class Inbox:
-    """Bounded queues, one a name; filled by any thread, emptied in order of arrival by one.
-
-    A full queue gives up its oldest item, and counts it.
-    """
-
-    def __init__(self) -> None:
-        self._ready = threading.Condition()
-        self._queues: dict[str, deque[tuple[int, object]]] = {}
-        self._arrivals = 0
-        self._woken = False
-        self.dropped: Counter[str] = Counter()
-
-    def open(self, name: str, depth: int) -> None:
-        """Add a queue that keeps at most ``depth`` items."""
-        with self._ready:
-            self._queues[name] = deque(maxlen=depth)
-
-    def put(self, name: str, item: object) -> None:
-        """Add an item; never blocks."""
-        with self._ready:
-            queue = self._queues[name]
-            if len(queue) == queue.maxlen:
-                self.dropped[name] += 1
-            queue.append((self._arrivals, item))
-            self._arrivals += 1
-            self._ready.notify()
-
-    def wake(self) -> None:
-        """Make the ``take`` that waits, or else the next one, return at once."""
-        with self._ready:
-            # Kept: a wake between the loop's look at the stop event and its wait would otherwise be lost.
-            self._woken = True
-            self._ready.notify_all()
-
-    def take(self, timeout_s: float | None) -> tuple[str, object] | None:
-        """Return the oldest item and its queue's name, or None after ``timeout_s`` or a ``wake``."""
-        with self._ready:
-            if not any(self._queues.values()) and not self._woken:
-                self._ready.wait(timeout_s)
-            self._woken = False
-            waiting = [(queue[0][0], name) for name, queue in self._queues.items() if queue]
-            if not waiting:
-                return None
-            name = min(waiting)[1]
-            return name, self._queues[name].popleft()[1]
 
 
 @dataclass
@@ -165,6 +108,13 @@ class Node:
         Robot and router.
     patience_s
         How long to wait for the router before giving up with a ``BusError``.
+
+    Raises
+    ------
+    BusError
+        When there is no router.
+    HttpError
+        When ``settings.http`` cannot be listened on.
     """
 
     def __init__(self, name: str, settings: ServiceSettings, patience_s: float = PATIENCE_S) -> None:
@@ -179,19 +129,39 @@ class Node:
         self._stop = threading.Event()
         self._state: Literal["starting", "ready", "stopping"] = "starting"
         self._started_s = self._worked_s = time.monotonic()
+        self._began_s: float | None = None
         self._received: Counter[str] = Counter()
         self._published: Counter[str] = Counter()
         self._bad: Counter[str] = Counter()
         self._complaints: defaultdict[str, Throttle] = defaultdict(Throttle)
         self._failed = 0
+        self.metrics = Metrics(name, settings.robot, self.status)
+        self._http: HttpServer | None = None
+        if settings.http is not None:
+            self._http = HttpServer(settings.http, lambda: ailment(self.status()), self.metrics.text)
         self.bus.serve(name, "status", lambda _request, reply: reply(self.status()))
 
     # -- wiring ---------------------------------------------------------------------------------------------------
 
     def subscribe(
-        self, topic: Topic, handler: Callable[[M], Message | Iterable[Message] | None], depth: int | None = None
+        self,
+        topic: Topic,
+        handler: Callable[[M], Message | Iterable[Message] | None],
+        depth: int | None = None,
+        *,
+        replay: bool = False,
     ) -> None:
-        """Handle every message of a topic; ``depth`` overrides how many are kept while the handler is busy."""
+        """Handle every message of a topic.
+
+        Parameters
+        ----------
+        topic, handler
+            What to handle, and with what.
+        depth
+            Overrides how many messages are kept while the handler is busy.
+        replay
+            Whether to be sent what was missed, see ``Bus.subscribe``.
+        """
         self._inbox.open(topic.name, depth or topic.queue)
 
         def work(item: object) -> None:
@@ -202,7 +172,13 @@ class Node:
                 self.publish(handler(cast("M", message)))
 
         self._handlers[topic.name] = work
-        self.bus.subscribe(topic, lambda payload, encoding: self._inbox.put(topic.name, (payload, encoding)))
+
+        def take(payload: bytes, encoding: str, transit_s: float | None) -> None:
+            self._inbox.put(topic.name, (payload, encoding))
+            if transit_s is not None:
+                self.metrics.transit(topic.name, transit_s)
+
+        self.bus.subscribe(topic, take, replay=replay)
 
     def serve(self, verb: str, request_type: type[R], handler: Callable[[R], Strict | None]) -> None:
         """Answer the calls of ``rpc/<name>/<verb>``; a ``ServiceError`` in the handler is the caller's to read."""
@@ -280,19 +256,32 @@ class Node:
             if number != signal.SIGHUP or signal.getsignal(number) is not signal.SIG_IGN:
                 signal.signal(number, on_signal)
 
-    def _handle(self, item: tuple[str, object] | None) -> None:
+    def _handle(self, item: Item | None) -> None:
         try:
             if item is not None:
-                self._handlers[item[0]](item[1])
-                self._worked_s = time.monotonic()
+                self._work(item)
             for timer in self._timers:
                 if time.monotonic() >= timer.due_s:
                     timer.due_s = max(timer.due_s + timer.period_s, time.monotonic())
+                    self._began_s = time.monotonic()
                     timer.handler()
                     self._worked_s = time.monotonic()
+        except ServiceError as error:
+            self._failed += 1
+            name = item.name if item else "a timer"
+            if self._complaints[name].due():
+                self.log.warning("handling %s failed (%d failures so far): %s", name, self._failed, error)
         except Exception:
             self._failed += 1
-            self.log.exception("handling %s failed", item[0] if item else "a timer")
+            self.log.exception("handling %s failed", item.name if item else "a timer")
+        finally:
+            self._began_s = None
+
+    def _work(self, item: Item) -> None:
+        began_s = self._began_s = time.monotonic()
+        self._handlers[item.name](item.content)
+        self._worked_s = time.monotonic()
+        self.metrics.hop(item.name, item.waited_s, self._worked_s - began_s)
 
     def _decode(self, topic: Topic, payload: bytes, encoding: str) -> Message | None:
         try:
@@ -317,8 +306,12 @@ class Node:
             service=self.name,
             state=self._state,
             pid=os.getpid(),
+            connected=self.bus.connected(),
             uptime_s=round(now - self._started_s, 3),
             idle_s=round(now - self._worked_s, 3),
+            busy_s=round(now - began_s, 3) if (began_s := self._began_s) is not None else 0.0,
+            oldest_s=round(self._inbox.oldest_s(), 3),
+            waiting=self._inbox.waiting(),
             received=dict(self._received),
             published=dict(self._published),
             dropped=dict(self._inbox.dropped),
@@ -329,6 +322,8 @@ class Node:
 
     def close(self) -> None:
         """Leave the bus."""
+        if self._http is not None:
+            self._http.close()
         self.bus.close()
 
     def __enter__(self) -> Self:

@@ -26,7 +26,7 @@ _STOP_TIMEOUT_S: Final = 10.0
 
 def bench(
     context: typer.Context,
-    name: Annotated[str, typer.Argument(help="Which benchmark; the first is: recognition")],
+    name: Annotated[str, typer.Argument(help="Which benchmark: recognition, bus, latency, ...")],
     json_file: Annotated[Path | None, typer.Option("--json", help="Write the results as JSON.")] = None,
     out: Annotated[Path | None, typer.Option(help="Folder for pictures.")] = None,
     quick: Annotated[bool, typer.Option("--quick", help="A small run, of a minute or two.")] = False,
@@ -37,6 +37,11 @@ def bench(
     Options that are not listed here are the benchmark's own; smal bench NAME -- --help lists them. Those of
     recognition: --recordings DIR (drives made by smal demonstrate --camera 320x240; without it some are driven),
     --images DIR (real frames; may be repeated), and to run less --part, --dataset and --mode.
+
+    bus: time of a message from process to process over that of plain Zenoh; --rate HZ.
+
+    latency: from the capture of a frame to its command, in real time; --model FILE and --recordings DIR (without them
+    both are made), --stride, --camera, --ticks, --stages.
 
     Example: smal bench recognition --json results.json --images photos
     """

@@ -86,7 +86,7 @@ def check_zenoh() -> Check:
             stack.enter_context(closing(Router(endpoint)))
             sender, receiver = (stack.enter_context(closing(Bus("doctor", endpoint))) for _ in range(2))
             arrived = threading.Event()
-            receiver.subscribe(topics.COMMANDS["teleop"], lambda _payload, _encoding: arrived.set())
+            receiver.subscribe(topics.COMMANDS["teleop"], lambda *_sample: arrived.set())
             times_s = [_time_message(sender, arrived, sequence) for sequence in range(MESSAGES)]
     except BusError as error:
         return Check("zenoh", False, str(error))

@@ -14,13 +14,15 @@ from schemas import topics
 from schemas.action import Action
 from schemas.base import Message
 from schemas.command import CommandApplied
+from schemas.compressed_image import CompressedImage
 from schemas.episode import Episode, Outcome
-from schemas.image import Image
 from schemas.pose import Pose
 from schemas.rpc import EndRequest, Nothing, ResetReply, ResetRequest
 from services.bus import RpcError
 from services.commands.errors import JobError
-from services.process import Node, ServiceSettings
+from services.jpeg import decode_jpeg
+from services.process import Node
+from services.settings import ServiceSettings
 
 #: Seconds without any sign of the robot after which an episode is given up.
 SILENCE_S: Final = 60.0
@@ -117,11 +119,11 @@ class EpisodeClient:
     def watch_frames(self, every: int) -> None:
         """Keep each ``every``-th camera image."""
 
-        def on_image(image: Image) -> None:
+        def on_image(image: CompressedImage) -> None:
             if self._record is not None and image.episode == self._episode and image.tick % every == 0:
-                self._record.frames[image.tick] = image.to_numpy()
+                self._record.frames[image.tick] = decode_jpeg(image.data)
 
-        self.node.subscribe(topics.CAMERA, on_image, depth=4)
+        self.node.subscribe(topics.JPEG, on_image, depth=4)
 
     def run(
         self,

@@ -20,7 +20,7 @@ from services.commands.errors import JobError
 from services.commands.recording import recording
 from services.commands.stack import Access, flags, stack_for
 from services.model_service import identity_of
-from services.process import ServiceSettings
+from services.settings import ServiceSettings
 from smal.evaluation.success import wilson_interval
 
 #: Camera images kept of every run for the report, one in so many frames.

@@ -24,7 +24,7 @@ from services.commands.child import tied
 from services.commands.errors import JobError
 from services.commands.interrupts import interrupted_by_signals
 from services.commands.options import check_robot
-from services.process import ServiceSettings
+from services.settings import ServiceSettings
 
 #: The services, in the order in which they start. Each runs as ``python -m services.<name>``.
 SERVICES: Final = ("router", "simulator", "features", "recognition", "policy", "recorder")

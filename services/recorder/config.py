@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from services.process import ServiceSettings
+from services.settings import ServiceSettings
 
 
 class RecorderSettings(ServiceSettings):

@@ -8,11 +8,10 @@ from __future__ import annotations
 
 import json
 from dataclasses import dataclass
-from typing import Any, Final, cast
+from typing import Any, cast
 
-import cv2
+import foxglove_schemas_protobuf.CompressedImage_pb2 as foxglove
 import numpy as np
-from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
 from google.protobuf.descriptor import FileDescriptor
 from google.protobuf.descriptor_pb2 import FileDescriptorSet
 from google.protobuf.message import DecodeError as ProtobufDecodeError
@@ -20,9 +19,8 @@ from google.protobuf.timestamp_pb2 import Timestamp
 from numpy.typing import NDArray
 
 from schemas.base import Message
-from schemas.image import Image
-
-JPEG_QUALITY: Final = 90
+from schemas.compressed_image import CompressedImage
+from services.jpeg import decode_jpeg
 
 
 @dataclass(frozen=True)
@@ -47,7 +45,7 @@ class ChannelFormat:
 
 def format_of(message: type[Message]) -> ChannelFormat:
     """Return how the messages of a class are written."""
-    if issubclass(message, Image):
+    if issubclass(message, CompressedImage):
         return ChannelFormat("foxglove.CompressedImage", "protobuf", "protobuf", _image_schema())
     schema = json.dumps(plain_json_schema(message)).encode()
     return ChannelFormat(message.schema_name(), "jsonschema", "json", schema)
@@ -55,16 +53,12 @@ def format_of(message: type[Message]) -> ChannelFormat:
 
 def payload_of(message: Message) -> bytes:
     """Return the bytes that stand in the file for a message."""
-    return _compress(message) if isinstance(message, Image) else message.model_dump_json().encode()
+    return _wrap(message) if isinstance(message, CompressedImage) else message.model_dump_json().encode()
 
 
-def _compress(image: Image) -> bytes:
-    bgr = cv2.cvtColor(image.to_numpy(), cv2.COLOR_RGB2BGR)
-    done, jpeg = cv2.imencode(".jpg", bgr, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])
-    if not done:
-        raise ValueError(f"OpenCV cannot encode a {image.width}x{image.height} image as JPEG")
+def _wrap(image: CompressedImage) -> bytes:
     stamp = Timestamp(seconds=image.stamp_ns // 1_000_000_000, nanos=image.stamp_ns % 1_000_000_000)
-    packed = CompressedImage(timestamp=stamp, frame_id=image.topic, data=jpeg.tobytes(), format="jpeg")
+    packed = foxglove.CompressedImage(timestamp=stamp, frame_id=image.topic, data=image.data, format=image.format)
     return packed.SerializeToString()
 
 
@@ -77,17 +71,10 @@ def decode_image(payload: bytes) -> NDArray[np.uint8]:
         When the payload is no image.
     """
     try:
-        jpeg = CompressedImage.FromString(payload).data
+        jpeg = foxglove.CompressedImage.FromString(payload).data
     except ProtobufDecodeError:
         raise ValueError("not a foxglove.CompressedImage") from None
-    try:
-        bgr = cv2.imdecode(np.frombuffer(jpeg, np.uint8), cv2.IMREAD_COLOR) if jpeg else None
-    except cv2.error:
-        # OpenCV refuses an image that claims to be enormous.
-        bgr = None
-    if bgr is None:
-        raise ValueError("not a JPEG image")
-    return cast("NDArray[np.uint8]", cv2.cvtColor(bgr, cv2.COLOR_BGR2RGB))
+    return decode_jpeg(jpeg)
 
 
 def _image_schema() -> bytes:
@@ -99,7 +86,7 @@ def _image_schema() -> bytes:
             collect(imported)
         files.setdefault(file.name, file)
 
-    collect(CompressedImage.DESCRIPTOR.file)
+    collect(foxglove.CompressedImage.DESCRIPTOR.file)
     descriptors = FileDescriptorSet()
     for file in files.values():
         file.CopyToProto(descriptors.file.add())

@@ -8,11 +8,11 @@ from typing import Final
 from schemas.base import Message
 from schemas.command import Command, CommandApplied
 from schemas.episode import Episode
-from schemas.topics import APPLIED, CAMERA, OBSERVATION, POSE, STATE
+from schemas.topics import APPLIED, JPEG, OBSERVATION, POSE, STATE
 
 #: Topics with a message for every tick. At its end an episode has no command applied and perhaps no state any more.
-EVERY_TICK: Final = (CAMERA.name, POSE.name, OBSERVATION.name, STATE.name, APPLIED.name)
-TO_THE_END: Final = (CAMERA.name, POSE.name, OBSERVATION.name)
+EVERY_TICK: Final = (JPEG.name, POSE.name, OBSERVATION.name, STATE.name, APPLIED.name)
+TO_THE_END: Final = (JPEG.name, POSE.name, OBSERVATION.name)
 
 Order = tuple[int, ...]
 
@@ -46,10 +46,14 @@ class Ledger:
         if last is not None and order <= last:
             self.duplicates += 1
             return False
-        if topic in EVERY_TICK:
-            self._miss(topic, self.last_tick(topic) + 1, message.tick)
-        self._last[topic] = order
+        self.enter(topic, order)
         return True
+
+    def enter(self, topic: str, order: Order) -> None:
+        """Note that the next message of a topic is there."""
+        if topic in EVERY_TICK:
+            self._miss(topic, self.last_tick(topic) + 1, order[0])
+        self._last[topic] = order
 
     def close(self, end_tick: int) -> None:
         """Note what is missing at the end of an episode that ended at this tick."""

@@ -21,7 +21,7 @@ from schemas.command import CommandApplied
 from schemas.episode import Episode
 from schemas.observation import Observation
 from schemas.pose import Pose
-from schemas.topics import APPLIED, CAMERA, EPISODE, OBSERVATION, POSE, Topic, topic_of
+from schemas.topics import APPLIED, EPISODE, JPEG, OBSERVATION, POSE, Topic, topic_of
 from services.recorder.recorded import RecordedEpisode
 from services.recorder.records import MAGIC, fields, flat_records, message_header, message_payload, view_of
 from services.recorder.sink import PARTIAL_SUFFIX, is_being_recorded
@@ -133,7 +133,7 @@ class _Reader:
 
     def _take_message(self, topic: Topic, robot: str, episode: str, tick: int, payload: memoryview) -> None:
         record = self.episodes.setdefault((robot, episode), RecordedEpisode(robot, episode))
-        if topic is CAMERA:
+        if topic is JPEG:
             if tick not in record.features:
                 record.images.setdefault(tick, payload)
             return

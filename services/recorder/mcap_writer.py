@@ -5,16 +5,17 @@ from __future__ import annotations
 import time
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
-from typing import Any, Final, cast
+from typing import Any, Final, Self, cast
 
 from mcap.writer import CompressionType, Writer
 
 from schemas.base import Message
 from schemas.episode import Episode
 from schemas.topics import TOPICS
+from services.recorder.contents import Contents, end_tick_of
 from services.recorder.encoding import format_of, payload_of
 from services.recorder.ledger import Ledger
-from services.recorder.recovery import RecoveryError, finish
+from services.recorder.recovery import RecoveryError, finish, finished, resume
 from services.recorder.sink import Sink, free_path, partial_of, publish
 
 #: Names of the metadata records: what the episode is (written first), and what the recording lacks (written last).
@@ -31,36 +32,86 @@ class EpisodeWriter:
 
     Parameters
     ----------
-    folder
-        Where the file goes.
-    started
-        The event that begins the episode.
-
-    Raises
-    ------
-    OSError
-        When the file cannot be made.
+    sink, writer
+        The file, and what writes its records.
+    path
+        Name of the file once it is sealed.
+    metadata
+        Robot and episode.
     """
 
-    def __init__(self, folder: Path, started: Episode) -> None:
-        self.path = free_path(folder, started.episode)
+    def __init__(self, sink: Sink, writer: Writer, path: Path, metadata: dict[str, str]) -> None:
+        self.path = path
         self.ledger = Ledger()
         self.messages = 0
+        self.end_tick: int | None = None
         self.problem: str | None = None
+        self._partial = sink.path
+        self._sink = sink
+        self._writer = writer
+        self._metadata = metadata
         self._channels: dict[str, int] = {}
         self._schemas: dict[type[Message], int] = {}
-        self._metadata = {"robot": started.robot, "episode": started.episode}
-        self._sink = Sink(partial_of(self.path))
+        self._whole = sink.tell()
+
+    @classmethod
+    def begin(cls, folder: Path, started: Episode) -> Self:
+        """Make the file of an episode that begins with this event.
+
+        Raises
+        ------
+        OSError
+            When the file cannot be made.
+        """
+        path = free_path(folder, started.episode)
+        metadata = {"robot": started.robot, "episode": started.episode}
+        sink = Sink(partial_of(path))
         try:
             # The writer asks its output for no more than write, tell and flush.
-            self._writer = Writer(cast("Any", self._sink), compression=CompressionType.NONE)
-            self._writer.start(profile="", library=f"smal {_software()}")
-            self._writer.add_metadata(EPISODE_METADATA, self._metadata | _description(started))
+            writer = Writer(cast("Any", sink), compression=CompressionType.NONE)
+            writer.start(profile="", library=f"smal {_software()}")
+            writer.add_metadata(EPISODE_METADATA, metadata | _description(started))
         except OSError:
-            self._sink.close()
-            partial_of(self.path).unlink(missing_ok=True)
+            sink.close()
+            sink.path.unlink(missing_ok=True)
             raise
-        self._whole = self._sink.tell()
+        return cls(sink, writer, path, metadata)
+
+    @classmethod
+    def resume(cls, partial: Path) -> Self:
+        """Go on with a file whose recorder was killed, after its last whole message.
+
+        Raises
+        ------
+        RecoveryError
+            When it cannot be gone on with.
+        OSError
+            When it cannot be opened, or another recorder writes it.
+        """
+        sink = Sink(partial, new=False)
+        try:
+            writer, records = resume(sink)
+            contents = Contents.of(records)
+        except BaseException:
+            sink.close()
+            raise
+        resumed = cls(sink, writer, finished(partial), contents.metadata)
+        resumed._remember(contents)
+        return resumed
+
+    def _remember(self, contents: Contents) -> None:
+        for topic, channel in contents.channels.items():
+            self._channels[topic] = channel.id
+            self._schemas[TOPICS[topic].message] = channel.schema_id
+        for topic, order in contents.orders:
+            self.ledger.enter(topic, order)
+            self.messages += 1
+        self.end_tick = contents.end_tick
+
+    @property
+    def episode(self) -> str:
+        """Id of the episode."""
+        return self._metadata["episode"]
 
     @property
     def size(self) -> int:
@@ -87,14 +138,10 @@ class EpisodeWriter:
             raise
         self._whole = self._sink.tell()
         self.messages += 1
+        self.end_tick = end_tick_of(message, self.end_tick)
 
-    def seal(self, end_tick: int | None = None) -> Path:
+    def seal(self) -> Path:
         """Finish the file and give it its name.
-
-        Parameters
-        ----------
-        end_tick
-            Tick at which the episode ended; None if it has not.
 
         Returns
         -------
@@ -102,14 +149,14 @@ class EpisodeWriter:
             The recording. It still has the name of an unfinished one if there is no room even for the index; the next
             recorder that starts in this folder finishes it then.
         """
-        if end_tick is not None:
-            self.ledger.close(end_tick)
+        if self.end_tick is not None:
+            self.ledger.close(self.end_tick)
         try:
             self._finish()
-            publish(partial_of(self.path), self.path)
+            publish(self._partial, self.path)
         except OSError as error:
             self.problem = self.problem or error.strerror or str(error)
-            return partial_of(self.path)
+            return self._partial
         finally:
             self._sink.close()
         return self.path

@@ -19,12 +19,13 @@ from services.recorder.records import (
     Record,
     chunk_content,
     fields,
+    flat_records,
     message_header,
     message_payload,
     records,
     view_of,
 )
-from services.recorder.sink import PARTIAL_SUFFIX, free_path, lock, publish, write_all
+from services.recorder.sink import PARTIAL_SUFFIX, Sink, free_path, lock, publish, write_all
 
 
 class RecoveryError(Exception):
@@ -52,7 +53,7 @@ class Recovered:
 
 def recover(folder: Path) -> Iterator[Recovered]:
     """Finish every recording in a folder that a killed recorder left behind; those of living ones are let be."""
-    for partial in sorted(folder.glob(f"*.mcap{PARTIAL_SUFFIX}")):
+    for partial in leftovers(folder):
         try:
             with partial.open("r+b") as file:
                 if lock(file.fileno()):
@@ -61,15 +62,24 @@ def recover(folder: Path) -> Iterator[Recovered]:
             yield Recovered(partial, problem=str(error))
 
 
+def leftovers(folder: Path) -> list[Path]:
+    """Return the unfinished files in a folder, those of living recorders too."""
+    return sorted(folder.glob(f"*.mcap{PARTIAL_SUFFIX}"))
+
+
+def finished(partial: Path) -> Path:
+    """Return the name that a leftover gets; never that of another recording."""
+    path = partial.with_name(partial.name.removesuffix(PARTIAL_SUFFIX))
+    return free_path(path.parent, path.stem) if path.exists() else path
+
+
 def _recover(partial: Path, descriptor: int) -> Recovered:
     start = os.pread(descriptor, len(MAGIC), 0)
     if MAGIC.startswith(start) and os.fstat(descriptor).st_size <= len(MAGIC):
         partial.unlink()
         return Recovered(partial)
     finish(descriptor)
-    path = partial.with_name(partial.name.removesuffix(PARTIAL_SUFFIX))
-    if path.exists():
-        path = free_path(path.parent, path.stem)
+    path = finished(partial)
     publish(partial, path)
     return Recovered(partial, path)
 
@@ -87,35 +97,65 @@ def finish(descriptor: int) -> None:
     OSError
         When there is no room for the summary; the file then ends with its last whole record.
     """
-    data = view_of(descriptor)
+    end, writer, echo = _retell(view_of(descriptor))
+    writer.finish()  # type: ignore[no-untyped-call]
+    _append(descriptor, end, bytes(echo.tail))
+
+
+def resume(sink: Sink) -> tuple[Writer, list[Record]]:
+    """Cut an unfinished file after its last whole record, and make a writer that goes on there.
+
+    Parameters
+    ----------
+    sink
+        The file.
+
+    Returns
+    -------
+    writer, records
+        The writer, and what the file holds.
+
+    Raises
+    ------
+    RecoveryError
+        When the file was not written by this recorder; it is left as it is.
+    """
+    data = view_of(sink.fileno())
+    end, writer, echo = _retell(data)
+    sink.truncate(end)
+    echo.go_on(sink)
+    return writer, list(flat_records(data[:end]))
+
+
+def _retell(data: memoryview) -> tuple[int, Writer, _Echo]:
+    """Tell a writer what a file has; return where its last whole record ends, the writer, and what it writes to."""
     if data[: len(MAGIC)] != MAGIC:
         raise RecoveryError("not an MCAP file")
     whole = [record for record in records(data) if record.opcode != Opcode.DATA_END]
     if not whole:
         raise RecoveryError("it ends before its first record")
     try:
-        tail = _tail(data, whole)
+        return whole[-1].end, *_told(data, whole)
     except RecoveryError:
         # After a power failure the last record may have its length, but zeros in place of its end.
         if len(whole) == 1:
             raise
         whole.pop()
-        tail = _tail(data, whole)
-    _append(descriptor, whole[-1].end, tail)
+        return whole[-1].end, *_told(data, whole)
 
 
-def _tail(data: memoryview, whole: list[Record]) -> bytes:
-    """Return what has to follow these records to make a finished file."""
+def _told(data: memoryview, whole: list[Record]) -> tuple[Writer, _Echo]:
     echo = _Echo(data[: whole[-1].end])
     # The writer asks its output for no more than write, tell and flush.
     writer = Writer(cast("Any", echo), compression=CompressionType.NONE)
     try:
         for record in whole:
             _tell(writer, record.opcode, record.body)
-        writer.finish()  # type: ignore[no-untyped-call]
     except (McapError, ValueError, KeyError, struct.error) as error:
         raise RecoveryError(f"not written by this recorder ({error})") from None
-    return bytes(echo.tail)
+    if echo.tell() < whole[-1].end:
+        raise RecoveryError("not written by this recorder (it holds more than its messages)")
+    return writer, echo
 
 
 def _append(descriptor: int, end: int, tail: bytes) -> None:
@@ -135,15 +175,23 @@ class _Echo:
     def __init__(self, data: memoryview) -> None:
         self._data = data
         self._position = 0
+        self._sink: Sink | None = None
         self.tail = bytearray()
 
     def write(self, data: bytes) -> int:
         begin, self._position = self._position, self._position + len(data)
+        if self._sink is not None:
+            return self._sink.write(data)
         known = self._data[begin : self._position]
         if known != data[: len(known)]:
             raise ValueError(f"something else stands at byte {begin}")
         self.tail += data[len(known) :]
         return len(data)
+
+    def go_on(self, sink: Sink) -> None:
+        """Write to a file from here on: first what it lacks of what was said already."""
+        sink.write(bytes(self.tail))
+        self._sink, self._data, self.tail = sink, memoryview(b""), bytearray()
 
     def tell(self) -> int:
         return self._position

@@ -12,21 +12,24 @@ from typing import Final, Self
 from schemas.base import Message
 from schemas.episode import Episode
 from schemas.rpc import Nothing, RecordReply, RecordRequest
-from schemas.topics import CAMERA, OBSERVATION, TOPICS
+from schemas.topics import OBSERVATION, TOPICS
 from services.process import Detail, Node, ServiceError
 from services.recorder.mcap_writer import EpisodeWriter
-from services.recorder.recovery import recover
+from services.recorder.recovery import RecoveryError, leftovers, recover
 
-#: Messages that wait while the disk is slow: at full size 64 images are 150 MB, and all else is small beside them.
-CAMERA_QUEUE: Final = 64
-QUEUE: Final = 1024
-#: An ended episode's file stays open for what still descends from the last frame: until the last observation is there
-#: and nothing more has come for ``QUIET_S``, at most ``GRACE_S``.
+#: Messages that wait while the disk is slow, as a multiple of what is replayed at once after an outage.
+QUEUE_FACTOR: Final = 2
+#: The file of an episode stays open after its end for what still descends from the last frame: until the last
+#: observation is there and nothing more has come for ``QUIET_S``, or else nothing for ``GRACE_S``.
 QUIET_S: Final = 0.2
 GRACE_S: Final = 1.0
+#: So long a file that a killed recorder left behind waits for its episode to go on.
+RESUME_S: Final = 5.0
 SEAL_PERIOD_S: Final = 0.05
-#: Messages kept of an episode whose beginning has not arrived yet: order holds within a topic, not between topics.
-EARLY_QUEUE: Final = 128
+#: Messages kept of episodes whose beginning has not arrived yet, and for how long: order holds within a topic, not
+#: between topics, and less so in a replay.
+EARLY_QUEUE: Final = 4096
+EARLY_S: Final = 5.0
 
 
 @dataclass(frozen=True)
@@ -58,19 +61,20 @@ class _Recording:
 
     writer: EpisodeWriter | None
     touched_s: float
-    closing_s: float | None = None
-    end_tick: int | None = None
+    closing: bool = False
+    resumed: bool = False
 
     def complete(self, now_s: float) -> bool:
         """Whether nothing more is to be expected."""
-        if self.closing_s is None:
+        quiet_s = now_s - self.touched_s
+        if not self.closing:
+            return self.resumed and quiet_s >= RESUME_S
+        return quiet_s >= (QUIET_S if self._observed_to_its_end() else GRACE_S)
+
+    def _observed_to_its_end(self) -> bool:
+        if self.writer is None or self.writer.end_tick is None:
             return False
-        if now_s - self.closing_s >= GRACE_S:
-            return True
-        if self.end_tick is None or self.writer is None:
-            return False
-        observed = self.writer.ledger.last_tick(OBSERVATION.name) >= self.end_tick
-        return observed and now_s - self.touched_s >= QUIET_S
+        return self.writer.ledger.last_tick(OBSERVATION.name) >= self.writer.end_tick
 
 
 class RecorderService:
@@ -96,7 +100,7 @@ class RecorderService:
         self._clock = clock
         self._folder: Path | None = None
         self._open: dict[str, _Recording] = {}
-        self._early: deque[Message] = deque(maxlen=EARLY_QUEUE)
+        self._early: deque[tuple[float, Message]] = deque(maxlen=EARLY_QUEUE)
         self._files: list[Path] = []
         self._sealed = Totals()
         self._lost = 0
@@ -106,7 +110,7 @@ class RecorderService:
             self._record_in(folder)
         for topic in TOPICS.values():
             if topic.recorded:
-                node.subscribe(topic, self.handle, depth=CAMERA_QUEUE if topic is CAMERA else QUEUE)
+                node.subscribe(topic, self.handle, depth=QUEUE_FACTOR * topic.kept, replay=True)
         node.serve("start", RecordRequest, self.start)
         node.serve("flush", Nothing, self.flush)
         node.serve("stop", Nothing, self.stop)
@@ -140,6 +144,8 @@ class RecorderService:
     def _record_in(self, folder: Path) -> None:
         try:
             folder.mkdir(parents=True, exist_ok=True)
+            for partial in leftovers(folder):
+                self._resume(partial)
             for leftover in recover(folder):
                 if leftover.problem is not None:
                     self._node.log.warning("cannot recover %s: %s", leftover.partial, leftover.problem)
@@ -152,9 +158,20 @@ class RecorderService:
         self._dropped_before = self._dropped_by_node()
         self._node.log.info("recording in %s", self._folder)
 
+    def _resume(self, partial: Path) -> None:
+        """Go on with a recording that was left behind: its episode may still run."""
+        try:
+            writer = EpisodeWriter.resume(partial)
+        except (RecoveryError, OSError):
+            return  # `recover` says what is wrong with it
+        self._node.log.info("going on with %s, left by a recorder that was killed", writer.path)
+        self._open[writer.episode] = _Recording(
+            writer, self._clock(), closing=writer.end_tick is not None, resumed=True
+        )
+
     def _settle(self) -> None:
         """Go on recording until the grace of every ended episode is over."""
-        self._node.spin(until=lambda: all(r.closing_s is None for r in self._open.values()), timeout_s=2 * GRACE_S)
+        self._node.spin(until=lambda: not any(r.closing for r in self._open.values()), timeout_s=2 * GRACE_S)
 
     def _reply(self) -> RecordReply:
         dropped = self._lost + self._dropped_by_node() - self._dropped_before
@@ -170,31 +187,34 @@ class RecorderService:
         if isinstance(message, Episode) and message.event == "started" and self._folder is not None:
             self._begin(message, self._folder)
         recording = self._open.get(message.episode)
-        if recording is None:
-            if self._folder is not None:
-                self._early.append(message)
-            return
-        self._write(recording, message)
-        if isinstance(message, Episode) and message.event == "started":
-            self._write_early(recording, message.episode)
-        if isinstance(message, Episode) and message.event == "ended":
-            recording.end_tick = message.tick
-            recording.closing_s = self._clock()
+        if recording is not None:
+            self._write(recording, message)
+            if isinstance(message, Episode) and message.event == "started":
+                self._write_early(recording, message.episode)
+            recording.closing |= isinstance(message, Episode) and message.event == "ended"
+        elif self._folder is not None and not self._is_recorded(message.episode, self._folder):
+            self._early.append((self._clock(), message))
 
     def seal_complete(self) -> None:
         """Finish the files of episodes of which nothing more is to be expected."""
         now_s = self._clock()
         for episode in [episode for episode, recording in self._open.items() if recording.complete(now_s)]:
             self._seal(episode)
+        while self._early and now_s - self._early[0][0] > EARLY_S:
+            self._early.popleft()
+
+    def _is_recorded(self, episode: str, folder: Path) -> bool:
+        """Whether there is a recording of an episode: what is replayed of it is in that."""
+        return (folder / f"{episode}.mcap").exists()
 
     def _begin(self, started: Episode, folder: Path) -> None:
-        if started.episode in self._open:
+        if started.episode in self._open or self._is_recorded(started.episode, folder):
             return
         # A robot runs one episode at a time: a new one means that the end of the last did not reach us.
         self._close_all()
         writer = None
         try:
-            writer = EpisodeWriter(folder, started)
+            writer = EpisodeWriter.begin(folder, started)
         except OSError as error:
             self._complain(f"cannot record episode {started.episode}: {error.strerror or error}")
         self._open[started.episode] = _Recording(writer, self._clock())
@@ -202,11 +222,11 @@ class RecorderService:
     def _write_early(self, recording: _Recording, episode: str) -> None:
         held = list(self._early)
         self._early.clear()
-        for message in held:
+        for arrived_s, message in held:
             if message.episode == episode:
                 self._write(recording, message)
             else:
-                self._early.append(message)
+                self._early.append((arrived_s, message))
 
     def _write(self, recording: _Recording, message: Message) -> None:
         recording.touched_s = self._clock()
@@ -222,8 +242,7 @@ class RecorderService:
 
     def _close_all(self) -> None:
         for recording in self._open.values():
-            if recording.closing_s is None:
-                recording.closing_s = self._clock()
+            recording.closing = True
 
     def _seal(self, episode: str) -> None:
         self._finish(self._open.pop(episode))
@@ -232,7 +251,7 @@ class RecorderService:
         writer, recording.writer = recording.writer, None
         if writer is None:
             return
-        path = writer.seal(recording.end_tick)
+        path = writer.seal()
         if path != writer.path:
             self._complain(f"cannot finish {path}: {writer.problem}; a recorder that starts in its folder will")
         self._files.append(path)

@@ -66,18 +66,26 @@ class Sink:
     Parameters
     ----------
     path
-        The new file.
+        The file.
+    new
+        Whether to make it, or to go on with one that is there.
 
     Raises
     ------
+    BlockingIOError
+        When another recorder writes it.
     OSError
-        When the file cannot be made.
+        When the file cannot be made or opened.
     """
 
-    def __init__(self, path: Path) -> None:
-        self._descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o644)
-        lock(self._descriptor)
-        self._size = 0
+    def __init__(self, path: Path, *, new: bool = True) -> None:
+        flags = os.O_CREAT | os.O_EXCL if new else 0
+        self._descriptor = os.open(path, os.O_RDWR | os.O_CLOEXEC | flags, 0o644)
+        if not lock(self._descriptor):
+            os.close(self._descriptor)
+            raise BlockingIOError(f"{path} is being recorded")
+        self.path = path
+        self._size = os.lseek(self._descriptor, 0, os.SEEK_END)
         self._closed = threading.Event()
         self._syncer = threading.Thread(target=self._sync_often, name=f"sync {path.name}", daemon=True)
         self._syncer.start()

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from services.process import ServiceSettings
+from services.settings import ServiceSettings
 
 
 class RouterSettings(ServiceSettings):

@@ -6,7 +6,7 @@ from typing import Annotated
 
 from pydantic import Field
 
-from services.process import ServiceSettings
+from services.settings import ServiceSettings
 
 
 class SimulatorSettings(ServiceSettings):

@@ -16,10 +16,12 @@ from numpy.typing import NDArray
 
 from schemas.base import Atom, Message, Source
 from schemas.command import Command, CommandApplied
+from schemas.compressed_image import CompressedImage
 from schemas.episode import Episode, EventName, Outcome, Purpose
 from schemas.image import Image
 from schemas.pose import Pose
 from schemas.rpc import ResetReply, ResetRequest
+from services.jpeg import encode_jpeg
 from services.simulator.drive import TICK_S
 from services.simulator.drive import Pose as PlanarPose
 from services.simulator.gate import Applied, CommandGate
@@ -71,9 +73,13 @@ class _Running:
 
     id: str
     request: ResetRequest
+    #: When the world's clock would have stood at zero (moved where rendering cannot keep up), and when it began.
     start_s: float
-    start_ns: int
+    begun_s: float
+    begun_ns: int
     tick: int = 0
+    #: When the last frame was captured; the wall clock is read once an episode, since it may be set meanwhile.
+    stamp_ns: int = 0
     moved_s: float = 0.0
     #: Whether the victim has been found at all, and whether it is in the last frame.
     found: bool = False
@@ -140,7 +146,8 @@ class EpisodeRunner:
         self._world.reset(request.seed, request.purpose)
         self._count += 1
         episode = f"{request.purpose}-{request.seed}-{self._session}-{self._count}"
-        self._running = run = _Running(episode, request, self._clock(), self._wall_clock_ns())
+        now_s, now_ns = self._clock(), self._wall_clock_ns()
+        self._running = run = _Running(episode, request, now_s, now_s, now_ns, stamp_ns=now_ns)
         self.gate.begin(episode, request.driver, release_emergency_stop=request.release_emergency_stop)
         route = tuple((float(x), float(y)) for x, y in self._world.route())
         messages.append(self._event("started"))
@@ -234,7 +241,10 @@ class EpisodeRunner:
 
     def _capture(self, run: _Running) -> Iterator[Message]:
         pose = self._world.pose
-        self.gate.captured(run.tick, self._gate_s(run))
+        captured_s = self._gate_s(run)
+        self.gate.captured(run.tick, captured_s)
+        elapsed_s = captured_s if run.request.mode == "lockstep" else captured_s - run.begun_s
+        run.stamp_ns = run.begun_ns + round(elapsed_s * 1e9)
         image = self._world.render()
         height, width, _ = image.shape
         run.sent_s = self._clock()
@@ -246,6 +256,8 @@ class EpisodeRunner:
             Image.after(header, width=width, height=height, data=image.tobytes()),
         )
         yield from run.frame
+        # After the raw image, so that its features are worked on meanwhile.
+        yield CompressedImage.after(header, width=width, height=height, data=encode_jpeg(image))
         run.in_view = self._world.victim_found()
         if run.in_view and not run.found:
             run.found = True
@@ -282,8 +294,7 @@ class EpisodeRunner:
         )
 
     def _header(self, run: _Running) -> Message:
-        stamp_ns = run.start_ns + round(run.tick * TICK_S * 1e9)
-        return Message(robot=self._robot, episode=run.id, tick=run.tick, stamp_ns=stamp_ns)
+        return Message(robot=self._robot, episode=run.id, tick=run.tick, stamp_ns=run.stamp_ns)
 
 
 def _what(applied: Applied) -> tuple[Atom, float, Source | None]:

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from typing import Final
 
 from schemas.base import Message
-from schemas.command import Command
+from schemas.command import Command, CommandApplied
 from schemas.episode import Episode
 from schemas.rpc import EndRequest, ResetReply, ResetRequest
 from schemas.topics import COMMANDS
@@ -30,6 +30,7 @@ class SimulatorService:
     def __init__(self, runner: EpisodeRunner, node: Node) -> None:
         self._runner = runner
         self._node = node
+        self._timed: tuple[str, int | None] | None = None
         for topic in COMMANDS.values():
             node.subscribe(topic, self.handle)
         node.serve("reset", ResetRequest, self.reset)
@@ -80,4 +81,14 @@ class SimulatorService:
             if isinstance(message, Episode):
                 outcome = f": {message.outcome}" if message.outcome else ""
                 self._node.log.info("episode %s, frame %d: %s%s", message.episode, message.tick, message.event, outcome)
+            elif isinstance(message, CommandApplied):
+                self._time(message)
             yield message
+
+    def _time(self, applied: CommandApplied) -> None:
+        """Count how long a command took, once: what is applied is said again with every frame."""
+        answered = (applied.episode, applied.answered_tick)
+        if applied.source is None or applied.latency_ns is None or answered == self._timed:
+            return
+        self._timed = answered
+        self._node.metrics.decision(applied.source, applied.latency_ns / 1e9)

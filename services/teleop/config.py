@@ -6,7 +6,7 @@ from typing import Annotated
 
 from pydantic import Field
 
-from services.process import ServiceSettings
+from services.settings import ServiceSettings
 from services.teleop.keys import FIRST_HOLD_S, REPEAT_HOLD_S
 
 

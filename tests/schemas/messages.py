@@ -16,6 +16,7 @@ from schemas.array import Float32Array
 from schemas.base import ATOMS, MAX_TICK, SOURCES, Message
 from schemas.codec import encode, encoding_of
 from schemas.command import Command, CommandApplied
+from schemas.compressed_image import CompressedImage
 from schemas.episode import Episode
 from schemas.image import Image
 from schemas.observation import Observation
@@ -28,6 +29,7 @@ HEADER = {"robot": "rescuebot", "episode": "drive-7-18c0-1", "tick": 300, "stamp
 #: One of each class; ``golden.json`` holds their bytes.
 EXAMPLES: dict[type[Message], Message] = {
     Image: Image(**HEADER, width=2, height=1, data=bytes(range(6))),
+    CompressedImage: CompressedImage(**HEADER, width=2, height=1, data=b"\xff\xd8\xff\xd9"),
     Pose: Pose(**HEADER, x_m=12.5, y_m=-3.25, heading_rad=1.5),
     Observation: Observation(
         **HEADER,
@@ -126,6 +128,9 @@ _counts = st.integers(0, 1_000_000)
 
 _fields: dict[type[Message], st.SearchStrategy[dict[str, object]]] = {
     Image: _images,
+    CompressedImage: st.fixed_dictionaries(
+        {**_header, "width": st.integers(1, 4096), "height": st.integers(1, 3072), "data": st.binary(min_size=4)}
+    ),
     Pose: st.fixed_dictionaries(
         {
             **_header,

@@ -12,7 +12,8 @@ from collections.abc import Callable, Iterator
 import pytest
 
 from services.bus import Bus, Router
-from services.process import Node, ServiceSettings
+from services.process import Node
+from services.settings import ServiceSettings
 
 RunNode = Callable[[Node], Node]
 

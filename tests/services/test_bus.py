@@ -15,6 +15,7 @@ from schemas.codec import decode, encode, encoding_of
 from schemas.command import Command
 from schemas.image import Image
 from schemas.rpc import EndRequest, Failure, Nothing
+from schemas.state import State
 from services.bus import Bus, BusError, Router, RpcError
 from tests.schemas.messages import EXAMPLES
 from tests.services.waiting import eventually
@@ -35,7 +36,7 @@ def other(router_endpoint: str) -> Iterator[Bus]:
 
 def heard(bus: Bus, topic: topics.Topic) -> SimpleQueue[Sample]:
     samples: SimpleQueue[Sample] = SimpleQueue()
-    bus.subscribe(topic, lambda payload, encoding: samples.put((payload, encoding)))
+    bus.subscribe(topic, lambda payload, encoding, _transit_s: samples.put((payload, encoding)))
     return samples
 
 
@@ -178,6 +179,57 @@ def test_messages_flow_again_after_the_router_was_away(free_endpoint: str) -> No
         router.close()
 
 
+def replayed(bus: Bus, topic: topics.Topic) -> Callable[[], list[int]]:
+    """Subscribe with replay; return what gives the ticks that have come so far."""
+    ticks: list[int] = []
+    bus.subscribe(
+        topic,
+        lambda payload, encoding, _transit_s: ticks.append(decode(topic.message, payload, encoding).tick),
+        replay=True,
+    )
+    return lambda: ticks
+
+
+@pytest.mark.parametrize("topic", [topics.STATE, topics.COMMANDS["teleop"]], ids=lambda topic: topic.name)
+def test_what_is_recorded_survives_an_outage_of_the_router(free_endpoint: str, topic: topics.Topic) -> None:
+    """The recorder gets what was sent while there was no router, each once and in order, the last one too."""
+    router = Router(free_endpoint)
+    sender, receiver = Bus("rescuebot", free_endpoint), Bus("rescuebot", free_endpoint)
+
+    def send(tick: int) -> None:
+        sender.publish(EXAMPLES[topic.message].model_copy(update={"tick": tick}))
+
+    try:
+        ticks = replayed(receiver, topic)
+        send(0)
+        eventually(lambda: ticks() == [0])
+        router.close()
+        eventually(lambda: not sender.connected() and not receiver.connected())
+        for tick in range(1, 101):
+            send(tick)
+        router = Router(free_endpoint)
+        eventually(lambda: len(ticks()) > 100)
+        assert ticks() == list(range(101))
+        send(101)
+        eventually(lambda: ticks()[-1] == 101)
+    finally:
+        sender.close()
+        receiver.close()
+        router.close()
+
+
+def test_who_comes_late_has_replayed_what_was_sent_before(client: Bus, other: Bus) -> None:
+    plain = heard(other, topics.STATE)
+    for tick in range(20):
+        client.publish(EXAMPLES[State].model_copy(update={"tick": tick}))
+    ticks = replayed(other, topics.STATE)
+    eventually(lambda: len(ticks()) == 20)
+    assert ticks() == list(range(20))
+    client.publish(EXAMPLES[State].model_copy(update={"tick": 20}))
+    eventually(lambda: ticks()[-1] == 20)
+    assert plain.qsize() <= 21, "nobody else has anything sent twice"
+
+
 def test_no_router(free_endpoint: str) -> None:
     with pytest.raises(BusError, match=rf"^no router at {free_endpoint}; start the stack with `smal up`$"):
         Bus("rescuebot", free_endpoint, patience_s=0.1)
@@ -246,6 +298,6 @@ def test_a_malformed_key_expression(client: Bus, keys: str) -> None:
 
 def test_closing_twice_is_harmless(router_endpoint: str) -> None:
     bus = Bus("rescuebot", router_endpoint)
-    bus.subscribe(topics.STATE, lambda _payload, _encoding: None)
+    bus.subscribe(topics.STATE, lambda *_sample: None)
     bus.close()
     bus.close()

@@ -34,7 +34,7 @@ def listen(client: Bus) -> Listen[Message]:
     def collect(topic: Topic, cls: type[M]) -> dict[int, M]:
         heard: dict[int, M] = {}
 
-        def take(payload: bytes, encoding: str) -> None:
+        def take(payload: bytes, encoding: str, _transit_s: float | None) -> None:
             message = decode(cls, payload, encoding)
             heard[message.tick] = message
 

@@ -9,14 +9,11 @@ import subprocess
 import sys
 import threading
 import time
-from collections import deque
 from collections.abc import Iterator
 from pathlib import Path
 from typing import TextIO
 
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from schemas import topics
 from schemas.base import Message
@@ -26,7 +23,9 @@ from schemas.pose import Pose
 from schemas.rpc import EndRequest, Nothing, Status
 from schemas.topics import Topic
 from services.bus import Bus, BusError, RpcError
-from services.process import Inbox, Node, ServiceError, ServiceSettings, Throttle, read_settings, run_service
+from services.inbox import Inbox
+from services.process import Node, ServiceError, Throttle, read_settings, run_service
+from services.settings import ServiceSettings
 from tests.services.conftest import RunNode
 from tests.services.waiting import eventually, introduce, ready, status_of
 
@@ -65,7 +64,7 @@ def test_a_message_is_handled_and_its_answers_are_published(node: Node, run_node
         yield Command.after(received, source="policy", atom="right")
 
     poses: list[Pose] = []
-    client.subscribe(topics.POSE, lambda payload, encoding: poses.append(decode(Pose, payload, encoding)))
+    client.subscribe(topics.POSE, lambda payload, encoding, _transit_s: poses.append(decode(Pose, payload, encoding)))
     node.subscribe(TELEOP, answer)
     run_node(node)
     introduce(client, "sample", command(3))
@@ -279,49 +278,11 @@ def test_throttle_lets_one_line_a_second_through() -> None:
     assert due == [0.0, 1.0, 2.0, 3.0]
 
 
-# -- the inbox --------------------------------------------------------------------------------------------------------
-
-NAMES = ("a", "b", "c")
-
-
-@given(st.lists(st.sampled_from([*NAMES, None]), max_size=60), st.tuples(*[st.integers(1, 5) for _ in NAMES]))
-def test_inbox_gives_the_oldest_and_counts_what_gave_way(steps: list[str | None], depths: tuple[int, ...]) -> None:
-    """Compare with one list that holds everything in order of arrival; None takes, a name puts."""
-    inbox = Inbox()
-    depth = dict(zip(NAMES, depths, strict=True))
-    for name in NAMES:
-        inbox.open(name, depth[name])
-    model: deque[tuple[str, int]] = deque()
-    dropped = dict.fromkeys(NAMES, 0)
-    for number, name in enumerate(steps):
-        if name is None:
-            assert inbox.take(timeout_s=0.0) == (model.popleft() if model else None)
-            continue
-        inbox.put(name, number)
-        model.append((name, number))
-        mine = [entry for entry in model if entry[0] == name]
-        if len(mine) > depth[name]:
-            model.remove(mine[0])
-            dropped[name] += 1
-    while model:
-        assert inbox.take(timeout_s=0.0) == model.popleft()
-    assert inbox.take(timeout_s=0.0) is None
-    assert {name: inbox.dropped[name] for name in NAMES} == dropped
-
-
-def test_inbox_wakes_a_reader_from_another_thread() -> None:
-    inbox = Inbox()
-    inbox.open("queue", 1)
-    writer = threading.Timer(0.02, inbox.put, ("queue", "item"))
-    writer.start()
-    assert inbox.take(timeout_s=5.0) == ("queue", "item")
-    writer.join()
-
-
 # -- processes --------------------------------------------------------------------------------------------------------
 
 SERVICE = """
-from services.process import Node, ServiceSettings, configure_logging, read_settings, run_service
+from services.settings import ServiceSettings
+from services.process import Node, configure_logging, read_settings, run_service
 def serve():
     settings = read_settings(ServiceSettings, "sample")
     configure_logging(settings.log_level)

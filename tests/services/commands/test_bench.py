@@ -49,13 +49,13 @@ def test_a_benchmark_runs_with_its_threads_fixed_where_the_user_is(
 
 
 def test_recognition_is_known() -> None:
-    assert bench.benchmarks(bench.FOLDER)[-1] == "recognition"
+    assert "recognition" in bench.benchmarks(bench.FOLDER)
 
 
 @pytest.mark.parametrize(
     ("arguments", "line"),
     [
-        (["juggling"], "no benchmark 'juggling'; known are: recognition"),
+        (["juggling"], f"no benchmark 'juggling'; known are: {', '.join(bench.benchmarks(bench.FOLDER))}"),
         (["recognition", "--json", "."], "--json .: is a folder; give the name of a file"),
         (["recognition", "--json", "no/where.json"], "--json no/where.json: no folder no"),
         (["recognition", "--out", "file"], "--out file: is a file, not a folder"),

@@ -19,7 +19,8 @@ from services.commands.checks import (
     check_rendering,
     check_zenoh,
 )
-from services.process import Node, ServiceSettings
+from services.process import Node
+from services.settings import ServiceSettings
 from tests.services.conftest import RunNode
 
 

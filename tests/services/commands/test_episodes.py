@@ -17,7 +17,8 @@ from services.commands.errors import JobError, UsageError
 from services.commands.options import Camera, camera_of_own_stack
 from services.commands.run import CHAIN, _check_models, _run_all, summarise
 from services.commands.stack import Access
-from services.process import Node, ServiceSettings
+from services.process import Node
+from services.settings import ServiceSettings
 from tests.services.conftest import RunNode
 
 REQUEST = ResetRequest(seed=3)

@@ -10,12 +10,13 @@ import pytest
 
 from schemas.array import Float32Array
 from schemas.base import Message
+from schemas.compressed_image import CompressedImage
 from schemas.episode import Outcome, Purpose
-from schemas.image import Image
 from schemas.observation import Observation
 from services.commands.errors import JobError, UsageError
 from services.commands.learn import learn
 from services.commands.teaching import Teacher, find_recordings
+from services.jpeg import encode_jpeg
 from services.recorder.mcap_reader import read_recording
 from services.recorder.mcap_writer import EpisodeWriter
 from smal.action_space import Atom
@@ -41,7 +42,7 @@ def drive(name: str, first: int = 0, frames: int = 40, outcome: Outcome = "found
     for tick in range(frames):
         pixels = view(first + tick)
         cause = header(name, tick)
-        messages.append(Image.after(cause, width=64, height=48, data=pixels.tobytes()))
+        messages.append(CompressedImage.after(cause, width=64, height=48, data=encode_jpeg(pixels)))
         vector = Float32Array.from_numpy(extract(pixels, FEATURES))
         messages.append(Observation.after(cause, fingerprint=fingerprint, features=vector))
         messages.append(applied(name, tick, atom="left" if tick % 3 == 2 else "forward"))
@@ -170,7 +171,7 @@ def test_damaged_recordings_are_named_and_the_rest_teaches(
     cut, foreign = drives / "drive-2.mcap", drives / "x.mcap"
     cut.write_bytes(cut.read_bytes()[: cut.stat().st_size // 2])
     foreign.write_bytes(b"not a recording")
-    living = EpisodeWriter(drives, event("living", 0, "started"))
+    living = EpisodeWriter.begin(drives, event("living", 0, "started"))
     leave(drives, drive("left-behind", frames=20)[:-1])
     learn([drives], tmp_path / "model.smal")
     said = capsys.readouterr().err

@@ -5,16 +5,18 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import numpy as np
+from numpy.typing import NDArray
 
 from schemas.action import Action
 from schemas.array import Float32Array
 from schemas.base import ATOMS, SOURCES, Message
 from schemas.command import Command, CommandApplied
+from schemas.compressed_image import CompressedImage
 from schemas.episode import Episode, EventName, Outcome, Purpose
-from schemas.image import Image
 from schemas.observation import Observation
 from schemas.pose import Pose
 from schemas.state import State
+from services.jpeg import encode_jpeg
 
 FINGERPRINT = "0123456789ab"
 MODEL = "fedcba9876543210"
@@ -33,9 +35,13 @@ def event(
     return Episode.after(header(episode, tick), **fields, outcome=outcome)
 
 
-def image(episode: str, tick: int) -> Image:
-    pixels = np.full((HEIGHT, WIDTH, 3), (250, 10, (3 * tick) % 256), np.uint8)
-    return Image.after(header(episode, tick), width=WIDTH, height=HEIGHT, data=pixels.tobytes())
+def pixels(tick: int) -> NDArray[np.uint8]:
+    return np.full((HEIGHT, WIDTH, 3), (250, 10, (3 * tick) % 256), np.uint8)
+
+
+def image(episode: str, tick: int) -> CompressedImage:
+    data = encode_jpeg(pixels(tick))
+    return CompressedImage.after(header(episode, tick), width=WIDTH, height=HEIGHT, data=data)
 
 
 def features(episode: str, tick: int) -> np.ndarray:

@@ -18,13 +18,13 @@ from mcap.stream_reader import StreamReader
 from mcap.writer import Writer
 
 from schemas.base import Message
-from schemas.image import Image
+from schemas.compressed_image import CompressedImage
 from schemas.topics import TOPICS, topic_of
 from services.recorder import mcap_writer
-from services.recorder.encoding import decode_image, plain_json_schema
+from services.recorder.encoding import decode_image, payload_of, plain_json_schema
 from services.recorder.ledger import Ledger
 from services.recorder.mcap_writer import EPISODE_METADATA, GAPS_METADATA, EpisodeWriter
-from services.recorder.recovery import recover
+from services.recorder.recovery import RecoveryError, recover
 from services.recorder.sink import Sink, partial_of
 from tests.services.recorder.recorded_messages import (
     applied,
@@ -35,6 +35,7 @@ from tests.services.recorder.recorded_messages import (
     header,
     image,
     observation,
+    pixels,
 )
 
 
@@ -43,11 +44,11 @@ def write_all(writer: EpisodeWriter, messages: list[Message]) -> None:
         writer.write(message)
 
 
-def record(folder: Path, messages: list[Message], end_tick: int | None = None) -> Path:
-    writer = EpisodeWriter(folder, messages[0])
+def record(folder: Path, messages: list[Message]) -> Path:
+    writer = EpisodeWriter.begin(folder, messages[0])
     for message in messages:
         writer.write(message)
-    path = writer.seal(end_tick)
+    path = writer.seal()
     assert writer.problem is None
     return path
 
@@ -66,7 +67,7 @@ def metadata(path: Path) -> dict[str, dict[str, str]]:
 
 def test_every_message_comes_back_as_it_was(tmp_path: Path) -> None:
     sent = list(episode("drive-1"))
-    path = record(tmp_path, sent, end_tick=4)
+    path = record(tmp_path, sent)
     with path.open("rb") as file:
         found = list(make_reader(file).iter_messages(log_time_order=False))
     assert len(found) == len(sent)
@@ -74,7 +75,7 @@ def test_every_message_comes_back_as_it_was(tmp_path: Path) -> None:
         assert channel.topic == TOPICS[message.topic_name].key("rescuebot")
         assert channel.metadata == {"robot": "rescuebot", "episode": "drive-1"}
         assert (stored.log_time, stored.sequence) == (message.stamp_ns, message.tick)
-        if not isinstance(message, Image):
+        if not isinstance(message, CompressedImage):
             assert type(message).model_validate_json(stored.data) == message
     assert {topic_of(channel.topic) for _, channel, _ in found} == {t for t in TOPICS.values() if t.recorded}
 
@@ -82,7 +83,7 @@ def test_every_message_comes_back_as_it_was(tmp_path: Path) -> None:
 def test_images_are_compressed_images_of_the_same_pixels(tmp_path: Path) -> None:
     path = record(tmp_path, [event("drive-1", 0, "started"), image("drive-1", 0)])
     with path.open("rb") as file:
-        ((schema, channel, stored),) = make_reader(file).iter_messages(topics=["smal/rescuebot/camera/rgb"])
+        ((schema, channel, stored),) = make_reader(file).iter_messages(topics=["smal/rescuebot/camera/jpeg"])
     assert (schema.name, schema.encoding) == ("foxglove.CompressedImage", "protobuf")
     assert channel.message_encoding == "protobuf"
     # As a viewer does: nothing but the file's own descriptors.
@@ -92,13 +93,13 @@ def test_images_are_compressed_images_of_the_same_pixels(tmp_path: Path) -> None
     packed = GetMessageClass(pool.FindMessageTypeByName(schema.name)).FromString(stored.data)
     assert packed.format == "jpeg"
     assert packed.timestamp.seconds * 10**9 + packed.timestamp.nanos == image("drive-1", 0).stamp_ns
-    difference = decode_image(stored.data).astype(int) - image("drive-1", 0).to_numpy()
+    difference = decode_image(stored.data).astype(int) - pixels(0)
     assert np.abs(difference).max() <= 4
 
 
 def test_summary_lists_schemas_channels_and_statistics(tmp_path: Path) -> None:
     sent = list(episode("drive-1"))
-    path = record(tmp_path, sent, end_tick=4)
+    path = record(tmp_path, sent)
     with path.open("rb") as file:
         summary = make_reader(file, validate_crcs=True).get_summary()
     assert summary is not None
@@ -106,7 +107,7 @@ def test_summary_lists_schemas_channels_and_statistics(tmp_path: Path) -> None:
     recorded = [topic for topic in TOPICS.values() if topic.recorded]
     assert len(summary.channels) == len(recorded)
     assert {schema.name for schema in summary.schemas.values()} == {
-        "foxglove.CompressedImage" if t.message is Image else t.message.schema_name() for t in recorded
+        "foxglove.CompressedImage" if t.message is CompressedImage else t.message.schema_name() for t in recorded
     }
     assert summary.statistics.message_count == len(sent)
     assert sum(summary.statistics.channel_message_counts.values()) == len(sent)
@@ -121,7 +122,7 @@ def test_summary_lists_schemas_channels_and_statistics(tmp_path: Path) -> None:
 
 
 def test_metadata_says_what_the_episode_is(tmp_path: Path) -> None:
-    found = metadata(record(tmp_path, list(episode("drive-1")), end_tick=4))
+    found = metadata(record(tmp_path, list(episode("drive-1"))))
     said = found[EPISODE_METADATA]
     assert said["software"]
     assert {key: said[key] for key in ("robot", "episode", "world", "seed", "purpose", "driver")} == {
@@ -135,7 +136,9 @@ def test_metadata_says_what_the_episode_is(tmp_path: Path) -> None:
     assert found[GAPS_METADATA] == {"duplicates": "0"}
 
 
-@pytest.mark.parametrize("topic", [t for t in TOPICS.values() if t.message is not Image], ids=lambda t: t.name)
+@pytest.mark.parametrize(
+    "topic", [t for t in TOPICS.values() if t.message is not CompressedImage], ids=lambda t: t.name
+)
 def test_json_schemas_are_of_the_kind_that_foxglove_reads(topic: Any) -> None:
     def check(schema: dict[str, Any]) -> None:
         assert schema["type"] in ("boolean", "string", "number", "integer", "object", "array")
@@ -158,7 +161,7 @@ def test_what_is_sent_again_is_written_once(tmp_path: Path) -> None:
         applied("e", 0),
         *frame("e", 1),
     ]
-    path = record(tmp_path, [event("e", 0, "started"), *again], end_tick=1)
+    path = record(tmp_path, [event("e", 0, "started"), *again])
     assert len(read_all(path)) == 1 + 2 * len(frame("e", 0)) + 2
     assert metadata(path)[GAPS_METADATA]["duplicates"] == str(len(frame("e", 0)) + 1)
 
@@ -166,9 +169,9 @@ def test_what_is_sent_again_is_written_once(tmp_path: Path) -> None:
 def test_missing_ticks_are_named_in_the_file(tmp_path: Path) -> None:
     sent = [event("e", 0, "started")]
     sent += [image("e", tick) for tick in (0, 1, 4, 6)] + [observation("e", tick) for tick in (1, 2, 3, 4, 5, 6, 7)]
-    path = record(tmp_path, sent, end_tick=7)
+    path = record(tmp_path, [*sent, event("e", 7, "ended", "aborted")])
     gaps = metadata(path)[GAPS_METADATA]
-    assert gaps == {"duplicates": "0", "camera/rgb": "2-3 5 7", "observation": "0"}
+    assert gaps == {"duplicates": "0", "camera/jpeg": "2-3 5 7", "observation": "0"}
 
 
 def test_ledger_knows_every_order() -> None:
@@ -189,7 +192,7 @@ def test_no_recording_is_overwritten(tmp_path: Path) -> None:
 
 def leave(folder: Path, messages: list[Message]) -> Path:
     """Record and die: the file is as the system has it after a kill."""
-    writer = EpisodeWriter(folder, messages[0])
+    writer = EpisodeWriter.begin(folder, messages[0])
     for message in messages:
         writer.write(message)
     writer._sink.close()
@@ -237,8 +240,60 @@ def test_leftovers_cut_anywhere_are_recovered_as_far_as_they_are_whole(tmp_path:
     assert counts[-1] == len(whole)
 
 
+def test_a_leftover_is_gone_on_with_as_if_nothing_had_happened(tmp_path: Path) -> None:
+    sent = [*episode("e", frames=6)]
+    (tmp_path / "whole").mkdir()
+    reference = record(tmp_path / "whole", sent)
+    for kept in range(1, len(sent) + 1):
+        writer = EpisodeWriter.resume(leave(tmp_path, sent[:kept]))
+        assert (writer.messages, writer.episode) == (kept, "e")
+        assert writer.end_tick == (5 if kept == len(sent) else None)
+        write_all(writer, sent[max(0, kept - 20) :])
+        path = writer.seal()
+        assert read_all(path) == read_all(reference)
+        with path.open("rb") as file:
+            list(StreamReader(file, validate_crcs=True).records)
+        assert set(metadata(path)[GAPS_METADATA]) == {"duplicates"}
+        path.unlink()
+
+
+def test_a_leftover_cut_anywhere_gets_what_it_lacks_when_that_is_sent_again(tmp_path: Path) -> None:
+    sent = list(episode("e", frames=3))
+    partial = leave(tmp_path, sent)
+    content = partial.read_bytes()
+    partial.unlink()
+    resumed = 0
+    for size in range(0, len(content), 499):
+        partial.write_bytes(content[:size] + b"\0" * (size % 3))
+        try:
+            writer = EpisodeWriter.resume(partial)
+        except RecoveryError:
+            assert size < 700, "only where even the name of the episode is lost"
+            assert partial.read_bytes() == content[:size] + b"\0" * (size % 3)
+            continue
+        except ValueError:
+            assert size == 0
+            continue
+        resumed += 1
+        write_all(writer, sent)
+        path = writer.seal()
+        assert sorted(read_all(path)) == sorted(
+            (TOPICS[m.topic_name].key("rescuebot"), m.tick, payload_of(m)) for m in sent
+        )
+        path.unlink()
+    assert resumed > 10
+
+
+def test_ticks_that_nobody_can_send_any_more_are_named_after_a_resumption(tmp_path: Path) -> None:
+    before = [event("e", 0, "started"), *frame("e", 0), applied("e", 0)]
+    writer = EpisodeWriter.resume(leave(tmp_path, before))
+    write_all(writer, [*frame("e", 4), event("e", 4, "ended", "aborted")])
+    gaps = metadata(writer.seal())[GAPS_METADATA]
+    assert gaps == {"duplicates": "0"} | dict.fromkeys(("camera/jpeg", "pose/truth", "observation", "state"), "1-3")
+
+
 def test_what_is_being_recorded_or_foreign_is_let_be(tmp_path: Path) -> None:
-    living = EpisodeWriter(tmp_path, event("living", 0, "started"))
+    living = EpisodeWriter.begin(tmp_path, event("living", 0, "started"))
     foreign = tmp_path / "foreign.mcap.partial"
     foreign.write_bytes(b"holiday pictures, not to be touched")
     other = tmp_path / "other.mcap.partial"
@@ -284,13 +339,13 @@ def test_a_full_disk_seals_the_file_after_the_last_whole_message(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(mcap_writer, "Sink", FullDisk)
-    writer = EpisodeWriter(tmp_path, event("e", 0, "started"))
+    writer = EpisodeWriter.begin(tmp_path, event("e", 0, "started"))
     sent = list(episode("e", frames=50))
     with pytest.raises(OSError, match="No space left"):
         write_all(writer, sent)
     before = writer.messages
     writer.write(observation("e", 49))
-    path = writer.seal(49)
+    path = writer.seal()
     assert path.name == "e.mcap"
     assert 10 < len(read_all(path)) == before == writer.messages < len(sent)
 
@@ -301,12 +356,12 @@ def test_a_disk_too_full_for_the_index_leaves_what_the_next_start_finishes(
     def full(*_: object) -> None:
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
-    writer = EpisodeWriter(tmp_path, event("e", 0, "started"))
+    writer = EpisodeWriter.begin(tmp_path, event("e", 0, "started"))
     for message in episode("e"):
         writer.write(message)
     monkeypatch.setattr("services.recorder.sink.write_all", full)
     monkeypatch.setattr("services.recorder.recovery.write_all", full)
-    path = writer.seal(4)
+    path = writer.seal()
     assert path.name == "e.mcap.partial"
     assert writer.problem == "No space left on device"
     monkeypatch.undo()

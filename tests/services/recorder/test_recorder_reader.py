@@ -10,7 +10,7 @@ from mcap.reader import make_reader
 from mcap.writer import CompressionType, Writer
 
 from schemas.base import ATOMS, Message
-from schemas.image import Image
+from schemas.topics import JPEG
 from services.recorder.encoding import decode_image
 from services.recorder.mcap_reader import Recording, RecordingError, read_recording
 from services.recorder.mcap_writer import EpisodeWriter
@@ -24,6 +24,7 @@ from tests.services.recorder.recorded_messages import (
     frame,
     image,
     observation,
+    pixels,
 )
 from tests.services.recorder.test_recorder_files import leave, record
 
@@ -73,8 +74,7 @@ def test_images_stand_in_for_vectors_of_another_fingerprint(tmp_path: Path) -> N
     sent[2:2] = [observation("e", 0), observation("e", 1, fingerprint="00000000ffff")]
     (read,) = read_messages(tmp_path, sent).episodes
     assert (sorted(read.features), sorted(read.images), read.frames) == ([0], [1, 2], 3)
-    pixels = decode_image(bytes(read.images[1]))
-    assert np.abs(pixels.astype(int) - image("e", 1).to_numpy()).max() <= 4
+    assert np.abs(decode_image(bytes(read.images[1])).astype(int) - pixels(1)).max() <= 4
     assert [piece.ticks.tolist() for piece in read.pieces()] == [[0]]
 
 
@@ -88,7 +88,7 @@ def test_no_piece_spans_a_gap(tmp_path: Path) -> None:
     sent = [
         message
         for message in episode("e", frames=9)
-        if (message.topic_name, message.tick) not in {("observation", 3), ("camera/rgb", 3), ("command/applied", 6)}
+        if (message.topic_name, message.tick) not in {("observation", 3), ("camera/jpeg", 3), ("command/applied", 6)}
     ]
     (read,) = read_messages(tmp_path, sent).episodes
     pieces = read.pieces()
@@ -131,7 +131,7 @@ def test_merged_episodes_stay_apart(tmp_path: Path, compression: CompressionType
 
 
 def test_a_file_cut_anywhere_is_read_as_far_as_it_is_whole(tmp_path: Path) -> None:
-    content = record(tmp_path, list(episode("e", frames=4)), end_tick=3).read_bytes()
+    content = record(tmp_path, list(episode("e", frames=4))).read_bytes()
     cut = tmp_path / "cut.mcap"
     read, refused, complaints = [], [], set()
     # Every region is hit: magic, header, schemas, channels, messages, metadata, summary, footer.
@@ -157,7 +157,7 @@ def test_a_file_cut_anywhere_is_read_as_far_as_it_is_whole(tmp_path: Path) -> No
 
 
 def test_noise_in_a_file_never_kills(tmp_path: Path) -> None:
-    whole = record(tmp_path, list(episode("e", frames=2)), end_tick=1)
+    whole = record(tmp_path, list(episode("e", frames=2)))
     sources = [
         whole,
         merge([whole], tmp_path / "merged.mcap"),
@@ -192,7 +192,7 @@ def test_files_that_are_no_recordings_say_so_in_one_line(tmp_path: Path) -> None
     assert complaint(b"") == "empty"
     assert complaint(b"PK\x03\x04 a zip file") == "not an MCAP file"
     no_start = [applied("e", 0), image("e", 0)]
-    writer = EpisodeWriter(tmp_path, event("e", 0, "started"))
+    writer = EpisodeWriter.begin(tmp_path, event("e", 0, "started"))
     for message in no_start:
         writer.write(message)
     assert complaint(writer.seal().read_bytes()) == "holds no episode"
@@ -205,7 +205,7 @@ def test_files_that_are_no_recordings_say_so_in_one_line(tmp_path: Path) -> None
 
 
 def test_a_living_recording_is_refused_and_a_dead_one_read(tmp_path: Path) -> None:
-    writer = EpisodeWriter(tmp_path, event("living", 0, "started"))
+    writer = EpisodeWriter.begin(tmp_path, event("living", 0, "started"))
     with pytest.raises(RecordingError, match="still being recorded"):
         read_recording(tmp_path / "living.mcap.partial")
     writer.seal()
@@ -216,9 +216,9 @@ def test_a_living_recording_is_refused_and_a_dead_one_read(tmp_path: Path) -> No
 
 def test_other_peoples_topics_are_let_be(tmp_path: Path) -> None:
     path = record(tmp_path, list(episode("e")))
-    content = path.read_bytes().replace(b"smal/rescuebot/camera/rgb", b"else/rescuebot/camera/rgb")
+    content = path.read_bytes().replace(b"smal/rescuebot/camera/jpeg", b"else/rescuebot/camera/jpeg")
     path.write_bytes(content)
     (read,) = read_recording(path, FINGERPRINT).episodes
     assert not read.images
     assert len(read.pieces()[0].ticks) == 5
-    assert Image.topic == "camera/rgb"
+    assert JPEG.name == "camera/jpeg"

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from schemas.base import Atom, Message, Source
 from schemas.command import Command, CommandApplied
+from schemas.compressed_image import CompressedImage
 from schemas.episode import Episode, Purpose
 from schemas.image import Image
 from schemas.pose import Pose
@@ -101,15 +102,15 @@ def events(messages: list[Message]) -> list[tuple[str, str | None]]:
 def test_lockstep_waits_for_each_answer_and_moves_exactly_one_tick() -> None:
     world = Line()
     runner, clock, messages = begin(world)
-    assert [type(m) for m in messages] == [Episode, Pose, Image]
+    assert [type(m) for m in messages] == [Episode, Pose, Image, CompressedImage]
     clock.now_s += RESEND_S / 2
     assert not list(runner.poll())
     messages = answer(runner)
-    assert [type(m) for m in messages] == [CommandApplied, Pose, Image]
+    assert [type(m) for m in messages] == [CommandApplied, Pose, Image, CompressedImage]
     assert world.moves == [("forward", 1.0, TICK_S)]
     assert isinstance(messages[0], CommandApplied)
     assert messages[0].latency_ns == pytest.approx(1e9 * RESEND_S / 2)
-    assert [m.tick for m in messages] == [0, 1, 1]
+    assert [m.tick for m in messages] == [0, 1, 1, 1]
     assert messages[1].stamp_ns == 5 + 100_000_000
 
 
@@ -125,7 +126,7 @@ def test_lockstep_ignores_answers_to_other_frames() -> None:
 def test_lockstep_sends_a_lost_frame_again_and_then_gives_up() -> None:
     runner, clock, first = begin(Line())
     clock.now_s += RESEND_S + 0.1
-    assert list(runner.poll()) == first[1:]
+    assert list(runner.poll()) == first[1:3], "not the JPEG: its sender keeps it for whoever missed it"
     clock.now_s += 0.1
     assert not list(runner.poll())
     clock.now_s += GIVE_UP_S
@@ -222,6 +223,19 @@ def test_realtime_silence_stops_the_robot_within_half_a_second() -> None:
     assert world.moves[-1][0] == "stop"
     applied = [m for m in messages if isinstance(m, CommandApplied)]
     assert (applied[0].reason, applied[-1].reason) == ("command", "silence")
+
+
+def test_realtime_stamps_are_when_frames_were_captured_whatever_happens_to_the_wall_clock() -> None:
+    clock = Clock()
+    wall_ns = iter([7_000_000_000])
+    runner = EpisodeRunner(Line(), "r", "s", clock, lambda: next(wall_ns))
+    runner.reset(ResetRequest(seed=1, mode="realtime"))
+    captured_s = {}
+    for _ in range(3):
+        clock.now_s += 0.35  # slower than real time: the stamps are true all the same
+        captured_s |= {(m.tick, clock.now_s): m.stamp_ns for m in runner.poll() if isinstance(m, Image)}
+    assert len(captured_s) >= 2
+    assert all(stamp_ns == 7_000_000_000 + round(1e9 * (now_s - 100.0)) for (_, now_s), stamp_ns in captured_s.items())
 
 
 def test_realtime_slow_rendering_slows_the_world_and_skips_no_frame() -> None:
@@ -321,6 +335,7 @@ class FakeNode:
 
     def __init__(self) -> None:
         self.published: list[Message] = []
+        self.decisions: list[tuple[str, float]] = []
 
     def subscribe(self, *_: object) -> None: ...
 
@@ -331,6 +346,13 @@ class FakeNode:
     @property
     def log(self) -> FakeNode:
         return self
+
+    @property
+    def metrics(self) -> FakeNode:
+        return self
+
+    def decision(self, source: str, seconds: float) -> None:
+        self.decisions.append((source, seconds))
 
     def info(self, *_: object) -> None: ...
 
@@ -388,6 +410,22 @@ def test_a_latched_robot_stands_in_whatever_episode() -> None:
     assert isinstance(applied, CommandApplied)
     assert (applied.reason, applied.answered_tick, applied.latency_ns) == ("emergency_stop", None, None)
     assert world.moves == [("stop", 0.0, TICK_S)]
+
+
+def test_the_time_to_each_accepted_command_is_counted_once() -> None:
+    service, runner, node = serve(Line())
+    service.reset(ResetRequest(seed=1, mode="realtime"))
+    run = runner.running
+    assert run is not None
+    header = Message(robot="r", episode=run.id, tick=0, stamp_ns=0)
+    clock = cast("Clock", runner._clock)
+    clock.now_s += 0.03
+    list(service.handle(Command.after(header, source="policy", atom="forward")))
+    for _ in range(20):
+        clock.now_s += STEP_S
+        service.poll()
+    assert len([m for m in node.published if isinstance(m, CommandApplied) and m.answered_tick == 0]) > 1
+    assert node.decisions == [("policy", pytest.approx(0.03))]
 
 
 def test_status_is_told_while_commands_are_being_refused() -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 
 import pytest
@@ -14,7 +14,7 @@ from schemas.command import Command, CommandApplied
 from schemas.episode import Episode
 from schemas.image import Image
 from schemas.rpc import EndRequest, Nothing, ResetReply, ResetRequest
-from services.bus import Bus, RpcError
+from services.bus import Bus, RpcError, Take
 from tests.services.chain import process
 from tests.services.waiting import eventually, malformed, ready, status_of
 
@@ -34,8 +34,8 @@ class Heard:
 def heard(client: Bus, router_endpoint: str) -> Iterator[Heard]:
     heard = Heard()
 
-    def into(collected: list[Message], cls: type[Message]) -> Callable[[bytes, str], None]:
-        return lambda payload, encoding: collected.append(decode(cls, payload, encoding))
+    def into(collected: list[Message], cls: type[Message]) -> Take:
+        return lambda payload, encoding, _transit_s: collected.append(decode(cls, payload, encoding))
 
     client.subscribe(topics.CAMERA, into(heard.images, Image))  # type: ignore[arg-type]
     client.subscribe(topics.APPLIED, into(heard.applied, CommandApplied))  # type: ignore[arg-type]

@@ -14,7 +14,7 @@ from pathlib import Path
 
 import pytest
 
-from services.process import ServiceSettings
+from services.settings import ServiceSettings
 from tests.services.conftest import RunNode
 from tests.services.teleop.fake_robot import FakeRobot
 from tests.services.waiting import eventually

@@ -1,0 +1,25 @@
+"""Camera images for recordings, people and slow links."""
+
+from __future__ import annotations
+
+from typing import Annotated, ClassVar, Literal
+
+from pydantic import Field
+
+from schemas.base import Message
+
+
+class CompressedImage(Message):
+    """The colour frame as JPEG, for the recorder, the console and slow links."""
+
+    topic: ClassVar[str] = "camera/jpeg"
+    max_bytes: ClassVar[int] = 16 * 1024 * 1024
+
+    width: Annotated[int, Field(ge=1, le=4096)]
+    """Columns."""
+    height: Annotated[int, Field(ge=1, le=3072)]
+    """Rows."""
+    format: Literal["jpeg"] = "jpeg"
+    """How it is compressed."""
+    data: Annotated[bytes, Field(min_length=4)]
+    """The compressed image."""

@@ -1,0 +1,89 @@
+"""Health and metrics over HTTP: ``GET /healthz`` for whoever restarts services, ``GET /metrics`` for Prometheus."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable
+from http import HTTPStatus
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from typing import Final, Self
+
+from prometheus_client import CONTENT_TYPE_LATEST
+
+_TEXT: Final = "text/plain; charset=utf-8"
+#: A client that sends nothing is sent away after this time.
+_PATIENCE_S: Final = 5.0
+
+
+class HttpError(Exception):
+    """The address cannot be listened on; the text says why in one line."""
+
+
+class HttpServer:
+    """Answers on threads of its own, so that a busy service answers as well, and a frozen one does not.
+
+    Parameters
+    ----------
+    address
+        ``HOST:PORT``; without a host, every interface.
+    ailment
+        Tells why the service is not healthy, None where it is.
+    metrics
+        Gives the metrics in Prometheus' text format.
+
+    Raises
+    ------
+    HttpError
+        When the port is taken or the host is none of this machine's.
+    """
+
+    def __init__(self, address: str, ailment: Callable[[], str | None], metrics: Callable[[], bytes]) -> None:
+        host, _, port = address.rpartition(":")
+
+        class Handler(BaseHTTPRequestHandler):
+            timeout = _PATIENCE_S
+
+            def do_GET(self) -> None:
+                """Answer one request."""
+                if self.path == "/healthz":
+                    problem = ailment()
+                    status = HTTPStatus.OK if problem is None else HTTPStatus.SERVICE_UNAVAILABLE
+                    self._answer(status, _TEXT, f"{problem or 'ok'}\n".encode())
+                elif self.path == "/metrics":
+                    self._answer(HTTPStatus.OK, CONTENT_TYPE_LATEST, metrics())
+                else:
+                    self._answer(HTTPStatus.NOT_FOUND, _TEXT, b"only /healthz and /metrics\n")
+
+            def _answer(self, status: HTTPStatus, kind: str, body: bytes) -> None:
+                self.send_response(status)
+                self.send_header("Content-Type", kind)
+                self.send_header("Content-Length", str(len(body)))
+                self.end_headers()
+                self.wfile.write(body)
+
+            def log_message(self, *_arguments: object) -> None:
+                """Say nothing: a check every few seconds is no news."""
+
+        try:
+            self._server = ThreadingHTTPServer((host, int(port)), Handler)
+        except (OSError, OverflowError) as error:
+            reason = error.strerror if isinstance(error, OSError) else "no such port"
+            raise HttpError(f"cannot answer HTTP on {address}: {reason}") from None
+        self._server.daemon_threads = True
+        threading.Thread(target=self._server.serve_forever, name="http", daemon=True).start()
+
+    @property
+    def port(self) -> int:
+        """The port, also where 0 was asked for."""
+        return int(self._server.server_address[1])
+
+    def close(self) -> None:
+        """Stop listening."""
+        self._server.shutdown()
+        self._server.server_close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_error: object) -> None:
+        self.close()
