@@ -28,6 +28,10 @@ def up(
     stride: Annotated[int | None, typer.Option(min=1, help="Frames from one decision to the next.")] = None,
     recordings: Annotated[Path | None, typer.Option(help="Record every episode into this folder.")] = None,
     camera: options.CameraSize = "640x480",
+    metrics_port: Annotated[
+        int | None,
+        typer.Option(min=1, max=65535 - len(SERVICES), help="First of six ports for health and metrics over HTTP."),
+    ] = None,
     robot: options.Robot = options.DEFAULT_ROBOT,
     router: options.Router = DEFAULT_ROUTER,
 ) -> None:
@@ -35,6 +39,9 @@ def up(
 
     A service that ends is started again, one that keeps ending less and less often. Ctrl-C ends everything cleanly.
     Other terminals then use the stack: smal teleop, smal topic hz, smal run --connect.
+
+    With --metrics-port 9100 the router tells its health on http://127.0.0.1:9100/healthz and what Prometheus wants on
+    /metrics, the simulator on 9101, and so on.
 
     Example: smal up --world campus --model campus.smal
     """
@@ -48,24 +55,33 @@ def up(
     Router(router).close()
     configure_logging("info")
     log = logging.getLogger("up")
+    own = {
+        "simulator": flags(world=world, camera_width=size.width, camera_height=size.height),
+        "recognition": chain,
+        "policy": chain,
+        "recorder": flags(recordings=recordings),
+    }
+    addresses = _http_addresses(metrics_port)
     plan = StackPlan(
-        SERVICES,
-        robot,
-        router,
-        {
-            "simulator": flags(world=world, camera_width=size.width, camera_height=size.height),
-            "recognition": chain,
-            "policy": chain,
-            "recorder": flags(recordings=recordings),
-        },
+        SERVICES, robot, router, {name: own.get(name, ()) + flags(http=addresses.get(name)) for name in SERVICES}
     )
     with interrupted_by_signals(), Stack(plan) as stack:
         log.info("ready: robot %s in %s on %s; Ctrl-C stops", robot, world, router)
+        if addresses:
+            where = ", ".join(f"{name} {address.rpartition(':')[2]}" for name, address in addresses.items())
+            log.info("GET /healthz and /metrics on 127.0.0.1: %s", where)
         with suppress(KeyboardInterrupt):
             while True:
                 time.sleep(WATCH_S)
                 stack.restart_dead()
     log.info("stopped")
+
+
+def _http_addresses(first_port: int | None) -> dict[str, str]:
+    """Return where each service tells its health and metrics; for this machine only."""
+    if first_port is None:
+        return {}
+    return {name: f"127.0.0.1:{first_port + k}" for k, name in enumerate(SERVICES)}
 
 
 def _chain_flags(model: Path | None, stride: int | None) -> tuple[str, ...]:

@@ -15,7 +15,7 @@ from schemas.topics import TOPICS
 from services.recorder.contents import Contents, end_tick_of
 from services.recorder.encoding import format_of, payload_of
 from services.recorder.ledger import Ledger
-from services.recorder.recovery import RecoveryError, finish, finished, resume
+from services.recorder.recovery import RecoveryError, Unfinished, finish, finished
 from services.recorder.sink import Sink, free_path, partial_of, publish
 
 #: Names of the metadata records: what the episode is (written first), and what the recording lacks (written last).
@@ -90,12 +90,13 @@ class EpisodeWriter:
         """
         sink = Sink(partial, new=False)
         try:
-            writer, records = resume(sink)
-            contents = Contents.of(records)
+            unfinished = Unfinished.read(sink.fileno())
+            contents = Contents.of(unfinished.records())
+            unfinished.go_on(sink)
         except BaseException:
             sink.close()
             raise
-        resumed = cls(sink, writer, finished(partial), contents.metadata)
+        resumed = cls(sink, unfinished.writer, finished(partial), contents.metadata)
         resumed._remember(contents)
         return resumed
 

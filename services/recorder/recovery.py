@@ -7,7 +7,7 @@ import struct
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, cast
+from typing import Any, Self, cast
 
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
@@ -97,51 +97,67 @@ def finish(descriptor: int) -> None:
     OSError
         When there is no room for the summary; the file then ends with its last whole record.
     """
-    end, writer, echo = _retell(view_of(descriptor))
-    writer.finish()  # type: ignore[no-untyped-call]
-    _append(descriptor, end, bytes(echo.tail))
+    unfinished = Unfinished.read(descriptor)
+    unfinished.writer.finish()  # type: ignore[no-untyped-call]
+    _append(descriptor, unfinished.end, bytes(unfinished.echo.tail))
 
 
-def resume(sink: Sink) -> tuple[Writer, list[Record]]:
-    """Cut an unfinished file after its last whole record, and make a writer that goes on there.
+@dataclass(frozen=True, eq=False)
+class Unfinished:
+    """A file without its end, and a writer that was told all of it. Nothing is changed before ``go_on``.
 
-    Parameters
+    Attributes
     ----------
-    sink
-        The file.
-
-    Returns
-    -------
-    writer, records
-        The writer, and what the file holds.
-
-    Raises
-    ------
-    RecoveryError
-        When the file was not written by this recorder; it is left as it is.
+    data
+        The file up to the end of its last whole record.
+    writer
+        What wrote it, as it were.
     """
-    data = view_of(sink.fileno())
-    end, writer, echo = _retell(data)
-    sink.truncate(end)
-    echo.go_on(sink)
-    return writer, list(flat_records(data[:end]))
 
+    data: memoryview
+    writer: Writer
+    echo: _Echo
 
-def _retell(data: memoryview) -> tuple[int, Writer, _Echo]:
-    """Tell a writer what a file has; return where its last whole record ends, the writer, and what it writes to."""
-    if data[: len(MAGIC)] != MAGIC:
-        raise RecoveryError("not an MCAP file")
-    whole = [record for record in records(data) if record.opcode != Opcode.DATA_END]
-    if not whole:
-        raise RecoveryError("it ends before its first record")
-    try:
-        return whole[-1].end, *_told(data, whole)
-    except RecoveryError:
-        # After a power failure the last record may have its length, but zeros in place of its end.
-        if len(whole) == 1:
-            raise
-        whole.pop()
-        return whole[-1].end, *_told(data, whole)
+    @classmethod
+    def read(cls, descriptor: int) -> Self:
+        """Tell a writer what a file has.
+
+        Raises
+        ------
+        RecoveryError
+            When the file was not written by this recorder.
+        """
+        try:
+            data = view_of(descriptor)
+        except ValueError:
+            raise RecoveryError("empty") from None
+        if data[: len(MAGIC)] != MAGIC:
+            raise RecoveryError("not an MCAP file")
+        whole = [record for record in records(data) if record.opcode != Opcode.DATA_END]
+        if not whole:
+            raise RecoveryError("it ends before its first record")
+        try:
+            return cls(data[: whole[-1].end], *_told(data, whole))
+        except RecoveryError:
+            # After a power failure the last record may have its length, but zeros in place of its end.
+            if len(whole) == 1:
+                raise
+            whole.pop()
+            return cls(data[: whole[-1].end], *_told(data, whole))
+
+    @property
+    def end(self) -> int:
+        """Where the last whole record ends."""
+        return len(self.data)
+
+    def records(self) -> Iterator[Record]:
+        """Yield what the file holds."""
+        return flat_records(self.data)
+
+    def go_on(self, sink: Sink) -> None:
+        """Cut the file after its last whole record and let the writer go on there."""
+        sink.truncate(self.end)
+        self.echo.go_on(sink)
 
 
 def _told(data: memoryview, whole: list[Record]) -> tuple[Writer, _Echo]:
