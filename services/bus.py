@@ -19,6 +19,7 @@ from schemas.base import Message, Strict
 from schemas.codec import describe, encode, encoding_of, printable
 from schemas.rpc import Failure
 from schemas.topics import KEPT_S, TOPICS, Topic, rpc_key
+from services.memory import keep_freed_memory
 
 DEFAULT_ROUTER: Final = "tcp/127.0.0.1:7447"
 ENDPOINT_PATTERN: Final = r"(?:tcp|tls|quic|udp|ws)/([^\s/]+):(\d{1,5})"
@@ -114,6 +115,7 @@ class Router:
 
     def __init__(self, endpoint: str = DEFAULT_ROUTER) -> None:
         host_and_port(endpoint)
+        keep_freed_memory()
         try:
             self._session = zenoh.open(_configuration("router", "listen", endpoint))
         except zenoh.ZError as error:
@@ -149,6 +151,7 @@ class Bus:
 
     def __init__(self, robot: str, endpoint: str = DEFAULT_ROUTER, patience_s: float = PATIENCE_S) -> None:
         host_and_port(endpoint)
+        keep_freed_memory()
         self.robot = robot
         self.endpoint = endpoint
         self._sessions = {urgent: _open_client(endpoint, patience_s) for urgent in (False, True)}

@@ -12,6 +12,8 @@ Array = NDArray[np.float64]
 
 # A first guess looks at one entry of a template in 32, in so many places.
 _SHARE, _PLACES = 32, 32
+# Frames that are multiplied at a time where some are chosen.
+_BLOCK = 64
 _SMALL = 1e-25
 
 
@@ -115,7 +117,7 @@ class TemplatesAndQuery:
         self._vectors = _Vectors(templates, self._query, gram)
         self._theta: tuple[DualPoint, Array] | None = None
         self._lengths: Array | None = None
-        self._gathered: tuple[Columns, NDArray[np.float32]] | None = None
+        self._block: NDArray[np.float32] | None = None
 
     @property
     def size(self) -> int:
@@ -154,16 +156,25 @@ class TemplatesAndQuery:
             values = self._correlate_all(theta)
             lengths = self.lengths()
         else:
-            chosen = self._chosen(columns)
-            values, squares = narrow_product_and_squares(chosen, theta.astype(np.float32))
-            lengths = _lengths(chosen, squares)
+            values, lengths = self._correlate_some(columns, theta.astype(np.float32))
         return Gradients(values, lengths * (rounding(theta.shape[1] + 2) * np.linalg.norm(theta)))
 
-    def _chosen(self, columns: Columns) -> NDArray[np.float32]:
-        """Rows in float32; kept, since the same ones are asked for several times."""
-        if self._gathered is None or not np.array_equal(self._gathered[0], columns):
-            self._gathered = columns, self._templates.T[columns].astype(np.float32, copy=False)
-        return self._gathered[1]
+    def _correlate_some(self, columns: Columns, query: NDArray[np.float32]) -> tuple[NDArray[np.float32], Array]:
+        """Products with chosen frames, and their lengths."""
+        rows = self._templates.T
+        values = np.empty((columns.size, len(query)), dtype=np.float32)
+        lengths = np.empty(columns.size)
+        # In blocks that stay in the cache: a copy of all chosen frames would be fresh memory, a page fault every 4 KB.
+        if self._block is None:
+            self._block = np.empty((_BLOCK, rows.shape[1]), dtype=np.float32)
+        for start in range(0, columns.size, _BLOCK):
+            here = slice(start, start + _BLOCK)
+            block = self._block[: columns[here].size]
+            for k, column in enumerate(columns[here]):
+                block[k] = rows[column]
+            values[here], squares = narrow_product_and_squares(block, query)
+            lengths[here] = _lengths(block, squares)
+        return values, lengths
 
     def _correlate_all(self, theta: Array) -> NDArray[np.float32]:
         rows, query = self._templates.T, theta.astype(np.float32)

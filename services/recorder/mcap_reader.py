@@ -10,6 +10,7 @@ import struct
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Final
 
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
@@ -21,10 +22,13 @@ from schemas.command import CommandApplied
 from schemas.episode import Episode
 from schemas.observation import Observation
 from schemas.pose import Pose
-from schemas.topics import APPLIED, EPISODE, JPEG, OBSERVATION, POSE, Topic, topic_of
+from schemas.topics import APPLIED, CAMERA, EPISODE, JPEG, OBSERVATION, POSE, Topic, topic_of
 from services.recorder.recorded import RecordedEpisode
 from services.recorder.records import MAGIC, fields, flat_records, message_header, message_payload, view_of
 from services.recorder.sink import PARTIAL_SUFFIX, is_being_recorded
+
+#: Where images are; recordings of older versions have them, as JPEG too, on the key of the raw ones.
+_IMAGES: Final = (JPEG, CAMERA)
 
 
 class RecordingError(Exception):
@@ -133,7 +137,7 @@ class _Reader:
 
     def _take_message(self, topic: Topic, robot: str, episode: str, tick: int, payload: memoryview) -> None:
         record = self.episodes.setdefault((robot, episode), RecordedEpisode(robot, episode))
-        if topic is JPEG:
+        if topic in _IMAGES:
             if tick not in record.features:
                 record.images.setdefault(tick, payload)
             return
