@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import struct
+from functools import cache
 from typing import Final, TypeVar
 
 import msgpack
@@ -12,6 +14,10 @@ from schemas.base import Message
 ENCODING_PREFIX: Final = "application/vnd.msgpack;"
 #: Most maps and arrays in one message; the richest one, a state, has 66 (one a candidate).
 MAX_CONTAINERS: Final = 128
+#: msgpack's header of 64 KiB of bytes or more, and how long its header of no bytes is.
+_LARGE: Final = struct.Struct(">BI")
+_LARGE_CODE: Final = 0xC6
+_EMPTY: Final = 2
 
 M = TypeVar("M", bound=Message)
 
@@ -20,6 +26,7 @@ class DecodeError(ValueError):
     """A payload that is not the message it should be; the text says why in one line."""
 
 
+@cache
 def encoding_of(message: type[Message]) -> str:
     """Return the encoding that goes with a message class, for example ``application/vnd.msgpack;smal.State/2``."""
     return ENCODING_PREFIX + message.schema_name()
@@ -33,8 +40,16 @@ def encode(message: Message) -> bytes:
     bytes
         A map from field name to value; the same message always gives the same bytes.
     """
-    packed: bytes = msgpack.packb(message.model_dump(), use_bin_type=True)
-    return packed
+    fields = message.model_dump()
+    *_, last = fields
+    data = fields[last]
+    if not isinstance(data, bytes) or len(data) < 1 << 16:
+        packed: bytes = msgpack.packb(fields, use_bin_type=True)
+        return packed
+    # The packer would copy an image twice, and the memory for that is given back to the system and fetched again with
+    # every frame, which can take as long as to send it.
+    head: bytes = msgpack.packb(fields | {last: b""}, use_bin_type=True)
+    return b"".join((head[:-_EMPTY], _LARGE.pack(_LARGE_CODE, len(data)), data))
 
 
 def decode(cls: type[M], payload: bytes, encoding: str) -> M:

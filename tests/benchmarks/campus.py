@@ -33,7 +33,7 @@ def campus(recordings: Path | None, episodes: int, recoveries: int) -> Recorded:
     if recordings is not None:
         return _read(recordings)
     with tempfile.TemporaryDirectory(prefix="smal-bench-") as folder:
-        _demonstrate(Path(folder), episodes, recoveries)
+        demonstrate(Path(folder), episodes, recoveries)
         return _read(Path(folder))
 
 
@@ -58,7 +58,7 @@ def _read(folder: Path) -> Recorded:
     )
 
 
-def _demonstrate(folder: Path, episodes: int, recoveries: int) -> None:
+def demonstrate(folder: Path, episodes: int, recoveries: int) -> None:
     """Run `smal demonstrate`; its progress goes to standard error, and its last line is the reason of a failure."""
     arguments = ["demonstrate", "--world", "campus", "--episodes", str(episodes), "--recoveries", str(recoveries)]
     arguments += ["--camera", "320x240", "--out", str(folder)]
