@@ -63,6 +63,9 @@ def _configuration(mode: str, where: str, endpoint: str) -> zenoh.Config:
         "transport/link/tx/queue/congestion_control/drop/max_wait_before_drop_fragments": 500_000,
         # Nor is the default of 1 ms enough for a few commands in a row: a busy machine dropped 1 in 100 of them.
         "transport/link/tx/queue/congestion_control/drop/wait_before_drop": 100_000,
+        # Episode events wait rather than be dropped. A client that does not read must not hold up everybody else for
+        # the default of 5 s: its connection is closed, and it may connect again.
+        "transport/link/tx/queue/congestion_control/block/wait_before_close": 250_000,
     }
     if mode == "client":
         # Only the first connection: after an outage it is made again for as long as it takes. Without this limit
@@ -192,7 +195,7 @@ class Bus:
         session, key = self._sessions[topic.urgent], topic.key(self.robot)
         encoding = zenoh.Encoding(encoding_of(topic.message))
         congestion = zenoh.CongestionControl.BLOCK if topic.reliable else zenoh.CongestionControl.DROP
-        priority = zenoh.Priority.REAL_TIME if topic.urgent else zenoh.Priority.DATA
+        priority = _priority(topic)
         if not topic.recorded:
             return session.declare_publisher(
                 key, encoding=encoding, congestion_control=congestion, priority=priority, express=topic.urgent
@@ -313,6 +316,13 @@ class Bus:
             self._declared.pop().undeclare()
         for session in self._sessions.values():
             session.close()
+
+
+def _priority(topic: Topic) -> zenoh.Priority:
+    """Return a topic's queue. What waits must not wait behind images: a slow link would then be closed for them."""
+    if topic.urgent:
+        return zenoh.Priority.REAL_TIME
+    return zenoh.Priority.DATA_HIGH if topic.reliable else zenoh.Priority.DATA
 
 
 def _in_order(on_sample: Callable[[zenoh.Sample], None]) -> zenoh.handlers.Callback[zenoh.Sample]:

@@ -171,6 +171,8 @@ class Stack:
         return self._logs / f"{service}.log"
 
     def _epitaph(self, service: str, child: subprocess.Popen[bytes]) -> str:
+        if child.returncode < 0:
+            return f"{service} was killed by {signal.Signals(-child.returncode).name}"
         if self._logs is None:
             return f"{service} ended with status {child.returncode}"
         lines = self._log(service).read_text(errors="replace").strip().splitlines()

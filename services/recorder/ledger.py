@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import defaultdict
+from collections.abc import Iterator
 from typing import Final
 
 from schemas.base import Message
@@ -30,54 +31,62 @@ def order_of(message: Message) -> Order:
 class Ledger:
     """Keeps account of the messages of one episode.
 
-    A topic has one publisher, whose messages arrive in order. So a message that is not later than the last one was
-    sent again (in lockstep a frame is repeated until it is answered), and a tick that is passed over is lost.
+    A message may come again: in lockstep a frame is repeated until it is answered, and what is replayed to a recorder
+    that was started again may be there already. It may also come late, after others of its topic.
     """
 
     def __init__(self) -> None:
-        self._last: dict[str, Order] = {}
-        self._gaps: defaultdict[str, list[tuple[int, int]]] = defaultdict(list)
+        self._seen: defaultdict[str, set[Order]] = defaultdict(set)
+        self._ticks: dict[str, set[int]] = {topic: set() for topic in EVERY_TICK}
+        self._last: dict[str, int] = dict.fromkeys(EVERY_TICK, -1)
         self.duplicates = 0
 
     def admit(self, message: Message) -> bool:
-        """Whether a message is new; if so, the ticks before it that are missing are noted."""
+        """Whether a message is new."""
         topic, order = message.topic_name, order_of(message)
-        last = self._last.get(topic)
-        if last is not None and order <= last:
+        if order in self._seen[topic]:
             self.duplicates += 1
             return False
         self.enter(topic, order)
         return True
 
     def enter(self, topic: str, order: Order) -> None:
-        """Note that the next message of a topic is there."""
-        if topic in EVERY_TICK:
-            self._miss(topic, self.last_tick(topic) + 1, order[0])
-        self._last[topic] = order
+        """Note that a message is there."""
+        self._seen[topic].add(order)
+        if topic in self._ticks:
+            self._ticks[topic].add(order[0])
+            self._last[topic] = max(self._last[topic], order[0])
 
     def close(self, end_tick: int) -> None:
-        """Note what is missing at the end of an episode that ended at this tick."""
+        """Note that the episode ended at this tick: so far every topic reaches that was recorded at all."""
         for topic in TO_THE_END:
-            if topic in self._last:
-                self._miss(topic, self.last_tick(topic) + 1, end_tick + 1)
+            if self._ticks[topic]:
+                self._last[topic] = max(self._last[topic], end_tick)
 
     def last_tick(self, topic: str) -> int:
-        """Return the tick of the last message of a per-tick topic, -1 before the first."""
-        last = self._last.get(topic)
-        return -1 if last is None else last[0]
+        """Return the last tick of a per-tick topic, -1 before the first."""
+        return self._last[topic]
+
+    def whole(self, end_tick: int) -> bool:
+        """Whether nothing is missing of an episode that ended at this tick."""
+        return not self.gap_ticks and all(self._last[topic] >= end_tick for topic in TO_THE_END if self._ticks[topic])
 
     @property
     def gap_ticks(self) -> int:
         """How many messages of per-tick topics are missing."""
-        return sum(last - first + 1 for ranges in self._gaps.values() for first, last in ranges)
+        return sum(self._last[topic] + 1 - len(ticks) for topic, ticks in self._ticks.items())
 
     def gaps(self) -> dict[str, str]:
-        """Return the missing ticks by topic, for example ``{"camera/rgb": "3-5 9"}``."""
-        return {topic: " ".join(_text(*span) for span in spans) for topic, spans in self._gaps.items()}
+        """Return the missing ticks by topic, for example ``{"camera/jpeg": "3-5 9"}``."""
+        return {topic: text for topic in EVERY_TICK if (text := " ".join(_text(*span) for span in self._spans(topic)))}
 
-    def _miss(self, topic: str, first: int, end: int) -> None:
-        if first < end:
-            self._gaps[topic].append((first, end - 1))
+    def _spans(self, topic: str) -> Iterator[tuple[int, int]]:
+        """Yield first and last tick of each gap."""
+        expected = 0
+        for tick in [*sorted(self._ticks[topic]), self._last[topic] + 1]:
+            if expected < tick:
+                yield expected, tick - 1
+            expected = tick + 1
 
 
 def _text(first: int, last: int) -> str:

@@ -12,18 +12,19 @@ from typing import Final, Self
 from schemas.base import Message
 from schemas.episode import Episode
 from schemas.rpc import Nothing, RecordReply, RecordRequest
-from schemas.topics import OBSERVATION, TOPICS
+from schemas.topics import TOPICS
 from services.process import Detail, Node, ServiceError
 from services.recorder.mcap_writer import EpisodeWriter
 from services.recorder.recovery import RecoveryError, leftovers, recover
+from services.recorder.sink import PARTIAL_SUFFIX
 
 #: Messages that wait while the disk is slow, as a multiple of what is replayed at once after an outage.
 QUEUE_FACTOR: Final = 2
-#: The file of an episode stays open after its end for what still descends from the last frame: until the last
-#: observation is there and nothing more has come for ``QUIET_S``, or else nothing for ``GRACE_S``.
+#: The file of an episode stays open after its end for what still descends from the last frame: until no tick is missing
+#: and nothing more has come for ``QUIET_S``, or else nothing for ``GRACE_S``.
 QUIET_S: Final = 0.2
 GRACE_S: Final = 1.0
-#: So long a file that a killed recorder left behind waits for its episode to go on.
+#: So long a file that a killed recorder left behind waits for its episode to go on, and for what is replayed of it.
 RESUME_S: Final = 5.0
 SEAL_PERIOD_S: Final = 0.05
 #: Messages kept of episodes whose beginning has not arrived yet, and for how long: order holds within a topic, not
@@ -63,18 +64,27 @@ class _Recording:
     touched_s: float
     closing: bool = False
     resumed: bool = False
+    #: When it is finished whatever still comes: nobody told that the episode ended.
+    deadline_s: float | None = None
 
     def complete(self, now_s: float) -> bool:
         """Whether nothing more is to be expected."""
         quiet_s = now_s - self.touched_s
-        if not self.closing:
-            return self.resumed and quiet_s >= RESUME_S
-        return quiet_s >= (QUIET_S if self._observed_to_its_end() else GRACE_S)
+        if self.deadline_s is not None and now_s >= self.deadline_s:
+            return True
+        if self.closing and self._whole():
+            return quiet_s >= QUIET_S
+        if self.resumed:
+            return quiet_s >= RESUME_S
+        return self.closing and quiet_s >= GRACE_S
 
-    def _observed_to_its_end(self) -> bool:
-        if self.writer is None or self.writer.end_tick is None:
-            return False
-        return self.writer.ledger.last_tick(OBSERVATION.name) >= self.writer.end_tick
+    def _whole(self) -> bool:
+        """Whether every tick is there, up to the episode's end."""
+        return (
+            self.writer is not None
+            and self.writer.end_tick is not None
+            and self.writer.ledger.whole(self.writer.end_tick)
+        )
 
 
 class RecorderService:
@@ -102,6 +112,7 @@ class RecorderService:
         self._open: dict[str, _Recording] = {}
         self._early: deque[tuple[float, Message]] = deque(maxlen=EARLY_QUEUE)
         self._files: list[Path] = []
+        self._unfinished = False
         self._sealed = Totals()
         self._lost = 0
         self._dropped_before = 0
@@ -126,13 +137,15 @@ class RecorderService:
     def flush(self, _request: Nothing) -> RecordReply:
         """Finish the files of the episodes that have ended, and name all files since ``start``."""
         self._settle()
+        self._retry(self._folder)
         return self._reply()
 
     def stop(self, _request: Nothing) -> RecordReply:
         """Finish every file, also of an episode that still runs, and record no more."""
-        self._folder = None
+        folder, self._folder = self._folder, None
         self._close_all()
         self._settle()
+        self._retry(folder)
         return self._reply()
 
     def close(self) -> None:
@@ -171,7 +184,7 @@ class RecorderService:
 
     def _settle(self) -> None:
         """Go on recording until the grace of every ended episode is over."""
-        self._node.spin(until=lambda: not any(r.closing for r in self._open.values()), timeout_s=2 * GRACE_S)
+        self._node.spin(until=lambda: not any(r.closing for r in self._open.values()), timeout_s=2 * RESUME_S)
 
     def _reply(self) -> RecordReply:
         dropped = self._lost + self._dropped_by_node() - self._dropped_before
@@ -212,6 +225,7 @@ class RecorderService:
             return
         # A robot runs one episode at a time: a new one means that the end of the last did not reach us.
         self._close_all()
+        self._retry(folder)
         writer = None
         try:
             writer = EpisodeWriter.begin(folder, started)
@@ -240,9 +254,20 @@ class RecorderService:
             self._complain(f"cannot go on recording {recording.writer.path}: {error.strerror or error}")
             self._finish(recording)
 
+    def _retry(self, folder: Path | None) -> None:
+        """Finish what could not be finished because the disk was full."""
+        if not self._unfinished or folder is None:
+            return
+        done = {leftover.partial: leftover.path for leftover in recover(folder) if leftover.path is not None}
+        self._files = [done.get(path, path) for path in self._files]
+        self._unfinished = any(path.suffix == PARTIAL_SUFFIX for path in self._files)
+        for path in done.values():
+            self._node.log.info("finished %s, now that there is room", path)
+
     def _close_all(self) -> None:
         for recording in self._open.values():
-            recording.closing = True
+            if not recording.closing:
+                recording.closing, recording.deadline_s = True, self._clock() + GRACE_S
 
     def _seal(self, episode: str) -> None:
         self._finish(self._open.pop(episode))
@@ -253,7 +278,8 @@ class RecorderService:
             return
         path = writer.seal()
         if path != writer.path:
-            self._complain(f"cannot finish {path}: {writer.problem}; a recorder that starts in its folder will")
+            self._unfinished = True
+            self._complain(f"cannot finish {path}: {writer.problem}; tried again with the next episode")
         self._files.append(path)
         self._sealed += Totals.of(writer)
         gaps = "; ".join(f"{topic} lacks {ticks}" for topic, ticks in writer.ledger.gaps().items())

@@ -13,6 +13,8 @@ import pytest
 from google.protobuf.descriptor_pb2 import FileDescriptorSet
 from google.protobuf.descriptor_pool import DescriptorPool
 from google.protobuf.message_factory import GetMessageClass
+from hypothesis import given
+from hypothesis import strategies as st
 from mcap.reader import make_reader
 from mcap.stream_reader import StreamReader
 from mcap.writer import Writer
@@ -182,6 +184,36 @@ def test_ledger_knows_every_order() -> None:
     ] == [True] * 3
     assert not ledger.admit(event("e", 3, "started"))
     assert ledger.duplicates == 1
+
+
+@given(st.lists(st.tuples(st.sampled_from(["pose/truth", "observation", "command/applied"]), st.integers(0, 12))))
+def test_the_ledger_misses_what_never_came_in_whatever_order_the_rest_did(sent: list[tuple[str, int]]) -> None:
+    ledger = Ledger()
+    seen: set[tuple[str, int]] = set()
+    for topic, tick in sent:
+        message = {
+            "pose/truth": frame("e", tick)[0],
+            "observation": observation("e", tick),
+            "command/applied": applied("e", tick),
+        }[topic]
+        assert ledger.admit(message) == ((topic, tick) not in seen)
+        seen.add((topic, tick))
+    ledger.close(12)
+    missing = {}
+    for topic in {topic for topic, _ in seen}:
+        ticks = {tick for name, tick in seen if name == topic}
+        last = max(ticks) if topic == "command/applied" else 12
+        missing[topic] = set(range(last + 1)) - ticks
+    assert ledger.duplicates == len(sent) - len(seen)
+    assert ledger.gap_ticks == sum(map(len, missing.values()))
+    named = {topic: ticks_in(text) for topic, text in ledger.gaps().items()}
+    assert named == {topic: ticks for topic, ticks in missing.items() if ticks}
+    assert ledger.whole(12) == (not ledger.gap_ticks)
+
+
+def ticks_in(text: str) -> set[int]:
+    spans = [part.partition("-") for part in text.split()]
+    return {tick for first, _, last in spans for tick in range(int(first), int(last or first) + 1)}
 
 
 def test_no_recording_is_overwritten(tmp_path: Path) -> None:

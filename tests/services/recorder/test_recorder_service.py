@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import shutil
 import signal
@@ -23,7 +24,7 @@ from services.bus import Bus, Router, RpcError
 from services.process import Node, ServiceError
 from services.recorder.encoding import payload_of
 from services.recorder.mcap_reader import read_recording
-from services.recorder.service import GRACE_S, RecorderService
+from services.recorder.service import GRACE_S, RESUME_S, RecorderService
 from services.recorder.sink import partial_of
 from services.settings import ServiceSettings
 from tests.services.recorder.recorded_messages import FINGERPRINT, applied, episode, event, frame, header, observation
@@ -54,6 +55,15 @@ def send(bus: Bus, messages: list[Message]) -> None:
         before = received(bus)
         bus.publish(message)
         eventually(lambda before=before: received(bus) > before)
+
+
+def contents(path: Path) -> list[tuple[str, int, bytes]]:
+    """Return every message of a recording, sorted: the order between topics is nobody's promise."""
+    return sorted(read_all(path))
+
+
+def wanted(messages: list[Message]) -> list[tuple[str, int, bytes]]:
+    return sorted((TOPICS[m.topic_name].key("rescuebot"), m.tick, payload_of(m)) for m in messages)
 
 
 def sealed(bus: Bus, count: int) -> bool:
@@ -204,6 +214,48 @@ def test_a_full_disk_ends_the_file_and_not_the_recorder(
     assert stop(client).dropped == len(sent) - written
 
 
+def test_a_file_that_could_not_be_finished_is_when_there_is_room(
+    recorder: RecorderService, client: Bus, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    send(client, list(episode("full"))[:-1])
+
+    def full(*_: object) -> None:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr("services.recorder.sink.write_all", full)
+    monkeypatch.setattr("services.recorder.recovery.write_all", full)
+    publish(client, list(episode("full"))[-1:])
+    eventually(lambda: sealed(client, 1))
+    assert partial_of(tmp_path / "full.mcap").exists()
+    monkeypatch.undo()
+    publish(client, list(episode("room")))
+    eventually(lambda: sealed(client, 2))
+    assert contents(tmp_path / "full.mcap") == wanted(list(episode("full"))[:-1])
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["full.mcap", "room.mcap"]
+    assert [Path(file).name for file in stop(client).files] == ["full.mcap", "room.mcap"]
+
+
+def test_stop_does_not_wait_for_an_episode_that_goes_on(recorder: RecorderService, client: Bus, tmp_path: Path) -> None:
+    send(client, [event("on", 0, "started")])
+    going = threading.Event()
+
+    def go_on() -> None:
+        for tick in range(2000):
+            if going.wait(0.01):
+                return
+            client.publish(applied("on", tick))
+
+    thread = threading.Thread(target=go_on)
+    thread.start()
+    try:
+        reply = stop(client)
+    finally:
+        going.set()
+        thread.join()
+    assert [Path(file).name for file in reply.files] == ["on.mcap"]
+    assert len(read_all(tmp_path / "on.mcap")) > 10
+
+
 def test_a_folder_that_vanishes_loses_one_episode_only(recorder: RecorderService, client: Bus, tmp_path: Path) -> None:
     folder = tmp_path / "recordings"
     client.call("recorder", "start", RecordRequest(folder=str(folder)), Nothing)
@@ -251,15 +303,6 @@ def test_kill_loses_nothing_that_was_taken(
     assert not partial.exists()
 
 
-def contents(path: Path) -> list[tuple[str, int, bytes]]:
-    """Return every message of a recording, sorted: the order between topics is nobody's promise."""
-    return sorted(read_all(path))
-
-
-def wanted(messages: list[Message]) -> list[tuple[str, int, bytes]]:
-    return sorted((TOPICS[m.topic_name].key("rescuebot"), m.tick, payload_of(m)) for m in messages)
-
-
 def test_a_recorder_that_is_killed_and_started_again_loses_nothing(
     process: subprocess.Popen[str], client: Bus, router_endpoint: str, tmp_path: Path
 ) -> None:
@@ -297,6 +340,29 @@ def test_a_recording_left_behind_whose_episode_does_not_go_on_is_finished(
     run_node(node)
     eventually(lambda: sealed(client, 1))
     assert contents(tmp_path / "left.mcap") == wanted(sent)
+
+
+def test_what_is_replayed_late_is_waited_for(
+    settings: ServiceSettings, client: Bus, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The end is there, and observations up to it; poses in between are still on the way."""
+    sent = list(episode("late", frames=8))
+    late = [m for m in sent if m.topic_name == "pose/truth" and 2 <= m.tick <= 5]
+    leave(tmp_path, sent[:15])
+    now_s = 0.0
+    with Node("recorder", settings) as node:
+        recorder = RecorderService(node, tmp_path, lambda: now_s)
+        for message in sent:
+            if message not in late:
+                recorder.handle(message)
+        now_s = RESUME_S - 0.5
+        recorder.seal_complete()
+        assert not (tmp_path / "late.mcap").exists()
+        for message in late:
+            recorder.handle(message)
+        now_s += GRACE_S / 2
+        recorder.seal_complete()
+    assert contents(tmp_path / "late.mcap") == wanted(sent)
 
 
 def test_an_outage_of_the_router_leaves_no_gap(free_endpoint: str, tmp_path: Path) -> None:

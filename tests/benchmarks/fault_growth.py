@@ -1,0 +1,104 @@
+"""What processes hold (memory, descriptors, threads), and whether it grows."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+
+from tests.benchmarks.results import Record
+
+#: Of the run, and at least so long: what is allocated once.
+WARM_UP_SHARE: Final = 0.1
+WARM_UP_S: Final = 120.0
+MOST_GROWTH: Final = 0.05
+_PROC: Final = Path("/proc")
+
+
+@dataclass(frozen=True)
+class Sample:
+    """What one process held at one time.
+
+    Parameters
+    ----------
+    t_s : float
+        Since the beginning.
+    service : str
+    pid, rss_bytes, descriptors, threads : int
+    """
+
+    t_s: float
+    service: str
+    pid: int
+    rss_bytes: int
+    descriptors: int
+    threads: int
+
+
+def sample(t_s: float, service: str, pid: int) -> Sample:
+    """Look at a process.
+
+    Raises
+    ------
+    OSError
+        There is none of this id.
+    """
+    lines = (_PROC / str(pid) / "status").read_text().splitlines()
+    fields = {name: value.split() for name, _, value in (line.partition(":") for line in lines)}
+    descriptors = sum(1 for _ in (_PROC / str(pid) / "fd").iterdir())
+    return Sample(t_s, service, pid, 1024 * int(fields["VmRSS"][0]), descriptors, int(fields["Threads"][0]))
+
+
+def judge(samples: Sequence[Sample]) -> list[Record]:
+    """Judge each service by its samples after the warm-up; in a run too short for one, by the second half."""
+    whole_s = max((one.t_s for one in samples), default=0.0)
+    warm_s = min(max(WARM_UP_SHARE * whole_s, WARM_UP_S), whole_s / 2.0)
+    services = dict.fromkeys(one.service for one in samples)
+    return [_judge([one for one in samples if one.service == service], warm_s) for service in services]
+
+
+def _judge(samples: Sequence[Sample], warm_s: float) -> Record:
+    warm = [one for one in samples if one.t_s >= warm_s]
+    growth = _growth(warm)
+    descriptors, threads = (_rise([getattr(one, name) for one in warm]) for name in ("descriptors", "threads"))
+    restarts = len({one.pid for one in samples}) - 1
+    not_met = [
+        name
+        for name, failed in (
+            ("memory", growth >= MOST_GROWTH),
+            ("descriptors", descriptors > 0),
+            ("threads", threads > 0),
+            ("restarted", restarts > 0),
+        )
+        if failed
+    ]
+    return {
+        "service": samples[0].service,
+        "rss_mb_first": warm[0].rss_bytes / 1e6,
+        "rss_mb_last": warm[-1].rss_bytes / 1e6,
+        "growth_percent": 100.0 * growth,
+        "descriptors": max(one.descriptors for one in warm),
+        "descriptors_rise": descriptors,
+        "threads": max(one.threads for one in warm),
+        "threads_rise": threads,
+        "restarts": restarts,
+        "": "met" if not not_met else f"NOT MET: {', '.join(not_met)}",
+    }
+
+
+def _growth(warm: Sequence[Sample]) -> float:
+    """Return how much of its size a process grew over the samples, by a straight line through them."""
+    if len(warm) < 3:
+        return 0.0
+    times, sizes = np.array([one.t_s for one in warm]), np.array([one.rss_bytes for one in warm], dtype=float)
+    slope, at_zero = np.polyfit(times, sizes, 1)
+    return float(slope * (times[-1] - times[0]) / (at_zero + slope * times[0]))
+
+
+def _rise(counts: Sequence[int]) -> float:
+    """Return by how much the median of the last quarter is above that of the first: what comes and goes is no leak."""
+    quarter = max(1, len(counts) // 4)
+    return float(np.median(counts[-quarter:]) - np.median(counts[:quarter]))
