@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 import threading
 from collections.abc import Callable
 from http import HTTPStatus
@@ -17,6 +18,17 @@ _PATIENCE_S: Final = 5.0
 
 class HttpError(Exception):
     """The address cannot be listened on; the text says why in one line."""
+
+
+class _Server(ThreadingHTTPServer):
+    """Says nothing of clients that went away before their answer: a check that took too long is no news either."""
+
+    daemon_threads = True
+
+    def handle_error(self, request: object, client_address: object) -> None:
+        """Leave other errors to be printed."""
+        if not isinstance(sys.exception(), ConnectionError):
+            super().handle_error(request, client_address)  # type: ignore[arg-type]
 
 
 class HttpServer:
@@ -65,11 +77,10 @@ class HttpServer:
                 """Say nothing: a check every few seconds is no news."""
 
         try:
-            self._server = ThreadingHTTPServer((host, int(port)), Handler)
+            self._server = _Server((host, int(port)), Handler)
         except (OSError, OverflowError) as error:
             reason = error.strerror if isinstance(error, OSError) else "no such port"
             raise HttpError(f"cannot answer HTTP on {address}: {reason}") from None
-        self._server.daemon_threads = True
         threading.Thread(target=self._server.serve_forever, name="http", daemon=True).start()
 
     @property

@@ -61,7 +61,7 @@ def _conjugate_gradients(
     D, products, curved = np.zeros_like(descent), np.zeros_like(descent), np.empty_like(descent)
     rest = descent.copy()
     conjugate = system.preconditioner * rest
-    size = (rest * conjugate).sum()
+    size = float((rest * conjugate).sum())
     enough = accuracy**2 * size
     for _ in range(_MAX_CONJUGATE):
         if size <= enough:
@@ -80,7 +80,7 @@ def _conjugate_gradients(
         for r in range(p):
             for i in range(q):
                 conjugate[r, i] = system.preconditioner[r, i] * rest[r, i] + (size / before) * conjugate[r, i]
-    return D, products, size <= enough
+    return D, products, bool(size <= enough)
 
 
 @compiled

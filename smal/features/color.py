@@ -1,6 +1,5 @@
 """Colour modality: the image itself, seen from very far away (paper, section IV: colour on 24 x 32)."""
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -22,6 +21,8 @@ def color_descriptor(image: NDArray[np.uint8]) -> NDArray[np.float32]:
         RGB of every grid cell, row by row, scaled to unit length. An all-black image has no direction
         and gives the zero vector.
     """
+    import cv2  # noqa: PLC0415 - recognition reads SIZE in an image without OpenCV
+
     small = cv2.resize(image, (COLUMNS, ROWS), interpolation=cv2.INTER_AREA)
     vector = small.astype(np.float32).ravel()
     norm = float(np.linalg.norm(vector))

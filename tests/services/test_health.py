@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import socket
+import struct
 import threading
 import urllib.request
 from collections.abc import Iterator
@@ -146,6 +147,25 @@ def test_metrics_count_every_message_and_the_parts_of_its_hop(node: Node, client
     assert (found["smal_detail", "share"], found["smal_detail", "latched"]) == (0.5, 1.0)
     assert ("smal_detail", "world") not in found
     assert found["process_open_fds", ""] > 0
+
+
+def test_a_client_that_goes_away_is_no_news(capfd: pytest.CaptureFixture[str]) -> None:
+    asked = threading.Event()
+    gone = threading.Event()
+
+    def slow() -> bytes:
+        asked.set()
+        assert gone.wait(10.0)
+        return bytes(10_000_000)
+
+    with HttpServer("127.0.0.1:0", lambda: None, slow) as server:
+        with socket.create_connection(("127.0.0.1", server.port)) as client:
+            client.sendall(b"GET /metrics HTTP/1.0\r\n\r\n")
+            assert asked.wait(10.0)
+            client.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))  # closed with a reset
+        gone.set()
+        eventually(lambda: not [thread for thread in threading.enumerate() if "process_request" in thread.name])
+    assert capfd.readouterr() == ("", "")
 
 
 def test_an_address_that_cannot_be_had_is_one_line() -> None:

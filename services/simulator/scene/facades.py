@@ -151,7 +151,8 @@ def _glaze(picture: NDArray[np.uint8], box: tuple[int, int, int, int], rng: np.r
 def _door(picture: NDArray[np.uint8], plan: _Plan, bay: int, rng: np.random.Generator) -> None:
     width, height = 104, 186
     left, top = bay * _CELL_PX + (_CELL_PX - width) // 2, _CELL_PX - height
-    leaf = tuple(int(value) for value in rng.choice([(92, 54, 38), (50, 72, 62), (66, 70, 92), (120, 40, 36)]))
+    paints = np.array([(92, 54, 38), (50, 72, 62), (66, 70, 92), (120, 40, 36)])
+    leaf = tuple(int(value) for value in rng.choice(paints))
     _fill(picture, (left - 10, top - 10, width + 20, height + 10), plan.frame)
     _fill(picture, (left, top, width, height), leaf)
     _glaze(picture, (left + 12, top + 14, width - 24, 62), rng)

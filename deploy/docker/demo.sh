@@ -1,0 +1,46 @@
+#!/usr/bin/env bash
+# The main job against the stack of docker-compose.yml: demonstrate, learn, run; ends with a page of results in /out.
+set -euo pipefail
+router=${SMAL_ROUTER:?} world=${SMAL_WORLD:?}
+drives=${SMAL_DEMO_DRIVES:-12} recoveries=${SMAL_DEMO_RECOVERIES:-60} runs=${SMAL_DEMO_RUNS:-5} seed=${SMAL_DEMO_SEED:-1}
+# A folder of its own for each time: results of an earlier demo stay as they are.
+name=demo-$(date +%Y%m%d-%H%M%S)
+out=/out/$name
+
+# Progress bars go back to the start of their line, which a container's log takes for one endless line.
+calm() {
+  local line next=0
+  while IFS= read -r line; do
+    case $line in
+      *'|'*' ['*)
+        [ "$SECONDS" -ge "$next" ] || continue
+        next=$((SECONDS + 15))
+        ;;
+    esac
+    [ -z "$line" ] || printf '%s\n' "$line"
+  done
+}
+exec > >(stdbuf -o0 tr '\r' '\n' | calm) 2>&1
+log=$!
+
+step() {
+  # In the background: bash would hear of SIGTERM only after the end of a command in the foreground.
+  smal "$@" &
+  child=$!
+  wait "$child"
+}
+child=
+trap '[ -z "$child" ] || { kill -TERM "$child"; wait "$child" || true; }; exit 143' TERM INT
+
+echo "This demo teaches with $drives drives and $recoveries recovery drives in $world and lets the robot search $runs times."
+[ -z "$(ls -d /out/demo-* 2>/dev/null)" ] || echo "Earlier results in out/ stay; this one goes to out/$name."
+echo "1/3 The expert demonstrates; the recorder writes out/$name/drives"
+step demonstrate --connect "$router" --world "$world" --episodes "$drives" --recoveries "$recoveries" --seed "$seed" --out "$out/drives"
+echo "2/3 Learning states, actions, transitions, reward and policy from the recordings"
+step learn "$out/drives" --out "$out/model.smal"
+echo "3/3 The robot searches by itself, from starts that it was not taught from"
+step run --connect "$router" --model "$out/model.smal" --world "$world" --episodes "$runs" --seed "$seed" --json "$out/runs.json" --report "$out/report"
+echo "Open this page: out/$name/report/index.html"
+# The last lines are still on their way.
+exec >&- 2>&-
+wait "$log"
