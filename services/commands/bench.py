@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import ast
 import os
 import signal
 import subprocess
@@ -26,7 +25,7 @@ _STOP_TIMEOUT_S: Final = 10.0
 
 def bench(
     context: typer.Context,
-    name: Annotated[str, typer.Argument(help="Which benchmark: recognition, bus, latency, ...")],
+    name: Annotated[str, typer.Argument(help="Which: recognition, bus, latency, faults or soak.")],
     json_file: Annotated[Path | None, typer.Option("--json", help="Write the results as JSON.")] = None,
     out: Annotated[Path | None, typer.Option(help="Folder for pictures.")] = None,
     quick: Annotated[bool, typer.Option("--quick", help="A small run, of a minute or two.")] = False,
@@ -43,6 +42,9 @@ def bench(
     latency: from the capture of a frame to its command, in real time; --model FILE and --recordings DIR (without them
     both are made), --stride, --camera, --ticks, --stages.
 
+    faults: a driving stack under kills, freezes, outages, a full disk and a jumping clock; --cell NAME (may be
+    repeated), --model FILE. soak: memory and descriptors over an hour; --minutes M, --model FILE.
+
     Example: smal bench recognition --json results.json --images photos
     """
     known = benchmarks(FOLDER)
@@ -55,7 +57,7 @@ def bench(
 
 
 def benchmarks(folder: Path) -> list[str]:
-    """Name the benchmarks in a folder: the modules that can be run.
+    """Name the benchmarks in a folder: the packages that can be run.
 
     Raises
     ------
@@ -66,17 +68,11 @@ def benchmarks(folder: Path) -> list[str]:
         raise JobError(
             "benchmarks need a checkout of the project: run deploy/setup.sh in one, then .venv/bin/smal bench"
         )
-    return [path.stem for path in sorted(folder.glob("*.py")) if _can_be_run(path)]
-
-
-def _can_be_run(path: Path) -> bool:
-    """Whether a module ends with ``if __name__ == "__main__"``."""
-    statements = ast.parse(path.read_text()).body
-    return bool(statements) and ast.unparse(statements[-1]).startswith("if __name__ == '__main__'")
+    return [path.parent.name for path in sorted(folder.glob("*/__main__.py"))]
 
 
 def _run(module: str, arguments: list[str], threads: int) -> int:
-    """Run a module of the checkout in a process that ends with this one; return its exit status."""
+    """Run a package of the checkout in a process that ends with this one; return its exit status."""
     path = os.pathsep.join(filter(None, [str(FOLDER.parents[1]), os.environ.get("PYTHONPATH")]))
     environment = os.environ | dict.fromkeys(THREADS, str(threads)) | {"PYTHONPATH": path}
     # -P: packages of the folder that the user is in, which may have a `tests` as well, are not looked at.

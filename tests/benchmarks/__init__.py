@@ -1,5 +1,5 @@
-"""Benchmarks: what is fast, by how much, and against what. `smal bench NAME` runs the module NAME of this package.
+"""Benchmarks: what is fast, by how much, and against what. `smal bench NAME` runs the package NAME of this one.
 
-A module that can be run (it ends with ``if __name__ == "__main__"``) is a benchmark; its docstring's first line says
-what it measures. The other modules are what benchmarks share, one idea a file.
+A package with a ``__main__.py`` is a benchmark; ``benchmark.py`` in it says what it measures. What stands beside the
+packages is what benchmarks share, one idea a file.
 """

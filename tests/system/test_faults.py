@@ -10,9 +10,9 @@ from pathlib import Path
 
 import pytest
 
-from tests.benchmarks.fault_cells import MATRIX
-from tests.benchmarks.fault_rig import Rig, RigPlan, rig_for
-from tests.benchmarks.fault_run import run_cell
+from tests.benchmarks.faults.cells import MATRIX
+from tests.benchmarks.faults.rig import Rig, RigPlan, rig_for
+from tests.benchmarks.faults.run import run_cell
 
 pytestmark = [pytest.mark.rendering, pytest.mark.system, pytest.mark.timeout(300)]
 

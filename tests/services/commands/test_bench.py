@@ -31,10 +31,10 @@ def test_a_benchmark_runs_with_its_threads_fixed_where_the_user_is(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:
     folder = tmp_path / "checkout" / "tests" / "benchmarks"
-    folder.mkdir(parents=True)
-    for package in (folder.parent, folder):
+    (folder / "probe").mkdir(parents=True)
+    for package in (folder.parent, folder, folder / "probe"):
         (package / "__init__.py").touch()
-    (folder / "probe.py").write_text(PROBE)
+    (folder / "probe" / "__main__.py").write_text(PROBE)
     (folder / "helper.py").write_text("X = 1\n")
     monkeypatch.setattr(bench, "FOLDER", folder)
     monkeypatch.chdir(tmp_path)

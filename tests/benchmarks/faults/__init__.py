@@ -1,0 +1,1 @@
+"""What kills, freezes and outages cost."""

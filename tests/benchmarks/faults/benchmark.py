@@ -1,0 +1,158 @@
+"""Faults: what kill -9, freezes, outages, a full disk, a jumping clock and a slow consumer cost.
+
+A whole stack of processes drives a robot in real time. Each cell does one harm while the robot moves, and is judged by
+the log of an observer, a process of its own, and by the recordings. Columns: how long the robot moved after its last
+valid command (to 0.02 s, and at most so long: on a busy machine the true time may be shorter); commands obeyed although
+too old; seconds from the end of the fault to the next frame that the loop answers; seconds until the successor of a
+killed process is ready; the longest time without a new command; frames of which a message is not recorded; messages
+recorded twice; the machine's load, which above its number of cores makes times long.
+"""
+
+from __future__ import annotations
+
+import argparse
+import itertools
+import sys
+import tempfile
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, Final
+
+from tqdm import tqdm
+
+from services.commands import options
+from services.commands.errors import JobError, UsageError
+from tests.benchmarks.command_line import Parser
+from tests.benchmarks.faults.cells import LINKED, MATRIX, QUICK, Bench, Cell
+from tests.benchmarks.faults.harm import FAKETIME, clock_environment
+from tests.benchmarks.faults.model import taught_model
+from tests.benchmarks.faults.picture import draw
+from tests.benchmarks.faults.rig import RigPlan, rig_for
+from tests.benchmarks.faults.run import Outcome, run_cell
+from tests.benchmarks.machine import machine
+from tests.benchmarks.results import Record, table, write_json
+
+_BENCHES: Final[tuple[Bench, ...]] = ("plain", "linked", "clock")
+_NO_CLOCK: Final = "libfaketime is not installed (apt-get install libfaketime)"
+
+
+def benchmark(cells: Sequence[Cell], model: Path | None, folder: Path, pictures: Path | None) -> dict[str, Any]:
+    """Run cells; return what the JSON file holds."""
+    left_out = {cell.name: _NO_CLOCK for cell in cells if cell.bench == "clock" and not FAKETIME}
+    cells = [cell for cell in cells if cell.name not in left_out]
+    outcomes: list[Outcome] = []
+    model = model or taught_model(folder / "taught")
+    with tqdm(total=len(cells), desc="faults", unit="cell", dynamic_ncols=True) as bar:
+        for bench in _BENCHES:
+            chosen = [cell for cell in cells if cell.bench == bench]
+            for outcome in _run(chosen, _plan(bench, model, folder), bar) if chosen else ():
+                outcomes.append(outcome)
+                if pictures is not None and not outcome.did_not_run:
+                    draw(outcome, pictures / f"{outcome.name.replace(' ', '-')}.png")
+    return {
+        "benchmark": "faults",
+        "machine": machine(),
+        "cells": [outcome.record() for outcome in outcomes],
+        "left_out": left_out,
+        "met": sum(not outcome.not_met for outcome in outcomes),
+        "not_met": {outcome.name: outcome.not_met for outcome in outcomes if outcome.not_met},
+    }
+
+
+def _plan(bench: Bench, model: Path, folder: Path) -> RigPlan:
+    own = folder / bench
+    own.mkdir(parents=True, exist_ok=True)
+    environment = clock_environment(own / "clock") if bench == "clock" else {}
+    return RigPlan(model, own, LINKED if bench == "linked" else (), environment)
+
+
+def _run(cells: Sequence[Cell], plan: RigPlan, bar: tqdm[Any]) -> Iterator[Outcome]:
+    """Run cells one after the other on a stack; one that does not drive any more is replaced by a new one."""
+    waiting = list(cells)
+    for number in itertools.count(1):
+        if not waiting:
+            return
+        bar.set_postfix_str("starting a stack")
+        with rig_for(replace(plan, folder=plan.folder / f"stack{number}")) as rig:
+            before = len(waiting)
+            while waiting:
+                bar.set_postfix_str(waiting[0].name)
+                try:
+                    outcome = run_cell(waiting[0], rig)
+                except JobError as error:
+                    if len(waiting) < before:
+                        tqdm.write(f"{waiting[0].name}: {error}; again with a new stack", sys.stderr)
+                        break
+                    outcome = Outcome.failed(waiting[0].name, str(error))
+                tqdm.write(f"{outcome.name}: {', '.join(outcome.not_met) or 'met'}", sys.stderr)
+                yield outcome
+                waiting.pop(0)
+                bar.update()
+                if outcome.did_not_run:
+                    break
+
+
+def as_text(results: dict[str, Any]) -> str:
+    """Lay the results out for a reader."""
+    text = table("faults", [_row(one) for one in results["cells"]])
+    for name, reason in results["left_out"].items():
+        text += f"left out: {name}: {reason}\n"
+    return text + f"\n{results['met']} of {len(results['cells'])} cells met\n"
+
+
+def _row(one: dict[str, Any]) -> Record:
+    return {
+        "cell": one["name"],
+        "still s": round(one["still_s"], 3),
+        "stale": len(one["stale"]),
+        "recovery s": one["recovery_s"],
+        "restart s": one["restart_s"],
+        "pause s": one["pause_s"],
+        "rate Hz": one["rate_hz"],
+        "lost frames": one["lost_ticks"],
+        "twice": one["duplicates"],
+        "load": round(one["load"], 1),
+        "": "met" if one["met"] else f"NOT MET: {', '.join(one['not_met'])}",
+    }
+
+
+def main(arguments: list[str]) -> None:
+    """Read the flags, run the matrix, print and write."""
+    chosen = _parser().parse(arguments)
+    if chosen.model is not None:
+        options.read_model(chosen.model, None)
+    with _folder(chosen.out) as folder:
+        results = benchmark(_cells(chosen.cell, quick=chosen.quick), chosen.model, folder, chosen.out)
+    if chosen.json is not None:
+        write_json(chosen.json, {"quick": chosen.quick, **results})
+    sys.stdout.write(as_text(results))
+
+
+def _cells(names: Sequence[str], *, quick: bool) -> list[Cell]:
+    known = {cell.name: cell for cell in MATRIX}
+    wrong = [name for name in names if name not in known]
+    if wrong:
+        raise UsageError(f"no cell {wrong[0]!r}; known are: {', '.join(known)}")
+    names = names or (QUICK if quick else tuple(known))
+    return [known[name] for name in names]
+
+
+@contextmanager
+def _folder(out: Path | None) -> Iterator[Path]:
+    """Give the folder for logs and recordings; without ``--out`` it is removed again."""
+    if out is not None:
+        yield out
+        return
+    with tempfile.TemporaryDirectory(prefix="smal-faults-") as folder:
+        yield Path(folder)
+
+
+def _parser() -> Parser:
+    parser = Parser("faults", __doc__)
+    parser.formatter_class = argparse.RawDescriptionHelpFormatter
+    parser.add_argument("--model", type=Path, metavar="FILE", help="model of the world yard, camera 160x120; without "
+                        "it one is taught first, in a minute or two")  # fmt: skip
+    parser.add_argument("--cell", action="append", default=[], metavar="NAME", help="only this cell; may be repeated")
+    return parser

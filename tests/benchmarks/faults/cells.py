@@ -1,0 +1,161 @@
+"""The matrix: every fault, what it may cost, and the stack that it needs."""
+
+from __future__ import annotations
+
+import signal
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from functools import partial
+from typing import Final, Literal
+
+from schemas.topics import KEPT_S
+from services.commands.stack import SERVICES
+from tests.benchmarks.faults import harm
+from tests.benchmarks.faults.judge import Window
+from tests.benchmarks.faults.rig import Rig
+
+#: plain: everything talks to the router; linked: some services by links that can go down; clock: with libfaketime.
+Bench = Literal["plain", "linked", "clock"]
+LINKED: Final = ("simulator", "policy", "recorder")
+#: From the death of a service to the next frame that the loop answers.
+_RESTARTED_S: Final = 15.0
+#: From the return of the router, of a frozen process or of a link to the next frame that the loop answers.
+_RECOVERED_S: Final = 1.0
+_FREEZES_S: Final = (1.0, 3.0, 14.0)
+_OUTAGE_S: Final = 20.0
+_FULL_S: Final = 5.0
+_SLOW_S: Final = 15.0
+_HOUR_S: Final = 3600
+_CONTROL_S: Final = 5.0
+#: Without a new command, of what must not disturb the robot: it stands after half a second.
+_UNDISTURBED_S: Final = 1.0
+
+
+@dataclass(frozen=True)
+class Limits:
+    """What a cell may cost at most; None is not judged.
+
+    Parameters
+    ----------
+    still_s : float
+        The robot moves so long after the last valid command.
+    recovery_s : float, optional
+        Until the loop works again.
+    lost_ticks : int, optional
+        Frames of which a message is not recorded.
+    pause_s : float, optional
+        Without a new command: for what must not disturb the robot at all.
+    rate_hz : float, optional
+        At least, of camera, pose, observation, state and commands at the observer, during the fault.
+    """
+
+    still_s: float = 0.5
+    recovery_s: float | None = _RECOVERED_S
+    lost_ticks: int | None = 0
+    pause_s: float | None = None
+    rate_hz: float | None = None
+
+
+@dataclass(frozen=True)
+class Cell:
+    """One fault.
+
+    Parameters
+    ----------
+    name : str
+    harm : callable
+        Does it to a rig whose robot drives, and returns when it lasted.
+    limits : Limits
+    bench : str
+    watched : str, optional
+        A service that must be another process, and ready, after the fault.
+    drives_on : bool
+        Whether episodes go on meanwhile.
+    next_episode : bool
+        Whether the next episode's recording is judged, in place of this one's, of which only what is there must be
+        readable.
+    """
+
+    name: str
+    harm: Callable[[Rig], Window]
+    limits: Limits = field(default_factory=Limits)
+    bench: Bench = "plain"
+    watched: str | None = None
+    drives_on: bool = False
+    next_episode: bool = False
+
+
+def _controls() -> list[Cell]:
+    """Return what the rest is compared with: on a machine that is busy with other things these are not met either."""
+    harmless = partial(harm.nothing, seconds=_CONTROL_S)
+    limits = Limits(pause_s=_UNDISTURBED_S)
+    return [
+        Cell("no fault", harmless, limits, drives_on=True),
+        Cell("no fault, libfaketime", harmless, limits, bench="clock", drives_on=True),
+    ]
+
+
+def _kills() -> list[Cell]:
+    # What a killed process had not handed over is gone with it: of its own messages those of one frame, and as much of
+    # the recorder's.
+    limits = Limits(recovery_s=_RESTARTED_S, lost_ticks=1)
+    return [
+        Cell(f"kill -9 {service}", partial(harm.kill, service=service), limits, watched=service)
+        for service in SERVICES
+        if service != "router"
+    ]
+
+
+def _freezes() -> list[Cell]:
+    return [
+        Cell(f"freeze {service} {seconds:.0f} s", partial(harm.freeze, service=service, seconds=seconds))
+        for service in SERVICES
+        for seconds in _FREEZES_S
+    ]
+
+
+def _outages() -> list[Cell]:
+    kill = partial(harm.restart_router, number=signal.SIGKILL)
+    return [
+        Cell("kill -9 router", kill, watched="router"),
+        Cell("restart router", partial(harm.restart_router, number=signal.SIGTERM), watched="router"),
+        Cell("router down 20 s", partial(kill, seconds=_OUTAGE_S), watched="router"),
+    ]
+
+
+def _links() -> list[Cell]:
+    cells = [
+        Cell(
+            f"link of {service} down 20 s", partial(harm.link_down, service=service, seconds=_OUTAGE_S), bench="linked"
+        )
+        for service in LINKED
+    ]
+    # Longer than anything is kept: what is lost must stand in the recording.
+    longer_s = KEPT_S + 15.0
+    longer = partial(harm.link_down, service="recorder", seconds=longer_s)
+    name = f"link of recorder down {longer_s:.0f} s"
+    return [*cells, Cell(name, longer, Limits(lost_ticks=None), bench="linked")]
+
+
+def _others() -> list[Cell]:
+    undisturbed = Limits(pause_s=_UNDISTURBED_S)
+    # Between two episodes there is no command for a moment.
+    slow = replace(undisturbed, pause_s=2 * _UNDISTURBED_S, rate_hz=9.0)
+    return [
+        Cell("full disk", partial(harm.fill_disk, seconds=_FULL_S), undisturbed, next_episode=True),
+        Cell("slow consumer", partial(harm.consume_slowly, seconds=_SLOW_S), slow, drives_on=True),
+        Cell("clock +1 h", partial(harm.jump, offset_s=_HOUR_S), undisturbed, bench="clock", drives_on=True),
+        Cell("clock -1 h", partial(harm.jump, offset_s=-_HOUR_S), undisturbed, bench="clock", drives_on=True),
+    ]
+
+
+MATRIX: Final = (*_controls(), *_kills(), *_freezes(), *_outages(), *_links(), *_others())
+#: The short version: what tells most in a minute.
+QUICK: Final = (
+    "no fault",
+    "kill -9 policy",
+    "kill -9 recorder",
+    "freeze recognition 3 s",
+    "restart router",
+    "full disk",
+)

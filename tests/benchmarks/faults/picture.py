@@ -1,0 +1,57 @@
+"""Pictures: what the robot did around a fault and by whose command, and what processes hold over time."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from tests.benchmarks.faults.judge import obeyed_s
+from tests.benchmarks.faults.run import Outcome
+from tests.benchmarks.soak.growth import Sample
+
+
+def draw(outcome: Outcome, path: Path) -> None:
+    """Draw the robot's movement, the frames answered and the fault over time."""
+    plt = _pyplot()
+    zero_s = outcome.fault.begin_s
+    figure, axes = plt.subplots(figsize=(9, 3), layout="constrained")
+    axes.axvspan(0.0, max(0.02, outcome.fault.end_s - zero_s), color="tab:red", alpha=0.2, label="fault")
+    for number, track in enumerate(outcome.tracks):
+        spans = track.intervals()
+        label = {"label": "robot moves"} if number == 0 else {}
+        moved = [one.moved_s / max(1e-3, one.end_s - one.begin_s) for one in spans]
+        axes.step([one.begin_s - zero_s for one in spans], moved, where="post", color="tab:blue", **label)
+        times = [t - zero_s for t in obeyed_s(track)]
+        label = {"label": "new command obeyed"} if number == 0 else {}
+        axes.plot(times, [-0.1] * len(times), "|", color="tab:green", **label)
+    axes.set(xlabel="seconds since the fault began", ylabel="share of the nominal speed", title=outcome.name)
+    axes.set_ylim(-0.2, 1.3)
+    axes.legend(loc="upper right", ncols=3)
+    figure.savefig(path, dpi=110)
+    plt.close(figure)
+
+
+def draw_growth(samples: Sequence[Sample], path: Path) -> None:
+    """Draw memory and descriptors of every service over time."""
+    plt = _pyplot()
+    figure, (memory, descriptors) = plt.subplots(2, 1, figsize=(9, 6), sharex=True, layout="constrained")
+    for service in dict.fromkeys(one.service for one in samples):
+        own = [one for one in samples if one.service == service]
+        minutes = [one.t_s / 60.0 for one in own]
+        memory.plot(minutes, [one.rss_bytes / 1e6 for one in own], label=service)
+        descriptors.plot(minutes, [one.descriptors for one in own], label=service)
+    memory.set(ylabel="resident memory, MB", ylim=(0.0, None))
+    descriptors.set(ylabel="open descriptors", xlabel="minutes", ylim=(0.0, None))
+    memory.legend(loc="lower right", ncols=3)
+    figure.savefig(path, dpi=110)
+    plt.close(figure)
+
+
+def _pyplot() -> Any:
+    import matplotlib as mpl  # noqa: PLC0415 - takes a second to import
+
+    mpl.use("Agg")
+    import matplotlib.pyplot as plt  # noqa: PLC0415 - as above
+
+    return plt

@@ -1,0 +1,261 @@
+"""A stack that drives, an observer beside it, and the hands that do harm to it."""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import ExitStack, closing, contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Final
+
+from schemas.rpc import EndRequest, Nothing, RecordReply, ResetReply, ResetRequest, Status
+from schemas.topics import EPISODE
+from services.bus import Bus, RpcError
+from services.commands.errors import JobError
+from services.commands.stack import SERVICES, Stack, StackPlan, flags, free_endpoint
+from services.commands.up import WATCH_S
+from tests.benchmarks.faults.judge import moving
+from tests.benchmarks.faults.log import Entry, Tail
+from tests.benchmarks.faults.observer import observing
+from tests.benchmarks.faults.proxy import link
+from tests.benchmarks.faults.track import Track
+
+ROBOT: Final = "faulty"
+WORLD: Final = "yard"
+CAMERA: Final = (160, 120)
+_LOOK_S: Final = 0.02
+_MOVING_S: Final = 12.0
+_STARTS: Final = 5
+
+
+@dataclass(frozen=True)
+class RigPlan:
+    """What to set up.
+
+    Parameters
+    ----------
+    model : Path
+    folder : Path
+        New folder for log, recordings and the services' logs.
+    linked : tuple of str
+        Services whose way to the router is a link that can go down.
+    environment : dict of str to str
+        More environment of the services.
+    """
+
+    model: Path
+    folder: Path
+    linked: tuple[str, ...] = ()
+    environment: Mapping[str, str] = field(default_factory=dict)
+
+    @property
+    def recordings(self) -> Path:
+        """Folder of the recordings."""
+        return self.folder / "recordings"
+
+    @property
+    def log(self) -> Path:
+        """The observer's log."""
+        return self.folder / "observer.jsonl"
+
+    def service_flags(self, links: Mapping[str, str]) -> dict[str, tuple[str, ...]]:
+        """Return the services' flags, with the addresses of the links."""
+        chain = flags(model=self.model.resolve())
+        own = {
+            "simulator": flags(world=WORLD, camera_width=CAMERA[0], camera_height=CAMERA[1]),
+            "recognition": chain,
+            "policy": chain,
+            "recorder": flags(recordings=self.recordings.resolve()),
+        }
+        return {name: own.get(name, ()) + flags(router=links.get(name)) for name in SERVICES}
+
+
+class Rig:
+    """A driving stack; made by ``rig_for``.
+
+    Parameters
+    ----------
+    plan : RigPlan
+    stack : Stack
+    bus : Bus
+        For calls.
+    tail : Tail
+        Of the observer's log.
+    links : dict of str to int
+        Process id of the link of each linked service.
+    """
+
+    def __init__(self, plan: RigPlan, stack: Stack, bus: Bus, tail: Tail, links: Mapping[str, int]) -> None:
+        self.plan, self.stack, self.bus, self.links = plan, stack, bus, links
+        #: Everything that was seen since the last ``forget``.
+        self.entries: list[Entry] = []
+        #: Whether dead services are started again, as ``smal up`` does.
+        self.supervised = True
+        #: Whether a new episode begins when one has ended.
+        self.driven = False
+        self.notes: list[str] = []
+        self.seed = 100
+        #: How many episodes have begun.
+        self.begun = 0
+        self._tail = tail
+        self._episode: str | None = None
+        self._watch_s = self._begin_s = 0.0
+
+    # -- time -----------------------------------------------------------------------------------------------------
+
+    def until(self, done: Callable[[], bool], timeout_s: float) -> bool:
+        """Look after the stack until ``done()``, at most ``timeout_s``; return whether it is done."""
+        deadline_s = time.monotonic() + timeout_s
+        while not done():
+            left_s = deadline_s - time.monotonic()
+            if left_s <= 0.0:
+                return False
+            time.sleep(min(_LOOK_S, left_s))
+            self._look()
+        return True
+
+    def hold(self, seconds: float) -> None:
+        """Let a fault last."""
+        self.until(lambda: False, seconds)
+
+    def _look(self) -> None:
+        new = self._tail.read()
+        self.entries += new
+        for one in new:
+            if one.topic == EPISODE.name and one.told["event"] == "ended" and one.episode == self._episode:
+                self._episode = None
+        if self.supervised and time.monotonic() >= self._watch_s:
+            self._watch_s = time.monotonic() + WATCH_S
+            if "simulator" in self.stack.restart_dead():
+                self._episode = None
+        if self.driven and self._episode is None and time.monotonic() >= self._begin_s:
+            self._begin_s = time.monotonic() + WATCH_S
+            self._begin(timeout_s=30.0)
+
+    # -- driving --------------------------------------------------------------------------------------------------
+
+    def forget(self) -> None:
+        """Begin a new account."""
+        self._tail.read()
+        self.entries, self.notes = [], []
+
+    def start_moving(self) -> None:
+        """Begin an episode in which the robot moves by the commands of the policy.
+
+        Raises
+        ------
+        JobError
+            When it does not, from several starts.
+        """
+        for _ in range(_STARTS):
+            self.finish_episode()
+            self.forget()
+            if self.until(lambda: self._begin(timeout_s=30.0), 30.0) and self.until(self._moves, _MOVING_S):
+                return
+        raise JobError(f"the robot does not move, from {_STARTS} starts; see {self.plan.folder / 'logs'}")
+
+    def _moves(self) -> bool:
+        mine = [one for one in self.entries if one.episode == self._episode]
+        return bool(mine) and moving(Track(mine[0].episode, mine))
+
+    def _begin(self, timeout_s: float) -> bool:
+        request = ResetRequest(seed=self.seed + 1, mode="realtime")
+        try:
+            self._episode = self.bus.call("simulator", "reset", request, ResetReply, timeout_s).episode
+        except RpcError:
+            return False
+        self.seed += 1
+        self.begun += 1
+        return True
+
+    def end_episode(self) -> None:
+        """Have the running episode end, if any."""
+        if self._episode is None:
+            return
+        try:
+            self.bus.call("simulator", "end", EndRequest(episode=self._episode), Nothing)
+        except RpcError as error:
+            self.notes.append(str(error))
+
+    def finish_episode(self) -> None:
+        """End the running episode, if any, and have its recording finished."""
+        self.driven = False
+        episode = self._episode
+        self.end_episode()
+        if not self.until(lambda: self._episode is None, 5.0):
+            self.notes.append(f"the end of {episode} was not seen")
+            self._episode = None
+        try:
+            self.bus.call("recorder", "flush", Nothing(), RecordReply, timeout_s=15.0)
+        except RpcError as error:
+            self.notes.append(str(error))
+        self._look()
+
+    # -- services -------------------------------------------------------------------------------------------------
+
+    def status(self, service: str, timeout_s: float = 2.0) -> Status | None:
+        """Ask a service how it is; None where it does not answer."""
+        try:
+            return self.bus.call(service, "status", Nothing(), Status, timeout_s)
+        except RpcError:
+            return None
+
+    def pid(self, service: str) -> int:
+        """Return a service's process id.
+
+        Raises
+        ------
+        JobError
+            When it does not answer.
+        """
+        status = self.status(service)
+        if status is None:
+            raise JobError(f"{service} does not answer; see {self.plan.folder / 'logs'}")
+        return status.pid
+
+    def ready(self, service: str, not_pid: int = 0) -> bool:
+        """Whether a service, and not its dead predecessor, is ready."""
+        status = self.status(service, timeout_s=0.3)
+        return status is not None and status.state == "ready" and status.pid != not_pid
+
+    def all_ready(self) -> bool:
+        """Whether all services are ready."""
+        return all(self.ready(service) for service in SERVICES)
+
+    def log_of(self, service: str) -> str:
+        """Return what a service has logged."""
+        return (self.plan.folder / "logs" / f"{service}.log").read_text(errors="replace")
+
+
+@contextmanager
+def rig_for(plan: RigPlan) -> Iterator[Rig]:
+    """Set everything up, and leave no process behind."""
+    endpoint = free_endpoint()
+    plan.folder.mkdir(parents=True, exist_ok=True)
+    with ExitStack() as stacked:
+        links = {service: stacked.enter_context(link(endpoint)) for service in plan.linked}
+        service_flags = plan.service_flags({service: address for service, (address, _) in links.items()})
+        stack = Stack(StackPlan(SERVICES, ROBOT, endpoint, service_flags, plan.folder / "logs"))
+        with _environment(plan.environment):
+            stacked.enter_context(stack)
+        stacked.enter_context(observing(ROBOT, endpoint, plan.log))
+        bus = stacked.enter_context(closing(Bus(ROBOT, endpoint)))
+        tail = stacked.enter_context(closing(Tail(plan.log)))
+        yield Rig(plan, stack, bus, tail, {service: pid for service, (_, pid) in links.items()})
+
+
+@contextmanager
+def _environment(more: Mapping[str, str]) -> Iterator[None]:
+    """Give what is started meanwhile more environment."""
+    before = {name: os.environ.get(name) for name in more}
+    os.environ.update(more)
+    try:
+        yield
+    finally:
+        for name, value in before.items():
+            if value is None:
+                os.environ.pop(name, None)
+            else:
+                os.environ[name] = value

@@ -1,0 +1,1 @@
+"""From the capture of a frame to its command."""

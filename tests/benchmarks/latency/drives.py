@@ -1,0 +1,68 @@
+"""Drives to replay, and a model that knows their place: given, or made here."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from services.commands.errors import JobError
+from services.commands.options import Camera
+from services.commands.teaching import find_recordings
+from services.recorder.encoding import decode_image
+from services.recorder.mcap_reader import RecordingError, read_recording
+from tests.benchmarks.drives import demonstrate, learn
+
+Frames = list[NDArray[np.uint8]]
+
+
+def make(folder: Path, episodes: int, recoveries: int) -> Path:
+    """Drive on the campus, and learn from it; the progress of both goes to standard error.
+
+    Returns
+    -------
+    Path
+        The model, in the folder of the drives.
+    """
+    demonstrate(folder, episodes, recoveries)
+    return learn(folder)
+
+
+def drives(folder: Path) -> Iterator[Frames]:
+    """Give the camera images of one whole drive after the other, (height, width, 3), over and over.
+
+    Raises
+    ------
+    JobError
+        There is none.
+    """
+    paths = find_recordings([folder])
+    found = True
+    while found:
+        found = False
+        for path in paths:
+            for frames in _drives_of(path):
+                found = True
+                yield frames
+    raise JobError(f"{folder}: holds no drive with camera images")
+
+
+def _drives_of(path: Path) -> Iterator[Frames]:
+    try:
+        episodes = read_recording(path).episodes
+    except RecordingError as error:
+        raise JobError(str(error)) from None
+    for episode in episodes:
+        if episode.purpose != "recovery" and episode.images:
+            yield [decode_image(bytes(episode.images[tick])) for tick in sorted(episode.images)]
+
+
+def resized(frames: Frames, camera: Camera | None) -> Frames:
+    """Bring images to the size of another camera; None leaves them as they are."""
+    if camera is None or frames[0].shape[:2] == (camera.height, camera.width):
+        return frames
+    size = (camera.width, camera.height)
+    return [np.asarray(cv2.resize(one, size, interpolation=cv2.INTER_CUBIC), np.uint8) for one in frames]

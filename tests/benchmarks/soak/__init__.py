@@ -1,0 +1,1 @@
+"""What the services hold while the robot drives for an hour."""

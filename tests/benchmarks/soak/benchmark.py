@@ -1,0 +1,157 @@
+"""Soak: what the services hold while the robot drives for an hour, episode after episode, in real time.
+
+Memory may grow by less than 5 % after a warm-up (a tenth of the run, at least two minutes), by a straight line through
+the samples; descriptors and threads must not become more.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+import tempfile
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import Any, Final
+
+from tqdm import tqdm
+
+from services.commands import options
+from services.commands.errors import JobError
+from services.commands.stack import SERVICES
+from tests.benchmarks.command_line import Parser
+from tests.benchmarks.faults.model import taught_model
+from tests.benchmarks.faults.picture import draw_growth
+from tests.benchmarks.faults.rig import Rig, RigPlan, rig_for
+from tests.benchmarks.machine import machine
+from tests.benchmarks.results import Record, table, write_json
+from tests.benchmarks.soak.growth import Sample, judge, sample
+
+_MINUTES: Final = 60.0
+_QUICK_MINUTES: Final = 1.0
+_PERIOD_S: Final = 10.0
+_SAMPLES: Final = 30
+#: Recordings that are kept: an hour's would be gigabytes.
+_KEPT: Final = 5
+#: Fewer commands a second: the loop stood, and the run says nothing.
+_LEAST_HZ: Final = 5.0
+_BAR: Final = "{l_bar}{bar}| {elapsed}<{remaining}{postfix}"
+
+
+def benchmark(minutes: float, model: Path | None, folder: Path) -> dict[str, Any]:
+    """Let the robot drive; return what the JSON file holds."""
+    model = model or taught_model(folder / "taught")
+    with rig_for(RigPlan(model, folder / "soak")) as rig:
+        rig.start_moving()
+        rig.driven = True
+        samples = list(_samples(rig, minutes * 60.0, folder / "samples.jsonl"))
+        messages = [_messages(rig, service) for service in SERVICES]
+        episodes = rig.begun
+        rig.finish_episode()
+    services = judge(samples)
+    rate_hz = sum(int(one["commands"]) for one in messages if one["service"] == "policy") / (minutes * 60.0)
+    return {
+        "benchmark": "soak",
+        "machine": machine(),
+        "minutes": minutes,
+        "episodes": episodes,
+        "commands_hz": rate_hz,
+        "services": services,
+        "messages": messages,
+        "samples": [vars(one) for one in samples],
+        "met": rate_hz >= _LEAST_HZ and all(one[""] == "met" for one in services),
+    }
+
+
+def _samples(rig: Rig, seconds: float, log: Path) -> Iterator[Sample]:
+    """Look at every service now and then; what was seen is on the disk at once."""
+    period_s = min(_PERIOD_S, seconds / _SAMPLES)
+    began_s = time.monotonic()
+    with (
+        log.open("w", buffering=1) as file,
+        tqdm(total=round(seconds), desc="soaking", unit="s", bar_format=_BAR, dynamic_ncols=True) as bar,
+    ):
+        due_s = 0.0
+        while due_s <= seconds:
+            rig.hold(max(0.0, began_s + due_s - time.monotonic()))
+            for service in SERVICES:
+                with suppress(OSError, JobError):  # it has died, and is started again
+                    one = sample(time.monotonic() - began_s, service, rig.pid(service))
+                    file.write(json.dumps(vars(one)) + "\n")
+                    yield one
+            _remove_old(rig.plan.recordings)
+            rig.forget()
+            bar.update(round(due_s) - bar.n)
+            bar.set_postfix_str(f"episode {rig.begun}")
+            due_s += period_s
+
+
+def _remove_old(recordings: Path) -> None:
+    finished = sorted(recordings.glob("*.mcap"), key=lambda path: path.stat().st_mtime)
+    for path in finished[:-_KEPT]:
+        path.unlink()
+
+
+def _messages(rig: Rig, service: str) -> Record:
+    status = rig.status(service)
+    if status is None:
+        return {"service": service, "received": 0, "published": 0, "commands": 0, "dropped": "no answer"}
+    return {
+        "service": service,
+        "received": sum(status.received.values()),
+        "published": sum(status.published.values()),
+        "commands": status.published.get("command/policy", 0),
+        "dropped": sum(status.dropped.values()),
+        "bad": sum(status.bad.values()),
+        "failed": status.failed,
+    }
+
+
+def as_text(results: dict[str, Any]) -> str:
+    """Lay the results out for a reader."""
+    text = table(f"{results['minutes']:g} minutes, {results['episodes']} episodes", results["services"])
+    text += table("messages", results["messages"])
+    return text + f"\n{results['commands_hz']:.1f} commands a second; {'met' if results['met'] else 'NOT MET'}\n"
+
+
+def main(arguments: list[str]) -> None:
+    """Read the flags, drive, print and write."""
+    chosen = _parser().parse(arguments)
+    if chosen.model is not None:
+        options.read_model(chosen.model, None)
+    minutes = chosen.minutes or (_QUICK_MINUTES if chosen.quick else _MINUTES)
+    with _folder(chosen.out) as folder:
+        results = benchmark(minutes, chosen.model, folder)
+    if chosen.json is not None:
+        write_json(chosen.json, results)
+    if chosen.out is not None:
+        draw_growth([Sample(**one) for one in results["samples"]], chosen.out / "soak.png")
+    sys.stdout.write(as_text(results))
+
+
+@contextmanager
+def _folder(out: Path | None) -> Iterator[Path]:
+    """Give the folder for logs and samples; without ``--out`` it is removed again."""
+    if out is not None:
+        yield out
+        return
+    with tempfile.TemporaryDirectory(prefix="smal-soak-") as folder:
+        yield Path(folder)
+
+
+def _minutes(text: str) -> float:
+    minutes = float(text)
+    if not 0.0 < minutes <= 10_000.0:
+        raise argparse.ArgumentTypeError("more than 0, at most 10,000")
+    return minutes
+
+
+def _parser() -> Parser:
+    parser = Parser("soak", __doc__)
+    parser.formatter_class = argparse.RawDescriptionHelpFormatter
+    parser.add_argument("--minutes", type=_minutes, metavar="M", help=f"how long to drive (default {_MINUTES:g})")
+    parser.add_argument("--model", type=Path, metavar="FILE", help="model of the world yard, camera 160x120; without "
+                        "it one is taught first, in a minute or two")  # fmt: skip
+    return parser

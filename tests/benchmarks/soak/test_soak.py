@@ -1,0 +1,73 @@
+"""What the soak says of samples that grow, and of those that do not; and its command line."""
+
+from __future__ import annotations
+
+import os
+
+import numpy as np
+import pytest
+
+from services.commands.errors import UsageError
+from tests.benchmarks.soak import benchmark as soak
+from tests.benchmarks.soak.growth import Sample, judge, sample
+
+
+def hour(growth: float = 0.0, descriptors: int = 0, threads: int = 0, pids: tuple[int, ...] = (7,)) -> list[Sample]:
+    rng = np.random.default_rng(1)
+    samples = []
+    for k in range(361):
+        share = k / 360.0
+        warming = 3e7 * min(1.0, k / 12)  # what is allocated in the first two minutes is no growth
+        size = int(warming + 2e8 * (1.0 + growth * share) + rng.normal(0.0, 1e6))
+        comes_and_goes = int(rng.integers(0, 2))
+        samples.append(
+            Sample(10.0 * k, "policy", pids[int(share * (len(pids) - 1))], size,
+                   20 + round(descriptors * share) + comes_and_goes, 9 + round(threads * share))
+        )  # fmt: skip
+    return samples
+
+
+def test_what_does_not_grow() -> None:
+    (found,) = judge(hour())
+    assert found[""] == "met"
+    assert abs(float(str(found["growth_percent"]))) < 1.0
+
+
+@pytest.mark.parametrize(
+    ("samples", "what"),
+    [
+        (hour(growth=0.10), "memory"),
+        (hour(descriptors=4), "descriptors"),
+        (hour(threads=3), "threads"),
+        (hour(pids=(7, 8)), "restarted"),
+    ],
+)
+def test_what_grows(samples: list[Sample], what: str) -> None:
+    (found,) = judge(samples)
+    assert found[""] == f"NOT MET: {what}"
+
+
+def test_every_service_is_judged_by_itself() -> None:
+    others = [Sample(one.t_s, "recorder", 9, one.rss_bytes, one.descriptors, one.threads) for one in hour(growth=0.2)]
+    assert [(one["service"], one[""]) for one in judge(hour() + others)] == [
+        ("policy", "met"),
+        ("recorder", "NOT MET: memory"),
+    ]
+
+
+def test_a_short_run_has_figures_too() -> None:
+    (found,) = judge([one for one in hour() if one.t_s <= 60.0])
+    assert float(str(found["rss_mb_last"])) > 200.0
+
+
+def test_this_process_can_be_looked_at() -> None:
+    found = sample(1.0, "me", os.getpid())
+    assert found.rss_bytes > 1e6
+    assert found.descriptors >= 3
+    assert found.threads >= 1
+
+
+@pytest.mark.parametrize("minutes", ["0", "-1", "nan", "many"])
+def test_how_long_is_checked(minutes: str) -> None:
+    with pytest.raises(UsageError):
+        soak.main(["--minutes", minutes])
