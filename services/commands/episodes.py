@@ -102,7 +102,8 @@ class EpisodeClient:
         self._record: EpisodeRecord | None = None
         self._ended = False
         self._alive_s = 0.0
-        self.node.subscribe(topics.EPISODE, self._on_event)
+        # Replayed: a busy machine may lose its connection for a moment, and an end that is not heard is waited for.
+        self.node.subscribe(topics.EPISODE, self._on_event, replay=True)
         self.node.subscribe(topics.APPLIED, self._on_applied, depth=256)
         self.node.subscribe(topics.ACTION, self._on_action, depth=256)
 

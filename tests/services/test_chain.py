@@ -65,6 +65,16 @@ def policy(client: Bus, router_endpoint: str, model: Path) -> Iterator[None]:
         yield
 
 
+def until_heard(client: Bus, message: Message, heard: dict[int, M]) -> None:
+    """Ask, in an episode of its own, until an answer is heard: a subscription takes a moment to become known."""
+
+    def answered() -> bool:
+        client.publish(message)
+        return message.tick in heard
+
+    eventually(answered)
+
+
 def test_features_turns_every_frame_into_its_observation(
     client: Bus, router_endpoint: str, listen: Listen[Observation]
 ) -> None:
@@ -84,6 +94,7 @@ def test_features_turns_every_frame_into_its_observation(
 @pytest.mark.usefixtures("recognition")
 def test_recognition_knows_where_the_robot_is(client: Bus, listen: Listen[State], model: Path) -> None:
     heard = listen(topics.STATE, State)
+    until_heard(client, observation(99, episode="hello"), heard)
     malformed(client, "recognition", topics.OBSERVATION)
     for tick in range(LENGTH):
         client.publish(observation(tick, place=6 + tick))
@@ -100,6 +111,7 @@ def test_recognition_knows_where_the_robot_is(client: Bus, listen: Listen[State]
 @pytest.mark.usefixtures("recognition")
 def test_recognition_says_that_it_does_not_know(client: Bus, listen: Listen[State]) -> None:
     heard = listen(topics.STATE, State)
+    until_heard(client, observation(99, episode="hello"), heard)
     for tick in range(LENGTH):
         client.publish(observation(tick, place=1000 + tick))
         eventually(lambda tick=tick: tick in heard)  # type: ignore[misc]
@@ -110,6 +122,7 @@ def test_recognition_says_that_it_does_not_know(client: Bus, listen: Listen[Stat
 @pytest.mark.usefixtures("recognition")
 def test_recognition_never_joins_two_episodes_or_a_gap(client: Bus, listen: Listen[State]) -> None:
     heard = listen(topics.STATE, State)
+    until_heard(client, observation(99, episode="hello"), heard)
     for tick, episode in ((0, "a"), (1, "a"), (2, "b")):
         client.publish(observation(tick, episode=episode))
         eventually(lambda tick=tick: tick in heard)  # type: ignore[misc]
@@ -140,6 +153,7 @@ def test_policy_commands_every_frame_and_decides_when_a_state_is_known(
 ) -> None:
     commands = listen(topics.COMMANDS["policy"], Command)
     actions = listen(topics.ACTION, Action)
+    until_heard(client, state(99, model, episode="hello", status="collecting"), commands)
     malformed(client, "policy", topics.STATE)
     belief = (Candidate(state=2, phase=2.0, weight=1.0),)
     client.publish(state(0, model, status="recognized", state=2, phase=2.0, candidates=belief))
@@ -156,6 +170,7 @@ def test_policy_answers_a_repeated_state_with_the_same_command(
     client: Bus, listen: Listen[Message], model: Path
 ) -> None:
     commands = listen(topics.COMMANDS["policy"], Command)
+    until_heard(client, state(99, model, episode="hello", status="collecting"), commands)
     known = state(0, model, status="recognized", state=2, phase=2.0)
     client.publish(known)
     eventually(lambda: 0 in commands)
@@ -174,6 +189,7 @@ def test_policy_is_silent_when_nobody_asks_and_looks_around_when_lost(
 ) -> None:
     commands = listen(topics.COMMANDS["policy"], Command)
     actions = listen(topics.ACTION, Action)
+    until_heard(client, state(99, model, episode="hello", status="collecting"), commands)
     client.publish(state(0, None))
     client.publish(state(1, model, status="unknown"))
     eventually(lambda: 1 in commands and 1 in actions)

@@ -137,8 +137,8 @@ class Rig:
     # -- driving --------------------------------------------------------------------------------------------------
 
     def forget(self) -> None:
-        """Begin a new account."""
-        self._tail.read()
+        """Begin a new account; an episode that has ended meanwhile is noticed all the same."""
+        self._look()
         self.entries, self.notes = [], []
 
     def start_moving(self) -> None:
