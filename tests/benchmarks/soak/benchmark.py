@@ -36,7 +36,7 @@ _SAMPLES: Final = 30
 #: Recordings that are kept: an hour's would be gigabytes.
 _KEPT: Final = 5
 #: Fewer commands a second: the loop stood, and the run says nothing.
-_LEAST_HZ: Final = 5.0
+_LEAST_HZ: Final = 8.0
 _BAR: Final = "{l_bar}{bar}| {elapsed}<{remaining}{postfix}"
 
 
