@@ -32,6 +32,12 @@ def encoding_of(message: type[Message]) -> str:
     return ENCODING_PREFIX + message.schema_name()
 
 
+def check_encoding(message: type[Message], encoding: str) -> None:
+    """Raise DecodeError unless an encoding names a message class and its version."""
+    if encoding != encoding_of(message):
+        raise DecodeError(f"expected {encoding_of(message)}, got {encoding[:80]!r}")
+
+
 def encode(message: Message) -> bytes:
     """Pack a message as msgpack.
 
@@ -69,8 +75,7 @@ def decode(cls: type[M], payload: bytes, encoding: str) -> M:
     DecodeError
         For any payload that is not a valid message; no other exception leaves this function.
     """
-    if encoding != encoding_of(cls):
-        raise DecodeError(f"expected {encoding_of(cls)}, got {encoding[:80]!r}")
+    check_encoding(cls, encoding)
     if len(payload) > cls.max_bytes:
         raise DecodeError(f"{cls.schema_name()}: {len(payload)} bytes, at most {cls.max_bytes} allowed")
     try:

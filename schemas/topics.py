@@ -114,6 +114,11 @@ def topic_of(key: str) -> Topic | None:
     return TOPICS.get(name)
 
 
+def key_of(message: Message) -> str:
+    """Return the Zenoh key that a message belongs on."""
+    return TOPICS[message.topic_name].key(message.robot)
+
+
 def rpc_key(robot: str, service: str, verb: str) -> str:
     """Return the Zenoh key of a service's queryable."""
     return f"{ROOT}/{robot}/rpc/{service}/{verb}"

@@ -24,7 +24,7 @@ from pydantic import ValidationError
 from schemas.base import Message, Strict
 from schemas.codec import DecodeError, decode, describe
 from schemas.rpc import Failure, Nothing, Status
-from schemas.topics import Topic
+from schemas.topics import Topic, key_of
 from services.bus import PATIENCE_S, Bus, BusError
 from services.health import ailment
 from services.http import HttpError, HttpServer
@@ -286,7 +286,7 @@ class Node:
     def _decode(self, topic: Topic, payload: bytes, encoding: str) -> Message | None:
         try:
             message = decode(topic.message, payload, encoding)
-            if message.robot != self.robot or message.topic_name != topic.name:
+            if key_of(message) != topic.key(self.robot):
                 raise DecodeError(f"message of {message.robot}/{message.topic_name} on the key of {self.robot}")
         except DecodeError as error:
             self._bad[topic.name] += 1

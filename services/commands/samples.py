@@ -9,8 +9,8 @@ import msgpack
 from pydantic import ValidationError
 
 from schemas.base import Message
-from schemas.codec import DecodeError, decode, describe, encoding_of, printable
-from schemas.topics import Topic, topic_of
+from schemas.codec import DecodeError, check_encoding, decode, describe, printable
+from schemas.topics import Topic, key_of, topic_of
 
 MOST_ITEMS: Final = 12
 #: The header is at most 143 bytes.
@@ -37,7 +37,7 @@ class Sample:
         if topic is None:
             raise DecodeError("no topic of SMAL")
         message = decode(topic.message, self.payload, self.encoding)
-        if topic.key(message.robot) != self.key or message.topic_name != topic.name:
+        if key_of(message) != self.key:
             raise DecodeError(f"holds a message of {message.robot}/{message.topic_name}")
         return message
 
@@ -67,9 +67,7 @@ def header_of(topic: Topic, payload: bytes, encoding: str) -> Message:
     DecodeError
         When the payload does not begin as a message of the topic does.
     """
-    expected = encoding_of(topic.message)
-    if encoding != expected:
-        raise DecodeError(f"expected {expected}, got {encoding[:80]!r}")
+    check_encoding(topic.message, encoding)
     unpacker = msgpack.Unpacker(max_buffer_size=HEADER_BYTES)
     unpacker.feed(payload[:HEADER_BYTES])
     fields: dict[str, object] = {}

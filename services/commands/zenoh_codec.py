@@ -24,7 +24,7 @@ import json
 from pydantic import ValidationError
 
 from schemas.codec import describe, encode, encoding_of, printable
-from schemas.topics import ROOT, topic_of
+from schemas.topics import ROOT, key_of, topic_of
 from services.commands.samples import Sample
 
 
@@ -81,7 +81,7 @@ def encode_from_json(key: str, value: str) -> bytes:
         message = topic.message.model_validate_json(value)
     except ValidationError as error:
         raise ValueError(f"{topic.message.schema_name()}: {describe(error)}") from None
-    if topic.key(message.robot) != key or message.topic_name != topic.name:
+    if key_of(message) != key:
         raise ValueError(f"a message of {message.robot}/{message.topic_name} does not belong on {key}")
     payload = encode(message)
     if len(payload) > message.max_bytes:

@@ -11,7 +11,7 @@ from mcap.writer import CompressionType, Writer
 
 from schemas.base import Message
 from schemas.episode import Episode
-from schemas.topics import TOPICS
+from schemas.topics import TOPICS, key_of
 from services.recorder.contents import Contents, end_tick_of
 from services.recorder.encoding import format_of, payload_of
 from services.recorder.ledger import Ledger
@@ -187,8 +187,9 @@ class EpisodeWriter:
             form = format_of(kind)
             if kind not in self._schemas:
                 self._schemas[kind] = self._writer.register_schema(form.schema_name, form.schema_encoding, form.schema)
-            key = TOPICS[topic].key(message.robot)
-            channel = self._writer.register_channel(key, form.message_encoding, self._schemas[kind], self._metadata)
+            channel = self._writer.register_channel(
+                key_of(message), form.message_encoding, self._schemas[kind], self._metadata
+            )
             self._channels[topic] = channel
         return channel
 

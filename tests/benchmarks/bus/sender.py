@@ -8,20 +8,18 @@ import sys
 import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
+from dataclasses import replace
 from multiprocessing.connection import Connection
 from typing import Final
 
-import zenoh
-
 from schemas.base import Message
-from schemas.codec import encode, encoding_of
-from schemas.topics import Topic
+from schemas.codec import encode
 from services.bus import Bus
 from services.commands.bench import FOLDER
 from services.commands.child import tied
 from services.commands.errors import JobError
 from tests.benchmarks.bus.messages import Case
-from tests.benchmarks.bus.receiver import ARRIVAL, CALLBACK, NODE, beside, session_of
+from tests.benchmarks.bus.receiver import ARRIVAL, CALLBACK, NODE, beside
 
 #: The routes of declarations, and a message of a busy machine, take less; what takes longer is lost.
 _PATIENCE_S: Final = 5.0
@@ -117,7 +115,8 @@ class Senders:
         causes = [Message(robot=bus.robot, episode="e", tick=7, stamp_ns=time.time_ns()) for bus in self._buses]
         to_callback, to_node = (case.build(cause) for cause in causes)
         payload = encode(to_callback)
-        plain = self._ordinary(beside(case.topic, "plain"))
+        # What is not recorded gets an ordinary publisher, with the quality of service of the topic.
+        plain = self._callback._declare_publisher(replace(beside(case.topic, "plain"), recorded=False))
         same = self._callback._declare_publisher(beside(case.topic, "same publisher"))
         return {
             "plain": lambda: plain.put(payload),
@@ -130,16 +129,6 @@ class Senders:
     @property
     def _buses(self) -> tuple[Bus, Bus]:
         return self._callback, self._node
-
-    def _ordinary(self, topic: Topic) -> zenoh.Publisher:
-        """Declare a publisher as anyone would, with the quality of service of the topic."""
-        return session_of(self._callback, topic).declare_publisher(
-            topic.key(CALLBACK),
-            encoding=zenoh.Encoding(encoding_of(topic.message)),
-            congestion_control=zenoh.CongestionControl.BLOCK if topic.reliable else zenoh.CongestionControl.DROP,
-            priority=zenoh.Priority.REAL_TIME if topic.urgent else zenoh.Priority.DATA,
-            express=topic.urgent,
-        )
 
     def close(self) -> None:
         """Leave the bus."""

@@ -7,7 +7,6 @@ arrival, so whoever judges by the log goes by the stamps of the messages.
 from __future__ import annotations
 
 import contextlib
-import multiprocessing
 import signal
 import sys
 import time
@@ -22,10 +21,10 @@ from typing import Final
 from schemas.codec import DecodeError, decode
 from schemas.topics import TOPICS, Topic
 from services.bus import Bus
-from services.commands.errors import JobError
+from tests.benchmarks.faults.child import child
 from tests.benchmarks.faults.log import entry_of
 
-_STARTING_S: Final = 30.0
+_CONNECTING_S: Final = 30.0
 _STOPPING_S: Final = 5.0
 _Arrived = tuple[Topic, bytes, str, float]
 
@@ -34,23 +33,8 @@ _Arrived = tuple[Topic, bytes, str, float]
 def observing(robot: str, endpoint: str, log: Path) -> Iterator[int]:
     """Have everything noted in a new log for as long as the context lasts; give the observer's process id."""
     log.touch()
-    spawn = multiprocessing.get_context("spawn")
-    ours, theirs = spawn.Pipe()
-    process = spawn.Process(target=observe, args=(robot, endpoint, log, theirs), daemon=True)
-    process.start()
-    theirs.close()
-    try:
-        if not ours.poll(_STARTING_S):
-            raise JobError("the observer did not start")
-        ours.recv_bytes()
-        assert process.pid is not None
-        yield process.pid
-    except EOFError:
-        raise JobError("the observer has ended") from None
-    finally:
-        ours.close()
-        process.join(_STOPPING_S)
-        process.kill()
+    with child("the observer", observe, robot, endpoint, log, patience_s=_STOPPING_S) as (pid, _ready):
+        yield pid
 
 
 def observe(robot: str, endpoint: str, log: Path, owner: Connection) -> None:
@@ -63,8 +47,8 @@ def observe(robot: str, endpoint: str, log: Path, owner: Connection) -> None:
         with closing(Bus(robot, endpoint)) as bus:
             for topic in TOPICS.values():
                 _listen(bus, topic, arrived)
-            bus.wait_connected(_STARTING_S)
-            owner.send_bytes(b"ready")
+            bus.wait_connected(_CONNECTING_S)
+            owner.send("ready")
             with contextlib.suppress(EOFError, OSError):
                 owner.recv_bytes()
     finally:

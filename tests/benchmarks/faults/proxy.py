@@ -8,39 +8,20 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-import multiprocessing
 import signal
 from collections.abc import Iterator
 from contextlib import contextmanager
 from multiprocessing.connection import Connection
 
 from services.bus import host_and_port
-from services.commands.errors import JobError
-
-_STARTING_S = 30.0
-_STOPPING_S = 2.0
+from tests.benchmarks.faults.child import child
 
 
 @contextmanager
 def link(endpoint: str) -> Iterator[tuple[str, int]]:
     """Run a proxy to a router; give the address to use in the router's place, and the process id."""
-    spawn = multiprocessing.get_context("spawn")
-    ours, theirs = spawn.Pipe()
-    process = spawn.Process(target=forward, args=(endpoint, theirs), daemon=True)
-    process.start()
-    theirs.close()
-    try:
-        if not ours.poll(_STARTING_S):
-            raise JobError("the link of the benchmark did not start")
-        port = ours.recv()
-        assert process.pid is not None
-        yield f"tcp/127.0.0.1:{port}", process.pid
-    except EOFError:
-        raise JobError("the link of the benchmark has ended") from None
-    finally:
-        ours.close()
-        process.join(_STOPPING_S)
-        process.kill()
+    with child("the link of the benchmark", forward, endpoint) as (pid, port):
+        yield f"tcp/127.0.0.1:{port}", pid
 
 
 def forward(endpoint: str, owner: Connection) -> None:

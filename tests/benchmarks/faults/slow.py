@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import multiprocessing
 import os
 import signal
 import time
@@ -13,29 +12,15 @@ from multiprocessing.connection import Connection
 
 from schemas.topics import ROOT
 from services.bus import Bus
-from services.commands.errors import JobError
-
-_STARTING_S = 30.0
+from tests.benchmarks.faults.child import child
 
 
 @contextmanager
 def slow_consumer(robot: str, endpoint: str) -> Iterator[int]:
     """Run one for as long as the context lasts; give its process id."""
-    spawn = multiprocessing.get_context("spawn")
-    ours, theirs = spawn.Pipe()
-    process = spawn.Process(target=consume_slowly, args=(robot, endpoint, theirs), daemon=True)
-    process.start()
-    theirs.close()
-    try:
-        if not ours.poll(_STARTING_S):
-            raise JobError("the slow consumer did not start")
-        ours.recv_bytes()
-        assert process.pid is not None
-        yield process.pid
-    finally:
-        # Its session is closed by nobody: it hangs in the callback.
-        process.kill()
-        process.join()
+    # Its session is closed by nobody: it hangs in the callback.
+    with child("the slow consumer", consume_slowly, robot, endpoint, patience_s=0.0) as (pid, _ready):
+        yield pid
 
 
 def consume_slowly(robot: str, endpoint: str, owner: Connection) -> None:
@@ -49,7 +34,7 @@ def consume_slowly(robot: str, endpoint: str, owner: Connection) -> None:
     bus.wait_connected(10.0)
     for urgent in (False, True):
         bus.listen(f"{ROOT}/**", block, urgent=urgent)
-    owner.send_bytes(b"ready")
+    owner.send("ready")
     with contextlib.suppress(EOFError, OSError):
         owner.recv_bytes()
     os._exit(0)  # the session cannot be closed: its thread hangs in the callback

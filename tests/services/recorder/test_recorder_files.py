@@ -28,6 +28,7 @@ from services.recorder.ledger import Ledger
 from services.recorder.mcap_writer import EPISODE_METADATA, GAPS_METADATA, EpisodeWriter
 from services.recorder.recovery import RecoveryError, recover
 from services.recorder.sink import Sink, partial_of
+from tests.benchmarks.faults.recordings import ticks_of
 from tests.services.recorder.recorded_messages import (
     applied,
     command,
@@ -206,14 +207,9 @@ def test_the_ledger_misses_what_never_came_in_whatever_order_the_rest_did(sent: 
         missing[topic] = set(range(last + 1)) - ticks
     assert ledger.duplicates == len(sent) - len(seen)
     assert ledger.gap_ticks == sum(map(len, missing.values()))
-    named = {topic: ticks_in(text) for topic, text in ledger.gaps().items()}
+    named = {topic: ticks_of(text) for topic, text in ledger.gaps().items()}
     assert named == {topic: ticks for topic, ticks in missing.items() if ticks}
     assert ledger.whole(12) == (not ledger.gap_ticks)
-
-
-def ticks_in(text: str) -> set[int]:
-    spans = [part.partition("-") for part in text.split()]
-    return {tick for first, _, last in spans for tick in range(int(first), int(last or first) + 1)}
 
 
 def test_no_recording_is_overwritten(tmp_path: Path) -> None:
