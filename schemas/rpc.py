@@ -87,6 +87,10 @@ class ResetReply(Strict):
     """Name of the world."""
     route: tuple[tuple[float, float], ...]
     """Way points from the start to the victim, metres, for the scripted expert."""
+    speed_m_s: Annotated[float, Field(gt=0)]
+    """The robot's nominal speed."""
+    found_m: Annotated[float, Field(gt=0)]
+    """How near the victim counts as found, if it is seen."""
 
 
 class EndRequest(Strict):

@@ -11,11 +11,16 @@ from schemas.action import Action
 from schemas.base import ROBOT_ID_PATTERN, SOURCES, Message
 from schemas.command import Command, CommandApplied
 from schemas.compressed_image import CompressedImage
+from schemas.depth_image import DepthImage
 from schemas.episode import Episode
 from schemas.image import Image
+from schemas.imu import Imu
 from schemas.observation import Observation
+from schemas.odometry import Odometry
+from schemas.overhead_image import OverheadImage
 from schemas.pose import Pose
 from schemas.state import State
+from schemas.tracked_pose import TrackedPose
 
 ROOT: Final = "smal"
 #: How long a sender keeps what is recorded, so that a recorder which was away gets it afterwards.
@@ -72,7 +77,12 @@ class Topic:
 
 CAMERA: Final = Topic("camera/rgb", Image, 10, 1, False, "simulator")
 JPEG: Final = Topic("camera/jpeg", CompressedImage, 10, 8, True, "simulator")
+DEPTH: Final = Topic("camera/depth", DepthImage, 10, 1, False, "simulator")
+OVERHEAD: Final = Topic("camera/overhead", OverheadImage, 10, 1, False, "simulator")
+ODOMETRY: Final = Topic("odometry", Odometry, 10, 8, True, "simulator")
+IMU: Final = Topic("imu", Imu, 10, 8, True, "simulator")
 POSE: Final = Topic("pose/truth", Pose, 10, 8, True, "simulator")
+TRACKED: Final = Topic("pose/tracked", TrackedPose, 10, 8, True, "tracker")
 OBSERVATION: Final = Topic("observation", Observation, 10, 8, True, "features")
 STATE: Final = Topic("state", State, 10, 8, True, "recognition")
 ACTION: Final = Topic("action", Action, None, 8, True, "policy")
@@ -94,7 +104,12 @@ EPISODE: Final = Topic("episode", Episode, None, 64, True, "simulator", reliable
 
 TOPICS: Final[dict[str, Topic]] = {
     topic.name: topic
-    for topic in (CAMERA, JPEG, POSE, OBSERVATION, STATE, ACTION, *COMMANDS.values(), APPLIED, EPISODE)
+    for topic in (
+        *(CAMERA, JPEG, DEPTH, OVERHEAD),
+        *(ODOMETRY, IMU, POSE, TRACKED),
+        *(OBSERVATION, STATE, ACTION),
+        *(*COMMANDS.values(), APPLIED, EPISODE),
+    )
 }
 
 

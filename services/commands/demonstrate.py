@@ -97,7 +97,7 @@ def _record(requests: list[ResetRequest], access: Access, out: Path, world: str,
 
 def _begin(expert: ExpertService, world: str, reply: ResetReply) -> None:
     check_world_of(reply, world)
-    expert.begin(reply.episode, reply.route)
+    expert.begin(reply)
 
 
 def _with_progress(requests: list[ResetRequest]) -> Iterator[tuple[ResetRequest, Callable[[int], None]]]:

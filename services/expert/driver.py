@@ -11,13 +11,13 @@ from numpy.typing import NDArray
 
 from schemas.base import Atom
 
-#: How far ahead on the route the driver looks, metres.
-LOOKAHEAD_M: Final = 2.5
+#: How far ahead on the route the driver looks, as seconds of driving.
+LOOKAHEAD_S: Final = 1.25
 #: A person corrects the heading when it is off by this much, and then until it is this close, radians.
 START_TURNING_RAD: Final = math.radians(7.0)
 STOP_TURNING_RAD: Final = math.radians(3.0)
-#: Distance from the route's end (the victim) at which the driver has arrived, metres.
-ARRIVED_M: Final = 2.5
+#: The driver has arrived at this fraction of the distance from the victim where it counts as found.
+ARRIVED_FRACTION: Final = 0.5
 
 
 class RouteDriver:
@@ -27,25 +27,31 @@ class RouteDriver:
     ----------
     route
         Way points, metres, at least two.
+    speed_m_s
+        The robot's nominal speed.
+    found_m
+        How near the victim, the route's end, counts as found.
     """
 
-    def __init__(self, route: Sequence[tuple[float, float]]) -> None:
+    def __init__(self, route: Sequence[tuple[float, float]], speed_m_s: float, found_m: float) -> None:
         if len(route) < 2:
             raise ValueError("a route needs at least two way points")
         self._points = np.asarray(route, dtype=np.float64)
         self._lengths = np.hypot(*np.diff(self._points, axis=0).T)
         self._along = np.concatenate([[0.0], np.cumsum(self._lengths)])
+        self._lookahead_m = LOOKAHEAD_S * speed_m_s
+        self._arrived_m = ARRIVED_FRACTION * found_m
         self._progress_m = 0.0
         self._turning: Atom | None = None
 
     def arrived(self, x: float, y: float) -> bool:
         """Whether the robot has come close enough to the route's end."""
-        return math.dist((x, y), self._points[-1]) <= ARRIVED_M
+        return math.dist((x, y), self._points[-1]) <= self._arrived_m
 
     def key(self, x: float, y: float, heading: float) -> Atom:
         """Return the key to hold at a pose (metres, radians counter-clockwise from east)."""
         self._progress_m = self._project(np.array([x, y]))
-        target = self._point_at(self._progress_m + LOOKAHEAD_M)
+        target = self._point_at(self._progress_m + self._lookahead_m)
         bearing = math.atan2(target[1] - y, target[0] - x)
         error = math.remainder(bearing - heading, math.tau)
         if self._turning is None and abs(error) > START_TURNING_RAD:
@@ -59,7 +65,7 @@ class RouteDriver:
 
         A route may pass the same place twice, so only the stretch that can have been reached is searched.
         """
-        near, far = self._progress_m, self._progress_m + 2 * LOOKAHEAD_M
+        near, far = self._progress_m, self._progress_m + 2 * self._lookahead_m
         candidates = np.linspace(near, min(far, float(self._along[-1])), 64)
         points = self._point_at(candidates)
         return float(candidates[np.argmin(((points - position) ** 2).sum(axis=1))])

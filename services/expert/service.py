@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 from schemas.command import Command
 from schemas.observation import Observation
 from schemas.pose import Pose
+from schemas.rpc import ResetReply
 from services.expert.driver import RouteDriver
 
 
@@ -27,10 +26,10 @@ class ExpertService:
         self._last: Command | None = None
         self.arrived = False
 
-    def begin(self, episode: str, route: Sequence[tuple[float, float]]) -> None:
-        """Take up the route of an episode."""
-        self._episode = episode
-        self._driver = RouteDriver(route)
+    def begin(self, reset: ResetReply) -> None:
+        """Take up the route of an episode that begins."""
+        self._episode = reset.episode
+        self._driver = RouteDriver(reset.route, reset.speed_m_s, reset.found_m)
         self._pose = self._observation = None
         self._last = None
         self.arrived = False

@@ -1,47 +1,20 @@
-"""How the two-wheel robot moves: atom movements, wheel speeds with seeded errors, exact arcs."""
+"""How the wheels of a two-wheel robot are driven: atom movements, wheel speeds with seeded errors, exact arcs."""
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final, NamedTuple
 
-from services.simulator.world.terrain import Pose
+from services.simulator.world.place import Pose
 
 if TYPE_CHECKING:
     import numpy as np
 
     from schemas.base import Atom
-
-__all__ = ["TICK_S", "Actuator", "Drive", "Pose", "WheelSpeeds", "move", "wheel_speeds"]
+    from services.simulator.robots import Drive
 
 #: Time from one camera frame to the next, seconds (10 Hz).
 TICK_S: Final = 0.1
-
-
-@dataclass(frozen=True)
-class Drive:
-    """The robot's build and how well its wheels obey.
-
-    Attributes
-    ----------
-    speed_m_s
-        Speed of `forward` and `backward`.
-    turn_rate_rad_s
-        Turning speed of `left` and `right`, on the spot.
-    track_m
-        Distance between the wheels.
-    tick_sigma
-        Standard deviation of each wheel's relative speed error, drawn anew every tick of 0.1 s.
-    radius_sigma
-        Standard deviation of each wheel's relative radius error, drawn once an episode.
-    """
-
-    speed_m_s: float = 2.0
-    turn_rate_rad_s: float = 0.785
-    track_m: float = 0.6
-    tick_sigma: float = 0.03
-    radius_sigma: float = 0.01
 
 
 class WheelSpeeds(NamedTuple):

@@ -23,8 +23,8 @@ from schemas.pose import Pose
 from schemas.rpc import ResetReply, ResetRequest
 from services.jpeg import encode_jpeg
 from services.simulator.drive import TICK_S
-from services.simulator.drive import Pose as PlanarPose
 from services.simulator.gate import Applied, CommandGate
+from services.simulator.world.place import Pose as PlanarPose
 
 #: Real time: length of one step of the physics, seconds.
 STEP_S: Final = 0.02
@@ -42,6 +42,14 @@ class World(Protocol):
     @property
     def name(self) -> str:
         """Name of the world."""
+
+    @property
+    def speed_m_s(self) -> float:
+        """The robot's nominal speed."""
+
+    @property
+    def found_m(self) -> float:
+        """How near the victim counts as found, if it is seen."""
 
     def reset(self, seed: int, purpose: Purpose) -> PlanarPose:
         """Put the robot at a seeded start."""
@@ -152,7 +160,14 @@ class EpisodeRunner:
         route = tuple((float(x), float(y)) for x, y in self._world.route())
         messages.append(self._event("started"))
         messages.extend(self._capture(run))
-        return ResetReply(episode=episode, world=self._world.name, route=route), messages
+        reply = ResetReply(
+            episode=episode,
+            world=self._world.name,
+            route=route,
+            speed_m_s=self._world.speed_m_s,
+            found_m=self._world.found_m,
+        )
+        return reply, messages
 
     def end(self, outcome: Outcome | None) -> list[Message]:
         """End the running episode; without an outcome it is ``found`` if the last frame shows the victim, near.

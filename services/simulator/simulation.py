@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING, Final, Protocol
 
 import numpy as np
 
-from services.simulator.drive import Actuator, Drive, WheelSpeeds, move
-from services.simulator.world.collision import obstacles_of
+from services.simulator.base import STEP_S, Base, KinematicBase
 from services.simulator.world.route import plan_route
 from services.simulator.world.starts import sample_start
 
@@ -18,11 +17,10 @@ if TYPE_CHECKING:
 
     from schemas.base import Atom
     from schemas.episode import Purpose
-    from services.simulator.world.terrain import Pose, World
+    from services.simulator.world.place import Pose, World
 
-LONGEST_STEP_S: Final = 0.02
-# Halvings of a step that would collide: 2 m/s for 20 ms is 40 mm, a 64th of which is under a millimetre.
-_HALVINGS: Final = 6
+#: Fraction of the image that the victim must fill to be seen.
+VISIBLE_FRACTION: Final = 0.0005
 _PURPOSE_NUMBER: Final[dict[Purpose, int]] = {"drive": 0, "run": 1, "recovery": 2}
 
 
@@ -53,14 +51,6 @@ class Camera(Protocol):
         """Return the fraction of the image, 0 to 1, that the victim fills, seen from `pose`."""
 
 
-@dataclass(frozen=True)
-class Sight:
-    """When the victim counts as found: near, and large enough in the image to be seen."""
-
-    distance_m: float = 5.0
-    min_fraction: float = 0.0005
-
-
 class Simulation:
     """A robot in a world.
 
@@ -70,10 +60,8 @@ class Simulation:
         Where it drives.
     camera
         What it sees with: settings of the rendered camera, or any other `Camera`.
-    drive
-        The robot's speeds and errors.
-    sight
-        When the victim counts as found.
+    base
+        What it drives with; without one a `KinematicBase`.
 
     Raises
     ------
@@ -81,14 +69,10 @@ class Simulation:
         `camera` is settings, and this machine cannot render.
     """
 
-    def __init__(
-        self, world: World, camera: Camera | CameraSettings, *, drive: Drive | None = None, sight: Sight | None = None
-    ) -> None:
+    def __init__(self, world: World, camera: Camera | CameraSettings, base: Base | None = None) -> None:
         self.world = world
         self._camera = _open(world, camera) if isinstance(camera, CameraSettings) else camera
-        self._drive = drive or Drive()
-        self._sight = sight or Sight()
-        self._obstacles = obstacles_of(world)
+        self._base = base or KinematicBase(world.place)
         self.reset(0, "drive")
 
     def reset(self, seed: int, purpose: Purpose) -> Pose:
@@ -109,7 +93,7 @@ class Simulation:
             np.random.default_rng([seed, _PURPOSE_NUMBER[purpose], stream]) for stream in range(2)
         )  # fmt: skip
         self._pose = self._start = sample_start(self.world, start_rng, purpose)
-        self._actuator = Actuator(self._drive, wheel_rng)
+        self._base.put(self._start, wheel_rng)
         self._collided = False
         return self._pose
 
@@ -117,6 +101,16 @@ class Simulation:
     def name(self) -> str:
         """The world's name."""
         return self.world.name
+
+    @property
+    def speed_m_s(self) -> float:
+        """The robot's nominal speed."""
+        return self.world.robot.drive.speed_m_s
+
+    @property
+    def found_m(self) -> float:
+        """How near the victim counts as found, if it is seen."""
+        return self.world.scale.found_m
 
     @property
     def pose(self) -> Pose:
@@ -140,21 +134,11 @@ class Simulation:
         duration_s
             For how long, at least 0.
         """
-        steps = max(1, math.ceil(duration_s / LONGEST_STEP_S - 1e-9))
+        steps = max(1, math.ceil(duration_s / STEP_S - 1e-9))
         for _ in range(steps):
-            self._step(self._actuator.wheels(atom, speed, duration_s / steps), duration_s / steps)
-
-    def _step(self, wheels: WheelSpeeds, duration_s: float) -> None:
-        ahead = move(self._pose, wheels, self._drive.track_m, duration_s)
-        if self._obstacles.is_free(ahead.x, ahead.y):
-            self._pose = ahead
-            return
-        self._collided = True
-        for _ in range(_HALVINGS):
-            duration_s /= 2
-            ahead = move(self._pose, wheels, self._drive.track_m, duration_s)
-            if self._obstacles.is_free(ahead.x, ahead.y):
-                self._pose = ahead
+            motion = self._base.step(atom, speed, duration_s / steps)
+            self._pose = motion.pose
+            self._collided |= motion.collided
 
     def render(self) -> NDArray[np.uint8]:
         """Return what the camera sees now, (height, width, 3) uint8 RGB."""
@@ -163,7 +147,8 @@ class Simulation:
     def victim_found(self) -> bool:
         """Return whether the victim is near and in view now; the image is only searched when near."""
         away = math.hypot(self.world.victim.x - self._pose.x, self.world.victim.y - self._pose.y)
-        return away <= self._sight.distance_m and self._camera.victim_pixels(self._pose) >= self._sight.min_fraction
+        near = away <= self.found_m
+        return near and self._camera.victim_pixels(self._pose) >= VISIBLE_FRACTION
 
     def route(self) -> NDArray[np.float64]:
         """Return the way (k, 2), in metres, from this episode's start to the victim."""

@@ -17,12 +17,17 @@ from schemas.base import ATOMS, MAX_TICK, SOURCES, Message
 from schemas.codec import encode, encoding_of
 from schemas.command import Command, CommandApplied
 from schemas.compressed_image import CompressedImage
+from schemas.depth_image import DepthImage
 from schemas.episode import Episode
 from schemas.image import Image
+from schemas.imu import Imu, ImuSample
 from schemas.observation import Observation
+from schemas.odometry import Odometry
+from schemas.overhead_image import Calibration, OverheadImage
 from schemas.pose import Pose
 from schemas.state import MAX_CANDIDATES, Candidate, State
 from schemas.topics import TOPICS
+from schemas.tracked_pose import TrackedPose
 
 HEADER = {"robot": "rescuebot", "episode": "drive-7-18c0-1", "tick": 300, "stamp_ns": 1_700_000_000_000_000_000}
 
@@ -30,6 +35,24 @@ HEADER = {"robot": "rescuebot", "episode": "drive-7-18c0-1", "tick": 300, "stamp
 EXAMPLES: dict[type[Message], Message] = {
     Image: Image(**HEADER, width=2, height=1, data=bytes(range(6))),
     CompressedImage: CompressedImage(**HEADER, width=2, height=1, data=b"\xff\xd8\xff\xd9"),
+    DepthImage: DepthImage(**HEADER, width=2, height=1, data=bytes(range(4))),
+    OverheadImage: OverheadImage(
+        **HEADER,
+        width=2,
+        height=1,
+        data=bytes(range(6)),
+        calibration=Calibration(
+            focal_px=900.0, centre_x_px=1.0, centre_y_px=0.5, x_m=4.0, y_m=3.0, height_m=4.5, up_rad=1.5
+        ),
+    ),
+    Odometry: Odometry(**HEADER, x_m=2.5, y_m=-0.25, heading_rad=0.125, speed_m_s=0.4, turn_rate_rad_s=-0.5),
+    Imu: Imu(
+        **HEADER,
+        samples=(
+            ImuSample(after_s=29.98, angular_velocity_rad_s=(0.0, 0.125, -0.5), acceleration_m_s2=(0.25, 0.0, 9.8125)),
+        ),
+    ),
+    TrackedPose: TrackedPose(**HEADER, visible=True, x_m=12.5, y_m=-3.25, heading_rad=1.5, error_px=0.25),
     Pose: Pose(**HEADER, x_m=12.5, y_m=-3.25, heading_rad=1.5),
     Observation: Observation(
         **HEADER,
@@ -126,11 +149,64 @@ _atoms = st.sampled_from(ATOMS)
 _sources = st.sampled_from(SOURCES)
 _counts = st.integers(0, 1_000_000)
 
+_places = {"x_m": st.floats(-1e5, 1e5), "y_m": st.floats(-1e5, 1e5)}
+_calibrations = st.builds(
+    Calibration,
+    focal_px=st.floats(1, 1e5),
+    centre_x_px=st.floats(0, 4096),
+    centre_y_px=st.floats(0, 3072),
+    height_m=st.floats(0.1, 1e3),
+    up_rad=st.floats(-3.2, 3.2),
+    **_places,
+)
+_rates, _accelerations = st.floats(-100, 100), st.floats(-1000, 1000)
+_samples = st.lists(st.floats(0, 1e6), max_size=4, unique=True).flatmap(
+    lambda times: st.tuples(
+        *(
+            st.builds(
+                ImuSample,
+                after_s=st.just(time),
+                angular_velocity_rad_s=st.tuples(_rates, _rates, _rates),
+                acceleration_m_s2=st.tuples(_accelerations, _accelerations, _accelerations),
+            )
+            for time in sorted(times)
+        )
+    )
+)
+_tracked = st.one_of(
+    st.just({"visible": False}),
+    st.fixed_dictionaries(
+        {"visible": st.just(True), **_places, "heading_rad": st.floats(-3.2, 3.2), "error_px": st.floats(0, 1e4)}
+    ),
+)
+
 _fields: dict[type[Message], st.SearchStrategy[dict[str, object]]] = {
     Image: _images,
     CompressedImage: st.fixed_dictionaries(
         {**_header, "width": st.integers(1, 4096), "height": st.integers(1, 3072), "data": st.binary(min_size=4)}
     ),
+    DepthImage: _sizes.flatmap(
+        lambda size: st.fixed_dictionaries(
+            {
+                **_header,
+                "width": st.just(size[0]),
+                "height": st.just(size[1]),
+                "data": st.binary(min_size=2 * size[0] * size[1], max_size=2 * size[0] * size[1]),
+            }
+        )
+    ),
+    OverheadImage: st.builds(lambda image, c: image | {"calibration": c}, _images, _calibrations),
+    Odometry: st.fixed_dictionaries(
+        {
+            **_header,
+            **_places,
+            "heading_rad": st.floats(-3.2, 3.2),
+            "speed_m_s": _rates,
+            "turn_rate_rad_s": _rates,
+        }
+    ),
+    Imu: st.fixed_dictionaries({**_header, "samples": _samples}),
+    TrackedPose: st.builds(lambda a, b: a | b, st.fixed_dictionaries(_header), _tracked),
     Pose: st.fixed_dictionaries(
         {
             **_header,

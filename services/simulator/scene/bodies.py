@@ -2,19 +2,16 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING
 
 from shapely import box
 
 from services.simulator.scene.shapes import ball, band, flat, tube
 
 if TYPE_CHECKING:
+    from services.simulator.robots import RobotModel
     from services.simulator.scene.meshes import Mesh
     from services.simulator.scene.textures import Material
-
-#: Where the robot's camera is: metres ahead of the wheels' axis, and above the ground.
-CAMERA_AHEAD_M: Final = 0.35
-CAMERA_HEIGHT_M: Final = 1.0
 
 
 def victim() -> dict[Material, list[Mesh]]:
@@ -40,7 +37,7 @@ def victim() -> dict[Material, list[Mesh]]:
     }
 
 
-def robot() -> dict[Material, list[Mesh]]:
+def robot(model: RobotModel) -> dict[Material, list[Mesh]]:
     """Return the Rescuebot: a box between two wheels with a mast for the camera."""
     hull = box(-0.35, -0.22, 0.3, 0.22)
     mast = (0.25, 0.0)
@@ -48,7 +45,7 @@ def robot() -> dict[Material, list[Mesh]]:
         "robot": [band(hull, 0.12, 0.45, 1.0), flat(hull, 0.45, 1.0)],
         "tyre": [
             tube((0.0, side - 0.04, 0.2), (0.0, side + 0.04, 0.2), (0.2, 0.2), 16) for side in (-0.3, 0.3)
-        ] + [tube((*mast, 0.45), (*mast, CAMERA_HEIGHT_M), (0.03, 0.03))],
+        ] + [tube((*mast, 0.45), (*mast, model.camera.height_m), (0.03, 0.03))],
     }  # fmt: skip
 
 

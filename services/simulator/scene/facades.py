@@ -15,7 +15,8 @@ from services.simulator.scene.noise import as_picture, coloured, layered
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from services.simulator.world.terrain import Facade, FacadeStyle, Rgb
+    from services.simulator.world.place import Rgb
+    from services.simulator.world.terrain import Facade, FacadeStyle
 
 #: A picture shows this many bays side by side and, of the upper storeys, this many one above the other.
 BAYS: Final = 4

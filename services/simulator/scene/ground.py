@@ -56,7 +56,7 @@ def _layers(terrain: Terrain) -> dict[Material, BaseGeometry]:
     """Return what each material covers, without overlaps; the first to claim a place keeps it."""
     streets = [road for road in terrain.roads if road.kind == "street"]
     asphalt = shapely.union_all([road.line.buffer(road.width_m / 2) for road in streets])
-    marked = [road.line.buffer(road.width_m / 2 + _SIDEWALK_M) for road in streets if road.marked]
+    marked = [road.line.buffer(road.width_m / 2 + _SIDEWALK_M) for road in streets if road.sidewalks]
     claims: list[tuple[Material, BaseGeometry]] = [
         ("marking", shapely.union_all([dash for road in streets if road.marked for dash in _dashes(road, streets)])),
         ("asphalt", asphalt),

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import ArrayLike, NDArray
 
-    from services.simulator.world.terrain import Pose
+    from services.simulator.world.place import Pose
 
 
 @dataclass(frozen=True, eq=False)

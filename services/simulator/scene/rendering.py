@@ -10,26 +10,20 @@ import cv2
 import numpy as np
 
 from services.simulator.scene import vulkan
-from services.simulator.scene.bodies import CAMERA_AHEAD_M, CAMERA_HEIGHT_M
-from services.simulator.scene.build import SUN, Surface, build_scene
+from services.simulator.scene.build import build_scene
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
     from numpy.typing import NDArray
 
-    from services.simulator.scene.build import Scene
+    from services.simulator.scene.surfaces import Scene, Surface
     from services.simulator.simulation import CameraSettings
-    from services.simulator.world.terrain import Pose, World
+    from services.simulator.world.place import Pose, World
 
 _NEAR_M: Final = 0.1
 _FAR_M: Final = 2000.0
 _MOST_PICTURES: Final = 2048
-_SUNLIGHT: Final = (2.6, 2.45, 2.2)
-# Light from the open sky: some from everywhere, some more from opposite the sun, so that shaded walls keep their shape.
-_SKYLIGHT: Final = (0.42, 0.45, 0.5)
-_FILL_DIRECTION: Final = (-0.5, -0.75, -0.2)
-_FILL_LIGHT: Final = (0.35, 0.38, 0.45)
 
 
 class SceneCamera:
@@ -51,6 +45,7 @@ class SceneCamera:
     def __init__(self, world: World, settings: CameraSettings) -> None:
         self._sapien = _load_renderer()
         self._settings = settings
+        self._mount = world.robot.camera
         scene = build_scene(world, shadows=settings.shadows)
         try:
             self._fill(scene, settings)
@@ -79,11 +74,13 @@ class SceneCamera:
         if pose == self._seen_from:
             return
         cos, sin = math.cos(pose.heading), math.sin(pose.heading)
-        eye = (pose.x + CAMERA_AHEAD_M * cos, pose.y + CAMERA_AHEAD_M * sin, CAMERA_HEIGHT_M)
+        ahead_m = self._mount.ahead_m
+        eye = (pose.x + ahead_m * cos, pose.y + ahead_m * sin, self._mount.height_m)
         turn = (math.cos(pose.heading / 2), 0.0, 0.0, math.sin(pose.heading / 2))
         self._mast.set_pose(self._sapien.Pose(eye, turn))
         self._robot.set_pose(self._sapien.Pose((pose.x, pose.y, 0.0), turn))
-        self._sky.set_pose(self._sapien.Pose(eye))
+        if self._sky is not None:
+            self._sky.set_pose(self._sapien.Pose(eye))
         self._scene.update_render()
         self._camera.take_picture()
         self._seen_from = pose
@@ -91,11 +88,11 @@ class SceneCamera:
     def _fill(self, scene: Scene, settings: CameraSettings) -> None:
         render = self._sapien.render
         self._scene = self._sapien.Scene([render.RenderSystem()])
-        self._scene.set_ambient_light(_SKYLIGHT)
-        self._scene.add_directional_light(SUN, _SUNLIGHT, shadow=False)
-        self._scene.add_directional_light(_FILL_DIRECTION, _FILL_LIGHT, shadow=False)
+        self._scene.set_ambient_light(scene.lights.ambient)
+        for direction, colour in scene.lights.directional:
+            self._scene.add_directional_light(direction, colour, shadow=False)
         self._add(scene.still)
-        self._sky = self._add([scene.sky])
+        self._sky = None if scene.sky is None else self._add([scene.sky])
         self._victim = self._add(scene.victim)
         self._robot = self._add(scene.robot)
         width, height = settings.width * settings.supersample, settings.height * settings.supersample

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from functools import lru_cache
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING
 
 import numpy as np
 import shapely
@@ -11,26 +11,20 @@ from shapely import Point, STRtree
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
-    from shapely.geometry.base import BaseGeometry
 
-    from services.simulator.world.terrain import Terrain
-
-ROBOT_RADIUS_M: Final = 0.4
+    from services.simulator.world.place import Place
 
 
 class Obstacles:
-    """Everything solid of a terrain: buildings, trunks, barriers, water, and the edge of the world."""
+    """Everything solid of a place, and its edge, seen from above."""
 
-    def __init__(self, terrain: Terrain) -> None:
-        trunks = [Point(tree.x, tree.y).buffer(tree.trunk_radius_m) for tree in terrain.trees]
-        water = [area.polygon for area in terrain.areas if area.kind == "water"]
-        barriers = [barrier.line for barrier in terrain.barriers]
-        walls = [building.footprint for building in terrain.buildings]
-        edge = shapely.box(*terrain.bounds).exterior
-        solid: list[BaseGeometry] = [*walls, *trunks, *water, *barriers, edge]
-        self._bounds = terrain.bounds
-        self._solid = STRtree(solid)
-        self._walls = STRtree(walls)
+    def __init__(self, place: Place) -> None:
+        # What hangs higher than the robot is tall, as a building over a passage does, is driven under.
+        in_the_way = [solid for solid in place.solids if solid.low_m < place.robot.camera.height_m]
+        self._bounds = place.bounds
+        self._radius_m = place.robot.radius_m
+        self._solid = STRtree([solid.shape for solid in in_the_way])
+        self._walls = STRtree([solid.shape for solid in in_the_way if solid.opaque])
 
     def clearance(self, x: float, y: float) -> float:
         """Return the distance in metres from a point to the nearest obstacle; 0 inside one or outside the world."""
@@ -39,8 +33,9 @@ class Obstacles:
         _, distance = self._solid.query_nearest(Point(x, y), return_distance=True, all_matches=False)
         return float(distance[0])
 
-    def is_free(self, x: float, y: float, radius_m: float = ROBOT_RADIUS_M) -> bool:
-        """Return whether a circle about a point touches nothing."""
+    def is_free(self, x: float, y: float, radius_m: float | None = None) -> bool:
+        """Return whether a circle about a point, by default the robot's, touches nothing."""
+        radius_m = self._radius_m if radius_m is None else radius_m
         return self._contains(x, y) and self._solid.query(Point(x, y), "dwithin", radius_m).size == 0
 
     def are_clear(self, segments: NDArray[np.float64], clearance_m: float) -> NDArray[np.bool_]:
@@ -48,7 +43,7 @@ class Obstacles:
         return ~self._hits(self._solid, segments, clearance_m)
 
     def in_sight(self, segments: NDArray[np.float64]) -> NDArray[np.bool_]:
-        """Return which segments (n, 2, 2) no building interrupts, as (n,); trees and hedges are not counted on."""
+        """Return which segments (n, 2, 2) nothing opaque interrupts, as (n,); trees and hedges are not counted on."""
         return ~self._hits(self._walls, segments, 0.0)
 
     def _contains(self, x: float, y: float) -> bool:
@@ -67,6 +62,6 @@ class Obstacles:
 
 
 @lru_cache(maxsize=8)
-def obstacles_of(terrain: Terrain) -> Obstacles:
-    """Return the obstacles of a terrain, indexed once and shared."""
-    return Obstacles(terrain)
+def obstacles_of(place: Place) -> Obstacles:
+    """Return the obstacles of a place, indexed once and shared."""
+    return Obstacles(place)

@@ -9,15 +9,13 @@ from typing import TYPE_CHECKING, Final
 
 from services.simulator.world.collision import obstacles_of
 from services.simulator.world.osm import read_osm
+from services.simulator.world.place import Pose, World, WorldError
 from services.simulator.world.roles import choose_roles
 from services.simulator.world.route import plan_route
 from services.simulator.world.tagging import terrain_from
-from services.simulator.world.terrain import Pose, Terrain, World, WorldError
 
 if TYPE_CHECKING:
     from services.simulator.world.osm import OsmExtract
-
-__all__ = ["WORLDS_FOLDER", "Pose", "Terrain", "World", "WorldError", "known_worlds", "load_world"]
 
 WORLDS_FOLDER: Final = Path(__file__).resolve().parents[3] / "deploy" / "worlds"
 
@@ -49,8 +47,8 @@ def load_world(name_or_path: str | Path) -> World:
         missing = "buildings" if not terrain.buildings else "roads"
         raise WorldError(f"{path}: the map has no {missing}; a world needs both buildings and roads")
     start, victim = choose_roles(terrain, _role(extract, "start", path), _role(extract, "victim", path))
-    world = World(**vars(terrain), start=start, victim=victim)
-    if not obstacles_of(world).is_free(start.x, start.y):
+    world = World(terrain, start, victim)
+    if not obstacles_of(terrain).is_free(start.x, start.y):
         raise WorldError(f"{path}: the start at ({start.x:.1f}, {start.y:.1f}) m stands in an obstacle")
     plan_route(world, (start.x, start.y))
     return world

@@ -7,7 +7,8 @@ import zlib
 from collections.abc import Mapping
 from typing import Final
 
-from services.simulator.world.terrain import Facade, FacadeStyle, Rgb, RoofShape
+from services.simulator.world.place import Rgb
+from services.simulator.world.terrain import Facade, FacadeStyle, RoofShape
 
 Tags = Mapping[str, str]
 

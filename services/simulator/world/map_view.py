@@ -10,10 +10,13 @@ import shapely
 from matplotlib.collections import PatchCollection
 from matplotlib.patches import Circle, Polygon
 
+from services.simulator.world.terrain import Terrain
+
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-    from services.simulator.world.terrain import AreaKind, BarrierKind, RoadKind, World
+    from services.simulator.world.place import World
+    from services.simulator.world.terrain import AreaKind, BarrierKind, RoadKind
 
 _GROUND: Final = "#e7ecdd"
 _AREA: Final[dict[AreaKind, str]] = {"grass": "#cfe3b8", "water": "#b5d3e8", "paved": "#dcdad5"}
@@ -32,24 +35,32 @@ def draw_map(world: World, ax: Axes) -> None:
     ax
         Where to draw; its axes become metres east and north with equal scale. Routes drawn later lie on top.
     """
-    x_min, y_min, x_max, y_max = world.bounds
+    x_min, y_min, x_max, y_max = world.place.bounds
     ax.set(xlim=(x_min, x_max), ylim=(y_min, y_max), aspect="equal", xlabel="east (m)", ylabel="north (m)")
-    ax.set_facecolor(_GROUND)
-    for area in world.areas:
-        _fill(ax, area.polygon, _AREA[area.kind], order=0.5)
-    for road in sorted(world.roads, key=lambda road: road.kind):
-        _fill(ax, road.line.buffer(road.width_m / 2), _ROAD[road.kind], edge="#c9c4ba", order=1.0)
-    for building in world.buildings:
-        _fill(ax, building.footprint, "#b9a894", edge="#7d6f60", order=1.5)
-    for barrier in world.barriers:
-        ax.plot(*barrier.line.xy, color=_BARRIER[barrier.kind], linewidth=1.5, zorder=1.6)
-    crowns = [Circle((tree.x, tree.y), tree.height_m * _CROWN_OF_HEIGHT) for tree in world.trees]
-    ax.add_collection(PatchCollection(crowns, facecolor="#7ba05b", alpha=0.7, linewidth=0, zorder=1.7))
+    match world.place:
+        case Terrain() as terrain:
+            _draw_terrain(terrain, ax)
+        case other:
+            raise TypeError(f"no map is known for a {type(other).__name__}")
     _draw_task(world, ax)
 
 
+def _draw_terrain(terrain: Terrain, ax: Axes) -> None:
+    ax.set_facecolor(_GROUND)
+    for area in terrain.areas:
+        _fill(ax, area.polygon, _AREA[area.kind], order=0.5)
+    for road in sorted(terrain.roads, key=lambda road: road.kind):
+        _fill(ax, road.line.buffer(road.width_m / 2), _ROAD[road.kind], edge="#c9c4ba", order=1.0)
+    for building in terrain.buildings:
+        _fill(ax, building.footprint, "#b9a894", edge="#7d6f60", order=1.5)
+    for barrier in terrain.barriers:
+        ax.plot(*barrier.line.xy, color=_BARRIER[barrier.kind], linewidth=1.5, zorder=1.6)
+    crowns = [Circle((tree.x, tree.y), tree.height_m * _CROWN_OF_HEIGHT) for tree in terrain.trees]
+    ax.add_collection(PatchCollection(crowns, facecolor="#7ba05b", alpha=0.7, linewidth=0, zorder=1.7))
+
+
 def _draw_task(world: World, ax: Axes) -> None:
-    arrow = 0.03 * (world.bounds[2] - world.bounds[0])
+    arrow = 0.03 * (world.place.bounds[2] - world.place.bounds[0])
     start = world.start
     tip = (start.x + arrow * math.cos(start.heading), start.y + arrow * math.sin(start.heading))
     ax.annotate("", tip, (start.x, start.y), arrowprops={"arrowstyle": "-|>", "color": "#1f5fa8", "lw": 2}, zorder=4)

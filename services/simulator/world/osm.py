@@ -10,7 +10,7 @@ import numpy as np
 import osmium
 
 from schemas.codec import printable
-from services.simulator.world.terrain import WorldError
+from services.simulator.world.place import WorldError
 
 if TYPE_CHECKING:
     from collections.abc import Mapping

@@ -10,8 +10,9 @@ import numpy as np
 import shapely
 
 from services.simulator.world.collision import obstacles_of
-from services.simulator.world.route import RoutesTo, road_graph
-from services.simulator.world.terrain import Pose, Terrain, WorldError
+from services.simulator.world.place import Pose, WorldError
+from services.simulator.world.route import RoutesTo, lane_graph
+from services.simulator.world.terrain import Terrain
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -69,7 +70,7 @@ def _places_beside_walls(terrain: Terrain) -> Iterator[Pose]:
 
 def _start_for(terrain: Terrain, victim: Pose, start: Pose | None) -> Pose | None:
     """Return a start from which this victim is hidden and reachable, or None."""
-    graph = road_graph(terrain)
+    graph = lane_graph(terrain)
     goal = np.array([victim.x, victim.y])
     routes = RoutesTo(graph, goal)
     if start is not None:

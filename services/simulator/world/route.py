@@ -1,4 +1,4 @@
-"""The way to the victim: shortest paths along roads, with a straight free leg at either end."""
+"""The way to the victim: shortest paths along lanes, with a straight free leg at either end."""
 
 from __future__ import annotations
 
@@ -10,27 +10,20 @@ import shapely
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import dijkstra
 
-from services.simulator.world.collision import ROBOT_RADIUS_M, obstacles_of
-from services.simulator.world.terrain import Terrain, World, WorldError
+from services.simulator.world.collision import obstacles_of
+from services.simulator.world.place import Place, World, WorldError
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
     from scipy.sparse import csr_array
 
-_SPACING_M: Final = 2.0
-_CLEARANCE_M: Final = ROBOT_RADIUS_M + 0.3
-_ROOM_M: Final = 1.3
-# Off the road nothing keeps a driver in the middle, so that a leg wants more room, except close to its end.
-_LEG_ROOM_M: Final = 1.8
-_LEG_END_M: Final = 2.5
-# Metres of road that a metre close to a wall, or a metre off the road, is worth.
+# Metres of lane that a metre close to a wall, or a metre off the lanes, is worth.
 _TIGHT_COST: Final = 3.0
-_OFF_ROAD_COST: Final = 1.5
-_LONGEST_LEG_M: Final = 40.0
+_OFF_LANE_COST: Final = 1.5
 
 
-class RoadGraph:
-    """The drivable roads as points a couple of metres apart, joined where nothing is in the way.
+class LaneGraph:
+    """A place's lanes as points not far apart, joined where nothing is in the way.
 
     Attributes
     ----------
@@ -40,23 +33,24 @@ class RoadGraph:
         (n, n) symmetric sparse matrix: metres of an edge, more where it is tight.
     """
 
-    def __init__(self, terrain: Terrain) -> None:
-        lines = [shapely.segmentize(road.line, _SPACING_M) for road in terrain.roads if road.drivable]
+    def __init__(self, place: Place) -> None:
+        self._scale = place.scale
+        self._radius_m = place.robot.radius_m
+        self._obstacles = obstacles_of(place)
+        lines = [shapely.segmentize(lane, self._scale.spacing_m) for lane in place.lanes]
         if not lines:
-            raise WorldError(f"{terrain.name}: no road that a robot could drive on")
+            raise WorldError(f"{place.name}: no road that a robot could drive on")
         chains = [shapely.get_coordinates(line) for line in lines]
-        # Roads meet where they share a point; to the centimetre, since projection leaves rounding behind.
+        # Lanes meet where they share a point; to the centimetre, since projection leaves rounding behind.
         keys = np.round(np.concatenate(chains), 2)
         points, index = np.unique(keys, axis=0, return_inverse=True)
         self.points = np.asarray(points, dtype=np.float64)
-        self.costs = self._edges(terrain, _consecutive(chains, index.ravel()))
-        self._obstacles = obstacles_of(terrain)
+        self.costs = self._edges(_consecutive(chains, index.ravel()))
 
-    def _edges(self, terrain: Terrain, pairs: NDArray[np.int64]) -> csr_array:
+    def _edges(self, pairs: NDArray[np.int64]) -> csr_array:
         segments = self.points[pairs]
-        obstacles = obstacles_of(terrain)
-        clear = obstacles.are_clear(segments, _CLEARANCE_M)
-        roomy = obstacles.are_clear(segments, _ROOM_M)
+        clear = self._obstacles.are_clear(segments, self._scale.clearance_m)
+        roomy = self._obstacles.are_clear(segments, self._scale.room_m)
         length = np.linalg.norm(segments[:, 1] - segments[:, 0], axis=1)
         cost = np.where(roomy, length, length * _TIGHT_COST)[clear]
         first, second = pairs[clear].T
@@ -67,31 +61,32 @@ class RoadGraph:
         return coo_array((both[0][once], (both[1][0][once], both[1][1][once])), shape=(size, size)).tocsr()
 
     def links(self, xy: ArrayLike) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-        """Return the road points that a straight free leg from `xy` reaches, and what each leg costs."""
+        """Return the lane points that a straight free leg from `xy` reaches, and what each leg costs."""
+        scale = self._scale
         here = np.asarray(xy, dtype=np.float64)
         distance = np.linalg.norm(self.points - here, axis=1)
-        near = np.flatnonzero(distance <= _LONGEST_LEG_M)
+        near = np.flatnonzero(distance <= scale.longest_leg_m)
         legs = np.stack([np.broadcast_to(here, (len(near), 2)), self.points[near]], axis=1)
         # Who already stands tight, as a robot gone astray may, is only asked not to touch anything.
-        tight = self._obstacles.clearance(float(here[0]), float(here[1])) <= _CLEARANCE_M
-        clear = self._obstacles.are_clear(legs, ROBOT_RADIUS_M if tight else _CLEARANCE_M)
+        tight = self._obstacles.clearance(float(here[0]), float(here[1])) <= scale.clearance_m
+        clear = self._obstacles.are_clear(legs, self._radius_m if tight else scale.clearance_m)
         free, legs = near[clear], legs[clear]
         # The end may be a victim beside a wall, or a robot gone astray.
-        share = np.minimum(1.0, _LEG_END_M / np.maximum(distance[free], _LEG_END_M))[:, None]
+        share = np.minimum(1.0, scale.leg_end_m / np.maximum(distance[free], scale.leg_end_m))[:, None]
         legs[:, 0] += share * (legs[:, 1] - legs[:, 0])
-        roomy = self._obstacles.are_clear(legs, _LEG_ROOM_M)
-        return free, distance[free] * _OFF_ROAD_COST * np.where(roomy, 1.0, _TIGHT_COST)
+        roomy = self._obstacles.are_clear(legs, scale.leg_room_m)
+        return free, distance[free] * _OFF_LANE_COST * np.where(roomy, 1.0, _TIGHT_COST)
 
 
 class RoutesTo:
     """All shortest ways to one goal."""
 
-    def __init__(self, graph: RoadGraph, goal: ArrayLike) -> None:
+    def __init__(self, graph: LaneGraph, goal: ArrayLike) -> None:
         self._graph = graph
         self._goal = np.asarray(goal, dtype=np.float64)
         size = len(graph.points)
         ends, leg_costs = graph.links(self._goal)
-        # One more node, the goal, with a one-way edge from it to each road point that sees it.
+        # One more node, the goal, with a one-way edge from it to each lane point that sees it.
         extended = graph.costs.tocoo()
         rows = np.concatenate([extended.row, np.full(len(ends), size)])
         columns = np.concatenate([extended.col, ends])
@@ -116,21 +111,21 @@ class RoutesTo:
 
 
 @lru_cache(maxsize=8)
-def road_graph(terrain: Terrain) -> RoadGraph:
-    """Return the graph of a terrain's drivable roads, built once and shared."""
-    return RoadGraph(terrain)
+def lane_graph(place: Place) -> LaneGraph:
+    """Return the graph of a place's lanes, built once and shared."""
+    return LaneGraph(place)
 
 
 @lru_cache(maxsize=8)
 def _routes_to_victim(world: World) -> RoutesTo:
-    return RoutesTo(road_graph(world), (world.victim.x, world.victim.y))
+    return RoutesTo(lane_graph(world.place), (world.victim.x, world.victim.y))
 
 
 def plan_route(world: World, start_xy: ArrayLike) -> NDArray[np.float64]:
     """Plan the way from anywhere to the victim.
 
-    The way goes back to the road, along roads, and leaves the road for the victim, at least 0.7 m off everything
-    solid (0.4 m on a first leg that begins closer).
+    The way goes back to the lanes, along lanes, and leaves them for the victim, at least `Scale.clearance_m` off
+    everything solid (the robot's radius on a first leg that begins closer).
 
     Parameters
     ----------
@@ -151,7 +146,7 @@ def plan_route(world: World, start_xy: ArrayLike) -> NDArray[np.float64]:
     path = _routes_to_victim(world).path_from(start_xy)
     if path is None:
         x, y = np.asarray(start_xy, dtype=np.float64)
-        raise WorldError(f"{world.name}: no way from ({x:.1f}, {y:.1f}) m to the victim along the roads")
+        raise WorldError(f"{world.name}: no way from ({x:.1f}, {y:.1f}) m to the victim along the lanes")
     return path
 
 

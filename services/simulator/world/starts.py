@@ -9,21 +9,16 @@ import numpy as np
 import shapely
 
 from services.simulator.world.collision import obstacles_of
+from services.simulator.world.place import Pose, World, WorldError
 from services.simulator.world.route import plan_route
-from services.simulator.world.terrain import Pose, World, WorldError
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from schemas.episode import Purpose
 
-_JITTER_M: Final = 1.0
 _JITTER_RAD: Final = math.radians(15)
-_ASIDE_M: Final = 1.5
 _ASIDE_RAD: Final = math.radians(40)
-_LAST_METRES: Final = 3.0
-# A start has this much room, so that an episode does not begin with a collision at the first turn.
-_ROOM_M: Final = 0.5
 _TRIES: Final = 1000
 
 
@@ -37,8 +32,9 @@ def sample_start(world: World, rng: np.random.Generator, purpose: Purpose) -> Po
     rng
         The source of chance; the same state gives the same pose.
     purpose
-        `drive` and `run`: up to 1 m east-west and north-south and 15 degrees off the world's start. `recovery`: beside
-        a point of the route, uniform along it except for the last 3 m, up to 1.5 m aside and 40 degrees turned away.
+        `drive` and `run`: up to `Scale.start_m` (outdoors 1 m) east-west and north-south and 15 degrees off the
+        world's start. `recovery`: beside a point of the route, uniform along it except for the last `Scale.last_m`
+        (3 m), up to `Scale.aside_m` (1.5 m) aside and 40 degrees turned away.
 
     Raises
     ------
@@ -54,7 +50,7 @@ def sample_start(world: World, rng: np.random.Generator, purpose: Purpose) -> Po
 
 
 def _about_start(world: World, rng: np.random.Generator) -> Pose | None:
-    x, y, heading = (rng.uniform(-1.0, 1.0, 3) * (_JITTER_M, _JITTER_M, _JITTER_RAD)).tolist()
+    x, y, heading = (rng.uniform(-1.0, 1.0, 3) * (world.scale.start_m, world.scale.start_m, _JITTER_RAD)).tolist()
     start = world.start
     pose = Pose(start.x + x, start.y + y, math.remainder(start.heading + heading, math.tau))
     return pose if _reaches(world, pose, np.array([start.x, start.y])) else None
@@ -62,8 +58,8 @@ def _about_start(world: World, rng: np.random.Generator) -> Pose | None:
 
 def _beside_route(world: World, rng: np.random.Generator) -> Pose | None:
     route = shapely.LineString(plan_route(world, (world.start.x, world.start.y)))
-    along = rng.uniform(0.0, max(route.length - _LAST_METRES, 0.0))
-    aside, turned = rng.uniform(-1.0, 1.0, 2) * (_ASIDE_M, _ASIDE_RAD)
+    along = rng.uniform(0.0, max(route.length - world.scale.last_m, 0.0))
+    aside, turned = rng.uniform(-1.0, 1.0, 2) * (world.scale.aside_m, _ASIDE_RAD)
     here = shapely.get_coordinates(route.interpolate(along))[0]
     ahead = shapely.get_coordinates(route.interpolate(min(along + 0.1, route.length)))[0] - here
     direction = math.atan2(ahead[1], ahead[0])
@@ -75,4 +71,5 @@ def _beside_route(world: World, rng: np.random.Generator) -> Pose | None:
 def _reaches(world: World, pose: Pose, anchor: NDArray[np.float64]) -> bool:
     """Return whether the pose is free and nothing stands between it and the place that it was drawn about."""
     leg = np.array([[(pose.x, pose.y), anchor]])
-    return bool(obstacles_of(world).are_clear(leg, _ROOM_M)[0])
+    # With room to turn, so that an episode does not begin with a collision.
+    return bool(obstacles_of(world.place).are_clear(leg, world.scale.start_room_m)[0])

@@ -107,9 +107,9 @@ def _roads(way: OsmWay, frame: Polygon) -> list[Thing] | None:
     if line.length == 0:
         return None
     width = min(max(looks.metres(way.tags.get("width")) or usual_width, 1.0), 40.0)
-    street = highway in _STREET_WIDTH_M
+    street, marked = highway in _STREET_WIDTH_M, highway in _MARKED
     return [
-        Road(part, width, "street" if street else "path", highway not in _NOT_FOR_A_ROBOT, highway in _MARKED)
+        Road(part, width, "street" if street else "path", highway not in _NOT_FOR_A_ROBOT, marked, marked)
         for part in _lines(line.intersection(frame))
     ]
 

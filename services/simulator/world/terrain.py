@@ -1,33 +1,28 @@
-"""What a world is made of: plain frozen records in local metres (x east, y north), without rendering."""
+"""An outdoor place: plain frozen records of what a map shows, in local metres (x east, y north)."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal
+from functools import cached_property
+from typing import TYPE_CHECKING, Final, Literal
+
+import shapely
+
+from services.simulator.robots import RESCUEBOT, RobotModel
+from services.simulator.world.place import Place, Rgb, Scale, Solid
 
 if TYPE_CHECKING:
     from shapely import LineString, Polygon
 
 FacadeStyle = Literal["brick", "plaster", "concrete", "glass", "wood"]
-RoofShape = Literal["flat", "hipped"]
+RoofShape = Literal["flat", "gabled", "hipped"]
 RoadKind = Literal["street", "path"]
 AreaKind = Literal["grass", "water", "paved"]
 BarrierKind = Literal["hedge", "wall", "fence"]
 TreeKind = Literal["round", "tall", "conifer"]
-Rgb = tuple[int, int, int]
-
-
-class WorldError(Exception):
-    """A world cannot be used; the message is one line that names the file and the problem."""
-
-
-@dataclass(frozen=True)
-class Pose:
-    """Where something is and where it looks: metres east and north, heading in radians from east, anticlockwise."""
-
-    x: float
-    y: float
-    heading: float
+_SCALE: Final = Scale()
+#: Water and the edge of the world stop the robot like a wall of this height.
+_BANK_M: Final = 0.5
 
 
 @dataclass(frozen=True)
@@ -41,23 +36,49 @@ class Facade:
 
 @dataclass(frozen=True, eq=False)
 class Building:
-    """A footprint pulled up to a height."""
+    """A footprint, possibly with courtyards, pulled up from one height to another, and a roof above.
+
+    Attributes
+    ----------
+    height_m
+        Of the eaves, above the ground.
+    min_height_m
+        Where the walls begin; above 0 for what stands on posts or bridges a passage.
+    roof_height_m
+        Of the ridge above the eaves; 0 for a flat roof.
+    roof_colour
+        None where nobody has said.
+    """
 
     footprint: Polygon
     height_m: float
     facade: Facade
     roof: RoofShape
+    min_height_m: float = 0.0
+    roof_height_m: float = 0.0
+    roof_colour: Rgb | None = None
 
 
 @dataclass(frozen=True, eq=False)
 class Road:
-    """A centre line with a width; `drivable` is whether the robot may plan along it."""
+    """A centre line with a width.
+
+    Attributes
+    ----------
+    drivable
+        Whether the robot may plan along it.
+    marked
+        Whether a dashed line runs along its middle.
+    sidewalks
+        Whether there are sidewalks on both sides.
+    """
 
     line: LineString
     width_m: float
     kind: RoadKind
     drivable: bool
     marked: bool
+    sidewalks: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,21 +110,15 @@ class Barrier:
 
 
 @dataclass(frozen=True, eq=False)
-class Terrain:
-    """A place without a task: everything that stands or lies on the ground.
+class Terrain(Place):
+    """An outdoor place: everything that stands or lies on the ground.
 
     Attributes
     ----------
-    name
-        The world's name, for messages.
-    bounds
-        (x_min, y_min, x_max, y_max) in metres; the robot stays inside.
     skipped
         Number of elements of the file that could not be used (broken, empty or without position).
     """
 
-    name: str
-    bounds: tuple[float, float, float, float]
     buildings: tuple[Building, ...]
     roads: tuple[Road, ...]
     areas: tuple[Area, ...]
@@ -111,10 +126,33 @@ class Terrain:
     barriers: tuple[Barrier, ...]
     skipped: int
 
+    @property
+    def robot(self) -> RobotModel:
+        """The robot of the paper's campus."""
+        return RESCUEBOT
 
-@dataclass(frozen=True, eq=False)
-class World(Terrain):
-    """A terrain with a task: from `start`, find the victim lying at `victim`."""
+    @property
+    def scale(self) -> Scale:
+        """Metres of streets."""
+        return _SCALE
 
-    start: Pose
-    victim: Pose
+    @cached_property
+    def solids(self) -> tuple[Solid, ...]:
+        """Buildings, trunks, barriers, water, and the edge of the world."""
+        trunks = [
+            Solid(shapely.Point(tree.x, tree.y).buffer(tree.trunk_radius_m), 0.0, tree.height_m, opaque=False)
+            for tree in self.trees
+        ]
+        water = [Solid(area.polygon, 0.0, _BANK_M, opaque=False) for area in self.areas if area.kind == "water"]
+        barriers = [Solid(barrier.line, 0.0, barrier.height_m, opaque=False) for barrier in self.barriers]
+        walls = [
+            Solid(building.footprint, building.min_height_m, building.height_m, opaque=True)
+            for building in self.buildings
+        ]
+        edge = Solid(shapely.box(*self.bounds).exterior, 0.0, _BANK_M, opaque=False)
+        return (*walls, *trunks, *water, *barriers, edge)
+
+    @cached_property
+    def lanes(self) -> tuple[LineString, ...]:
+        """The middles of the roads that a robot may drive on."""
+        return tuple(road.line for road in self.roads if road.drivable)

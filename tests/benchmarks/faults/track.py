@@ -10,12 +10,13 @@ from dataclasses import dataclass
 from typing import Final
 
 from schemas.topics import APPLIED, POSE
-from services.simulator.drive import TICK_S, Drive
+from services.simulator.drive import TICK_S
+from services.simulator.robots import RESCUEBOT
 from tests.benchmarks.faults.log import Entry, Order
 
 #: A robot that stands is reported at the same place; what is below this share of a tick's way is no movement.
 NOISE: Final = 0.05
-_DRIVE: Final = Drive()
+_DRIVE: Final = RESCUEBOT.drive
 
 
 @dataclass(frozen=True)

@@ -6,7 +6,7 @@ import random
 import re
 
 from services.simulator.world.loading import WORLDS_FOLDER, load_world
-from services.simulator.world.terrain import WorldError
+from services.simulator.world.place import WorldError
 from tests.fuzz.targets import check_line, scratch
 
 _ELEMENT = re.compile(r"<(node|way|bounds|nd|tag)\b[^>]*?/>|<(node|way)\b.*?</\2>", re.DOTALL)
@@ -29,7 +29,7 @@ def run(data: bytes) -> bool:
     except WorldError as error:
         check_line(error)
         return False
-    x_min, y_min, x_max, y_max = world.bounds
+    x_min, y_min, x_max, y_max = world.place.bounds
     for pose in (world.start, world.victim):
         assert x_min <= pose.x <= x_max
         assert y_min <= pose.y <= y_max

@@ -38,7 +38,7 @@ class FakeSimulator:
         for tick, (kind, state) in enumerate((("action", 4), ("look_around", None), ("look_around", 5), ("stop", 5))):
             cause = CAUSE.model_copy(update={"tick": tick})
             self._node.publish(Action.after(cause, kind=kind, state=state, atoms=("left",)))
-        return ResetReply(episode="e", world="campus", route=((0.0, 0.0), (1.0, 0.0)))
+        return ResetReply(episode="e", world="campus", route=((0.0, 0.0), (1.0, 0.0)), speed_m_s=2.0, found_m=5.0)
 
     def end(self, request: EndRequest) -> None:
         self.ended.append(request.episode)

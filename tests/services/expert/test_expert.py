@@ -14,13 +14,20 @@ from schemas.array import Float32Array
 from schemas.base import Message
 from schemas.observation import Observation
 from schemas.pose import Pose
-from services.expert.driver import ARRIVED_M, RouteDriver
+from schemas.rpc import ResetReply
+from services.expert.driver import RouteDriver
 from services.expert.service import ExpertService
-from services.simulator.drive import TICK_S, Drive, move, wheel_speeds
-from services.simulator.drive import Pose as PlanarPose
+from services.simulator.drive import TICK_S, move, wheel_speeds
+from services.simulator.robots import RESCUEBOT
+from services.simulator.world.place import Pose as PlanarPose
 
-DRIVE = Drive()
+DRIVE = RESCUEBOT.drive
+FOUND_M = 5.0
 ROUTE = [(0.0, 0.0), (10.0, 0.0), (10.0, 10.0)]
+
+
+def reset(episode: str) -> ResetReply:
+    return ResetReply(episode=episode, world="w", route=tuple(ROUTE), speed_m_s=DRIVE.speed_m_s, found_m=FOUND_M)
 
 
 @st.composite
@@ -37,7 +44,7 @@ def routes(draw: st.DrawFn, sharpest_deg: float) -> list[tuple[float, float]]:
 
 def follow(route: list[tuple[float, float]]) -> list[PlanarPose]:
     """Drive a route with exact wheels from its start, at first turned to its first stretch."""
-    driver = RouteDriver(route)
+    driver = RouteDriver(route, DRIVE.speed_m_s, FOUND_M)
     (x, y), (to_x, to_y) = route[:2]
     poses = [PlanarPose(x, y, math.atan2(to_y - y, to_x - x))]
     # Twice the time that the way alone takes leaves plenty for turning on the spot.
@@ -62,13 +69,13 @@ def test_driver_keeps_to_its_route(sharpest_deg: float, most_m: float) -> None:
         line = LineString(route)
         poses = follow(route)
         assert max(line.distance(Point(pose.x, pose.y)) for pose in poses) <= most_m
-        assert math.dist((poses[-1].x, poses[-1].y), route[-1]) <= ARRIVED_M
+        assert math.dist((poses[-1].x, poses[-1].y), route[-1]) <= FOUND_M / 2
 
     check()
 
 
 def test_driver_comes_back_from_beside_the_route() -> None:
-    driver = RouteDriver([(0.0, 0.0), (30.0, 0.0)])
+    driver = RouteDriver([(0.0, 0.0), (30.0, 0.0)], DRIVE.speed_m_s, FOUND_M)
     pose = PlanarPose(0.0, 3.0, math.pi / 2)
     for _ in range(80):
         pose = drive_on(driver, pose)
@@ -77,7 +84,7 @@ def test_driver_comes_back_from_beside_the_route() -> None:
 
 def test_a_route_is_more_than_a_point() -> None:
     with pytest.raises(ValueError, match="at least two"):
-        RouteDriver([(0.0, 0.0)])
+        RouteDriver([(0.0, 0.0)], DRIVE.speed_m_s, FOUND_M)
 
 
 def cause(tick: int, episode: str) -> Message:
@@ -96,7 +103,7 @@ def observation(tick: int, episode: str = "e") -> Observation:
 @pytest.fixture
 def expert() -> ExpertService:
     service = ExpertService()
-    service.begin("e", ROUTE)
+    service.begin(reset("e"))
     return service
 
 
@@ -130,7 +137,7 @@ def test_nothing_is_commanded_after_arrival(expert: ExpertService) -> None:
         assert expert.see(pose(tick, 10.0, y)) is None
         assert expert.handle(observation(tick)) is None
         assert expert.arrived
-    expert.begin("next", ROUTE)
+    expert.begin(reset("next"))
     assert not expert.arrived
     expert.see(pose(0, episode="next"))
     assert expert.handle(observation(0, episode="next")) is not None

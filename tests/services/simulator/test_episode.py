@@ -23,13 +23,14 @@ from services.simulator.drive import TICK_S
 from services.simulator.episode import GIVE_UP_S, RESEND_S, STEP_S, EpisodeRunner
 from services.simulator.gate import MAX_AGE_S, Refusal
 from services.simulator.service import LATCHED, SimulatorService
-from services.simulator.world.terrain import Pose as PlanarPose
+from services.simulator.world.place import Pose as PlanarPose
 
 
 class Line:
     """A world of one dimension: a victim at ``victim`` and a wall at ``wall`` on a line."""
 
     name = "line"
+    speed_m_s, found_m = 2.0, 5.0
 
     def __init__(self, victim: float = 1e9, wall: float = 1e9, sight: float = 1e9) -> None:
         self.x, self.victim, self.wall, self.sight = 0.0, victim, wall, sight

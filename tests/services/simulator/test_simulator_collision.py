@@ -11,9 +11,9 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from services.simulator.world import load_world
-from services.simulator.world.collision import ROBOT_RADIUS_M, Obstacles
+from services.simulator.world.collision import Obstacles
 
-CAMPUS = load_world("campus")
+CAMPUS = load_world("campus").place
 OBSTACLES = Obstacles(CAMPUS)
 
 
@@ -36,8 +36,8 @@ def test_clearance_is_the_distance_to_the_nearest_thing(x: float, y: float) -> N
     expected = brute_force(x, y)
     # Trunks are polygons of 32 sides inside their circle, up to a millimetre smaller.
     assert OBSTACLES.clearance(x, y) == pytest.approx(expected, abs=2e-3)
-    if abs(expected - ROBOT_RADIUS_M) > 2e-3:
-        assert OBSTACLES.is_free(x, y) == (expected > ROBOT_RADIUS_M)
+    if abs(expected - CAMPUS.robot.radius_m) > 2e-3:
+        assert OBSTACLES.is_free(x, y) == (expected > CAMPUS.robot.radius_m)
 
 
 @given(st.lists(st.floats(-95, 95), min_size=4, max_size=4))

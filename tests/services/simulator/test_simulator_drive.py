@@ -10,8 +10,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from schemas.base import ATOMS, Atom
-from services.simulator.drive import Actuator, Drive, WheelSpeeds, move, wheel_speeds
-from services.simulator.world.terrain import Pose
+from services.simulator.drive import Actuator, WheelSpeeds, move, wheel_speeds
+from services.simulator.robots import Drive
+from services.simulator.world.place import Pose
 
 speeds = st.floats(-3, 3)
 headings = st.floats(-math.pi, math.pi)

@@ -10,8 +10,8 @@ import pytest
 from services.simulator.scene.rendering import SceneCamera
 from services.simulator.simulation import CameraSettings, Simulation
 from services.simulator.world import load_world
+from services.simulator.world.place import Pose
 from services.simulator.world.route import plan_route
-from services.simulator.world.terrain import Pose
 from tests.services.simulator.simulator_driving import drive_to
 
 pytestmark = pytest.mark.rendering

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import shapely
@@ -9,22 +11,22 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from services.simulator.world import load_world
-from services.simulator.world.collision import ROBOT_RADIUS_M, obstacles_of
+from services.simulator.world.collision import obstacles_of
+from services.simulator.world.place import Pose, World, WorldError
 from services.simulator.world.route import plan_route, route_length_m
 from services.simulator.world.starts import sample_start
-from services.simulator.world.terrain import Pose, World, WorldError
 
 WORLDS = {name: load_world(name) for name in ("campus", "yard")}
 
 
 def solid(world: World) -> shapely.Geometry:
     """Return everything solid, independently of `collision`."""
-    trunks = [shapely.Point(tree.x, tree.y).buffer(tree.trunk_radius_m) for tree in world.trees]
-    walls = [building.footprint for building in world.buildings]
-    return shapely.union_all([*trunks, *walls, *(barrier.line for barrier in world.barriers)])
+    trunks = [shapely.Point(tree.x, tree.y).buffer(tree.trunk_radius_m) for tree in world.place.trees]
+    walls = [building.footprint for building in world.place.buildings]
+    return shapely.union_all([*trunks, *walls, *(barrier.line for barrier in world.place.barriers)])
 
 
-ROAD_POINTS = np.concatenate([shapely.get_coordinates(road.line) for road in WORLDS["campus"].roads])
+ROAD_POINTS = np.concatenate([shapely.get_coordinates(road.line) for road in WORLDS["campus"].place.roads])
 SOLID = {name: solid(world) for name, world in WORLDS.items()}
 
 
@@ -36,7 +38,7 @@ def test_a_route_touches_nothing_and_ends_at_the_victim(name: str, seed: int, re
     route = plan_route(world, (start.x, start.y))
     np.testing.assert_allclose(route[0], (start.x, start.y))
     np.testing.assert_allclose(route[-1], (world.victim.x, world.victim.y))
-    assert shapely.LineString(route).distance(SOLID[name]) >= ROBOT_RADIUS_M
+    assert shapely.LineString(route).distance(SOLID[name]) >= WORLDS[name].robot.radius_m
 
 
 @given(x=st.floats(-99, 99), y=st.floats(-99, 99))
@@ -47,7 +49,7 @@ def test_from_anywhere_the_way_is_free_or_missing_but_never_through_a_wall(x: fl
         route = plan_route(WORLDS["campus"], (x, y))
     except WorldError:
         # Cut off are the insides of things, their edges, and corners that see no road within 40 m.
-        seen = obstacles_of(WORLDS["campus"]).are_clear(
+        seen = obstacles_of(WORLDS["campus"].place).are_clear(
             np.array([[(x, y), point] for point in ROAD_POINTS if np.hypot(*(point - (x, y))) < 40]).reshape(-1, 2, 2),
             0.7,
         )
@@ -59,7 +61,7 @@ def test_from_anywhere_the_way_is_free_or_missing_but_never_through_a_wall(x: fl
 def test_a_start_on_the_road_follows_the_road() -> None:
     world = WORLDS["campus"]
     route = plan_route(world, (world.start.x, world.start.y))
-    roads = shapely.union_all([road.line.buffer(0.1) for road in world.roads])
+    roads = shapely.union_all([road.line.buffer(0.1) for road in world.place.roads])
     on_road = shapely.LineString(route[:-1])
     assert on_road.within(roads)
 
@@ -73,7 +75,7 @@ def test_the_route_is_the_shorter_way_round() -> None:
 
 def test_a_victim_walled_in_cannot_be_reached() -> None:
     world = WORLDS["campus"]
-    inside = world.buildings[0].footprint.representative_point()
-    walled = World(**{**vars(world), "victim": Pose(inside.x, inside.y, 0.0)})
+    inside = world.place.buildings[0].footprint.representative_point()
+    walled = replace(world, victim=Pose(inside.x, inside.y, 0.0))
     with pytest.raises(WorldError, match="no way from"):
         plan_route(walled, (world.start.x, world.start.y))

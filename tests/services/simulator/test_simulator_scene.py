@@ -8,11 +8,11 @@ import shapely
 from numpy.typing import NDArray
 
 from services.simulator.scene.bodies import victim
-from services.simulator.scene.build import SUN
 from services.simulator.scene.facades import paint_facade
 from services.simulator.scene.ground import cast_shade, ground
 from services.simulator.scene.meshes import Mesh, merge
 from services.simulator.scene.noise import noise
+from services.simulator.scene.outdoors import SUN
 from services.simulator.scene.plants import crowns
 from services.simulator.scene.shapes import ball, flat, hipped_roof, tube
 from services.simulator.scene.structures import clad
@@ -20,7 +20,7 @@ from services.simulator.scene.textures import Material, paint
 from services.simulator.world import load_world
 from services.simulator.world.terrain import Facade
 
-CAMPUS = load_world("campus")
+CAMPUS = load_world("campus").place
 MATERIALS = tuple(Material.__args__)  # type: ignore[attr-defined]
 
 

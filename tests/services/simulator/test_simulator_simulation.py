@@ -12,11 +12,12 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from schemas.base import ATOMS, Atom
-from services.simulator.drive import Drive
-from services.simulator.simulation import Sight, Simulation
+from services.simulator.base import KinematicBase
+from services.simulator.robots import Drive
+from services.simulator.simulation import Simulation
 from services.simulator.world import load_world
-from services.simulator.world.collision import ROBOT_RADIUS_M, obstacles_of
-from services.simulator.world.terrain import Pose
+from services.simulator.world.collision import obstacles_of
+from services.simulator.world.place import Pose
 from tests.services.simulator.simulator_driving import drive_to
 
 YARD = load_world("yard")
@@ -76,11 +77,11 @@ def test_the_robot_never_enters_anything(seed: int, atoms: list[Atom]) -> None:
     simulation.reset(seed, "recovery")
     for atom in atoms:
         simulation.advance(atom, 1.0, 0.4)
-        assert obstacles_of(YARD).clearance(simulation.pose.x, simulation.pose.y) > ROBOT_RADIUS_M - 1e-9
+        assert obstacles_of(YARD.place).clearance(simulation.pose.x, simulation.pose.y) > YARD.robot.radius_m - 1e-9
 
 
 def test_a_wall_stops_the_robot_where_they_touch_and_lets_it_back_away() -> None:
-    simulation = Simulation(YARD, StubCamera(), drive=PERFECT)
+    simulation = Simulation(YARD, StubCamera(), KinematicBase(YARD.place, PERFECT))
     simulation.reset(0, "run")
     for _ in range(40):
         simulation.advance("right", 1.0, 0.05)
@@ -88,7 +89,7 @@ def test_a_wall_stops_the_robot_where_they_touch_and_lets_it_back_away() -> None
         simulation.advance("forward", 1.0, 0.1)
     assert simulation.collided
     touching = simulation.pose
-    assert obstacles_of(YARD).clearance(touching.x, touching.y) == pytest.approx(ROBOT_RADIUS_M, abs=1e-3)
+    assert obstacles_of(YARD.place).clearance(touching.x, touching.y) == pytest.approx(YARD.robot.radius_m, abs=1e-3)
     simulation.advance("backward", 1.0, 0.5)
     assert math.hypot(simulation.pose.x - touching.x, simulation.pose.y - touching.y) == pytest.approx(1.0)
     assert simulation.collided, "a collision stays on record until the reset"
@@ -96,7 +97,7 @@ def test_a_wall_stops_the_robot_where_they_touch_and_lets_it_back_away() -> None
 
 @pytest.mark.parametrize("speed", [0.0, 0.5, 1.0])
 def test_speed_scales_the_movement(speed: float) -> None:
-    simulation = Simulation(YARD, StubCamera(), drive=PERFECT)
+    simulation = Simulation(YARD, StubCamera(), KinematicBase(YARD.place, PERFECT))
     start = simulation.reset(0, "run")
     simulation.advance("forward", speed, 0.5)
     assert math.hypot(simulation.pose.x - start.x, simulation.pose.y - start.y) == pytest.approx(speed)
@@ -116,7 +117,7 @@ def test_following_the_route_leads_to_the_victim_without_a_collision(name: str) 
 
 def test_the_victim_is_found_only_when_near_and_seen() -> None:
     camera = StubCamera(fraction=0.5)
-    simulation = Simulation(YARD, camera, sight=Sight(distance_m=5.0, min_fraction=0.0005))
+    simulation = Simulation(YARD, camera)
     simulation.reset(0, "run")
     assert not simulation.victim_found()
     assert camera.asked == 0, "far away, the image is not searched at all"

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
+from typing import cast
 
 import numpy as np
 import pytest
@@ -11,10 +13,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from services.simulator.world import load_world
-from services.simulator.world.collision import ROBOT_RADIUS_M, obstacles_of
+from services.simulator.world.collision import obstacles_of
+from services.simulator.world.place import Pose, WorldError
 from services.simulator.world.route import plan_route
 from services.simulator.world.starts import sample_start
-from services.simulator.world.terrain import Building, Facade, Pose, World, WorldError
+from services.simulator.world.terrain import Building, Facade, Terrain
 
 WORLDS = {name: load_world(name) for name in ("campus", "yard")}
 worlds = st.sampled_from(sorted(WORLDS))
@@ -33,7 +36,7 @@ def test_a_run_starts_about_the_start_with_the_victim_out_of_sight(name: str, se
         [(pose.x, pose.y), (world.victim.x + 0.9 * math.cos(turn), world.victim.y + 0.9 * math.sin(turn))]
         for turn in (world.victim.heading, world.victim.heading + math.pi)
     ])  # fmt: skip
-    assert not obstacles_of(world).in_sight(sights).any()
+    assert not obstacles_of(world.place).in_sight(sights).any()
 
 
 @given(name=worlds, seed=seeds)
@@ -45,7 +48,7 @@ def test_a_recovery_starts_beside_the_route(name: str, seed: int) -> None:
     here = shapely.Point(pose.x, pose.y)
     assert here.distance(route) <= 1.5 + 1e-6
     assert here.distance(shapely.Point(world.victim.x, world.victim.y)) >= 1.5
-    assert obstacles_of(world).is_free(pose.x, pose.y, ROBOT_RADIUS_M)
+    assert obstacles_of(world.place).is_free(pose.x, pose.y, world.robot.radius_m)
 
 
 def test_recoveries_cover_the_whole_route_and_both_sides() -> None:
@@ -69,8 +72,9 @@ def test_the_same_chance_gives_the_same_start(name: str, seed: int, purpose: str
 
 def test_a_start_without_room_is_an_error_and_not_an_endless_search() -> None:
     world = WORLDS["campus"]
+    terrain = cast("Terrain", world.place)
     block = Building(shapely.Point(world.start.x, world.start.y).buffer(3), 5.0, Facade("brick", None, 0), "flat")
-    blocked = World(**{**vars(world), "buildings": (*world.buildings, block)})
+    blocked = replace(world, place=replace(terrain, buildings=(*terrain.buildings, block)))
     with pytest.raises(WorldError, match="no free start pose"):
         sample_start(blocked, np.random.default_rng(0), "run")
     assert isinstance(blocked.start, Pose)

@@ -26,30 +26,30 @@ def turns(world: World) -> int:
 
 def test_the_campus_is_as_large_and_as_ambiguous_as_the_issue_asks() -> None:
     world = load_world("campus")
-    x_min, y_min, x_max, y_max = world.bounds
+    x_min, y_min, x_max, y_max = world.place.bounds
     assert (x_max - x_min, y_max - y_min) == pytest.approx((200, 200), abs=0.5)
-    assert len(world.buildings) >= 25
-    assert world.skipped == 0
+    assert len(world.place.buildings) >= 25
+    assert world.place.skipped == 0
     route = shapely.LineString(plan_route(world, (world.start.x, world.start.y)))
     assert 80 <= route.length <= 110
     assert 3 <= turns(world) <= 5
-    beside = [building.facade for building in world.buildings if building.footprint.distance(route) < 6]
+    beside = [building.facade for building in world.place.buildings if building.footprint.distance(route) < 6]
     assert max(beside.count(facade) for facade in beside) >= 4, "the route passes houses that look the same"
-    assert len({building.facade for building in world.buildings}) >= 20
+    assert len({building.facade for building in world.place.buildings}) >= 20
 
 
 def test_no_building_of_our_worlds_stands_on_a_road_or_in_another_building() -> None:
     for name in ("campus", "yard"):
         world = load_world(name)
-        footprints = [building.footprint for building in world.buildings]
-        roads = shapely.union_all([road.line.buffer(road.width_m / 2) for road in world.roads])
+        footprints = [building.footprint for building in world.place.buildings]
+        roads = shapely.union_all([road.line.buffer(road.width_m / 2) for road in world.place.roads])
         assert not any(footprint.intersects(roads) for footprint in footprints)
         assert shapely.union_all(footprints).area == pytest.approx(sum(footprint.area for footprint in footprints))
 
 
 def test_the_yard_is_small() -> None:
     world = load_world("yard")
-    assert len(world.buildings) >= 6
+    assert len(world.place.buildings) >= 6
     assert 25 <= route_length_m(plan_route(world, (world.start.x, world.start.y))) <= 32
 
 
@@ -70,12 +70,12 @@ def test_metres_are_metres(tmp_path: Path, latitude: float, east_m: float, north
 @pytest.mark.skipif(not BROWN.exists(), reason=f"the real extract is not on this machine: {BROWN}")
 def test_a_real_extract_gets_a_hidden_victim_by_rule() -> None:
     world = load_world(BROWN)
-    assert len(world.buildings) > 350
-    assert len(world.trees) == 32
+    assert len(world.place.buildings) > 350
+    assert len(world.place.trees) == 32
     again = load_world(BROWN)
     assert (world.start, world.victim) == (again.start, again.victim)
     sight = np.array([[(world.start.x, world.start.y), (world.victim.x, world.victim.y)]])
-    assert not obstacles_of(world).in_sight(sight)[0]
+    assert not obstacles_of(world.place).in_sight(sight)[0]
     assert 55 <= route_length_m(plan_route(world, (world.start.x, world.start.y))) <= 150
 
 
@@ -117,15 +117,15 @@ def test_broken_ways_are_left_out_and_counted(tmp_path: Path) -> None:
     path = tmp_path / "broken.osm"
     path.write_text(CAMPUS.replace("</osm>", broken))
     world = load_world(path)
-    assert world.skipped == 3
-    assert len(world.buildings) == len(load_world("campus").buildings)
+    assert world.place.skipped == 3
+    assert len(world.place.buildings) == len(load_world("campus").place.buildings)
 
 
 def test_a_world_without_roles_gets_them_by_rule(tmp_path: Path) -> None:
     path = tmp_path / "plain.osm"
     path.write_text(CAMPUS.replace('"smal:role"', '"note"'))
     world = load_world(path)
-    assert obstacles_of(world).is_free(world.start.x, world.start.y)
+    assert obstacles_of(world.place).is_free(world.start.x, world.start.y)
     assert 50 <= route_length_m(plan_route(world, (world.start.x, world.start.y))) <= 150
 
 

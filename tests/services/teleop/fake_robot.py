@@ -50,7 +50,7 @@ class FakeRobot:
         self._episode = f"drive-{len(self.resets)}"
         self._tick, self._emergency = 0, False
         self.node.publish(self._event(self._episode, "started", None))
-        return ResetReply(episode=self._episode, world="yard", route=())
+        return ResetReply(episode=self._episode, world="yard", route=(), speed_m_s=2.0, found_m=5.0)
 
     def _end(self, request: EndRequest) -> None:
         self.ends.append(request.episode)

@@ -1,0 +1,70 @@
+"""An outdoor place as a scene: ground, buildings, plants, the sky above them."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+from shapely import Polygon
+
+from services.simulator.scene import bodies
+from services.simulator.scene.facades import paint_facade
+from services.simulator.scene.ground import cast_shade, ground
+from services.simulator.scene.meshes import Mesh, make
+from services.simulator.scene.plants import crowns, trees
+from services.simulator.scene.shapes import ball
+from services.simulator.scene.sky import BOTTOM_DEG, TOP_DEG, paint_sky
+from services.simulator.scene.structures import barriers, clad, roofs
+from services.simulator.scene.surfaces import Lights, Scene, Surface, painted
+
+if TYPE_CHECKING:
+    from services.simulator.scene.textures import Material
+    from services.simulator.world.place import Pose
+    from services.simulator.world.terrain import Terrain
+
+#: Where the sunlight goes: from the south-west, half way up.
+SUN: Final = (0.55, 0.62, -0.72)
+# Light from the open sky: some from everywhere, some more from opposite the sun, so that shaded walls keep their shape.
+_LIGHTS: Final = Lights((0.42, 0.45, 0.5), ((SUN, (2.6, 2.45, 2.2)), ((-0.5, -0.75, -0.2), (0.35, 0.38, 0.45))))
+_SKY_RADIUS_M: Final = 900.0
+_SKY_SEED: Final = 7
+
+
+def build(terrain: Terrain, victim: Pose, *, shadows: bool) -> Scene:
+    """Make the meshes and pictures of a terrain with a victim lying in it."""
+    shade = cast_shade(terrain, SUN, crowns(terrain.trees)) if shadows else Polygon()
+    pieces: dict[Material, list[Mesh]] = defaultdict(list)
+    for part in (roofs(terrain.buildings), barriers(terrain.barriers), trees(terrain.trees)):
+        for material, meshes in part.items():
+            pieces[material] += meshes
+    for material, mesh in ground(terrain, shade).items():
+        pieces[material].append(mesh)
+    lying = {material: [mesh.placed(victim) for mesh in meshes] for material, meshes in bodies.victim().items()}
+    return Scene(
+        lights=_LIGHTS,
+        still=(*_facades(terrain), *painted(pieces)),
+        victim=painted(lying),
+        robot=painted(bodies.robot(terrain.robot)),
+        sky=_sky(),
+    )
+
+
+def _facades(terrain: Terrain) -> list[Surface]:
+    surfaces = []
+    for facade, walls in clad(terrain.buildings).items():
+        upper, ground_floor = paint_facade(facade)
+        surfaces.append(Surface(walls.ground, ground_floor))
+        if walls.upper is not None:
+            surfaces.append(Surface(walls.upper, upper))
+    return surfaces
+
+
+def _sky() -> Surface:
+    """Return a dome whose inside wears the sky; it goes with the camera, so that it never comes closer."""
+    detail = 24
+    dome = ball((0, 0, 0), (1, 1, 1), detail)
+    elevation = np.degrees(np.arcsin(np.clip(dome.vertices[:, 2], -1, 1)))
+    uvs = np.column_stack([dome.uvs[:, 0] / 2, np.clip((TOP_DEG - elevation) / (TOP_DEG - BOTTOM_DEG), 0.002, 0.998)])
+    inside = make(dome.vertices * _SKY_RADIUS_M, dome.normals, uvs, dome.triangles).flipped()
+    return Surface(inside, paint_sky(_SKY_SEED), glows=True)
