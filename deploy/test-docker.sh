@@ -49,7 +49,7 @@ export SMAL_ROUTER_PORT=0
 # The smallest job that is still the whole job.
 export SMAL_WORLD=yard SMAL_CAMERA_WIDTH=160 SMAL_CAMERA_HEIGHT=120
 export SMAL_DEMO_DRIVES=6 SMAL_DEMO_RECOVERIES=24 SMAL_DEMO_RUNS=2
-SERVICES=(router simulator features recognition policy recorder)
+SERVICES=(router simulator tracker features recognition policy recorder)
 clean_up() {
   status=$?
   if [ -d "$work/clone" ]; then

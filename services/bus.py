@@ -9,7 +9,7 @@ import json
 import re
 import time
 from collections.abc import Callable
-from typing import Final, TypeVar
+from typing import Final, TypeVar, cast
 
 import zenoh
 import zenoh.ext
@@ -185,11 +185,24 @@ class Bus:
         During an outage of the router it is lost, but for the topics that are recorded: those are kept for
         ``topics.KEPT_S``, and subscribers with ``replay`` have them sent afterwards.
         """
-        name = message.topic_name
-        publisher = self._publishers.get(name)
+        self._publisher(TOPICS[message.topic_name]).put(encode(message))
+
+    def has_listeners(self, topic: Topic) -> bool:
+        """Whether anybody subscribes to a topic that is not recorded, as far as the router has told yet.
+
+        For what is costly to make; what is recorded is kept for those who come later, whether or not anybody listens.
+        """
+        publisher = self._publisher(topic)
+        assert isinstance(publisher, zenoh.Publisher)  # noqa: S101 - of topics that are not recorded
+        # Zenoh's types say bool; it is an object, and as such always true.
+        status: object = publisher.matching_status
+        return cast("zenoh.MatchingStatus", status).matching
+
+    def _publisher(self, topic: Topic) -> zenoh.Publisher | zenoh.ext.AdvancedPublisher:
+        publisher = self._publishers.get(topic.name)
         if publisher is None:
-            publisher = self._publishers[name] = self._declare_publisher(TOPICS[name])
-        publisher.put(encode(message))
+            publisher = self._publishers[topic.name] = self._declare_publisher(topic)
+        return publisher
 
     def _declare_publisher(self, topic: Topic) -> zenoh.Publisher | zenoh.ext.AdvancedPublisher:
         session, key = self._sessions[topic.urgent], topic.key(self.robot)

@@ -12,7 +12,7 @@ from pydantic import ValidationError
 
 from schemas.codec import describe
 from services.bus import BusError, RpcError
-from services.commands import bench, demonstrate, doctor, learn, run, teleop, topic, up
+from services.commands import bench, demonstrate, doctor, learn, run, teleop, topic, up, world
 from services.commands.errors import JobError, UsageError, describe_os_error
 from services.process import EXIT_FAILED, EXIT_USAGE, ServiceError
 
@@ -32,6 +32,7 @@ app.command("teleop")(teleop.teleop)
 app.command("doctor")(doctor.doctor)
 app.command("bench", context_settings={"allow_extra_args": True, "ignore_unknown_options": True})(bench.bench)
 app.add_typer(topic.app, name="topic")
+app.add_typer(world.app, name="world")
 
 
 def main() -> None:

@@ -16,7 +16,8 @@ from services.commands import options
 from services.commands.episodes import EpisodeClient, EpisodeRecord, check_world_of
 from services.commands.errors import UsageError
 from services.commands.recording import recording
-from services.commands.stack import Access, flags, stack_for
+from services.commands.simulator_options import simulator_of_own_stack
+from services.commands.stack import Access, stack_for
 from services.expert.service import ExpertService
 
 #: A recovery drive is over after this many frames (8 s at 10 Hz).
@@ -37,6 +38,9 @@ def demonstrate(
     seed: options.Seed = 1,
     out: Annotated[Path, typer.Option(help="Folder for the recordings, one MCAP file a drive.")] = Path("recordings"),
     camera: options.OwnCameraSize = None,
+    shake: options.Shake = None,
+    base: options.Base = None,
+    variation: options.Variation = None,
     connect: options.Connect = None,
     robot: options.Robot = options.DEFAULT_ROBOT,
 ) -> None:
@@ -48,15 +52,14 @@ def demonstrate(
     Example: smal demonstrate --world campus --episodes 12 --seed 1 --out drives
     """
     recoveries = RECOVERIES_PER_DRIVE * episodes if recoveries is None else recoveries
-    size = options.camera_of_own_stack(camera, connect)
+    simulator = simulator_of_own_stack(world, camera, connect, shake=shake, base=base, variation=variation)
     name = options.check_world(world)
     requests = list(_requests(episodes, recoveries, seed))
     if not requests:
         raise UsageError("--episodes 0 --recoveries 0: nothing to demonstrate")
     options.make_folder(out, "--out")
-    simulator = flags(world=world, camera_width=size.width, camera_height=size.height)
     services = ("router", "simulator", "features", "recorder")
-    with stack_for(connect, services, robot, {"simulator": simulator}) as access:
+    with stack_for(connect, services, robot, {"simulator": simulator.flags()}) as access:
         recorded = _record(requests, access, out, world, name)
     typer.echo(f"recorded {recorded} drives in {out}; next: smal learn {out} --out MODEL")
 

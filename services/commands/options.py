@@ -12,6 +12,7 @@ import typer
 from schemas.topics import check_robot_id
 from services.bus import DEFAULT_ROUTER
 from services.commands.errors import UsageError
+from services.simulator.variation import VARIATIONS
 from services.simulator.world import WorldError, load_world
 from smal import model as smal_model
 
@@ -20,12 +21,26 @@ DEFAULT_ROBOT: Final = "rescuebot"
 Robot = Annotated[str, typer.Option(envvar="SMAL_ROBOT", help="Robot id, part of every topic's key.")]
 Router = Annotated[str, typer.Option(envvar="SMAL_ROUTER", help="Address of the stack's Zenoh router.")]
 Json = Annotated[bool, typer.Option("--json", help="Print JSON.")]
-World = Annotated[str, typer.Option(help="World: a name in deploy/worlds, or the path of an OpenStreetMap file.")]
+World = Annotated[
+    str, typer.Option(help="World: a name in deploy/worlds, or the path of an OpenStreetMap or world file.")
+]
 Seed = Annotated[int, typer.Option(min=0, help="Seed of the first episode; episode k uses SEED + k.")]
 CameraSize = Annotated[str, typer.Option("--camera", help="Camera image, WIDTHxHEIGHT; smaller renders faster.")]
 OwnCameraSize = Annotated[
     str | None,
     typer.Option("--camera", help="Camera image, WIDTHxHEIGHT; smaller renders faster. [default: 1024x768]"),
+]
+Base = Annotated[
+    str | None,
+    typer.Option(help="physics: driven wheels with mass and friction; kinematic: exact arcs. [default: physics]"),
+]
+Variation = Annotated[
+    str | None,
+    typer.Option(help=f"Conditions other than those of a fair day: {', '.join(VARIATIONS)}. [default: day]"),
+]
+Shake = Annotated[
+    float | None,
+    typer.Option(min=0, max=10, help="How much the camera shakes in driving. [default: 1 indoors, 0 outdoors]"),
 ]
 Connect = Annotated[
     str | None,
@@ -87,7 +102,7 @@ def check_robot(robot: str) -> str:
 
 
 def check_world(world: str) -> str:
-    """Read a world, to say what is wrong with it before six processes start; return its name.
+    """Read a world, to say what is wrong with it before the processes start; return its name.
 
     Raises
     ------

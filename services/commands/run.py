@@ -18,7 +18,8 @@ from services.commands import options
 from services.commands.episodes import EpisodeClient, EpisodeRecord, check_world_of
 from services.commands.errors import JobError
 from services.commands.recording import recording
-from services.commands.stack import Access, flags, stack_for
+from services.commands.simulator_options import simulator_of_own_stack
+from services.commands.stack import Access, stack_for
 from services.model_service import identity_of
 from services.settings import ServiceSettings
 from smal.evaluation.success import wilson_interval
@@ -44,6 +45,9 @@ def run(
     report: Annotated[Path | None, typer.Option(help="Write a page of results, with pictures, to this folder.")] = None,
     record: Annotated[Path | None, typer.Option(help="Record the runs into this folder.")] = None,
     camera: options.OwnCameraSize = None,
+    shake: options.Shake = None,
+    base: options.Base = None,
+    variation: options.Variation = None,
     connect: options.Connect = None,
     robot: options.Robot = options.DEFAULT_ROBOT,
 ) -> None:
@@ -56,13 +60,12 @@ def run(
     mode: Mode = "realtime" if realtime else "lockstep"
     loaded = options.read_model(model, stride)
     identity = identity_of(loaded)
-    size = options.camera_of_own_stack(camera, connect)
+    simulator = simulator_of_own_stack(world, camera, connect, shake=shake, base=base, variation=variation)
     name = options.check_world(world)
     options.check_file(json_file, "--json")
     for folder, option in ((report, "--report"), (record, "--record")):
         if folder is not None:
             options.make_folder(folder, option)
-    simulator = flags(world=world, camera_width=size.width, camera_height=size.height)
     services = ("router", "simulator", "features", "recognition", "policy", *(["recorder"] if record else []))
     requests = [
         ResetRequest(seed=seed + k, purpose="run", driver="policy", mode=mode, max_ticks=max_ticks)
@@ -71,7 +74,7 @@ def run(
     records: list[EpisodeRecord] = []
     try:
         with (
-            stack_for(connect, services, robot, {"simulator": simulator}) as access,
+            stack_for(connect, services, robot, {"simulator": simulator.flags()}) as access,
             _client(access.settings, model, stride, identity) as client,
             recording(client.node.bus, record) if record else nullcontext(),
         ):

@@ -27,7 +27,7 @@ from services.commands.options import check_robot
 from services.settings import ServiceSettings
 
 #: The services, in the order in which they start. Each runs as ``python -m services.<name>``.
-SERVICES: Final = ("router", "simulator", "features", "recognition", "policy", "recorder")
+SERVICES: Final = ("router", "simulator", "features", "recognition", "policy", "recorder", "tracker")
 #: The first frame of a software renderer compiles its pipelines; on a busy machine that has taken 20 s.
 READY_TIMEOUT_S: Final = 60.0
 STOP_TIMEOUT_S: Final = 5.0

@@ -15,6 +15,7 @@ from services.commands import options
 from services.commands.errors import UsageError
 from services.commands.interrupts import interrupted_by_signals
 from services.commands.options import Camera
+from services.commands.simulator_options import SimulatorOptions
 from services.commands.stack import SERVICES, Stack, StackPlan, flags
 from services.process import configure_logging
 
@@ -28,9 +29,12 @@ def up(
     stride: Annotated[int | None, typer.Option(min=1, help="Frames from one decision to the next.")] = None,
     recordings: Annotated[Path | None, typer.Option(help="Record every episode into this folder.")] = None,
     camera: options.CameraSize = "640x480",
+    shake: options.Shake = None,
+    base: options.Base = None,
+    variation: options.Variation = None,
     metrics_port: Annotated[
         int | None,
-        typer.Option(min=1, max=65535 - len(SERVICES), help="First of six ports for health and metrics over HTTP."),
+        typer.Option(min=1, max=65535 - len(SERVICES), help="First of seven ports for health and metrics over HTTP."),
     ] = None,
     robot: options.Robot = options.DEFAULT_ROBOT,
     router: options.Router = DEFAULT_ROUTER,
@@ -45,18 +49,18 @@ def up(
 
     Example: smal up --world campus --model campus.smal
     """
-    size = Camera.parse(camera)
+    simulator = SimulatorOptions(world, Camera.parse(camera), shake=shake, base=base, variation=variation)
     options.check_world(world)
     options.check_robot(robot)
     if recordings is not None:
         options.make_folder(recordings, "--recordings")
     chain = _chain_flags(model, stride)
-    # Said here, in one line, before six processes start and one of them fails.
+    # Said here, in one line, before the processes start and one of them fails.
     Router(router).close()
     configure_logging("info")
     log = logging.getLogger("up")
     own = {
-        "simulator": flags(world=world, camera_width=size.width, camera_height=size.height),
+        "simulator": simulator.flags(),
         "recognition": chain,
         "policy": chain,
         "recorder": flags(recordings=recordings),

@@ -96,8 +96,9 @@ def _image_schema() -> bytes:
 def plain_json_schema(message: type[Message]) -> dict[str, Any]:
     """Return a message's JSON Schema in the plain form that viewers read.
 
-    Foxglove wants a ``type`` in every field and knows neither ``$ref`` nor ``anyOf``: references are written out, and
-    a field that may be null has the type of its other values.
+    Foxglove wants a ``type`` in every field and knows neither ``$ref`` nor ``anyOf`` nor ``prefixItems``: references
+    are written out, a field that may be null has the type of its other values, and the values of a tuple are of one
+    kind.
     """
     schema = message.model_json_schema()
     definitions = schema.pop("$defs", {})
@@ -112,6 +113,10 @@ def plain_json_schema(message: type[Message]) -> dict[str, Any]:
         if "anyOf" in node:
             (other,) = [option for option in node["anyOf"] if option.get("type") != "null"]
             node = other | {k: v for k, v in node.items() if k not in ("anyOf", "default")}
+        if "prefixItems" in node:
+            first, *others = node["prefixItems"]
+            assert all(other == first for other in others)  # noqa: S101 - of our own messages
+            node = {k: v for k, v in node.items() if k != "prefixItems"} | {"items": first}
         return {key: plain(value) for key, value in node.items()}
 
     return cast("dict[str, Any]", plain(schema))

@@ -7,10 +7,12 @@ import time
 from services.process import Node, ServiceError, configure_logging, read_settings, run_service
 from services.simulator.config import SimulatorSettings
 from services.simulator.episode import EpisodeRunner
+from services.simulator.opening import open_simulation
+from services.simulator.physics.engine import PhysicsUnavailableError
 from services.simulator.scene.vulkan import RenderingUnavailableError
 from services.simulator.service import SimulatorService
-from services.simulator.simulation import CameraSettings, Simulation
-from services.simulator.world import WorldError, load_world
+from services.simulator.simulation import CameraSettings
+from services.simulator.world import WorldError
 
 
 def serve() -> None:
@@ -18,17 +20,20 @@ def serve() -> None:
     settings = read_settings(SimulatorSettings, "simulator")
     configure_logging(settings.log_level)
     try:
-        world = load_world(settings.world)
         camera = CameraSettings(settings.camera_width, settings.camera_height, settings.shadows)
-        simulation = Simulation(world, camera)
-    except (WorldError, RenderingUnavailableError) as error:
+        simulation = open_simulation(
+            settings.world, camera, base=settings.base, shake=settings.shake, variation=settings.variation
+        )
+    except (WorldError, RenderingUnavailableError, PhysicsUnavailableError) as error:
         raise ServiceError(str(error)) from None
     # Episode ids stay unique when the simulator is restarted.
     session = f"{time.time_ns() // 1_000_000:x}"
     with Node("simulator", settings) as node:
         node.stop_on_signals()
-        SimulatorService(EpisodeRunner(simulation, settings.robot, session), node)
-        node.log.info("world %s, camera %dx%d", world.name, settings.camera_width, settings.camera_height)
+        runner = EpisodeRunner(simulation, settings.robot, session, wanted=node.bus.has_listeners)
+        SimulatorService(runner, node)
+        size = f"{settings.camera_width}x{settings.camera_height}"
+        node.log.info("world %s (%s), camera %s, %s base", simulation.name, settings.variation, size, settings.base)
         node.spin()
 
 

@@ -4,19 +4,35 @@ from __future__ import annotations
 
 from typing import Annotated
 
-from pydantic import Field
+from pydantic import Field, field_validator
 
 from services.settings import ServiceSettings
+from services.simulator.opening import BaseKind
+from services.simulator.variation import VARIATIONS
 
 
 class SimulatorSettings(ServiceSettings):
     """The world and the camera."""
 
     world: str = "campus"
-    """Name of a world in deploy/worlds, or the path of an OpenStreetMap file."""
+    """Name of a world in deploy/worlds, or the path of an OpenStreetMap or world file."""
     camera_width: Annotated[int, Field(ge=32, le=4096)] = 1024
     """Columns of the camera image."""
     camera_height: Annotated[int, Field(ge=24, le=3072)] = 768
     """Rows of the camera image."""
     shadows: bool = True
     """Whether the sun casts shadows; without them rendering is faster."""
+    shake: Annotated[float, Field(ge=0, le=10, allow_inf_nan=False)] | None = None
+    """How much the camera shakes while the robot drives: 0 not at all, 1 as on a floor that is not quite even; as is
+    usual in the world if not given."""
+    base: BaseKind = "physics"
+    """How the robot moves: by driven wheels with mass and friction, or along exact arcs (kinematic)."""
+    variation: str = "day"
+    """Conditions other than those of a fair day, for example evening, haze or moved; `smal up --help` lists them."""
+
+    @field_validator("variation")
+    @classmethod
+    def _known(cls, name: str) -> str:
+        if name not in VARIATIONS:
+            raise ValueError(f"unknown variation {name!r}; known are {', '.join(VARIATIONS)}")
+        return name

@@ -21,9 +21,13 @@ from schemas.episode import Episode, EventName, Outcome, Purpose
 from schemas.image import Image
 from schemas.pose import Pose
 from schemas.rpc import ResetReply, ResetRequest
+from schemas.topics import DEPTH, OVERHEAD, Topic
 from services.jpeg import encode_jpeg
 from services.simulator.drive import TICK_S
 from services.simulator.gate import Applied, CommandGate
+from services.simulator.sensors import ImuReading, OdometryReading
+from services.simulator.sensors.messages import depth_message, imu_message, odometry_message, overhead_message
+from services.simulator.world.place import OverheadMount
 from services.simulator.world.place import Pose as PlanarPose
 
 #: Real time: length of one step of the physics, seconds.
@@ -59,6 +63,22 @@ class World(Protocol):
 
     def render(self) -> NDArray[np.uint8]:
         """Return the camera image, (height, width, 3)."""
+
+    def depth_m(self) -> NDArray[np.float32]:
+        """Return the distance of each pixel along the camera's axis, (height, width) metres or `inf`."""
+
+    @property
+    def overhead_mount(self) -> OverheadMount | None:
+        """How the camera above the scene hangs, if there is one."""
+
+    def overhead(self) -> NDArray[np.uint8]:
+        """Return its image, (height, width, 3)."""
+
+    def odometry(self) -> OdometryReading:
+        """Return where the wheels say that the robot is; asked once a frame."""
+
+    def imu(self) -> tuple[ImuReading, ...]:
+        """Return the inertial readings since this was last asked."""
 
     def victim_found(self) -> bool:
         """Whether the victim is near and in view."""
@@ -115,6 +135,8 @@ class EpisodeRunner:
         Distinguishes this process's episodes from an earlier one's.
     clock, wall_clock_ns
         Monotonic seconds, and nanoseconds since 1970.
+    wanted
+        Whether anybody listens to a topic; asked at every frame for those whose messages are costly.
     """
 
     def __init__(
@@ -124,10 +146,12 @@ class EpisodeRunner:
         session: str,
         clock: Callable[[], float] = time.monotonic,
         wall_clock_ns: Callable[[], int] = time.time_ns,
+        wanted: Callable[[Topic], bool] = lambda _topic: False,
     ) -> None:
         self._world = world
         self._clock = clock
         self._wall_clock_ns = wall_clock_ns
+        self._wanted = wanted
         self._robot = robot
         self._session = session
         self._count = 0
@@ -260,16 +284,20 @@ class EpisodeRunner:
         self.gate.captured(run.tick, captured_s)
         elapsed_s = captured_s if run.request.mode == "lockstep" else captured_s - run.begun_s
         run.stamp_ns = run.begun_ns + round(elapsed_s * 1e9)
+        header = self._header(run)
         image = self._world.render()
         height, width, _ = image.shape
+        # The colour image comes last: it is what the driver waits for.
+        run.frame = (
+            Pose.after(header, x_m=pose.x, y_m=pose.y, heading_rad=pose.heading),
+            *self._wanted_images(header),
+            Image.after(header, width=width, height=height, data=image.tobytes()),
+        )
         run.sent_s = self._clock()
         run.ready_s = {tick: at for tick, at in run.ready_s.items() if tick > run.tick - READY_KEPT}
         run.ready_s[run.tick] = run.sent_s
-        header = self._header(run)
-        run.frame = (
-            Pose.after(header, x_m=pose.x, y_m=pose.y, heading_rad=pose.heading),
-            Image.after(header, width=width, height=height, data=image.tobytes()),
-        )
+        yield odometry_message(header, self._world.odometry())
+        yield imu_message(header, self._world.imu())
         yield from run.frame
         # After the raw image, so that its features are worked on meanwhile.
         yield CompressedImage.after(header, width=width, height=height, data=encode_jpeg(image))
@@ -277,6 +305,14 @@ class EpisodeRunner:
         if run.in_view and not run.found:
             run.found = True
             yield self._event("victim_found")
+
+    def _wanted_images(self, header: Message) -> Iterator[Message]:
+        """Make the images that cost time and are seldom listened to."""
+        if self._wanted(DEPTH):
+            yield depth_message(header, self._world.depth_m())
+        mount = self._world.overhead_mount
+        if mount is not None and self._wanted(OVERHEAD):
+            yield overhead_message(header, self._world.overhead(), mount)
 
     def _apply(self, run: _Running, applied: Applied) -> CommandApplied:
         """Make the record of what moves the robot; remembers it, to say so again only when it changes."""

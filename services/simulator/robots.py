@@ -85,6 +85,11 @@ class RobotModel:
     mass_kg: float
     tag: Tag | None = None
 
+    @property
+    def top_m(self) -> float:
+        """Height of the highest point: of the body, or of the camera's mast."""
+        return max(self.height_m, self.camera.height_m)
+
 
 #: The two-wheel robot of the paper's campus.
 RESCUEBOT: Final = RobotModel(

@@ -9,6 +9,10 @@ from typing import TYPE_CHECKING, Final, Protocol
 import numpy as np
 
 from services.simulator.base import STEP_S, Base, KinematicBase
+from services.simulator.scene.atmosphere import exposed, hazy
+from services.simulator.sensors import ImuReading, OdometryReading, Sensors, ShakeSettings, Tilt
+from services.simulator.sensors.blur import blur
+from services.simulator.variation import DAY, Daylight, Variation
 from services.simulator.world.route import plan_route
 from services.simulator.world.starts import sample_start
 
@@ -17,16 +21,18 @@ if TYPE_CHECKING:
 
     from schemas.base import Atom
     from schemas.episode import Purpose
-    from services.simulator.world.place import Pose, World
+    from services.simulator.world.place import OverheadMount, Pose, World
 
 #: Fraction of the image that the victim must fill to be seen.
 VISIBLE_FRACTION: Final = 0.0005
 _PURPOSE_NUMBER: Final[dict[Purpose, int]] = {"drive": 0, "run": 1, "recovery": 2}
+# Sources of chance in an episode: start, wheels, odometry, inertial unit, shake. Their order is part of every seed.
+_STREAMS: Final = 5
 
 
 @dataclass(frozen=True)
 class CameraSettings:
-    """The robot's camera: image size in pixels, shadows of the sun, and how wide it sees.
+    """The robot's camera: image size in pixels, shadows of the sun, how wide it sees, and in what light.
 
     Attributes
     ----------
@@ -39,16 +45,27 @@ class CameraSettings:
     shadows: bool = True
     field_of_view_deg: float = 75.0
     supersample: int = 1
+    light: Daylight = DAY.light
 
 
 class Camera(Protocol):
-    """The robot's eye; `rendering.SceneCamera` is the real one."""
+    """The robot's eye, and the one above it; `rendering.SceneCamera` is the real one."""
 
-    def render(self, pose: Pose) -> NDArray[np.uint8]:
-        """Return the image seen from `pose`."""
+    @property
+    def focal_px(self) -> float:
+        """Focal length of the robot's eye in pixels."""
 
-    def victim_pixels(self, pose: Pose) -> float:
+    def render(self, pose: Pose, tilt: Tilt) -> NDArray[np.uint8]:
+        """Return the image seen from `pose` by a camera that is tilted there."""
+
+    def depth_m(self, pose: Pose, tilt: Tilt) -> NDArray[np.float32]:
+        """Return how far along the optical axis each pixel's surface is, (height, width) metres or `inf`."""
+
+    def victim_pixels(self, pose: Pose, tilt: Tilt) -> float:
         """Return the fraction of the image, 0 to 1, that the victim fills, seen from `pose`."""
+
+    def overhead(self, pose: Pose) -> NDArray[np.uint8]:
+        """Return what the camera above the scene, if there is one, sees of a robot at `pose`."""
 
 
 class Simulation:
@@ -62,6 +79,10 @@ class Simulation:
         What it sees with: settings of the rendered camera, or any other `Camera`.
     base
         What it drives with; without one a `KinematicBase`.
+    shake
+        How much the camera shakes; without it as much as is usual in that place.
+    variation
+        Haze and exposure; the rest of it is in the world (see `vary`) and in the camera's light.
 
     Raises
     ------
@@ -69,14 +90,24 @@ class Simulation:
         `camera` is settings, and this machine cannot render.
     """
 
-    def __init__(self, world: World, camera: Camera | CameraSettings, base: Base | None = None) -> None:
+    def __init__(
+        self,
+        world: World,
+        camera: Camera | CameraSettings,
+        base: Base | None = None,
+        *,
+        shake: ShakeSettings | None = None,
+        variation: Variation = DAY,
+    ) -> None:
         self.world = world
         self._camera = _open(world, camera) if isinstance(camera, CameraSettings) else camera
         self._base = base or KinematicBase(world.place)
+        self._variation = variation
+        self._sensors = Sensors(world.robot.drive, shake or ShakeSettings(world.place.shake))
         self.reset(0, "drive")
 
     def reset(self, seed: int, purpose: Purpose) -> Pose:
-        """Begin an episode; the same seed and purpose give the same start and the same wheel errors.
+        """Begin an episode; the same seed and purpose give the same start, wheel errors, sensor noise and shake.
 
         Parameters
         ----------
@@ -89,11 +120,12 @@ class Simulation:
         -------
         The start pose.
         """
-        start_rng, wheel_rng = (
-            np.random.default_rng([seed, _PURPOSE_NUMBER[purpose], stream]) for stream in range(2)
-        )  # fmt: skip
+        start_rng, wheel_rng, odometry_rng, imu_rng, shake_rng = (
+            np.random.default_rng([seed, _PURPOSE_NUMBER[purpose], stream]) for stream in range(_STREAMS)
+        )
         self._pose = self._start = sample_start(self.world, start_rng, purpose)
         self._base.put(self._start, wheel_rng)
+        self._sensors.begin(self._start, odometry_rng, imu_rng, shake_rng)
         self._collided = False
         return self._pose
 
@@ -139,16 +171,49 @@ class Simulation:
             motion = self._base.step(atom, speed, duration_s / steps)
             self._pose = motion.pose
             self._collided |= motion.collided
+            if duration_s > 0:
+                self._sensors.feel(motion, duration_s / steps)
 
     def render(self) -> NDArray[np.uint8]:
-        """Return what the camera sees now, (height, width, 3) uint8 RGB."""
-        return self._camera.render(self._pose)
+        """Return what the camera sees now, (height, width, 3) uint8 RGB, blurred as far as it shakes."""
+        image = self._camera.render(self._pose, self._sensors.tilt)
+        if self._variation.visibility_m is not None:
+            image = hazy(image, self.depth_m(), self._variation.visibility_m, self._variation.light.horizon)
+        image = blur(image, self._sensors.tilt_rate, self._sensors.shake.exposure_s, self._camera.focal_px)
+        return exposed(image, self._variation.exposure_ev) if self._variation.exposure_ev else image
+
+    def depth_m(self) -> NDArray[np.float32]:
+        """Return how far along the camera's axis each pixel of its image is, (height, width) metres or `inf`."""
+        return self._camera.depth_m(self._pose, self._sensors.tilt)
+
+    @property
+    def overhead_mount(self) -> OverheadMount | None:
+        """How the camera above the scene hangs, if there is one."""
+        return self.world.place.overhead
+
+    def overhead(self) -> NDArray[np.uint8]:
+        """Return what the camera above the scene sees now, (height, width, 3) uint8 RGB.
+
+        Raises
+        ------
+        LookupError
+            There is none, see `overhead_mount`.
+        """
+        return self._camera.overhead(self._pose)
+
+    def odometry(self) -> OdometryReading:
+        """Return where the wheels say that the robot is, and its mean speeds since this was last called."""
+        return self._sensors.odometry()
+
+    def imu(self) -> tuple[ImuReading, ...]:
+        """Return the inertial readings since this was last called, oldest first."""
+        return self._sensors.imu()
 
     def victim_found(self) -> bool:
         """Return whether the victim is near and in view now; the image is only searched when near."""
         away = math.hypot(self.world.victim.x - self._pose.x, self.world.victim.y - self._pose.y)
         near = away <= self.found_m
-        return near and self._camera.victim_pixels(self._pose) >= VISIBLE_FRACTION
+        return near and self._camera.victim_pixels(self._pose, self._sensors.tilt) >= VISIBLE_FRACTION
 
     def route(self) -> NDArray[np.float64]:
         """Return the way (k, 2), in metres, from this episode's start to the victim."""

@@ -13,6 +13,7 @@ from schemas import topics
 from schemas.base import Message, Strict
 from schemas.codec import decode, encode, encoding_of
 from schemas.command import Command
+from schemas.depth_image import DepthImage
 from schemas.image import Image
 from schemas.rpc import EndRequest, Failure, Nothing
 from schemas.state import State
@@ -228,6 +229,53 @@ def test_who_comes_late_has_replayed_what_was_sent_before(client: Bus, other: Bu
     client.publish(EXAMPLES[State].model_copy(update={"tick": 20}))
     eventually(lambda: ticks()[-1] == 20)
     assert plain.qsize() <= 21, "nobody else has anything sent twice"
+
+
+def test_whether_anybody_listens_is_known(client: Bus, router_endpoint: str) -> None:
+    assert not client.has_listeners(topics.DEPTH)
+    one, all_of_it = Bus("rescuebot", router_endpoint), Bus("rescuebot", router_endpoint)
+    samples = heard(one, topics.DEPTH)
+    eventually(lambda: client.has_listeners(topics.DEPTH))
+    assert not client.has_listeners(topics.OVERHEAD)
+    client.publish(EXAMPLES[DepthImage])
+    assert decode(DepthImage, *samples.get(timeout=5.0)) == EXAMPLES[DepthImage], "who is known to listen hears at once"
+    all_of_it.listen("smal/**", lambda *_: None)
+    eventually(lambda: client.has_listeners(topics.OVERHEAD))
+    all_of_it.close()
+    eventually(lambda: not client.has_listeners(topics.OVERHEAD))
+    assert client.has_listeners(topics.DEPTH)
+    one.close()
+    eventually(lambda: not client.has_listeners(topics.DEPTH))
+
+
+def test_another_robot_s_listener_does_not_count(client: Bus, router_endpoint: str) -> None:
+    stranger = Bus("stranger", router_endpoint)
+    try:
+        stranger.subscribe(topics.DEPTH, lambda *_: None)
+        stranger.subscribe(topics.OVERHEAD, lambda *_: None)
+        own = Bus("rescuebot", router_endpoint)
+        own.subscribe(topics.OVERHEAD, lambda *_: None)
+        eventually(lambda: client.has_listeners(topics.OVERHEAD))
+        assert not client.has_listeners(topics.DEPTH)
+        own.close()
+    finally:
+        stranger.close()
+
+
+def test_listeners_are_known_again_after_the_router_was_away(free_endpoint: str) -> None:
+    router = Router(free_endpoint)
+    sender, receiver = Bus("rescuebot", free_endpoint), Bus("rescuebot", free_endpoint)
+    try:
+        heard(receiver, topics.DEPTH)
+        eventually(lambda: sender.has_listeners(topics.DEPTH))
+        router.close()
+        eventually(lambda: not sender.has_listeners(topics.DEPTH))
+        router = Router(free_endpoint)
+        eventually(lambda: sender.has_listeners(topics.DEPTH))
+    finally:
+        sender.close()
+        receiver.close()
+        router.close()
 
 
 def test_no_router(free_endpoint: str) -> None:

@@ -1,4 +1,4 @@
-"""The victim and the robot as meshes about their own origin, x forward."""
+"""The victim outdoors and the robots as meshes about their own origin, x forward."""
 
 from __future__ import annotations
 
@@ -6,12 +6,16 @@ from typing import TYPE_CHECKING
 
 from shapely import box
 
+from services.simulator.robots import TURTLEBOT
 from services.simulator.scene.shapes import ball, band, flat, tube
+from services.simulator.scene.turtlebot import turtlebot
 
 if TYPE_CHECKING:
     from services.simulator.robots import RobotModel
     from services.simulator.scene.meshes import Mesh
     from services.simulator.scene.textures import Material
+
+Point = tuple[float, float, float]
 
 
 def victim() -> dict[Material, list[Mesh]]:
@@ -24,20 +28,25 @@ def victim() -> dict[Material, list[Mesh]]:
         ],
         "jacket": [
             ball((0.33, 0.0, 0.15), (0.38, 0.23, 0.15), 8),
-            *_limb((0.52, 0.2, 0.14), (0.7, 0.62, 0.09), 0.075),
-            *_limb((0.52, -0.2, 0.14), (0.0, -0.4, 0.09), 0.075),
+            *limb((0.52, 0.2, 0.14), (0.7, 0.62, 0.09), 0.075),
+            *limb((0.52, -0.2, 0.14), (0.0, -0.4, 0.09), 0.075),
         ],
         "trousers": [
             ball((0.0, 0.0, 0.14), (0.2, 0.2, 0.14), 8),
-            *_limb((-0.05, -0.1, 0.13), (-0.85, -0.16, 0.1), 0.095),
-            *_limb((-0.05, 0.1, 0.13), (-0.42, 0.22, 0.42), 0.095),
-            *_limb((-0.42, 0.22, 0.42), (-0.78, 0.24, 0.1), 0.08),
+            *limb((-0.05, -0.1, 0.13), (-0.85, -0.16, 0.1), 0.095),
+            *limb((-0.05, 0.1, 0.13), (-0.42, 0.22, 0.42), 0.095),
+            *limb((-0.42, 0.22, 0.42), (-0.78, 0.24, 0.1), 0.08),
         ],
         "tyre": [ball((-0.92, -0.16, 0.12), (0.09, 0.07, 0.13), 6), ball((-0.86, 0.24, 0.1), (0.13, 0.07, 0.09), 6)],
     }
 
 
 def robot(model: RobotModel) -> dict[Material, list[Mesh]]:
+    """Return a robot's body, without the marker that it may carry."""
+    return turtlebot(model) if model.name == TURTLEBOT.name else _rescuebot(model)
+
+
+def _rescuebot(model: RobotModel) -> dict[Material, list[Mesh]]:
     """Return the Rescuebot: a box between two wheels with a mast for the camera."""
     hull = box(-0.35, -0.22, 0.3, 0.22)
     mast = (0.25, 0.0)
@@ -49,6 +58,7 @@ def robot(model: RobotModel) -> dict[Material, list[Mesh]]:
     }  # fmt: skip
 
 
-def _limb(start: tuple[float, float, float], end: tuple[float, float, float], radius: float) -> list[Mesh]:
-    ends = [ball(point, (radius, radius, radius), 6) for point in (start, end)]
-    return [tube(start, end, (radius, radius)), *ends]
+def limb(start: Point, end: Point, radius_m: float) -> list[Mesh]:
+    """Return a limb with round ends."""
+    ends = [ball(point, (radius_m, radius_m, radius_m), 6) for point in (start, end)]
+    return [tube(start, end, (radius_m, radius_m)), *ends]

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from services.simulator.scene import outdoors
+from services.simulator.scene import indoors, outdoors
+from services.simulator.world.room import Room
 from services.simulator.world.terrain import Terrain
 
 if TYPE_CHECKING:
@@ -20,7 +21,7 @@ def build_scene(world: World, *, shadows: bool) -> Scene:
     world
         What to build.
     shadows
-        Whether buildings, barriers and trees darken the ground.
+        Whether what stands on the ground darkens it.
 
     Raises
     ------
@@ -30,5 +31,7 @@ def build_scene(world: World, *, shadows: bool) -> Scene:
     match world.place:
         case Terrain() as terrain:
             return outdoors.build(terrain, world.victim, shadows=shadows)
+        case Room() as room:
+            return indoors.build(room, world.victim, shadows=shadows)
         case other:
             raise TypeError(f"no scene is known for a {type(other).__name__}")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import zlib
-from dataclasses import astuple, dataclass
+from dataclasses import astuple, dataclass, replace
 from functools import lru_cache
 from typing import TYPE_CHECKING, Final
 
@@ -13,6 +13,8 @@ import numpy as np
 from services.simulator.scene.noise import as_picture, coloured, layered
 
 if TYPE_CHECKING:
+    from collections.abc import Iterable
+
     from numpy.typing import NDArray
 
     from services.simulator.world.place import Rgb
@@ -24,7 +26,14 @@ STOREYS: Final = 4
 BAY_M: Final = 3.2
 STOREY_M: Final = 3.0
 
+#: Most façades that are painted for one world; one takes 7 MB.
+MOST_LOOKS: Final = 64
+
 _CELL_PX: Final = 256
+# Step of colours, and number of variants (0: all), from the finest to the coarsest: 5 styles by 8 colours or none.
+_ROUNDINGS: Final = (
+    (1, 0), (16, 0), (32, 0), (64, 0), (64, 8), (64, 4), (128, 4), (128, 2), (128, 1),
+)  # fmt: skip
 _WALL_COLOURS: Final[dict[FacadeStyle, tuple[Rgb, ...]]] = {
     "brick": ((150, 78, 60), (122, 60, 50), (168, 104, 76), (136, 92, 78)),
     "plaster": ((224, 214, 190), (206, 176, 140), (186, 192, 176), (214, 190, 178)),
@@ -44,6 +53,38 @@ class _Plan:
     height: float
     panes: tuple[int, int]
     surround: bool
+
+
+def alike(facades: Iterable[Facade], most: int = MOST_LOOKS) -> dict[Facade, Facade]:
+    """Return for each façade the one that is painted for it, at most `most` different ones.
+
+    Few enough façades stay as they are. Of more, colours and then variants are rounded, in coarser and coarser steps,
+    since every picture takes memory: those that become equal are the ones that look most alike.
+    """
+    wanted = dict.fromkeys(facades)
+    for colours, variants in _ROUNDINGS:
+        found = {facade: _rounded(facade, colours, variants) for facade in wanted}
+        if len(set(found.values())) <= most:
+            return found
+    raise AssertionError("the coarsest rounding leaves fewer looks than any limit in use")
+
+
+def _rounded(facade: Facade, colours: int, variants: int) -> Facade:
+    """Round a colour to the middle of a step of `colours` levels; 0 variants leave them."""
+    colour = facade.colour and in_steps(facade.colour, colours)
+    return replace(facade, colour=colour, variant=facade.variant % variants if variants else facade.variant)
+
+
+def in_steps(colour: Rgb, step: int) -> Rgb:
+    """Return a colour with each of its levels moved to the middle of the step that it lies in."""
+    red, green, blue = (level // step * step + step // 2 for level in colour)
+    return red, green, blue
+
+
+def paint_bare(facade: Facade) -> NDArray[np.uint8]:
+    """Paint the wall of a façade without windows, (256, 1024, 3) uint8 RGB: for gables and low bands."""
+    rng = np.random.default_rng(zlib.crc32(repr(astuple(facade)).encode()))
+    return _wall(facade.style, _plan(facade, rng).wall, 1, rng)
 
 
 def paint_facade(facade: Facade) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:

@@ -1,22 +1,29 @@
 """The ground: streets with kerbs, sidewalks and markings, paths, lawns, and the shade that lies on them.
 
-All layers are cut out of each other and lie in one plane, so that nothing flickers in the distance.
+All layers are cut out of each other and lie in one plane, so that nothing flickers in the distance. Only the markings,
+which are many and small, lie on top: thicker than paint, so that the camera's depth tells them from the street.
 """
 
 from __future__ import annotations
 
+import itertools
+import math
+from collections import defaultdict
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
 import shapely
-from shapely import Polygon, affinity
+from shapely import MultiPolygon, Polygon, affinity
 from shapely.ops import substring
 
+from services.simulator.scene.culling import CELL_M
 from services.simulator.scene.meshes import Mesh, merge
 from services.simulator.scene.shapes import UP, flat
 from services.simulator.world.terrain import AreaKind, Road, Terrain
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
+
     from numpy.typing import NDArray
     from shapely.geometry.base import BaseGeometry
 
@@ -27,6 +34,12 @@ _SIDEWALK_M: Final = 2.0
 _BEYOND_M: Final = 250.0
 _DASH_M: Final = (2.0, 3.0)
 _MARKING_M: Final = 0.12
+_JOIN_M: Final = 1.0
+_PAINT_M: Final = 0.01
+# Segments of a quarter of a circle: a street's corner of 4 m then misses the arc by 8 cm at most.
+_ROUND: Final = 4
+# How far the edge of a shade may be from where it belongs; fewer corners draw faster.
+_SHADE_M: Final = 0.1
 _TEXTURE_M: Final = 4.0
 _AREA_MATERIAL: Final[dict[AreaKind, Material]] = {"water": "water", "paved": "paved", "grass": "lawn"}
 
@@ -42,49 +55,96 @@ def ground(terrain: Terrain, shade: BaseGeometry) -> dict[Material, Mesh]:
         Where no sun comes, as an area; empty for a world without shadows. Those parts get a normal that points away
         from the sun, so that shade costs nothing while rendering.
     """
-    meshes: dict[Material, Mesh] = {}
-    for material, layer in _layers(terrain).items():
-        sunny, shady = layer.difference(shade), layer.intersection(shade)
-        parts = [flat(part, 0.0, _TEXTURE_M) for part in _polygons(sunny)]
-        parts += [flat(part, 0.0, _TEXTURE_M, -UP) for part in _polygons(shady)]
-        if parts:
-            meshes[material] = merge(parts)
-    return meshes
+    claims = _claims(terrain)
+    shapely.prepare([claim for _, claim in claims])
+    shapely.prepare(shade)
+    parts: dict[Material, list[Mesh]] = defaultdict(list)
+    for tile in tiles(shapely.box(*terrain.bounds).buffer(_BEYOND_M, join_style="mitre").bounds):
+        for material, layer in _layers(claims, tile).items():
+            sunny, shady = layer.difference(shade), layer.intersection(shade)
+            parts[material] += _areas(sunny, shady, 0.0)
+    marks = shapely.union_all(_dashes([road for road in terrain.roads if road.kind == "street"]))
+    parts["marking"] += _areas(marks.difference(shade), marks.intersection(shade), _PAINT_M)
+    return {material: merge(meshes) for material, meshes in parts.items() if meshes}
 
 
-def _layers(terrain: Terrain) -> dict[Material, BaseGeometry]:
-    """Return what each material covers, without overlaps; the first to claim a place keeps it."""
+def _areas(sunny: BaseGeometry, shady: BaseGeometry, z: float) -> list[Mesh]:
+    parts = [flat(part, z, _TEXTURE_M) for part in _polygons(sunny)]
+    return parts + [flat(part, z, _TEXTURE_M, -UP) for part in _polygons(shady)]
+
+
+def tiles(bounds: tuple[float, float, float, float]) -> list[Polygon]:
+    """Return squares along the lines of a grid of `CELL_M` that cover bounds, the outer ones cut to fit."""
+    x_min, y_min, x_max, y_max = bounds
+    columns, rows = _cuts(x_min, x_max), _cuts(y_min, y_max)
+    return [shapely.box(*low, *high) for low, high in _corners(columns, rows)]
+
+
+def _cuts(low: float, high: float) -> NDArray[np.float64]:
+    inner = CELL_M * np.arange(math.floor(low / CELL_M) + 1, math.ceil(high / CELL_M))
+    return np.concatenate([[low], inner, [high]])
+
+
+def _corners(
+    columns: NDArray[np.float64], rows: NDArray[np.float64]
+) -> Iterator[tuple[tuple[float, float], tuple[float, float]]]:
+    for left, right in itertools.pairwise(columns):
+        for bottom, top in itertools.pairwise(rows):
+            yield (float(left), float(bottom)), (float(right), float(top))
+
+
+def _claims(terrain: Terrain) -> list[tuple[Material, BaseGeometry]]:
+    """Return what each material covers, with overlaps; the first to claim a place keeps it, grass takes the rest."""
     streets = [road for road in terrain.roads if road.kind == "street"]
-    asphalt = shapely.union_all([road.line.buffer(road.width_m / 2) for road in streets])
-    marked = [road.line.buffer(road.width_m / 2 + _SIDEWALK_M) for road in streets if road.sidewalks]
+    paths = [road for road in terrain.roads if road.kind == "path"]
+    asphalt = shapely.union_all([_widened(road) for road in streets])
     claims: list[tuple[Material, BaseGeometry]] = [
-        ("marking", shapely.union_all([dash for road in streets if road.marked for dash in _dashes(road, streets)])),
         ("asphalt", asphalt),
-        ("kerb", asphalt.buffer(_KERB_M)),
-        ("sidewalk", shapely.union_all(marked)),
-        ("path", shapely.union_all([r.line.buffer(r.width_m / 2) for r in terrain.roads if r.kind == "path"])),
+        ("kerb", asphalt.buffer(_KERB_M, quad_segs=_ROUND)),
+        ("sidewalk", shapely.union_all([_widened(road, _SIDEWALK_M) for road in streets if road.sidewalks])),
+        ("path", shapely.union_all([_widened(road) for road in paths])),
     ]
     for kind, material in _AREA_MATERIAL.items():
         claims.append((material, shapely.union_all([area.polygon for area in terrain.areas if area.kind == kind])))
     frame = shapely.box(*terrain.bounds)
-    claims.append(("grass", frame.buffer(_BEYOND_M)))
+    return [(material, claim.intersection(frame)) for material, claim in claims]
+
+
+def _layers(claims: list[tuple[Material, BaseGeometry]], tile: Polygon) -> dict[Material, BaseGeometry]:
+    """Return what each material covers of a tile, without overlaps and without a gap."""
     layers: dict[Material, BaseGeometry] = {}
-    taken: BaseGeometry = Polygon()
+    left: BaseGeometry = tile
     for material, claim in claims:
-        inside = claim if material == "grass" else claim.intersection(frame)
-        layers[material] = inside.difference(taken)
-        taken = taken.union(inside)
-    return layers
+        if not claim.intersects(tile):
+            continue
+        # Where a claim only touches what is left, the intersection has lines and points as well.
+        layers[material] = MultiPolygon(_polygons(left.intersection(claim)))
+        left = left.difference(claim)
+    return layers | {"grass": left}
 
 
-def _dashes(road: Road, streets: list[Road]) -> list[Polygon]:
-    """Return the dashes along the middle of a road, except where another road joins."""
-    others = [other.line.buffer(other.width_m / 2 + 1.0) for other in streets if other is not road]
-    crossings = shapely.union_all([other for other in others if other.intersects(road.line)])
+def _widened(road: Road, more_m: float = 0.0) -> Polygon:
+    return road.line.buffer(road.width_m / 2 + more_m, quad_segs=_ROUND)
+
+
+def _dashes(streets: list[Road]) -> list[Polygon]:
+    """Return the dashes along the middles of marked roads, except where another road joins."""
+    joins = np.array([_widened(road, _JOIN_M) for road in streets], dtype=object)
+    tree = shapely.STRtree(joins)
+    dashes: list[Polygon] = []
+    for number, road in enumerate(streets):
+        if road.marked:
+            near = tree.query(road.line, predicate="intersects")
+            dashes += _dashes_of(road, shapely.union_all(joins[near[near != number]]))
+    return dashes
+
+
+def _dashes_of(road: Road, crossings: BaseGeometry) -> list[Polygon]:
     dash, gap = _DASH_M
     starts = np.arange(gap, road.line.length - dash, dash + gap)
     lines = [substring(road.line, start, start + dash) for start in starts]
-    return [line.buffer(_MARKING_M / 2, cap_style="flat") for line in lines if not line.intersects(crossings)]
+    shapely.prepare(crossings)
+    return [line.buffer(_MARKING_M / 2, cap_style="flat") for line in lines if not crossings.intersects(line)]
 
 
 def cast_shade(
@@ -102,19 +162,34 @@ def cast_shade(
         Of each tree crown the outline from above, and the heights of its lower and upper end in metres.
     """
     step = np.array(sun[:2]) / -sun[2]
-    solids = [(building.footprint, 0.0, building.height_m) for building in terrain.buildings]
-    solids += [(barrier.line.buffer(0.15), 0.0, barrier.height_m) for barrier in terrain.barriers]
-    return shapely.union_all([_swept(outline, step * low, step * high) for outline, low, high in [*solids, *crowns]])
+    solids = [
+        (house.footprint, house.min_height_m, house.height_m + house.roof_height_m / 2) for house in terrain.buildings
+    ]
+    solids += [(barrier.line.buffer(0.15, cap_style="flat"), 0.0, barrier.height_m) for barrier in terrain.barriers]
+    swept = [_swept(outline, step * low, step * high) for outline, low, high in solids]
+    # A crown is convex, and so is what it sweeps.
+    swept += [_ends(outline, step * low, step * high).convex_hull for outline, low, high in crowns]
+    return shapely.union_all(swept).simplify(_SHADE_M)
 
 
 def _swept(polygon: Polygon, begin: NDArray[np.float64], end: NDArray[np.float64]) -> BaseGeometry:
     """Return what a polygon covers while it is pushed from one displacement (2,) to another."""
-    ring = shapely.get_coordinates(polygon.exterior)
+    ring = shapely.get_coordinates(polygon)
     edges = np.stack([ring[:-1] + begin, ring[1:] + begin, ring[1:] + end, ring[:-1] + end], axis=1)
+    # Rings follow each other: what joins the end of one to the beginning of the next is no edge.
+    sides = np.asarray(shapely.polygons(edges[_within_a_ring(polygon, len(ring))]))
     # An edge along the push sweeps no area; its flat quadrilateral would be invalid.
-    sides = [side for side in map(Polygon, edges) if side.is_valid]
-    ends = [affinity.translate(polygon, *shift) for shift in (begin, end)]
-    return shapely.union_all([*sides, *ends])
+    return shapely.union_all([*sides[shapely.is_valid(sides)], _ends(polygon, begin, end)])
+
+
+def _within_a_ring(polygon: Polygon, points: int) -> NDArray[np.bool_]:
+    """Return of each pair of points that follow each other whether both are of the same ring, (points - 1,)."""
+    _, ring = shapely.get_coordinates(shapely.get_rings(polygon), return_index=True)
+    return np.asarray(ring[1:points] == ring[: points - 1], dtype=np.bool_)
+
+
+def _ends(polygon: Polygon, begin: NDArray[np.float64], end: NDArray[np.float64]) -> BaseGeometry:
+    return shapely.union_all([affinity.translate(polygon, *shift) for shift in (begin, end)])
 
 
 def _polygons(geometry: BaseGeometry) -> list[Polygon]:

@@ -86,4 +86,8 @@ def grid(vertices: NDArray[np.float64], normals: NDArray[np.float64], uvs: NDArr
     triangles = np.concatenate(
         [np.stack([a, b, c], axis=-1).reshape(-1, 3), np.stack([a, c, d], axis=-1).reshape(-1, 3)]
     )
-    return make(vertices.reshape(-1, 3), normals.reshape(-1, 3), uvs.reshape(-1, 2), triangles)
+    points = vertices.reshape(-1, 3)
+    # At a pole, where all points of a row are one, half of the triangles have no area.
+    a_b_c = points[triangles]
+    solid = np.linalg.norm(np.cross(a_b_c[:, 1] - a_b_c[:, 0], a_b_c[:, 2] - a_b_c[:, 0]), axis=1) > 1e-12
+    return make(points, normals.reshape(-1, 3), uvs.reshape(-1, 2), triangles[solid])

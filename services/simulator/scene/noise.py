@@ -52,6 +52,12 @@ def coloured(colour: ArrayLike, shade: NDArray[np.float64]) -> NDArray[np.uint8]
     return as_picture(np.asarray(colour, dtype=np.float64) * shade[..., None])
 
 
+def tinted(picture: NDArray[np.uint8], colour: ArrayLike) -> NDArray[np.uint8]:
+    """Return a picture (h, w, 3) in another colour: its mean becomes that RGB colour, its light and shade stay."""
+    grey = picture.astype(np.float64).mean(axis=2)
+    return coloured(colour, grey / max(float(grey.mean()), 1.0))
+
+
 def as_picture(values: NDArray[np.float64]) -> NDArray[np.uint8]:
     """Return values as a picture, cut to 0 to 255."""
     return np.clip(values, 0, 255).astype(np.uint8)

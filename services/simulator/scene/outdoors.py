@@ -9,16 +9,21 @@ import numpy as np
 from shapely import Polygon
 
 from services.simulator.scene import bodies
-from services.simulator.scene.facades import paint_facade
+from services.simulator.scene.facades import paint_bare, paint_facade
 from services.simulator.scene.ground import cast_shade, ground
-from services.simulator.scene.meshes import Mesh, make
+from services.simulator.scene.meshes import Mesh, make, merge
+from services.simulator.scene.noise import tinted
 from services.simulator.scene.plants import crowns, trees
+from services.simulator.scene.roofs import Cover, roofs
 from services.simulator.scene.shapes import ball
 from services.simulator.scene.sky import BOTTOM_DEG, TOP_DEG, paint_sky
-from services.simulator.scene.structures import barriers, clad, roofs
+from services.simulator.scene.structures import barriers, clad, undersides
 from services.simulator.scene.surfaces import Lights, Scene, Surface, painted
+from services.simulator.scene.textures import paint
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator, Mapping
+
     from services.simulator.scene.textures import Material
     from services.simulator.world.place import Pose
     from services.simulator.world.terrain import Terrain
@@ -34,30 +39,40 @@ _SKY_SEED: Final = 7
 def build(terrain: Terrain, victim: Pose, *, shadows: bool) -> Scene:
     """Make the meshes and pictures of a terrain with a victim lying in it."""
     shade = cast_shade(terrain, SUN, crowns(terrain.trees)) if shadows else Polygon()
+    covers, gables = roofs(terrain.buildings)
+    covers[Cover("trim")] += undersides(terrain.buildings)
     pieces: dict[Material, list[Mesh]] = defaultdict(list)
-    for part in (roofs(terrain.buildings), barriers(terrain.barriers), trees(terrain.trees)):
+    for part in (barriers(terrain.barriers), trees(terrain.trees)):
         for material, meshes in part.items():
             pieces[material] += meshes
-    for material, mesh in ground(terrain, shade).items():
-        pieces[material].append(mesh)
+    lower: dict[Material, list[Mesh]] = {material: [mesh] for material, mesh in ground(terrain, shade).items()}
     lying = {material: [mesh.placed(victim) for mesh in meshes] for material, meshes in bodies.victim().items()}
+    # What is drawn first hides what comes later: the ground is last, since it lies behind everything.
     return Scene(
         lights=_LIGHTS,
-        still=(*_facades(terrain), *painted(pieces)),
+        still=(*_facades(terrain, gables), *_covers(covers), *painted(pieces), *painted(lower)),
         victim=painted(lying),
         robot=painted(bodies.robot(terrain.robot)),
         sky=_sky(),
     )
 
 
-def _facades(terrain: Terrain) -> list[Surface]:
-    surfaces = []
-    for facade, walls in clad(terrain.buildings).items():
+def _facades(terrain: Terrain, gables: Mapping[int, Mesh]) -> Iterator[Surface]:
+    for facade, walls in clad(terrain.buildings, gables).items():
         upper, ground_floor = paint_facade(facade)
-        surfaces.append(Surface(walls.ground, ground_floor))
         if walls.upper is not None:
-            surfaces.append(Surface(walls.upper, upper))
-    return surfaces
+            yield Surface(walls.upper, upper)
+        if walls.ground is not None:
+            yield Surface(walls.ground, ground_floor)
+        if walls.bare is not None:
+            yield Surface(walls.bare, paint_bare(facade))
+
+
+def _covers(covers: Mapping[Cover, list[Mesh]]) -> Iterator[Surface]:
+    for (material, colour), meshes in covers.items():
+        if meshes:
+            picture = paint(material)
+            yield Surface(merge(meshes), picture if colour is None else tinted(picture, colour))
 
 
 def _sky() -> Surface:

@@ -25,8 +25,9 @@ _CROWN: Final[dict[TreeKind, tuple[float, float]]] = {
     "tall": (0.2, 0.22),
     "conifer": (0.22, 0.12),
 }
-_DETAIL: Final = 6
-_SMALL_DETAIL: Final = 4
+# Leaves hide how few faces a crown has; a town has thousands of trees.
+_DETAIL: Final = 5
+_SMALL_DETAIL: Final = 3
 _TIERS: Final = 4
 
 
@@ -36,7 +37,7 @@ def trees(items: Iterable[Tree]) -> dict[Material, list[Mesh]]:
     for tree in items:
         rng = np.random.default_rng(zlib.crc32(f"{tree.x:.1f} {tree.y:.1f}".encode()))
         base, neck = (tree.x, tree.y, 0.0), (tree.x, tree.y, tree.height_m * 0.6)
-        meshes["bark"].append(tube(base, neck, (tree.trunk_radius_m, tree.trunk_radius_m * 0.6)))
+        meshes["bark"].append(tube(base, neck, (tree.trunk_radius_m, tree.trunk_radius_m * 0.6), 6))
         if tree.kind == "conifer":
             meshes["needles"] += _tiers(tree)
         else:
@@ -88,7 +89,7 @@ def _tiers(tree: Tree) -> list[Mesh]:
             (tree.x, tree.y, low + rise * step / _TIERS * 0.8),
             (tree.x, tree.y, low + rise * min(1.0, (step + 1.6) / _TIERS)),
             (radius * (1 - 0.8 * step / _TIERS), 0.0),
-            12,
+            10,
         )
         for step in range(_TIERS)
     ]

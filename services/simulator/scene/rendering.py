@@ -1,9 +1,10 @@
-"""The robot's camera, rendered by SAPIEN: the only file that imports the renderer."""
+"""The robot's camera and the one above it, rendered by SAPIEN: the only file that imports the renderer."""
 
 from __future__ import annotations
 
 import math
 from functools import lru_cache
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 import cv2
@@ -11,19 +12,32 @@ import numpy as np
 
 from services.simulator.scene import vulkan
 from services.simulator.scene.build import build_scene
+from services.simulator.scene.culling import in_cells
+from services.simulator.sensors.shake import LEVEL, Tilt
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Iterable, Sequence
 
     from numpy.typing import NDArray
 
-    from services.simulator.scene.surfaces import Scene, Surface
+    from services.simulator.scene.surfaces import Lights, Scene, Surface, Vector
     from services.simulator.simulation import CameraSettings
-    from services.simulator.world.place import Pose, World
+    from services.simulator.world.place import OverheadMount, Pose, World
 
 _NEAR_M: Final = 0.1
 _FAR_M: Final = 2000.0
 _MOST_PICTURES: Final = 2048
+# Pixels rendered per pixel of the overhead image along each axis: a marker's edges must be smooth to be found.
+_OVERHEAD_SUPERSAMPLE: Final = 2
+_SHADER: Final = Path(__file__).parent / "shader"
+_LIGHTS: Final = 3
+#: What a pixel shows, told by the picture's alpha, 0 to 255; our shader takes it from the material. Colours are blended
+#: by it with what was drawn there before, so all are near 255, and the victim and the robot are drawn first.
+NOTHING: Final = 0
+STILL: Final = 255
+SKY: Final = 254
+VICTIM: Final = 253
+ROBOT: Final = 252
 
 
 class SceneCamera:
@@ -46,6 +60,7 @@ class SceneCamera:
         self._sapien = _load_renderer()
         self._settings = settings
         self._mount = world.robot.camera
+        self._overhead = world.place.overhead
         scene = build_scene(world, shadows=settings.shadows)
         try:
             self._fill(scene, settings)
@@ -53,63 +68,150 @@ class SceneCamera:
             raise vulkan.RenderingUnavailableError(
                 f"the Vulkan driver cannot render ({error}); {vulkan.INSTALL}"
             ) from error
-        self._seen_from: Pose | None = None
+        self._seen_from: tuple[Pose, Tilt] | None = None
 
-    def render(self, pose: Pose) -> NDArray[np.uint8]:
-        """Return the image seen by a robot at `pose`, (height, width, 3) uint8 RGB."""
-        self._look_from(pose)
-        large = np.ascontiguousarray(self._camera.get_picture("Color")[..., :3])
-        if self._settings.supersample == 1:
-            return large
-        size = (self._settings.width, self._settings.height)
-        return np.asarray(cv2.resize(large, size, interpolation=cv2.INTER_AREA), dtype=np.uint8)
+    @property
+    def focal_px(self) -> float:
+        """Focal length in pixels of the image."""
+        return self._settings.width / 2 / math.tan(math.radians(self._settings.field_of_view_deg) / 2)
 
-    def victim_pixels(self, pose: Pose) -> float:
+    def render(self, pose: Pose, tilt: Tilt = LEVEL) -> NDArray[np.uint8]:
+        """Return the image seen by a robot at `pose` whose camera is tilted, (height, width, 3) uint8 RGB."""
+        self._look_from(pose, tilt)
+        return _colour(self._camera, self._settings.supersample)
+
+    def depth_m(self, pose: Pose, tilt: Tilt = LEVEL) -> NDArray[np.float32]:
+        """Return how far along the optical axis each pixel's surface is, metres; `inf` for the sky and for nothing.
+
+        Returns
+        -------
+        (height, width) float32, exact to a millimetre up to 40 m; with supersampling, of one of the rendered pixels
+        each.
+        """
+        every = self._settings.supersample
+        one = np.s_[every // 2 :: every, every // 2 :: every]
+        shown = self._labels(pose, tilt)[one]
+        # The depth buffer holds 0 at the near plane and 1 at the far one, and is linear in the inverse of the depth.
+        buffer = self._camera.get_picture("GbufferDepth")[one].astype(np.float64)
+        depth = _NEAR_M * _FAR_M / (_FAR_M - buffer * (_FAR_M - _NEAR_M))
+        return np.where((shown == NOTHING) | (shown == SKY), np.inf, depth).astype(np.float32)
+
+    def overhead(self, pose: Pose) -> NDArray[np.uint8]:
+        """Return what the camera above the scene sees of a robot at `pose`, (height, width, 3) uint8 RGB.
+
+        Raises
+        ------
+        LookupError
+            The place has no such camera.
+        """
+        if self._above is None:
+            raise LookupError("this place has no overhead camera")
+        every_cell = range(len(self._cells.surfaces))
+        if self._seen_from is None or pose != self._seen_from[0] or not set(every_cell) <= set(self._shown):
+            self._robot.set_pose(self._sapien.Pose((pose.x, pose.y, 0.0), _turn(pose.heading)))
+            self._show(every_cell)
+            self._scene.update_render()
+            # The scene is no longer the one in the robot's own picture.
+            self._seen_from = None
+        self._above.take_picture()
+        return _colour(self._above, _OVERHEAD_SUPERSAMPLE)
+
+    def victim_pixels(self, pose: Pose, tilt: Tilt = LEVEL) -> float:
         """Return the fraction of the image, 0 to 1, that the victim fills, seen by a robot at `pose`."""
-        self._look_from(pose)
-        number = self._camera.get_picture("PositionSegmentation")[..., 3]
-        return float(np.mean(number == self._victim.per_scene_id))
+        return float(np.mean(self._labels(pose, tilt) == VICTIM))
 
-    def _look_from(self, pose: Pose) -> None:
-        if pose == self._seen_from:
+    def _labels(self, pose: Pose, tilt: Tilt = LEVEL) -> NDArray[np.uint8]:
+        """Return what each rendered pixel shows: `NOTHING`, `SKY`, `STILL`, `VICTIM` or `ROBOT`."""
+        self._look_from(pose, tilt)
+        return np.asarray(self._camera.get_picture("Color")[..., 3])
+
+    def _look_from(self, pose: Pose, tilt: Tilt) -> None:
+        if (pose, tilt) == self._seen_from:
             return
         cos, sin = math.cos(pose.heading), math.sin(pose.heading)
         ahead_m = self._mount.ahead_m
         eye = (pose.x + ahead_m * cos, pose.y + ahead_m * sin, self._mount.height_m)
-        turn = (math.cos(pose.heading / 2), 0.0, 0.0, math.sin(pose.heading / 2))
-        self._mast.set_pose(self._sapien.Pose(eye, turn))
-        self._robot.set_pose(self._sapien.Pose((pose.x, pose.y, 0.0), turn))
+        mast = self._sapien.Pose(eye, _turn(pose.heading, tilt))
+        self._mast.set_pose(mast)
+        self._robot.set_pose(self._sapien.Pose((pose.x, pose.y, 0.0), _turn(pose.heading)))
         if self._sky is not None:
             self._sky.set_pose(self._sapien.Pose(eye))
+        axes = mast.to_transformation_matrix()[:3, :3].T
+        self._show(self._cells.seen(np.array(eye), axes, self._tangents, self._horizon_m))
         self._scene.update_render()
         self._camera.take_picture()
-        self._seen_from = pose
+        self._seen_from = pose, tilt
 
     def _fill(self, scene: Scene, settings: CameraSettings) -> None:
         render = self._sapien.render
         self._scene = self._sapien.Scene([render.RenderSystem()])
         self._scene.set_ambient_light(scene.lights.ambient)
-        for direction, colour in scene.lights.directional:
+        for direction, colour in _filled(scene.lights):
             self._scene.add_directional_light(direction, colour, shadow=False)
-        self._add(scene.still)
-        self._sky = None if scene.sky is None else self._add([scene.sky])
-        self._victim = self._add(scene.victim)
-        self._robot = self._add(scene.robot)
-        width, height = settings.width * settings.supersample, settings.height * settings.supersample
-        self._camera = render.RenderCameraComponent(width, height)
-        focal = width / 2 / math.tan(math.radians(settings.field_of_view_deg) / 2)
-        self._camera.set_perspective_parameters(_NEAR_M, _FAR_M, focal, focal, width / 2, height / 2, 0.0)
-        self._mast = self._sapien.Entity()
-        self._mast.add_component(self._camera)
-        self._scene.add_entity(self._mast)
+        self._materials: dict[tuple[int, int], Any] = {}
+        self._add(scene.victim, VICTIM)
+        self._robot = self._add(scene.robot, ROBOT)
+        self._cells = in_cells(scene.still)
+        self._curtains = [_body(self._sapien, self._add(cell, STILL)) for cell in self._cells.surfaces]
+        self._sky = None if scene.sky is None else self._add([scene.sky], SKY)
+        # The dome hides what is further away.
+        self._horizon_m = _FAR_M if scene.sky is None else float(np.linalg.norm(scene.sky.mesh.vertices, axis=1).max())
+        self._tangents = settings.width / 2 / self.focal_px, settings.height / 2 / self.focal_px
+        if self._sky is not None:
+            self._curtains.append(_body(self._sapien, self._sky))
+        self._shown: list[int] = []
+        for curtain in self._curtains:
+            curtain.disable()
+        self._camera = self._lens(settings.width, settings.height, self.focal_px, settings.supersample)
+        self._mast = self._hang(self._camera)
+        self._above = None if self._overhead is None else self._look_down(self._overhead)
 
-    def _add(self, surfaces: Iterable[Surface]) -> Any:  # noqa: ANN401 - sapien has no types
-        """Add one entity of all the surfaces; one entity has one number in the segmentation."""
+    def _look_down(self, mount: OverheadMount) -> Any:  # noqa: ANN401 - sapien has no types
+        """Add a camera that looks straight down; a camera's axes are ahead, left and up."""
+        camera = self._lens(mount.width, mount.height, mount.focal_px, _OVERHEAD_SUPERSAMPLE)
+        cos, sin = math.cos(mount.up), math.sin(mount.up)
+        frame = np.eye(4)
+        frame[:3] = [[0.0, -sin, cos, mount.x], [0.0, cos, sin, mount.y], [-1.0, 0.0, 0.0, mount.height_m]]
+        self._hang(camera).set_pose(self._sapien.Pose(frame))
+        return camera
+
+    def _lens(self, width: int, height: int, focal_px: float, supersample: int) -> Any:  # noqa: ANN401 - see above
+        width, height, focal = width * supersample, height * supersample, focal_px * supersample
+        camera = self._sapien.render.RenderCameraComponent(width, height)
+        camera.set_perspective_parameters(_NEAR_M, _FAR_M, focal, focal, width / 2, height / 2, 0.0)
+        return camera
+
+    def _hang(self, camera: Any) -> Any:  # noqa: ANN401 - see above
+        """Add an entity that holds a camera."""
+        mast = self._sapien.Entity()
+        mast.add_component(camera)
+        self._scene.add_entity(mast)
+        return mast
+
+    def _show(self, cells: Sequence[int]) -> None:
+        """Have these cells drawn, in this order, and the sky behind them; what is drawn first hides the others.
+
+        All are taken out and put back, so that a picture depends on nothing that was drawn before.
+        """
+        sky = [] if self._sky is None else [len(self._curtains) - 1]
+        wanted = [*cells, *sky]
+        if wanted == self._shown:
+            return
+        for number in self._shown:
+            self._curtains[number].disable()
+        for number in wanted:
+            self._curtains[number].enable()
+        self._shown = wanted
+
+    def _add(self, surfaces: Iterable[Surface], label: int) -> Any:  # noqa: ANN401 - sapien has no types
+        """Add one entity of all the surfaces, whose pixels carry `label`."""
         render = self._sapien.render
         body = render.RenderBodyComponent()
         for surface in surfaces:
-            mesh = surface.mesh
-            material = _material(render, surface)
+            mesh, key = surface.mesh, (id(surface.picture), label)
+            if key not in self._materials:
+                self._materials[key] = _material(render, surface, label)
+            material = self._materials[key]
             body.attach(render.RenderShapeTriangleMesh(mesh.vertices, mesh.triangles, mesh.normals, mesh.uvs, material))
         entity = self._sapien.Entity()
         entity.add_component(body)
@@ -117,12 +219,45 @@ class SceneCamera:
         return entity
 
 
-def _material(render: Any, surface: Surface) -> Any:  # noqa: ANN401 - sapien has no types
+def _filled(lights: Lights) -> list[tuple[Vector, Vector]]:
+    """Return directions and colours of as many lights as the shader has, the rest of them dark."""
+    dark = [((0.0, 0.0, -1.0), (0.0, 0.0, 0.0))] * (_LIGHTS - len(lights.directional))
+    return [*lights.directional, *dark]
+
+
+def _body(sapien: Any, entity: Any) -> Any:  # noqa: ANN401 - sapien has no types
+    """Return the part of an entity that is drawn."""
+    return entity.find_component_by_type(sapien.render.RenderBodyComponent)
+
+
+def _turn(heading: float, tilt: Tilt = LEVEL) -> tuple[float, float, float, float]:
+    """Return a heading, and a tilt on top of it, as a unit quaternion (w, x, y, z)."""
+    roll, pitch, yaw = tilt.roll_rad / 2, tilt.pitch_rad / 2, (heading + tilt.yaw_rad) / 2
+    cr, sr, cp, sp = math.cos(roll), math.sin(roll), math.cos(pitch), math.sin(pitch)
+    cy, sy = math.cos(yaw), math.sin(yaw)
+    return (
+        cy * cp * cr + sy * sp * sr,
+        cy * cp * sr - sy * sp * cr,
+        cy * sp * cr + sy * cp * sr,
+        sy * cp * cr - cy * sp * sr,
+    )
+
+
+def _colour(camera: Any, supersample: int) -> NDArray[np.uint8]:  # noqa: ANN401 - sapien has no types
+    """Return the picture that a camera took, (height, width, 3), averaged where it was rendered larger."""
+    large = np.asarray(cv2.cvtColor(camera.get_picture("Color"), cv2.COLOR_RGBA2RGB), dtype=np.uint8)
+    if supersample == 1:
+        return large
+    size = (large.shape[1] // supersample, large.shape[0] // supersample)
+    return np.asarray(cv2.resize(large, size, interpolation=cv2.INTER_AREA), dtype=np.uint8)
+
+
+def _material(render: Any, surface: Surface, label: int) -> Any:  # noqa: ANN401 - sapien has no types
     height, width, _ = surface.picture.shape
     opaque = np.dstack([surface.picture, np.full((height, width), 255, dtype=np.uint8)])
     levels = int(math.log2(max(height, width))) + 1
-    texture = render.RenderTexture2D(opaque, "R8G8B8A8Unorm", levels, "linear", "repeat", srgb=True)
-    material = render.RenderMaterial(base_color=[0.0, 0.0, 0.0, 1.0], specular=0.0, roughness=1.0, metallic=0.0)
+    texture = render.RenderTexture2D(opaque, "R8G8B8A8Unorm", levels, "linear", "repeat", srgb=False)
+    material = render.RenderMaterial(base_color=[0.0, 0.0, 0.0, 1.0], specular=0.0, roughness=label / 255, metallic=0.0)
     if surface.glows:
         material.set_emission_texture(texture)
     else:
@@ -144,7 +279,7 @@ def _load_renderer() -> Any:  # noqa: ANN401 - sapien has no types
     render = sapien.render
     render.set_log_level("error")
     render.set_global_config(max_num_materials=_MOST_PICTURES, max_num_textures=_MOST_PICTURES)
-    # Of the shaders, this one is three times faster on software drivers; shade is part of the ground, see `ground`.
-    render.set_camera_shader_dir("minimal")
+    # A third of the time of SAPIEN's quickest one on software drivers; shade is part of the ground, see `ground`.
+    render.set_camera_shader_dir(str(_SHADER))
     render.set_picture_format("Color", "r8g8b8a8unorm")
     return sapien

@@ -21,7 +21,14 @@ def outline(polygon: shapely.Polygon) -> list[NDArray[np.float64]]:
     return [shapely.get_coordinates(ring) for ring in (turned.exterior, *turned.interiors)]
 
 
-def walls(ring: NDArray[np.float64], low: float, high: float, u: NDArray[np.float64], v: tuple[float, float]) -> Mesh:
+def walls(
+    ring: NDArray[np.float64],
+    low: float,
+    high: float,
+    u: NDArray[np.float64],
+    v: tuple[float, float],
+    which: NDArray[np.bool_] | None = None,
+) -> Mesh:
     """Return upright walls along a closed ring (k, 2).
 
     Parameters
@@ -34,8 +41,11 @@ def walls(ring: NDArray[np.float64], low: float, high: float, u: NDArray[np.floa
         (k - 1, 2) texture coordinate at the beginning and end of each wall.
     v
         Texture coordinate at the foot and at the top.
+    which
+        (k - 1,) of which sides to make walls; None for all.
     """
-    begin, end = ring[:-1], ring[1:]
+    chosen = np.ones(len(u), dtype=bool) if which is None else which
+    begin, end, u = ring[:-1][chosen], ring[1:][chosen], u[chosen]
     foot, top = np.full((len(begin), 1), low), np.full((len(begin), 1), high)
     corners = np.stack(
         [np.hstack([begin, foot]), np.hstack([end, foot]), np.hstack([end, top]), np.hstack([begin, top])], axis=1
@@ -48,7 +58,7 @@ def walls(ring: NDArray[np.float64], low: float, high: float, u: NDArray[np.floa
 def band(polygon: shapely.Polygon, low: float, high: float, metres: float) -> Mesh:
     """Return plain walls around a polygon whose texture repeats every `metres`."""
     return merge(
-        walls(ring, low, high, _running(ring) / metres, (high / metres, low / metres)) for ring in outline(polygon)
+        walls(ring, low, high, running(ring) / metres, (high / metres, low / metres)) for ring in outline(polygon)
     )
 
 
@@ -61,24 +71,51 @@ def flat(polygon: shapely.Polygon, z: float, metres: float, normal: NDArray[np.f
     return make(vertices, np.broadcast_to(normal, vertices.shape), points / metres, order)
 
 
-def hipped_roof(quadrilateral: shapely.Polygon, z: float, slope: float, metres: float) -> Mesh:
-    """Return a roof over four corners that rises from every side at `slope` to a ridge along the longer axis."""
-    corners = outline(quadrilateral)[0][:4]
-    sides = np.linalg.norm(np.roll(corners, -1, axis=0) - corners, axis=1)
-    if sides[0] + sides[2] < sides[1] + sides[3]:
-        corners, sides = np.roll(corners, -1, axis=0), np.roll(sides, -1)
-    half_width = (sides[1] + sides[3]) / 4
-    middle_low, middle_high = (corners[3] + corners[0]) / 2, (corners[1] + corners[2]) / 2
-    along = (middle_high - middle_low) / np.linalg.norm(middle_high - middle_low)
-    ridge = [
-        np.append(end, z + half_width * slope)
-        for end in (middle_low + along * half_width, middle_high - along * half_width)
-    ]
+def ridged(
+    corners: NDArray[np.float64], z: float, rise: float, run: float
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return the triangles of a roof over a rectangle with a ridge along its first side.
+
+    Parameters
+    ----------
+    corners
+        (4, 2) anticlockwise, the first side along the ridge.
+    z, rise
+        Height of the eaves, and of the ridge above them.
+    run
+        How far the ridge ends before the short sides, at most half the first side; 0 makes upright ends.
+
+    Returns
+    -------
+    slopes, ends
+        (4, 3, 3) of the long sides and (2, 3, 3) of the short ones, anticlockwise seen from outside.
+    """
     a, b, c, d = (np.append(corner, z) for corner in corners)
-    faces = np.array(
-        [[a, b, ridge[1], ridge[0]], [b, c, ridge[1], ridge[1]], [c, d, ridge[0], ridge[1]], [d, a, ridge[0], ridge[0]]]
+    along = (corners[1] - corners[0]) / np.linalg.norm(corners[1] - corners[0])
+    first, last = (
+        np.append((corners[0] + corners[3]) / 2 + run * along, z + rise),
+        np.append((corners[1] + corners[2]) / 2 - run * along, z + rise),
     )
-    return quads(faces, _down_the_slope(faces) / metres)
+    slopes = np.array([[a, b, last], [a, last, first], [c, d, first], [c, first, last]])
+    return slopes, np.array([[b, c, last], [d, a, first]])
+
+
+def faces(triangles: NDArray[np.float64], metres: tuple[float, float]) -> Mesh:
+    """Return flat triangles (n, 3, 3), anticlockwise seen from outside, that wear a texture upright.
+
+    The texture repeats every `metres` along the level and up the slope. A triangle without area is left out.
+    """
+    across = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
+    twice_area = np.linalg.norm(across, axis=1)
+    solid = twice_area > 1e-9
+    corners, normal = triangles[solid], across[solid] / twice_area[solid, None]
+    level = np.stack([-normal[:, 1], normal[:, 0], np.zeros(len(normal))], axis=1)
+    tilt = np.linalg.norm(level, axis=1, keepdims=True)
+    level = np.where(tilt > 1e-6, level / np.maximum(tilt, 1e-6), (1.0, 0.0, 0.0))
+    up = np.cross(normal, level)
+    uvs = np.stack([np.einsum("nij,nj->ni", corners, level), -np.einsum("nij,nj->ni", corners, up)], axis=-1)
+    order = np.arange(3 * len(corners)).reshape(-1, 3)
+    return make(corners.reshape(-1, 3), np.repeat(normal, 3, axis=0), uvs.reshape(-1, 2) / metres, order)
 
 
 def ball(centre: ArrayLike, radii: ArrayLike, detail: int, bumps: NDArray[np.float64] | None = None) -> Mesh:
@@ -113,18 +150,8 @@ def tube(start: ArrayLike, end: ArrayLike, radii: tuple[float, float], sectors: 
     return grid(vertices, normals, uvs)
 
 
-def _running(ring: NDArray[np.float64]) -> NDArray[np.float64]:
+def running(ring: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return the distance along the ring at each wall's beginning and end, (k - 1, 2)."""
     lengths = np.linalg.norm(np.diff(ring, axis=0), axis=1)
     ends = np.cumsum(lengths)
     return np.stack([ends - lengths, ends], axis=1)
-
-
-def _down_the_slope(faces: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return texture coordinates (n, 4, 2) in metres along the eaves and up the slope of roof faces (n, 4, 3)."""
-    eaves = faces[:, 1] - faces[:, 0]
-    eaves /= np.linalg.norm(eaves, axis=1, keepdims=True)
-    from_first = faces - faces[:, :1]
-    along = np.einsum("nij,nj->ni", from_first, eaves)
-    up = np.linalg.norm(from_first - along[..., None] * eaves[:, None], axis=-1)
-    return np.stack([along, -up], axis=-1)

@@ -6,25 +6,30 @@ from collections import defaultdict
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
+import shapely
+from shapely import Polygon
 
-from services.simulator.scene.facades import BAY_M, BAYS, STOREY_M, STOREYS
+from services.simulator.scene.facades import BAY_M, BAYS, STOREY_M, STOREYS, alike
 from services.simulator.scene.meshes import Mesh, merge
-from services.simulator.scene.shapes import band, flat, hipped_roof, outline, walls
+from services.simulator.scene.shapes import band, flat, outline, running, tube, walls
 from services.simulator.world.terrain import Barrier, BarrierKind, Building, Facade
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Iterable, Mapping
 
     from numpy.typing import NDArray
 
     from services.simulator.scene.textures import Material
 
-_OVERHANG_M: Final = 0.4
-_ROOF_SLOPE: Final = 0.6
-_CORNICE_M: Final = 0.18
-# A wall too short for a window shows the bare strip at the edge of the façade's picture.
+# Walls lower than this have no room for a window.
+_LOW_M: Final = 1.5
+# A roof without walls that one can walk under stands on posts, unless it is so large that it must hang on something.
+_HEADROOM_M: Final = 1.5
+_CANOPY_M2: Final = 400.0
+_POST_M: Final = 0.1
+_POST_INSET_M: Final = 0.2
+# A wall too short for a window is bare.
 _PIER_M: Final = 1.2
-_PIER_U: Final = 0.01
 # Not quite the whole height of the picture, or filtering would mix its foot into its top.
 _GROUND_ROWS: Final = (0.99, 0.01)
 _BARRIER: Final[dict[BarrierKind, tuple[Material, float]]] = {
@@ -32,48 +37,79 @@ _BARRIER: Final[dict[BarrierKind, tuple[Material, float]]] = {
 }  # fmt: skip
 
 
+#: Walls of the upper storeys, of the ground floor, and without windows.
+Parts = tuple[list[Mesh], list[Mesh], list[Mesh]]
+
+
 class Clad(NamedTuple):
-    """The two parts of a building's walls; a building of one storey has no upper part."""
+    """The parts of walls by the picture they wear; a part that no building has is None."""
 
     upper: Mesh | None
-    ground: Mesh
+    ground: Mesh | None
+    bare: Mesh | None
 
 
-def clad(buildings: Iterable[Building]) -> dict[Facade, Clad]:
-    """Return the walls of all buildings, one pair of meshes for each façade."""
-    uppers: dict[Facade, list[Mesh]] = defaultdict(list)
-    grounds: dict[Facade, list[Mesh]] = defaultdict(list)
-    for building in buildings:
-        storeys = max(1, round(building.height_m / STOREY_M))
-        first = building.height_m / storeys
+def clad(buildings: Iterable[Building], gables: Mapping[int, Mesh] | None = None) -> dict[Facade, Clad]:
+    """Return the walls of all buildings for each façade that is painted.
+
+    Parameters
+    ----------
+    buildings
+        What to clad; many with different façades share those that look most alike.
+    gables
+        Upright ends of roofs, by the number of the building, which wear the same wall.
+    """
+    every = tuple(buildings)
+    looks = alike(building.facade for building in every)
+    parts: dict[Facade, Parts] = defaultdict(lambda: ([], [], []))
+    for number, building in enumerate(every):
+        part = parts[looks[building.facade]]
         for ring in outline(building.footprint):
-            u = _bays(ring)
-            grounds[building.facade].append(walls(ring, 0.0, first, u, _GROUND_ROWS))
-            if storeys > 1:
-                rows = ((storeys - 1) / STOREYS, 0.0)
-                uppers[building.facade].append(walls(ring, first, building.height_m, u, rows))
-    return {
-        facade: Clad(merge(uppers[facade]) if facade in uppers else None, merge(ground))
-        for facade, ground in grounds.items()
-    }  # fmt: skip
+            _clad_ring(ring, building, part)
+        if gables and number in gables:
+            part[2].append(gables[number])
+    return {facade: Clad(*(merge(meshes) if meshes else None for meshes in part)) for facade, part in parts.items()}
 
 
-def roofs(buildings: Iterable[Building]) -> dict[Material, list[Mesh]]:
-    """Return all roofs: hipped ones over four corners where asked for, else flat ones behind a cornice."""
-    meshes: dict[Material, list[Mesh]] = defaultdict(list)
+def _clad_ring(ring: NDArray[np.float64], building: Building, part: Parts) -> None:
+    """Add the walls along a ring to the upper storeys, the ground floor and the bare walls."""
+    upper, ground, bare = part
+    low, top = building.min_height_m, building.height_m
+    wide = np.linalg.norm(np.diff(ring, axis=0), axis=1) >= _PIER_M
+    if top - low < _LOW_M:
+        wide[:] = False
+    if not wide.all():
+        rows = (-low / STOREY_M, -top / STOREY_M)
+        bare.append(walls(ring, low, top, running(ring) / (BAYS * BAY_M), rows, ~wide))
+    if not wide.any():
+        return
+    storeys = max(1, round((top - low) / STOREY_M))
+    first = low
+    if low == 0.0:
+        first = top / storeys
+        ground.append(walls(ring, 0.0, first, _bays(ring), _GROUND_ROWS, wide))
+        storeys -= 1
+    if storeys:
+        upper.append(walls(ring, first, top, _bays(ring), (storeys / STOREYS, 0.0), wide))
+
+
+def undersides(buildings: Iterable[Building]) -> list[Mesh]:
+    """Return what is seen from below of buildings that begin above the ground, with posts under small ones."""
+    meshes = []
     for building in buildings:
-        top = building.height_m
-        if building.roof == "hipped" and len(building.footprint.exterior.coords) == 5:
-            eaves = building.footprint.buffer(_OVERHANG_M, join_style="mitre")
-            meshes["slate" if building.facade.variant % 2 else "tiles"].append(
-                hipped_roof(eaves, top, _ROOF_SLOPE, 4.0)
-            )
-            meshes["trim"] += [flat(eaves, top - 0.15, 4.0).flipped(), band(eaves, top - 0.15, top, 4.0)]
-        else:
-            edge = building.footprint.buffer(_CORNICE_M, join_style="mitre")
-            meshes["gravel"].append(flat(building.footprint, top + 0.05, 4.0))
-            meshes["trim"] += [flat(edge, top - 0.3, 4.0).flipped(), band(edge, top - 0.3, top + 0.35, 4.0)]
+        low = building.min_height_m
+        if low > 0.0:
+            meshes.append(flat(building.footprint, low, 4.0).flipped())
+            meshes += [tube((x, y, 0.0), (x, y, low), (_POST_M, _POST_M), 6) for x, y in posts(building)]
     return meshes
+
+
+def posts(building: Building) -> NDArray[np.float64]:
+    """Return where posts carry a canopy, (n, 2): under its corners; none under what bridges a passage."""
+    inset = building.footprint.simplify(0.5).buffer(-_POST_INSET_M, join_style="mitre")
+    if building.min_height_m <= _HEADROOM_M or building.footprint.area > _CANOPY_M2 or not isinstance(inset, Polygon):
+        return np.empty((0, 2))
+    return shapely.get_coordinates(inset.exterior)[:-1]
 
 
 def barriers(items: Iterable[Barrier]) -> dict[Material, list[Mesh]]:
@@ -89,6 +125,6 @@ def barriers(items: Iterable[Barrier]) -> dict[Material, list[Mesh]]:
 def _bays(ring: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return the texture coordinate (k - 1, 2) at both ends of each wall: whole bays, none cut by a corner."""
     lengths = np.linalg.norm(np.diff(ring, axis=0), axis=1)
-    bays = np.where(lengths < _PIER_M, _PIER_U * BAYS, np.maximum(1, np.round(lengths / BAY_M)))
-    first = np.where(lengths < _PIER_M, 0, np.arange(len(lengths)) % BAYS)
+    bays = np.maximum(1, np.round(lengths / BAY_M))
+    first = np.arange(len(lengths)) % BAYS
     return np.stack([first, first + bays], axis=1) / BAYS

@@ -21,6 +21,8 @@ Material = Literal[
     "grass", "lawn", "asphalt", "kerb", "sidewalk", "path", "paved", "marking", "water", "gravel", "tiles", "slate",
     "trim", "leaves", "dark_leaves", "needles", "bark", "hedge", "stone_wall", "fence",
     "skin", "jacket", "trousers", "robot", "tyre",
+    "aluminium", "black_plastic", "blue_plastic", "board", "cardboard", "dark_plastic", "fabric", "foliage", "lacquer",
+    "nao_grey", "orange_plastic", "pot", "soil", "white_plastic", "wood",
 ]  # fmt: skip
 
 _SHAPE: Final = (512, 512)
@@ -109,6 +111,27 @@ def _bark(rng: np.random.Generator) -> NDArray[np.uint8]:
     return coloured((96, 76, 58), 1.0 + 0.25 * noise(rng, _SHAPE, (40.0, 5.0)))
 
 
+def _grain(*colour: int) -> Painter:
+    """Return a painter of sawn wood, its grain along the picture's width."""
+
+    def painter(rng: np.random.Generator) -> NDArray[np.uint8]:
+        fine, broad = noise(rng, _SHAPE, (1.5, 90.0)), noise(rng, _SHAPE, (14.0, 160.0))
+        return coloured(colour, 1.0 + 0.05 * fine + 0.07 * broad)
+
+    return painter
+
+
+def _weave(*colour: int) -> Painter:
+    """Return a painter of coarse cloth: threads over and under each other, a little uneven."""
+
+    def painter(rng: np.random.Generator) -> NDArray[np.uint8]:
+        down, across = np.indices(_SHAPE)
+        threads = 0.05 * np.where((down // 4 + across // 4) % 2 == 0, 1.0, -1.0)
+        return coloured(colour, 1.0 + threads + 0.06 * noise(rng, _SHAPE, 1.5) + 0.015 * noise(rng, _SHAPE, 40.0))
+
+    return painter
+
+
 def _boards(rng: np.random.Generator) -> NDArray[np.uint8]:
     return cv2.rotate(_paving(134, 110, 84, rows=8, columns=1, joint_px=14)(rng), cv2.ROTATE_90_CLOCKWISE).astype(
         np.uint8
@@ -141,4 +164,19 @@ _PAINTERS: Final[dict[Material, Painter]] = {
     "trousers": _plain(46, 66, 128),
     "robot": _plain(190, 190, 60),
     "tyre": _plain(30, 30, 32),
+    "aluminium": _speckled(186, 188, 192, grains=(1.0, 60.0), contrast=0.03),
+    "black_plastic": _speckled(44, 45, 48, grains=(1.0, 50.0), contrast=0.05),
+    "board": _grain(214, 190, 150),
+    "cardboard": _speckled(188, 148, 102, grains=(1.5, 60.0), contrast=0.03),
+    "dark_plastic": _plain(72, 75, 80),
+    "fabric": _weave(111, 135, 153),
+    "foliage": _leaves(70, 122, 62),
+    "lacquer": _speckled(190, 192, 192, grains=(1.0, 4.0), contrast=0.012),
+    "nao_grey": _plain(128, 132, 138),
+    "orange_plastic": _plain(232, 104, 28),
+    "pot": _speckled(168, 100, 74, grains=(2.0, 60.0), contrast=0.06),
+    "blue_plastic": _plain(60, 132, 214),
+    "soil": _speckled(66, 50, 38, grains=(2.0, 6.0), contrast=0.25),
+    "white_plastic": _plain(236, 236, 232),
+    "wood": _grain(156, 116, 78),
 }

@@ -20,7 +20,7 @@ class Obstacles:
 
     def __init__(self, place: Place) -> None:
         # What hangs higher than the robot is tall, as a building over a passage does, is driven under.
-        in_the_way = [solid for solid in place.solids if solid.low_m < place.robot.camera.height_m]
+        in_the_way = [solid for solid in place.solids if solid.low_m < place.robot.top_m]
         self._bounds = place.bounds
         self._radius_m = place.robot.radius_m
         self._solid = STRtree([solid.shape for solid in in_the_way])

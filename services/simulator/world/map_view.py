@@ -10,23 +10,33 @@ import shapely
 from matplotlib.collections import PatchCollection
 from matplotlib.patches import Circle, Polygon
 
+from services.simulator.world.furniture import FurnitureKind
+from services.simulator.world.room import Room
 from services.simulator.world.terrain import Terrain
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
     from services.simulator.world.place import World
+    from services.simulator.world.room import Fitting, FittingKind
     from services.simulator.world.terrain import AreaKind, BarrierKind, RoadKind
 
 _GROUND: Final = "#e7ecdd"
 _AREA: Final[dict[AreaKind, str]] = {"grass": "#cfe3b8", "water": "#b5d3e8", "paved": "#dcdad5"}
 _ROAD: Final[dict[RoadKind, str]] = {"street": "#ffffff", "path": "#f3e9d8"}
 _BARRIER: Final[dict[BarrierKind, str]] = {"hedge": "#7ba05b", "wall": "#8a8278", "fence": "#b0a493"}
+_FURNITURE: Final[dict[FurnitureKind, str]] = {
+    "cabinet": "#a9adb0", "chair": "#6b6f75", "crate": "#c39a66", "desk": "#d9c6a5", "partition": "#6f8799",
+    "plant": "#7ba05b", "shelf": "#9a7652", "sofa": "#9c4f43", "table": "#d9c6a5",
+}  # fmt: skip
+_FITTING: Final[dict[FittingKind, str]] = {
+    "door": "#8a5a33", "poster": "#c2410c", "whiteboard": "#4b5563", "window": "#5aa0d6"
+}  # fmt: skip
 _CROWN_OF_HEIGHT: Final = 0.28
 
 
 def draw_map(world: World, ax: Axes) -> None:
-    """Draw a world's ground, roads, buildings and trees, its start (arrow) and its victim (star).
+    """Draw what stands in a world, its start (arrow), its victim (star) and the camera above, if there is one.
 
     Parameters
     ----------
@@ -40,6 +50,8 @@ def draw_map(world: World, ax: Axes) -> None:
     match world.place:
         case Terrain() as terrain:
             _draw_terrain(terrain, ax)
+        case Room() as room:
+            _draw_room(room, ax)
         case other:
             raise TypeError(f"no map is known for a {type(other).__name__}")
     _draw_task(world, ax)
@@ -57,6 +69,24 @@ def _draw_terrain(terrain: Terrain, ax: Axes) -> None:
         ax.plot(*barrier.line.xy, color=_BARRIER[barrier.kind], linewidth=1.5, zorder=1.6)
     crowns = [Circle((tree.x, tree.y), tree.height_m * _CROWN_OF_HEIGHT) for tree in terrain.trees]
     ax.add_collection(PatchCollection(crowns, facecolor="#7ba05b", alpha=0.7, linewidth=0, zorder=1.7))
+
+
+def _draw_room(room: Room, ax: Axes) -> None:
+    ax.set_facecolor("#efece4")
+    for piece in room.furniture:
+        _fill(ax, piece.footprint, _FURNITURE[piece.kind], edge="#5b5148", order=1.5)
+    for fitting in room.fittings:
+        ax.plot(*_on_the_wall(fitting, room), color=_FITTING[fitting.kind], linewidth=4, zorder=1.6)
+    if room.overhead is not None:
+        ax.plot(room.overhead.x, room.overhead.y, "x", color="#444444", markersize=7, label="camera above", zorder=3)
+
+
+def _on_the_wall(fitting: Fitting, room: Room) -> tuple[tuple[float, float], tuple[float, float]]:
+    """Return where a fitting begins and ends, as (x, x), (y, y)."""
+    frame = room.wall_frame(fitting.wall)
+    ends = (fitting.along_m - fitting.width_m / 2, fitting.along_m + fitting.width_m / 2)
+    points = [frame.at(end) for end in ends]
+    return (points[0][0], points[1][0]), (points[0][1], points[1][1])
 
 
 def _draw_task(world: World, ax: Axes) -> None:

@@ -136,6 +136,11 @@ class Place(ABC):
         """How far is far here."""
 
     @property
+    def shake(self) -> float:
+        """How much a robot's camera usually shakes when it drives here; 1 on a floor that is not quite even."""
+        return 0.0
+
+    @property
     def overhead(self) -> OverheadMount | None:
         """The camera above the scene, where there is one."""
         return None

@@ -11,29 +11,32 @@ import shapely
 
 from services.simulator.world.collision import obstacles_of
 from services.simulator.world.place import Pose, WorldError
-from services.simulator.world.route import RoutesTo, lane_graph
-from services.simulator.world.terrain import Terrain
+from services.simulator.world.route import LaneGraph, RoutesTo, lane_graph
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from numpy.typing import NDArray
 
+    from services.simulator.world.terrain import Terrain
+
 _FROM_WALL_M: Final = 1.2
 _VICTIM_ROOM_M: Final = 0.9
 _START_ROOM_M: Final = 1.8
-_ROUTE_M: Final = (60.0, 150.0)
-_PREFERRED_ROUTE_M: Final = 100.0
+#: Lengths of way between start and victim, the best first, and which is preferred; a small map has no long ways.
+_ROUTES_M: Final = ((60.0, 150.0, 100.0), (35.0, 250.0, 60.0), (20.0, 400.0, 35.0), (10.0, 1000.0, 20.0))
 # A start is jittered by a metre, and the victim has to stay hidden all the same.
 _JITTER_M: Final = 1.1
 _MOST_CANDIDATES: Final = 400
+_MOST_STARTS_TRIED: Final = 400
 
 
-def choose_roles(terrain: Terrain, start: Pose | None, victim: Pose | None) -> tuple[Pose, Pose]:
+def choose_roles(terrain: Terrain, start: Pose | None, victim: Pose | None, seed: int = 0) -> tuple[Pose, Pose]:
     """Return a start and a victim, keeping those that are given.
 
-    The rule is deterministic: the first place beside a wall, counted from the building nearest to the middle, that
-    a road point reaches and that some road point 60 to 150 m of way off does not see.
+    The rule is deterministic: the first place beside a wall, counted from the building nearest to the middle (with a
+    seed other than 0, to a point drawn with it), that a road point reaches and that some road point 60 to 150 m of way
+    off does not see. Where no place has such a start, shorter and longer ways do.
 
     Raises
     ------
@@ -42,23 +45,46 @@ def choose_roles(terrain: Terrain, start: Pose | None, victim: Pose | None) -> t
     """
     if start is not None and victim is not None:
         return start, victim
-    candidates = [victim] if victim is not None else _places_beside_walls(terrain)
-    for count, place in enumerate(candidates):
-        found = _start_for(terrain, place, start)
+    graph = lane_graph(terrain)
+    candidates = [victim] if victim is not None else _places_beside_walls(terrain, _middle(terrain, seed))
+    second_best: dict[int, tuple[Pose, Pose]] = {}
+    for place in itertools.islice(candidates, _MOST_CANDIDATES):
+        rank, found = _start_for(terrain, graph, place, start, min(second_best, default=len(_ROUTES_M)))
         if found is not None:
-            return found, place
-        if count >= _MOST_CANDIDATES:
-            break
-    raise WorldError(
-        f"{terrain.name}: found no hidden place for the victim with a start 60 to 150 m of road away; "
-        "tag two nodes smal:role=start (with direction=*) and smal:role=victim"
+            second_best[rank] = found, place
+            if rank == 0:
+                break
+    if not second_best:
+        raise WorldError(_advice(start, victim))
+    return second_best[min(second_best)]
+
+
+def _advice(start: Pose | None, victim: Pose | None) -> str:
+    if victim is not None:
+        return (
+            f"found no start that sees nothing of the victim at ({victim.x:.1f}, {victim.y:.1f}) m and "
+            "reaches it by road; give another place, or the start as well"
+        )
+    if start is not None:
+        return (
+            f"found no hidden place for the victim that the start at ({start.x:.1f}, {start.y:.1f}) m "
+            "reaches by road; give another start, or the victim as well"
+        )
+    return (
+        f"found no hidden place for the victim with a start at least {_ROUTES_M[-1][0]:.0f} m of road "
+        "away; tag two nodes smal:role=start (with direction=*) and smal:role=victim"
     )
 
 
-def _places_beside_walls(terrain: Terrain) -> Iterator[Pose]:
-    """Yield free places just outside the middle of walls, lying along the wall, from the terrain's middle outwards."""
+def _middle(terrain: Terrain, seed: int) -> shapely.Point:
+    x_min, y_min, x_max, y_max = terrain.bounds
+    across, up = (0.5, 0.5) if seed == 0 else np.random.default_rng(seed).uniform(0.1, 0.9, 2)
+    return shapely.Point(x_min + across * (x_max - x_min), y_min + up * (y_max - y_min))
+
+
+def _places_beside_walls(terrain: Terrain, middle: shapely.Point) -> Iterator[Pose]:
+    """Yield free places just outside the middle of walls, lying along the wall, from the middle outwards."""
     obstacles = obstacles_of(terrain)
-    middle = shapely.box(*terrain.bounds).centroid
     for building in sorted(terrain.buildings, key=lambda building: building.footprint.distance(middle)):
         ring = shapely.get_coordinates(shapely.orient_polygons(building.footprint).exterior)
         for first, second in itertools.pairwise(ring):
@@ -68,21 +94,34 @@ def _places_beside_walls(terrain: Terrain) -> Iterator[Pose]:
                 yield Pose(float(x), float(y), math.atan2(along[1], along[0]))
 
 
-def _start_for(terrain: Terrain, victim: Pose, start: Pose | None) -> Pose | None:
-    """Return a start from which this victim is hidden and reachable, or None."""
-    graph = lane_graph(terrain)
+def _start_for(
+    terrain: Terrain, graph: LaneGraph, victim: Pose, start: Pose | None, better_than: int
+) -> tuple[int, Pose | None]:
+    """Return a start from which this victim is hidden and reachable, or None, and how good its way's length is."""
     goal = np.array([victim.x, victim.y])
+    # Most places beside walls are not reached from a road: asked first, since that is quick.
+    if len(graph.links(goal)[0]) == 0:
+        return 0, None
     routes = RoutesTo(graph, goal)
     if start is not None:
-        here = np.array([start.x, start.y])
-        return start if routes.path_from(here) is not None and _is_hidden(terrain, here, goal) else None
-    fitting = np.flatnonzero((routes.cost >= _ROUTE_M[0]) & (routes.cost <= _ROUTE_M[1]))
-    nearest_first = fitting[np.argsort(np.abs(routes.cost[fitting] - _PREFERRED_ROUTE_M), kind="stable")]
-    for node in nearest_first:
-        here = graph.points[node]
-        if obstacles_of(terrain).is_free(float(here[0]), float(here[1]), _START_ROOM_M) and _is_hidden(
-            terrain, here, goal
-        ):
+        here = np.array([[start.x, start.y]])
+        fits = routes.path_from(here[0]) is not None and _are_hidden(terrain, here, goal)[0]
+        return 0, start if fits else None
+    for rank, (shortest, longest, preferred) in enumerate(_ROUTES_M[:better_than]):
+        fitting = np.flatnonzero((routes.cost >= shortest) & (routes.cost <= longest))
+        best_first = fitting[np.argsort(np.abs(routes.cost[fitting] - preferred), kind="stable")]
+        found = _first_start(terrain, graph.points[best_first[:_MOST_STARTS_TRIED]], routes, goal)
+        if found is not None:
+            return rank, found
+    return 0, None
+
+
+def _first_start(
+    terrain: Terrain, points: NDArray[np.float64], routes: RoutesTo, goal: NDArray[np.float64]
+) -> Pose | None:
+    obstacles = obstacles_of(terrain)
+    for here in points[_are_hidden(terrain, points, goal)]:
+        if obstacles.is_free(float(here[0]), float(here[1]), _START_ROOM_M):
             ahead = routes.path_from(here)
             if ahead is not None:
                 east, north = ahead[1] - ahead[0]
@@ -90,7 +129,10 @@ def _start_for(terrain: Terrain, victim: Pose, start: Pose | None) -> Pose | Non
     return None
 
 
-def _is_hidden(terrain: Terrain, start: NDArray[np.float64], victim: NDArray[np.float64]) -> bool:
-    corners = start + _JITTER_M * np.array([[0, 0], [1, 1], [1, -1], [-1, 1], [-1, -1]])
+def _are_hidden(terrain: Terrain, starts: NDArray[np.float64], victim: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """Return from which starts (n, 2), and from beside which, nothing is seen of a victim, as (n,)."""
+    around = _JITTER_M * np.array([[0, 0], [1, 1], [1, -1], [-1, 1], [-1, -1]])
+    corners = (starts[:, None] + around).reshape(-1, 2)
     sights = np.stack([corners, np.broadcast_to(victim, corners.shape)], axis=1)
-    return not obstacles_of(terrain).in_sight(sights).any()
+    seen = obstacles_of(terrain).in_sight(sights).reshape(-1, len(around))
+    return np.asarray(~seen.any(axis=1))

@@ -1,117 +1,229 @@
-"""From tagged ways and nodes to the things of a terrain."""
+"""From tagged nodes, ways and relations to the things of a terrain."""
 
 from __future__ import annotations
 
+from collections import Counter
 from typing import TYPE_CHECKING, Final
 
-from shapely import LineString, Polygon, box, make_valid
+import shapely
+from shapely import LineString, box
 
-from services.simulator.world import looks
-from services.simulator.world.terrain import (
-    Area,
-    AreaKind,
-    Barrier,
-    BarrierKind,
-    Building,
-    Road,
-    Terrain,
-    Tree,
-    TreeKind,
-)
+from services.simulator.world import kinds, looks
+from services.simulator.world.building_tags import SMALLEST_M2, Outline, compose
+from services.simulator.world.kinds import Kind, Tags
+from services.simulator.world.openings import bridge_water, open_barriers, open_passages
+from services.simulator.world.outlines import OutlineError, area_within, line_through, lines_in, polygons_in
+from services.simulator.world.planting import Row, Sites, Wood, in_rows, scattered
+from services.simulator.world.road_tags import across_squares, road
+from services.simulator.world.terrain import Area, Barrier, Building, Road, Source, Terrain, Tree, TreeKind
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    import numpy as np
+    from numpy.typing import NDArray
+    from shapely import Polygon
     from shapely.geometry.base import BaseGeometry
 
-    from services.simulator.world.osm import OsmExtract, OsmNode, OsmWay
+    from services.simulator.world.osm import OsmExtract, OsmNode
 
-    Thing = Building | Road | Area | Barrier
-
-_STREET_WIDTH_M: Final = {
-    "motorway": 12.0, "trunk": 11.0, "primary": 10.0, "secondary": 9.0, "tertiary": 8.0,
-    "residential": 7.0, "unclassified": 6.5, "living_street": 5.0, "service": 4.5, "track": 3.0,
-}  # fmt: skip
-_PATH_WIDTH_M: Final = {"pedestrian": 4.0, "footway": 2.4, "cycleway": 2.6, "path": 2.0, "bridleway": 2.0}
-_NOT_FOR_A_ROBOT: Final = frozenset({"motorway", "trunk"})
-_MARKED: Final = frozenset({"primary", "secondary", "tertiary", "residential"})
-_AREA_KIND: Final[dict[tuple[str, str], AreaKind]] = {
-    ("landuse", "grass"): "grass", ("leisure", "park"): "grass", ("leisure", "garden"): "grass",
-    ("leisure", "pitch"): "grass", ("natural", "grassland"): "grass", ("landuse", "meadow"): "grass",
-    ("landuse", "recreation_ground"): "grass", ("natural", "water"): "water", ("amenity", "parking"): "paved",
-    ("place", "square"): "paved",
-}  # fmt: skip
-_BARRIERS: Final[dict[str, tuple[BarrierKind, float]]] = {
-    "hedge": ("hedge", 1.6), "wall": ("wall", 2.0), "retaining_wall": ("wall", 1.2), "fence": ("fence", 1.3),
-}  # fmt: skip
+ATTRIBUTION: Final = "© OpenStreetMap contributors, ODbL 1.0"
+_LINEAR: Final = frozenset({"road", "barrier", "waterway", "row"})
+_OUTSIDE: Final = "outside the map's bounds"
 _TREE_HEIGHT_M: Final[dict[TreeKind, float]] = {"round": 7.0, "tall": 11.0, "conifer": 10.0}
-_SMALLEST_BUILDING_M2: Final = 4.0
+_TALLEST_TREE_M: Final = 40.0
+_BARRIER_M: Final = (0.3, 20.0)
+_WATERWAY_M: Final = (0.5, 100.0)
 
 
-def terrain_from(extract: OsmExtract, name: str) -> Terrain:
-    """Build the things of a terrain from an extract, leaving out and counting what is broken."""
-    frame = box(*extract.bounds)
-    found = [_things_of(way, frame) for way in extract.ways]
-    things = [thing for some in found for thing in some or ()]
-    trees = [_tree(node) for node in extract.nodes if node.tags.get("natural") == "tree" and _is_in(node, frame)]
-    return Terrain(
-        name=name,
-        bounds=extract.bounds,
-        buildings=tuple(thing for thing in things if isinstance(thing, Building)),
-        roads=tuple(thing for thing in things if isinstance(thing, Road)),
-        areas=tuple(thing for thing in things if isinstance(thing, Area)),
-        trees=tuple(trees),
-        barriers=tuple(thing for thing in things if isinstance(thing, Barrier)),
-        skipped=extract.skipped + found.count(None),
-    )
+def terrain_from(extract: OsmExtract, name: str, file: str | None = None) -> Terrain:
+    """Build the things of a terrain from an extract, leaving out and counting what is broken.
+
+    Parameters
+    ----------
+    extract
+        What was read.
+    name
+        Of the terrain.
+    file
+        Name of the file that the extract was read from; `name` with the usual ending if not given.
+    """
+    survey = _Survey(box(*extract.bounds))
+    for way in extract.ways:
+        survey.way(way.id, way.points, way.tags)
+    for area in extract.areas:
+        survey.relation(area.id, area.area, area.tags)
+    for node in extract.nodes:
+        survey.node(node)
+    for element in extract.broken:
+        survey.skip(element.tags, element.reason)
+    for element in extract.repeated:
+        survey.leave_out(element.tags, element.reason)
+    return survey.terrain(extract, name, file or f"{name}.osm")
 
 
-def _things_of(way: OsmWay, frame: Polygon) -> list[Thing] | None:
-    """Return what a way stands for inside the frame: nothing, one thing or pieces; None for a broken way."""
-    tags = way.tags
-    if _is_hidden(tags):
-        return []
-    if tags.get("building", "no") != "no":
-        return _buildings(way, frame)
-    if "highway" in tags and tags.get("area") != "yes":
-        return _roads(way, frame)
-    if tags.get("barrier") in _BARRIERS:
-        kind, height = _BARRIERS[tags["barrier"]]
-        height = looks.metres(tags.get("height")) or height
-        return [Barrier(line, height, kind) for line in _lines(LineString(way.points).intersection(frame))]
-    area = next((kind for (key, value), kind in _AREA_KIND.items() if tags.get(key) == value), None)
-    if area is None:
-        return []
-    rings = _polygons(way, frame)
-    return None if rings is None else [Area(ring, area) for ring in rings]
+class _Survey:
+    """Gather the things of a terrain, element by element, and count what becomes of each."""
 
+    def __init__(self, frame: Polygon) -> None:
+        self._frame = frame
+        self._outlines: list[Outline] = []
+        self._parts: list[Outline] = []
+        self._roads: list[Road] = []
+        self._passages: list[Road] = []
+        self._squares: list[Polygon] = []
+        self._areas: list[Area] = []
+        self._barriers: list[Barrier] = []
+        self._gates: list[shapely.Point] = []
+        self._woods: list[Wood] = []
+        self._rows: list[Row] = []
+        self._trees: list[Tree] = []
+        self._used: Counter[str] = Counter()
+        self._skipped: Counter[str] = Counter()
+        self._left_out: Counter[str] = Counter()
 
-def _is_hidden(tags: looks.Tags) -> bool:
-    """Return whether the way lies under the ground or inside a building, where nobody would see or reach it."""
-    below = tags.get("layer", "0").startswith("-") or tags.get("location") == "underground"
-    return below or tags.get("tunnel", "no") != "no" or tags.get("indoor", "no") != "no"
+    def skip(self, tags: Tags, reason: str) -> None:
+        """Count an element that is broken."""
+        for kind in kinds.kinds_of(tags) or ("other",):
+            self._skipped[f"{kind}: {reason}"] += 1
 
+    def leave_out(self, tags: Tags, reason: str) -> None:
+        """Count an element that is as it should be, but shows nothing here."""
+        for kind in kinds.kinds_of(tags):
+            self._left_out[f"{kind}: {reason}"] += 1
 
-def _buildings(way: OsmWay, frame: Polygon) -> list[Thing] | None:
-    rings = _polygons(way, frame)
-    if rings is None:
-        return None
-    look, height, roof = looks.facade(way.tags, way.id), looks.height_m(way.tags), looks.roof_shape(way.tags)
-    return [Building(ring, height, look, roof) for ring in rings if ring.area >= _SMALLEST_BUILDING_M2]
+    def node(self, node: OsmNode) -> None:
+        """Take a node: a tree or a gate."""
+        inside = self._frame.covers(shapely.Point(node.xy))
+        if node.tags.get("barrier") in kinds.GATES and inside:
+            self._gates.append(shapely.Point(node.xy))
+        if node.tags.get("building", "no") != "no":
+            self._skipped["building: it is a point without an outline"] += 1
+        if node.tags.get("natural") == "tree":
+            if inside:
+                self._trees.append(_tree(node))
+                self._used["tree"] += 1
+            else:
+                self._left_out[f"tree: {_OUTSIDE}"] += 1
 
+    def way(self, way_id: int, points: NDArray[np.float64], tags: Tags) -> None:
+        """Take a way, for each thing that it stands for."""
+        for kind in kinds.kinds_of(tags):
+            if kinds.is_hidden(tags):
+                self._left_out[f"{kind}: under the ground or indoors"] += 1
+                continue
+            try:
+                if kind in _LINEAR:
+                    self._lines(kind, way_id, lines_in(line_through(points), self._frame), tags)
+                else:
+                    self._area(kind, way_id, area_within(points), tags)
+            except OutlineError as error:
+                # An open line outside the bounds is not looked at: exports cut outlines there.
+                outside = not self._frame.intersects(LineString(points))
+                (self._left_out if outside else self._skipped)[f"{kind}: {_OUTSIDE if outside else error}"] += 1
 
-def _roads(way: OsmWay, frame: Polygon) -> list[Thing] | None:
-    highway = way.tags["highway"]
-    usual_width = _STREET_WIDTH_M.get(highway) or _PATH_WIDTH_M.get(highway)
-    if usual_width is None:  # steps, proposed, construction, ...: nothing to drive on or to draw
-        return []
-    line = LineString(way.points)
-    if line.length == 0:
-        return None
-    width = min(max(looks.metres(way.tags.get("width")) or usual_width, 1.0), 40.0)
-    street, marked = highway in _STREET_WIDTH_M, highway in _MARKED
-    return [
-        Road(part, width, "street" if street else "path", highway not in _NOT_FOR_A_ROBOT, marked, marked)
-        for part in _lines(line.intersection(frame))
-    ]
+    def relation(self, relation_id: int, area: BaseGeometry, tags: Tags) -> None:
+        """Take a multipolygon relation."""
+        for kind in kinds.kinds_of(tags):
+            if kinds.is_hidden(tags):
+                self._left_out[f"{kind}: under the ground or indoors"] += 1
+            elif kind in _LINEAR:
+                self._left_out[f"{kind}: it is an area"] += 1
+            elif self._area(kind, relation_id, area, tags):
+                self._used[f"{kind} relation"] += 1
+
+    def terrain(self, extract: OsmExtract, name: str, file: str) -> Terrain:
+        """Return the terrain of everything that was taken."""
+        composed = compose(self._outlines, self._parts)
+        self._used["building part"] = composed.parts_used
+        for reason, count in composed.unused.items():
+            self._left_out[f"building part: {reason}"] += count
+        buildings = tuple(open_passages(composed.buildings, self._passages))
+        barriers = tuple(open_barriers(self._barriers, self._roads, self._gates))
+        roads = (*self._roads, *across_squares(self._squares, self._roads))
+        areas = tuple(bridge_water(self._areas, self._roads))
+        return Terrain(
+            name=name,
+            bounds=extract.bounds,
+            buildings=buildings,
+            roads=roads,
+            areas=areas,
+            trees=(*self._trees, *self._planted(roads, buildings, areas, barriers)),
+            barriers=barriers,
+            skipped=self._skipped.total(),
+            source=Source(
+                file, ATTRIBUTION, extract.latitude_deg, extract.longitude_deg,
+                _sorted(self._used), _sorted(self._skipped), _sorted(self._left_out),
+            ),
+        )  # fmt: skip
+
+    def _planted(
+        self,
+        roads: tuple[Road, ...],
+        buildings: tuple[Building, ...],
+        areas: tuple[Area, ...],
+        barriers: tuple[Barrier, ...],
+    ) -> list[Tree]:
+        if not self._woods and not self._rows:
+            return []
+        sites = Sites(roads, buildings, areas, barriers)
+        return in_rows(self._rows, sites) + scattered(self._woods, sites)
+
+    def _lines(self, kind: Kind, way_id: int, lines: list[LineString], tags: Tags) -> None:
+        if not lines:
+            self._left_out[f"{kind}: {_OUTSIDE}"] += 1
+            return
+        self._used[kind] += 1
+        for line in lines:
+            self._line(kind, way_id, line, tags)
+
+    def _line(self, kind: Kind, way_id: int, line: LineString, tags: Tags) -> None:
+        match kind:
+            case "road":
+                self._roads.append(road(line, tags))
+                if kinds.is_passage(tags):
+                    self._passages.append(self._roads[-1])
+            case "barrier":
+                barrier_kind, usual_m = kinds.BARRIERS[tags["barrier"]]
+                height_m = looks.metres(tags.get("height")) or usual_m
+                self._barriers.append(Barrier(line, min(max(height_m, _BARRIER_M[0]), _BARRIER_M[1]), barrier_kind))
+            case "waterway":
+                width_m = looks.metres(tags.get("width")) or kinds.WATERWAY_WIDTH_M[tags["waterway"]]
+                water = line.buffer(min(max(width_m, _WATERWAY_M[0]), _WATERWAY_M[1]) / 2)
+                self._areas += [Area(part, "water") for part in polygons_in(water, self._frame)]
+            case _:
+                self._rows.append(Row(way_id, line, tags.get("leaf_type", "")))
+
+    def _area(self, kind: Kind, element_id: int, area: BaseGeometry, tags: Tags) -> bool:
+        """Take the part of an area that is inside the frame; return whether there is one."""
+        polygons = polygons_in(area, self._frame)
+        if not polygons:
+            self._left_out[f"{kind}: {_OUTSIDE}"] += 1
+            return False
+        if kind in {"building", "building part"}:
+            if max(polygon.area for polygon in polygons) < SMALLEST_M2:
+                self._skipped[f"{kind}: it is smaller than {SMALLEST_M2:.0f} m2"] += 1
+                return False
+            outlines = self._outlines if kind == "building" else self._parts
+            outlines.append(Outline(element_id, tuple(polygons), tags))
+        else:
+            self._ground(kind, element_id, polygons, tags)
+        if kind != "building part":  # whether a part is used is known only when all are there
+            self._used[kind] += 1
+        return True
+
+    def _ground(self, kind: Kind, element_id: int, polygons: list[Polygon], tags: Tags) -> None:
+        if kind == "square":
+            self._areas += [Area(polygon, "paved") for polygon in polygons]
+            self._squares += polygons
+            return
+        cover = kinds.cover_of(tags)
+        if cover is None:
+            return
+        self._areas += [Area(polygon, cover.kind) for polygon in polygons]
+        if cover.tree_m is not None:
+            leaves = tags.get("leaf_type", "")
+            self._woods += [Wood(element_id, polygon, cover.tree_m or None, leaves) for polygon in polygons]
 
 
 def _tree(node: OsmNode) -> Tree:
@@ -119,23 +231,8 @@ def _tree(node: OsmNode) -> Tree:
     broad: tuple[TreeKind, TreeKind] = ("round", "tall")
     kind: TreeKind = "conifer" if conifer else broad[node.id % 2]
     height = looks.metres(node.tags.get("height")) or _TREE_HEIGHT_M[kind] * (0.85 + 0.06 * (node.id % 6))
-    return Tree(float(node.xy[0]), float(node.xy[1]), min(height, 40.0), kind)
+    return Tree(float(node.xy[0]), float(node.xy[1]), min(height, _TALLEST_TREE_M), kind)
 
 
-def _is_in(node: OsmNode, frame: Polygon) -> bool:
-    x_min, y_min, x_max, y_max = frame.bounds
-    return bool(x_min <= node.xy[0] <= x_max and y_min <= node.xy[1] <= y_max)
-
-
-def _polygons(way: OsmWay, frame: Polygon) -> list[Polygon] | None:
-    """Return the way's area inside the frame, untangled where its outline crosses itself; None if it has none."""
-    if not way.closed or len(way.points) < 4:
-        return None
-    area = make_valid(Polygon(way.points)).intersection(frame)
-    parts = [part for part in getattr(area, "geoms", [area]) if isinstance(part, Polygon) and part.area > 0]
-    return parts or (None if frame.intersects(LineString(way.points)) else [])
-
-
-def _lines(geometry: BaseGeometry) -> list[LineString]:
-    parts = getattr(geometry, "geoms", [geometry])
-    return [part for part in parts if isinstance(part, LineString) and part.length > 0]
+def _sorted(counts: Mapping[str, int]) -> dict[str, int]:
+    return {name: counts[name] for name in sorted(counts) if counts[name]}

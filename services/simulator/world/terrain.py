@@ -12,6 +12,8 @@ from services.simulator.robots import RESCUEBOT, RobotModel
 from services.simulator.world.place import Place, Rgb, Scale, Solid
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
     from shapely import LineString, Polygon
 
 FacadeStyle = Literal["brick", "plaster", "concrete", "glass", "wood"]
@@ -109,6 +111,35 @@ class Barrier:
     kind: BarrierKind
 
 
+@dataclass(frozen=True)
+class Source:
+    """Where a terrain comes from, and what became of the elements of its map.
+
+    Attributes
+    ----------
+    file
+        Name of the map's file.
+    attribution
+        Whom the map's licence asks to name.
+    latitude_deg, longitude_deg
+        Of the point where x and y are 0.
+    used
+        How many elements of the map became things, by kind ("building", "building relation", "road", ...).
+    skipped
+        How many could not be used, by kind and reason ("building: its outline is not closed").
+    left_out
+        How many are as they should be but show nothing here, by kind and reason ("road: under the ground").
+    """
+
+    file: str
+    attribution: str
+    latitude_deg: float
+    longitude_deg: float
+    used: Mapping[str, int]
+    skipped: Mapping[str, int]
+    left_out: Mapping[str, int]
+
+
 @dataclass(frozen=True, eq=False)
 class Terrain(Place):
     """An outdoor place: everything that stands or lies on the ground.
@@ -117,6 +148,8 @@ class Terrain(Place):
     ----------
     skipped
         Number of elements of the file that could not be used (broken, empty or without position).
+    source
+        Where it comes from; None for one made otherwise than from a map.
     """
 
     buildings: tuple[Building, ...]
@@ -125,6 +158,7 @@ class Terrain(Place):
     trees: tuple[Tree, ...]
     barriers: tuple[Barrier, ...]
     skipped: int
+    source: Source | None = None
 
     @property
     def robot(self) -> RobotModel:

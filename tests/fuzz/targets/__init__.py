@@ -11,7 +11,9 @@ import random
 from pathlib import Path
 from typing import Final, Protocol, cast
 
-NAMES: Final = ("messages", "rpc", "samples", "recording", "recovery", "resumption", "image", "model", "world")
+NAMES: Final = (
+    "messages", "rpc", "samples", "recording", "recovery", "resumption", "image", "model", "world", "world_file"
+)  # fmt: skip
 CRASHERS: Final = Path(__file__).resolve().parents[1] / "crashers"
 _LONGEST_LINE: Final = 700
 

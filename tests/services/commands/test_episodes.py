@@ -16,6 +16,7 @@ from services.commands.episodes import EpisodeClient, EpisodeRecord, check_world
 from services.commands.errors import JobError, UsageError
 from services.commands.options import Camera, camera_of_own_stack
 from services.commands.run import CHAIN, _check_models, _run_all, summarise
+from services.commands.simulator_options import simulator_of_own_stack
 from services.commands.stack import Access
 from services.process import Node
 from services.settings import ServiceSettings
@@ -115,6 +116,24 @@ def test_results_of_another_model_are_an_error(
             _check_models(client, "0123456789abcdef")
     finally:
         client.close()
+
+
+def test_the_simulator_s_options_become_its_flags() -> None:
+    plain = simulator_of_own_stack("yard", "64x48", None)
+    assert plain.flags() == ("--world", "yard", "--camera-width", "64", "--camera-height", "48")
+    assert simulator_of_own_stack("yard", "64x48", None, shake=0.5).flags() == (*plain.flags(), "--shake", "0.5")
+
+
+@pytest.mark.parametrize("shake", [float("nan"), float("inf"), -0.1, 10.5])
+def test_a_shake_that_is_none(shake: float) -> None:
+    with pytest.raises(UsageError, match=rf"^--shake {shake:g}: from 0 to 10$"):
+        simulator_of_own_stack("yard", None, None, shake=shake)
+
+
+def test_what_a_running_stack_has_cannot_be_chosen() -> None:
+    assert simulator_of_own_stack("yard", None, "tcp/127.0.0.1:1").camera == Camera(1024, 768)
+    with pytest.raises(UsageError, match=r"^--shake: with --connect .* `smal up`$"):
+        simulator_of_own_stack("yard", None, "tcp/127.0.0.1:1", shake=0.0)
 
 
 def test_camera_belongs_to_the_stack_that_is_started() -> None:

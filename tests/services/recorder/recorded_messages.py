@@ -13,9 +13,12 @@ from schemas.base import ATOMS, SOURCES, Message
 from schemas.command import Command, CommandApplied
 from schemas.compressed_image import CompressedImage
 from schemas.episode import Episode, EventName, Outcome, Purpose
+from schemas.imu import Imu, ImuSample
 from schemas.observation import Observation
+from schemas.odometry import Odometry
 from schemas.pose import Pose
 from schemas.state import State
+from schemas.tracked_pose import TrackedPose
 from services.jpeg import encode_jpeg
 
 FINGERPRINT = "0123456789ab"
@@ -54,6 +57,18 @@ def observation(episode: str, tick: int, fingerprint: str = FINGERPRINT) -> Obse
     return Observation.after(header(episode, tick), fingerprint=fingerprint, features=vector)
 
 
+def imu(episode: str, tick: int) -> Imu:
+    samples = tuple(
+        ImuSample(
+            after_s=round(0.1 * tick - 0.08 + 0.02 * k, 2),
+            angular_velocity_rad_s=(0.001, -0.002, 0.1 * k),
+            acceleration_m_s2=(0.25, -0.5, 9.81),
+        )
+        for k in range(5 if tick else 0)
+    )
+    return Imu.after(header(episode, tick), samples=samples)
+
+
 def applied(episode: str, tick: int, sequence: int | None = None, atom: str | None = None) -> CommandApplied:
     return CommandApplied.after(
         header(episode, tick),
@@ -74,6 +89,9 @@ def frame(episode: str, tick: int) -> list[Message]:
     cause = header(episode, tick)
     return [
         Pose.after(cause, x_m=1.5 * tick, y_m=-2.0, heading_rad=0.5),
+        TrackedPose.after(cause, visible=True, x_m=1.5 * tick, y_m=-2.0, heading_rad=0.5, error_px=0.25),
+        Odometry.after(cause, x_m=1.5 * tick, y_m=0.1, heading_rad=0.02, speed_m_s=2.0, turn_rate_rad_s=0.1),
+        imu(episode, tick),
         image(episode, tick),
         observation(episode, tick),
         State.after(cause, status="unknown", model=MODEL, score=0.25, residual=0.75),

@@ -5,8 +5,42 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 
+import numpy as np
+from numpy.typing import NDArray
+
 from schemas.base import Atom
+from services.simulator.sensors import Tilt
 from services.simulator.simulation import Simulation
+from services.simulator.world.place import Pose
+
+
+class StubCamera:
+    """Sees the victim as a given fraction of the image, and remembers whether it was asked."""
+
+    focal_px = 20.0
+
+    def __init__(self, fraction: float = 0.0) -> None:
+        self.fraction = fraction
+        self.asked = 0
+
+    def render(self, pose: Pose, tilt: Tilt) -> NDArray[np.uint8]:
+        return np.full((24, 32, 3), int(abs(pose.x)) % 256, dtype=np.uint8)
+
+    def depth_m(self, pose: Pose, tilt: Tilt) -> NDArray[np.float32]:
+        return np.full((24, 32), abs(pose.x), dtype=np.float32)
+
+    def overhead(self, pose: Pose) -> NDArray[np.uint8]:
+        raise LookupError("nothing above")
+
+    def victim_pixels(self, pose: Pose, tilt: Tilt) -> float:
+        self.asked += 1
+        return self.fraction
+
+
+def key_to(pose: Pose, x: float, y: float) -> Atom:
+    """Return the key that turns to a place, or drives there."""
+    bearing = math.remainder(math.atan2(y - pose.y, x - pose.x) - pose.heading, math.tau)
+    return "forward" if abs(bearing) < 0.06 else "left" if bearing > 0 else "right"
 
 
 def drive_to(simulation: Simulation, x: float, y: float, until: Callable[[], bool] = lambda: False) -> None:
@@ -15,7 +49,5 @@ def drive_to(simulation: Simulation, x: float, y: float, until: Callable[[], boo
         pose = simulation.pose
         if math.hypot(x - pose.x, y - pose.y) < 0.3 or simulation.collided or until():
             return
-        bearing = math.remainder(math.atan2(y - pose.y, x - pose.x) - pose.heading, math.tau)
-        turn: Atom = "left" if bearing > 0 else "right"
-        simulation.advance("forward" if abs(bearing) < 0.06 else turn, 1.0, 0.1)
+        simulation.advance(key_to(pose, x, y), 1.0, 0.1)
     raise AssertionError(f"did not arrive at ({x}, {y})")

@@ -14,15 +14,23 @@ from numpy.typing import NDArray
 from schemas.base import Atom, Message, Source
 from schemas.command import Command, CommandApplied
 from schemas.compressed_image import CompressedImage
+from schemas.depth_image import DepthImage
 from schemas.episode import Episode, Purpose
 from schemas.image import Image
+from schemas.imu import Imu
+from schemas.odometry import Odometry
+from schemas.overhead_image import OverheadImage
 from schemas.pose import Pose
 from schemas.rpc import ResetRequest
+from schemas.topics import DEPTH, OVERHEAD, Topic
 from services.process import Node, ServiceError
 from services.simulator.drive import TICK_S
 from services.simulator.episode import GIVE_UP_S, RESEND_S, STEP_S, EpisodeRunner
 from services.simulator.gate import MAX_AGE_S, Refusal
+from services.simulator.sensors import ImuReading, OdometryReading
+from services.simulator.sensors.messages import FARTHEST_M, depth_message
 from services.simulator.service import LATCHED, SimulatorService
+from services.simulator.world.place import OverheadMount
 from services.simulator.world.place import Pose as PlanarPose
 
 
@@ -48,6 +56,20 @@ class Line:
 
     def render(self) -> NDArray[np.uint8]:
         return np.full((24, 32, 3), int(10 * self.x) % 256, dtype=np.uint8)
+
+    def depth_m(self) -> NDArray[np.float32]:
+        return np.full((480, 640), self.x + 1.0, dtype=np.float32)
+
+    overhead_mount: OverheadMount | None = OverheadMount(1.0, 2.0, 4.0, 0.5, 40, 30, 20.0)
+
+    def overhead(self) -> NDArray[np.uint8]:
+        return np.full((30, 40, 3), int(10 * self.x) % 256, dtype=np.uint8)
+
+    def odometry(self) -> OdometryReading:
+        return OdometryReading(self.x, 0.0, 0.0, 2.0, 0.0)
+
+    def imu(self) -> tuple[ImuReading, ...]:
+        return (ImuReading(0.02, (0.0, 0.0, 0.1), (0.0, 0.0, 9.81)),)
 
     def victim_found(self) -> bool:
         return self.victim <= self.x <= self.victim + self.sight
@@ -103,15 +125,15 @@ def events(messages: list[Message]) -> list[tuple[str, str | None]]:
 def test_lockstep_waits_for_each_answer_and_moves_exactly_one_tick() -> None:
     world = Line()
     runner, clock, messages = begin(world)
-    assert [type(m) for m in messages] == [Episode, Pose, Image, CompressedImage]
+    assert [type(m) for m in messages] == [Episode, Odometry, Imu, Pose, Image, CompressedImage]
     clock.now_s += RESEND_S / 2
     assert not list(runner.poll())
     messages = answer(runner)
-    assert [type(m) for m in messages] == [CommandApplied, Pose, Image, CompressedImage]
+    assert [type(m) for m in messages] == [CommandApplied, Odometry, Imu, Pose, Image, CompressedImage]
     assert world.moves == [("forward", 1.0, TICK_S)]
     assert isinstance(messages[0], CommandApplied)
     assert messages[0].latency_ns == pytest.approx(1e9 * RESEND_S / 2)
-    assert [m.tick for m in messages] == [0, 1, 1, 1]
+    assert [m.tick for m in messages] == [0, 1, 1, 1, 1, 1]
     assert messages[1].stamp_ns == 5 + 100_000_000
 
 
@@ -127,11 +149,87 @@ def test_lockstep_ignores_answers_to_other_frames() -> None:
 def test_lockstep_sends_a_lost_frame_again_and_then_gives_up() -> None:
     runner, clock, first = begin(Line())
     clock.now_s += RESEND_S + 0.1
-    assert list(runner.poll()) == first[1:3], "not the JPEG: its sender keeps it for whoever missed it"
+    assert list(runner.poll()) == first[3:5], "not what is recorded: its sender keeps it for whoever missed it"
     clock.now_s += 0.1
     assert not list(runner.poll())
     clock.now_s += GIVE_UP_S
     assert events(list(runner.poll())) == [("ended", "aborted")]
+
+
+class Watched(Line):
+    """A world that counts its costly pictures."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.made: Counter[Topic] = Counter()
+
+    def depth_m(self) -> NDArray[np.float32]:
+        self.made[DEPTH] += 1
+        return super().depth_m()
+
+    def overhead(self) -> NDArray[np.uint8]:
+        self.made[OVERHEAD] += 1
+        return super().overhead()
+
+
+@pytest.mark.parametrize("listened", [set(), {DEPTH}, {OVERHEAD}, {DEPTH, OVERHEAD}], ids=len)
+def test_costly_pictures_are_made_only_while_somebody_listens(listened: set[Topic]) -> None:
+    world, clock, wanted = Watched(), Clock(), set[Topic]()
+    runner = EpisodeRunner(world, "r", "s", clock, lambda: 5, wanted=wanted.__contains__)
+    runner.reset(ResetRequest(seed=1))
+    assert not [m for m in answer(runner) if isinstance(m, DepthImage | OverheadImage)]
+    wanted |= listened
+    messages = answer(runner)
+    assert {m.topic_name for m in messages if isinstance(m, DepthImage | OverheadImage)} == {t.name for t in listened}
+    assert all(m.tick == 2 for m in messages if isinstance(m, DepthImage | OverheadImage))
+    assert [type(m) for m in messages][-2:] == [Image, CompressedImage], "what is answered comes last"
+    clock.now_s += RESEND_S + 0.1
+    resent = list(runner.poll())
+    assert [m for m in messages if isinstance(m, Pose | DepthImage | OverheadImage | Image)] == resent
+    wanted.clear()
+    answer(runner)
+    assert world.made == Counter(listened), "each was made once: a frame that is sent again is not made again"
+
+
+def test_a_place_without_a_camera_above_sends_none() -> None:
+    world = Watched()
+    world.overhead_mount = None
+    runner = EpisodeRunner(world, "r", "s", Clock(), lambda: 5, wanted=lambda _: True)
+    _, messages = runner.reset(ResetRequest(seed=1))
+    assert not [m for m in messages if isinstance(m, OverheadImage)]
+    assert world.made == {DEPTH: 1}
+
+
+def test_the_overhead_image_tells_how_its_camera_hangs() -> None:
+    runner = EpisodeRunner(Line(), "r", "s", Clock(), lambda: 5, wanted=lambda _: True)
+    _, messages = runner.reset(ResetRequest(seed=1))
+    (image,) = (m for m in messages if isinstance(m, OverheadImage))
+    assert (image.width, image.height) == (40, 30)
+    told = image.calibration
+    assert (told.focal_px, told.centre_x_px, told.centre_y_px) == (20.0, 20.0, 15.0)
+    assert (told.x_m, told.y_m, told.height_m, told.up_rad) == (1.0, 2.0, 4.0, 0.5)
+
+
+@pytest.mark.parametrize(
+    ("size", "every"), [((480, 640), 2), ((768, 1024), 4), ((48, 64), 1), ((241, 321), 2), ((3072, 4096), 13)], ids=str
+)
+def test_depth_is_told_in_millimetres_of_some_pixels(size: tuple[int, int], every: int) -> None:
+    rows, columns = np.mgrid[: size[0], : size[1]].astype(np.float32)
+    header = Message(robot="r", episode="e", tick=0, stamp_ns=0)
+    message = depth_message(header, (rows + columns / 10000).astype(np.float32))
+    told = message.to_numpy()
+    assert told.shape[0] <= 240
+    assert told.shape[1] <= 320
+    for row, column in [(0, 0), (7, 3), (told.shape[0] - 1, told.shape[1] - 1)]:
+        from_row, from_column = row * every + every // 2, column * every + every // 2
+        far = from_row + from_column / 10000 > FARTHEST_M
+        assert told[row, column] == (0 if far else pytest.approx(1000 * (from_row + from_column / 10000), abs=0.51))
+
+
+def test_nothing_in_range_is_zero() -> None:
+    header = Message(robot="r", episode="e", tick=0, stamp_ns=0)
+    depth_m = np.array([[np.inf, 65.1, 65.0, 0.0004, 1.2345]], dtype=np.float32)
+    assert depth_message(header, depth_m).to_numpy().tolist() == [[0, 0, 65000, 0, 1234]]
 
 
 def test_run_ends_when_the_victim_is_found() -> None:

@@ -2,17 +2,23 @@
 
 from __future__ import annotations
 
+import itertools
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 
+import numpy as np
 import pytest
 
 from schemas import topics
 from schemas.base import Message
 from schemas.codec import decode
 from schemas.command import Command, CommandApplied
+from schemas.depth_image import DepthImage
 from schemas.episode import Episode
 from schemas.image import Image
+from schemas.imu import Imu
+from schemas.odometry import Odometry
 from schemas.rpc import EndRequest, Nothing, ResetReply, ResetRequest
 from services.bus import Bus, RpcError, Take
 from tests.services.chain import process
@@ -94,6 +100,55 @@ def test_realtime_episode_stands_in_silence_and_times_out(client: Bus, heard: He
     moved = [a.tick for a in heard.applied if a.atom == "forward"]
     assert max(moved) - max(answered) <= 5
     assert heard.applied[-1].reason == "silence"
+
+
+def test_depth_comes_while_somebody_listens(client: Bus, heard: Heard, router_endpoint: str) -> None:
+    reply = reset(client)
+    eventually(lambda: heard.images)
+
+    def published() -> dict[str, int]:
+        status = status_of(client, "simulator")
+        assert status is not None
+        return status.published
+
+    def drive(tick: int) -> None:
+        client.publish(command(reply.episode, tick))
+        eventually(lambda: heard.images[-1].tick == tick + 1)
+
+    drive(0)
+    assert topics.DEPTH.name not in published()
+    assert published()[topics.IMU.name] == published()[topics.ODOMETRY.name] == 2
+    listener, depths = Bus("rescuebot", router_endpoint), list[DepthImage]()
+    listener.subscribe(topics.DEPTH, lambda payload, encoding, _: depths.append(decode(DepthImage, payload, encoding)))
+    # The simulator hears of its listener a moment later; in lockstep nothing is lost by waiting for that.
+    ticks = itertools.count(1)
+    eventually(lambda: (drive(next(ticks)), depths)[1])
+    depth = depths[-1]
+    assert depth.tick == heard.images[-1].tick
+    assert depth.to_numpy().shape == (48, 64)
+    assert 500 < np.median(depth.to_numpy()[-5:]) < 3000, "the ground before the robot, in millimetres"
+    listener.close()
+    eventually(lambda: drive(next(ticks)) or depths[-1].tick < heard.images[-1].tick - 1)
+    count = published()[topics.DEPTH.name]
+    drive(next(ticks))
+    assert published()[topics.DEPTH.name] == count
+    assert topics.OVERHEAD.name not in published(), "nothing hangs above this yard"
+
+
+def test_what_the_sensors_say_is_what_the_robot_does(client: Bus, heard: Heard) -> None:
+    odometry, imu = list[Odometry](), list[Imu]()
+    client.subscribe(topics.ODOMETRY, lambda payload, encoding, _: odometry.append(decode(Odometry, payload, encoding)))
+    client.subscribe(topics.IMU, lambda payload, encoding, _: imu.append(decode(Imu, payload, encoding)))
+    reply = reset(client)
+    for tick in range(6):
+        eventually(lambda tick=tick: heard.images and heard.images[-1].tick == tick)  # type: ignore[misc]
+        client.publish(command(reply.episode, tick))
+    eventually(lambda: odometry and imu and odometry[-1].tick == imu[-1].tick == 6)
+    assert odometry[-1].speed_m_s == pytest.approx(2.0, rel=0.15)
+    assert math.hypot(odometry[-1].x_m, odometry[-1].y_m) == pytest.approx(1.2, rel=0.1)
+    assert [len(message.samples) for message in imu if message.tick] == [5] * len([m for m in imu if m.tick])
+    assert [sample.after_s for sample in imu[-1].samples] == pytest.approx([0.52, 0.54, 0.56, 0.58, 0.6])
+    assert all(8 < sample.acceleration_m_s2[2] < 12 for sample in imu[-1].samples)
 
 
 def test_refusals_are_told_in_the_status(client: Bus, heard: Heard) -> None:

@@ -9,7 +9,6 @@ import pytest
 import shapely
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 
 from schemas.base import ATOMS, Atom
 from services.simulator.base import KinematicBase
@@ -17,26 +16,10 @@ from services.simulator.robots import Drive
 from services.simulator.simulation import Simulation
 from services.simulator.world import load_world
 from services.simulator.world.collision import obstacles_of
-from services.simulator.world.place import Pose
-from tests.services.simulator.simulator_driving import drive_to
+from tests.services.simulator.simulator_driving import StubCamera, drive_to
 
 YARD = load_world("yard")
 PERFECT = Drive(tick_sigma=0.0, radius_sigma=0.0)
-
-
-class StubCamera:
-    """Sees the victim as a given fraction of the image, and remembers whether it was asked."""
-
-    def __init__(self, fraction: float = 0.0) -> None:
-        self.fraction = fraction
-        self.asked = 0
-
-    def render(self, pose: Pose) -> NDArray[np.uint8]:
-        return np.full((24, 32, 3), int(abs(pose.x)) % 256, dtype=np.uint8)
-
-    def victim_pixels(self, pose: Pose) -> float:
-        self.asked += 1
-        return self.fraction
 
 
 @given(
@@ -53,6 +36,7 @@ def test_the_same_seed_gives_the_same_episode_however_it_is_stepped(seed: int, p
         for _ in range(5):
             sliced.advance(atom, 1.0, 0.02)
     assert (whole.pose, whole.collided) == (sliced.pose, sliced.collided)
+    assert (whole.odometry(), whole.imu()) == (sliced.odometry(), sliced.imu())
 
 
 def test_reset_forgets_the_episode_before() -> None:

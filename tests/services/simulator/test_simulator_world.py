@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import time
+from collections import Counter
 from pathlib import Path
+from xml.etree import ElementTree
 
 import numpy as np
 import pytest
@@ -13,9 +16,19 @@ from services.simulator.world.collision import obstacles_of
 from services.simulator.world.loading import WORLDS_FOLDER
 from services.simulator.world.osm import read_osm
 from services.simulator.world.route import plan_route, route_length_m
+from services.simulator.world.terrain import Terrain
 
 BROWN = Path(__file__).parents[4] / "shared" / "data" / "osm" / "brown_university_campus.osm"
 CAMPUS = (WORLDS_FOLDER / "campus.osm").read_text()
+BILLION_LAUGHS = (
+    '<!DOCTYPE osm [<!ENTITY a0 "ha">'
+    + "".join(f'<!ENTITY a{k} "{f"&a{k - 1};" * 10}">' for k in range(1, 10))
+    + ']><osm version="0.6"><node id="1" version="1" lat="1" lon="1"><tag k="name" v="&a9;"/></node></osm>'
+)
+STRANGE_FILE = (
+    '<!DOCTYPE osm [<!ENTITY file SYSTEM "file:///etc/hostname">]><osm version="0.6">'
+    '<node id="1" version="1" lat="1" lon="1"><tag k="natural" v="&file;"/></node></osm>'
+)
 
 
 def turns(world: World) -> int:
@@ -82,6 +95,10 @@ def test_a_real_extract_gets_a_hidden_victim_by_rule() -> None:
 @pytest.mark.parametrize(
     ("content", "complaint"),
     [
+        (BILLION_LAUGHS, "holds <!DOCTYPE; a map defines no document type and no entities"),
+        (STRANGE_FILE, "holds <!DOCTYPE"),
+        ("<osm>" + " " * 2_000_000 + "<!ENTITY a 'b'>", "holds <!ENTITY"),
+        (BILLION_LAUGHS.encode("utf-16").decode("latin-1"), "holds zero bytes"),
         (CAMPUS[: len(CAMPUS) // 2], "not a readable OpenStreetMap XML file"),
         ("", "not a readable OpenStreetMap XML file"),
         ("a letter to a friend", "not a readable OpenStreetMap XML file"),
@@ -95,15 +112,54 @@ def test_a_real_extract_gets_a_hidden_victim_by_rule() -> None:
 )
 def test_a_bad_file_gives_one_line_that_names_it(tmp_path: Path, content: str, complaint: str) -> None:
     path = tmp_path / "bad.osm"
-    path.write_text(content)
+    path.write_bytes(content.encode("latin-1" if "\0" in content else "utf-8"))
+    began_s = time.process_time()
     with pytest.raises(WorldError, match=complaint) as caught:
         load_world(path)
+    assert time.process_time() - began_s < 2
     assert str(path) in str(caught.value)
     assert "\n" not in str(caught.value)
 
 
+def test_a_file_of_100_mb_is_refused_before_it_is_read(tmp_path: Path) -> None:
+    path = tmp_path / "large.osm"
+    with path.open("wb") as file:
+        file.truncate(100_000_000)
+    with pytest.raises(WorldError, match=r"large\.osm: 100 MB; a map has at most 67 MB"):
+        load_world(path)
+
+
+def test_more_points_than_a_world_can_have_are_refused_while_reading(tmp_path: Path) -> None:
+    path = tmp_path / "long.osm"
+    way = '<way id="{}" version="1">' + '<nd ref="1"/>' * 2000 + "</way>"
+    ways = "".join(way.format(k) for k in range(1, 510))
+    path.write_text(f'<osm version="0.6"><node id="1" version="1" lat="1" lon="1"/>{ways}</osm>')
+    with pytest.raises(WorldError, match="more than 1,000,000 points"):
+        load_world(path)
+
+
+@pytest.mark.skipif(not BROWN.exists(), reason=f"the real extract is not on this machine: {BROWN}")
+def test_every_building_of_a_real_extract_is_accounted_for() -> None:
+    """As many as a plain reading of the XML finds: drawn, or skipped for a reason."""
+    tagged: Counter[str] = Counter()
+    for element in ElementTree.parse(BROWN).getroot():  # noqa: S314 - our own copy
+        tags = {tag.get("k"): tag.get("v") for tag in element.iter("tag")}
+        if tags.get("building", "no") != "no":
+            tagged[element.tag] += 1
+    place = load_world(BROWN).place
+    assert isinstance(place, Terrain)
+    assert place.source is not None
+    assert tagged == {"way": 392, "node": 9, "relation": 1}
+    skipped = {reason: count for reason, count in place.source.skipped.items() if reason.startswith("building: ")}
+    assert skipped == {"building: it is a point without an outline": 9, "building: it is smaller than 4 m2": 3}
+    assert place.source.used["building"] + sum(skipped.values()) == tagged.total()
+    assert place.source.used["building relation"] == tagged["relation"]
+    (hall,) = [building for building in place.buildings if building.footprint.interiors]
+    assert hall.footprint.interiors
+
+
 def test_an_unknown_world_names_those_that_are_known() -> None:
-    with pytest.raises(WorldError, match="unknown world 'moon'; known are campus, yard"):
+    with pytest.raises(WorldError, match=r"unknown world 'moon'; known are campus, .*yard"):
         load_world("moon")
     with pytest.raises(WorldError, match=r"moon\.osm: no such file"):
         load_world("somewhere/moon.osm")

@@ -1,0 +1,148 @@
+"""The search as a Gymnasium environment, so that other methods can be run in the same worlds.
+
+Importing this module registers ``smal/Campus-v0`` and ``smal/Indoor-v0``:
+``gymnasium.make("services.simulator.gymnasium_env:smal/Campus-v0")`` does both.
+"""
+
+from __future__ import annotations
+
+from typing import Any, Final, get_args
+
+import gymnasium
+import numpy as np
+from gymnasium import spaces
+from numpy.typing import NDArray
+
+from schemas.base import ATOMS
+from schemas.episode import Purpose
+from services.simulator.drive import TICK_S
+from services.simulator.opening import BaseKind, open_simulation
+from services.simulator.simulation import CameraSettings, Simulation
+
+#: Frames after which an episode is truncated: five minutes.
+MAX_TICKS: Final = 3000
+FOUND_REWARD: Final = 1.0
+COLLISION_REWARD: Final = -1.0
+Info = dict[str, Any]
+
+
+class SearchEnv(gymnasium.Env[NDArray[np.uint8], np.int64]):
+    """Find the victim by the camera alone.
+
+    Observation: the camera image, (height, width, 3) uint8 RGB. Action: one of `schemas.base.ATOMS` (forward,
+    backward, left, right, stop), held for one frame of 0.1 s. Reward: 1 when the victim is found, -1 at a collision
+    (both end the episode), else 0.
+
+    Parameters
+    ----------
+    world
+        Name of a world, or the path of a map; see `load_world`.
+    width, height
+        Size of the camera image, pixels.
+    base, shake, variation
+        How the robot moves, how much its camera shakes, and under which conditions; see `open_simulation`.
+    render_mode
+        `rgb_array`, or None.
+    simulation
+        A simulation made elsewhere, whose images have that size; all the above but `render_mode` is then left aside.
+
+    Raises
+    ------
+    WorldError
+        There is no such world.
+    RenderingUnavailableError, PhysicsUnavailableError
+        This machine lacks what is needed.
+    ValueError
+        The variation or the render mode is unknown.
+    """
+
+    metadata: dict[str, Any] = {"render_modes": ["rgb_array"], "render_fps": round(1 / TICK_S)}  # noqa: RUF012
+
+    def __init__(
+        self,
+        world: str = "campus",
+        *,
+        width: int = 320,
+        height: int = 240,
+        base: BaseKind = "physics",
+        shake: float | None = None,
+        variation: str = "day",
+        render_mode: str | None = None,
+        simulation: Simulation | None = None,
+    ) -> None:
+        if render_mode not in {None, *self.metadata["render_modes"]}:
+            raise ValueError(f"render_mode {render_mode!r}: known are None and {self.metadata['render_modes']}")
+        self.render_mode = render_mode
+        self._simulation = simulation or open_simulation(
+            world, CameraSettings(width, height), base=base, shake=shake, variation=variation
+        )
+        self.observation_space = spaces.Box(0, 255, (height, width, 3), np.uint8)
+        self.action_space = spaces.Discrete(len(ATOMS))
+        self._image: NDArray[np.uint8] | None = None
+
+    def reset(self, *, seed: int | None = None, options: Info | None = None) -> tuple[NDArray[np.uint8], Info]:
+        """Begin an episode.
+
+        Parameters
+        ----------
+        seed
+            The same seed gives the same episode; without one the environment's own chance decides.
+        options
+            `purpose`: where to start, "run" (the default), "drive" or "recovery"; see `starts.sample_start`.
+
+        Returns
+        -------
+        observation, info
+            `info` has `pose` (x, y in metres, heading in radians) and `route` ((k, 2) way points to the victim, for
+            experts that may know them).
+        """
+        super().reset(seed=seed)
+        purpose = (options or {}).get("purpose", "run")
+        if purpose not in get_args(Purpose):
+            raise ValueError(f"purpose {purpose!r}: known are {', '.join(get_args(Purpose))}")
+        episode = seed if seed is not None else int(self.np_random.integers(2**31))
+        self._simulation.reset(episode, purpose)
+        return self._look(), self._info() | {"route": self._simulation.route()}
+
+    def step(self, action: np.int64) -> tuple[NDArray[np.uint8], float, bool, bool, Info]:
+        """Hold a key for one frame.
+
+        Returns
+        -------
+        observation, reward, terminated, truncated, info
+            `info` has `pose` and, with the last step, `outcome`: "found" or "collision". `truncated` is always False
+            here: `gymnasium.make` adds the limit of `MAX_TICKS` steps.
+        """
+        if not self.action_space.contains(action):
+            raise ValueError(f"action {action!r}: expected a whole number from 0 to {len(ATOMS) - 1}")
+        if self._image is None:
+            raise gymnasium.error.ResetNeeded("call reset before step")
+        self._simulation.advance(ATOMS[int(action)], 1.0, TICK_S)
+        image = self._look()
+        info = self._info()
+        if self._simulation.collided:
+            return image, COLLISION_REWARD, True, False, info | {"outcome": "collision"}
+        if self._simulation.victim_found():
+            return image, FOUND_REWARD, True, False, info | {"outcome": "found"}
+        return image, 0.0, False, False, info
+
+    def render(self) -> NDArray[np.uint8] | None:
+        """Return the last camera image, if the render mode asks for it."""
+        return self._image if self.render_mode == "rgb_array" else None
+
+    def _look(self) -> NDArray[np.uint8]:
+        self._image = self._simulation.render()
+        return self._image
+
+    def _info(self) -> Info:
+        pose = self._simulation.pose
+        return {"pose": np.array([pose.x, pose.y, pose.heading])}
+
+
+for _world in ("campus", "indoor"):
+    gymnasium.register(
+        f"smal/{_world.capitalize()}-v0",
+        entry_point="services.simulator.gymnasium_env:SearchEnv",
+        max_episode_steps=MAX_TICKS,
+        kwargs={"world": _world},
+    )

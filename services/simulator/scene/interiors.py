@@ -1,0 +1,152 @@
+"""Pictures of a room's own surfaces: floor with the soft shade that things cast on it, walls, ceiling."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Final
+
+import cv2
+import numpy as np
+import shapely
+
+from services.simulator.scene.noise import as_picture, coloured, layered, noise
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+    from shapely import Polygon
+
+    from services.simulator.world.place import Rgb
+    from services.simulator.world.room import Room
+
+_PIXELS_PER_M: Final = 256
+_SHADE_PIXELS_PER_M: Final = 48
+_LARGEST_PX: Final = 4096
+_PLANK_M: Final = (0.14, 1.2)
+_SHEET_M: Final = 2.0
+#: Depth of the shade beside what stands on the floor, and how far it reaches; the same under and around what is above.
+_CONTACT: Final = (0.5, 0.07)
+_AROUND: Final = (0.42, 0.22)
+_SEED: Final = 11
+
+
+def paint_floor(room: Room, standing: Polygon, *, shadows: bool) -> NDArray[np.uint8]:
+    """Return the picture of the whole floor, its upper edge in the north, with the shade that lies on it.
+
+    Parameters
+    ----------
+    room
+        Whose floor.
+    standing
+        What else stands on it, seen from above, metres.
+    shadows
+        Whether there is any shade.
+    """
+    x_min, y_min, x_max, y_max = room.bounds
+    shape = _pixels(y_max - y_min), _pixels(x_max - x_min)
+    plain = _PATTERNS[room.look.floor](shape, (y_max - y_min, x_max - x_min))
+    if not shadows:
+        return plain
+    shade = cv2.resize(floor_light(room, standing), (shape[1], shape[0]), interpolation=cv2.INTER_LINEAR)
+    return as_picture(plain * np.asarray(shade, dtype=np.float64)[..., None])
+
+
+def floor_light(room: Room, standing: Polygon) -> NDArray[np.float64]:
+    """Return which share of the light reaches the floor, 0 to 1, (rows, columns), the first row in the north.
+
+    Whatever stands on the floor, walls too, keeps light off close to it; whatever is above the floor, tables too,
+    does so softly under and around it.
+    """
+    x_min, y_min, x_max, y_max = room.bounds
+    scale = _SHADE_PIXELS_PER_M
+    shape = round((y_max - y_min) * scale), round((x_max - x_min) * scale)
+    on_floor, above = np.zeros(shape, np.uint8), np.zeros(shape, np.uint8)
+    parts = [(solid.shape, solid.low_m) for piece in room.furniture for solid in piece.solids]
+    for outline, low_m in [*parts, (standing, 0.0)]:
+        ring = (shapely.get_coordinates(shapely.get_exterior_ring(outline)) - (x_min, y_max)) * (scale, -scale)
+        # Points are centres of pixels, in sixteenths.
+        corners = np.round((ring - 0.5) * 16).astype(np.int32)
+        cv2.fillPoly(above, [corners], 1, cv2.LINE_8, 4)
+        if low_m == 0.0:
+            cv2.fillPoly(on_floor, [corners], 1, cv2.LINE_8, 4)
+    walled = cv2.copyMakeBorder(1 - on_floor, 1, 1, 1, 1, cv2.BORDER_CONSTANT, value=0)
+    away_m = cv2.distanceTransform(walled, cv2.DIST_L2, cv2.DIST_MASK_PRECISE)[1:-1, 1:-1] / scale
+    depth, reach_m = _AROUND
+    soft = cv2.GaussianBlur(above.astype(np.float64), (0, 0), reach_m * scale, borderType=cv2.BORDER_REFLECT)
+    return (1.0 - _CONTACT[0] * np.exp(-away_m / _CONTACT[1])) * (1.0 - depth * soft)
+
+
+def paint_wall(colour: Rgb, length_m: float, height_m: float, seed: int) -> NDArray[np.uint8]:
+    """Return the picture of one painted wall: a little uneven, darker in its corners and towards the floor."""
+    shape = min(_pixels(height_m) // 4, 512), min(_pixels(length_m) // 4, 1024)
+    rng = np.random.default_rng([_SEED, seed])
+    up = (np.arange(shape[0])[::-1, None] + 0.5) / shape[0] * height_m
+    along = (np.arange(shape[1])[None, :] + 0.5) / shape[1] * length_m
+    corner = np.minimum(along, length_m - along)
+    light = (1 - 0.16 * np.exp(-up / 0.25)) * (1 - 0.13 * np.exp(-corner / 0.3)) * (1 - 0.08 * np.exp(-(height_m - up)))
+    return coloured(colour, light * (1.0 + 0.012 * layered(rng, shape, (2.0, 70.0))))
+
+
+def paint_ceiling() -> NDArray[np.uint8]:
+    """Return four by four mineral tiles with a row of two lamps among them, seamless."""
+    rng = np.random.default_rng(_SEED)
+    size, tile = 512, 128
+    picture = coloured((196, 196, 192), 1.0 + 0.05 * noise(rng, (size, size), 1.2))
+    for line in range(0, size, tile):
+        picture[line : line + 3], picture[:, line : line + 3] = 164, 164
+    picture[tile + 6 : 2 * tile - 4, tile + 6 : 3 * tile - 4] = (252, 251, 246)
+    picture[tile + 6 : 2 * tile - 4, 2 * tile - 2 : 2 * tile + 4] = 190
+    return picture
+
+
+def _pixels(metres: float) -> int:
+    """Return a power of two of pixels that is enough for a length."""
+    return int(min(2 ** np.ceil(np.log2(metres * _PIXELS_PER_M)), _LARGEST_PX))
+
+
+def _metres(shape: tuple[int, int], size_m: tuple[float, float]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    down, across = ((np.arange(count) + 0.5) / count * size for count, size in zip(shape, size_m, strict=True))
+    return down[:, None], across[None, :]
+
+
+def _planks(shape: tuple[int, int], size_m: tuple[float, float]) -> NDArray[np.uint8]:
+    """Paint planks from west to east, each of its own tone, with thin dark joints."""
+    rng = np.random.default_rng(_SEED)
+    down, across = _metres(shape, size_m)
+    width_m, length_m = _PLANK_M
+    row = np.floor(down / width_m).astype(int)
+    shifted = across + rng.uniform(0.0, length_m, row.max() + 1)[row]
+    column = np.floor(shifted / length_m).astype(int)
+    tone = 1.0 + 0.075 * rng.standard_normal((row.max() + 1, column.max() + 1))[row, column]
+    joint = (down % width_m < 0.004) | (shifted % length_m < 0.005)
+    grain = 0.035 * _sheet(rng, shape, (1.5, 60.0)) + 0.03 * _sheet(rng, shape, (8.0, 120.0))
+    return coloured((176, 138, 98), tone * np.where(joint, 0.62, 1.0) * (1.0 + grain))
+
+
+def _lino(shape: tuple[int, int], size_m: tuple[float, float]) -> NDArray[np.uint8]:
+    """Paint marbled linoleum in sheets 2 m wide with welded seams, scuffed here and there."""
+    rng = np.random.default_rng(_SEED)
+    _, across = _metres(shape, size_m)
+    sheet = np.floor(across / _SHEET_M).astype(int)
+    tone = 1.0 + 0.02 * rng.standard_normal(sheet.max() + 1)[sheet]
+    seam = np.where(across % _SHEET_M < 0.008, 0.82, 1.0)
+    marble = 0.045 * _sheet(rng, shape, 2.0) + 0.03 * _sheet(rng, shape, (5.0, 14.0)) + 0.015 * _sheet(rng, shape, 90.0)
+    return coloured((150, 156, 156), tone * seam * (1.0 + marble))
+
+
+def _carpet(shape: tuple[int, int], size_m: tuple[float, float]) -> NDArray[np.uint8]:
+    """Paint carpet tiles of half a metre, laid crosswise."""
+    rng = np.random.default_rng(_SEED)
+    down, across = _metres(shape, size_m)
+    crosswise = (np.floor(down / 0.5) + np.floor(across / 0.5)).astype(int) % 2
+    pile = np.where(crosswise == 0, _sheet(rng, shape, (1.2, 4.0)), _sheet(rng, shape, (4.0, 1.2)))
+    return coloured((98, 104, 118), 1.0 + 0.05 * np.where(crosswise == 0, 1.0, -1.0) + 0.10 * pile)
+
+
+def _sheet(
+    rng: np.random.Generator, shape: tuple[int, int], grain_px: float | tuple[float, float]
+) -> NDArray[np.float64]:
+    """Return noise of a shape, repeated after 1024 pixels, since making noise is slow."""
+    size = min(shape[0], 1024), min(shape[1], 1024)
+    return np.tile(noise(rng, size, grain_px), (shape[0] // size[0], shape[1] // size[1]))
+
+
+_PATTERNS: Final = {"planks": _planks, "lino": _lino, "carpet": _carpet}

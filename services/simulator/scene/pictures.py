@@ -1,0 +1,145 @@
+"""Pictures that fill one face of something: posters, windows, doors, whiteboards, books, drawers, cartons."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+from typing import TYPE_CHECKING, Final, Literal
+
+import cv2
+import numpy as np
+
+from services.simulator.scene.drawing import SIZE, Picture, fill, lines, pick, sheet
+from services.simulator.scene.noise import as_picture, coloured, layered, noise
+from services.simulator.scene.posters import paint_poster
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from services.simulator.world.place import Rgb
+
+    FacePainter = Callable[[np.random.Generator, Rgb | None], Picture]
+
+Face = Literal["books", "carton", "door", "drawers", "poster", "screen", "whiteboard", "window"]
+
+
+def paint_face(face: Face, variant: int, colour: Rgb | None) -> Picture:
+    """Return the picture of a face, (512, 512, 3) uint8 RGB; equal arguments give equal pictures."""
+    return _PAINTERS[face](np.random.default_rng([sum(face.encode()), variant]), colour)
+
+
+def _whiteboard(rng: np.random.Generator, colour: Rgb | None) -> Picture:
+    """Paint a framed board with what is left of a meeting: boxes, arrows, a curve, scribble."""
+    picture = coloured(colour or (244, 245, 244), 1.0 + 0.01 * layered(rng, (SIZE, SIZE), (3.0, 90.0)))
+    pens = ((36, 62, 140), (170, 40, 40), (40, 40, 44), (30, 110, 60))
+    centres = np.stack([rng.integers(50, 300, 5), rng.integers(70, 440, 5)], axis=1)
+    for first, second in pairwise(centres):
+        cv2.arrowedLine(picture, first.tolist(), second.tolist(), pens[2], 3, cv2.LINE_AA, tipLength=0.1)
+    for number, (x, y) in enumerate(centres):
+        cv2.rectangle(picture, (int(x) - 34, int(y) - 24), (int(x) + 34, int(y) + 24), (244, 245, 244), -1)
+        cv2.rectangle(picture, (int(x) - 34, int(y) - 24), (int(x) + 34, int(y) + 24), pens[number % 4], 3)
+    curve = 200 - 110 * np.exp(-((np.linspace(-2, 2, 60) - rng.uniform(-0.7, 0.7)) ** 2) * 2)
+    points = np.stack([np.linspace(360, 480, 60), curve], axis=1).astype(np.int32)
+    cv2.polylines(picture, [points], False, pens[1], 4, cv2.LINE_AA)
+    for row in range(6):
+        words = rng.normal(0, 5, 40)
+        scribble = np.stack([np.linspace(350, int(rng.integers(420, 490)), 40), 270 + 32 * row + words], axis=1)
+        cv2.polylines(picture, [scribble.astype(np.int32)], False, pens[row % 4], 2, cv2.LINE_AA)
+    cv2.rectangle(picture, (0, 0), (SIZE - 1, SIZE - 1), (150, 154, 158), 14)
+    return picture
+
+
+def _window(rng: np.random.Generator, colour: Rgb | None) -> Picture:
+    """Paint a window of two casements with a bright sky over trees outside."""
+    fade = np.linspace(0, 1, SIZE)[:, None, None]
+    sky = np.array([176, 206, 236]) * (1 - fade) + np.array([232, 240, 244]) * fade
+    picture = as_picture(np.broadcast_to(sky, (SIZE, SIZE, 3)) + 8 * noise(rng, (SIZE, SIZE), (30.0, 90.0))[..., None])
+    across = np.arange(SIZE)
+    for depth, tint in enumerate(((150, 172, 150), (110, 140, 104))):
+        tops = 330 + 60 * depth + 18 * layered(rng, (1, SIZE), (16.0, 60.0))[0]
+        outline = np.array([*np.stack([across, tops], axis=1), (SIZE, SIZE), (0, SIZE)]).astype(np.int32)
+        cv2.fillPoly(picture, [outline], tint)
+    frame = colour or (224, 224, 220)
+    cv2.rectangle(picture, (0, 0), (SIZE - 1, SIZE - 1), frame, 44)
+    fill(picture, (SIZE // 2 - 20, 0, 40, SIZE), frame)
+    for left in (22, SIZE // 2 + 20):
+        cv2.rectangle(picture, (left, 22), (left + 214, SIZE - 23), (170, 172, 172), 3)
+    fill(picture, (SIZE // 2 - 12, 240, 24, 60), (150, 152, 156))
+    return picture
+
+
+def _door(rng: np.random.Generator, colour: Rgb | None) -> Picture:
+    """Paint a smooth door leaf in its frame, with a handle and a small pane."""
+    leaf = colour or ((150, 96, 56), (66, 96, 128), (186, 178, 160), (112, 48, 46))[int(rng.integers(4))]
+    grain = noise(rng, (SIZE, SIZE), (90.0, 1.5))
+    picture = coloured(leaf, 1.0 + 0.04 * grain)
+    cv2.rectangle(picture, (0, 0), (SIZE - 1, SIZE + 40), (206, 206, 200), 52)
+    cv2.rectangle(picture, (27, 27), (SIZE - 28, SIZE + 40), (60, 58, 56), 4)
+    fill(picture, (320, 70, 90, 190), (60, 70, 78))
+    cv2.rectangle(picture, (320, 70), (410, 260), (170, 172, 172), 6)
+    fill(picture, (62, 258, 60, 10), (188, 190, 194))
+    fill(picture, (60, 240, 18, 60), (168, 170, 174))
+    fill(picture, (28, 480, SIZE - 56, 32), (160, 162, 166))
+    return picture
+
+
+def _books(rng: np.random.Generator, colour: Rgb | None) -> Picture:
+    """Paint a row of books, some leaning, a box file here and there, the shelf's dark back above them."""
+    picture = sheet((58, 48, 40))
+    left = 6
+    while left < SIZE - 20:
+        width, height = int(rng.integers(14, 46)), int(rng.uniform(0.62, 0.93) * SIZE)
+        if rng.random() < 0.12:
+            left += int(rng.integers(20, 70))
+            continue
+        width = min(width, SIZE - 6 - left)
+        back = np.array(colour or pick(rng)) * rng.uniform(0.55, 1.1) + rng.uniform(0, 40)
+        shade = np.sin(np.linspace(0.35, 2.6, width))[None, :, None]
+        picture[SIZE - height :, left : left + width] = as_picture(back * shade * np.ones((height, 1, 1)))
+        for band in (0.12, 0.2, 0.8):
+            fill(picture, (left + 2, SIZE - height + int(band * height), width - 4, 7), (222, 210, 170))
+        left += width + 1
+    return picture
+
+
+def _drawers(rng: np.random.Generator, colour: Rgb | None) -> Picture:
+    """Paint the fronts of three drawers with handles and labels."""
+    picture = coloured(colour or (186, 188, 190), 1.0 + 0.012 * layered(rng, (SIZE, SIZE), (1.0, 4.0)))
+    for row in range(3):
+        top = 10 + row * 166
+        cv2.rectangle(picture, (14, top), (SIZE - 15, top + 158), (96, 98, 102), 4)
+        fill(picture, (186, top + 46, 140, 16), (70, 72, 76))
+        fill(picture, (186, top + 44, 140, 5), (216, 218, 220))
+        fill(picture, (216, top + 84, 80, 34), (236, 234, 222))
+        lines(picture, (224, top + 90, 60, 22), 2, (120, 120, 120), 4)
+    return picture
+
+
+def _carton(rng: np.random.Generator, colour: Rgb | None) -> Picture:
+    """Paint a side of a cardboard box: parcel tape down its middle, a label, arrows that point up."""
+    shade = 1.0 + 0.03 * noise(rng, (SIZE, SIZE), (90.0, 2.0)) + 0.03 * noise(rng, (SIZE, SIZE), 50.0)
+    fall = np.linspace(1.04, 0.88, SIZE)[:, None]
+    picture = coloured(colour or (188, 148, 102), shade * fall)
+    fill(picture, (232, 0, 48, 150), (206, 178, 128))
+    left = int(rng.integers(40, 90))
+    fill(picture, (left, 250, 150, 110), (240, 238, 232))
+    lines(picture, (left + 12, 264, 126, 84), 5, (90, 90, 92), 6)
+    for x in (380, 440):
+        cv2.arrowedLine(picture, (x, 430), (x, 320), (96, 66, 42), 12, cv2.LINE_AA, tipLength=0.35)
+    cv2.rectangle(picture, (0, 0), (SIZE - 1, SIZE - 1), (140, 106, 70), 6)
+    return picture
+
+
+def _screen(rng: np.random.Generator, colour: Rgb | None) -> Picture:
+    """Paint a monitor: a dark frame about an editor's lines."""
+    picture = sheet(colour or (34, 40, 52))
+    for row in range(14):
+        left = 60 + 26 * int(rng.integers(0, 4))
+        fill(picture, (left, 60 + 28 * row, int(rng.integers(60, 300)), 10), pick(rng))
+    cv2.rectangle(picture, (0, 0), (SIZE - 1, SIZE - 1), (24, 24, 26), 36)
+    return picture
+
+
+_PAINTERS: Final[dict[Face, FacePainter]] = {
+    "books": _books, "carton": _carton, "door": _door, "drawers": _drawers, "poster": paint_poster, "screen": _screen,
+    "whiteboard": _whiteboard, "window": _window,
+}  # fmt: skip

@@ -1,0 +1,128 @@
+"""Trees that a map does not show one by one: woods, orchards and rows."""
+
+from __future__ import annotations
+
+import math
+import zlib
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+import shapely
+from shapely import STRtree
+
+from services.simulator.world.terrain import Tree, TreeKind
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Sequence
+
+    from numpy.typing import NDArray
+    from shapely import LineString, Polygon
+    from shapely.geometry.base import BaseGeometry
+
+    from services.simulator.world.terrain import Area, Barrier, Building, Road
+
+_ROW_M: Final = 8.0
+_SPACING_M: Final = 7.5
+# Every tree costs time in every picture: larger woods are thinner.
+_MOST_SCATTERED: Final = 800
+_MOST_IN_ROWS: Final = 2_000
+_MOST_TRIED: Final = 500_000
+# Of trunks from roads, so that lanes stay free, and of crowns from walls.
+_FROM_ROAD_M: Final = 1.6
+_FROM_WALL_M: Final = 1.8
+_BROAD: Final[tuple[TreeKind, TreeKind]] = ("round", "tall")
+_HEIGHT_M: Final[dict[TreeKind, float]] = {"round": 7.0, "tall": 11.0, "conifer": 10.0}
+
+
+@dataclass(frozen=True, eq=False)
+class Wood:
+    """Ground on which trees stand.
+
+    Attributes
+    ----------
+    id
+        Of the map's element; it seeds where the trees stand.
+    height_m
+        Of a tree; None for what is usual for its kind.
+    leaf_type
+        As OpenStreetMap has it: "broadleaved", "needleleaved", else mixed.
+    """
+
+    id: int
+    polygon: Polygon
+    height_m: float | None
+    leaf_type: str
+
+
+@dataclass(frozen=True, eq=False)
+class Row:
+    """A line of trees."""
+
+    id: int
+    line: LineString
+    leaf_type: str
+
+
+class Sites:
+    """Where a tree may stand: not on a road, in a building, in water or on paving, and not in a wall."""
+
+    def __init__(
+        self, roads: Iterable[Road], buildings: Iterable[Building], areas: Iterable[Area], barriers: Iterable[Barrier]
+    ) -> None:
+        taken: list[BaseGeometry] = [road.line.buffer(road.width_m / 2 + _FROM_ROAD_M) for road in roads]
+        taken += [building.footprint.buffer(_FROM_WALL_M) for building in buildings]
+        taken += [area.polygon for area in areas if area.kind != "grass"]
+        taken += [barrier.line.buffer(_FROM_ROAD_M) for barrier in barriers]
+        self._taken = STRtree(taken)
+
+    def free(self, points: NDArray[np.float64]) -> NDArray[np.bool_]:
+        """Return which of the points (n, 2) are free, as (n,)."""
+        free = np.ones(len(points), dtype=np.bool_)
+        free[self._taken.query(shapely.points(points), "intersects")[0]] = False
+        return free
+
+
+def scattered(woods: Sequence[Wood], sites: Sites) -> list[Tree]:
+    """Return trees about 7.5 m apart in all woods, at most 800 in all; the same woods give the same trees."""
+    total_m2 = sum(wood.polygon.area for wood in woods)
+    boxes_m2 = sum(wood.polygon.envelope.area for wood in woods)
+    spacing_m = max(_SPACING_M, math.sqrt(total_m2 / _MOST_SCATTERED), math.sqrt(boxes_m2 / _MOST_TRIED))
+    trees: list[Tree] = []
+    for wood in woods:
+        rng = np.random.default_rng(zlib.crc32(f"wood {wood.id}".encode()))
+        points = _jittered_grid(wood.polygon, spacing_m, rng)
+        points = points[sites.free(points)]
+        trees += _trees(points, wood.leaf_type, wood.height_m, rng)
+    return trees[:_MOST_SCATTERED]
+
+
+def in_rows(rows: Sequence[Row], sites: Sites) -> list[Tree]:
+    """Return trees every 8 m along all rows."""
+    trees: list[Tree] = []
+    for row in rows:
+        rng = np.random.default_rng(zlib.crc32(f"row {row.id}".encode()))
+        places = np.arange(0.0, row.line.length + 1e-6, _ROW_M)
+        points = shapely.get_coordinates(shapely.line_interpolate_point(row.line, places))
+        trees += _trees(points[sites.free(points)], row.leaf_type, None, rng)
+    return trees[:_MOST_IN_ROWS]
+
+
+def _jittered_grid(polygon: Polygon, spacing_m: float, rng: np.random.Generator) -> NDArray[np.float64]:
+    x_min, y_min, x_max, y_max = polygon.bounds
+    across, up = np.arange(x_min, x_max, spacing_m), np.arange(y_min, y_max, spacing_m)
+    grid = np.stack(np.meshgrid(across, up), axis=-1).reshape(-1, 2)
+    points = grid + rng.uniform(0.1, 0.9, grid.shape) * spacing_m
+    shapely.prepare(polygon)
+    inside = shapely.contains_xy(polygon, points[:, 0], points[:, 1])
+    return np.asarray(points[inside], dtype=np.float64)
+
+
+def _trees(points: NDArray[np.float64], leaf_type: str, height_m: float | None, rng: np.random.Generator) -> list[Tree]:
+    needles = {"needleleaved": 1.0, "broadleaved": 0.0}.get(leaf_type, 0.25)
+    draws = rng.uniform(size=(len(points), 3)).tolist()
+    trees = []
+    for (x, y), (leaf, shape, size) in zip(points.tolist(), draws, strict=True):
+        kind: TreeKind = "conifer" if leaf < needles else _BROAD[int(shape < 0.5)]
+        trees.append(Tree(x, y, (height_m or _HEIGHT_M[kind]) * (0.8 + 0.4 * size), kind))
+    return trees

@@ -1,0 +1,125 @@
+"""The same world on another day: façades painted anew, and movable things elsewhere."""
+
+from __future__ import annotations
+
+import math
+import zlib
+from dataclasses import replace
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+import shapely
+
+from services.simulator.world.furniture import Furniture, FurnitureKind
+from services.simulator.world.place import Place, World
+from services.simulator.world.room import Room
+from services.simulator.world.route import plan_route
+from services.simulator.world.terrain import Terrain, Tree
+
+if TYPE_CHECKING:
+    from shapely.geometry.base import BaseGeometry
+
+_TREE_MOVES_M: Final = 3.0
+_FURNITURE_MOVES_M: Final = 0.3
+_FURNITURE_TURNS_RAD: Final = math.radians(20)
+#: What people push about; cabinets and partitions stay.
+_MOVABLE: Final[frozenset[FurnitureKind]] = frozenset({"chair", "crate", "plant", "table"})
+_TRIES: Final = 20
+
+
+def vary(world: World, *, facade_seed: int = 0, clutter_seed: int = 0) -> World:
+    """Return the world with its looks or its movable things changed; start, victim and ways stay.
+
+    Parameters
+    ----------
+    world
+        The world as it was.
+    facade_seed
+        Other than 0: every façade and everything on a room's walls looks different, but those that were alike stay
+        alike.
+    clutter_seed
+        Other than 0: trees stand up to 3 m elsewhere, boxes, chairs, plants and tables up to 0.3 m. None comes nearer
+        to the way from start to victim than `Scale.room_m`; what finds no such place stays.
+    """
+    place = world.place
+    if facade_seed:
+        place = _repainted(place, facade_seed)
+    if clutter_seed:
+        place = _rearranged(place, _kept_free(world), np.random.default_rng(clutter_seed))
+    return replace(world, place=place)
+
+
+def _repainted(place: Place, seed: int) -> Place:
+    match place:
+        case Terrain():
+            buildings = [
+                replace(building, facade=replace(building.facade, colour=None, variant=_mixed(building.facade, seed)))
+                for building in place.buildings
+            ]
+            return replace(place, buildings=tuple(buildings))
+        case Room():
+            fittings = [
+                replace(one, colour=None, variant=_mixed((one.kind, one.variant), seed)) for one in place.fittings
+            ]
+            return replace(place, fittings=tuple(fittings))
+        case _:
+            return place
+
+
+def _mixed(facade: object, seed: int) -> int:
+    return zlib.crc32(f"{facade!r} {seed}".encode())
+
+
+def _kept_free(world: World) -> BaseGeometry:
+    """Return what nothing may be moved to: the way, about as wide as routes ask, and where episodes begin."""
+    route = shapely.LineString(plan_route(world, (world.start.x, world.start.y)))
+    scale = world.scale
+    start = shapely.Point(world.start.x, world.start.y).buffer(2 * scale.start_m + scale.start_room_m)
+    return shapely.union_all([route.buffer(scale.room_m), start])
+
+
+def _rearranged(place: Place, kept_free: BaseGeometry, rng: np.random.Generator) -> Place:
+    match place:
+        case Terrain():
+            return replace(place, trees=_replanted(place, kept_free, rng))
+        case Room():
+            return replace(place, furniture=_pushed_about(place, kept_free, rng))
+        case _:
+            return place
+
+
+def _replanted(terrain: Terrain, kept_free: BaseGeometry, rng: np.random.Generator) -> tuple[Tree, ...]:
+    frame = shapely.box(*terrain.bounds)
+    solid = shapely.union_all(
+        [building.footprint for building in terrain.buildings]
+        + [road.line.buffer(road.width_m / 2) for road in terrain.roads]
+        + [area.polygon for area in terrain.areas if area.kind == "water"]
+    )
+    shapely.prepare(solid)
+    shapely.prepare(kept_free)
+    found = []
+    for tree in terrain.trees:
+        choices = np.array([tree.x, tree.y]) + rng.uniform(-_TREE_MOVES_M, _TREE_MOVES_M, (_TRIES, 2))
+        trunks = shapely.buffer(shapely.points(choices), tree.trunk_radius_m)
+        free = ~(shapely.intersects(trunks, solid) | shapely.intersects(trunks, kept_free))
+        free &= shapely.within(trunks, frame)
+        x, y = choices[free.argmax()].tolist() if free.any() else (tree.x, tree.y)
+        found.append(replace(tree, x=x, y=y))
+    return tuple(found)
+
+
+def _pushed_about(room: Room, kept_free: BaseGeometry, rng: np.random.Generator) -> tuple[Furniture, ...]:
+    floor = shapely.box(*room.bounds)
+    found = list(room.furniture)
+    for number, piece in enumerate(found):
+        # Drawn for every piece, so that what happens to one does not depend on the others.
+        shifts = rng.uniform(-1.0, 1.0, (_TRIES, 3)) * (_FURNITURE_MOVES_M, _FURNITURE_MOVES_M, _FURNITURE_TURNS_RAD)
+        if piece.kind not in _MOVABLE:
+            continue
+        others = shapely.union_all([other.footprint for other in found if other is not piece] + [kept_free])
+        for x, y, turn in shifts.tolist():
+            moved = replace(piece, x=piece.x + x, y=piece.y + y, heading=piece.heading + turn)
+            if floor.covers(moved.footprint) and not moved.footprint.intersects(others):
+                found[number] = moved
+                break
+    return tuple(found)

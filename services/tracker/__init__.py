@@ -1,0 +1,1 @@
+"""Overhead image in, the robot's true pose out."""

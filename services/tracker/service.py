@@ -1,0 +1,67 @@
+"""One overhead image in, one tracked pose out."""
+
+from __future__ import annotations
+
+import logging
+
+from schemas.overhead_image import Calibration, OverheadImage
+from schemas.tracked_pose import TrackedPose
+from services.process import Detail, ServiceError
+from smal.evaluation.tag_tracking import OverheadCamera, Tag, TagNotSeen, TagTracker
+
+_log = logging.getLogger("tracker")
+
+
+class TrackerService:
+    """Measures where the robot is from the overhead image alone.
+
+    Parameters
+    ----------
+    tag
+        Which tag lies on the robot, and how.
+    """
+
+    def __init__(self, tag: Tag) -> None:
+        self._tracker = TagTracker(tag)
+        self._visible = True
+        self._seen = 0
+        self._lost = 0
+
+    def handle(self, image: OverheadImage) -> TrackedPose:
+        """Return the pose at one frame, or that the tag is not seen.
+
+        Raises
+        ------
+        ServiceError
+            When the image's calibration puts the camera below the tag.
+        """
+        try:
+            pose = self._tracker.locate(image.to_numpy(), _camera(image.calibration))
+        except ValueError as error:
+            raise ServiceError(f"calibration: {error}") from None
+        except TagNotSeen as reason:
+            self._lost += 1
+            if self._visible:
+                _log.warning("lost the tag at frame %d of episode %s: %s", image.tick, image.episode, reason)
+            self._visible = False
+            return TrackedPose.after(image, visible=False)
+        self._seen += 1
+        if not self._visible:
+            _log.info("the tag is seen again at frame %d of episode %s", image.tick, image.episode)
+        self._visible = True
+        return TrackedPose.after(
+            image, visible=True, x_m=pose.x_m, y_m=pose.y_m, heading_rad=pose.heading_rad, error_px=pose.error_px
+        )
+
+    def detail(self) -> Detail:
+        """Tell the tag's number, and in how many frames it was seen and not seen."""
+        return {"tag": self._tracker.tag.number, "seen": self._seen, "lost": self._lost}
+
+
+def _camera(calibration: Calibration) -> OverheadCamera:
+    return OverheadCamera(
+        focal_px=calibration.focal_px,
+        centre_px=(calibration.centre_x_px, calibration.centre_y_px),
+        position_m=(calibration.x_m, calibration.y_m, calibration.height_m),
+        up_rad=calibration.up_rad,
+    )

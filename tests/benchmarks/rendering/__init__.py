@@ -1,0 +1,1 @@
+"""What a frame of each kind of scene costs."""

@@ -1,0 +1,48 @@
+"""The room that comes with the project, and how to change its file, for tests."""
+
+from __future__ import annotations
+
+import copy
+import json
+from pathlib import Path
+from typing import Any
+
+from services.simulator.world.loading import WORLDS_FOLDER
+from services.simulator.world.place import World
+from services.simulator.world.room import Room
+from services.simulator.world.room_file import read_room
+
+PATH = WORLDS_FOLDER / "indoor.json"
+CONTENT: dict[str, Any] = json.loads(PATH.read_text())
+
+
+def indoor() -> World:
+    """Return the world `indoor`, read anew."""
+    return read_room(CONTENT, PATH)
+
+
+def room_of(world: World) -> Room:
+    """Return a world's place, which is a room."""
+    assert isinstance(world.place, Room)
+    return world.place
+
+
+def changed(field: str, value: object) -> dict[str, Any]:
+    """Return the file's content with one field, named like furniture.3.width_m, of another value."""
+    content = copy.deepcopy(CONTENT)
+    *path, last = [int(part) if part.isdigit() else part for part in field.split(".")]
+    place: Any = content
+    for part in path:
+        place = place[part]
+    place[last] = value
+    return content
+
+
+def empty_room(furniture: list[dict[str, object]], **others: object) -> World:
+    """Return a room of 6 by 5 m with some furniture, start in the south-west, victim in the north-east, both seen."""
+    content: dict[str, object] = {
+        "format": "smal.room/1", "east_west_m": 6.0, "north_south_m": 5.0, "furniture": furniture,
+        "start": {"x_m": 0.5, "y_m": 0.5, "facing_deg": 45}, "victim": {"x_m": 5.5, "y_m": 4.5, "facing_deg": 180},
+        "hidden": False, **others,
+    }  # fmt: skip
+    return read_room(content, Path("made.json"))

@@ -1,0 +1,103 @@
+"""The Gymnasium environment keeps Gymnasium's promises, and those of the simulator: same seed, same episode."""
+
+from __future__ import annotations
+
+import gymnasium
+import numpy as np
+import pytest
+from gymnasium.utils.env_checker import check_env
+from gymnasium.utils.env_match import check_environments_match
+from numpy.typing import NDArray
+
+from schemas.base import ATOMS
+from services.simulator.gymnasium_env import COLLISION_REWARD, FOUND_REWARD, MAX_TICKS, SearchEnv
+from services.simulator.simulation import Simulation
+from services.simulator.world import load_world
+from services.simulator.world.place import Pose
+from tests.services.simulator.simulator_driving import StubCamera, key_to
+
+FORWARD, RIGHT = ATOMS.index("forward"), ATOMS.index("right")
+YARD = load_world("yard")
+
+
+def blind(fraction: float = 0.0) -> SearchEnv:
+    """Return the yard without a renderer; the victim fills so much of the image when it is near."""
+    return SearchEnv(width=32, height=24, simulation=Simulation(YARD, StubCamera(fraction)))
+
+
+@pytest.mark.rendering
+@pytest.mark.parametrize("name", ["smal/Campus-v0", "smal/Indoor-v0"])
+def test_gymnasium_finds_nothing_wrong(name: str) -> None:
+    env = gymnasium.make(name, width=64, height=48, render_mode="rgb_array")
+    check_env(env.unwrapped, skip_render_check=True)
+    image, info = env.reset(seed=1)
+    assert image.std() > 5, "there is something to see"
+    np.testing.assert_array_equal(env.render(), image)
+    assert len(info["route"]) >= 2
+    env.close()
+
+
+def test_the_module_may_be_named_with_the_environment() -> None:
+    env = gymnasium.make(
+        "services.simulator.gymnasium_env:smal/Campus-v0",
+        width=32,
+        height=24,
+        simulation=Simulation(YARD, StubCamera()),
+    )
+    env.reset(seed=0)
+    truncated = False
+    for _ in range(MAX_TICKS):
+        assert not truncated
+        *_, truncated, _ = env.step(np.int64(ATOMS.index("stop")))
+    assert truncated, "who stands still for five minutes has lost"
+
+
+def test_the_same_seed_gives_the_same_episode() -> None:
+    check_environments_match(blind(), blind(), num_steps=50, seed=3)
+
+
+def test_without_a_seed_chance_goes_on_from_the_last_one() -> None:
+    env, again = blind(), blind()
+    starts = [[e.reset(seed=5)[1]["pose"], e.reset()[1]["pose"], e.reset()[1]["pose"]] for e in (env, again)]
+    np.testing.assert_array_equal(starts[0], starts[1])
+    assert len({tuple(pose) for pose in starts[0]}) == 3
+
+
+def test_a_wall_ends_the_episode_with_a_penalty() -> None:
+    env = blind()
+    env.reset(seed=0)
+    steps = [env.step(np.int64(RIGHT)) for _ in range(20)]
+    assert all((reward, terminated) == (0.0, False) for _, reward, terminated, _, _ in steps)
+    for _ in range(60):
+        _, reward, terminated, truncated, info = env.step(np.int64(FORWARD))
+        if terminated:
+            break
+    assert (reward, terminated, truncated, info["outcome"]) == (COLLISION_REWARD, True, False, "collision")
+
+
+def test_following_the_route_is_rewarded_at_the_victim() -> None:
+    env = blind(fraction=0.01)
+    _, info = env.reset(seed=4, options={"purpose": "drive"})
+    corners: list[NDArray[np.float64]] = list(info["route"][1:])
+    terminated, reward, steps = False, 0.0, 0
+    while not terminated:
+        if np.hypot(*(corners[0] - info["pose"][:2])) < 0.3:
+            corners.pop(0)
+        atom = key_to(Pose(*info["pose"]), *corners[0])
+        _, reward, terminated, _, info = env.step(np.int64(ATOMS.index(atom)))
+        steps += 1
+        assert steps < 1000
+    assert (reward, info["outcome"]) == (FOUND_REWARD, "found")
+
+
+def test_misuse_is_told() -> None:
+    env = blind()
+    with pytest.raises(gymnasium.error.ResetNeeded):
+        env.step(np.int64(0))
+    with pytest.raises(ValueError, match="purpose 'play'"):
+        env.reset(options={"purpose": "play"})
+    env.reset(seed=0)
+    with pytest.raises(ValueError, match="expected a whole number from 0 to 4"):
+        env.step(np.int64(5))
+    with pytest.raises(ValueError, match="render_mode 'human'"):
+        SearchEnv(render_mode="human")

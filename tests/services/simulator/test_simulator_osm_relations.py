@@ -1,0 +1,324 @@
+"""What a map says with relations and tags, and what becomes of it: courtyards, parts, roofs, openings, trees."""
+
+from __future__ import annotations
+
+import itertools
+import random
+import re
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+import shapely
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from shapely import Polygon, box
+
+from services.simulator.world import World, load_world
+from services.simulator.world.building_tags import Outline, compose
+from services.simulator.world.collision import obstacles_of
+from services.simulator.world.outlines import OutlineError, area_of_rings, area_within
+from services.simulator.world.route import lane_graph
+from services.simulator.world.terrain import Building, Terrain
+from tests.services.simulator.map_text import MapText, block_of_houses, corners
+
+SCRIBBLE = [(x, y) for x, y in np.random.default_rng(0).uniform(-50, 50, (400, 2)).tolist()]
+SCRIBBLE.append(SCRIBBLE[0])
+
+
+def terrain_of(made: MapText, folder: Path) -> Terrain:
+    place = load_world(made.write(folder / "map.osm")).place
+    assert isinstance(place, Terrain)
+    return place
+
+
+def at(terrain: Terrain, x: float, y: float) -> list[Building]:
+    return [building for building in terrain.buildings if building.footprint.contains(shapely.Point(x, y))]
+
+
+def can_drive(world: World, *path: tuple[float, float]) -> bool:
+    legs = np.stack([np.array(path[:-1]), np.array(path[1:])], axis=1)
+    return bool(obstacles_of(world.place).are_clear(legs, world.scale.clearance_m).all())
+
+
+def test_a_relation_is_a_building_with_a_courtyard_drawn_once(tmp_path: Path) -> None:
+    made = block_of_houses()
+    west = made.way([(-20, -12), (-20, 12), (0, 12)])
+    east = made.way([(0, 12), (20, 12), (20, -12), (-20, -12)], building="yes")
+    court = made.box(0, 0, 20, 10, landuse="grass")
+    made.multipolygon([west, east], [court], building="university", building__levels="4")
+    terrain = terrain_of(made, tmp_path)
+    (hall,) = at(terrain, -15, 0)
+    assert hall.footprint.area == pytest.approx(40 * 24 - 20 * 10, rel=1e-3)
+    assert len(hall.footprint.interiors) == 1
+    assert hall.height_m == 12
+    assert at(terrain, 0, 0) == []
+    assert [area.kind for area in terrain.areas] == ["grass"], "the courtyard's own tags count"
+    assert len(terrain.buildings) == 7
+    source = terrain.source
+    assert source is not None
+    assert source.used["building relation"] == 1
+    # The member way has a building tag of its own but is open: drawn with its relation, it is not broken either.
+    assert terrain.skipped == 0
+    assert source.left_out == {"building: drawn with its relation": 1}
+
+
+def test_a_relation_without_tags_means_what_its_outer_way_says(tmp_path: Path) -> None:
+    made = block_of_houses()
+    outer, inner = made.box(0, 0, 30, 20, building="yes", height="20"), made.box(0, 0, 10, 10)
+    made.multipolygon([outer], [inner])
+    terrain = terrain_of(made, tmp_path)
+    assert at(terrain, 0, 0) == []
+    assert [building.height_m for building in at(terrain, 12, 0)] == [20]
+
+
+@pytest.mark.parametrize(
+    ("break_it", "reason"),
+    [
+        (lambda made: made.multipolygon([made.way([(0, 0), (9, 0), (9, 9)])], building="yes"),
+         "its rings do not close or cross each other"),
+        (lambda made: made.multipolygon([made.box(0, 0, 9, 9), 999_999], building="yes"),
+         "a member of it is not in the file"),
+        (lambda made: made.multipolygon([made.box(0, 0, 9, 9), made.box(4, 4, 9, 9)], building="yes"),
+         "its rings do not close or cross each other"),
+        (lambda made: made.multipolygon([], [made.box(0, 0, 9, 9)], building="yes"), "its outline is not closed"),
+        (lambda made: made.relation([("relation", 999, "outer")], type="multipolygon", building="yes"),
+         "its outline is not closed"),
+        (lambda made: made.multipolygon([made.way([(0, 0), (9, 9), (9, 0), (0, 9), (0, 0)])], building="yes"),
+         "its rings do not close or cross each other"),
+        (lambda made: made.multipolygon([made.way([(0, 0)])], building="yes"), "a member of it is broken"),
+        (lambda made: made.raw('<relation id="7777" version="1"><member type="relation" ref="7777" role="outer"/>'
+                               '<tag k="type" v="multipolygon"/><tag k="building" v="yes"/></relation>'),
+         "its outline is not closed"),
+        (lambda made: made.way([(0, 0)], building="yes"), "it has fewer than two points"),
+        (lambda made: made.way([(0, 0), (9, 0), (9, 9)], building="yes"), "its outline is not closed"),
+        (lambda made: made.way([(0, 0), (9, 0), (0, 0), (9, 0), (0, 0)], building="yes"),
+         "its outline encloses nothing"),
+        (lambda made: made.way([(3, 3), (3, 3), (3, 3), (3, 3)], building="yes"), "its outline encloses nothing"),
+        (lambda made: made.box(0, 0, 1, 1, building="yes"), "it is smaller than 4 m2"),
+        (lambda made: made.node((0.0, 0.0), building="yes"), "it is a point without an outline"),
+        (lambda made: made.way(SCRIBBLE, building="yes"), "it crosses itself too often"),
+    ],
+)  # fmt: skip
+def test_what_is_broken_is_left_out_and_counted_by_reason(
+    break_it: Callable[[MapText], object], reason: str, tmp_path: Path
+) -> None:
+    made = block_of_houses()
+    break_it(made)
+    terrain = terrain_of(made, tmp_path)
+    assert terrain.source is not None
+    assert terrain.source.skipped == {f"building: {reason}": 1}
+    assert terrain.skipped == 1
+    assert len(terrain.buildings) == 6
+
+
+def test_a_way_with_a_million_points_is_refused_and_one_with_thousands_is_skipped(tmp_path: Path) -> None:
+    made = block_of_houses()
+    refs = '<nd ref="2"/>' * 2001
+    made.raw(f'<way id="999990" version="1">{refs}<tag k="highway" v="service"/></way>')
+    terrain = terrain_of(made, tmp_path)
+    assert terrain.source is not None
+    assert terrain.source.skipped == {"road: it has more than 2000 points": 1}
+
+
+@pytest.mark.parametrize(("tag", "kind"), [("highway", "road"), ("waterway", "waterway"), ("barrier", "barrier")])
+def test_a_scribble_is_no_road_and_no_river(tag: str, kind: str, tmp_path: Path) -> None:
+    made = block_of_houses()
+    value = {"highway": "service", "waterway": "river", "barrier": "wall"}[tag]
+    made.way(SCRIBBLE, **{tag: value})
+    made.way([(3, 3), (3, 3)], **{tag: value})
+    terrain = terrain_of(made, tmp_path)
+    assert terrain.source is not None
+    assert terrain.source.skipped == {f"{kind}: it crosses itself too often": 1, f"{kind}: it has no length": 1}
+
+
+def test_a_map_without_bounds_reaches_a_little_beyond_its_roads(tmp_path: Path) -> None:
+    path = tmp_path / "map.osm"
+    path.write_text(re.sub("<bounds[^>]*>", "", block_of_houses().text()))
+    assert load_world(path).place.bounds == pytest.approx((-70, -70, 70, 70), abs=0.1)
+
+
+def test_an_outline_that_crosses_itself_once_is_untangled() -> None:
+    bow = np.array([(0, 0), (10, 10), (10, 0), (0, 10), (0, 0)], dtype=float)
+    assert area_within(bow).area == pytest.approx(50)
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    cuts=st.lists(st.integers(1, 39), min_size=1, max_size=6, unique=True),
+    flips=st.lists(st.booleans(), min_size=8, max_size=8),
+    order=st.randoms(use_true_random=False),
+    hole=st.booleans(),
+)
+def test_rings_are_put_together_from_any_pieces(
+    cuts: list[int], flips: list[bool], order: random.Random, hole: bool
+) -> None:
+    """However a ring is cut into ways, whichever way they run and come, the area is that of the ring."""
+    angles = np.linspace(0, 2 * np.pi, 41)
+    ring = np.column_stack([np.cos(angles), np.sin(angles)]) * (30 + 5 * np.cos(3 * angles))[:, None]
+    ring[-1] = ring[0]
+    ends = [0, *sorted(cuts), 40]
+    pieces = [ring[first : last + 1] for first, last in itertools.pairwise(ends)]
+    lines = [shapely.LineString(piece[::-1] if flip else piece) for piece, flip in zip(pieces, flips, strict=False)]
+    order.shuffle(lines)
+    holes = [shapely.LineString(corners(0, 0, 8, 6))] if hole else []
+    expected = Polygon(ring).area - (48 if hole else 0)
+    assert area_of_rings(lines, holes).area == pytest.approx(expected)
+    # Where roles were forgotten, a ring inside another is a hole all the same.
+    assert area_of_rings([*lines, *holes], []).area == pytest.approx(expected)
+    with pytest.raises(OutlineError):
+        area_of_rings(lines[1:], holes)
+
+
+def test_parts_are_drawn_instead_of_a_building_that_they_cover(tmp_path: Path) -> None:
+    made = block_of_houses()
+    made.box(0, 0, 40, 20, building="church", building__material="brick", height="8")
+    made.box(-12, 0, 16, 20, building__part="yes", height="40", min_height="2")
+    made.box(8, 0, 24, 20, building__part="yes", building__levels="2")
+    made.box(-30, 0, 4, 4, building__part="yes")
+    terrain = terrain_of(made, tmp_path)
+    (tower,), (nave,) = at(terrain, -12, 0), at(terrain, 8, 0)
+    assert (tower.height_m, tower.min_height_m, nave.height_m) == (40, 2, 6)
+    assert tower.facade == nave.facade
+    assert tower.facade.style == "brick"
+    assert terrain.source is not None
+    assert terrain.source.used["building part"] == 2
+    assert terrain.source.left_out == {"building part: it is in no building": 1}
+
+
+def test_a_few_parts_do_not_take_a_buildings_place() -> None:
+    whole = Outline(1, (box(0, 0, 40, 20),), {"building": "yes"})
+    part = Outline(2, (box(0, 0, 10, 20),), {"building:part": "yes", "height": "30"})
+    composed = compose([whole], [part])
+    assert [building.footprint.area for building in composed.buildings] == [800]
+    assert composed.unused == {"they cover too little of their building": 1}
+
+
+def test_the_robot_drives_under_a_building_where_a_passage_leads_through(tmp_path: Path) -> None:
+    made = block_of_houses()
+    made.way([(0, -60), (0, -10), (0, 10), (0, 30)], highway="service", tunnel="building_passage")
+    made.box(0, 0, 40, 20, building="apartments", building__levels="4", roof__shape="hipped")
+    world = load_world(made.write(tmp_path / "map.osm"))
+    assert isinstance(world.place, Terrain)
+    (above,) = at(world.place, 0, 0)
+    assert (above.min_height_m, above.height_m) == (3.2, 12)
+    assert can_drive(world, (0, -20), (0, 20))
+    assert not can_drive(world, (15, -20), (15, 20))
+    pieces = [
+        building.footprint for building in world.place.buildings if building.footprint.distance(above.footprint) < 1
+    ]
+    assert sum(piece.area for piece in pieces) == pytest.approx(800, rel=1e-3), "nothing of the building is lost"
+
+
+def test_roads_bridge_water_and_open_walls_and_gates(tmp_path: Path) -> None:
+    made = block_of_houses()
+    made.way([(-90, 0), (90, 0)], waterway="river", width="10")
+    made.way([(-50, 25), (-20, 25), (50, 25)], barrier="wall")
+    made.node((-20.0, 25.0), barrier="gate")
+    made.way([(20, -60), (20, 60)], highway="footway", bridge="yes")
+    world = load_world(made.write(tmp_path / "map.osm"))
+    assert can_drive(world, (20, -20), (20, 33))
+    assert can_drive(world, (-60, -20), (-60, 20)), "a street over the river"
+    assert not can_drive(world, (0, -20), (0, 20)), "beside the bridge is water"
+    assert can_drive(world, (-20, 10), (-20, 33)), "through the gate"
+    assert not can_drive(world, (0, 10), (0, 33)), "the wall beside it"
+
+
+def test_a_square_is_crossed_between_the_roads_that_reach_it(tmp_path: Path) -> None:
+    made = block_of_houses()
+    made.way([(-10, -10), (10, -10), (10, 10), (-10, 10), (-10, -10)], highway="pedestrian", area="yes")
+    made.way([(-60, -60), (-10, -10)], highway="footway")
+    made.way([(10, 10), (60, 60)], highway="footway")
+    terrain = terrain_of(made, tmp_path)
+    assert [area.kind for area in terrain.areas] == ["paved"]
+    graph = lane_graph(terrain)
+    inside = (np.abs(graph.points) < 9).all(axis=1)
+    assert inside.sum() >= 9, "points 2 m apart on the 28 m from corner to corner"
+
+
+def test_woods_and_rows_grow_trees_that_stand_in_nobodys_way(tmp_path: Path) -> None:
+    made = block_of_houses()
+    made.box(0, 0, 100, 60, natural="wood", leaf_type="needleleaved")
+    made.way([(0, -60), (0, 60)], highway="footway")
+    made.way([(-90, 75), (-10, 75)], natural="tree_row")
+    terrain = terrain_of(made, tmp_path)
+    row = [tree for tree in terrain.trees if tree.y > 74]
+    assert np.diff([tree.x for tree in row]) == pytest.approx(8, abs=0.01)
+    wood = [tree for tree in terrain.trees if tree.y < 74]
+    assert 40 <= len(wood) <= 120
+    assert {tree.kind for tree in wood} == {"conifer"}
+    roads = shapely.union_all([road.line.buffer(road.width_m / 2) for road in terrain.roads])
+    walls = shapely.union_all([building.footprint for building in terrain.buildings])
+    for tree in wood:
+        assert roads.distance(shapely.Point(tree.x, tree.y)) > 1.3 + tree.trunk_radius_m - 0.1
+        assert walls.distance(shapely.Point(tree.x, tree.y)) > 1
+    assert terrain_of(made, tmp_path).trees == terrain.trees
+
+
+def test_a_forest_is_thinner_where_it_is_larger(tmp_path: Path) -> None:
+    made = MapText(2000)
+    made.way([(-60, -60), (60, -60), (60, 60), (-60, 60), (-60, -60)], highway="residential")
+    for x in (-30, 0, 30):
+        made.box(x, 40, 16, 12, building="house")
+    made.box(0, 1000, 3900, 1800, landuse="forest")
+    terrain = terrain_of(made, tmp_path)
+    assert 500 <= len(terrain.trees) <= 800
+
+
+@pytest.mark.parametrize(
+    ("tags", "eaves_m", "begins_m", "roof", "rise_m"),
+    [
+        ({"building": "yes", "height": "12"}, 12, 0, "flat", 0),
+        ({"building": "yes", "height": "12", "roof:shape": "gabled", "roof:height": "4"}, 8, 0, "gabled", 4),
+        ({"building": "yes", "height": "12", "roof:shape": "mansard", "roof:levels": "1"}, 9.5, 0, "hipped", 2.5),
+        ({"building": "yes", "height": "12", "roof:shape": "flat", "roof:height": "4"}, 12, 0, "flat", 0),
+        ({"building": "yes", "building:levels": "3", "building:min_level": "1"}, 9, 3, "flat", 0),
+        ({"building": "yes", "height": "20", "min_height": "6.5"}, 20, 6.5, "flat", 0),
+        ({"building": "yes", "height": "5", "min_height": "30"}, 5, 4.6, "flat", 0),
+        ({"building": "roof", "height": "5"}, 5, 4.6, "flat", 0),
+        ({"building": "yes", "roof:shape": "gabled", "roof:angle": "45"}, 9, 0, "gabled", 6.4),
+        ({"building": "house"}, 6, 0, "gabled", 3.84),
+        ({"building": "yes"}, 9, 0, "flat", 0),
+    ],
+)
+def test_heights_and_roofs_are_what_the_tags_say(
+    tags: dict[str, str], eaves_m: float, begins_m: float, roof: str, rise_m: float
+) -> None:
+    (building,) = compose([Outline(1, (box(0, 0, 20, 12),), tags)], []).buildings
+    assert building.height_m == pytest.approx(eaves_m)
+    assert building.min_height_m == pytest.approx(begins_m)
+    assert building.roof == roof
+    assert building.roof_height_m == pytest.approx(rise_m)
+
+
+@pytest.mark.parametrize(
+    ("tags", "width_m", "marked", "sidewalks"),
+    [
+        ({"highway": "residential"}, 7, True, True),
+        ({"highway": "residential", "sidewalk": "no"}, 7, True, False),
+        ({"highway": "service", "sidewalk": "left"}, 4.5, False, True),
+        ({"highway": "primary", "lanes": "4"}, 12.8, True, True),
+        ({"highway": "primary", "lanes": "1", "sidewalk": "separate"}, 3.2, False, False),
+        ({"highway": "secondary", "width": "11 m", "lane_markings": "no"}, 11, False, True),
+        ({"highway": "tertiary", "sidewalk:both": "no"}, 8, True, False),
+        ({"highway": "tertiary", "lanes": "nan"}, 8, True, True),
+        ({"highway": "footway"}, 2.4, False, False),
+    ],
+)
+def test_roads_are_as_wide_and_as_marked_as_the_tags_say(
+    tags: dict[str, str], width_m: float, marked: bool, sidewalks: bool, tmp_path: Path
+) -> None:
+    made = block_of_houses()
+    made.way([(-90, 90), (90, 90)], **{key.replace(":", "__"): value for key, value in tags.items()})
+    road = terrain_of(made, tmp_path).roads[-1]
+    assert (road.width_m, road.marked, road.sidewalks) == (pytest.approx(width_m), marked, sidewalks)
+    assert road.drivable
+
+
+def test_steps_and_motorways_are_drawn_and_not_driven(tmp_path: Path) -> None:
+    made = block_of_houses()
+    made.way([(-90, 90), (90, 90)], highway="steps")
+    made.way([(-90, 80), (90, 80)], highway="motorway_link")
+    made.way([(-90, 85), (90, 85)], highway="footway", tunnel="yes")
+    assert [road.drivable for road in terrain_of(made, tmp_path).roads] == [True, False, False]

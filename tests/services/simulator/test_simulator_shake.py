@@ -1,0 +1,191 @@
+"""Camera shake: as strong as set, none at rest, the same however it is stepped; blur along the way the picture goes."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+from services.simulator.robots import TURTLEBOT
+from services.simulator.sensors.blur import blur
+from services.simulator.sensors.shake import LEVEL, STILL, Shake, ShakeSettings, Tilt, TiltRate
+from services.simulator.sensors.step import Step
+from services.simulator.world.place import Pose
+
+DRIVE = TURTLEBOT.drive
+STEP_S = 0.02
+
+
+def step(speed: float, turning: float = 0.0, duration_s: float = STEP_S) -> Step:
+    """Return a step at fractions of the nominal speed and turn rate."""
+    after = Pose(speed * DRIVE.speed_m_s * duration_s, 0.0, turning * DRIVE.turn_rate_rad_s * duration_s)
+    return Step(Pose(0.0, 0.0, 0.0), after, (0.0, 0.0), duration_s)
+
+
+def swings(steps: list[Step], seed: int = 0, settings: ShakeSettings | None = None) -> NDArray[np.float64]:
+    """Return the tilts and their rates (n, 2, 3) after each step."""
+    shake = Shake(settings or ShakeSettings(), DRIVE, np.random.default_rng(seed))
+    found = []
+    for one in steps:
+        shake.step(one)
+        found.append((shake.tilt, shake.rate))
+    return np.array(found)
+
+
+LONG = swings([step(1.0)] * 60_000)
+
+
+def test_a_robot_that_stands_does_not_shake() -> None:
+    assert not swings([step(0.0)] * 100).any()
+    shake = Shake(ShakeSettings(), DRIVE, np.random.default_rng(0))
+    assert (shake.tilt, shake.rate) == (LEVEL, STILL)
+
+
+def test_the_shaking_dies_away_when_the_robot_stops() -> None:
+    tilt = np.abs(swings([step(1.0)] * 50 + [step(0.0)] * 100)[:, 0]).max(axis=1)
+    assert tilt[30:50].max() > math.radians(0.5)
+    assert tilt[100] < math.radians(0.01)
+    assert tilt[149] < 1e-10
+
+
+def test_at_the_nominal_speed_each_angle_varies_as_set() -> None:
+    """Samples are correlated over 0.1 s: 1200 s are about 12,000 independent ones, so 1 % is 1.5 sigma."""
+    np.testing.assert_allclose(np.degrees(LONG[100:, 0].std(axis=0)), [1.0, 1.0, 0.5], rtol=0.04)
+    np.testing.assert_allclose(LONG[100:, 0].mean(axis=0), 0, atol=math.radians(0.04))
+
+
+def test_the_angles_forget_within_the_correlation_time() -> None:
+    """The autocorrelation of a critically damped oscillator is (1 + k t) exp(-k t), whose integral is 2 / k."""
+    for angle in LONG[100:, 0].T:
+        at_lag = [np.corrcoef(angle[: -lag or None], angle[lag:])[0, 1] for lag in range(40)]
+        kt = 2 / ShakeSettings().correlation_s * STEP_S * np.arange(40)
+        np.testing.assert_allclose(at_lag, (1 + kt) * np.exp(-kt), atol=0.05)
+        assert STEP_S * (sum(at_lag) - 0.5) == pytest.approx(ShakeSettings().correlation_s, rel=0.15)
+
+
+def test_the_three_angles_are_independent() -> None:
+    correlation = np.corrcoef(LONG[100:, 0].T)
+    np.testing.assert_allclose(correlation, np.eye(3), atol=0.04)
+
+
+def test_the_rate_is_that_at_which_the_angle_changes() -> None:
+    """In a step of t the rate walks with density 4 k^3, so the mean of both ends errs by the root of 4 k^3 t / 12."""
+    fine = swings([step(1.0, duration_s=0.001)] * 5000)
+    change = np.diff(fine[:, 0], axis=0) / 0.001
+    mean = (fine[1:, 1] + fine[:-1, 1]) / 2
+    error = np.sqrt(np.mean((change - mean) ** 2, axis=0)) / np.radians([1.0, 1.0, 0.5])
+    np.testing.assert_allclose(error, math.sqrt(4 * 20**3 * 0.001 / 12), rtol=0.06)
+    np.testing.assert_allclose(LONG[100:, 1].std(axis=0), 20 * np.radians([1.0, 1.0, 0.5]), rtol=0.04)
+
+
+@pytest.mark.parametrize("parts", [2, 5])
+def test_statistics_do_not_depend_on_the_length_of_a_step(parts: int) -> None:
+    fine = swings([step(1.0, duration_s=STEP_S / parts)] * (20_000 * parts))[100 * parts :: parts, 0]
+    np.testing.assert_allclose(fine.std(axis=0), LONG[:, 0].std(axis=0), rtol=0.08)
+
+
+def test_more_motion_shakes_more() -> None:
+    def strength(speed: float, turning: float) -> float:
+        return float(np.degrees(swings([step(speed, turning)] * 5000)[100:, 0, 0].std()))
+
+    assert strength(0.5, 0.0) == pytest.approx(0.5 * strength(1.0, 0.0))
+    assert 0 < strength(0.0, 0.5) < strength(0.0, 1.0) < strength(1.0, 0.0) < strength(1.0, 1.0)
+    assert strength(0.0, -1.0) == pytest.approx(strength(0.0, 1.0))
+    assert strength(100.0, 0.0) == pytest.approx(1.5 * strength(1.0, 0.0)), "a fall through the world is no earthquake"
+
+
+@given(strength=st.floats(0, 10), seed=st.integers(0, 1000), moves=st.lists(st.floats(-1, 1), max_size=20))
+@settings(max_examples=50, deadline=None)
+def test_strength_is_one_factor_and_a_seed_repeats(strength: float, seed: int, moves: list[float]) -> None:
+    steps = [step(move) for move in moves]
+    plain = swings(steps, seed)
+    np.testing.assert_allclose(swings(steps, seed, ShakeSettings(strength)), strength * plain, atol=1e-12)
+    np.testing.assert_array_equal(swings(steps, seed), plain)
+
+
+def test_seeds_differ() -> None:
+    assert not np.allclose(swings([step(1.0)] * 5, 1), swings([step(1.0)] * 5, 2))
+
+
+@given(st.builds(Tilt, *[st.floats(-1.5, 1.5)] * 3))
+def test_a_tilt_rolls_first_then_pitches_then_yaws(tilt: Tilt) -> None:
+    def about(axis: int, angle: float) -> NDArray[np.float64]:
+        matrix = np.eye(3)
+        a, b = [(1, 2), (2, 0), (0, 1)][axis]
+        matrix[a, a] = matrix[b, b] = math.cos(angle)
+        matrix[a, b], matrix[b, a] = -math.sin(angle), math.sin(angle)
+        return matrix
+
+    expected = about(2, tilt.yaw_rad) @ about(1, tilt.pitch_rad) @ about(0, tilt.roll_rad)
+    np.testing.assert_allclose(tilt.matrix(), expected, atol=1e-12)
+
+
+def test_signs_of_a_tilt() -> None:
+    ahead, left = np.array([1.0, 0, 0]), np.array([0, 1.0, 0])
+    assert (Tilt(0.1, 0, 0).matrix() @ left)[2] > 0
+    assert (Tilt(0, 0.1, 0).matrix() @ ahead)[2] < 0
+    assert (Tilt(0, 0, 0.1).matrix() @ ahead)[1] > 0
+
+
+# -- blur -------------------------------------------------------------------------------------------------------------
+
+FOCAL_PX, EXPOSURE_S = 200.0, 0.02
+
+
+def dot() -> NDArray[np.uint8]:
+    """Return a bright square, 5 wide, on black, in the middle of 121x161."""
+    image = np.zeros((121, 161, 3), dtype=np.uint8)
+    image[58:63, 78:83] = 250
+    return image
+
+
+def spread(image: NDArray[np.uint8]) -> tuple[float, float, float, float, float]:
+    """Return mean column and row, and the variances and covariance of columns and rows, weighted by brightness."""
+    weight = image.sum(axis=2) / image.sum()
+    rows, columns = np.mgrid[: image.shape[0], : image.shape[1]]
+    x, y = float((weight * columns).sum()), float((weight * rows).sum())
+    dx, dy = columns - x, rows - y
+    return x, y, float((weight * dx**2).sum()), float((weight * dy**2).sum()), float((weight * dx * dy).sum())
+
+
+@given(yaw=st.floats(-6, 6), pitch=st.floats(-6, 6))
+@settings(max_examples=40, deadline=None)
+def test_a_point_becomes_a_line_as_long_as_its_way(yaw: float, pitch: float) -> None:
+    """A way of (a, b) pixels, gone evenly, adds the covariance of (a, b) outer (a, b) / 12."""
+    a, b = FOCAL_PX * yaw * EXPOSURE_S, -FOCAL_PX * pitch * EXPOSURE_S
+    image = dot()
+    blurred = blur(image, TiltRate(0.0, pitch, yaw), EXPOSURE_S, FOCAL_PX)
+    assert int(blurred.sum()) == pytest.approx(int(image.sum()), rel=0.03), "light is neither made nor lost"
+    (x, y, xx, yy, xy), (x0, y0, xx0, yy0, _) = spread(blurred), spread(image)
+    assert (x, y) == (pytest.approx(x0, abs=0.2), pytest.approx(y0, abs=0.2))
+    tolerance = 1.0 + 0.05 * (a**2 + b**2) / 12
+    assert xx - xx0 == pytest.approx(a**2 / 12, abs=tolerance)
+    assert yy - yy0 == pytest.approx(b**2 / 12, abs=tolerance)
+    assert xy == pytest.approx(a * b / 12, abs=tolerance)
+
+
+def test_brightness_is_kept() -> None:
+    even = np.full((48, 64, 3), 117, dtype=np.uint8)
+    np.testing.assert_array_equal(blur(even, TiltRate(1.0, 2.0, -3.0), EXPOSURE_S, FOCAL_PX), even)
+    noise = np.random.default_rng(0).integers(0, 256, (240, 320, 3), dtype=np.uint8)
+    blurred = blur(noise, TiltRate(0.5, 1.0, 1.0), EXPOSURE_S, FOCAL_PX)
+    assert blurred.mean() == pytest.approx(noise.mean(), abs=0.5)
+    assert blurred.std() < 0.7 * noise.std()
+
+
+def test_a_roll_blurs_the_edge_and_not_the_middle() -> None:
+    noise = np.random.default_rng(0).integers(0, 256, (241, 321, 3), dtype=np.uint8)
+    blurred = blur(noise, TiltRate(2.0, 0.0, 0.0), EXPOSURE_S, FOCAL_PX).astype(float)
+    middle, edge = blurred[115:126, 155:166], blurred[:20, :20]
+    assert middle.std() > 0.85 * noise.std()
+    assert edge.std() < 0.6 * noise.std()
+
+
+@pytest.mark.parametrize(("rate", "exposure_s"), [(STILL, 0.02), (TiltRate(3.0, 3.0, 3.0), 0.0)])
+def test_a_picture_in_which_nothing_moves_is_left_alone(rate: TiltRate, exposure_s: float) -> None:
+    image = dot()
+    assert blur(image, rate, exposure_s, FOCAL_PX) is image

@@ -1,0 +1,165 @@
+"""The tracker: images in, poses out, over a real router; what it says when the tag is lost and seen again."""
+
+from __future__ import annotations
+
+import logging
+import math
+
+import numpy as np
+import pytest
+
+from schemas import topics
+from schemas.codec import decode
+from schemas.overhead_image import Calibration, OverheadImage
+from schemas.tracked_pose import TrackedPose
+from services.bus import Bus
+from services.process import Node, ServiceError
+from services.settings import ServiceSettings
+from services.simulator.robots import TURTLEBOT
+from services.tracker.config import TrackerSettings
+from services.tracker.service import TrackerService
+from smal.evaluation.tag_tracking import OverheadCamera, Tag
+from tests.services.chain import process
+from tests.services.conftest import RunNode
+from tests.services.waiting import eventually, introduce, malformed, ready, status_of
+from tests.smal.overhead_images import Shot, photograph
+
+TAG = Tag(number=7, side_m=0.2, height_m=0.43)
+SIZE = (400, 300)
+CALIBRATION = Calibration(
+    focal_px=560.0, centre_x_px=190.0, centre_y_px=160.0, x_m=4.0, y_m=3.0, height_m=4.2, up_rad=0.7
+)
+CAMERA = OverheadCamera(focal_px=560.0, centre_px=(190.0, 160.0), position_m=(4.0, 3.0, 4.2), up_rad=0.7)
+
+
+def pose_at(tick: int) -> tuple[float, float, float]:
+    """Return where the robot is: on a circle about the camera."""
+    phi = 0.3 * tick
+    return 4.0 + 0.5 * math.cos(phi), 3.0 + 0.5 * math.sin(phi), math.remainder(phi + math.pi / 2, math.tau)
+
+
+def frame(tick: int, *tags: Tag, calibration: Calibration = CALIBRATION, episode: str = "e") -> OverheadImage:
+    """Return the overhead image of a tick."""
+    pixels = photograph(Shot(CAMERA, SIZE, pose_at(tick), seed=tick), *tags)
+    return OverheadImage(
+        robot="rescuebot", episode=episode, tick=tick, stamp_ns=1000 + tick, width=SIZE[0], height=SIZE[1],
+        data=pixels.tobytes(), calibration=calibration,
+    )  # fmt: skip
+
+
+def check(answer: TrackedPose, tick: int) -> None:
+    """Check that an answer is the true pose of its tick."""
+    x, y, heading = pose_at(tick)
+    assert (answer.tick, answer.stamp_ns, answer.visible) == (tick, 1000 + tick, True)
+    assert answer.x_m is not None
+    assert answer.y_m is not None
+    assert answer.heading_rad is not None
+    assert math.hypot(answer.x_m - x, answer.y_m - y) < 0.01
+    assert abs(math.degrees(math.remainder(answer.heading_rad - heading, math.tau))) < 1.0
+
+
+def test_a_drive_over_the_bus(client: Bus, router_endpoint: str) -> None:
+    heard: dict[int, TrackedPose] = {}
+
+    def take(payload: bytes, encoding: str, _transit_s: float | None) -> None:
+        message = decode(TrackedPose, payload, encoding)
+        heard[message.tick] = message
+
+    client.subscribe(topics.TRACKED, take)
+    with process("tracker", router_endpoint) as child:
+        ready(client, "tracker")
+        introduce(client, "tracker", frame(500, TAG, episode="hello"))
+        malformed(client, "tracker", topics.OVERHEAD)
+
+        def answered(message: OverheadImage) -> bool:
+            client.publish(message)
+            return message.tick in heard
+
+        eventually(lambda: answered(frame(500, TAG, episode="hello")))
+        for tick in range(12):
+            client.publish(frame(tick, TAG) if tick not in (4, 5, 6) else frame(tick))
+            eventually(lambda tick=tick: tick in heard)  # type: ignore[misc]
+        status = status_of(client, "tracker")
+    assert status is not None
+    assert (status.detail["tag"], status.detail["lost"], status.failed) == (7, 3, 0)
+    assert status.detail["seen"] == status.received["camera/overhead"] - 3
+    for tick in (0, 1, 2, 3, 7, 8, 9, 10, 11):
+        check(heard[tick], tick)
+    for tick in (4, 5, 6):
+        assert heard[tick] == TrackedPose.after(frame(tick), visible=False)
+    assert child.stderr is not None
+    log = child.stderr.read()
+    assert log.count("lost the tag") == log.count("seen again") == 1
+    assert "lost the tag at frame 4 of episode e: no markers with number 7 are in the image" in log
+    assert "the tag is seen again at frame 7 of episode e" in log
+
+
+def test_flags_say_which_tag(client: Bus, router_endpoint: str) -> None:
+    larger = Tag(number=23, side_m=0.3, height_m=0.2)
+    heard: list[TrackedPose] = []
+    client.subscribe(topics.TRACKED, lambda payload, encoding, _: heard.append(decode(TrackedPose, payload, encoding)))
+    flags = ("--tag-number", "23", "--tag-side-m", "0.3", "--tag-height-m", "0.2")
+    with process("tracker", router_endpoint, *flags):
+        ready(client, "tracker")
+
+        def answered() -> bool:
+            client.publish(frame(3, larger))
+            return bool(heard)
+
+        eventually(answered)
+    check(heard[0], 3)
+
+
+def test_it_says_once_that_the_tag_is_lost_and_once_that_it_is_seen(caplog: pytest.LogCaptureFixture) -> None:
+    service = TrackerService(TAG)
+    with caplog.at_level(logging.INFO, logger="tracker"):
+        answers = [service.handle(frame(t, *([TAG] if seen else []))) for t, seen in enumerate([0, 0, 1, 1, 0, 0, 1])]
+    assert [answer.visible for answer in answers] == [False, False, True, True, False, False, True]
+    assert [(record.levelname, record.args[0]) for record in caplog.records if isinstance(record.args, tuple)] == [
+        ("WARNING", 0),
+        ("INFO", 2),
+        ("WARNING", 4),
+        ("INFO", 6),
+    ]
+    assert service.detail() == {"tag": 7, "seen": 3, "lost": 4}
+
+
+def test_an_impossible_calibration_is_one_line_and_no_pose(
+    client: Bus, settings: ServiceSettings, run_node: RunNode, caplog: pytest.LogCaptureFixture
+) -> None:
+    below = CALIBRATION.model_copy(update={"height_m": 0.4})
+    service = TrackerService(TAG)
+    with pytest.raises(ServiceError, match=r"^calibration: a camera 0\.4 m above the floor cannot look down"):
+        service.handle(frame(0, TAG, calibration=below))
+    node = Node("tracker", settings)
+    node.subscribe(topics.OVERHEAD, service.handle)
+    run_node(node)
+    ready(client, "tracker")
+    introduce(client, "tracker", frame(0, TAG))
+    client.publish(frame(1, TAG, calibration=below))
+    status = eventually(lambda: (now := status_of(client, "tracker")) and now.failed and now)
+    assert status.published["pose/tracked"] == status.received["camera/overhead"] - 1
+    (line,) = [record.getMessage() for record in caplog.records if record.levelname == "WARNING"]
+    assert line.startswith("handling camera/overhead failed (1 failures so far): calibration: a camera 0.4 m")
+
+
+def test_the_answer_depends_on_the_frame_alone() -> None:
+    service, frames = TrackerService(TAG), [frame(tick, TAG) for tick in range(3)]
+    forwards = [service.handle(one) for one in frames]
+    backwards = [service.handle(one) for one in reversed(frames)]
+    assert forwards == backwards[::-1]
+
+
+@pytest.mark.parametrize(
+    ("flag", "value"), [("tag_number", 50), ("tag_number", -1), ("tag_side_m", 0.0), ("tag_height_m", np.nan)]
+)
+def test_bad_settings_are_refused(flag: str, value: float) -> None:
+    with pytest.raises(ValueError, match=flag):
+        TrackerSettings(**{flag: value})
+
+
+def test_the_defaults_are_the_tag_that_the_simulator_puts_on_its_robot() -> None:
+    settings = TrackerSettings()
+    assert TURTLEBOT.tag is not None
+    on_robot = (TURTLEBOT.tag.number, TURTLEBOT.tag.side_m, TURTLEBOT.tag.height_m)
+    assert (settings.tag_number, settings.tag_side_m, settings.tag_height_m) == on_robot
