@@ -14,10 +14,11 @@ from services.simulator.scene.interiors import paint_ceiling, paint_floor
 from services.simulator.scene.meshes import Mesh, quads
 from services.simulator.scene.nao import nao
 from services.simulator.scene.shapes import flat
-from services.simulator.scene.surfaces import Lights, Scene, Surface, painted
+from services.simulator.scene.surfaces import Lights, Scene, Surface, Vector, painted
 from services.simulator.scene.turtlebot import tag
 
 if TYPE_CHECKING:
+    from services.simulator.variation import Daylight
     from services.simulator.world.place import Pose
     from services.simulator.world.room import Room
 
@@ -35,7 +36,7 @@ _FEET_M: Final = 0.08
 _CEILING_M: Final = 2.4
 
 
-def build(room: Room, victim: Pose, *, shadows: bool) -> Scene:
+def build(room: Room, victim: Pose, light: Daylight, *, shadows: bool) -> Scene:
     """Make the meshes and pictures of a room with a victim standing in it."""
     pieces: list[Piece] = skirting(room)
     shining: list[Piece] = []
@@ -48,7 +49,7 @@ def build(room: Room, victim: Pose, *, shadows: bool) -> Scene:
     standing = {material: [mesh.placed(victim) for mesh in meshes] for material, meshes in nao().items()}
     marker = tag(room.robot)
     return Scene(
-        lights=_LIGHTS,
+        lights=_lights(light),
         # What is in front comes first, so that what is behind it need not be drawn there.
         still=(
             *surfaces(pieces),
@@ -60,6 +61,20 @@ def build(room: Room, victim: Pose, *, shadows: bool) -> Scene:
         victim=painted(standing),
         robot=(*painted(bodies.robot(room.robot)), *(() if marker is None else (marker,))),
     )
+
+
+def _lights(light: Daylight) -> Lights:
+    """Return the room's lights, as bright and in the colour that the time of day gives them."""
+    ambient, *shining = (
+        _times(colour, light.lamps) for colour in (_LIGHTS.ambient, *(c for _, c in _LIGHTS.directional))
+    )
+    directions = [direction for direction, _ in _LIGHTS.directional]
+    return Lights(ambient, tuple(zip(directions, shining, strict=True)))
+
+
+def _times(colour: Vector, factors: Vector) -> Vector:
+    red, green, blue = (one * other for one, other in zip(colour, factors, strict=True))
+    return red, green, blue
 
 
 def _feet(victim: Pose) -> shapely.Polygon:

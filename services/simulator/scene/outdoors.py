@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import defaultdict
 from typing import TYPE_CHECKING, Final
 
@@ -25,20 +26,18 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
 
     from services.simulator.scene.textures import Material
+    from services.simulator.variation import Daylight
     from services.simulator.world.place import Pose
     from services.simulator.world.terrain import Terrain
 
-#: Where the sunlight goes: from the south-west, half way up.
-SUN: Final = (0.55, 0.62, -0.72)
-# Light from the open sky: some from everywhere, some more from opposite the sun, so that shaded walls keep their shape.
-_LIGHTS: Final = Lights((0.42, 0.45, 0.5), ((SUN, (2.6, 2.45, 2.2)), ((-0.5, -0.75, -0.2), (0.35, 0.38, 0.45))))
 _SKY_RADIUS_M: Final = 900.0
 _SKY_SEED: Final = 7
 
 
-def build(terrain: Terrain, victim: Pose, *, shadows: bool) -> Scene:
+def build(terrain: Terrain, victim: Pose, light: Daylight, *, shadows: bool) -> Scene:
     """Make the meshes and pictures of a terrain with a victim lying in it."""
-    shade = cast_shade(terrain, SUN, crowns(terrain.trees)) if shadows else Polygon()
+    shaded = shadows and light.casts_shadows
+    shade = cast_shade(terrain, light.direction, crowns(terrain.trees)) if shaded else Polygon()
     covers, gables = roofs(terrain.buildings)
     covers[Cover("trim")] += undersides(terrain.buildings)
     pieces: dict[Material, list[Mesh]] = defaultdict(list)
@@ -49,12 +48,20 @@ def build(terrain: Terrain, victim: Pose, *, shadows: bool) -> Scene:
     lying = {material: [mesh.placed(victim) for mesh in meshes] for material, meshes in bodies.victim().items()}
     # What is drawn first hides what comes later: the ground is last, since it lies behind everything.
     return Scene(
-        lights=_LIGHTS,
+        lights=_lights(light),
         still=(*_facades(terrain, gables), *_covers(covers), *painted(pieces), *painted(lower)),
         victim=painted(lying),
         robot=painted(bodies.robot(terrain.robot)),
-        sky=_sky(),
+        sky=_sky(light),
     )
+
+
+def _lights(light: Daylight) -> Lights:
+    """Return the sun, and more sky from opposite it than from elsewhere, so that shaded walls keep their shape."""
+    east, north, _ = light.direction
+    level = max(math.hypot(east, north), 1e-9)
+    opposite = (-0.9 * east / level, -0.9 * north / level, -0.2)
+    return Lights(light.sky, ((light.direction, light.sun), (opposite, light.fill)))
 
 
 def _facades(terrain: Terrain, gables: Mapping[int, Mesh]) -> Iterator[Surface]:
@@ -75,11 +82,11 @@ def _covers(covers: Mapping[Cover, list[Mesh]]) -> Iterator[Surface]:
             yield Surface(merge(meshes), picture if colour is None else tinted(picture, colour))
 
 
-def _sky() -> Surface:
+def _sky(light: Daylight) -> Surface:
     """Return a dome whose inside wears the sky; it goes with the camera, so that it never comes closer."""
     detail = 24
     dome = ball((0, 0, 0), (1, 1, 1), detail)
     elevation = np.degrees(np.arcsin(np.clip(dome.vertices[:, 2], -1, 1)))
     uvs = np.column_stack([dome.uvs[:, 0] / 2, np.clip((TOP_DEG - elevation) / (TOP_DEG - BOTTOM_DEG), 0.002, 0.998)])
     inside = make(dome.vertices * _SKY_RADIUS_M, dome.normals, uvs, dome.triangles).flipped()
-    return Surface(inside, paint_sky(_SKY_SEED), glows=True)
+    return Surface(inside, paint_sky(_SKY_SEED, light), glows=True)

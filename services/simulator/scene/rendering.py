@@ -61,7 +61,7 @@ class SceneCamera:
         self._settings = settings
         self._mount = world.robot.camera
         self._overhead = world.place.overhead
-        scene = build_scene(world, shadows=settings.shadows)
+        scene = build_scene(world, settings.light, shadows=settings.shadows)
         try:
             self._fill(scene, settings)
         except RuntimeError as error:

@@ -11,27 +11,37 @@ from services.simulator.scene.noise import as_picture, layered, noise
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    from services.simulator.variation import Daylight
+
 _SHAPE: Final = (1024, 4096)
 #: Elevation in degrees at the top and at the bottom of the picture.
 TOP_DEG: Final = 90.0
 BOTTOM_DEG: Final = -10.0
 
-_ZENITH: Final = np.array([84.0, 132.0, 200.0])
-_HORIZON: Final = np.array([206.0, 218.0, 228.0])
+_FAIR_HORIZON: Final = np.array([206.0, 218.0, 228.0])
+_CLOUDS: Final = np.array([246.0, 246.0, 244.0])
 _HILLS: Final = np.array([122.0, 134.0, 138.0])
 _TREES: Final = np.array([86.0, 104.0, 78.0])
 
 
-def paint_sky(seed: int) -> NDArray[np.uint8]:
-    """Return the whole horizon, (1024, 4096, 3) uint8 RGB, from 90 degrees up to 10 below, seamless to the sides."""
+def paint_sky(seed: int, light: Daylight) -> NDArray[np.uint8]:
+    """Return the whole horizon under some light, seamless to the sides.
+
+    Returns
+    -------
+    (1024, 4096, 3) uint8 RGB, from 90 degrees up to 10 below.
+    """
     rng = np.random.default_rng(seed)
     elevation = np.linspace(TOP_DEG, BOTTOM_DEG, _SHAPE[0])[:, None]
     up = np.clip(elevation / 90.0, 0, 1)[..., None]
-    sky = _HORIZON + (_ZENITH - _HORIZON) * up**0.55
-    cloud = _clouds(rng, elevation)[..., None]
-    picture = sky * (1 - cloud) + np.array([246.0, 246.0, 244.0]) * cloud
-    picture = np.where(elevation[..., None] < _skyline(rng, 3.2, 1.1, 90.0), _HILLS, picture)
-    trees = _TREES * (1.0 + 0.10 * noise(rng, _SHAPE, 5.0))[..., None]
+    horizon, zenith = np.array(light.horizon), np.array(light.zenith)
+    sky = horizon + (zenith - horizon) * up**0.55
+    cloud = np.clip(light.clouds * _clouds(rng, elevation), 0, 1)[..., None]
+    # Clouds and far land are lit by the same light: as bright as the horizon, and of its colour.
+    tint = horizon / _FAIR_HORIZON
+    picture = sky * (1 - cloud) + _CLOUDS * tint * cloud
+    picture = np.where(elevation[..., None] < _skyline(rng, 3.2, 1.1, 90.0), _HILLS * tint, picture)
+    trees = _TREES * tint * (1.0 + 0.10 * noise(rng, _SHAPE, 5.0))[..., None]
     picture = np.where(elevation[..., None] < _skyline(rng, 1.2, 0.45, 12.0), trees, picture)
     return as_picture(picture)
 

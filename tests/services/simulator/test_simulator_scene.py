@@ -18,17 +18,18 @@ from services.simulator.scene.facades import alike, paint_facade
 from services.simulator.scene.ground import cast_shade, ground
 from services.simulator.scene.meshes import Mesh, merge
 from services.simulator.scene.noise import noise
-from services.simulator.scene.outdoors import SUN
 from services.simulator.scene.plants import crowns
 from services.simulator.scene.roofs import Cover, oblong, roofs
 from services.simulator.scene.shapes import ball, flat, tube
 from services.simulator.scene.structures import clad, posts, undersides
 from services.simulator.scene.surfaces import Surface
 from services.simulator.scene.textures import Material, paint
+from services.simulator.variation import DAY
 from services.simulator.world import load_world
 from services.simulator.world.terrain import Building, Facade, RoofShape
 
 CAMPUS = load_world("campus").place
+SUN = DAY.light.direction
 MATERIALS = tuple(Material.__args__)  # type: ignore[attr-defined]
 
 
