@@ -106,7 +106,7 @@ class LoadRequest(Strict):
     path: str
     """Path of the model file, as the service sees it."""
     stride: Annotated[int | None, Field(ge=1, le=1000)] = None
-    """Frames from one decision to the next; the model's sequence length if not given (the paper's scheme)."""
+    """Frames from one decision to the next; 1 if not given; the model's sequence length is the paper's scheme."""
 
 
 class LoadReply(Strict):

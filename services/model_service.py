@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Final, Protocol, Self, TypeVar
@@ -17,6 +18,8 @@ from smal.model import Model, ModelError
 
 #: So many hex digits of a model's checksum tell one model from another.
 _DIGITS: Final = 16
+#: Frames from one decision to the next, where nobody says otherwise: as often as there is something new to see.
+DEFAULT_STRIDE: Final = 1
 M_contra = TypeVar("M_contra", bound=Message, contravariant=True)
 
 
@@ -26,7 +29,8 @@ class ModelSettings(ServiceSettings):
     model: Path | None = None
     """Model file, made by `smal learn`."""
     stride: Annotated[int | None, Field(ge=1, le=1000)] = None
-    """Frames from one decision to the next; the model's own if not given."""
+    """Frames from one decision to the next; every frame if not given, and the model's sequence length is the paper's
+    scheme."""
 
 
 def identity_of(model: Model) -> str:
@@ -68,7 +72,7 @@ class LoadedModel:
             model = Model.load(Path(request.path))
         except ModelError as error:
             raise ServiceError(str(error)) from None
-        stride = request.stride or model.sequence_length
+        stride = request.stride or DEFAULT_STRIDE
         if stride > model.sequence_length:
             raise ServiceError(f"stride must be 1 to the sequence length {model.sequence_length}, got {stride}")
         return cls(model, identity_of(model), request.path, stride)
@@ -100,8 +104,13 @@ class ModelService(Protocol[M_contra]):
         """Tell how the service is."""
 
 
-def serve_model(name: str, service: ModelService[M_contra], topic: Topic) -> None:
-    """Load the model of the settings, if any, and handle the messages of a topic until stopped."""
+def serve_model(
+    name: str, service: ModelService[M_contra], topic: Topic, wire: Callable[[Node], None] = lambda _: None
+) -> None:
+    """Load the model of the settings, if any, and handle the messages of a topic until stopped.
+
+    `wire` is called with the node before the first message.
+    """
     settings = read_settings(ModelSettings, name)
     configure_logging(settings.log_level)
     if settings.model is not None:
@@ -110,6 +119,7 @@ def serve_model(name: str, service: ModelService[M_contra], topic: Topic) -> Non
         node.stop_on_signals()
         node.detail = service.detail
         node.serve("load", LoadRequest, service.load)
+        wire(node)
         node.subscribe(topic, service.handle)
         node.log.info("model %s", settings.model or f"not loaded yet; waiting for rpc/{name}/load")
         node.spin()

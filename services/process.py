@@ -201,6 +201,10 @@ class Node:
         self._handlers[name] = work
         self.bus.serve(self.name, verb, lambda payload, reply: self._inbox.put(name, (payload, reply)))
 
+    def waits(self, topic: Topic) -> bool:
+        """Whether a message of a topic has come that is not yet handled."""
+        return self._inbox.waiting().get(topic.name, 0) > 0
+
     def every(self, period_s: float, handler: Callable[[], object]) -> None:
         """Call ``handler`` every ``period_s`` seconds; periods missed while busy are not made up."""
         self._timers.append(_Timer(period_s, handler, time.monotonic() + period_s))

@@ -41,7 +41,7 @@ class Decision:
         "dead_end": the rest of a drive that stopped here without success; "look_around": turn on the spot,
         since the state is unknown; "stop": looking around has not helped; "wait": no state is due yet.
     atoms : tuple of Atom
-        The plan, `stride` atoms long; empty for "wait", which leaves the last plan as it is.
+        The plan, l atoms long; empty for "wait", which leaves the last plan as it is.
     state, action : int or None
     demonstration, frame : int or None
         Where the atoms come from; with a belief, those of the heaviest state.
@@ -67,13 +67,15 @@ class _Occurrence:
 
 
 class DecisionMaker:
-    """Plans `stride` atoms whenever a state is recognised, and hands them out one by one.
+    """Plans l atoms whenever a state is recognised, and hands them out one by one until the next plan replaces them.
+
+    With a stride shorter than l the rest of a plan is for decisions that come late, or not at all.
 
     Parameters
     ----------
     model : Model
     stride : int, optional
-        Atoms between two decisions, 1 to l; l is the paper's scheme.
+        Atoms between two decisions, 1 to l; l, the paper's scheme, if None.
     look_around_ticks : int
         How many atoms it turns left while states are unknown, before it stops; moving on restores them.
     aligned : bool
@@ -96,7 +98,8 @@ class DecisionMaker:
         belief: bool = True,
     ) -> None:
         self._model = model
-        self._stride = model.sequence_length if stride is None else stride
+        self._horizon = model.sequence_length
+        self._stride = self._horizon if stride is None else stride
         if not 1 <= self._stride <= model.sequence_length:
             raise ValueError(f"stride must be 1 to the sequence length {model.sequence_length}, got {stride}")
         if look_around_ticks < 0:
@@ -116,7 +119,10 @@ class DecisionMaker:
 
     def next_atom(self) -> Atom:
         """Take the next atom of the plan; stop when there is none."""
-        return self._plan.popleft() if self._plan else Atom.STOP
+        atom = self._plan.popleft() if self._plan else Atom.STOP
+        if self._looking and atom != Atom.STOP:
+            self._turns_left -= 1
+        return atom
 
     def decide(self, recognition: Recognition) -> Decision:
         """Replace the plan according to what was recognised."""
@@ -128,8 +134,9 @@ class DecisionMaker:
             alone = (Candidate(recognition.state, recognition.phase, 1.0),)
             decision = self._act(recognition.candidates if self._belief and recognition.candidates else alone)
         self._looking = decision.kind == "look_around"
-        # Not every decision restores the turns: a state that only turns back would make it swing for ever.
-        if Atom.FORWARD in decision.atoms or decision.kind == "goal":
+        # Not every decision restores the turns: a state that only turns back would make it swing for ever. Nor does
+        # what is planned for after the next decision, which may be another one.
+        if Atom.FORWARD in decision.atoms[: self._stride] or decision.kind == "goal":
             self._turns_left = self._look_around_ticks
         self._plan = deque(decision.atoms)
         return decision
@@ -144,9 +151,8 @@ class DecisionMaker:
 
     def _look_around(self, state: int | None) -> Decision:
         """Turn on the spot, a bounded number of atoms in all; the views may become known ones."""
-        turns = min(self._stride, self._turns_left)
-        self._turns_left -= turns
-        atoms = (Atom.LEFT,) * turns + (Atom.STOP,) * (self._stride - turns)
+        turns = min(self._horizon, self._turns_left)
+        atoms = (Atom.LEFT,) * turns + (Atom.STOP,) * (self._horizon - turns)
         return Decision("look_around" if turns else "stop", atoms, state)
 
     def _act(self, candidates: tuple[Candidate, ...]) -> Decision:
@@ -156,11 +162,11 @@ class DecisionMaker:
         if not voters:
             leader = proposals[0][0]
             return leader if any(leader.atoms) else self._look_around(leader.state)
-        votes = np.zeros((self._stride, len(Atom)))
+        votes = np.zeros((self._horizon, len(Atom)))
         for plan, weight in voters:
-            votes[np.arange(self._stride), plan.atoms] += weight
+            votes[np.arange(self._horizon), plan.atoms] += weight
         leader = voters[0][0]
-        votes[np.arange(self._stride), leader.atoms] += _TIE
+        votes[np.arange(self._horizon), leader.atoms] += _TIE
         return replace(leader, atoms=tuple(Atom(int(atom)) for atom in votes.argmax(axis=1)))
 
     def _continue(self, state: int, phase: float) -> Decision:
@@ -175,9 +181,9 @@ class DecisionMaker:
         nearest = min(fitting, key=lambda one: abs(one.phase - phase))
         shift = round(phase - nearest.phase) if self._aligned else 0
         frame = max(0, nearest.last_frame + shift)
-        recorded = self._model.atoms[nearest.demonstration][frame : frame + self._stride]
+        recorded = self._model.atoms[nearest.demonstration][frame : frame + self._horizon]
         atoms = tuple(Atom(int(atom)) for atom in recorded)
-        atoms += (Atom.STOP,) * (self._stride - len(atoms))
+        atoms += (Atom.STOP,) * (self._horizon - len(atoms))
         return Decision(kind, atoms, state, action if action >= 0 else None, nearest.demonstration, frame)
 
 

@@ -29,5 +29,6 @@ def draw_routes(world: str, records: Iterable[EpisodeRecord]) -> Figure:
         labelled.add(record.outcome)
         axes.plot(*xy.T, color=OUTCOME_COLOURS[record.outcome], lw=1.6, alpha=0.75, label=label, zorder=3)
         axes.plot(*xy[-1], "x", color=OUTCOME_COLOURS[record.outcome], ms=6, zorder=3)
-    axes.legend(loc="best")
+    # Beside the map, where it hides nothing.
+    figure.legend(loc="outside lower center", ncols=6)
     return figure

@@ -4,8 +4,19 @@ from __future__ import annotations
 
 from schemas import topics
 from services.model_service import serve_model
-from services.process import run_service
+from services.process import Node, run_service
 from services.recognition.service import RecognitionService
 
+
+def serve() -> None:
+    """Recognise states until stopped."""
+    service = RecognitionService()
+
+    def wire(node: Node) -> None:
+        service.behind = lambda: node.waits(topics.OBSERVATION)
+
+    serve_model("recognition", service, topics.OBSERVATION, wire)
+
+
 if __name__ == "__main__":
-    run_service("recognition", lambda: serve_model("recognition", RecognitionService(), topics.OBSERVATION))
+    run_service("recognition", serve)

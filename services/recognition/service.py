@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 from schemas.observation import Observation
 from schemas.rpc import LoadReply, LoadRequest
 from schemas.state import Candidate, State
@@ -11,9 +13,15 @@ from smal.execution import Recognizer
 
 
 class RecognitionService:
-    """Keeps the window of recent frames and recognises the state whenever a decision is due."""
+    """Keeps the window of recent frames and recognises the state whenever a decision is due.
+
+    A frame that another one already waits behind is taken in only: answering it would make the newest answer later, and
+    the policy goes on with its plan meanwhile. In lockstep there is none.
+    """
 
     def __init__(self) -> None:
+        #: Whether newer observations wait.
+        self.behind: Callable[[], bool] = lambda: False
         self._loaded: LoadedModel | None = None
         self._recognizer: Recognizer | None = None
         self._last: State | None = None
@@ -54,7 +62,7 @@ class RecognitionService:
         if last is None or last.episode != observation.episode:
             self._recognizer.reset()
         # The first decision is due with the first whole window, the others follow at equal distances.
-        due = (observation.tick + 1 - model.sequence_length) % self._loaded.stride == 0
+        due = (observation.tick + 1 - model.sequence_length) % self._loaded.stride == 0 and not self.behind()
         found = self._recognizer.observe(observation.tick, observation.features.to_numpy(), due)
         self._last = State.after(
             observation,

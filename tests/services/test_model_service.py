@@ -78,7 +78,7 @@ def decisions(answer: list[Message]) -> list[Message]:
 
 
 @pytest.mark.parametrize("cls", SERVICES)
-@pytest.mark.parametrize(("stride", "got"), [(None, LENGTH), (1, 1), (LENGTH, LENGTH)])
+@pytest.mark.parametrize(("stride", "got"), [(None, 1), (2, 2), (LENGTH, LENGTH)])
 def test_the_loaded_model_is_told(cls: type[Service], stride: int | None, got: int, model: Path) -> None:
     service = cls()
     assert service.detail() == {"model": None}

@@ -262,5 +262,26 @@ def test_looking_around_goes_on_until_a_view_is_really_known(model: Model) -> No
 def test_a_vague_view_will_do_after_a_whole_turn(model: Model) -> None:
     maker = DecisionMaker(model, look_around_ticks=10)
     vague = Recognition("recognized", 5, 0, 2.0, residual=SETTLED_RESIDUAL + 0.1)
-    kinds = [maker.decide(Recognition("unknown", 0)).kind] + [maker.decide(vague).kind for _ in range(2)]
+    kinds = []
+    for seen in (Recognition("unknown", 0), vague, vague):
+        kinds.append(maker.decide(seen).kind)
+        for _ in range(LENGTH):
+            maker.next_atom()
     assert kinds == ["look_around", "look_around", "action"]
+
+
+def test_turns_that_a_new_plan_replaces_are_not_spent(model: Model) -> None:
+    maker = DecisionMaker(model, stride=1, look_around_ticks=12)
+    atoms = []
+    for _ in range(15):
+        maker.decide(Recognition("unknown", 0))
+        atoms.append(maker.next_atom())
+    assert atoms == [Atom.LEFT] * 12 + [Atom.STOP] * 3
+
+
+def test_a_late_decision_finds_the_plan_going_on(model: Model) -> None:
+    maker = DecisionMaker(model, stride=1)
+    decision = maker.decide(Recognition("recognized", 5, 0, LENGTH - 1.0, residual=0.0))
+    taken = [maker.next_atom() for _ in range(LENGTH + 2)]
+    assert tuple(taken[:LENGTH]) == decision.atoms, "as the paper does with all l atoms of an action"
+    assert taken[LENGTH:] == [Atom.STOP] * 2, "and no further"

@@ -46,8 +46,8 @@ class Plan:
     ----------
     ticks : int
         Frames for each case.
-    strides : sequence of int or None
-        Frames from one decision to the next; None is the model's own.
+    strides : sequence of int
+        Frames from one decision to the next.
     cameras : sequence of Camera or None
         Sizes of the image; None is that of the recordings.
     episodes, recoveries : int
@@ -57,7 +57,7 @@ class Plan:
     """
 
     ticks: int = 1000
-    strides: Sequence[int | None] = (None, 1)
+    strides: Sequence[int] = (1, 5)
     cameras: Sequence[Camera | None] = (None, Camera(1024, 768))
     episodes: int = 12
     recoveries: int = 60
@@ -83,7 +83,7 @@ def benchmark(plan: Plan, model: Path, recordings: Path, logs: Path) -> dict[str
     return results | {"targets": [judge(one) for one in cases]}
 
 
-def _load(robot: Robot, model: Path, stride: int | None) -> LoadReply:
+def _load(robot: Robot, model: Path, stride: int) -> LoadReply:
     """Have recognition and policy load the model; return what both have loaded."""
     request, bus = LoadRequest(path=str(model.resolve()), stride=stride), robot.node.bus
     bus.call("policy", "load", request, LoadReply, timeout_s=_LOADING_S)
@@ -160,7 +160,7 @@ def _parser() -> Parser:
     parser.add_argument("--recordings", type=Path, metavar="DIR", help="drives to show; without model and recordings "
                         "both are made, which takes minutes")  # fmt: skip
     parser.add_argument("--stride", type=int, action="append", metavar="K", help="frames from one decision to the "
-                        "next; may be repeated [default: the model's own, and 1]")  # fmt: skip
+                        "next; may be repeated [default: 1 and 5]")  # fmt: skip
     parser.add_argument("--camera", action="append", default=[], metavar="WIDTHxHEIGHT", help="size to which frames "
                         "are brought; may be repeated [default: their own, and 1024x768]")  # fmt: skip
     parser.add_argument("--ticks", type=int, metavar="N", help="frames for each stride and camera")
