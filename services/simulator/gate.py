@@ -15,8 +15,8 @@ from schemas.base import SOURCES, Atom, Source
 from schemas.command import Command
 
 #: Age at which a command is no longer obeyed, seconds since the capture of the frame that it descends from. The robot
-#: must stand 0.5 s after the last command; the rest is for the actuator's own cycle.
-MAX_AGE_S: Final = 0.45
+#: must stand 0.5 s after the last command; the rest is for braking from 2 m/s (0.25 s).
+MAX_AGE_S: Final = 0.25
 Refusal = Literal["wrong episode", "not the driver", "not finite", "unknown frame", "stale", "out of order"]
 Reason = Literal["command", "silence", "emergency_stop"]
 

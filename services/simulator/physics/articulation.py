@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from services.simulator.world.place import Pose
 
 #: Rubber on dry asphalt or a clean floor.
-TYRE_FRICTION: Final = 0.9
+TYRE_FRICTION: Final = 1.1
 # The motors' torque, as the acceleration that it gives to the robot: more than the tyres carry, so that a robot at a
 # wall spins its wheels.
 _TORQUE_M_S2: Final = 12.0

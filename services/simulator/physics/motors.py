@@ -6,10 +6,14 @@ from typing import Final
 
 from services.simulator.drive import WheelSpeeds
 
+STANDING: Final = WheelSpeeds(0.0, 0.0)
+
 #: How fast the robot's speed may grow, ahead, and shrink. Pulling ahead leans the weight on the rear caster, which
 #: carries some of it even at rest, so the wheels spin earlier than in braking.
 ACCELERATION_M_S2: Final = 4.0
 BRAKING_M_S2: Final = 6.0
+#: The same when the robot is to stand: nearly all that the tyres give, since a stop may be an emergency.
+STOPPING_M_S2: Final = 9.0
 #: How fast its turning speed may change, at the same time.
 TURN_ACCELERATION_RAD_S2: Final = 8.0
 
@@ -30,8 +34,11 @@ def lead(now: WheelSpeeds, wanted: WheelSpeeds, track_m: float, duration_s: floa
         Length of the moment, above 0.
     """
     mean, half = (now.left + now.right) / 2, (now.right - now.left) / 2
+    ahead, astern = ACCELERATION_M_S2, BRAKING_M_S2
+    if wanted == STANDING:
+        ahead = astern = STOPPING_M_S2
     change = (wanted.left + wanted.right) / 2 - mean
-    mean += max(-BRAKING_M_S2 * duration_s, min(ACCELERATION_M_S2 * duration_s, change))
+    mean += max(-astern * duration_s, min(ahead * duration_s, change))
     most = TURN_ACCELERATION_RAD_S2 * track_m / 2 * duration_s
     half += max(-most, min(most, (wanted.right - wanted.left) / 2 - half))
     return WheelSpeeds(mean - half, mean + half)

@@ -10,7 +10,7 @@ from services.simulator.drive import Actuator, WheelSpeeds
 from services.simulator.physics.articulation import TYRE_FRICTION, add_robot
 from services.simulator.physics.collision_shapes import upright_sides
 from services.simulator.physics.engine import TIMESTEP_S, new_scene, obstacle_entity
-from services.simulator.physics.motors import lead
+from services.simulator.physics.motors import STANDING, lead
 from services.simulator.world.place import Pose
 
 if TYPE_CHECKING:
@@ -27,7 +27,6 @@ _UPRIGHT: Final = math.cos(math.radians(45))
 _STILL_M_S: Final = 0.01
 _STILL_RAD_S: Final = 0.05
 _PARKED_STEPS: Final = round(0.1 / TIMESTEP_S)
-_STANDING: Final = WheelSpeeds(0.0, 0.0)
 
 
 class PhysicalBase:
@@ -73,7 +72,7 @@ class PhysicalBase:
         self._articulation = add_robot(self._scene, self._robot, self._drive, pose, self._friction)
         self._wheels = self._articulation.active_joints
         self._angles = self._articulation.qpos.tolist()
-        self._commanded = _STANDING
+        self._commanded = STANDING
         self._still_steps = 0
         self._owed_s = 0.0
         self._actuator = Actuator(self._drive, rng)
@@ -95,7 +94,7 @@ class PhysicalBase:
         return Motion(pose, self._rolled(), collided or not upright)
 
     def _command(self, wanted: WheelSpeeds) -> None:
-        if self._commanded == wanted == _STANDING:
+        if self._commanded == wanted == STANDING:
             return  # a command would wake a parked robot
         self._commanded = lead(self._commanded, wanted, self._drive.track_m, TIMESTEP_S)
         for wheel, rim_speed in zip(self._wheels, self._commanded, strict=True):
@@ -105,7 +104,7 @@ class PhysicalBase:
         """Let the engine rest once the robot does: small errors of its solver add up to millimetres a minute."""
         root = self._articulation.root
         still = (
-            self._commanded == _STANDING
+            self._commanded == STANDING
             and abs(root.linear_velocity).max() < _STILL_M_S
             and abs(root.angular_velocity).max() < _STILL_RAD_S
         )

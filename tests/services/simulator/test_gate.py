@@ -177,9 +177,9 @@ def test_sources_of_lower_rank_than_the_driver_are_refused() -> None:
 
 def test_policy_takes_over_again_when_teleop_falls_silent(gate: CommandGate) -> None:
     gate.offer(command(0, source="teleop", atom="stop"), 10.0)
-    gate.captured(3, 10.3)
-    gate.offer(command(3), 10.3)
-    assert gate.applied(10.4).source == "teleop"
+    gate.captured(3, 10.1)
+    gate.offer(command(3), 10.1)
+    assert gate.applied(10.2).source == "teleop"
     assert gate.applied(10.0 + MAX_AGE_S + 0.01).source == "policy"
 
 

@@ -1,0 +1,66 @@
+"""A whole drive through the laboratory with real processes: the tracker's poses beside the true ones."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from schemas import topics
+from schemas.pose import Pose
+from schemas.rpc import ResetReply, ResetRequest
+from schemas.tracked_pose import TrackedPose
+from services.commands.episodes import EpisodeClient
+from services.commands.options import Camera
+from services.commands.simulator_options import SimulatorOptions
+from services.commands.stack import stack_for
+from services.expert.service import ExpertService
+
+pytestmark = [pytest.mark.rendering, pytest.mark.system]
+
+
+def test_the_tracker_agrees_with_the_true_pose_over_a_whole_drive(
+    tmp_path: Path, record_testsuite_property: Callable[[str, object], None]
+) -> None:
+    simulator = SimulatorOptions("indoor", Camera(64, 48)).flags()
+    services = ("router", "simulator", "features", "tracker")
+    with stack_for(None, services, "turtlebot", {"simulator": simulator}, tmp_path) as access:
+        client, expert = EpisodeClient("tracking", access.settings), ExpertService()
+        true: dict[int, Pose] = {}
+        tracked: dict[int, TrackedPose] = {}
+
+        def see(pose: Pose) -> object:
+            true[pose.tick] = pose
+            return expert.see(pose)
+
+        def follow(pose: TrackedPose) -> None:
+            tracked[pose.tick] = pose
+
+        def begin(reply: ResetReply) -> None:
+            expert.begin(reply)
+
+        client.node.subscribe(topics.POSE, see, depth=256)  # type: ignore[arg-type]
+        client.node.subscribe(topics.TRACKED, follow, depth=256)
+        client.node.subscribe(topics.OBSERVATION, expert.handle, depth=4)
+        request = ResetRequest(seed=1, purpose="drive", driver="expert", max_ticks=800)
+        record = client.run(request, begin, lambda: expert.arrived, check=access.check)
+        client.node.spin(until=lambda: record.ticks in tracked, timeout_s=10.0)
+        client.close()
+    assert record.outcome == "found"
+    seen = [tick for tick, pose in tracked.items() if pose.visible]
+    away_m = [math.dist((true[tick].x_m, true[tick].y_m), (tracked[tick].x_m, tracked[tick].y_m)) for tick in seen]  # type: ignore[arg-type]
+    turned_deg = [
+        abs(math.degrees(math.remainder(true[tick].heading_rad - tracked[tick].heading_rad, math.tau)))  # type: ignore[operator]
+        for tick in seen
+    ]
+    record_testsuite_property("frames", len(true))
+    record_testsuite_property("seen", len(seen))
+    record_testsuite_property("worst_m", max(away_m))
+    record_testsuite_property("worst_deg", max(turned_deg))
+    # In lockstep the world waits for the driver, not for the tracker: a frame may give way to a newer one.
+    assert len(tracked) >= 0.7 * len(true)
+    assert len(seen) >= 0.98 * len(tracked)
+    assert max(away_m) < 0.03
+    assert max(turned_deg) < 2.0
