@@ -25,7 +25,7 @@ _STOP_TIMEOUT_S: Final = 10.0
 
 def bench(
     context: typer.Context,
-    name: Annotated[str, typer.Argument(help="Which: recognition, bus, latency, faults or soak.")],
+    name: Annotated[str, typer.Argument(help="Which: recognition, bus, latency, faults, soak or rendering.")],
     json_file: Annotated[Path | None, typer.Option("--json", help="Write the results as JSON.")] = None,
     out: Annotated[Path | None, typer.Option(help="Folder for pictures.")] = None,
     quick: Annotated[bool, typer.Option("--quick", help="A small run, of a minute or two.")] = False,
@@ -44,6 +44,8 @@ def bench(
 
     faults: a driving stack under kills, freezes, outages, a full disk and a jumping clock; --cell NAME (may be
     repeated), --model FILE. soak: memory and descriptors over an hour; --minutes M, --model FILE.
+
+    rendering: time of a frame of each scene over a trivial one; --map FILE.
 
     Example: smal bench recognition --json results.json --images photos
     """

@@ -1,4 +1,4 @@
-"""``smal world render``: a world as its map and as views along the way through it."""
+"""``smal world render``: a world as its map, from the air and as views along the way through it."""
 
 from __future__ import annotations
 
@@ -6,7 +6,6 @@ import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Final
 
-import cv2
 import numpy as np
 import shapely
 import typer
@@ -18,16 +17,23 @@ from services.simulator.scene.vulkan import RenderingUnavailableError
 from services.simulator.simulation import CameraSettings
 from services.simulator.world import Pose, World, WorldError, load_world
 from services.simulator.world.route import plan_route
+from services.simulator.world.terrain import Terrain
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from numpy.typing import NDArray
+
+    from services.simulator.scene.surfaces import Vector
 
 # A view looks to where the route is this much later: around a corner as the robot would turn.
 _AHEAD_M: Final = 1.0
 # The last view stands this far before the victim, in distances from which a robot has found it.
 _BEFORE_VICTIM: Final = 0.9
 _MOST_VIEWS: Final = 200
+# The view from the air: how long a route it shows at least and at most, and how far back and up it stands over that.
+_AERIAL_M: Final = (80.0, 500.0)
+_AERIAL_BACK: Final = 0.8
+_AERIAL_UP: Final = 0.6
 
 
 def render(
@@ -37,6 +43,8 @@ def render(
     camera: options.CameraSize = "1024x768",
 ) -> None:
     """Draw a world: map.png from above with the planned route, and what the robot sees along that route.
+
+    Outdoors aerial.png shows what stands around the route, from the air.
 
     The views are named view-NN-DISTANCEm.png by how far along the route they are; the first is at the start, the last
     one faces the victim.
@@ -50,7 +58,7 @@ def render(
         _draw(world, out, views, CameraSettings(size.width, size.height))
     except (WorldError, RenderingUnavailableError) as error:
         raise JobError(str(error)) from error
-    typer.echo(f"wrote {out / 'map.png'} and {views} views in {out}")
+    typer.echo(f"wrote the map, {views} views{' and aerial.png' if isinstance(world.place, Terrain) else ''} in {out}")
 
 
 def viewpoints(world: World, views: int) -> list[tuple[float, Pose]]:
@@ -77,7 +85,8 @@ def _draw(world: World, out: Path, views: int, settings: CameraSettings) -> None
     from services.simulator.scene.rendering import SceneCamera  # noqa: PLC0415 - loads the renderer
 
     places = viewpoints(world, views)
-    with tqdm(total=views + 2, desc="rendering", unit="picture", dynamic_ncols=True) as bar:
+    outdoors = isinstance(world.place, Terrain)
+    with tqdm(total=views + 2 + outdoors, desc="rendering", unit="picture", dynamic_ncols=True) as bar:
         world_map(world, places).savefig(out / "map.png", dpi=150)
         bar.update()
         bar.set_postfix_str("building the scene")
@@ -88,6 +97,20 @@ def _draw(world: World, out: Path, views: int, settings: CameraSettings) -> None
             bar.set_postfix_str(name)
             _write(out / name, eye.render(pose))
             bar.update()
+        if outdoors:
+            bar.set_postfix_str("aerial.png")
+            _write(out / "aerial.png", eye.look(*aerial_view(world)))
+            bar.update()
+
+
+def aerial_view(world: World) -> tuple[Vector, Vector]:
+    """Return where to stand in the air and what to look at, (x, y, height) metres: the route, from the south."""
+    route = np.asarray(plan_route(world, (world.start.x, world.start.y)))
+    middle = (route.min(axis=0) + route.max(axis=0)) / 2
+    # The sky, which goes with the camera, hides what is far away.
+    away_m = float(np.clip(np.ptp(route, axis=0).max(), *_AERIAL_M))
+    eye = (float(middle[0]), float(middle[1]) - _AERIAL_BACK * away_m, _AERIAL_UP * away_m)
+    return eye, (float(middle[0]), float(middle[1]), 0.0)
 
 
 def world_map(world: World, places: list[tuple[float, Pose]]) -> Figure:
@@ -122,6 +145,8 @@ def scale_bar_m(across_m: float) -> float:
 
 
 def _write(path: Path, image: NDArray[np.uint8]) -> None:
+    import cv2  # noqa: PLC0415 - takes long to load, and few commands need it
+
     good, data = cv2.imencode(".png", cv2.cvtColor(image, cv2.COLOR_RGB2BGR))
     if not good:
         raise JobError(f"{path}: the picture cannot be encoded")

@@ -18,9 +18,9 @@ if TYPE_CHECKING:
     from services.simulator.scene.surfaces import Surface
 
 #: Side of a cell in metres. Larger ones hide less, smaller ones cost more calls of the driver.
-CELL_M: Final = 250.0
-# A scene no wider than this many cells is drawn whole: hiding parts of it would cost more than it saves.
-_WHOLE: Final = 1.5
+CELL_M: Final = 80.0
+# A scene no wider than this is drawn whole: hiding parts of it would cost more than it saves.
+_WHOLE_M: Final = 120.0
 
 Cell = tuple[int, int]
 
@@ -71,7 +71,7 @@ def in_cells(surfaces: Iterable[Surface]) -> Cells:
     """Cut surfaces into cells, each triangle to the cell in which its middle lies."""
     found: dict[Cell, list[Surface]] = defaultdict(list)
     every = list(surfaces)
-    whole = _width(every) <= _WHOLE * CELL_M
+    whole = _width(every) <= _WHOLE_M
     for surface in every:
         for cell, piece in [((0, 0), surface)] if whole else _pieces(surface):
             found[cell].append(piece)

@@ -16,10 +16,10 @@ from services.simulator.scene.meshes import Mesh, make, merge
 from services.simulator.scene.noise import tinted
 from services.simulator.scene.plants import crowns, trees
 from services.simulator.scene.roofs import Cover, roofs
-from services.simulator.scene.shapes import ball
+from services.simulator.scene.shapes import ball, outline
 from services.simulator.scene.sky import BOTTOM_DEG, TOP_DEG, paint_sky
 from services.simulator.scene.structures import barriers, clad, undersides
-from services.simulator.scene.surfaces import Lights, Scene, Surface, painted
+from services.simulator.scene.surfaces import Block, Lights, Scene, Surface, painted
 from services.simulator.scene.textures import paint
 
 if TYPE_CHECKING:
@@ -53,7 +53,14 @@ def build(terrain: Terrain, victim: Pose, light: Daylight, *, shadows: bool) -> 
         victim=painted(lying),
         robot=painted(bodies.robot(terrain.robot)),
         sky=_sky(light),
+        blocks=tuple(_blocks(terrain)),
     )
+
+
+def _blocks(terrain: Terrain) -> Iterator[Block]:
+    for building in terrain.buildings:
+        if building.min_height_m == 0.0:
+            yield Block(outline(building.footprint)[0], building.height_m)
 
 
 def _lights(light: Daylight) -> Lights:

@@ -1,10 +1,8 @@
-"""The robot's camera and the one above it, rendered by SAPIEN: the only file that imports the renderer."""
+"""The robot's camera and the one above it, rendered by SAPIEN."""
 
 from __future__ import annotations
 
 import math
-from functools import lru_cache
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 import cv2
@@ -13,24 +11,23 @@ import numpy as np
 from services.simulator.scene import vulkan
 from services.simulator.scene.build import build_scene
 from services.simulator.scene.culling import in_cells
+from services.simulator.scene.occlusion import Occluders, looking
+from services.simulator.scene.stage import Stage, load_renderer
 from services.simulator.sensors.shake import LEVEL, Tilt
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
+    from collections.abc import Sequence
 
     from numpy.typing import NDArray
 
-    from services.simulator.scene.surfaces import Lights, Scene, Surface, Vector
+    from services.simulator.scene.surfaces import Scene, Vector
     from services.simulator.simulation import CameraSettings
     from services.simulator.world.place import OverheadMount, Pose, World
 
 _NEAR_M: Final = 0.1
 _FAR_M: Final = 2000.0
-_MOST_PICTURES: Final = 2048
 # Pixels rendered per pixel of the overhead image along each axis: a marker's edges must be smooth to be found.
-_OVERHEAD_SUPERSAMPLE: Final = 2
-_SHADER: Final = Path(__file__).parent / "shader"
-_LIGHTS: Final = 3
+_OVERHEAD_SUPERSAMPLE: Final = 1
 #: What a pixel shows, told by the picture's alpha, 0 to 255; our shader takes it from the material. Colours are blended
 #: by it with what was drawn there before, so all are near 255, and the victim and the robot are drawn first.
 NOTHING: Final = 0
@@ -57,7 +54,7 @@ class SceneCamera:
     """
 
     def __init__(self, world: World, settings: CameraSettings) -> None:
-        self._sapien = _load_renderer()
+        load_renderer()
         self._settings = settings
         self._mount = world.robot.camera
         self._overhead = world.place.overhead
@@ -107,14 +104,31 @@ class SceneCamera:
         if self._above is None:
             raise LookupError("this place has no overhead camera")
         every_cell = range(len(self._cells.surfaces))
-        if self._seen_from is None or pose != self._seen_from[0] or not set(every_cell) <= set(self._shown):
-            self._robot.set_pose(self._sapien.Pose((pose.x, pose.y, 0.0), _turn(pose.heading)))
+        if self._seen_from is None or pose != self._seen_from[0] or not set(every_cell) <= set(self._stage.shown):
+            self._robot.set_pose(self._pose((pose.x, pose.y, 0.0), _turn(pose.heading)))
             self._show(every_cell)
-            self._scene.update_render()
+            self._stage.scene.update_render()
             # The scene is no longer the one in the robot's own picture.
             self._seen_from = None
         self._above.take_picture()
         return _colour(self._above, _OVERHEAD_SUPERSAMPLE)
+
+    def look(self, eye: Vector, at: Vector) -> NDArray[np.uint8]:
+        """Return what the camera would see off its mast, from one place to another, (height, width, 3) uint8 RGB.
+
+        Parameters
+        ----------
+        eye, at
+            x, y and height in metres, not one above the other; the horizon is level.
+        """
+        ahead = np.subtract(at, eye) / np.linalg.norm(np.subtract(at, eye))
+        left = np.cross((0.0, 0.0, 1.0), ahead)
+        left /= np.linalg.norm(left)
+        frame = np.eye(4)
+        frame[:3] = np.column_stack([ahead, left, np.cross(ahead, left), eye])
+        self._take(self._pose(frame))
+        self._seen_from = None
+        return _colour(self._camera, self._settings.supersample)
 
     def victim_pixels(self, pose: Pose, tilt: Tilt = LEVEL) -> float:
         """Return the fraction of the image, 0 to 1, that the victim fills, seen by a robot at `pose`."""
@@ -131,39 +145,42 @@ class SceneCamera:
         cos, sin = math.cos(pose.heading), math.sin(pose.heading)
         ahead_m = self._mount.ahead_m
         eye = (pose.x + ahead_m * cos, pose.y + ahead_m * sin, self._mount.height_m)
-        mast = self._sapien.Pose(eye, _turn(pose.heading, tilt))
-        self._mast.set_pose(mast)
-        self._robot.set_pose(self._sapien.Pose((pose.x, pose.y, 0.0), _turn(pose.heading)))
-        if self._sky is not None:
-            self._sky.set_pose(self._sapien.Pose(eye))
-        axes = mast.to_transformation_matrix()[:3, :3].T
-        self._show(self._cells.seen(np.array(eye), axes, self._tangents, self._horizon_m))
-        self._scene.update_render()
-        self._camera.take_picture()
+        self._robot.set_pose(self._pose((pose.x, pose.y, 0.0), _turn(pose.heading)))
+        self._take(self._pose(eye, _turn(pose.heading, tilt)))
         self._seen_from = pose, tilt
 
+    def _take(self, mast: Any) -> None:  # noqa: ANN401 - sapien has no types
+        """Take a picture from where SAPIEN's pose `mast` is."""
+        self._mast.set_pose(mast)
+        if self._sky is not None:
+            self._sky.set_pose(self._pose(mast.p))
+        frame = mast.to_transformation_matrix()
+        self._show(self._seen(np.asarray(mast.p, dtype=np.float64), frame[:3, :3].T))
+        self._stage.scene.update_render()
+        self._camera.take_picture()
+
+    def _seen(self, eye: NDArray[np.float64], axes: NDArray[np.float64]) -> list[int]:
+        """Return the cells to draw for an eye (3,) and the axes (3, 3) of its camera, the nearest first."""
+        in_view = self._cells.seen(eye, axes, self._tangents, self._horizon_m)
+        hidden = self._occluders.hidden(looking(eye, axes, self._tangents), self._cells.boxes[in_view])
+        return [cell for cell, is_hidden in zip(in_view, hidden, strict=True) if not is_hidden]
+
     def _fill(self, scene: Scene, settings: CameraSettings) -> None:
-        render = self._sapien.render
-        self._scene = self._sapien.Scene([render.RenderSystem()])
-        self._scene.set_ambient_light(scene.lights.ambient)
-        for direction, colour in _filled(scene.lights):
-            self._scene.add_directional_light(direction, colour, shadow=False)
-        self._materials: dict[tuple[int, int], Any] = {}
-        self._add(scene.victim, VICTIM)
-        self._robot = self._add(scene.robot, ROBOT)
+        self._stage = Stage(scene.lights)
+        self._pose = self._stage.sapien.Pose
+        self._stage.add(scene.victim, VICTIM)
+        self._robot = self._stage.add(scene.robot, ROBOT)
         self._cells = in_cells(scene.still)
-        self._curtains = [_body(self._sapien, self._add(cell, STILL)) for cell in self._cells.surfaces]
-        self._sky = None if scene.sky is None else self._add([scene.sky], SKY)
+        self._occluders = Occluders(scene.blocks)
+        for cell in self._cells.surfaces:
+            self._stage.hang(self._stage.add(cell, STILL))
+        self._sky = None if scene.sky is None else self._stage.add([scene.sky], SKY)
+        self._behind = [] if self._sky is None else [self._stage.hang(self._sky)]
         # The dome hides what is further away.
         self._horizon_m = _FAR_M if scene.sky is None else float(np.linalg.norm(scene.sky.mesh.vertices, axis=1).max())
         self._tangents = settings.width / 2 / self.focal_px, settings.height / 2 / self.focal_px
-        if self._sky is not None:
-            self._curtains.append(_body(self._sapien, self._sky))
-        self._shown: list[int] = []
-        for curtain in self._curtains:
-            curtain.disable()
         self._camera = self._lens(settings.width, settings.height, self.focal_px, settings.supersample)
-        self._mast = self._hang(self._camera)
+        self._mast = self._stage.entity(self._camera)
         self._above = None if self._overhead is None else self._look_down(self._overhead)
 
     def _look_down(self, mount: OverheadMount) -> Any:  # noqa: ANN401 - sapien has no types
@@ -172,62 +189,18 @@ class SceneCamera:
         cos, sin = math.cos(mount.up), math.sin(mount.up)
         frame = np.eye(4)
         frame[:3] = [[0.0, -sin, cos, mount.x], [0.0, cos, sin, mount.y], [-1.0, 0.0, 0.0, mount.height_m]]
-        self._hang(camera).set_pose(self._sapien.Pose(frame))
+        self._stage.entity(camera).set_pose(self._pose(frame))
         return camera
 
     def _lens(self, width: int, height: int, focal_px: float, supersample: int) -> Any:  # noqa: ANN401 - see above
         width, height, focal = width * supersample, height * supersample, focal_px * supersample
-        camera = self._sapien.render.RenderCameraComponent(width, height)
+        camera = self._stage.sapien.render.RenderCameraComponent(width, height)
         camera.set_perspective_parameters(_NEAR_M, _FAR_M, focal, focal, width / 2, height / 2, 0.0)
         return camera
 
-    def _hang(self, camera: Any) -> Any:  # noqa: ANN401 - see above
-        """Add an entity that holds a camera."""
-        mast = self._sapien.Entity()
-        mast.add_component(camera)
-        self._scene.add_entity(mast)
-        return mast
-
     def _show(self, cells: Sequence[int]) -> None:
-        """Have these cells drawn, in this order, and the sky behind them; what is drawn first hides the others.
-
-        All are taken out and put back, so that a picture depends on nothing that was drawn before.
-        """
-        sky = [] if self._sky is None else [len(self._curtains) - 1]
-        wanted = [*cells, *sky]
-        if wanted == self._shown:
-            return
-        for number in self._shown:
-            self._curtains[number].disable()
-        for number in wanted:
-            self._curtains[number].enable()
-        self._shown = wanted
-
-    def _add(self, surfaces: Iterable[Surface], label: int) -> Any:  # noqa: ANN401 - sapien has no types
-        """Add one entity of all the surfaces, whose pixels carry `label`."""
-        render = self._sapien.render
-        body = render.RenderBodyComponent()
-        for surface in surfaces:
-            mesh, key = surface.mesh, (id(surface.picture), label)
-            if key not in self._materials:
-                self._materials[key] = _material(render, surface, label)
-            material = self._materials[key]
-            body.attach(render.RenderShapeTriangleMesh(mesh.vertices, mesh.triangles, mesh.normals, mesh.uvs, material))
-        entity = self._sapien.Entity()
-        entity.add_component(body)
-        self._scene.add_entity(entity)
-        return entity
-
-
-def _filled(lights: Lights) -> list[tuple[Vector, Vector]]:
-    """Return directions and colours of as many lights as the shader has, the rest of them dark."""
-    dark = [((0.0, 0.0, -1.0), (0.0, 0.0, 0.0))] * (_LIGHTS - len(lights.directional))
-    return [*lights.directional, *dark]
-
-
-def _body(sapien: Any, entity: Any) -> Any:  # noqa: ANN401 - sapien has no types
-    """Return the part of an entity that is drawn."""
-    return entity.find_component_by_type(sapien.render.RenderBodyComponent)
+        """Have these cells drawn, in this order, and the sky behind them."""
+        self._stage.show([*cells, *self._behind])
 
 
 def _turn(heading: float, tilt: Tilt = LEVEL) -> tuple[float, float, float, float]:
@@ -250,36 +223,3 @@ def _colour(camera: Any, supersample: int) -> NDArray[np.uint8]:  # noqa: ANN401
         return large
     size = (large.shape[1] // supersample, large.shape[0] // supersample)
     return np.asarray(cv2.resize(large, size, interpolation=cv2.INTER_AREA), dtype=np.uint8)
-
-
-def _material(render: Any, surface: Surface, label: int) -> Any:  # noqa: ANN401 - sapien has no types
-    height, width, _ = surface.picture.shape
-    opaque = np.dstack([surface.picture, np.full((height, width), 255, dtype=np.uint8)])
-    levels = int(math.log2(max(height, width))) + 1
-    texture = render.RenderTexture2D(opaque, "R8G8B8A8Unorm", levels, "linear", "repeat", srgb=False)
-    material = render.RenderMaterial(base_color=[0.0, 0.0, 0.0, 1.0], specular=0.0, roughness=label / 255, metallic=0.0)
-    if surface.glows:
-        material.set_emission_texture(texture)
-    else:
-        material.set_base_color_texture(texture)
-    return material
-
-
-@lru_cache(maxsize=1)
-def _load_renderer() -> Any:  # noqa: ANN401 - sapien has no types
-    """Import and set up SAPIEN once a process: its settings hold only before anything is made with them."""
-    vulkan.prepare()
-    try:
-        import sapien  # noqa: PLC0415
-        import sapien.render  # noqa: PLC0415
-    except (ImportError, OSError) as error:
-        raise vulkan.RenderingUnavailableError(
-            f"the renderer cannot be loaded ({error}); pip install smal[simulator]"
-        ) from error
-    render = sapien.render
-    render.set_log_level("error")
-    render.set_global_config(max_num_materials=_MOST_PICTURES, max_num_textures=_MOST_PICTURES)
-    # A third of the time of SAPIEN's quickest one on software drivers; shade is part of the ground, see `ground`.
-    render.set_camera_shader_dir(str(_SHADER))
-    render.set_picture_format("Color", "r8g8b8a8unorm")
-    return sapien

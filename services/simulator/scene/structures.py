@@ -6,13 +6,11 @@ from collections import defaultdict
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
-import shapely
-from shapely import Polygon
 
 from services.simulator.scene.facades import BAY_M, BAYS, STOREY_M, STOREYS, alike
 from services.simulator.scene.meshes import Mesh, merge
 from services.simulator.scene.shapes import band, flat, outline, running, tube, walls
-from services.simulator.world.terrain import Barrier, BarrierKind, Building, Facade
+from services.simulator.world.terrain import POST_M, Barrier, BarrierKind, Building, Facade
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
@@ -23,11 +21,6 @@ if TYPE_CHECKING:
 
 # Walls lower than this have no room for a window.
 _LOW_M: Final = 1.5
-# A roof without walls that one can walk under stands on posts, unless it is so large that it must hang on something.
-_HEADROOM_M: Final = 1.5
-_CANOPY_M2: Final = 400.0
-_POST_M: Final = 0.1
-_POST_INSET_M: Final = 0.2
 # A wall too short for a window is bare.
 _PIER_M: Final = 1.2
 # Not quite the whole height of the picture, or filtering would mix its foot into its top.
@@ -100,16 +93,8 @@ def undersides(buildings: Iterable[Building]) -> list[Mesh]:
         low = building.min_height_m
         if low > 0.0:
             meshes.append(flat(building.footprint, low, 4.0).flipped())
-            meshes += [tube((x, y, 0.0), (x, y, low), (_POST_M, _POST_M), 6) for x, y in posts(building)]
+            meshes += [tube((x, y, 0.0), (x, y, low), (POST_M, POST_M), 6) for x, y in building.posts]
     return meshes
-
-
-def posts(building: Building) -> NDArray[np.float64]:
-    """Return where posts carry a canopy, (n, 2): under its corners; none under what bridges a passage."""
-    inset = building.footprint.simplify(0.5).buffer(-_POST_INSET_M, join_style="mitre")
-    if building.min_height_m <= _HEADROOM_M or building.footprint.area > _CANOPY_M2 or not isinstance(inset, Polygon):
-        return np.empty((0, 2))
-    return shapely.get_coordinates(inset.exterior)[:-1]
 
 
 def barriers(items: Iterable[Barrier]) -> dict[Material, list[Mesh]]:

@@ -28,6 +28,22 @@ class Surface:
     glows: bool = False
 
 
+@dataclass(frozen=True, eq=False)
+class Block:
+    """Something upright on the ground that nobody can see through, for leaving out what is behind it.
+
+    Attributes
+    ----------
+    outline
+        (k, 2) corners, anticlockwise, the first one repeated at the end, metres.
+    height_m
+        Of the walls that stand on the whole outline.
+    """
+
+    outline: NDArray[np.float64]
+    height_m: float
+
+
 @dataclass(frozen=True)
 class Lights:
     """Light from everywhere, and light from far away: (direction that it goes, colour) of each."""
@@ -52,6 +68,8 @@ class Scene:
         The robot, about its own origin, x forward.
     sky
         The dome that goes with the camera; None under a ceiling.
+    blocks
+        Parts of what never moves that hide what is behind them.
     """
 
     lights: Lights
@@ -59,6 +77,7 @@ class Scene:
     victim: tuple[Surface, ...]
     robot: tuple[Surface, ...]
     sky: Surface | None = None
+    blocks: tuple[Block, ...] = ()
 
 
 def painted(pieces: Mapping[Material, Iterable[Mesh]]) -> tuple[Surface, ...]:

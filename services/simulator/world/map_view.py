@@ -5,10 +5,10 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING, Final
 
-import numpy as np
 import shapely
 from matplotlib.collections import PatchCollection
-from matplotlib.patches import Circle, Polygon
+from matplotlib.patches import Circle, PathPatch
+from matplotlib.path import Path
 
 from services.simulator.world.furniture import FurnitureKind
 from services.simulator.world.room import Room
@@ -99,5 +99,7 @@ def _draw_task(world: World, ax: Axes) -> None:
 
 
 def _fill(ax: Axes, polygon: shapely.Polygon, colour: str, *, order: float, edge: str = "none") -> None:
-    rings = shapely.get_coordinates(polygon.exterior)
-    ax.add_patch(Polygon(np.asarray(rings), closed=True, facecolor=colour, edgecolor=edge, linewidth=0.6, zorder=order))
+    rings = [shapely.get_coordinates(ring) for ring in shapely.get_rings(shapely.orient_polygons(polygon))]
+    # Holes run the other way round than the outline, which is what leaves them open.
+    outline = Path.make_compound_path(*(Path(ring, closed=True) for ring in rings))
+    ax.add_patch(PathPatch(outline, facecolor=colour, edgecolor=edge, linewidth=0.6, zorder=order))

@@ -6,7 +6,9 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Final, Literal
 
+import numpy as np
 import shapely
+from shapely import Polygon
 
 from services.simulator.robots import RESCUEBOT, RobotModel
 from services.simulator.world.place import Place, Rgb, Scale, Solid
@@ -14,7 +16,8 @@ from services.simulator.world.place import Place, Rgb, Scale, Solid
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from shapely import LineString, Polygon
+    from numpy.typing import NDArray
+    from shapely import LineString
 
 FacadeStyle = Literal["brick", "plaster", "concrete", "glass", "wood"]
 RoofShape = Literal["flat", "gabled", "hipped"]
@@ -25,6 +28,12 @@ TreeKind = Literal["round", "tall", "conifer"]
 _SCALE: Final = Scale()
 #: Water and the edge of the world stop the robot like a wall of this height.
 _BANK_M: Final = 0.5
+#: Radius of the posts of a canopy.
+POST_M: Final = 0.1
+# A roof without walls that one can walk under stands on posts, unless it is so large that it must hang on something.
+_HEADROOM_M: Final = 1.5
+_CANOPY_M2: Final = 400.0
+_POST_INSET_M: Final = 0.2
 
 
 @dataclass(frozen=True)
@@ -59,6 +68,15 @@ class Building:
     min_height_m: float = 0.0
     roof_height_m: float = 0.0
     roof_colour: Rgb | None = None
+
+    @property
+    def posts(self) -> NDArray[np.float64]:
+        """Where posts carry a canopy, (n, 2) metres: under its corners; none under what bridges a passage."""
+        inset = self.footprint.simplify(0.5).buffer(-_POST_INSET_M, join_style="mitre")
+        too_large = self.footprint.area > _CANOPY_M2
+        if self.min_height_m <= _HEADROOM_M or too_large or not isinstance(inset, Polygon):
+            return np.empty((0, 2))
+        return shapely.get_coordinates(inset.exterior)[:-1]
 
 
 @dataclass(frozen=True, eq=False)
@@ -172,7 +190,7 @@ class Terrain(Place):
 
     @cached_property
     def solids(self) -> tuple[Solid, ...]:
-        """Buildings, trunks, barriers, water, and the edge of the world."""
+        """Buildings, the posts of canopies, trunks, barriers, water, and the edge of the world."""
         trunks = [
             Solid(shapely.Point(tree.x, tree.y).buffer(tree.trunk_radius_m), 0.0, tree.height_m, opaque=False)
             for tree in self.trees
@@ -183,8 +201,13 @@ class Terrain(Place):
             Solid(building.footprint, building.min_height_m, building.height_m, opaque=True)
             for building in self.buildings
         ]
+        posts = [
+            Solid(shapely.Point(place).buffer(POST_M), 0.0, building.min_height_m, opaque=False)
+            for building in self.buildings
+            for place in building.posts
+        ]
         edge = Solid(shapely.box(*self.bounds).exterior, 0.0, _BANK_M, opaque=False)
-        return (*walls, *trunks, *water, *barriers, edge)
+        return (*walls, *posts, *trunks, *water, *barriers, edge)
 
     @cached_property
     def lanes(self) -> tuple[LineString, ...]:

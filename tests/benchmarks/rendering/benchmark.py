@@ -4,13 +4,19 @@ Trivial is a field with one house under the same sky, by the same renderer. All 
 what else the machine does is shared by all; the poses of a scene lie along its planned route. The time of a frame goes
 from the pose to the picture in memory. A ratio is the median over turns of the ratio within a turn; processor time
 counts the threads of a software driver as well, and is what to compare on a busy machine.
+
+For comparison the trivial scene is drawn by SAPIEN's own shaders too, each in a process of its own. These frames take
+no turns with the others, so that their ratios mean something on a quiet machine only.
 """
 
 from __future__ import annotations
 
 import argparse
 import gc
+import json
 import math
+import os
+import subprocess
 import sys
 import time
 from collections.abc import Mapping
@@ -40,6 +46,8 @@ _JUDGED_BUILDINGS: Final = range(380, 421)
 _JUDGED_SIZE: Final = (1024, 768)
 _LIMIT: Final = 1.5
 _TRIVIAL: Final = "trivial"
+_CHECKOUT: Final = Path(__file__).parents[3]
+_STOCK_SHADERS: Final = ("minimal", "default")
 
 
 @dataclass(frozen=True)
@@ -85,14 +93,17 @@ def scenes(map_file: Path | None) -> dict[str, World]:
 def benchmark(worlds: Mapping[str, World], plan: Plan) -> dict[str, Any]:
     """Measure every scene at every size; return what the JSON file holds."""
     rows: list[Record] = []
+    stock: list[Record] = []
     with tqdm(total=len(plan.sizes) * (len(worlds) + plan.turns), desc="rendering", dynamic_ncols=True) as bar:
         for size in plan.sizes:
             rows += _measure(worlds, size, plan, bar)
+            stock += [_stock(shader, size, plan.turns) for shader in _STOCK_SHADERS]
     return {
         "benchmark": "rendering",
         "machine": machine(),
         "plan": vars(plan),
         "frames": rows,
+        "stock": stock,
         "targets": [_judge(row) for row in rows if _is_judged(row)],
     }
 
@@ -119,6 +130,25 @@ def _measure(worlds: Mapping[str, World], size: tuple[int, int], plan: Plan, bar
         _figures(name, world, size, built_s[name], times[1:, [0, number]])
         for number, (name, world) in enumerate(worlds.items())
     ]
+
+
+def _stock(shader: str, size: tuple[int, int], frames: int) -> Record:
+    """Measure the trivial scene by one of SAPIEN's shaders."""
+    arguments = [shader, *map(str, size), str(frames)]
+    command = [sys.executable, "-P", "-m", "tests.benchmarks.rendering.stock", *arguments]
+    path = os.pathsep.join(filter(None, [str(_CHECKOUT), os.environ.get("PYTHONPATH")]))
+    environment = os.environ | {"PYTHONPATH": path}
+    answer = subprocess.run(command, check=False, capture_output=True, text=True, env=environment)
+    if answer.returncode:
+        last = answer.stderr.strip().splitlines()[-1:] or ["no message"]
+        raise JobError(f"SAPIEN's shader {shader} cannot be measured: {last[0]}")
+    wall_ms, processor_ms = np.median(json.loads(answer.stdout.splitlines()[-1]), axis=0)
+    return {
+        "shader": shader,
+        "size": f"{size[0]}x{size[1]}",
+        "median_ms": float(wall_ms),
+        "processor_ms": float(processor_ms),
+    }
 
 
 def _frame(camera: SceneCamera, pose: Pose) -> tuple[float, float]:
@@ -179,7 +209,23 @@ def as_text(results: dict[str, Any]) -> str:
          "processor ratio": f["processor_ratio"]}
         for f in results["frames"]
     ]  # fmt: skip
-    return table("A frame of each scene", rows) + table("Targets", results["targets"])
+    return (
+        table("A frame of each scene", rows)
+        + table("The trivial scene by SAPIEN's own shaders, and each scene over it", _over_stock(results))
+        + table("Targets", results["targets"])
+    )
+
+
+def _over_stock(results: dict[str, Any]) -> list[Record]:
+    return [
+        {"scene": _TRIVIAL, "shader": stock["shader"], "size": stock["size"], "ms": stock["median_ms"]}
+        | {
+            f"{frame['scene']} / it": frame["median_ms"] / stock["median_ms"]
+            for frame in results["frames"]
+            if frame["size"] == stock["size"]
+        }
+        for stock in results["stock"]
+    ]
 
 
 def main(arguments: list[str]) -> None:

@@ -8,7 +8,7 @@ import shapely
 
 from services.simulator.world.route import plan_route
 from services.simulator.world.terrain import Terrain
-from tests.benchmarks.rendering.benchmark import Plan, as_text, benchmark
+from tests.benchmarks.rendering.benchmark import Plan, _over_stock, as_text, benchmark
 from tests.benchmarks.rendering.towns import field, town
 
 
@@ -32,4 +32,8 @@ def test_a_scene_beside_itself_takes_the_same_time() -> None:
     assert 0.3 < again["processor_ratio"] < 3
     assert again["best_ms"] <= again["median_ms"]
     assert results["targets"] == []
-    assert "again" in as_text(results)
+    assert [stock["shader"] for stock in results["stock"]] == ["minimal", "default"]
+    assert all(stock["processor_ms"] > 0 and stock["median_ms"] > 0 for stock in results["stock"])
+    over = _over_stock(results)[0]["again / it"]
+    assert over == pytest.approx(again["median_ms"] / results["stock"][0]["median_ms"])
+    assert "again / it" in as_text(results)

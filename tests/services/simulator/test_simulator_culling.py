@@ -7,7 +7,9 @@ import math
 import numpy as np
 import pytest
 
+from services.simulator.scene.occlusion import Occluders
 from services.simulator.scene.rendering import SceneCamera
+from services.simulator.sensors.shake import LEVEL, Tilt
 from services.simulator.simulation import CameraSettings
 from services.simulator.world import load_world
 from services.simulator.world.place import Pose
@@ -35,7 +37,7 @@ def test_cells_out_of_view_are_hidden_and_no_pixel_changes(
     culled, hidden = [], 0
     for pose in poses(20):
         culled.append(camera.render(pose))
-        hidden += every + 1 - len(camera._shown)
+        hidden += every + 1 - len(camera._stage.shown)
     assert hidden > 20 * every / 4
     # A camera that sees all around, for the cells only.
     monkeypatch.setattr(camera, "_tangents", (1e9, 1e9))
@@ -44,8 +46,27 @@ def test_cells_out_of_view_are_hidden_and_no_pixel_changes(
     for pose in poses(20):
         camera._seen_from = None
         whole.append(camera.render(pose))
-        assert len(camera._shown) > every / 3
+        assert len(camera._stage.shown) > every / 3
     np.testing.assert_array_equal(culled, whole)
+
+
+@pytest.mark.parametrize("tilt", [LEVEL, Tilt(0.06, -0.05, 0.1)])
+def test_cells_behind_buildings_are_left_out_and_no_pixel_changes(
+    camera: SceneCamera, monkeypatch: pytest.MonkeyPatch, tilt: Tilt
+) -> None:
+    camera._seen_from = None
+    culled, few = [], 0
+    for pose in poses(30):
+        culled.append(camera.render(pose, tilt))
+        few += len(camera._stage.shown)
+    monkeypatch.setattr(camera, "_occluders", Occluders([]))
+    whole, many = [], 0
+    for pose in poses(30):
+        camera._seen_from = None
+        whole.append(camera.render(pose, tilt))
+        many += len(camera._stage.shown)
+    np.testing.assert_array_equal(culled, whole)
+    assert few < 0.7 * many
 
 
 def test_a_picture_depends_on_nothing_that_was_drawn_before(camera: SceneCamera) -> None:

@@ -25,6 +25,7 @@ from services.simulator.scene.pictures import Face, paint_face
 from services.simulator.scene.rendering import _NEAR_M
 from services.simulator.scene.textures import paint
 from services.simulator.scene.turtlebot import plate_radius_m, tag
+from services.simulator.variation import DAY
 from services.simulator.world.furniture import OPEN_BELOW, ROUND, Furniture, FurnitureKind
 from services.simulator.world.place import Pose
 from services.simulator.world.room_file import VICTIM_RADIUS_M
@@ -89,7 +90,7 @@ def test_what_is_solid_is_drawn_and_what_is_drawn_low_is_solid(kind: FurnitureKi
 
 
 def test_the_floor_and_the_ceiling_cover_the_room_and_the_walls_look_inwards() -> None:
-    scene = indoors.build(ROOM, INDOOR.victim, shadows=False)
+    scene = indoors.build(ROOM, INDOOR.victim, DAY.light, shadows=False)
     floor, ceiling = scene.still[-1].mesh, scene.still[-2].mesh
     assert crosses(floor)[:, 2].sum() / 2 == pytest.approx(48.0)
     assert crosses(ceiling)[:, 2].sum() / 2 == pytest.approx(-48.0), "seen from below only"
@@ -223,7 +224,7 @@ def test_the_marker_is_read_upright_with_the_robots_front_up() -> None:
 
 
 def test_the_victim_is_where_the_world_says() -> None:
-    scene = indoors.build(ROOM, Pose(2.0, 3.0, 0.5), shadows=False)
+    scene = indoors.build(ROOM, Pose(2.0, 3.0, 0.5), DAY.light, shadows=False)
     vertices = merge(surface.mesh for surface in scene.victim).vertices
     np.testing.assert_allclose(vertices[:, :2].mean(axis=0), (2.0, 3.0), atol=0.05)
     assert scene.sky is None

@@ -21,12 +21,12 @@ from services.simulator.scene.noise import noise
 from services.simulator.scene.plants import crowns
 from services.simulator.scene.roofs import Cover, oblong, roofs
 from services.simulator.scene.shapes import ball, flat, tube
-from services.simulator.scene.structures import clad, posts, undersides
+from services.simulator.scene.structures import clad, undersides
 from services.simulator.scene.surfaces import Surface
 from services.simulator.scene.textures import Material, paint
 from services.simulator.variation import DAY
 from services.simulator.world import load_world
-from services.simulator.world.terrain import Building, Facade, RoofShape
+from services.simulator.world.terrain import Building, Facade, RoofShape, Terrain
 
 CAMPUS = load_world("campus").place
 SUN = DAY.light.direction
@@ -207,9 +207,13 @@ def test_what_begins_above_the_ground_has_an_underside_and_posts_if_small() -> N
     canopy, bridge, hall = (
         house(shapely.box(0, 0, x, y), "flat", low=low) for x, y, low in ((8, 6, 3.0), (40, 30, 4.0), (8, 6, 0.0))
     )
-    assert len(posts(canopy)) == 4
-    assert shapely.contains_xy(canopy.footprint, posts(canopy)).all()
-    assert len(posts(bridge)) == len(posts(hall)) == 0
+    assert len(canopy.posts) == 4
+    assert shapely.contains_xy(canopy.footprint, canopy.posts).all()
+    assert len(bridge.posts) == len(hall.posts) == 0
+    solids = Terrain("canopy", (-5.0, -5.0, 50.0, 50.0), (canopy,), (), (), (), (), 0).solids
+    in_the_way = shapely.union_all([solid.shape for solid in solids if solid.low_m < 1.0 and solid.high_m == 3.0])
+    assert in_the_way.area == pytest.approx(4 * math.pi * 0.1**2, rel=0.02)
+    assert shapely.contains_xy(in_the_way, canopy.posts).all()
     down = sum(crosses(mesh)[:, 2].sum() / 2 for mesh in undersides([canopy, bridge, hall]))
     assert down == pytest.approx(-(8 * 6 + 40 * 30), rel=1e-6)
     walls = merge([mesh for part in clad([canopy]).values() for mesh in part if mesh is not None])
