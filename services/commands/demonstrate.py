@@ -15,6 +15,7 @@ from schemas.rpc import ResetReply, ResetRequest
 from services.commands import options
 from services.commands.episodes import EpisodeClient, EpisodeRecord, check_world_of
 from services.commands.errors import UsageError
+from services.commands.feature_options import Modalities, feature_flags, features_of_own_stack
 from services.commands.recording import recording
 from services.commands.simulator_options import simulator_of_own_stack
 from services.commands.stack import Access, stack_for
@@ -41,6 +42,7 @@ def demonstrate(
     shake: options.Shake = None,
     base: options.Base = None,
     variation: options.Variation = None,
+    modalities: Modalities = None,
     connect: options.Connect = None,
     robot: options.Robot = options.DEFAULT_ROBOT,
 ) -> None:
@@ -53,13 +55,15 @@ def demonstrate(
     """
     recoveries = RECOVERIES_PER_DRIVE * episodes if recoveries is None else recoveries
     simulator = simulator_of_own_stack(world, camera, connect, shake=shake, base=base, variation=variation)
+    features = features_of_own_stack(modalities, connect)
     name = options.check_world(world)
     requests = list(_requests(episodes, recoveries, seed))
     if not requests:
         raise UsageError("--episodes 0 --recoveries 0: nothing to demonstrate")
     options.make_folder(out, "--out")
     services = ("router", "simulator", "features", "recorder")
-    with stack_for(connect, services, robot, {"simulator": simulator.flags()}) as access:
+    own = {"simulator": simulator.flags(), "features": feature_flags(features)}
+    with stack_for(connect, services, robot, own) as access:
         recorded = _record(requests, access, out, world, name)
     typer.echo(f"recorded {recorded} drives in {out}; next: smal learn {out} --out MODEL")
 

@@ -15,7 +15,10 @@ from tqdm import tqdm
 
 from services.commands import options
 from services.commands.errors import JobError, UsageError
+from services.commands.feature_options import ModalitiesOfRecordings, Weights, parse_features, with_weights
+from services.commands.recorded_features import features_of_recordings
 from services.commands.teaching import Teacher, Teaching, find_recordings, states_shared_by_episodes
+from smal.features import FeatureSettings
 from smal.learning import LearningReport, LearningSettings
 from smal.learning import learn as learn_model
 from smal.model import Model
@@ -34,6 +37,8 @@ def learn(
         typer.Option(help="Use the paper's test for new states (Eq. 8), with this threshold for each query frame."),
     ] = None,
     gamma: Annotated[float | None, typer.Option(help="Discount factor. [default: 0.95]")] = None,
+    modalities: ModalitiesOfRecordings = None,
+    weights: Weights = None,
     include_runs: Annotated[
         bool, typer.Option(help="Learn also from runs in which the robot found the victim.")
     ] = False,
@@ -54,6 +59,9 @@ def learn(
     did not reach it, collisions, and the robot's own runs do not. What is left out of a recording is said on standard
     error. Only camera and applied commands are used, never poses.
 
+    Of recordings with the modalities color, hog and depth any of these can be learned from. Colour and HOG can also be
+    computed from the recorded images; depth cannot.
+
     Example: smal learn drives --out campus.smal --length 5
     """
     began_s = time.perf_counter()
@@ -64,7 +72,9 @@ def learn(
         raise UsageError(f"--out {out}: is a folder; give the name of a file, for example {out / 'model.smal'}")
     options.make_folder(out.parent, "--out")
     options.check_file(json_file, "--json")
-    teaching = _read(recordings, settings, include_runs)
+    files = _find(recordings)
+    settings = replace(settings, features=_features(files, modalities, weights))
+    teaching = _read(files, settings, include_runs)
     model, report = _learn(teaching, settings)
     try:
         model.save(out)
@@ -72,7 +82,7 @@ def learn(
             json_file.write_text(json.dumps(_as_json(teaching, settings, report, out), indent=2) + "\n")
     except OSError as error:
         raise JobError(f"cannot write {error.filename or out}: {error.strerror}") from None
-    typer.echo(_as_text(teaching, report, out, time.perf_counter() - began_s))
+    typer.echo(_as_text(teaching, settings, report, out, time.perf_counter() - began_s))
 
 
 def _settings(
@@ -90,11 +100,21 @@ def _settings(
         raise UsageError(str(error)) from None
 
 
-def _read(paths: list[Path], settings: LearningSettings, include_runs: bool) -> Teaching:
+def _find(paths: list[Path]) -> list[Path]:
     try:
-        files = find_recordings(paths)
+        return find_recordings(paths)
     except OSError as error:
         raise UsageError(str(error)) from None
+
+
+def _features(files: list[Path], modalities: str | None, weights: str | None) -> FeatureSettings:
+    if modalities is not None:
+        return parse_features(modalities, weights)
+    features = features_of_recordings(files)
+    return features if weights is None else with_weights(features, weights)
+
+
+def _read(files: list[Path], settings: LearningSettings, include_runs: bool) -> Teaching:
     teacher = Teacher(settings.features, settings.sequence_length, include_runs=include_runs)
     # disable=None: no bars in a log file or a pipe, where the remarks would drown in them.
     for path in tqdm(files, desc="reading", unit="file", dynamic_ncols=True, disable=None):
@@ -143,10 +163,11 @@ def _learn(teaching: Teaching, settings: LearningSettings) -> tuple[Model, Learn
     return model, replace(report, shared_states=states_shared_by_episodes(model))
 
 
-def _as_text(teaching: Teaching, report: LearningReport, out: Path, seconds: float) -> str:
+def _as_text(teaching: Teaching, settings: LearningSettings, report: LearningReport, out: Path, seconds: float) -> str:
     rows = {
         "recordings": f"{teaching.recordings} ({teaching.episodes} episodes used)",
         "frames": report.frames,
+        "features": _named(settings.features),
         "states": report.states,
         "shared states": f"{report.shared_states} (seen in at least two episodes)",
         "actions": report.actions,
@@ -158,6 +179,13 @@ def _as_text(teaching: Teaching, report: LearningReport, out: Path, seconds: flo
     return "\n".join(f"{name:14}{value}" for name, value in rows.items())
 
 
+def _named(features: FeatureSettings) -> str:
+    if len(set(features.weights)) == 1:
+        return " ".join(features.modalities)
+    pairs = zip(features.modalities, features.weights, strict=True)
+    return " ".join(f"{name} (weight {weight:g})" for name, weight in pairs)
+
+
 def _as_json(teaching: Teaching, settings: LearningSettings, report: LearningReport, out: Path) -> dict[str, object]:
     lambda1, lambda2 = settings.lambdas
     return {
@@ -165,6 +193,8 @@ def _as_json(teaching: Teaching, settings: LearningSettings, report: LearningRep
         "recordings": teaching.recordings,
         "episodes": teaching.episodes,
         "remarks": teaching.remarks,
+        "modalities": settings.features.modalities,
+        "weights": settings.features.weights,
         "length": settings.sequence_length,
         "lambda1": lambda1,
         "lambda2": lambda2,

@@ -17,12 +17,14 @@ from schemas.rpc import LoadReply, LoadRequest, Mode, Nothing, ResetRequest, Sta
 from services.commands import options
 from services.commands.episodes import EpisodeClient, EpisodeRecord, check_world_of
 from services.commands.errors import JobError
+from services.commands.feature_options import feature_flags
 from services.commands.recording import recording
 from services.commands.simulator_options import simulator_of_own_stack
 from services.commands.stack import Access, stack_for
 from services.model_service import identity_of
 from services.settings import ServiceSettings
 from smal.evaluation.success import wilson_interval
+from smal.features import FeatureSettings
 
 #: Camera images kept of every run for the report, one in so many frames.
 FRAMES_APART = 20
@@ -37,7 +39,9 @@ def run(
     seed: options.Seed = 1,
     stride: Annotated[
         int | None,
-        typer.Option(min=1, help="Frames from one decision to the next. [default: the model's; l is the paper's]"),
+        typer.Option(
+            min=1, help="Frames from one decision to the next; the model's l is the paper's scheme. [default: 1]"
+        ),
     ] = None,
     realtime: Annotated[bool, typer.Option(help="Let the clock run, instead of waiting for every command.")] = False,
     max_ticks: Annotated[int, typer.Option(min=1, help="Frames after which a run times out.")] = 3000,
@@ -67,6 +71,7 @@ def run(
         if folder is not None:
             options.make_folder(folder, option)
     services = ("router", "simulator", "features", "recognition", "policy", *(["recorder"] if record else []))
+    own = {"simulator": simulator.flags(), "features": feature_flags(loaded.feature_settings)}
     requests = [
         ResetRequest(seed=seed + k, purpose="run", driver="policy", mode=mode, max_ticks=max_ticks)
         for k in range(episodes)
@@ -74,10 +79,11 @@ def run(
     records: list[EpisodeRecord] = []
     try:
         with (
-            stack_for(connect, services, robot, {"simulator": simulator.flags()}) as access,
+            stack_for(connect, services, robot, own) as access,
             _client(access.settings, model, stride, identity) as client,
             recording(client.node.bus, record) if record else nullcontext(),
         ):
+            _check_features(client, loaded.feature_settings)
             for one in _run_all(client, requests, access, name):
                 _check_models(client, identity)
                 records.append(one)
@@ -136,6 +142,24 @@ def _client(settings: ServiceSettings, model: Path, stride: int | None, identity
         yield client
     finally:
         client.close()
+
+
+def _check_features(client: EpisodeClient, wanted: FeatureSettings) -> None:
+    """Ask the features service whether it makes what the model was learned on.
+
+    Raises
+    ------
+    JobError
+        When it does not: recognition would refuse every frame.
+    """
+    detail = client.node.bus.call("features", "status", Nothing(), Status).detail
+    if detail.get("fingerprint") != wanted.fingerprint:
+        names = ",".join(wanted.modalities)
+        made = str(detail.get("modalities")).replace(" ", ",")
+        raise JobError(
+            f"the model was learned on the features {names}, and the stack makes {made}; "
+            f"start it with `smal up --modalities {names}`"
+        )
 
 
 def _check_models(client: EpisodeClient, identity: str) -> None:

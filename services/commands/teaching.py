@@ -17,11 +17,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from schemas.base import ATOMS
+from services.commands.recorded_features import features_in
 from services.recorder.encoding import decode_image
 from services.recorder.mcap_reader import RecordingError, read_recording
 from services.recorder.recorded import Piece, RecordedEpisode
 from smal.action_space import Atom
-from smal.features import FeatureSettings, extract
+from smal.features import FeatureSettings, extract, select
 from smal.learning import Demonstration
 from smal.model import Model
 
@@ -57,7 +58,8 @@ class Teacher:
     Parameters
     ----------
     features
-        Which feature vectors; frames that were recorded without them have them computed from their image.
+        Which feature vectors, or some of those that were recorded; frames that were recorded without them have them
+        computed from their image, unless that takes depth, of which there are no images in recordings.
     shortest
         Frames that a piece needs in order to teach anything: one sequence.
     include_runs
@@ -73,8 +75,9 @@ class Teacher:
 
     def read(self, path: Path) -> None:
         """Take what a file teaches; what it lacks becomes a remark, never an exception."""
+        held = recorded_with(path, self._features)
         try:
-            recording = read_recording(path, self._features.fingerprint)
+            recording = read_recording(path, held.fingerprint)
         except RecordingError as error:
             self._remark(str(error))
             return
@@ -85,6 +88,7 @@ class Teacher:
         if recording.bad:
             self._remark(f"{path}: {recording.bad} malformed messages are left out")
         for episode in recording.episodes:
+            take_out(episode, held, self._features)
             self._take(path, episode)
 
     def _take(self, path: Path, episode: RecordedEpisode) -> None:
@@ -92,6 +96,10 @@ class Teacher:
         reason = f"it is in {other} too" if other != path else unusable(episode, include_runs=self._include_runs)
         if reason is not None:
             self._remark(f"{path}: episode {episode.episode} is left out: {reason}")
+            return
+        if not episode.features and "depth" in self._features.needs:
+            lack = f"it lacks the features {','.join(self._features.modalities)}, and no image has the depth for them"
+            self._remark(f"{path}: episode {episode.episode} is left out: {lack}")
             return
         computed = complete(episode, self._features)
         if computed:
@@ -124,17 +132,27 @@ def unusable(episode: RecordedEpisode, *, include_runs: bool) -> str | None:
     return None
 
 
+def recorded_with(path: Path, wanted: FeatureSettings) -> FeatureSettings:
+    """Return with which features a recording is to be read: the wanted ones, or else some that hold them."""
+    holding = [held for held in features_in(path) if set(wanted.modalities) <= set(held.modalities)]
+    return min(holding, key=lambda held: held.size, default=wanted)
+
+
+def take_out(episode: RecordedEpisode, held: FeatureSettings, wanted: FeatureSettings) -> None:
+    """Keep of the recorded features the wanted ones; vectors of another size than they say are forgotten."""
+    whole = {tick: vector for tick, vector in episode.features.items() if vector.shape == (held.size,)}
+    episode.features = {tick: select(vector, held, wanted) for tick, vector in whole.items()}
+
+
 def complete(episode: RecordedEpisode, settings: FeatureSettings) -> int:
     """Compute the features that were not recorded, or were recorded by another version, from the images.
 
     Returns
     -------
     int
-        How many were computed. A frame whose image is damaged stays without.
+        How many were computed. A frame whose image is damaged stays without, and so does one that needs depth.
     """
-    for tick in [tick for tick, vector in episode.features.items() if vector.shape != (settings.size,)]:
-        del episode.features[tick]
-    if not episode.images:
+    if not episode.images or "depth" in settings.needs:
         return 0
 
     def compute(tick: int) -> NDArray[np.float32] | None:

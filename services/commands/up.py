@@ -13,11 +13,13 @@ import typer
 from services.bus import DEFAULT_ROUTER, Router
 from services.commands import options
 from services.commands.errors import UsageError
+from services.commands.feature_options import ModalitiesOrOfModel, feature_flags, features_for_model
 from services.commands.interrupts import interrupted_by_signals
 from services.commands.options import Camera
 from services.commands.simulator_options import SimulatorOptions
 from services.commands.stack import SERVICES, Stack, StackPlan, flags
 from services.process import configure_logging
+from smal.features import FeatureSettings
 
 #: How often dead services are looked for, seconds.
 WATCH_S: Final = 0.5
@@ -26,12 +28,15 @@ WATCH_S: Final = 0.5
 def up(
     world: options.World = "campus",
     model: Annotated[Path | None, typer.Option(help="Model that recognition and policy load at the start.")] = None,
-    stride: Annotated[int | None, typer.Option(min=1, help="Frames from one decision to the next.")] = None,
+    stride: Annotated[
+        int | None, typer.Option(min=1, help="Frames from one decision to the next. [default: 1]")
+    ] = None,
     recordings: Annotated[Path | None, typer.Option(help="Record every episode into this folder.")] = None,
     camera: options.CameraSize = "640x480",
     shake: options.Shake = None,
     base: options.Base = None,
     variation: options.Variation = None,
+    modalities: ModalitiesOrOfModel = None,
     metrics_port: Annotated[
         int | None,
         typer.Option(min=1, max=65535 - len(SERVICES), help="First of seven ports for health and metrics over HTTP."),
@@ -54,13 +59,15 @@ def up(
     options.check_robot(robot)
     if recordings is not None:
         options.make_folder(recordings, "--recordings")
-    chain = _chain_flags(model, stride)
+    chain, learned_on = _chain_flags(model, stride)
+    features = features_for_model(modalities, learned_on)
     # Said here, in one line, before the processes start and one of them fails.
     Router(router).close()
     configure_logging("info")
     log = logging.getLogger("up")
     own = {
         "simulator": simulator.flags(),
+        "features": feature_flags(features),
         "recognition": chain,
         "policy": chain,
         "recorder": flags(recordings=recordings),
@@ -88,11 +95,14 @@ def _http_addresses(first_port: int | None) -> dict[str, str]:
     return {name: f"127.0.0.1:{first_port + k}" for k, name in enumerate(SERVICES)}
 
 
-def _chain_flags(model: Path | None, stride: int | None) -> tuple[str, ...]:
-    """Return the flags with which recognition and policy have their model from the start, and after every restart."""
+def _chain_flags(model: Path | None, stride: int | None) -> tuple[tuple[str, ...], FeatureSettings | None]:
+    """Return the flags with which recognition and policy have their model from the start, and after every restart.
+
+    And the features that it was learned on.
+    """
     if model is None:
         if stride is not None:
             raise UsageError(f"--stride {stride}: needs --model")
-        return ()
-    options.read_model(model, stride)
-    return flags(model=model.resolve(), stride=stride)
+        return (), None
+    features = options.read_model(model, stride).feature_settings
+    return flags(model=model.resolve(), stride=stride), features

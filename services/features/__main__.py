@@ -1,4 +1,4 @@
-"""Run the features service: ``python -m services.features``."""
+"""Run the features service: ``python -m services.features --modalities color,hog``."""
 
 from __future__ import annotations
 
@@ -6,19 +6,21 @@ from schemas import topics
 from services.features.config import FeaturesSettings
 from services.features.service import FeaturesService
 from services.process import Node, configure_logging, read_settings, run_service
-from smal.features import FeatureSettings
 
 
 def serve() -> None:
     """Turn frames into observations until stopped."""
     settings = read_settings(FeaturesSettings, "features")
     configure_logging(settings.log_level)
-    features = FeatureSettings()
+    service = FeaturesService(settings.features)
     with Node("features", settings) as node:
         node.stop_on_signals()
-        node.detail = lambda: {"modalities": " ".join(features.modalities), "fingerprint": features.fingerprint}
-        node.subscribe(topics.CAMERA, FeaturesService(features).handle)
-        node.log.info("extracting %s", ", ".join(features.modalities))
+        node.detail = service.detail
+        if service.needs_depth:
+            # Two, so that the depth image of a frame that waits does not give way to that of the next.
+            node.subscribe(topics.DEPTH, service.handle_depth, depth=2)
+        node.subscribe(topics.CAMERA, service.handle)
+        node.log.info("extracting %s", ", ".join(settings.features.modalities))
         node.spin()
 
 

@@ -2,27 +2,83 @@
 
 from __future__ import annotations
 
+import logging
+from collections.abc import Callable
+
 from schemas.array import Float32Array
+from schemas.depth_image import DepthImage
 from schemas.image import Image
 from schemas.observation import Observation
+from services.process import Detail, Throttle
 from smal.features import FeatureSettings, extract
+
+_log = logging.getLogger("features")
 
 
 class FeaturesService:
     """Extracts the feature modalities of each camera frame.
 
+    Where they need depth, the colour and the depth image of a frame are joined; either may come first, and only the
+    newest of each is kept.
+
     Parameters
     ----------
     features
         Which modalities.
+    complain
+        Is told, in one line and at most once a second, that frames are left out because their depth never came.
     """
 
-    def __init__(self, features: FeatureSettings) -> None:
+    def __init__(self, features: FeatureSettings, complain: Callable[[str], None] = _log.warning) -> None:
+        self.needs_depth = "depth" in features.needs
+        self.without_depth = 0
         self._features = features
+        self._complain = complain
+        self._throttle = Throttle()
+        self._image: Image | None = None
+        self._depth: DepthImage | None = None
 
-    def handle(self, image: Image) -> Observation:
-        """Return the observation of one frame."""
-        vector = extract(image.to_numpy(), self._features)
+    def handle(self, image: Image) -> Observation | None:
+        """Return the observation of one frame, or None while its depth is to come."""
+        if not self.needs_depth:
+            return self._observation(image, None)
+        waiting, self._image = self._image, image
+        if waiting is not None and not _same_frame(waiting, image):
+            self._give_up(waiting)
+        return self._joined()
+
+    def handle_depth(self, depth: DepthImage) -> Observation | None:
+        """Return the observation of one frame, or None while its colour image is to come."""
+        self._depth = depth
+        return self._joined()
+
+    def detail(self) -> Detail:
+        """Tell what is extracted, and how many frames had no depth."""
+        detail: Detail = {"modalities": " ".join(self._features.modalities), "fingerprint": self._features.fingerprint}
+        return detail | ({"without_depth": self.without_depth} if self.needs_depth else {})
+
+    def _joined(self) -> Observation | None:
+        image, depth = self._image, self._depth
+        if image is None or depth is None or not _same_frame(image, depth):
+            return None
+        # The depth stays: a colour image that is sent again, because an answer was lost, finds it.
+        self._image = None
+        return self._observation(image, depth)
+
+    def _observation(self, image: Image, depth: DepthImage | None) -> Observation:
+        vector = extract(image.to_numpy(), self._features, None if depth is None else depth.to_numpy())
         return Observation.after(
             image, fingerprint=self._features.fingerprint, features=Float32Array.from_numpy(vector)
         )
+
+    def _give_up(self, image: Image) -> None:
+        self.without_depth += 1
+        if self._throttle.due():
+            self._complain(
+                f"episode {image.episode}, frame {image.tick}: no depth image came; "
+                f"{self.without_depth} frames were left out so far"
+            )
+
+
+def _same_frame(one: Image, other: Image | DepthImage) -> bool:
+    return (one.episode, one.tick) == (other.episode, other.tick)

@@ -7,7 +7,7 @@ answered the last one; in real time the clock decides.
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field
 from typing import Final, Protocol
 
@@ -152,6 +152,9 @@ class EpisodeRunner:
         self._clock = clock
         self._wall_clock_ns = wall_clock_ns
         self._wanted = wanted
+        for topic in (DEPTH, OVERHEAD):
+            # Who listens becomes known a moment after it was asked for the first time: the first frame is too late.
+            wanted(topic)
         self._robot = robot
         self._session = session
         self._count = 0
@@ -259,7 +262,10 @@ class EpisodeRunner:
         if now_s - run.ready_s[run.tick] > GIVE_UP_S:
             yield from self.end(None)
         elif now_s - run.sent_s > RESEND_S:
-            run.sent_s = now_s
+            # Who wants the other images may have come, or have become known, only after the frame was made.
+            *others, image = run.frame
+            run.frame = (*others, *self._wanted_images(self._header(run), others), image)
+            run.sent_s = self._clock()
             self.resent += 1
             yield from run.frame
 
@@ -306,12 +312,13 @@ class EpisodeRunner:
             run.found = True
             yield self._event("victim_found")
 
-    def _wanted_images(self, header: Message) -> Iterator[Message]:
-        """Make the images that cost time and are seldom listened to."""
-        if self._wanted(DEPTH):
+    def _wanted_images(self, header: Message, made: Iterable[Message] = ()) -> Iterator[Message]:
+        """Make the images that cost time and are seldom listened to, without those that were made before."""
+        there = {message.topic_name for message in made}
+        if DEPTH.name not in there and self._wanted(DEPTH):
             yield depth_message(header, self._world.depth_m())
         mount = self._world.overhead_mount
-        if mount is not None and self._wanted(OVERHEAD):
+        if OVERHEAD.name not in there and mount is not None and self._wanted(OVERHEAD):
             yield overhead_message(header, self._world.overhead(), mount)
 
     def _apply(self, run: _Running, applied: Applied) -> CommandApplied:

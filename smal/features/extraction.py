@@ -1,13 +1,18 @@
-"""From an image to a raw feature vector."""
+"""From the images of a frame to a raw feature vector."""
+
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from smal.features import color
+from smal.features.modality import Input
 from smal.features.settings import MODALITIES, FeatureSettings
 
 
-def extract(image: NDArray[np.uint8], settings: FeatureSettings) -> NDArray[np.float32]:
+def extract(
+    image: NDArray[np.uint8], settings: FeatureSettings, depth_mm: NDArray[np.uint16] | None = None
+) -> NDArray[np.float32]:
     """Compute the raw features of one frame.
 
     Parameters
@@ -15,6 +20,9 @@ def extract(image: NDArray[np.uint8], settings: FeatureSettings) -> NDArray[np.f
     image : uint8 array (height, width, 3)
         RGB, at least 24 rows and 32 columns.
     settings : FeatureSettings
+    depth_mm : uint16 array (height, width), optional
+        Depth of the same view, of any size, in millimetres, 0 where nothing is in range; needed by the
+        modality "depth".
 
     Returns
     -------
@@ -25,8 +33,20 @@ def extract(image: NDArray[np.uint8], settings: FeatureSettings) -> NDArray[np.f
     Raises
     ------
     ValueError
-        The image has another type, shape or is too small.
+        An image has another type, shape or is too small, or there is no depth image though one is needed.
     """
+    _check_image(image)
+    inputs: dict[Input, NDArray[Any]] = {"color": np.ascontiguousarray(image)}
+    if "depth" in settings.needs:
+        if depth_mm is None:
+            raise ValueError(f"the features {', '.join(settings.modalities)} need a depth image")
+        _check_depth(depth_mm)
+        inputs["depth"] = np.ascontiguousarray(depth_mm)
+    modalities = [MODALITIES[name] for name in settings.modalities]
+    return np.concatenate([modality.describe(inputs[modality.needs]) for modality in modalities])
+
+
+def _check_image(image: NDArray[np.uint8]) -> None:
     if image.dtype != np.uint8:
         raise ValueError(f"an image must be an array of uint8, got {image.dtype}")
     if image.ndim != 3 or image.shape[2] != 3:
@@ -36,5 +56,10 @@ def extract(image: NDArray[np.uint8], settings: FeatureSettings) -> NDArray[np.f
             f"an image must have at least {color.ROWS} rows and {color.COLUMNS} columns, "
             f"got {image.shape[0]} x {image.shape[1]}"
         )
-    contiguous = np.ascontiguousarray(image)
-    return np.concatenate([MODALITIES[name](contiguous) for name in settings.modalities])
+
+
+def _check_depth(depth_mm: NDArray[np.uint16]) -> None:
+    if depth_mm.dtype != np.uint16:
+        raise ValueError(f"a depth image must be an array of uint16 in millimetres, got {depth_mm.dtype}")
+    if depth_mm.ndim != 2 or depth_mm.size == 0:
+        raise ValueError(f"a depth image must have the shape (height, width), got {depth_mm.shape}")

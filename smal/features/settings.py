@@ -3,22 +3,26 @@
 import hashlib
 import json
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
+from typing import Self
 
 import numpy as np
-from numpy.typing import NDArray
 
-from smal.features import color, hog
+from smal.features import color, depth, hog
+from smal.features.modality import Input, Modality
 
 # Raised whenever any descriptor changes its output, so that a model never meets features it was not learned on.
 DESCRIPTOR_VERSION = 1
 
-MODALITIES: Mapping[str, Callable[[NDArray[np.uint8]], NDArray[np.float32]]] = MappingProxyType(
-    {"color": color.color_descriptor, "hog": hog.hog_descriptor}
+MODALITIES: Mapping[str, Modality] = MappingProxyType(
+    {
+        "color": Modality(color.SIZE, "color", color.color_descriptor),
+        "hog": Modality(hog.SIZE, "color", hog.hog_descriptor),
+        "depth": Modality(depth.SIZE, "depth", depth.depth_descriptor),
+    }
 )
-SIZES: Mapping[str, int] = MappingProxyType({"color": color.SIZE, "hog": hog.SIZE})
 
 
 @dataclass(frozen=True)
@@ -44,7 +48,7 @@ class FeatureSettings:
     def __post_init__(self) -> None:
         unknown = [name for name in self.modalities if name not in MODALITIES]
         if unknown or not self.modalities:
-            raise ValueError(f"unknown feature modality {unknown}; known are {sorted(MODALITIES)}")
+            raise ValueError(f"unknown feature modality {', '.join(unknown)!r}; known are {', '.join(MODALITIES)}")
         if len(set(self.modalities)) != len(self.modalities):
             raise ValueError(f"a feature modality is named twice in {self.modalities}")
         if len(self.weights) != len(self.modalities):
@@ -52,15 +56,36 @@ class FeatureSettings:
         if not all(math.isfinite(weight) and weight > 0.0 for weight in self.weights):
             raise ValueError(f"modality weights must be finite and positive, got {self.weights}")
 
+    @classmethod
+    def of(cls, modalities: Iterable[str], weights: Iterable[float] | None = None) -> Self:
+        """Make the settings of some modalities, equal in weight unless weights are given."""
+        names = tuple(modalities)
+        return cls(names, (1.0,) * len(names) if weights is None else tuple(weights))
+
+    @classmethod
+    def parse(cls, modalities: str, weights: str | None = None) -> Self:
+        """Read names separated by commas, for example ``color,hog``, and as many weights in the same order."""
+        names = [name.strip() for name in modalities.split(",")]
+        try:
+            numbers = None if weights is None else [float(weight) for weight in weights.split(",")]
+        except ValueError:
+            raise ValueError(f"modality weights must be numbers separated by commas, got {weights!r}") from None
+        return cls.of(names, numbers)
+
     @property
     def size(self) -> int:
         """Length m of a feature vector."""
-        return sum(SIZES[name] for name in self.modalities)
+        return sum(MODALITIES[name].size for name in self.modalities)
+
+    @property
+    def needs(self) -> frozenset[Input]:
+        """Which images of a frame these features are made of."""
+        return frozenset(MODALITIES[name].needs for name in self.modalities)
 
     @property
     def slices(self) -> tuple[slice, ...]:
         """Where each modality lies in a feature vector."""
-        ends = np.cumsum([SIZES[name] for name in self.modalities]).tolist()
+        ends = np.cumsum([MODALITIES[name].size for name in self.modalities]).tolist()
         return tuple(slice(start, end) for start, end in zip([0, *ends[:-1]], ends, strict=True))
 
     @property
@@ -72,5 +97,5 @@ class FeatureSettings:
     @property
     def fingerprint(self) -> str:
         """12 hex digits naming these raw features; weights are applied later and do not enter."""
-        text = json.dumps([DESCRIPTOR_VERSION, [[name, SIZES[name]] for name in self.modalities]])
+        text = json.dumps([DESCRIPTOR_VERSION, [[name, MODALITIES[name].size] for name in self.modalities]])
         return hashlib.sha256(text.encode()).hexdigest()[:12]

@@ -1,24 +1,30 @@
 """Features: sizes, unit length, centring, and what is refused."""
 
+from itertools import permutations
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from smal.features import MODALITIES, Centering, FeatureSettings, extract
-from smal.features.settings import SIZES
+from smal.features import MODALITIES, Centering, FeatureSettings, extract, select, settings_of
 
 BOTH = FeatureSettings()
+ALL = FeatureSettings.of(("color", "hog", "depth"))
 
 
 def image(rows: int, columns: int, seed: int = 0) -> np.ndarray:
     return np.random.default_rng(seed).integers(0, 256, (rows, columns, 3), dtype=np.uint8)
 
 
+def depth_image(rows: int, columns: int, seed: int = 0) -> np.ndarray:
+    return np.random.default_rng(seed).integers(0, 65536, (rows, columns), dtype=np.uint16)
+
+
 @pytest.mark.parametrize(("name", "size"), [("color", 2304), ("hog", 5940)])
 def test_sizes_are_those_of_the_paper(name: str, size: int) -> None:
-    vector = MODALITIES[name](image(768, 1024))
-    assert vector.shape == (size,) == (SIZES[name],)
+    vector = MODALITIES[name].describe(image(768, 1024))
+    assert vector.shape == (size,) == (MODALITIES[name].size,)
     assert vector.dtype == np.float32
 
 
@@ -33,7 +39,7 @@ def test_any_size_gives_unit_modalities(rows: int, columns: int, seed: int) -> N
 def test_colour_is_averaged_over_areas() -> None:
     picture = np.zeros((48, 64, 3), dtype=np.uint8)
     picture[:, 32:] = (255, 0, 0)
-    vector = MODALITIES["color"](picture).reshape(24, 32, 3)
+    vector = MODALITIES["color"].describe(picture).reshape(24, 32, 3)
     assert not vector[:, :16].any()
     assert (vector[:, 16:, 0] > 0).all()
     assert not vector[:, 16:, 1:].any()
@@ -83,9 +89,49 @@ def test_bad_settings_are_refused(modalities: tuple[str, ...], weights: tuple[fl
 
 
 def test_fingerprint_names_the_raw_features() -> None:
+    # As it has been since the first recordings and models, which this version must still read.
+    assert BOTH.fingerprint == "0f3aab3ca41a"
     assert BOTH.fingerprint == FeatureSettings(weights=(1.0, 3.0)).fingerprint
     assert BOTH.fingerprint != FeatureSettings(("color",), (1.0,)).fingerprint
     assert BOTH.fingerprint != FeatureSettings(("hog", "color")).fingerprint
+
+
+def test_settings_are_read_from_names_and_weights() -> None:
+    assert FeatureSettings.parse("color,hog") == BOTH
+    assert FeatureSettings.parse(" hog , depth", "1,2.5") == FeatureSettings(("hog", "depth"), (1.0, 2.5))
+    for modalities, weights, words in (
+        ("", None, "unknown feature modality ''; known are color, hog, depth"),
+        ("color,hgo", None, "unknown feature modality 'hgo'"),
+        ("color,hog", "1", "2 modalities need as many weights, got 1"),
+        ("color", "x", "must be numbers"),
+        ("color", "-1", "positive"),
+    ):
+        with pytest.raises(ValueError, match=words):
+            FeatureSettings.parse(modalities, weights)
+
+
+def test_every_fingerprint_is_of_one_order_of_one_choice() -> None:
+    orders = [order for count in (1, 2, 3) for order in permutations(MODALITIES, count)]
+    assert [settings_of(FeatureSettings.of(order).fingerprint).modalities for order in orders] == orders  # type: ignore[union-attr]
+    assert settings_of("0123456789ab") is None
+
+
+@given(wanted=st.permutations(["color", "hog", "depth"]), count=st.integers(1, 3), seed=st.integers(0, 9))
+@settings(max_examples=20, deadline=None)
+def test_features_taken_out_are_those_made_without_the_others(wanted: list[str], count: int, seed: int) -> None:
+    fewer = FeatureSettings.of(wanted[:count])
+    frames = [(image(48, 64, seed), depth_image(24, 32, seed)), (image(30, 40, seed + 1), depth_image(48, 64, seed))]
+    raw = np.stack([extract(picture, ALL, depth) for picture, depth in frames])
+    expected = np.stack([extract(picture, fewer, depth) for picture, depth in frames])
+    np.testing.assert_array_equal(select(raw, ALL, fewer), expected)
+
+
+def test_features_that_are_not_held_are_refused() -> None:
+    raw = extract(image(48, 64), BOTH)
+    with pytest.raises(ValueError, match="the features color, hog do not hold depth"):
+        select(raw, BOTH, ALL)
+    with pytest.raises(ValueError, match="8244 entries"):
+        select(raw[1:], BOTH, BOTH)
 
 
 def test_centring_weights_and_normalises() -> None:

@@ -19,6 +19,8 @@ if TYPE_CHECKING:
 
 # A line stands for something thin: a fence, a hedge, the edge of the world.
 _HALF_THICKNESS_M: Final = 0.01
+# Walls end so far above a robot's top, where it never meets their upper edge.
+_ABOVE_M: Final = 1.0
 # PhysX warns of triangles that are much larger than what touches them.
 _LONGEST_WALL_M: Final = 20.0
 _HULL_SIDES: Final = 32
@@ -41,21 +43,21 @@ class TriangleMesh:
 
 
 def upright_sides(solids: Iterable[Solid], under_m: float) -> TriangleMesh:
-    """Return the outer and courtyard walls of solids, without floors and roofs: nothing flies here.
+    """Return the outer and courtyard walls of solids, up to a metre above the robot; nothing flies here.
 
     Parameters
     ----------
     solids
         What stands in the way; lines are given a thickness of 2 cm, centred on them.
     under_m
-        Solids that begin at this height or above are left out; they are driven under.
+        The robot's height: solids that begin there or above are left out; they are driven under.
 
     Returns
     -------
     The sides, facing away from the solids; without any solid an empty mesh.
     """
     sides = [
-        _sides(ring, solid.low_m, solid.high_m)
+        _sides(ring, solid.low_m, min(solid.high_m, under_m + _ABOVE_M))
         for solid in solids
         if solid.low_m < under_m
         for ring in _rings(solid.shape)

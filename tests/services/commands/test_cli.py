@@ -12,7 +12,7 @@ from services import cli
 from services.commands.errors import UsageError
 from services.commands.up import _chain_flags
 from services.process import EXIT_FAILED, EXIT_USAGE
-from tests.services.chain import LENGTH, save_model
+from tests.services.chain import FEATURES, LENGTH, save_model
 
 
 @pytest.mark.parametrize(
@@ -54,9 +54,9 @@ def test_recognition_and_policy_have_their_model_from_the_start(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     model = save_model(tmp_path / "corridor.smal")
-    assert _chain_flags(None, None) == ()
-    assert _chain_flags(Path("corridor.smal"), 2) == ("--model", str(model), "--stride", "2")
-    assert _chain_flags(Path("corridor.smal"), None) == ("--model", str(model))
+    assert _chain_flags(None, None) == ((), None)
+    assert _chain_flags(Path("corridor.smal"), 2) == (("--model", str(model), "--stride", "2"), FEATURES)
+    assert _chain_flags(Path("corridor.smal"), None) == (("--model", str(model)), FEATURES)
     for path, stride, line in (
         (None, 2, "needs --model"),
         (tmp_path / "none", None, "No such file"),

@@ -35,16 +35,22 @@ def view(position: int) -> np.ndarray:
     return np.ascontiguousarray(WALL[:, 4 * position : 4 * position + 64])
 
 
+def depth(position: int) -> np.ndarray:
+    """Return how far away things are where the robot is; the wall's bricks stick out."""
+    return (500 + 20 * view(position)[..., 0].astype(np.uint16)).astype(np.uint16)
+
+
 def drive(name: str, first: int = 0, frames: int = 40, outcome: Outcome = "found", purpose: Purpose = "drive",
-          fingerprint: str = FEATURES.fingerprint) -> list[Message]:  # fmt: skip
+          fingerprint: str | None = None, features: FeatureSettings = FEATURES) -> list[Message]:  # fmt: skip
     """Drive along the wall, two frames forward and one to the left, in turn."""
     messages: list[Message] = [event(name, 0, "started", purpose=purpose)]
     for tick in range(frames):
         pixels = view(first + tick)
         cause = header(name, tick)
         messages.append(CompressedImage.after(cause, width=64, height=48, data=encode_jpeg(pixels)))
-        vector = Float32Array.from_numpy(extract(pixels, FEATURES))
-        messages.append(Observation.after(cause, fingerprint=fingerprint, features=vector))
+        vector = Float32Array.from_numpy(extract(pixels, features, depth(first + tick)))
+        named = fingerprint or features.fingerprint
+        messages.append(Observation.after(cause, fingerprint=named, features=vector))
         messages.append(applied(name, tick, atom="left" if tick % 3 == 2 else "forward"))
     if outcome == "found":
         messages.append(event(name, frames - 1, "victim_found", purpose=purpose))
@@ -61,8 +67,8 @@ def drives(tmp_path: Path) -> Path:
     return folder
 
 
-def teach(*paths: Path, **options: bool) -> Teacher:
-    teacher = Teacher(FEATURES, shortest=5, **options)
+def teach(*paths: Path, features: FeatureSettings = FEATURES, **options: bool) -> Teacher:
+    teacher = Teacher(features, shortest=5, **options)
     for path in find_recordings(paths):
         teacher.read(path)
     return teacher

@@ -548,3 +548,30 @@ def test_status_is_told_while_commands_are_being_refused() -> None:
         stop.set()
         thread.join()
     assert service.detail()["refused stale"] == 1
+
+
+def test_who_comes_after_the_frame_was_made_gets_its_picture_when_it_is_sent_again() -> None:
+    """Otherwise a features service that needs depth could never answer the first frame, and lockstep would stand."""
+    clock, wanted = Clock(), set[Topic]()
+    runner = EpisodeRunner(Watched(), "r", "s", clock, lambda: 5, wanted=wanted.__contains__)
+    _, sent = runner.reset(ResetRequest(seed=1))
+    assert not [m for m in sent if isinstance(m, DepthImage)]
+    wanted.add(DEPTH)
+    clock.now_s += RESEND_S + 0.1
+    pose, depth, image = runner.poll()
+    assert isinstance(depth, DepthImage)
+    assert (pose.tick, depth.tick, image.tick) == (0, 0, 0)
+    assert depth.stamp_ns == image.stamp_ns
+    assert isinstance(image, Image)
+
+
+def test_listeners_are_asked_for_before_the_first_frame() -> None:
+    """The first answer is always no."""
+    asked: set[Topic] = set()
+
+    def wanted(topic: Topic) -> bool:
+        asked.add(topic)
+        return False
+
+    EpisodeRunner(Watched(), "r", "s", Clock(), lambda: 5, wanted=wanted)
+    assert asked == {DEPTH, OVERHEAD}

@@ -1,0 +1,55 @@
+"""Features that were made once, used with fewer modalities or in another order."""
+
+from functools import cache
+from itertools import permutations
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from smal.features.settings import MODALITIES, FeatureSettings
+
+
+def settings_of(fingerprint: str) -> FeatureSettings | None:
+    """Return the settings, with equal weights, whose raw features a fingerprint names; None if it is of none."""
+    return _known().get(fingerprint)
+
+
+@cache
+def _known() -> MappingProxyType[str, FeatureSettings]:
+    # The fingerprint of every order of every subset: 15 for three modalities, 1956 for six.
+    orders = (order for count in range(1, len(MODALITIES) + 1) for order in permutations(MODALITIES, count))
+    every = map(FeatureSettings.of, orders)
+    return MappingProxyType({settings.fingerprint: settings for settings in every})
+
+
+def select(raw: NDArray[Any], held: FeatureSettings, wanted: FeatureSettings) -> NDArray[Any]:
+    """Take the wanted modalities out of raw features.
+
+    Parameters
+    ----------
+    raw : array (..., m)
+        Raw features of the modalities `held`.
+    held, wanted : FeatureSettings
+        Their weights do not count.
+
+    Returns
+    -------
+    array (..., m')
+        Raw features of the modalities `wanted`, in their order.
+
+    Raises
+    ------
+    ValueError
+        The last axis is not m, or a modality is wanted that is not held.
+    """
+    if raw.ndim == 0 or raw.shape[-1] != held.size:
+        raise ValueError(f"features must have {held.size} entries, got the shape {raw.shape}")
+    missing = [name for name in wanted.modalities if name not in held.modalities]
+    if missing:
+        raise ValueError(f"the features {', '.join(held.modalities)} do not hold {', '.join(missing)}")
+    if held.modalities == wanted.modalities:
+        return raw
+    where = dict(zip(held.modalities, held.slices, strict=True))
+    return np.concatenate([raw[..., where[name]] for name in wanted.modalities], axis=-1)

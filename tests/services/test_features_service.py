@@ -1,0 +1,161 @@
+"""The features service with depth: colour and depth of a frame are joined, whichever comes first."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from schemas import topics
+from schemas.codec import decode
+from schemas.depth_image import DepthImage
+from schemas.image import Image
+from schemas.observation import Observation
+from services.bus import Bus
+from services.features.service import FeaturesService
+from services.process import Detail
+from smal.features import FeatureSettings, extract
+from tests.services.chain import image, picture, process
+from tests.services.waiting import eventually, introduce, malformed, ready, status_of
+
+WITH_DEPTH = FeatureSettings.of(("color", "depth"))
+
+
+def depth_pixels(tick: int) -> np.ndarray:
+    return np.random.default_rng(1000 + tick).integers(0, 65536, (24, 32), dtype=np.uint16)
+
+
+def depth_image(tick: int, episode: str = "e") -> DepthImage:
+    """Return the depth image of the frame `image`."""
+    data = depth_pixels(tick).astype("<u2").tobytes()
+    return DepthImage.after(image(tick, episode=episode), width=32, height=24, data=data)
+
+
+def features(tick: int) -> np.ndarray:
+    return extract(picture(tick), WITH_DEPTH, depth_pixels(tick))
+
+
+def detail(client: Bus) -> Detail:
+    status = status_of(client, "features")
+    assert status is not None
+    return status.detail
+
+
+def give(service: FeaturesService, *messages: Image | DepthImage) -> list[Observation]:
+    """Give messages in this order, and return what came of them."""
+    answers = [service.handle(one) if isinstance(one, Image) else service.handle_depth(one) for one in messages]
+    return [answer for answer in answers if answer is not None]
+
+
+@pytest.mark.parametrize("depth_first", [True, False])
+def test_a_frame_is_published_once_both_its_images_are_there(depth_first: bool) -> None:
+    service = FeaturesService(WITH_DEPTH)
+    first, second = (depth_image(7), image(7)) if depth_first else (image(7), depth_image(7))
+    assert give(service, first) == []
+    (observation,) = give(service, second)
+    np.testing.assert_array_equal(observation.features.to_numpy(), features(7))
+    assert observation.fingerprint == WITH_DEPTH.fingerprint
+    assert (observation.episode, observation.tick, observation.stamp_ns) == ("e", 7, 7)
+    assert service.without_depth == 0
+
+
+@pytest.mark.parametrize("other", [depth_image(8), depth_image(7, "other")])
+def test_images_of_two_frames_are_never_joined(other: DepthImage) -> None:
+    service = FeaturesService(WITH_DEPTH)
+    assert give(service, other, image(7)) == []
+    assert give(FeaturesService(WITH_DEPTH), image(7), other) == []
+
+
+@given(st.lists(st.tuples(st.booleans(), st.integers(0, 3), st.sampled_from("ab")), max_size=20))
+def test_whatever_the_order_every_observation_is_of_one_frame(arrivals: list[tuple[bool, int, str]]) -> None:
+    """Once for every colour image at most, with the features of that frame; the others are counted or wait."""
+    complaints: list[str] = []
+    service = FeaturesService(WITH_DEPTH, complaints.append)
+    sent = [(depth_image if is_depth else image)(tick, episode=episode) for is_depth, tick, episode in arrivals]
+    heard = give(service, *sent)
+    for observation in heard:
+        np.testing.assert_array_equal(observation.features.to_numpy(), features(observation.tick))
+    frames = [(one.episode, one.tick) for one in sent if isinstance(one, Image)]
+    assert all((one.episode, one.tick) in frames for one in heard)
+    assert len(heard) + service.without_depth <= len(frames)
+    assert bool(complaints) == bool(service.without_depth)
+
+
+def test_frames_without_depth_are_counted_and_said_once_a_second_at_most() -> None:
+    complaints: list[str] = []
+    service = FeaturesService(WITH_DEPTH, complaints.append)
+    # The frame that is asked for again is still one, and the last of them may yet get its depth.
+    assert give(service, image(0), image(0), image(1), image(2), image(3)) == []
+    assert service.detail()["without_depth"] == service.without_depth == 3
+    assert complaints == ["episode e, frame 0: no depth image came; 1 frames were left out so far"]
+    assert [one.tick for one in give(service, depth_image(3))] == [3]
+    assert service.without_depth == 3
+
+
+def test_a_frame_that_is_asked_for_again_is_answered_again() -> None:
+    service = FeaturesService(WITH_DEPTH)
+    frame = (depth_image(4), image(4))
+    first = give(service, *frame)
+    assert len(first) == 1
+    assert give(service, *frame) == give(service, image(4)) == first
+
+
+def test_without_depth_among_the_modalities_nothing_waits() -> None:
+    service = FeaturesService(FeatureSettings())
+    (observation,) = give(service, image(0))
+    assert observation.fingerprint == FeatureSettings().fingerprint
+    assert not service.needs_depth
+    assert "without_depth" not in service.detail()
+
+
+def test_the_process_joins_colour_and_depth(client: Bus, router_endpoint: str) -> None:
+    heard: dict[int, Observation] = {}
+
+    def take(payload: bytes, encoding: str, _transit_s: float | None) -> None:
+        observation = decode(Observation, payload, encoding)
+        heard[observation.tick] = observation
+
+    client.subscribe(topics.OBSERVATION, take)
+    assert not client.has_listeners(topics.DEPTH)
+    with process("features", router_endpoint, "--modalities", "color,depth"):
+        ready(client, "features")
+        introduce(client, "features", image(0, episode="hello"), depth_image(1, episode="hello"))
+        # This is how the simulator knows that it has to make depth images.
+        eventually(lambda: client.has_listeners(topics.DEPTH))
+        malformed(client, "features", topics.DEPTH)
+        # `introduce` may have sent several frames without depth, and none of them is to be heard.
+        assert heard == {}
+        for message in (depth_image(5), image(5)):
+            client.publish(message)
+        eventually(lambda: 5 in heard)
+        for message in (image(6), depth_image(6)):
+            client.publish(message)
+        eventually(lambda: 6 in heard)
+        before = detail(client)
+
+        def counted() -> bool:
+            for tick in (7, 8):
+                client.publish(image(tick))
+            return detail(client)["without_depth"] > before["without_depth"]  # type: ignore[operator]
+
+        eventually(counted)
+        assert (before["modalities"], before["fingerprint"]) == ("color depth", WITH_DEPTH.fingerprint)
+    for tick in (5, 6):
+        np.testing.assert_array_equal(heard[tick].features.to_numpy(), features(tick))
+    assert sorted(heard) == [5, 6]
+
+
+@pytest.mark.parametrize(
+    ("modalities", "words"), [("color,smell", "unknown feature modality 'smell'"), ("hog,hog", "named twice")]
+)
+def test_unknown_modalities_are_one_line(modalities: str, words: str) -> None:
+    command = [sys.executable, "-m", "services.features", "--modalities", modalities]
+    ended = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert ended.returncode == 2
+    assert words in ended.stderr
+    assert ended.stderr.startswith("features: modalities: ")
+    assert ended.stderr.count("\n") == 1
