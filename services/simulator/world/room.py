@@ -26,13 +26,13 @@ Wall = Literal["south", "east", "north", "west"]
 _SCALE: Final = Scale(
     spacing_m=0.25,
     clearance_m=0.26,
-    room_m=0.45,
-    leg_room_m=0.45,
+    room_m=0.55,
+    leg_room_m=0.55,
     leg_end_m=0.5,
     longest_leg_m=1.5,
     start_m=0.15,
     start_room_m=0.24,
-    aside_m=0.25,
+    aside_m=0.3,
     last_m=0.8,
     found_m=1.2,
 )
