@@ -302,6 +302,8 @@ def start(*flags: str, **environment: str) -> subprocess.Popen[str]:
         env=os.environ | environment,
         stderr=subprocess.PIPE,
         text=True,
+        # Under nohup the signal is ignored, here and in every child, which is what a service respects.
+        preexec_fn=lambda: signal.signal(signal.SIGHUP, signal.SIG_DFL),  # noqa: PLW1509 - one thread, one call
     )
 
 
