@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Final, Self
@@ -150,8 +151,15 @@ def make_folder(path: Path, option: str) -> None:
         raise UsageError(f"{option} {path}: cannot be written to")
 
 
-def check_file(path: Path | None, option: str) -> None:
+def check_file(path: Path | None, option: str, read: Iterable[str | Path] = ()) -> None:
     """Check, before the work begins, that a file of results can be written, if one is wanted.
+
+    Parameters
+    ----------
+    path, option
+        The file, and what names it.
+    read
+        Files that the command reads, which results must not replace.
 
     Raises
     ------
@@ -166,3 +174,5 @@ def check_file(path: Path | None, option: str) -> None:
         raise UsageError(f"{option} {path}: no folder {path.parent}")
     if not os.access(path if path.exists() else path.parent, os.W_OK):
         raise UsageError(f"{option} {path}: cannot be written")
+    if path.exists() and any(path.samefile(one) for one in read if Path(one).exists()):
+        raise UsageError(f"{option} {path}: is a file that this command reads; give another name")

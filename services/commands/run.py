@@ -66,7 +66,7 @@ def run(
     identity = identity_of(loaded)
     simulator = simulator_of_own_stack(world, camera, connect, shake=shake, base=base, variation=variation)
     name = options.check_world(world)
-    options.check_file(json_file, "--json")
+    options.check_file(json_file, "--json", (world, model))
     for folder, option in ((report, "--report"), (record, "--record")):
         if folder is not None:
             options.make_folder(folder, option)

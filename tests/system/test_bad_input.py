@@ -113,6 +113,7 @@ def test_places_for_results_are_checked_before_the_stack_starts(
     for option, value in (
         ("--json", tmp_path / "none" / "runs.json"),
         ("--json", tmp_path),
+        ("--json", model),
         ("--report", tmp_path / "file"),
         ("--record", tmp_path / "file" / "deeper"),
     ):
