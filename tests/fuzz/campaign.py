@@ -75,8 +75,11 @@ def fuzz(name: str, seconds: int, crashers: Path) -> Campaign:
     ]  # fmt: skip
     # libFuzzer ends its process without cleaning up, so that what it leaves must be somewhere that we can remove.
     with tempfile.TemporaryDirectory(prefix="smal-fuzz-", dir=_MEMORY if _MEMORY.is_dir() else None) as scratch:
+        # By a shell in between: libFuzzer goes by the peak of its process's memory, which begins, after a fork and an
+        # exec, with all that this process holds; the shell's own child begins with the little that the shell does.
         done = subprocess.run(
-            [sys.executable, "-m", "tests.fuzz.worker", name, *flags], env=os.environ | {"TMPDIR": scratch},
+            ["sh", "-c", '"$@"; exit $?', "sh", sys.executable, "-m", "tests.fuzz.worker", name, *flags],
+            env=os.environ | {"TMPDIR": scratch},
             cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, timeout=seconds + _SLACK_S, check=False,
         )  # fmt: skip
     output = done.stdout.decode(errors="replace")
