@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import os
 import re
 import time
 from pathlib import Path
@@ -21,6 +20,7 @@ from services.simulator.world.loading import Wishes
 from services.simulator.world.osm import Surroundings
 from services.simulator.world.route import lane_graph, plan_route, route_length_m
 from services.simulator.world.terrain import Terrain
+from smal.container import replacing
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -83,7 +83,8 @@ def import_world(
         imported, text = import_map(osm_map, out, wishes, radius if around is None else None)
     except WorldError as error:
         raise JobError(str(error)) from None
-    _write(out, text)
+    with replacing(out) as file:
+        file.write(text.encode())
     for line in table(list(_summary(imported, time.perf_counter() - began_s)), left=1):
         typer.echo(line)
     typer.echo(f"wrote {out}; next: smal demonstrate --world {out} --out DIR")
@@ -111,16 +112,6 @@ def _surroundings(around: str | None, radius: float | None) -> Surroundings | No
     if not (abs(latitude) <= 85 and abs(longitude) <= 180):
         raise UsageError(f"--around {around!r}: latitude is from -85 to 85 degrees, longitude from -180 to 180")
     return Surroundings(latitude, longitude, radius)
-
-
-def _write(path: Path, text: str) -> None:
-    """Write a file that is there whole or not at all."""
-    partial = path.with_name(f".{path.name}.{os.getpid()}.partial")
-    try:
-        partial.write_text(text, encoding="utf-8")
-        partial.replace(path)
-    finally:
-        partial.unlink(missing_ok=True)
 
 
 def _summary(world: World, took_s: float) -> Iterable[tuple[str, str]]:

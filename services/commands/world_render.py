@@ -16,7 +16,7 @@ from services.commands.errors import JobError
 from services.simulator.scene.vulkan import RenderingUnavailableError
 from services.simulator.simulation import CameraSettings
 from services.simulator.world import Pose, World, WorldError, load_world
-from services.simulator.world.route import plan_route
+from services.simulator.world.route import plan_route, route_length_m
 from services.simulator.world.terrain import Terrain
 
 if TYPE_CHECKING:
@@ -122,9 +122,8 @@ def world_map(world: World, places: list[tuple[float, Pose]]) -> Figure:
     figure = Figure(figsize=(10, 10), layout="constrained")
     axes = figure.add_subplot()
     draw_map(world, axes)
-    route = np.asarray(plan_route(world, (world.start.x, world.start.y)))
-    length = float(np.linalg.norm(np.diff(route, axis=0), axis=1).sum())
-    axes.plot(*route.T, color="#d6602d", lw=1.8, zorder=3, label=f"route, {length:.0f} m")
+    route = plan_route(world, (world.start.x, world.start.y))
+    axes.plot(*route.T, color="#d6602d", lw=1.8, zorder=3, label=f"route, {route_length_m(route):.0f} m")
     for number, (_, pose) in enumerate(places):
         axes.annotate(str(number), (pose.x, pose.y), fontsize=8, zorder=5, ha="center", va="center",
                       bbox={"boxstyle": "circle,pad=0.15", "fc": "white", "ec": "#d6602d", "lw": 0.8})  # fmt: skip

@@ -8,7 +8,7 @@ from pydantic import Field, field_validator
 
 from services.settings import ServiceSettings
 from services.simulator.opening import BaseKind
-from services.simulator.variation import VARIATIONS
+from services.simulator.variation import variation_named
 
 
 class SimulatorSettings(ServiceSettings):
@@ -33,6 +33,4 @@ class SimulatorSettings(ServiceSettings):
     @field_validator("variation")
     @classmethod
     def _known(cls, name: str) -> str:
-        if name not in VARIATIONS:
-            raise ValueError(f"unknown variation {name!r}; known are {', '.join(VARIATIONS)}")
-        return name
+        return variation_named(name).name

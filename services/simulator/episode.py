@@ -23,6 +23,7 @@ from schemas.pose import Pose
 from schemas.rpc import ResetReply, ResetRequest
 from schemas.topics import DEPTH, OVERHEAD, Topic
 from services.jpeg import encode_jpeg
+from services.simulator.base import STEP_S
 from services.simulator.drive import TICK_S
 from services.simulator.gate import Applied, CommandGate
 from services.simulator.sensors import ImuReading, OdometryReading
@@ -30,8 +31,6 @@ from services.simulator.sensors.messages import depth_message, imu_message, odom
 from services.simulator.world.place import OverheadMount
 from services.simulator.world.place import Pose as PlanarPose
 
-#: Real time: length of one step of the physics, seconds.
-STEP_S: Final = 0.02
 #: Lockstep: seconds without an answer after which a frame is sent again (a message may be lost), and given up.
 RESEND_S: Final = 2.0
 GIVE_UP_S: Final = 30.0

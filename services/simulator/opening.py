@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Literal
 from services.simulator.base import KinematicBase
 from services.simulator.sensors import ShakeSettings
 from services.simulator.simulation import CameraSettings, Simulation
-from services.simulator.variation import VARIATIONS
+from services.simulator.variation import variation_named
 from services.simulator.world import load_world
 from services.simulator.world.varying import vary
 
@@ -51,9 +51,7 @@ def open_simulation(
     ValueError
         The variation is unknown.
     """
-    conditions = VARIATIONS.get(variation)
-    if conditions is None:
-        raise ValueError(f"unknown variation {variation!r}; known are {', '.join(VARIATIONS)}")
+    conditions = variation_named(variation)
     there = vary(load_world(world), facade_seed=conditions.facade_seed, clutter_seed=conditions.clutter_seed)
     return Simulation(
         there,

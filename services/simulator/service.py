@@ -11,7 +11,8 @@ from schemas.episode import Episode
 from schemas.rpc import EndRequest, ResetReply, ResetRequest
 from schemas.topics import COMMANDS
 from services.process import Detail, Node, ServiceError
-from services.simulator.episode import STEP_S, EpisodeRunner
+from services.simulator.base import STEP_S
+from services.simulator.episode import EpisodeRunner
 
 LATCHED: Final = "the emergency stop is latched; release it with a new episode from smal teleop (n)"
 

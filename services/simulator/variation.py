@@ -124,3 +124,16 @@ VARIATIONS: Final[dict[str, Variation]] = {
         ),
     )
 }
+
+
+def variation_named(name: str) -> Variation:
+    """Return a variation.
+
+    Raises
+    ------
+    ValueError
+        There is none of that name.
+    """
+    if name not in VARIATIONS:
+        raise ValueError(f"unknown variation {name!r}; known are {', '.join(VARIATIONS)}")
+    return VARIATIONS[name]

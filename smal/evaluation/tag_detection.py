@@ -1,4 +1,4 @@
-"""NDArray[np.float64] of an ArUco marker in an image, to a small fraction of a pixel."""
+"""Corners of an ArUco marker in an image, to a small fraction of a pixel."""
 
 from __future__ import annotations
 

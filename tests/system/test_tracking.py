@@ -10,7 +10,7 @@ import pytest
 
 from schemas import topics
 from schemas.pose import Pose
-from schemas.rpc import ResetReply, ResetRequest
+from schemas.rpc import ResetRequest
 from schemas.tracked_pose import TrackedPose
 from services.commands.episodes import EpisodeClient
 from services.commands.options import Camera
@@ -38,14 +38,11 @@ def test_the_tracker_agrees_with_the_true_pose_over_a_whole_drive(
         def follow(pose: TrackedPose) -> None:
             tracked[pose.tick] = pose
 
-        def begin(reply: ResetReply) -> None:
-            expert.begin(reply)
-
         client.node.subscribe(topics.POSE, see, depth=256)  # type: ignore[arg-type]
         client.node.subscribe(topics.TRACKED, follow, depth=256)
         client.node.subscribe(topics.OBSERVATION, expert.handle, depth=4)
         request = ResetRequest(seed=1, purpose="drive", driver="expert", max_ticks=800)
-        record = client.run(request, begin, lambda: expert.arrived, check=access.check)
+        record = client.run(request, expert.begin, lambda: expert.arrived, check=access.check)
         client.node.spin(until=lambda: record.ticks in tracked, timeout_s=10.0)
         client.close()
     assert record.outcome == "found"

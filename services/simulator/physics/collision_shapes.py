@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 import shapely
 
+from services.simulator.scene.shapes import outline, sides
+
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
@@ -56,13 +58,13 @@ def upright_sides(solids: Iterable[Solid], under_m: float) -> TriangleMesh:
     -------
     The sides, facing away from the solids; without any solid an empty mesh.
     """
-    sides = [
-        _sides(ring, solid.low_m, min(solid.high_m, under_m + _ABOVE_M))
+    walls = [
+        sides(ring, solid.low_m, min(solid.high_m, under_m + _ABOVE_M))
         for solid in solids
         if solid.low_m < under_m
         for ring in _rings(solid.shape)
     ]
-    corners = np.concatenate([np.empty((0, 4, 3)), *sides])
+    corners = np.concatenate([np.empty((0, 4, 3)), *walls])
     quads = np.arange(4 * len(corners)).reshape(-1, 4)
     triangles = np.concatenate([quads[:, [0, 1, 2]], quads[:, [0, 2, 3]]])
     return TriangleMesh(corners.reshape(-1, 3).astype(np.float32), triangles.astype(np.uint32))
@@ -82,14 +84,5 @@ def _rings(shape: BaseGeometry) -> list[NDArray[np.float64]]:
         part if part.geom_type == "Polygon" else part.buffer(_HALF_THICKNESS_M, cap_style="square", join_style="mitre")
         for part in shapely.get_parts(shape)
     ]
-    polygons = shapely.orient_polygons(shapely.segmentize(shapely.get_parts(parts), _LONGEST_WALL_M))
-    return [shapely.get_coordinates(ring) for polygon in polygons for ring in (polygon.exterior, *polygon.interiors)]
-
-
-def _sides(ring: NDArray[np.float64], low_m: float, high_m: float) -> NDArray[np.float64]:
-    """Return the upright rectangles (k - 1, 4, 3) along a closed ring (k, 2)."""
-    begin, end = ring[:-1], ring[1:]
-    foot, top = np.full((len(begin), 1), low_m), np.full((len(begin), 1), high_m)
-    return np.stack(
-        [np.hstack([begin, foot]), np.hstack([end, foot]), np.hstack([end, top]), np.hstack([begin, top])], axis=1
-    )
+    polygons = shapely.segmentize(shapely.get_parts(parts), _LONGEST_WALL_M)
+    return [ring for polygon in polygons for ring in outline(polygon)]

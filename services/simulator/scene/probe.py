@@ -27,14 +27,7 @@ def render_red_box() -> tuple[str, tuple[int, int, int]]:
     RenderingUnavailableError
         The renderer, the Vulkan loader or a driver is missing or does not work.
     """
-    vulkan.prepare()
-    try:
-        import sapien  # noqa: PLC0415 - the driver must be chosen before
-        import sapien.render  # noqa: PLC0415
-    except (ImportError, OSError) as error:
-        raise vulkan.RenderingUnavailableError(
-            f"the renderer cannot be loaded ({error}); pip install smal[simulator]"
-        ) from error
+    sapien = vulkan.load_sapien()
     try:
         sapien.render.set_log_level("error")
         sapien.render.set_camera_shader_dir("minimal")

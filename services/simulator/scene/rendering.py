@@ -26,8 +26,6 @@ if TYPE_CHECKING:
 
 _NEAR_M: Final = 0.1
 _FAR_M: Final = 2000.0
-# Pixels rendered per pixel of the overhead image along each axis: a marker's edges must be smooth to be found.
-_OVERHEAD_SUPERSAMPLE: Final = 1
 #: What a pixel shows, told by the picture's alpha, 0 to 255; our shader takes it from the material. Colours are blended
 #: by it with what was drawn there before, so all are near 255, and the victim and the robot are drawn first.
 NOTHING: Final = 0
@@ -111,7 +109,7 @@ class SceneCamera:
             # The scene is no longer the one in the robot's own picture.
             self._seen_from = None
         self._above.take_picture()
-        return _colour(self._above, _OVERHEAD_SUPERSAMPLE)
+        return _colour(self._above)
 
     def look(self, eye: Vector, at: Vector) -> NDArray[np.uint8]:
         """Return what the camera would see off its mast, from one place to another, (height, width, 3) uint8 RGB.
@@ -185,14 +183,14 @@ class SceneCamera:
 
     def _look_down(self, mount: OverheadMount) -> Any:  # noqa: ANN401 - sapien has no types
         """Add a camera that looks straight down; a camera's axes are ahead, left and up."""
-        camera = self._lens(mount.width, mount.height, mount.focal_px, _OVERHEAD_SUPERSAMPLE)
+        camera = self._lens(mount.width, mount.height, mount.focal_px)
         cos, sin = math.cos(mount.up), math.sin(mount.up)
         frame = np.eye(4)
         frame[:3] = [[0.0, -sin, cos, mount.x], [0.0, cos, sin, mount.y], [-1.0, 0.0, 0.0, mount.height_m]]
         self._stage.entity(camera).set_pose(self._pose(frame))
         return camera
 
-    def _lens(self, width: int, height: int, focal_px: float, supersample: int) -> Any:  # noqa: ANN401 - see above
+    def _lens(self, width: int, height: int, focal_px: float, supersample: int = 1) -> Any:  # noqa: ANN401 - see above
         width, height, focal = width * supersample, height * supersample, focal_px * supersample
         camera = self._stage.sapien.render.RenderCameraComponent(width, height)
         camera.set_perspective_parameters(_NEAR_M, _FAR_M, focal, focal, width / 2, height / 2, 0.0)
@@ -216,7 +214,7 @@ def _turn(heading: float, tilt: Tilt = LEVEL) -> tuple[float, float, float, floa
     )
 
 
-def _colour(camera: Any, supersample: int) -> NDArray[np.uint8]:  # noqa: ANN401 - sapien has no types
+def _colour(camera: Any, supersample: int = 1) -> NDArray[np.uint8]:  # noqa: ANN401 - sapien has no types
     """Return the picture that a camera took, (height, width, 3), averaged where it was rendered larger."""
     large = np.asarray(cv2.cvtColor(camera.get_picture("Color"), cv2.COLOR_RGBA2RGB), dtype=np.uint8)
     if supersample == 1:

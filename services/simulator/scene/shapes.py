@@ -21,6 +21,18 @@ def outline(polygon: shapely.Polygon) -> list[NDArray[np.float64]]:
     return [shapely.get_coordinates(ring) for ring in (turned.exterior, *turned.interiors)]
 
 
+def sides(ring: NDArray[np.float64], low: float, high: float) -> NDArray[np.float64]:
+    """Return the upright rectangles (k - 1, 4, 3) along a closed ring (k, 2), from one height to another.
+
+    Each from its foot on, anticlockwise seen from the right of the ring.
+    """
+    begin, end = ring[:-1], ring[1:]
+    foot, top = np.full((len(begin), 1), low), np.full((len(begin), 1), high)
+    return np.stack(
+        [np.hstack([begin, foot]), np.hstack([end, foot]), np.hstack([end, top]), np.hstack([begin, top])], axis=1
+    )
+
+
 def walls(
     ring: NDArray[np.float64],
     low: float,
@@ -45,12 +57,8 @@ def walls(
         (k - 1,) of which sides to make walls; None for all.
     """
     chosen = np.ones(len(u), dtype=bool) if which is None else which
-    begin, end, u = ring[:-1][chosen], ring[1:][chosen], u[chosen]
-    foot, top = np.full((len(begin), 1), low), np.full((len(begin), 1), high)
-    corners = np.stack(
-        [np.hstack([begin, foot]), np.hstack([end, foot]), np.hstack([end, top]), np.hstack([begin, top])], axis=1
-    )
-    low_v, high_v = (np.full(len(begin), value) for value in v)
+    corners, u = sides(ring, low, high)[chosen], u[chosen]
+    low_v, high_v = (np.full(len(corners), value) for value in v)
     coordinates = [(u[:, 0], low_v), (u[:, 1], low_v), (u[:, 1], high_v), (u[:, 0], high_v)]
     return quads(corners, np.stack([np.stack(pair, axis=1) for pair in coordinates], axis=1))
 

@@ -93,14 +93,7 @@ def load_renderer() -> Any:  # noqa: ANN401 - sapien has no types
     RenderingUnavailableError
         SAPIEN or a Vulkan driver is missing.
     """
-    vulkan.prepare()
-    try:
-        import sapien  # noqa: PLC0415
-        import sapien.render  # noqa: PLC0415
-    except (ImportError, OSError) as error:
-        raise vulkan.RenderingUnavailableError(
-            f"the renderer cannot be loaded ({error}); pip install smal[simulator]"
-        ) from error
+    sapien = vulkan.load_sapien()
     render = sapien.render
     render.set_log_level("error")
     render.set_global_config(max_num_materials=_MOST_PICTURES, max_num_textures=_MOST_PICTURES)

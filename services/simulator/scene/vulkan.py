@@ -5,7 +5,7 @@ from __future__ import annotations
 import ctypes.util
 import os
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -37,6 +37,25 @@ def prepare() -> None:
     driver = choose_driver(os.environ, DRIVER_FOLDERS, has_gpu())
     if driver is not None:
         os.environ["VK_ICD_FILENAMES"] = str(driver)
+
+
+def load_sapien() -> Any:  # noqa: ANN401 - sapien has no types
+    """Return the SAPIEN module with its renderer, the driver chosen before.
+
+    Raises
+    ------
+    RenderingUnavailableError
+        SAPIEN, the Vulkan loader or a driver is missing.
+    """
+    prepare()
+    try:
+        import sapien  # noqa: PLC0415
+        import sapien.render  # noqa: PLC0415
+    except (ImportError, OSError) as error:
+        raise RenderingUnavailableError(
+            f"the renderer cannot be loaded ({error}); pip install smal[simulator]"
+        ) from error
+    return sapien
 
 
 def has_gpu() -> bool:

@@ -18,8 +18,6 @@ if TYPE_CHECKING:
 FurnitureKind = Literal["cabinet", "chair", "crate", "desk", "partition", "plant", "shelf", "sofa", "table"]
 #: Kinds whose footprint is a circle, `width_m` across.
 ROUND: Final[frozenset[FurnitureKind]] = frozenset({"chair", "plant"})
-#: Kinds that a robot lower than their top can drive under, between legs or panels.
-OPEN_BELOW: Final[frozenset[FurnitureKind]] = frozenset({"desk", "table"})
 #: What is at least this high hides a victim of 0.58 m from every camera that is not higher than the victim.
 HIDING_M: Final = 0.6
 #: Thickness of a table's or desk's board, of a table's legs and of a desk's panels, and how deep the drawers are.

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 import re
 import zlib
-from collections.abc import Mapping
 from typing import TYPE_CHECKING, Final
 
 import shapely
@@ -16,7 +15,7 @@ from services.simulator.world.terrain import Facade, FacadeStyle, RoofShape
 if TYPE_CHECKING:
     from shapely import Polygon
 
-Tags = Mapping[str, str]
+    from services.simulator.world.kinds import Tags
 
 _STYLE_OF_MATERIAL: Final[dict[str, FacadeStyle]] = {
     "brick": "brick", "plaster": "plaster", "stucco": "plaster", "render": "plaster", "concrete": "concrete",

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
     from shapely.geometry.base import BaseGeometry
 
-    Tags = Mapping[str, str]
+    from services.simulator.world.kinds import Tags
 
 # WGS84: semi-major axis in metres and first eccentricity squared.
 _SEMI_MAJOR_M: Final = 6_378_137.0

@@ -31,8 +31,9 @@ _MOST_TRIED: Final = 500_000
 # Of trunks from roads, so that lanes stay free, and of crowns from walls.
 _FROM_ROAD_M: Final = 1.6
 _FROM_WALL_M: Final = 1.8
-_BROAD: Final[tuple[TreeKind, TreeKind]] = ("round", "tall")
-_HEIGHT_M: Final[dict[TreeKind, float]] = {"round": 7.0, "tall": 11.0, "conifer": 10.0}
+#: Kinds of trees with leaves, and how high trees usually are.
+BROAD: Final[tuple[TreeKind, TreeKind]] = ("round", "tall")
+USUAL_HEIGHT_M: Final[dict[TreeKind, float]] = {"round": 7.0, "tall": 11.0, "conifer": 10.0}
 
 
 @dataclass(frozen=True, eq=False)
@@ -123,6 +124,6 @@ def _trees(points: NDArray[np.float64], leaf_type: str, height_m: float | None, 
     draws = rng.uniform(size=(len(points), 3)).tolist()
     trees = []
     for (x, y), (leaf, shape, size) in zip(points.tolist(), draws, strict=True):
-        kind: TreeKind = "conifer" if leaf < needles else _BROAD[int(shape < 0.5)]
-        trees.append(Tree(x, y, (height_m or _HEIGHT_M[kind]) * (0.8 + 0.4 * size), kind))
+        kind: TreeKind = "conifer" if leaf < needles else BROAD[int(shape < 0.5)]
+        trees.append(Tree(x, y, (height_m or USUAL_HEIGHT_M[kind]) * (0.8 + 0.4 * size), kind))
     return trees

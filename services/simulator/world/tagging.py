@@ -13,7 +13,7 @@ from services.simulator.world.building_tags import SMALLEST_M2, Outline, compose
 from services.simulator.world.kinds import Kind, Tags
 from services.simulator.world.openings import bridge_water, open_barriers, open_passages
 from services.simulator.world.outlines import OutlineError, area_within, line_through, lines_in, polygons_in
-from services.simulator.world.planting import Row, Sites, Wood, in_rows, scattered
+from services.simulator.world.planting import BROAD, USUAL_HEIGHT_M, Row, Sites, Wood, in_rows, scattered
 from services.simulator.world.road_tags import across_squares, road
 from services.simulator.world.terrain import Area, Barrier, Building, Road, Source, Terrain, Tree, TreeKind
 
@@ -30,7 +30,6 @@ if TYPE_CHECKING:
 ATTRIBUTION: Final = "© OpenStreetMap contributors, ODbL 1.0"
 _LINEAR: Final = frozenset({"road", "barrier", "waterway", "row"})
 _OUTSIDE: Final = "outside the map's bounds"
-_TREE_HEIGHT_M: Final[dict[TreeKind, float]] = {"round": 7.0, "tall": 11.0, "conifer": 10.0}
 _TALLEST_TREE_M: Final = 40.0
 _BARRIER_M: Final = (0.3, 20.0)
 _WATERWAY_M: Final = (0.5, 100.0)
@@ -228,9 +227,8 @@ class _Survey:
 
 def _tree(node: OsmNode) -> Tree:
     conifer = node.tags.get("leaf_type") == "needleleaved"
-    broad: tuple[TreeKind, TreeKind] = ("round", "tall")
-    kind: TreeKind = "conifer" if conifer else broad[node.id % 2]
-    height = looks.metres(node.tags.get("height")) or _TREE_HEIGHT_M[kind] * (0.85 + 0.06 * (node.id % 6))
+    kind: TreeKind = "conifer" if conifer else BROAD[node.id % 2]
+    height = looks.metres(node.tags.get("height")) or USUAL_HEIGHT_M[kind] * (0.85 + 0.06 * (node.id % 6))
     return Tree(float(node.xy[0]), float(node.xy[1]), min(height, _TALLEST_TREE_M), kind)
 
 

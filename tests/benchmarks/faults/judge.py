@@ -10,8 +10,8 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Final
 
+from services.simulator.base import STEP_S
 from services.simulator.drive import TICK_S
-from services.simulator.episode import STEP_S
 from tests.benchmarks.faults.log import Entry
 from tests.benchmarks.faults.track import Interval, Track, answered
 

@@ -23,10 +23,7 @@ from tests.benchmarks.rendering.towns import field
 
 def times_ms(shader: str, size: tuple[int, int], frames: int) -> list[tuple[float, float]]:
     """Return wall and processor time of frames of the trivial scene, after one that is not counted."""
-    vulkan.prepare()
-    import sapien  # noqa: PLC0415 - the driver must be chosen before
-    import sapien.render  # noqa: PLC0415
-
+    sapien = vulkan.load_sapien()
     sapien.render.set_log_level("error")
     sapien.render.set_camera_shader_dir(shader)
     scene = sapien.Scene([sapien.render.RenderSystem()])

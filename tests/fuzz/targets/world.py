@@ -60,8 +60,13 @@ def seeds() -> list[bytes]:
 
 
 def run(data: bytes) -> bool:
+    return loads(data, "x.osm")
+
+
+def loads(data: bytes, name: str) -> bool:
+    """Load a world of a file of that name; whether it is one, and then its task lies inside it."""
     try:
-        world = load_world(scratch.file_of(data, "x.osm"))
+        world = load_world(scratch.file_of(data, name))
     except WorldError as error:
         check_line(error)
         return False

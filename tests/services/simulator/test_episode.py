@@ -24,8 +24,9 @@ from schemas.pose import Pose
 from schemas.rpc import ResetRequest
 from schemas.topics import DEPTH, OVERHEAD, Topic
 from services.process import Node, ServiceError
+from services.simulator.base import STEP_S
 from services.simulator.drive import TICK_S
-from services.simulator.episode import GIVE_UP_S, RESEND_S, STEP_S, EpisodeRunner
+from services.simulator.episode import GIVE_UP_S, RESEND_S, EpisodeRunner
 from services.simulator.gate import MAX_AGE_S, Refusal
 from services.simulator.sensors import ImuReading, OdometryReading
 from services.simulator.sensors.messages import FARTHEST_M, depth_message

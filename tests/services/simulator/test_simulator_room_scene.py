@@ -26,7 +26,7 @@ from services.simulator.scene.rendering import _NEAR_M
 from services.simulator.scene.textures import paint
 from services.simulator.scene.turtlebot import plate_radius_m, tag
 from services.simulator.variation import DAY
-from services.simulator.world.furniture import OPEN_BELOW, ROUND, Furniture, FurnitureKind
+from services.simulator.world.furniture import ROUND, Furniture, FurnitureKind
 from services.simulator.world.place import Pose
 from services.simulator.world.room_file import VICTIM_RADIUS_M
 from tests.services.simulator.simulator_rooms import empty_room, indoor, room_of
@@ -34,6 +34,8 @@ from tests.services.simulator.simulator_rooms import empty_room, indoor, room_of
 INDOOR = indoor()
 ROOM = room_of(INDOOR)
 KINDS = get_args(FurnitureKind)
+#: Kinds that a robot lower than their top can drive under, between legs or panels.
+OPEN_BELOW = frozenset({"desk", "table"})
 NOBODY = shapely.Point(-5.0, -5.0).buffer(0.01)
 MADE = [
     *(mesh for piece in ROOM.furniture for _, mesh in furnish(piece)),
