@@ -8,9 +8,9 @@ import typer
 
 from services.commands.errors import UsageError
 from services.commands.stack import flags
-from smal.features import MODALITIES, FeatureSettings
+from smal.features import MODALITY_NAMES, FeatureSettings
 
-_NAMES = f"Feature modalities, separated by commas, out of {', '.join(MODALITIES)}."
+_NAMES = f"Feature modalities, separated by commas, out of {', '.join(MODALITY_NAMES)}."
 
 Modalities = Annotated[str | None, typer.Option("--modalities", metavar="NAMES", help=f"{_NAMES} [default: color,hog]")]
 ModalitiesOrOfModel = Annotated[
@@ -33,7 +33,7 @@ def parse_features(modalities: str, weights: str | None = None) -> FeatureSettin
     Raises
     ------
     UsageError
-        When a modality is unknown or named twice, or the weights do not fit them.
+        When a modality is unknown or named twice, the file of a network cannot be used, or the weights do not fit.
     """
     try:
         features = FeatureSettings.parse(modalities)

@@ -59,8 +59,8 @@ def learn(
     did not reach it, collisions, and the robot's own runs do not. What is left out of a recording is said on standard
     error. Only camera and applied commands are used, never poses.
 
-    Of recordings with the modalities color, hog and depth any of these can be learned from. Colour and HOG can also be
-    computed from the recorded images; depth cannot.
+    Of the modalities in a recording any can be learned from. All but depth can also be computed from the recorded
+    images.
 
     Example: smal learn drives --out campus.smal --length 5
     """

@@ -2,8 +2,19 @@
 
 from smal.features.centering import Centering
 from smal.features.extraction import extract
+from smal.features.modalities import MODALITIES, MODALITY_NAMES, modality_named
 from smal.features.modality import Modality
 from smal.features.selection import select, settings_of
-from smal.features.settings import MODALITIES, FeatureSettings
+from smal.features.settings import FeatureSettings
 
-__all__ = ["MODALITIES", "Centering", "FeatureSettings", "Modality", "extract", "select", "settings_of"]
+__all__ = [
+    "MODALITIES",
+    "MODALITY_NAMES",
+    "Centering",
+    "FeatureSettings",
+    "Modality",
+    "extract",
+    "modality_named",
+    "select",
+    "settings_of",
+]

@@ -3,6 +3,9 @@
 import numpy as np
 from numpy.typing import NDArray
 
+from smal.features.modality import unit_length
+from smal.features.resizing import resized
+
 ROWS, COLUMNS = 24, 32
 SIZE = ROWS * COLUMNS * 3
 
@@ -21,9 +24,4 @@ def color_descriptor(image: NDArray[np.uint8]) -> NDArray[np.float32]:
         RGB of every grid cell, row by row, scaled to unit length. An all-black image has no direction
         and gives the zero vector.
     """
-    import cv2  # noqa: PLC0415 - recognition reads SIZE in an image without OpenCV
-
-    small = cv2.resize(image, (COLUMNS, ROWS), interpolation=cv2.INTER_AREA)
-    vector = small.astype(np.float32).ravel()
-    norm = float(np.linalg.norm(vector))
-    return vector / np.float32(norm) if norm > 0.0 else vector
+    return unit_length(resized(image, ROWS, COLUMNS))

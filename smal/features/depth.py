@@ -7,6 +7,9 @@ the same by day and by night.
 import numpy as np
 from numpy.typing import NDArray
 
+from smal.features.modality import unit_length
+from smal.features.resizing import resized
+
 ROWS, COLUMNS = 24, 32
 SIZE = ROWS * COLUMNS
 
@@ -32,13 +35,7 @@ def depth_descriptor(depth_mm: NDArray[np.uint16]) -> NDArray[np.float32]:
         Mean nearness of every grid cell, row by row, scaled to unit length. An image in which nothing is
         in range has no direction and gives the zero vector.
     """
-    import cv2  # noqa: PLC0415 - recognition reads SIZE in an image without OpenCV
-
     half_mm = np.float32(1000.0 * HALF_M)
     nearness = np.where(depth_mm > 0, half_mm / (half_mm + depth_mm.astype(np.float32)), np.float32(0.0))
-    shrinks = depth_mm.shape[0] >= ROWS and depth_mm.shape[1] >= COLUMNS
     # Nearness is averaged, not depth: in a cell with a post before the sky there is no surface half way.
-    small = cv2.resize(nearness, (COLUMNS, ROWS), interpolation=cv2.INTER_AREA if shrinks else cv2.INTER_LINEAR)
-    vector = small.astype(np.float32).ravel()
-    norm = float(np.linalg.norm(vector))
-    return vector / np.float32(norm) if norm > 0.0 else vector
+    return unit_length(resized(nearness, ROWS, COLUMNS))

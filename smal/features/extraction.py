@@ -6,8 +6,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from smal.features import color
+from smal.features.modalities import modality_named
 from smal.features.modality import Input
-from smal.features.settings import MODALITIES, FeatureSettings
+from smal.features.settings import FeatureSettings
 
 
 def extract(
@@ -42,7 +43,7 @@ def extract(
             raise ValueError(f"the features {', '.join(settings.modalities)} need a depth image")
         _check_depth(depth_mm)
         inputs["depth"] = np.ascontiguousarray(depth_mm)
-    modalities = [MODALITIES[name] for name in settings.modalities]
+    modalities = [modality_named(name) for name in settings.modalities]
     return np.concatenate([modality.describe(inputs[modality.needs]) for modality in modalities])
 
 

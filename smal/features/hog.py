@@ -6,6 +6,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from smal.features.modality import unit_length
+from smal.features.resizing import resized_grey
+
 if TYPE_CHECKING:
     import cv2
 
@@ -37,12 +40,4 @@ def hog_descriptor(image: NDArray[np.uint8]) -> NDArray[np.float32]:
         11 x 15 overlapping blocks of 2 x 2 cells of 9 directions, unit length. An image without any
         edge (constant grey) has no direction and gives the zero vector.
     """
-    import cv2  # noqa: PLC0415 - see above
-
-    grey = cv2.cvtColor(image, cv2.COLOR_RGB2GRAY)
-    shrinks = grey.shape[0] >= ROWS and grey.shape[1] >= COLUMNS
-    # Area averaging is right for shrinking only; when enlarging it would repeat pixels and invent edges.
-    small = cv2.resize(grey, (COLUMNS, ROWS), interpolation=cv2.INTER_AREA if shrinks else cv2.INTER_LINEAR)
-    vector = np.asarray(_hog().compute(small), dtype=np.float32).ravel()
-    norm = float(np.linalg.norm(vector))
-    return vector / np.float32(norm) if norm > 0.0 else vector
+    return unit_length(np.asarray(_hog().compute(resized_grey(image, ROWS, COLUMNS))))

@@ -17,6 +17,9 @@ class Modality:
 
     Parameters
     ----------
+    name : str
+        What a fingerprint calls it. It names the calculation and nothing else: of a network, its contents
+        and not where its file lies.
     size : int
         Entries of its descriptor.
     needs : "color" or "depth"
@@ -25,6 +28,14 @@ class Modality:
         Makes the descriptor, float32 (size,), of unit length or zero, of that image.
     """
 
+    name: str
     size: int
     needs: Input
     describe: Callable[[NDArray[Any]], NDArray[np.float32]]
+
+
+def unit_length(values: NDArray[Any]) -> NDArray[np.float32]:
+    """Return all values, in a row, as a float32 vector of unit length; zeros have no direction and stay."""
+    vector = np.asarray(values, dtype=np.float32).ravel()
+    norm = float(np.linalg.norm(vector))
+    return vector / np.float32(norm) if norm > 0.0 else vector

@@ -3,26 +3,17 @@
 import hashlib
 import json
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from dataclasses import dataclass
-from types import MappingProxyType
 from typing import Self
 
 import numpy as np
 
-from smal.features import color, depth, hog
+from smal.features.modalities import modality_named
 from smal.features.modality import Input, Modality
 
 # Raised whenever any descriptor changes its output, so that a model never meets features it was not learned on.
 DESCRIPTOR_VERSION = 1
-
-MODALITIES: Mapping[str, Modality] = MappingProxyType(
-    {
-        "color": Modality(color.SIZE, "color", color.color_descriptor),
-        "hog": Modality(hog.SIZE, "color", hog.hog_descriptor),
-        "depth": Modality(depth.SIZE, "depth", depth.depth_descriptor),
-    }
-)
 
 
 @dataclass(frozen=True)
@@ -32,23 +23,24 @@ class FeatureSettings:
     Parameters
     ----------
     modalities : tuple of str
-        Names in `MODALITIES`, each at most once.
+        Names that `modality_named` knows, each at most once. ``onnx:FILE`` reads the file.
     weights : tuple of float
         Relative weight of each modality, finite and positive; only their ratios matter.
 
     Raises
     ------
     ValueError
-        An unknown or repeated modality, or weights that do not fit.
+        An unknown or repeated modality, a network's file that cannot be used, or weights that do not fit.
     """
 
     modalities: tuple[str, ...] = ("color", "hog")
     weights: tuple[float, ...] = (1.0, 1.0)
 
     def __post_init__(self) -> None:
-        unknown = [name for name in self.modalities if name not in MODALITIES]
-        if unknown or not self.modalities:
-            raise ValueError(f"unknown feature modality {', '.join(unknown)!r}; known are {', '.join(MODALITIES)}")
+        if not self.modalities:
+            raise ValueError("no feature modality is named")
+        for name in self.modalities:
+            modality_named(name)
         if len(set(self.modalities)) != len(self.modalities):
             raise ValueError(f"a feature modality is named twice in {self.modalities}")
         if len(self.weights) != len(self.modalities):
@@ -64,7 +56,10 @@ class FeatureSettings:
 
     @classmethod
     def parse(cls, modalities: str, weights: str | None = None) -> Self:
-        """Read names separated by commas, for example ``color,hog``, and as many weights in the same order."""
+        """Read names separated by commas, for example ``color,hog``, and as many weights in the same order.
+
+        The name of a network's file has no comma and no blank at its end.
+        """
         names = [name.strip() for name in modalities.split(",")]
         try:
             numbers = None if weights is None else [float(weight) for weight in weights.split(",")]
@@ -75,17 +70,17 @@ class FeatureSettings:
     @property
     def size(self) -> int:
         """Length m of a feature vector."""
-        return sum(MODALITIES[name].size for name in self.modalities)
+        return sum(modality_named(name).size for name in self.modalities)
 
     @property
     def needs(self) -> frozenset[Input]:
         """Which images of a frame these features are made of."""
-        return frozenset(MODALITIES[name].needs for name in self.modalities)
+        return frozenset(modality_named(name).needs for name in self.modalities)
 
     @property
     def slices(self) -> tuple[slice, ...]:
         """Where each modality lies in a feature vector."""
-        ends = np.cumsum([MODALITIES[name].size for name in self.modalities]).tolist()
+        ends = np.cumsum([modality_named(name).size for name in self.modalities]).tolist()
         return tuple(slice(start, end) for start, end in zip([0, *ends[:-1]], ends, strict=True))
 
     @property
@@ -96,6 +91,14 @@ class FeatureSettings:
 
     @property
     def fingerprint(self) -> str:
-        """12 hex digits naming these raw features; weights are applied later and do not enter."""
-        text = json.dumps([DESCRIPTOR_VERSION, [[name, MODALITIES[name].size] for name in self.modalities]])
-        return hashlib.sha256(text.encode()).hexdigest()[:12]
+        """12 hex digits naming these raw features; weights are applied later and do not enter.
+
+        Of a network the contents of its file count, and not where it lies.
+        """
+        return fingerprint_of(modality_named(name) for name in self.modalities)
+
+
+def fingerprint_of(modalities: Iterable[Modality]) -> str:
+    """Return 12 hex digits naming the raw features of some modalities in this order."""
+    text = json.dumps([DESCRIPTOR_VERSION, [[modality.name, modality.size] for modality in modalities]])
+    return hashlib.sha256(text.encode()).hexdigest()[:12]

@@ -7,10 +7,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from smal.features import MODALITIES, Centering, FeatureSettings, extract, select, settings_of
+from smal.features import MODALITIES, Centering, FeatureSettings, extract, modality_named, select, settings_of
 
 BOTH = FeatureSettings()
 ALL = FeatureSettings.of(("color", "hog", "depth"))
+OF_IMAGES = FeatureSettings.of(("color", "hog", "gist", "ldb", "thumbnail"))
 
 
 def image(rows: int, columns: int, seed: int = 0) -> np.ndarray:
@@ -21,18 +22,20 @@ def depth_image(rows: int, columns: int, seed: int = 0) -> np.ndarray:
     return np.random.default_rng(seed).integers(0, 65536, (rows, columns), dtype=np.uint16)
 
 
-@pytest.mark.parametrize(("name", "size"), [("color", 2304), ("hog", 5940)])
-def test_sizes_are_those_of_the_paper(name: str, size: int) -> None:
-    vector = MODALITIES[name].describe(image(768, 1024))
-    assert vector.shape == (size,) == (MODALITIES[name].size,)
+@pytest.mark.parametrize(
+    ("name", "size"), [("color", 2304), ("hog", 5940), ("gist", 512), ("ldb", 1386), ("thumbnail", 2048)]
+)
+def test_sizes_are_those_of_the_papers(name: str, size: int) -> None:
+    vector = modality_named(name).describe(image(768, 1024))
+    assert vector.shape == (size,) == (modality_named(name).size,)
     assert vector.dtype == np.float32
 
 
 @settings(max_examples=30, deadline=None)
 @given(rows=st.integers(24, 500), columns=st.integers(32, 500), seed=st.integers(0, 99))
 def test_any_size_gives_unit_modalities(rows: int, columns: int, seed: int) -> None:
-    vector = extract(image(rows, columns, seed), BOTH)
-    for where in BOTH.slices:
+    vector = extract(image(rows, columns, seed), OF_IMAGES)
+    for where in OF_IMAGES.slices:
         assert np.linalg.norm(vector[where]) == pytest.approx(1.0, abs=1e-5)
 
 
@@ -47,15 +50,15 @@ def test_colour_is_averaged_over_areas() -> None:
 
 @pytest.mark.parametrize("grey", [0, 128])
 def test_constant_image_has_no_nan(grey: int) -> None:
-    vector = extract(np.full((48, 64, 3), grey, dtype=np.uint8), BOTH)
-    color, hog = (vector[where] for where in BOTH.slices)
+    vector = extract(np.full((48, 64, 3), grey, dtype=np.uint8), OF_IMAGES)
+    color, *others = (vector[where] for where in OF_IMAGES.slices)
     assert np.linalg.norm(color) == pytest.approx(1.0 if grey else 0.0, abs=1e-6)
-    assert not hog.any()
+    assert not np.concatenate(others).any()
 
 
 def test_non_contiguous_image_gives_the_same_features() -> None:
     picture = image(60, 80)
-    np.testing.assert_array_equal(extract(picture[:, ::-1], BOTH), extract(picture[:, ::-1].copy(), BOTH))
+    np.testing.assert_array_equal(extract(picture[:, ::-1], OF_IMAGES), extract(picture[:, ::-1].copy(), OF_IMAGES))
 
 
 @pytest.mark.parametrize(
@@ -75,8 +78,9 @@ def test_other_images_are_refused(bad: np.ndarray, words: str) -> None:
 @pytest.mark.parametrize(
     ("modalities", "weights", "words"),
     [
-        (("gist",), (1.0,), "unknown"),
-        ((), (), "unknown"),
+        (("smell",), (1.0,), "unknown"),
+        ((1,), (1.0,), "unknown"),
+        ((), (), "no feature modality"),
         (("color", "color"), (1.0, 1.0), "twice"),
         (("color",), (1.0, 2.0), "weights"),
         (("color",), (0.0,), "positive"),
@@ -100,7 +104,7 @@ def test_settings_are_read_from_names_and_weights() -> None:
     assert FeatureSettings.parse("color,hog") == BOTH
     assert FeatureSettings.parse(" hog , depth", "1,2.5") == FeatureSettings(("hog", "depth"), (1.0, 2.5))
     for modalities, weights, words in (
-        ("", None, "unknown feature modality ''; known are color, hog, depth"),
+        ("", None, "unknown feature modality ''; known are color, hog, depth, gist, ldb, thumbnail, onnx:FILE"),
         ("color,hgo", None, "unknown feature modality 'hgo'"),
         ("color,hog", "1", "2 modalities need as many weights, got 1"),
         ("color", "x", "must be numbers"),

@@ -37,8 +37,8 @@ def test_a_stack_with_a_model_has_the_features_of_the_model() -> None:
     assert features_for_model("depth", None) == FeatureSettings.of(["depth"])
     with pytest.raises(UsageError, match=r"^--modalities color,hog: the model was learned on color,hog,depth$"):
         features_for_model("color,hog", heavy)
-    with pytest.raises(UsageError, match=r"^--modalities gist: unknown feature modality 'gist'"):
-        features_for_model("gist", heavy)
+    with pytest.raises(UsageError, match=r"^--modalities smell: unknown feature modality 'smell'"):
+        features_for_model("smell", heavy)
 
 
 def test_a_model_of_other_features_is_an_error_before_the_first_run(

@@ -1,0 +1,117 @@
+"""SeqSLAM (Milford & Wyeth, ICRA 2012) as the eyes of a robot that searches: frame after frame, ending now.
+
+The demonstrations are the templates. A frame's difference from each of them is enhanced locally within its
+demonstration, trajectories lie within one demonstration and end at the last frame. The end of the best one is where
+the robot is.
+"""
+
+from collections import deque
+from collections.abc import Mapping
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from smal.action_space import first_frame
+from smal.features.thumbnail import thumbnail_descriptor
+from smal.model import Model
+from smal.place_recognition.seqslam import SeqSlamSettings, differences, enhanced
+
+
+class Place(NamedTuple):
+    """A frame of a demonstration: number of the demonstration, frame, and the mean enhanced difference there."""
+
+    demonstration: int
+    frame: int
+    cost: float
+
+
+class SeqSlamLocaliser:
+    """Finds the demonstrated frame at which the last d_s frames end.
+
+    There is no novelty test: SeqSLAM's uniqueness asks whether a second place matches as well, and with many
+    demonstrations of one route the second best is the same place in another of them. So it always answers, once there
+    are d_s frames.
+
+    Parameters
+    ----------
+    thumbnails : mapping of str to uint8 array (f, height, width, 3)
+        Small RGB images of every demonstration, by its name.
+    names : sequence of str
+        Which demonstrations, in the order in which places are numbered.
+    settings : SeqSlamSettings
+
+    Raises
+    ------
+    ValueError
+        A demonstration has no thumbnails, or none is long enough for a trajectory.
+    """
+
+    def __init__(
+        self, thumbnails: Mapping[str, NDArray[np.uint8]], names: tuple[str, ...], settings: SeqSlamSettings
+    ) -> None:
+        missing = [name for name in names if name not in thumbnails]
+        if missing:
+            raise ValueError(f"demonstration {missing[0]} has no thumbnails")
+        self._settings = settings
+        self._lines = settings.trajectories()
+        small = [np.stack([thumbnail_descriptor(image) for image in thumbnails[name]]) for name in names]
+        self._ends = np.cumsum([0, *map(len, small)])
+        self._templates = np.concatenate(small)
+        # Where in its demonstration each template is: a trajectory must not begin before it.
+        self._frame = np.concatenate([np.arange(len(each)) for each in small])
+        if not any(line[-1] <= self._frame.max() for line in self._lines):
+            raise ValueError(f"no demonstration is long enough for SeqSLAM with a length of {settings.length}")
+        self._rows: deque[NDArray[np.float32]] = deque(maxlen=settings.length)
+
+    def reset(self) -> None:
+        """Forget all frames, for a new episode."""
+        self._rows.clear()
+
+    def observe(self, image: NDArray[np.uint8]) -> Place | None:
+        """Take one RGB frame, and find where the last d_s ended; None as long as there are fewer."""
+        self._rows.append(self._contrast(thumbnail_descriptor(image)))
+        if len(self._rows) < self._settings.length:
+            return None
+        rows = list(reversed(self._rows))
+        best = np.full(self._frame.size, np.inf, dtype=np.float32)
+        for line in self._lines:
+            total = np.full(self._frame.size, np.inf, dtype=np.float32)
+            reach = line[-1]
+            total[reach:] = 0.0
+            for row, step in zip(rows, line, strict=True):
+                total[reach:] += row[reach - step : row.size - step]
+            np.minimum(best, np.where(self._frame >= reach, total, np.inf), out=best)
+        end = int(best.argmin())
+        demonstration = int(np.searchsorted(self._ends, end, side="right")) - 1
+        return Place(demonstration, int(self._frame[end]), float(best[end]) / self._settings.length)
+
+    def _contrast(self, query: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Local contrast enhancement of one frame against all templates, within each demonstration."""
+        row = differences(self._templates, query[np.newaxis])
+        parts = [
+            enhanced(np.ascontiguousarray(row[:, start:end]), self._settings.half_window)
+            for start, end in zip(self._ends[:-1], self._ends[1:], strict=True)
+        ]
+        contrast: NDArray[np.float32] = np.concatenate(parts, axis=1)[0]
+        return contrast
+
+
+def state_at(model: Model, demonstration: int, frame: int) -> tuple[int, float]:
+    """Return the state of a demonstrated frame, and the frame of the state's template at which it is.
+
+    Of the sequences of the demonstration the one that the frame is in; for the frames before the first sequence that
+    one, with a phase that may be negative.
+
+    Parameters
+    ----------
+    model : Model
+        With at least one whole sequence of that demonstration.
+    demonstration, frame : int
+    """
+    length = model.sequence_length
+    atoms = model.atoms[demonstration]
+    offset = frame - first_frame(len(atoms), length)
+    index = max(0, offset // length)
+    last = (index + 1) * length - 1
+    return int(model.state_streams[demonstration][index]), float(model.phases[demonstration][index]) + offset - last

@@ -1,0 +1,41 @@
+"""Feature modalities by name."""
+
+from collections.abc import Mapping
+from types import MappingProxyType
+
+from smal.features import color, depth, gist, hog, ldb, onnx, thumbnail
+from smal.features.modality import Modality
+
+#: Those that need no file.
+MODALITIES: Mapping[str, Modality] = MappingProxyType(
+    {
+        modality.name: modality
+        for modality in (
+            Modality("color", color.SIZE, "color", color.color_descriptor),
+            Modality("hog", hog.SIZE, "color", hog.hog_descriptor),
+            Modality("depth", depth.SIZE, "depth", depth.depth_descriptor),
+            Modality("gist", gist.SIZE, "color", gist.gist_descriptor),
+            Modality("ldb", ldb.SIZE, "color", ldb.ldb_descriptor),
+            Modality("thumbnail", thumbnail.SIZE, "color", thumbnail.thumbnail_descriptor),
+        )
+    }
+)
+
+#: How people write those that there are.
+MODALITY_NAMES = (*MODALITIES, f"{onnx.PREFIX}FILE")
+
+
+def modality_named(name: str) -> Modality:
+    """Return a modality: one of `MODALITIES`, or for ``onnx:FILE`` that of a network's file, which is read once.
+
+    Raises
+    ------
+    ValueError
+        In one line: there is none of this name, or the file cannot be used (see `smal.features.onnx`).
+    """
+    if name in MODALITIES:
+        return MODALITIES[name]
+    # A damaged model may name a number.
+    if str(name).startswith(onnx.PREFIX):
+        return onnx.onnx_modality(name.removeprefix(onnx.PREFIX))
+    raise ValueError(f"unknown feature modality {name!r}; known are {', '.join(MODALITY_NAMES)}")

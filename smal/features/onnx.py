@@ -1,0 +1,167 @@
+"""Network modality: the embedding of an image by any network in an ONNX file.
+
+The file needs one input, float32 (1 or any, 3, height, width), for RGB: values 0 to 1, less the mean and divided by
+the standard deviation of each channel. These two are those of ImageNet unless the metadata of the file has `mean` and
+`std`, each three numbers separated by commas. Weights must be inside the file.
+"""
+
+import hashlib
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from smal.features.modality import Modality, unit_length
+from smal.features.resizing import resized
+
+if TYPE_CHECKING:
+    from onnxruntime import InferenceSession
+
+PREFIX = "onnx:"
+# Of a network that takes any height or width.
+SIDE = 224
+IMAGENET_MEAN, IMAGENET_STD = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)
+
+
+@dataclass(frozen=True, eq=False)
+class Network:
+    """A network that embeds images.
+
+    Parameters
+    ----------
+    file : str
+        Where it was, for errors.
+    session : InferenceSession
+    rows, columns : int
+        Size of its input.
+    mean, std : float32 arrays (3,)
+        Of the channels, for values 0 to 1.
+    """
+
+    file: str
+    session: "InferenceSession"
+    rows: int
+    columns: int
+    mean: NDArray[np.float32]
+    std: NDArray[np.float32]
+
+    def describe(self, image: NDArray[np.uint8]) -> NDArray[np.float32]:
+        """Describe an image by its embedding.
+
+        Parameters
+        ----------
+        image : uint8 array (height, width, 3)
+            RGB, any size; brought to that of the network's input.
+
+        Returns
+        -------
+        float32 array (size,)
+            The first output of the network, of unit length; of a map of features (1, channels, height, width)
+            the mean over height and width.
+
+        Raises
+        ------
+        ValueError
+            The network does not run, or its output is not finite.
+        """
+        small = resized(image, self.rows, self.columns).astype(np.float32)
+        scaled = (small / np.float32(255.0) - self.mean) / self.std
+        batch = np.ascontiguousarray(scaled.transpose(2, 0, 1)[None])
+        try:
+            output = np.asarray(self.session.run(None, {self.session.get_inputs()[0].name: batch})[0], dtype=np.float32)
+        except Exception as error:
+            raise ValueError(f"{self.file}: the network does not run: {_one_line(error)}") from error
+        if output.size == 0:
+            raise ValueError(f"{self.file}: the network's first output is empty")
+        pooled = output.mean(axis=(2, 3)) if output.ndim == 4 else output
+        if not np.isfinite(pooled).all():
+            raise ValueError(f"{self.file}: the network's first output contains NaN or infinity")
+        return unit_length(pooled)
+
+
+@cache
+def onnx_modality(file: str) -> Modality:
+    """Return the modality of a network's file, as it is the first time.
+
+    Raises
+    ------
+    ValueError
+        In one line: onnxruntime is not installed, or the file is missing or none that fits (see above).
+    """
+    if not file:
+        raise ValueError(f"the feature modality {PREFIX!r} names no file; write {PREFIX}FILE")
+    if not Path(file).is_file():
+        raise ValueError(f"{file}: there is no such file for the feature modality {PREFIX}FILE")
+    try:
+        data = Path(file).read_bytes()
+    except OSError as error:
+        raise ValueError(f"{file}: cannot read the network's file: {error.strerror or error}") from error
+    network = _network(file, _session(file, data))
+    # Only running it tells the size of an output whose shape depends on that of the input.
+    size = network.describe(np.zeros((network.rows, network.columns, 3), dtype=np.uint8)).size
+    return Modality(f"{PREFIX}{hashlib.sha256(data).hexdigest()}", size, "color", network.describe)
+
+
+def _session(file: str, data: bytes) -> "InferenceSession":
+    try:
+        import onnxruntime  # noqa: PLC0415 - an extra
+    except ImportError as error:
+        raise ValueError(
+            f"{PREFIX}{file}: needs the package onnxruntime, which is not installed: pip install 'smal[onnx]'"
+        ) from error
+    options = onnxruntime.SessionOptions()
+    options.intra_op_num_threads = options.inter_op_num_threads = 1
+    # Its errors are raised as well; on standard error they would be said twice.
+    options.log_severity_level = 4
+    # Weights beside the file would escape its fingerprint: nothing lies in a folder of the name of a file.
+    options.add_session_config_entry("session.model_external_initializers_file_folder_path", str(Path(file).absolute()))
+    try:
+        return onnxruntime.InferenceSession(data, options, providers=["CPUExecutionProvider"])
+    except Exception as error:
+        line = _one_line(error)
+        if "external data" in line.lower():
+            line = "its weights are in another file; save them inside (torch.onnx.export: external_data=False)"
+        raise ValueError(f"{file}: no ONNX network that can be used: {line}") from error
+
+
+def _network(file: str, session: "InferenceSession") -> Network:
+    inputs = session.get_inputs()
+    rows, columns = _input_size(file, [(one.type, one.shape) for one in inputs])
+    meta = session.get_modelmeta().custom_metadata_map
+    mean, std = _channels(file, meta, "mean", IMAGENET_MEAN), _channels(file, meta, "std", IMAGENET_STD)
+    if not (std > 0.0).all():
+        raise ValueError(f"{file}: its metadata says std = {meta['std']!r}, which is not positive")
+    return Network(file, session, rows, columns, mean, std)
+
+
+def _input_size(file: str, inputs: Sequence[tuple[str, Sequence[Any]]]) -> tuple[int, int]:
+    """Return rows and columns of the only input; a dimension that is no number may have any."""
+    if len(inputs) == 1:
+        kind, shape = inputs[0]
+        if kind == "tensor(float)" and len(shape) == 4:
+            batch, channels, rows, columns = (length if isinstance(length, int) else None for length in shape)
+            if batch in (None, 1) and channels == 3 and rows != 0 and columns != 0:
+                return rows or SIDE, columns or SIDE
+    has = " and ".join(f"{kind} {tuple(shape)}" for kind, shape in inputs) or "no input"
+    raise ValueError(f"{file}: the network must have one input, float32 (1, 3, height, width), and has {has}")
+
+
+def _channels(file: str, meta: Mapping[str, str], key: str, usual: tuple[float, float, float]) -> NDArray[np.float32]:
+    if key not in meta:
+        return np.array(usual, dtype=np.float32)
+    try:
+        numbers = np.array([float(part) for part in re.split(r"[\s,]+", meta[key].strip(" []()"))], dtype=np.float32)
+    except ValueError:
+        numbers = np.zeros(0, dtype=np.float32)
+    if numbers.shape != (3,) or not np.isfinite(numbers).all():
+        raise ValueError(f"{file}: its metadata must say {key} as three numbers separated by commas, got {meta[key]!r}")
+    return numbers
+
+
+def _one_line(error: Exception) -> str:
+    return " ".join(str(error).split())[:300]

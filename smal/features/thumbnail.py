@@ -1,0 +1,35 @@
+"""Thumbnail modality: the small patch-normalised image of SeqSLAM (Milford & Wyeth 2012)."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from smal.features.modality import unit_length
+from smal.features.resizing import resized_grey
+
+ROWS, COLUMNS = 32, 64
+PATCH = 8
+SIZE = ROWS * COLUMNS
+
+
+def thumbnail_descriptor(image: NDArray[np.uint8]) -> NDArray[np.float32]:
+    """Describe an image by its grey values, patch by patch without their brightness and contrast.
+
+    Parameters
+    ----------
+    image : uint8 array (height, width, 3)
+        RGB, any size; brought to 32 rows and 64 columns of grey.
+
+    Returns
+    -------
+    float32 array (2048,)
+        Row by row (I - mean) / deviation, with the mean and the standard deviation of the 8 x 8 patch around
+        each pixel, scaled to unit length. A patch of one grey is zero, and an image of such patches gives the
+        zero vector.
+    """
+    grey = resized_grey(image, ROWS, COLUMNS)
+    patches = grey.reshape(ROWS // PATCH, PATCH, COLUMNS // PATCH, PATCH).astype(np.float32)
+    # Exact for a patch of one grey: its sum is a whole number, far below 2^24.
+    centred = patches - patches.mean(axis=(1, 3), keepdims=True)
+    deviation = np.sqrt(np.square(centred).mean(axis=(1, 3), keepdims=True))
+    normalised = np.divide(centred, deviation, out=np.zeros_like(centred), where=deviation > 0.0)
+    return unit_length(normalised)

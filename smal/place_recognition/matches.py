@@ -1,0 +1,64 @@
+"""What every method of place recognition answers."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+#: Called with the number of queries that are done.
+Progress = Callable[[int], None]
+#: Stands for no reference frame in `Matches.reference`.
+NONE = -1
+
+
+@dataclass(frozen=True, eq=False)
+class Matches:
+    """One match for every query frame, or none.
+
+    Parameters
+    ----------
+    reference : int64 array (q,)
+        Reference frame, 0 to n - 1; `NONE` before the first whole window, and where nothing was recognised.
+    score : float64 array (q,)
+        How sure the match is: higher is surer, comparable between the queries of one method only. 0 where there is no
+        match.
+
+    Raises
+    ------
+    ValueError
+        The arrays do not fit each other, or a score is not finite.
+    """
+
+    reference: NDArray[np.int64]
+    score: NDArray[np.float64]
+
+    def __post_init__(self) -> None:
+        if self.reference.ndim != 1 or self.reference.shape != self.score.shape:
+            raise ValueError(f"matches need one score for each query: {self.reference.shape} and {self.score.shape}")
+        if self.reference.size and self.reference.min() < NONE:
+            raise ValueError(f"a reference frame must not be below {NONE}, got {self.reference.min()}")
+        if not np.isfinite(self.score).all():
+            raise ValueError("a score is not finite")
+
+    @classmethod
+    def none(cls, queries: int) -> Self:
+        """Return the answer that recognises no query of `queries`."""
+        return cls(np.full(queries, NONE, dtype=np.int64), np.zeros(queries))
+
+    @property
+    def matched(self) -> NDArray[np.bool_]:
+        """Which queries have a match, (q,)."""
+        found: NDArray[np.bool_] = self.reference != NONE
+        return found
+
+
+def check_features(references: NDArray[np.float32], queries: NDArray[np.float32]) -> None:
+    """Refuse features that are not two arrays (n, m) and (q, m) of finite numbers."""
+    if references.ndim != 2 or queries.ndim != 2 or references.shape[1] != queries.shape[1]:
+        raise ValueError(f"features must have the shapes (n, m) and (q, m), got {references.shape} and {queries.shape}")
+    for name, features in (("references", references), ("queries", queries)):
+        # A sum is not finite if an entry is not, and takes no memory of the features' size.
+        if not np.isfinite(features.sum(dtype=np.float64)):
+            raise ValueError(f"features of the {name} contain NaN or infinity")

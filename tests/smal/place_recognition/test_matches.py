@@ -1,0 +1,44 @@
+"""What every method answers."""
+
+import numpy as np
+import pytest
+
+from smal.place_recognition.matches import NONE, Matches, check_features
+
+
+def test_matched_are_the_queries_with_a_reference() -> None:
+    matches = Matches(np.array([NONE, 0, 7]), np.array([0.0, -2.0, 1.0]))
+    assert matches.matched.tolist() == [False, True, True]
+    assert Matches.none(3).matched.tolist() == [False] * 3
+    assert Matches.none(3).score.tolist() == [0.0] * 3
+
+
+@pytest.mark.parametrize(
+    ("reference", "score", "message"),
+    [
+        ([0, 1], [0.0], "one score for each query"),
+        ([[0]], [[0.0]], "one score for each query"),
+        ([-2], [0.0], "must not be below -1"),
+        ([0], [np.nan], "not finite"),
+        ([0], [np.inf], "not finite"),
+    ],
+)
+def test_what_is_no_match_is_refused(reference: list[int], score: list[float], message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        Matches(np.array(reference), np.array(score))
+
+
+def test_features_that_do_not_fit_are_refused() -> None:
+    features = np.ones((4, 3), dtype=np.float32)
+    check_features(features, features[:0])
+    with pytest.raises(ValueError, match=r"\(4, 3\) and \(4, 2\)"):
+        check_features(features, features[:, :2])
+    with pytest.raises(ValueError, match=r"\(4, 3\) and \(3,\)"):
+        check_features(features, features[0])
+    for value in (np.nan, np.inf, -np.inf):
+        broken = features.copy()
+        broken[2, 1] = value
+        with pytest.raises(ValueError, match="queries contain NaN"):
+            check_features(features, broken)
+        with pytest.raises(ValueError, match="references contain NaN"):
+            check_features(broken, features)

@@ -1,0 +1,89 @@
+"""Nearest sequences against a search by hand."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+from smal.place_recognition import nearest_sequence
+from smal.place_recognition.matches import NONE
+from smal.place_recognition.nearest_sequence import match_nearest_sequence, rolling
+from tests.smal.place_recognition.traverses import ignore, random_features
+
+
+def by_hand(references: NDArray[np.float32], queries: NDArray[np.float32], length: int, end: int) -> list[float]:
+    """Return the mean product of the window that ends at a query with each reference sequence, first end first."""
+    window = queries[end - length + 1 : end + 1].astype(np.float64)
+    return [
+        float(np.mean([window[k] @ references[start + k] for k in range(length)]))
+        for start in range(references.shape[0] - length + 1)
+    ]
+
+
+@given(
+    st.integers(0, 2**32 - 1), st.integers(1, 25), st.integers(0, 25), st.integers(1, 8), st.sampled_from([1, 40, 999])
+)
+@settings(max_examples=60, deadline=None)
+def test_equals_a_search_by_hand(seed: int, n: int, q: int, length: int, entries: int) -> None:
+    rng = np.random.default_rng(seed)
+    references, queries = random_features(rng, n), random_features(rng, q)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(nearest_sequence, "_BLOCK_ENTRIES", entries)
+        matches = match_nearest_sequence(references, queries, length, ignore)
+    first = length - 1 if length <= n else q
+    assert matches.reference[:first].tolist() == [NONE] * min(first, q)
+    for end in range(first, q):
+        means = by_hand(references, queries, length, end)
+        assert matches.score[end] == pytest.approx(max(means), abs=1e-5)
+        assert means[matches.reference[end] - length + 1] == pytest.approx(max(means), abs=1e-5)
+    assert (np.abs(matches.score) <= 1 + 1e-6).all()
+
+
+def test_a_copy_is_found_exactly() -> None:
+    references = random_features(np.random.default_rng(0), 50)
+    matches = match_nearest_sequence(references, references[17:40], 5, ignore)
+    assert matches.reference.tolist() == [NONE] * 4 + list(range(21, 40))
+    assert matches.score[4:] == pytest.approx(1.0, abs=1e-5)
+
+
+def test_order_counts() -> None:
+    """The same frames backwards are another sequence."""
+    references = random_features(np.random.default_rng(1), 50)
+    forwards = match_nearest_sequence(references, references, 10, ignore)
+    backwards = match_nearest_sequence(references, references[::-1], 10, ignore)
+    assert forwards.score[9:].min() > 0.99
+    assert backwards.score[9:].max() < 0.6
+
+
+@pytest.mark.parametrize(("queries", "length", "entries"), [(40, 1, 50), (40, 7, 50), (40, 13, 50), (5, 7, 50)])
+def test_every_window_comes_once(queries: int, length: int, entries: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(nearest_sequence, "_BLOCK_ENTRIES", entries)
+    matrix = np.arange(queries * 10, dtype=np.float32).reshape(queries, 10)
+    ends: list[int] = []
+    for done, rows in rolling(lambda frames: matrix[frames], queries, 10, length):
+        windows = range(done - (rows.shape[0] - length + 1), done)
+        assert rows.tolist() == matrix[windows[0] - length + 1 : done].tolist()
+        ends.extend(windows)
+    assert ends == list(range(length - 1, queries))
+
+
+def test_progress_ends_with_all_queries(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(nearest_sequence, "_BLOCK_ENTRIES", 100)
+    references = random_features(np.random.default_rng(2), 20)
+    done: list[int] = []
+    match_nearest_sequence(references, references, 3, done.append)
+    assert done == sorted(done)
+    assert done[-1] == 20
+    assert len(set(done)) == 4
+    too_few: list[int] = []
+    match_nearest_sequence(references, references[:2], 3, too_few.append)
+    assert too_few == [2]
+
+
+def test_bad_input_is_refused() -> None:
+    features = random_features(np.random.default_rng(3), 5)
+    with pytest.raises(ValueError, match="length of at least 1, got 0"):
+        match_nearest_sequence(features, features, 0, ignore)
+    with pytest.raises(ValueError, match=r"\(n, m\) and \(q, m\)"):
+        match_nearest_sequence(features, features[:, :3], 1, ignore)

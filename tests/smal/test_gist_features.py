@@ -1,0 +1,114 @@
+"""GIST: what its filters respond to, and the same by another way of calculation."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from smal.features import modality_named
+from smal.features.gist import (
+    BORDER,
+    COLUMNS,
+    FREQUENCIES,
+    GRID,
+    ORIENTATIONS,
+    ROWS,
+    SIZE,
+    mean_amplitudes,
+    prefiltered,
+    transfer_functions,
+)
+
+describe = modality_named("gist").describe
+SHAPE = (len(FREQUENCIES), ORIENTATIONS, GRID, GRID)
+
+
+def grating(cycles_per_px: float, angle_rad: float, amplitude: float = 60.0) -> np.ndarray:
+    down, right = np.mgrid[:ROWS, :COLUMNS]
+    along = right * np.cos(angle_rad) + down * np.sin(angle_rad)
+    grey = np.round(128.0 + amplitude * np.sin(2.0 * np.pi * cycles_per_px * along)).astype(np.uint8)
+    return np.repeat(grey[:, :, None], 3, axis=2)
+
+
+@pytest.mark.parametrize("scale", range(len(FREQUENCIES)))
+@pytest.mark.parametrize("orientation", range(ORIENTATIONS))
+def test_a_grating_is_found_at_its_scale_and_orientation(scale: int, orientation: int) -> None:
+    vector = describe(grating(FREQUENCIES[scale], np.pi * orientation / ORIENTATIONS)).reshape(SHAPE)
+    for row in range(GRID):
+        for column in range(GRID):
+            cell = vector[:, :, row, column]
+            assert np.unravel_index(cell.argmax(), cell.shape) == (scale, orientation)
+
+
+def test_a_grating_in_one_corner_is_found_in_that_corner() -> None:
+    picture = np.full((ROWS, COLUMNS, 3), 128, dtype=np.uint8)
+    rows, columns = ROWS // GRID, COLUMNS // GRID
+    picture[-rows:, :columns] = grating(FREQUENCIES[1], 0.0)[-rows:, :columns]
+    strength = describe(picture).reshape(SHAPE)[1, 0]
+    assert np.unravel_index(strength.argmax(), strength.shape) == (GRID - 1, 0)
+
+
+@pytest.mark.parametrize(("scale", "orientation", "cell"), [(0, 2, (0, 0)), (1, 0, (1, 2)), (3, 5, (3, 3))])
+def test_the_transform_is_a_convolution(scale: int, orientation: int, cell: tuple[int, int]) -> None:
+    picture = np.random.default_rng(4).standard_normal((ROWS, COLUMNS)).astype(np.float32)
+    padded = np.pad(picture.astype(np.float64), BORDER, mode="symmetric")
+    rows, columns = padded.shape
+    # The filter in space: the sum over its frequencies, written out as two matrix products.
+    transfer = transfer_functions()[scale * ORIENTATIONS + orientation].astype(np.float64)
+    waves = [np.exp(2j * np.pi * np.outer(np.arange(n), np.arange(n)) / n) / n for n in (rows, columns)]
+    kernel = waves[0] @ transfer @ waves[1].T
+    total, height, width = 0.0, ROWS // GRID, COLUMNS // GRID
+    for row in range(BORDER + cell[0] * height, BORDER + (cell[0] + 1) * height):
+        for column in range(BORDER + cell[1] * width, BORDER + (cell[1] + 1) * width):
+            # Pixel (i, j) counts with the kernel at (row - i, column - j), around the edges.
+            turned = np.roll(kernel[::-1, ::-1], (row + 1, column + 1), axis=(0, 1))
+            total += abs((padded * turned).sum())
+    found = mean_amplitudes(picture)[scale * ORIENTATIONS + orientation][cell]
+    assert found == pytest.approx(total / (height * width), rel=1e-4)
+
+
+def test_filters_pass_no_mean_and_one_side_of_the_plane() -> None:
+    transfer = transfer_functions()
+    assert transfer.shape == (len(FREQUENCIES) * ORIENTATIONS, ROWS + 2 * BORDER, COLUMNS + 2 * BORDER)
+    assert not transfer[:, 0, 0].any()
+    # The frequency -f of every f; without the Nyquist lines, which are their own opposites.
+    inner = np.delete(np.delete(transfer, (ROWS + 2 * BORDER) // 2, axis=1), (COLUMNS + 2 * BORDER) // 2, axis=2)
+    opposite = np.roll(inner[:, ::-1, ::-1], 1, axis=(1, 2))
+    assert (np.minimum(inner, opposite) < 1e-6).all()
+
+
+@settings(max_examples=20, deadline=None)
+@given(orientation=st.integers(0, ORIENTATIONS - 1), seed=st.integers(0, 99))
+def test_a_mirrored_image_has_mirrored_orientations_and_cells(orientation: int, seed: int) -> None:
+    picture = np.random.default_rng(seed).integers(0, 256, (ROWS, COLUMNS, 3), dtype=np.uint8)
+    vector = describe(picture).reshape(SHAPE)
+    mirrored = describe(np.ascontiguousarray(picture[:, ::-1])).reshape(SHAPE)
+    # A wave at angle t is at 180 degrees - t in the mirror.
+    opposite = (ORIENTATIONS - orientation) % ORIENTATIONS
+    np.testing.assert_allclose(mirrored[:, opposite], vector[:, orientation, :, ::-1], rtol=2e-3)
+
+
+def test_light_and_contrast_change_little() -> None:
+    rng = np.random.default_rng(1)
+    dark = np.kron(rng.integers(20, 120, (12, 16), dtype=np.uint8), np.ones((8, 8), dtype=np.uint8))
+    other = np.kron(rng.integers(20, 120, (12, 16), dtype=np.uint8), np.ones((8, 8), dtype=np.uint8))
+    bright = (dark * 2 + 1).astype(np.uint8)
+    one, same, different = (describe(np.repeat(grey[:, :, None], 3, axis=2)) for grey in (dark, bright, other))
+    assert one @ same > 0.999 > one @ different
+
+
+def test_prefilter_removes_gain() -> None:
+    grey = np.random.default_rng(2).integers(60, 120, (ROWS, COLUMNS)).astype(np.uint8)
+    # log(1 + 2 I + 1) = log 2 + log(1 + I): twice the light is an offset, and offsets are taken away.
+    np.testing.assert_allclose(prefiltered((2 * grey + 1).astype(np.uint8)), prefiltered(grey), atol=1e-4)
+
+
+def test_one_pixel_is_structure() -> None:
+    picture = np.full((ROWS, COLUMNS, 3), 255, dtype=np.uint8)
+    picture[50, 60] = 254
+    vector = describe(picture)
+    assert vector.shape == (SIZE,)
+    assert np.linalg.norm(vector) == pytest.approx(1.0, abs=1e-5)
+    # In the cell that holds it.
+    strength = vector.reshape(SHAPE)[0].sum(axis=0)
+    assert np.unravel_index(strength.argmax(), strength.shape) == (50 // (ROWS // GRID), 60 // (COLUMNS // GRID))

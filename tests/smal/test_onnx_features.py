@@ -1,0 +1,180 @@
+"""Networks as modalities: what is calculated, what names it, and the files that are refused."""
+
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from smal.features import FeatureSettings, extract, modality_named, settings_of
+
+pytest.importorskip("onnxruntime")
+onnx = pytest.importorskip("onnx")
+helper, numpy_helper = onnx.helper, onnx.numpy_helper
+FLOAT = onnx.TensorProto.FLOAT
+
+MEAN, STD = np.array([0.485, 0.456, 0.406]), np.array([0.229, 0.224, 0.225])
+KERNEL = np.random.default_rng(5).standard_normal((4, 3, 1, 1)).astype(np.float32)
+ANY: list[Any] = ["batch", 3, "height", "width"]
+
+
+def network(
+    path: Path,
+    shape: list[Any] = ANY,
+    kernel: np.ndarray = KERNEL,
+    meta: dict[str, str] | None = None,
+    kind: int = FLOAT,
+    inputs: int = 1,
+    op: str = "Conv",
+    **save: Any,
+) -> str:
+    """Write a network that mixes the channels of every pixel (or does `op`), and return its modality's name."""
+    nodes = [helper.make_node(op, ["x0", "kernel"] if op == "Conv" else ["x0"], ["y"])]
+    given = [helper.make_tensor_value_info(f"x{number}", kind, shape) for number in range(inputs)]
+    nodes += [helper.make_node("Identity", [f"x{number}"], [f"z{number}"]) for number in range(1, inputs)]
+    made = [helper.make_tensor_value_info("y", kind, None)]
+    made += [helper.make_tensor_value_info(f"z{number}", kind, None) for number in range(1, inputs)]
+    weights = [numpy_helper.from_array(kernel, "kernel")] if op == "Conv" else []
+    graph = helper.make_graph(nodes, "mix", given, made, weights)
+    model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 17)], ir_version=8)
+    helper.set_model_props(model, meta or {})
+    onnx.save_model(model, str(path), **save)
+    return f"onnx:{path}"
+
+
+def picture(rows: int, columns: int, seed: int = 0) -> np.ndarray:
+    return np.random.default_rng(seed).integers(0, 256, (rows, columns, 3), dtype=np.uint8)
+
+
+def mixed(image: np.ndarray, mean: np.ndarray = MEAN, std: np.ndarray = STD) -> np.ndarray:
+    """Return the mean over the image of the mixed channels: a linear map of the mean colour."""
+    colour = ((image.reshape(-1, 3) / 255.0 - mean) / std).mean(axis=0)
+    vector = KERNEL[:, :, 0, 0].astype(float) @ colour
+    return np.asarray(vector / np.linalg.norm(vector))
+
+
+def test_a_map_of_features_is_averaged_over_the_image(tmp_path: Path) -> None:
+    modality = modality_named(network(tmp_path / "mix.onnx"))
+    image = picture(224, 224)
+    vector = modality.describe(image)
+    assert (modality.size, modality.needs, vector.dtype, vector.shape) == (4, "color", np.float32, (4,))
+    np.testing.assert_allclose(vector, mixed(image), atol=1e-5)
+
+
+def test_mean_and_deviation_of_the_file_count(tmp_path: Path) -> None:
+    name = network(tmp_path / "mix.onnx", meta={"mean": "[0.5, 0.25, 0.0]", "std": "1,0.5 2"})
+    image = picture(224, 224, 1)
+    expected = mixed(image, np.array([0.5, 0.25, 0.0]), np.array([1.0, 0.5, 2.0]))
+    np.testing.assert_allclose(modality_named(name).describe(image), expected, atol=1e-5)
+
+
+def test_other_outputs_are_flattened_and_keep_their_order(tmp_path: Path) -> None:
+    name = network(tmp_path / "flat.onnx", [1, 3, 24, 32], op="Flatten")
+    image = picture(24, 32)
+    vector = modality_named(name).describe(image)
+    expected = ((image / 255.0 - MEAN) / STD).transpose(2, 0, 1).ravel()
+    np.testing.assert_allclose(vector, expected / np.linalg.norm(expected), atol=1e-6)
+
+
+@pytest.mark.parametrize("shape", [ANY, [1, 3, 48, 64], [1, 3, "h", 64]])
+def test_images_of_any_size_fit_the_input(tmp_path: Path, shape: list[Any]) -> None:
+    modality = modality_named(network(tmp_path / "mix.onnx", shape))
+    for rows, columns in ((24, 32), (480, 640)):
+        image = np.empty((rows, columns, 3), dtype=np.uint8)
+        image[:] = (200, 30, 90)
+        np.testing.assert_allclose(modality.describe(image), mixed(image), atol=1e-5)
+
+
+def test_a_network_is_one_modality_among_others(tmp_path: Path) -> None:
+    name = network(tmp_path / "mix.onnx")
+    chosen = FeatureSettings.parse(f"hog,{name}", "1,2")
+    image = picture(60, 80)
+    assert (chosen.modalities, chosen.size, chosen.needs) == (("hog", name), 5944, {"color"})
+    vector = extract(image, chosen)
+    np.testing.assert_array_equal(vector[chosen.slices[0]], modality_named("hog").describe(image))
+    np.testing.assert_array_equal(vector[chosen.slices[1]], modality_named(name).describe(image))
+
+
+def test_the_fingerprint_is_that_of_the_contents(tmp_path: Path) -> None:
+    (tmp_path / "else").mkdir()
+    names = [network(tmp_path / "one.onnx"), network(tmp_path / "else" / "two.onnx")]
+    names.append(network(tmp_path / "three.onnx", kernel=KERNEL + np.float32(1e-3)))
+    one, two, three = (FeatureSettings.of(["color", name]).fingerprint for name in names)
+    assert one == two != three
+    assert FeatureSettings.of([names[0], "color"]).fingerprint != one
+    assert settings_of(one) is None
+
+
+def test_a_file_is_read_once(tmp_path: Path) -> None:
+    name = network(tmp_path / "mix.onnx")
+    before = FeatureSettings.of([name])
+    fingerprint, vector = before.fingerprint, extract(picture(48, 64), before)
+    (tmp_path / "mix.onnx").unlink()
+    assert modality_named(name) is modality_named(name)
+    assert FeatureSettings.of([name]).fingerprint == fingerprint
+    np.testing.assert_array_equal(extract(picture(48, 64), before), vector)
+
+
+def refusal(name: str) -> str:
+    with pytest.raises(ValueError, match=r"\A[^\n]+\Z") as caught:
+        FeatureSettings.parse(f"color,{name}")
+    return str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("how", "has"),
+    [
+        ({"shape": [1, 1, 64, 64], "kernel": KERNEL[:, :1]}, "has tensor(float) (1, 1, 64, 64)"),
+        ({"shape": [8, 3, 64, 64]}, "has tensor(float) (8, 3, 64, 64)"),
+        ({"shape": [1, "c", 64, 64]}, "has tensor(float) (1, 'c', 64, 64)"),
+        ({"kind": onnx.TensorProto.DOUBLE, "op": "Flatten"}, "has tensor(double)"),
+        ({"shape": [1, 3, 64], "op": "Flatten"}, "has tensor(float) (1, 3, 64)"),
+        ({"inputs": 2}, "and has tensor(float) ('batch', 3, 'height', 'width') and tensor(float)"),
+        ({"meta": {"mean": "0.5,0.5"}}, "mean as three numbers separated by commas, got '0.5,0.5'"),
+        ({"meta": {"std": "a,b,c"}}, "std as three numbers separated by commas, got 'a,b,c'"),
+        ({"meta": {"std": "1,0,1"}}, "std = '1,0,1', which is not positive"),
+        ({"kernel": KERNEL * np.float32(np.inf)}, "the network's first output contains NaN or infinity"),
+        ({"shape": [1, 3, 64, 64], "kernel": np.ones((4, 3, 65, 65), dtype=np.float32)}, ""),
+    ],
+)
+def test_a_network_that_does_not_fit_is_named_in_one_line(tmp_path: Path, how: dict[str, Any], has: str) -> None:
+    line = refusal(network(tmp_path / "other.onnx", **how))
+    assert line.startswith(f"{tmp_path / 'other.onnx'}: ")
+    assert has in line
+
+
+def test_a_file_that_is_no_network_is_named_in_one_line(tmp_path: Path) -> None:
+    text, empty = tmp_path / "text.onnx", tmp_path / "empty.onnx"
+    text.write_text("version https://git-lfs.github.com/spec/v1\n")
+    empty.write_bytes(b"")
+    whole = tmp_path / "whole.onnx"
+    network(whole)
+    cut = tmp_path / "cut.onnx"
+    cut.write_bytes(whole.read_bytes()[:-40])
+    for path in (text, empty, cut):
+        assert refusal(f"onnx:{path}").startswith(f"{path}: no ONNX network that can be used: ")
+    for path in (tmp_path / "none.onnx", tmp_path):
+        assert refusal(f"onnx:{path}").startswith(f"{path}: there is no such file")
+    assert refusal("onnx:") == "the feature modality 'onnx:' names no file; write onnx:FILE"
+
+
+def test_weights_in_another_file_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    name = network(tmp_path / "mix.onnx", save_as_external_data=True, location="mix.data", size_threshold=0)
+    assert (tmp_path / "mix.data").is_file()
+    # Not even where onnxruntime would find them by itself.
+    monkeypatch.chdir(tmp_path)
+    assert refusal(name).endswith(
+        "its weights are in another file; save them inside (torch.onnx.export: external_data=False)"
+    )
+
+
+def test_without_onnxruntime_the_line_says_what_to_install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    name = network(tmp_path / "mix.onnx")
+    monkeypatch.setitem(sys.modules, "onnxruntime", None)
+    line = refusal(name)
+    assert line.startswith(f"{name}: needs the package onnxruntime")
+    assert line.endswith("pip install 'smal[onnx]'")
+    # The refusal is not remembered once it is installed.
+    monkeypatch.undo()
+    assert modality_named(name).size == 4

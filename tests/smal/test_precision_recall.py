@@ -1,0 +1,225 @@
+"""Precision-recall against counting by hand, and what its intervals are worth."""
+
+import numpy as np
+import pytest
+from hypothesis import assume, given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+from smal.evaluation import precision_recall
+from smal.evaluation.ground_truth import Judgement
+from smal.evaluation.precision_recall import PrecisionRecall, block_length, bootstrap, bootstrap_intervals
+
+
+@st.composite
+def judgements(draw: st.DrawFn) -> Judgement:
+    """Draw queries of every kind, with scores of which some are equal."""
+    rng = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
+    count = draw(st.integers(1, 40))
+    judged = rng.random(count) < 0.8
+    findable = judged & (rng.random(count) < 0.8)
+    assume(findable.any())
+    answered = rng.random(count) < draw(st.sampled_from([0.0, 0.5, 1.0]))
+    right = answered & findable & (rng.random(count) < draw(st.sampled_from([0.2, 0.8, 1.0])))
+    score = rng.integers(-5, draw(st.sampled_from([-4, 0, 1000])), count) / 7.0
+    return Judgement(score, answered, right, judged, findable)
+
+
+def all_answered(score: NDArray[np.float64], right: NDArray[np.bool_]) -> Judgement:
+    yes = np.ones(score.shape, dtype=np.bool_)
+    return Judgement(score, yes, right, yes, yes)
+
+
+def by_hand(judgement: Judgement) -> list[tuple[float, float, float]]:
+    """Return (recall, precision, threshold) for each score, highest first, counting all queries each time."""
+    j, points = judgement, []
+    queries = [i for i in range(j.score.size) if j.judged[i]]
+    for threshold in sorted({j.score[i] for i in queries if j.answered[i]}, reverse=True):
+        answers = [i for i in queries if j.answered[i] and j.score[i] >= threshold]
+        right = sum(j.right[i] for i in answers)
+        points.append((right / sum(j.findable), right / len(answers), threshold))
+    return points
+
+
+def taken(judgement: Judgement, queries: NDArray[np.int64]) -> Judgement:
+    j = judgement
+    return Judgement(j.score[queries], j.answered[queries], j.right[queries], j.judged[queries], j.findable[queries])
+
+
+@given(judgements())
+@settings(deadline=None)
+def test_equals_counting_by_hand(judgement: Judgement) -> None:
+    curve, points = PrecisionRecall.of(judgement), by_hand(judgement)
+    assert np.column_stack([curve.recall, curve.precision, curve.threshold]).tolist() == [list(p) for p in points]
+    area, before = 0.0, 0.0
+    for recall, precision, _ in points:
+        area += precision * (recall - before)
+        before = recall
+    assert curve.auc == pytest.approx(area)
+    assert curve.recall_at_100_precision == max((r for r, p, _ in points if p == 1.0), default=0.0)
+
+
+@given(judgements(), st.randoms(use_true_random=False))
+@settings(deadline=None)
+def test_the_order_of_queries_and_the_scale_of_scores_do_not_matter(judgement: Judgement, random: object) -> None:
+    curve = PrecisionRecall.of(judgement)
+    order = list(range(judgement.score.size))
+    random.shuffle(order)  # type: ignore[attr-defined]
+    shuffled = PrecisionRecall.of(taken(judgement, np.array(order)))
+    score = np.exp(judgement.score / 50.0) - 1e3
+    j = judgement
+    scaled = PrecisionRecall.of(Judgement(score, j.answered, j.right, j.judged, j.findable))
+    for other in (shuffled, scaled):
+        assert other.recall.tolist() == curve.recall.tolist()
+        assert other.precision.tolist() == curve.precision.tolist()
+
+
+@given(judgements())
+@settings(deadline=None)
+def test_figures_stay_in_range(judgement: Judgement) -> None:
+    curve = PrecisionRecall.of(judgement)
+    assert 0.0 <= curve.recall_at_100_precision <= curve.auc + 1e-12
+    assert curve.auc <= curve.recall.max(initial=0.0) + 1e-12
+    assert curve.recall.max(initial=0.0) <= 1.0
+    assert (np.diff(curve.recall) >= 0.0).all()
+    assert (np.diff(curve.threshold) < 0.0).all()
+
+
+def test_known_values() -> None:
+    """scikit-learn's example of average precision: right, wrong, right, wrong by falling score."""
+    yes = np.ones(4, dtype=np.bool_)
+    positive = np.array([False, False, True, True])
+    score = np.array([0.1, 0.4, 0.35, 0.8])
+    # There, only the two positives are to be found.
+    curve = PrecisionRecall.of(Judgement(score, yes, positive, yes, positive))
+    assert curve.auc == pytest.approx(0.8333333)
+    assert curve.recall_at_100_precision == 0.5
+    assert curve.recall.tolist() == [0.5, 0.5, 1.0, 1.0]
+    assert curve.precision == pytest.approx([1.0, 0.5, 2 / 3, 0.5])
+
+
+def test_perfect_useless_and_silent_methods() -> None:
+    rng = np.random.default_rng(0)
+    right = rng.random(20000) < 0.3
+    perfect = PrecisionRecall.of(all_answered(rng.random(50), np.ones(50, dtype=np.bool_)))
+    assert (perfect.auc, perfect.recall_at_100_precision) == (1.0, 1.0)
+    # Scores that say nothing: precision is 0.3 at every recall up to 0.3.
+    assert PrecisionRecall.of(all_answered(rng.random(20000), right)).auc == pytest.approx(0.09, abs=0.005)
+    assert PrecisionRecall.of(all_answered(right.astype(float), right)).auc == pytest.approx(right.mean())
+    no = np.zeros(3, dtype=np.bool_)
+    silent = PrecisionRecall.of(Judgement(np.zeros(3), no, no, ~no, ~no))
+    assert (silent.auc, silent.recall_at_100_precision, silent.recall.size) == (0.0, 0.0, 0)
+
+
+def test_answers_where_nothing_is_to_be_found_are_wrong() -> None:
+    yes, right = np.ones(4, dtype=np.bool_), np.array([True, False, True, True])
+    score = np.array([4.0, 3.0, 2.0, 1.0])
+    curve = PrecisionRecall.of(Judgement(score, yes, right, yes, right))
+    assert curve.recall_at_100_precision == pytest.approx(1 / 3)
+    not_judged = PrecisionRecall.of(Judgement(score, yes, right, right, right))
+    assert not_judged.recall_at_100_precision == 1.0
+
+
+def test_nothing_to_find_is_refused() -> None:
+    no = np.zeros(3, dtype=np.bool_)
+    for function in (PrecisionRecall.of, lambda j: bootstrap(j, 1)):
+        with pytest.raises(ValueError, match="no query has anything to find"):
+            function(Judgement(np.zeros(3), ~no, no, ~no, no))
+
+
+@pytest.mark.parametrize(("count", "block"), [(1, 1), (7, 1), (7, 3), (7, 7), (12, 4), (30, 7)])
+def test_a_draw_is_blocks_of_successive_queries(count: int, block: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Against the arcs laid down one query after the other, from the same random starts."""
+    monkeypatch.setattr(precision_recall, "_BLOCK_ENTRIES", 3 * count)
+    draws = np.concatenate(list(precision_recall._draws(count, block, 50, seed=3)))
+    starts = np.random.default_rng(3).integers(0, count, (50, -(-count // block)))
+    for draw, begins in zip(draws, starts, strict=True):
+        queries = [(begin + k) % count for begin in begins for k in range(block)][:count]
+        assert draw.tolist() == np.bincount(queries, minlength=count).tolist()
+
+
+@given(judgements(), st.integers(1, 5), st.integers(0, 1000))
+@settings(max_examples=50, deadline=None)
+def test_the_bootstrap_judges_what_is_drawn(judgement: Judgement, block: int, seed: int) -> None:
+    """Each resample's figures are those of a traverse of the queries drawn, each as often as it is drawn."""
+    judged = np.flatnonzero(judgement.judged)
+    block = min(block, judged.size)
+    draws = np.concatenate(list(precision_recall._draws(judged.size, block, 20, seed)))
+    drawn = [taken(judgement, np.repeat(judged, draw)) for draw in draws]
+    assume(any(j.findable.any() for j in drawn))
+    figures = bootstrap(judgement, block, resamples=20, seed=seed)
+    for found, j in zip(figures, drawn, strict=True):
+        if j.findable.any():
+            curve = PrecisionRecall.of(j)
+            assert found == pytest.approx((curve.auc, curve.recall_at_100_precision))
+        else:
+            assert np.isnan(found).all()
+
+
+def test_intervals_hold_the_figures_and_shrink_with_more_queries() -> None:
+    rng = np.random.default_rng(5)
+    widths = []
+    for count in (100, 1600):
+        score = rng.random(count)
+        judgement = all_answered(score, rng.random(count) < score)
+        curve, intervals = PrecisionRecall.of(judgement), bootstrap_intervals(judgement, 5, seed=1)
+        assert intervals.auc[0] < curve.auc < intervals.auc[1]
+        low, high = intervals.recall_at_100_precision
+        assert low <= curve.recall_at_100_precision <= high
+        wider = bootstrap_intervals(judgement, 5, confidence=0.99, seed=1)
+        assert wider.auc[0] < intervals.auc[0] < intervals.auc[1] < wider.auc[1]
+        widths.append(intervals.auc[1] - intervals.auc[0])
+    assert 3.0 < widths[0] / widths[1] < 5.0
+
+
+def test_the_same_seed_gives_the_same_intervals() -> None:
+    rng = np.random.default_rng(6)
+    judgement = all_answered(rng.random(60), rng.random(60) < 0.5)
+    assert bootstrap_intervals(judgement, 4, seed=2) == bootstrap_intervals(judgement, 4, seed=2)
+    assert bootstrap_intervals(judgement, 4, seed=2) != bootstrap_intervals(judgement, 4, seed=3)
+    perfect = bootstrap_intervals(all_answered(rng.random(60), np.ones(60, dtype=np.bool_)), 4)
+    assert (perfect.auc, perfect.recall_at_100_precision) == ((1.0, 1.0), (1.0, 1.0))
+
+
+def coverage(count: int, together: int, block: int) -> float:
+    """Return how often an interval holds the true area, where so many successive queries have one fate.
+
+    A score u is uniform in [0, 1] and right with probability u. At threshold t precision is (1 + t) / 2 and recall
+    (1 - t^2) / 2, so that the area is the integral of (1 + t) / 2 t = 5/12.
+    """
+    rng, held = np.random.default_rng(7), 0
+    for seed in range(200):
+        score = rng.random(count // together)
+        right = rng.random(count // together) < score
+        judgement = all_answered(np.repeat(score, together), np.repeat(right, together))
+        low, high = bootstrap_intervals(judgement, block, resamples=300, seed=seed).auc
+        held += low <= 5 / 12 <= high
+    return held / 200
+
+
+def test_95_of_100_intervals_hold_the_truth() -> None:
+    assert 0.90 <= coverage(count=300, together=1, block=1) <= 0.99
+
+
+def test_blocks_are_needed_where_successive_queries_share_their_fate() -> None:
+    assert coverage(count=600, together=10, block=1) < 0.6
+    assert coverage(count=600, together=10, block=30) >= 0.85
+
+
+def test_the_length_of_blocks() -> None:
+    assert block_length(111, 10) == 10
+    assert block_length(10_000, 10) == 22
+    assert block_length(100, 40) == 25
+    assert [block_length(queries, 5) for queries in (1, 3, 8)] == [1, 1, 2]
+
+
+def test_bad_numbers_are_refused() -> None:
+    judgement = all_answered(np.zeros(5), np.ones(5, dtype=np.bool_))
+    for block in (0, 6):
+        with pytest.raises(ValueError, match=f"a block needs 1 to 5 queries, got {block}"):
+            bootstrap(judgement, block)
+    with pytest.raises(ValueError, match="at least 1 resample, got 0"):
+        bootstrap(judgement, 1, resamples=0)
+    for confidence in (0.0, 1.0, np.nan):
+        with pytest.raises(ValueError, match="a confidence lies between 0 and 1"):
+            bootstrap_intervals(judgement, 1, confidence=confidence)
