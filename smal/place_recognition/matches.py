@@ -47,6 +47,11 @@ class Matches:
         """Return the answer that recognises no query of `queries`."""
         return cls(np.full(queries, NONE, dtype=np.int64), np.zeros(queries))
 
+    def surer_than(self, least: float) -> Self:
+        """Return the matches with a score above `least`; the others are none."""
+        sure = self.matched & (self.score > least)
+        return type(self)(np.where(sure, self.reference, NONE), np.where(sure, self.score, 0.0))
+
     @property
     def matched(self) -> NDArray[np.bool_]:
         """Which queries have a match, (q,)."""

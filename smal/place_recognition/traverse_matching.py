@@ -1,0 +1,174 @@
+"""The method on two traverses: every window of queries is matched in order, and the weights are read as places.
+
+What a traverse has in common with itself (its light, its season, its camera) is its mean, so each traverse is centred
+by its own: measured on traverses under other light, more than any feature or length of a sequence changes. The window
+of a query are the l frames that end with it. Speeds are tried from half to twice; a penalty keeps them near the speed
+at which the matches around advance, which a first round tells.
+"""
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from smal.place_recognition.matches import Matches, Progress, check_features
+from smal.place_recognition.ordered_matching import OrderedSolution, solve_ordered
+from smal.place_recognition.speed import local_speeds
+from smal.place_recognition.template_sequences import SPEEDS, TemplateSequences
+
+#: Sequences whose last frames lie this near to each other show one place.
+_REACH: Final = 3
+#: Query rows of X^T Y that are computed at a time.
+_ROWS: Final = 256
+
+
+@dataclass(frozen=True)
+class OrderedSettings:
+    """How to match.
+
+    Parameters
+    ----------
+    length : int
+        l, at least 1.
+    relative_penalty : float
+        lambda as a share of the smallest one for which W = 0, above 0 and below 1.
+    speed_penalty : float
+        What a sequence is penalised for each octave between its speed and the expected one, at least 0; half of it in
+        the first round, which can expect nothing but equal speeds. A frame that agrees entirely has a price of 1.
+    tolerance : float
+        Relative duality gap.
+
+    Raises
+    ------
+    ValueError
+        A number is out of its range.
+    """
+
+    length: int = 10
+    relative_penalty: float = 0.5
+    speed_penalty: float = 0.04
+    tolerance: float = 1e-3
+
+    def __post_init__(self) -> None:
+        if self.length < 1:
+            raise ValueError(f"a window needs a length of at least 1, got {self.length}")
+        if not 0.0 < self.relative_penalty < 1.0:
+            raise ValueError(f"the relative penalty must be above 0 and below 1, got {self.relative_penalty}")
+        if not 0.0 <= self.speed_penalty < np.inf:
+            raise ValueError(f"the speed penalty must be finite and not negative, got {self.speed_penalty}")
+        if not 0.0 < self.tolerance < 1.0:
+            raise ValueError(f"the tolerance must be above 0 and below 1, got {self.tolerance}")
+
+
+def match_traverses(
+    references: NDArray[np.float32], queries: NDArray[np.float32], settings: OrderedSettings, progress: Progress
+) -> Matches:
+    """Match every query with a reference.
+
+    Parameters
+    ----------
+    references : float32 array (n, m)
+        In order, each traverse centred by its own mean and weighted (`Centering`).
+    queries : float32 array (q, m)
+    settings : OrderedSettings
+    progress : callable
+        Called with the number of queries that are done; those of the first round count half.
+
+    Returns
+    -------
+    Matches
+        None for the first l-1 queries, for windows that resemble nothing, and for any where n < l. The reference is
+        the mean end of the sequences at the place with the most weight, and the score that weight times its share
+        of all weights.
+
+    Raises
+    ------
+    ValueError
+        The features do not fit each other or are not finite.
+
+    Notes
+    -----
+    Takes 4 n (n + q) bytes beside the features.
+    """
+    check_features(references, queries)
+    if settings.length > references.shape[0]:
+        progress(queries.shape[0])
+        return Matches.none(queries.shape[0])
+    traverses = _Traverses(references, queries, settings)
+    if settings.length == 1:
+        return traverses.match(np.ones(queries.shape[0]), 0.0, progress)
+    total, penalty = queries.shape[0], settings.speed_penalty
+    first = traverses.match(np.ones(total), penalty / 2, lambda done: progress(done // 2))
+    speeds = local_speeds(first, settings.length)
+    return traverses.match(speeds, penalty, lambda done: progress((total + done) // 2))
+
+
+class _Traverses:
+    """All products of two traverses, made once for both rounds."""
+
+    def __init__(
+        self, references: NDArray[np.float32], queries: NDArray[np.float32], settings: OrderedSettings
+    ) -> None:
+        self._settings = settings
+        self._sequences = TemplateSequences(settings.length, (1.0,) if settings.length == 1 else SPEEDS)
+        self._gram = references @ references.T
+        self._products = np.empty((queries.shape[0], references.shape[0]), dtype=np.float32)
+        for start in range(0, queries.shape[0], _ROWS):
+            rows = slice(start, start + _ROWS)
+            np.matmul(queries[rows], references.T, out=self._products[rows])
+        self._norms = np.linalg.norm(queries, axis=1).astype(np.float64)
+
+    def match(self, speeds: NDArray[np.float64], speed_penalty: float, progress: Progress) -> Matches:
+        """Match all windows, at about the expected speeds (q,)."""
+        matches = Matches.none(speeds.size)
+        length = self._settings.length
+        for query in range(length - 1, speeds.size):
+            window = slice(query + 1 - length, query + 1)
+            surcharge = speed_penalty * np.abs(self._sequences.octaves - np.log2(speeds[query]))
+            solution = solve_ordered(
+                self._products[window],
+                self._norms[window],
+                self._gram,
+                self._sequences,
+                surcharge,
+                self._settings.relative_penalty,
+                self._settings.tolerance,
+            )
+            if solution.weights.size:
+                matches.reference[query], matches.score[query] = place_of(solution, self._gram.shape[0])
+            progress(query + 1)
+        progress(speeds.size)
+        return matches
+
+
+def place_of(solution: OrderedSolution, references: int) -> tuple[int, float]:
+    """Return the place with the most weight, and how sure it is.
+
+    Parameters
+    ----------
+    solution : OrderedSolution
+        With at least one sequence.
+    references : int
+        n.
+
+    Returns
+    -------
+    reference : int
+        Weighted mean of the last frames of all sequences that end within 3 frames of the one around which most
+        weight lies.
+    score : float
+        That weight, at least 0, times its share of all weights.
+    """
+    ends = solution.sequences % references
+    near = np.abs(ends[:, np.newaxis] - ends) <= _REACH
+    weights = near @ solution.weights
+    best = int(np.argmax(weights))
+    there = solution.weights * near[best]
+    return round(float(there @ ends / there.sum())), float(weights[best] ** 2 / solution.weights.sum())
+
+
+def compile_ahead() -> None:
+    """Compile what matching needs; from the second time on that takes under a second."""
+    frames = np.eye(12, dtype=np.float32)
+    match_traverses(frames, frames, OrderedSettings(length=2), lambda _done: None)
