@@ -9,9 +9,12 @@ from numpy.typing import NDArray
 from smal.model import Model
 from smal.novelty import describe_match
 from smal.state_matching import Solution
-from smal.state_space import matched_phase
+from smal.state_space import matched_phase, phase
 from smal.streaming import StreamingMatcher, compile_ahead
 
+#: Frames back at which a frame's say in the belief has fallen to 1/e. A decision is about now: of the states that the
+#: whole window shows, those that explain its last frames are nearest to what the robot sees, and to its heading.
+RECENCY_TICKS = 3.0
 # Lighter candidates hold a few hundredths of the weight together.
 MAX_CANDIDATES = 32
 
@@ -26,7 +29,7 @@ class Candidate:
     phase : float
         Frame of its template at which the last frame is (`smal.state_space.phase`).
     weight : float
-        Its share of the positive weights of W, above 0 and at most 1.
+        Its share of the positive weights of W, those of recent frames counting more, above 0 and at most 1.
     """
 
     state: int
@@ -54,7 +57,10 @@ class Recognition:
     duality_gap : float
         Of the match.
     candidates : tuple of Candidate
-        All states with weight, heaviest first: a belief over states. Empty stands for certainty about `state`.
+        All states with weight, heaviest first: a belief over states at the last frame. Empty stands for certainty about
+        `state`.
+    frames : int
+        How many of the last frames this rests on: l, or fewer where those l are unknown (`Recognizer`).
     """
 
     status: Literal["collecting", "recognized", "unknown"]
@@ -67,6 +73,7 @@ class Recognition:
     agreement: float = 0.0
     duality_gap: float = 0.0
     candidates: tuple[Candidate, ...] = ()
+    frames: int = 0
 
 
 class Recognizer:
@@ -75,14 +82,33 @@ class Recognizer:
     The correlations of a frame with all templates are computed when it arrives, so that after the last frame
     of a sequence one matrix-vector product and a small solve remain.
 
+    Where the last l frames show nothing that was taught, the last l / 2 are tried, l / 4 and so on to one: a robot that
+    has looked around, or has left the taught way for a moment, would otherwise have to drive l taught frames
+    before it knows again where it is.
+
     Parameters
     ----------
     model : Model
     tolerance : float
         Relative duality gap of each match.
+    recency_ticks : float
+        See `RECENCY_TICKS`, above 0; infinite for all frames of the window alike.
+    shorten : bool
+        Whether shorter windows are tried; the paper's scheme does not.
+
+    Raises
+    ------
+    ValueError
+        recency_ticks out of range.
     """
 
-    def __init__(self, model: Model, tolerance: float = 1e-3) -> None:
+    def __init__(
+        self, model: Model, tolerance: float = 1e-3, recency_ticks: float = RECENCY_TICKS, shorten: bool = True
+    ) -> None:
+        if not recency_ticks > 0.0:
+            raise ValueError(f"recency_ticks must be above 0, got {recency_ticks}")
+        self._recency_ticks = recency_ticks
+        self._shorten = shorten
         self._model = model
         self._centering = model.centering
         self._test = model.recognition_test()
@@ -127,10 +153,21 @@ class Recognizer:
         return self._recognize(tick)
 
     def _recognize(self, tick: int) -> Recognition:
-        solution, window = self._matcher.match(), self._matcher.window()
+        frames = self._model.sequence_length
+        found = self._recognize_last(frames, tick)
+        while self._shorten and found.status == "unknown" and frames > 1:
+            frames //= 2
+            shorter = self._recognize_last(frames, tick)
+            if shorter.status == "recognized":
+                return shorter
+        return found
+
+    def _recognize_last(self, frames: int, tick: int) -> Recognition:
+        """Recognise the last frames, 1 to l."""
+        solution, window = self._matcher.match(frames), self._matcher.window(frames)
         templates = self._model.templates
         match = describe_match(
-            solution, lambda frames: templates[:, frames].T @ window.T, np.linalg.norm(window, axis=1)
+            solution, lambda columns: templates[:, columns].T @ window.T, np.linalg.norm(window, axis=1)
         )
         known = match.state is not None and not self._test.is_novel(match)
         return Recognition(
@@ -143,16 +180,27 @@ class Recognizer:
             residual=match.residual,
             agreement=match.agreement,
             duality_gap=solution.duality_gap,
-            candidates=_candidates(solution) if known else (),
+            candidates=_candidates(solution, self._recency_ticks) if known else (),
+            frames=frames,
         )
 
 
-def _candidates(solution: Solution) -> tuple[Candidate, ...]:
-    """States by their share of the positive weights; a negative weight is no evidence for a state."""
-    blocks, where = np.unique(solution.active // solution.sequence_length, return_inverse=True)
-    weights = np.bincount(where, np.maximum(solution.active_weights, 0.0).sum(axis=1))
+def _candidates(solution: Solution, recency_ticks: float) -> tuple[Candidate, ...]:
+    """States by their share of the positive weights; a negative weight is no evidence for a state.
+
+    The weights of a frame that is k frames back count exp(-k / recency_ticks), in the phase too. A frame that nothing
+    explains (an occluded one) has no weights, so that what was seen before it decides.
+    """
+    length, q = solution.sequence_length, solution.shape[1]
+    recency = np.exp(-np.arange(q)[::-1] / recency_ticks)
+    present = np.maximum(solution.active_weights, 0.0) * recency
+    blocks, where = np.unique(solution.active // length, return_inverse=True)
+    weights = np.bincount(where, present.sum(axis=1))
     total = float(weights.sum())
     heaviest = [i for i in np.argsort(-weights, kind="stable") if weights[i] > 0.0][:MAX_CANDIDATES]
-    return tuple(
-        Candidate(int(blocks[i]), matched_phase(solution, int(blocks[i])), float(weights[i]) / total) for i in heaviest
-    )
+    found = []
+    for i in heaviest:
+        block = np.zeros((length, q))
+        block[solution.active[where == i] % length] = present[where == i]
+        found.append(Candidate(int(blocks[i]), phase(block), float(weights[i]) / total))
+    return tuple(found)

@@ -4,6 +4,8 @@ The correlations of a frame with all templates are computed when it arrives. Aft
 there remain one product with that frame, a small solve, and a combination of known inner products to certify it.
 """
 
+import math
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -128,33 +130,46 @@ class StreamingMatcher:
         self._radii[:, place] = estimate.radii
         self._count += 1
 
-    def window(self) -> Array:
-        """Return the last l frames in order, float64 (l, m)."""
-        return self._frames[self._order()]
+    def window(self, frames: int | None = None) -> Array:
+        """Return the last frames, l unless told otherwise, in order, float64 (frames, m)."""
+        return self._frames[self._order(frames)]
 
-    def match(self) -> Solution:
-        """Match the last l frames; the sequences of the last match enter the working set at once.
+    def match(self, frames: int | None = None) -> Solution:
+        """Match the last l frames, or fewer; the sequences of the last match enter the working set at once.
+
+        Parameters
+        ----------
+        frames : int, optional
+            q, 1 to l. The penalties of Eq. 7 grow with the square root of a query's length, as `lambda_scale` has it.
 
         Raises
         ------
         ValueError
-            There are no l frames yet.
+            There are not so many frames yet, or never will be.
         """
-        if not self.ready:
-            raise ValueError(f"matching needs {self._penalty.sequence_length} frames, there are {self._count}")
-        order = self._order()
+        length = self._penalty.sequence_length
+        q = length if frames is None else frames
+        if not 1 <= q <= length:
+            raise ValueError(f"the last 1 to {length} frames can be matched, got {q}")
+        if q > self._count:
+            raise ValueError(f"matching needs {q} frames, there are {self._count}")
+        order = self._order(q)
         seen = np.flatnonzero(np.square(self._frames[order]).sum(axis=1) > 0.0)
         places = order[seen]
         products = _StreamedQuery(
             self._index, self._frames[places].T, self._gram, self._correlations[:, places], self._radii[:, places]
         )
-        self._previous = match(products, seen, order.size, self._penalty, self._previous)
-        return self._previous
+        share = math.sqrt(q / length)
+        penalty = replace(self._penalty, lambda1=share * self._penalty.lambda1, lambda2=share * self._penalty.lambda2)
+        solution = match(products, seen, q, penalty, self._previous)
+        if q == length:
+            self._previous = solution
+        return solution
 
-    def _order(self) -> Columns:
+    def _order(self, frames: int | None = None) -> Columns:
         length = self._penalty.sequence_length
         order: Columns = (self._count + np.arange(length)) % length
-        return order
+        return order if frames is None else order[length - frames :]
 
 
 def compile_ahead() -> None:

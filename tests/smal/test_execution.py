@@ -285,3 +285,62 @@ def test_a_late_decision_finds_the_plan_going_on(model: Model) -> None:
     taken = [maker.next_atom() for _ in range(LENGTH + 2)]
     assert tuple(taken[:LENGTH]) == decision.atoms, "as the paper does with all l atoms of an action"
     assert taken[LENGTH:] == [Atom.STOP] * 2, "and no further"
+
+
+LONG = 20
+
+
+@pytest.fixture(scope="module")
+def long_model() -> Model:
+    return learn(DRIVES, LearningSettings(features=COLOR, sequence_length=LONG))[0]
+
+
+def back_on_the_way(model: Model, shorten: bool, taught: int) -> Recognition:
+    """Show a robot views that nobody taught, and then a few that were."""
+    rng = np.random.default_rng(5)
+    recognizer = Recognizer(model, shorten=shorten)
+    untaught = unit(rng.standard_normal((LONG, VIEWS.shape[1])))
+    seen = np.concatenate([untaught, VIEWS[50 : 50 + taught]]).astype(np.float32)
+    return [recognizer.observe(tick, view, due=True) for tick, view in enumerate(seen)][-1]
+
+
+@pytest.mark.parametrize("taught", [1, 2])
+def test_a_shorter_window_knows_the_way_again_at_once(long_model: Model, taught: int) -> None:
+    assert back_on_the_way(long_model, shorten=False, taught=taught).status == "unknown"
+    found = back_on_the_way(long_model, shorten=True, taught=taught)
+    assert found.status == "recognized"
+    assert found.frames < LONG
+    assert found.residual < back_on_the_way(long_model, shorten=False, taught=taught).residual
+
+
+def test_a_known_window_is_not_shortened(long_model: Model) -> None:
+    long, short = (back_on_the_way(long_model, shorten, taught=LONG) for shorten in (False, True))
+    assert long == short
+    assert long.status == "recognized"
+    assert long.frames == LONG
+
+
+def test_untaught_views_are_unknown_at_every_length(long_model: Model) -> None:
+    found = back_on_the_way(long_model, shorten=True, taught=0)
+    assert found.status == "unknown"
+    assert found.frames == LONG
+
+
+def test_the_belief_is_about_now(model: Model) -> None:
+    """Of two places that one window shows, the later has more say the shorter the memory."""
+    seen = np.concatenate([VIEWS[20:23], VIEWS[80:82]]).astype(np.float32)
+
+    def late_share(recency_ticks: float) -> float:
+        recognizer = Recognizer(model, recency_ticks=recency_ticks)
+        found = [recognizer.observe(tick, view, due=True) for tick, view in enumerate(seen)][-1]
+        places = [place_of(model, dataclasses.replace(found, state=c.state, phase=c.phase)) for c in found.candidates]
+        return sum(c.weight for c, place in zip(found.candidates, places, strict=True) if place > 50)
+
+    shares = [late_share(ticks) for ticks in (np.inf, 3.0, 0.5)]
+    assert shares == sorted(shares)
+    assert shares[0] < 0.5 < shares[1] < shares[2]
+
+
+def test_an_impossible_memory_is_refused(model: Model) -> None:
+    with pytest.raises(ValueError, match="recency_ticks"):
+        Recognizer(model, recency_ticks=0.0)

@@ -1,0 +1,198 @@
+"""Drives of the scripted expert in this process, as `smal demonstrate` and `smal learn` would record and use them."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+from zipfile import BadZipFile
+
+import numpy as np
+from numpy.typing import NDArray
+
+from schemas.episode import Outcome, Purpose
+from services.commands.demonstrate import DRIVE_TICKS, RECOVERY_TICKS
+from services.commands.evaluation.rules import advance, outcome_at
+from services.expert.driver import RouteDriver
+from services.simulator.simulation import Simulation
+from smal.action_space import Atom
+from smal.evaluation.baselines.thumbnails import thumbnail
+from smal.features import FeatureSettings, extract
+from smal.learning import Demonstration
+
+
+@dataclass(frozen=True, eq=False)
+class Drive:
+    """One drive that teaches, with what an experiment needs beside it.
+
+    Attributes
+    ----------
+    demonstration
+        What `smal learn` would make of it.
+    poses
+        (f, 3) float64, x, y in metres and heading in radians of every frame; the truth, which learning must not use.
+    thumbnails
+        (f, 48, 64, 3) uint8 RGB, or None where they were not asked for.
+    """
+
+    demonstration: Demonstration
+    poses: NDArray[np.float64]
+    thumbnails: NDArray[np.uint8] | None = None
+
+
+def drive(
+    simulation: Simulation, features: FeatureSettings, seed: int, purpose: Purpose, *, thumbnails: bool = False
+) -> Drive | None:
+    """Have the expert drive once.
+
+    Parameters
+    ----------
+    simulation
+        Where.
+    features
+        Of the demonstration; those that need depth are not made here.
+    seed, purpose
+        As in `smal demonstrate`: "drive" for a whole one, "recovery" for a short one that begins off the route.
+    thumbnails
+        Whether to keep small images.
+
+    Returns
+    -------
+    Drive or None
+        None for what `smal learn` leaves out: a collision, or a whole drive that did not reach the victim.
+    """
+    simulation.reset(seed, purpose)
+    expert = _expert(simulation)
+    max_ticks = RECOVERY_TICKS if purpose == "recovery" else DRIVE_TICKS
+    views, small, poses = [], [], []
+    atoms: list[Atom] = []
+    outcome: Outcome | None = None
+    while True:
+        image, pose = simulation.render(), simulation.pose
+        views.append(extract(image, features))
+        poses.append((pose.x, pose.y, pose.heading))
+        if thumbnails:
+            small.append(thumbnail(image))
+        if outcome is None and expert.arrived(pose.x, pose.y):
+            outcome = "found" if simulation.victim_found() else "aborted"
+        if outcome is not None:
+            break
+        atoms.append(Atom[expert.key(*poses[-1]).upper()])
+        advance(simulation, atoms[-1])
+        outcome = outcome_at(simulation, len(atoms), purpose, max_ticks)
+    if outcome == "collision" or (purpose == "drive" and outcome != "found"):
+        return None
+    if outcome == "found":
+        # With the victim found the robot stops; any other end only says that nobody watched any more.
+        atoms.append(Atom.STOP)
+    frames = len(atoms)
+    if not frames:
+        return None
+    return Drive(
+        Demonstration(
+            name=f"{purpose}-{seed}",
+            features=np.stack(views[:frames]),
+            atoms=np.array(atoms, dtype=np.int8),
+            successful=outcome == "found",
+            recovery=purpose == "recovery",
+        ),
+        np.array(poses[:frames]),
+        np.stack(small[:frames]) if thumbnails else None,
+    )
+
+
+def _expert(simulation: Simulation) -> RouteDriver:
+    route = [(float(x), float(y)) for x, y in simulation.route()]
+    return RouteDriver(route, simulation.speed_m_s, simulation.found_m)
+
+
+def demonstrate(
+    simulation: Simulation,
+    features: FeatureSettings,
+    drives: int,
+    recoveries: int,
+    seed: int = 1,
+    *,
+    thumbnails: bool = False,
+    progress: Callable[[int], None] = lambda _done: None,
+) -> list[Drive]:
+    """Have the expert drive as `smal demonstrate --episodes DRIVES --recoveries RECOVERIES --seed SEED` has it.
+
+    Parameters
+    ----------
+    simulation, features, thumbnails
+        See `drive`.
+    drives, recoveries
+        How many of each; drive k of a kind has the seed `seed` + k.
+    seed
+        Of the first of each kind.
+    progress
+        Called with the number of drives that are done.
+
+    Returns
+    -------
+    list of Drive
+        Those that teach, whole drives first.
+    """
+    purposes: list[tuple[Purpose, int]] = [("drive", drives), ("recovery", recoveries)]
+    requests = [(purpose, seed + k) for purpose, count in purposes for k in range(count)]
+    teaching: list[Drive] = []
+    for done, (purpose, number) in enumerate(requests, 1):
+        made = drive(simulation, features, number, purpose, thumbnails=thumbnails)
+        if made is not None:
+            teaching.append(made)
+        progress(done)
+    return teaching
+
+
+def save_drives(path: Path, drives: Sequence[Drive], features: FeatureSettings) -> None:
+    """Write drives to a file (npz); an existing one is replaced only when the new one is complete."""
+    meta = {
+        "fingerprint": features.fingerprint,
+        "names": [one.demonstration.name for one in drives],
+        "successful": [one.demonstration.successful for one in drives],
+        "recovery": [one.demonstration.recovery for one in drives],
+        "thumbnails": all(one.thumbnails is not None for one in drives),
+    }
+    arrays: dict[str, Any] = {"meta": np.frombuffer(json.dumps(meta).encode(), dtype=np.uint8)}
+    for number, one in enumerate(drives):
+        arrays[f"features_{number}"] = one.demonstration.features
+        arrays[f"atoms_{number}"] = one.demonstration.atoms
+        arrays[f"poses_{number}"] = one.poses
+        if meta["thumbnails"] and one.thumbnails is not None:
+            arrays[f"thumbnails_{number}"] = one.thumbnails
+    partial = path.with_name(path.name + ".partial")
+    with partial.open("wb") as file:
+        np.savez(file, **arrays)
+    partial.replace(path)
+
+
+def load_drives(path: Path, features: FeatureSettings) -> list[Drive]:
+    """Read drives.
+
+    Raises
+    ------
+    ValueError
+        The file holds none, or their features are others than those asked for; its text names the file.
+    """
+    try:
+        with np.load(path, allow_pickle=False) as held:
+            meta = json.loads(held["meta"].tobytes())
+            if meta["fingerprint"] != features.fingerprint:
+                raise ValueError("its drives have other features than are wanted")
+            return list(_drives(held, meta))
+    except (OSError, KeyError, ValueError, EOFError, TypeError, BadZipFile) as error:
+        text = str(error).replace("\n", " ")
+        raise ValueError(f"{path}: no drives can be read from it: {text}") from None
+
+
+def _drives(held: np.lib.npyio.NpzFile, meta: dict[str, list[object]]) -> Iterator[Drive]:
+    rows = zip(meta["names"], meta["successful"], meta["recovery"], strict=True)
+    for number, (name, successful, recovery) in enumerate(rows):
+        demonstration = Demonstration(
+            str(name), held[f"features_{number}"], held[f"atoms_{number}"], bool(successful), bool(recovery)
+        )
+        small = held[f"thumbnails_{number}"] if meta["thumbnails"] else None
+        yield Drive(demonstration, held[f"poses_{number}"], small)

@@ -1,0 +1,39 @@
+"""When an episode ends in lockstep, and how: the rules of `services.simulator.episode`, without messages."""
+
+from __future__ import annotations
+
+from typing import Final
+
+from schemas.base import Atom as AtomName
+from schemas.episode import Outcome, Purpose
+from services.simulator.drive import TICK_S
+from services.simulator.simulation import Simulation
+from smal.action_space import Atom
+
+_NAMES: Final[dict[Atom, AtomName]] = {
+    Atom.STOP: "stop",
+    Atom.FORWARD: "forward",
+    Atom.BACKWARD: "backward",
+    Atom.LEFT: "left",
+    Atom.RIGHT: "right",
+}
+
+
+def advance(simulation: Simulation, atom: Atom) -> None:
+    """Carry out an atom movement until the next frame, at nominal speed."""
+    simulation.advance(_NAMES[atom], 1.0, TICK_S)
+
+
+def outcome_at(simulation: Simulation, tick: int, purpose: Purpose, max_ticks: int) -> Outcome | None:
+    """Say how the episode ends with the frame of a tick, at least 1, or None where it goes on.
+
+    A collision counts before the victim. A search ends as soon as the victim is near and in view; a demonstration goes
+    on until its driver has arrived. Frame 0 ends nothing.
+    """
+    if simulation.collided:
+        return "collision"
+    if tick < max_ticks and purpose != "run":
+        return None
+    if simulation.victim_found():
+        return "found"
+    return "timeout" if tick >= max_ticks else None

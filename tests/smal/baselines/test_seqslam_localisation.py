@@ -1,0 +1,87 @@
+"""SeqSLAM frame by frame finds what SeqSLAM over a whole traverse finds, and keeps demonstrations apart."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from smal.action_space import first_frame
+from smal.evaluation.baselines.seqslam_localisation import SeqSlamLocaliser, state_at
+from smal.features.thumbnail import thumbnail_descriptor
+from smal.learning import LearningSettings, learn
+from smal.place_recognition.seqslam import SeqSlamSettings, match_seqslam
+from tests.smal.worlds import COLOR, corridor, drive
+
+SETTINGS = SeqSlamSettings(length=6, window=10)
+
+
+def traverse(frames: int, seed: int, noise: float = 0.0, noise_seed: int = 0) -> NDArray[np.uint8]:
+    """Return images (frames, 48, 64, 3) that glide over a wide random picture."""
+    rng = np.random.default_rng(seed)
+    wide = np.kron(rng.integers(0, 255, (12, 16 + frames), dtype=np.uint8), np.ones((4, 4), dtype=np.uint8))
+    images = np.stack([wide[:, 4 * k : 4 * k + 64] for k in range(frames)])[..., np.newaxis].repeat(3, axis=3)
+    spoilt = images + noise * np.random.default_rng(noise_seed).standard_normal(images.shape)
+    return np.clip(spoilt, 0, 255).astype(np.uint8)
+
+
+def descriptors(images: NDArray[np.uint8]) -> NDArray[np.float32]:
+    return np.stack([thumbnail_descriptor(image) for image in images])
+
+
+@pytest.mark.parametrize("noise", [0.0, 30.0, 120.0])
+def test_one_demonstration_is_matched_as_by_seqslam_over_the_whole_traverse(noise: float) -> None:
+    references, queries = traverse(40, 1), traverse(40, 1, noise, 7)[5:30]
+    whole = match_seqslam(descriptors(references), descriptors(queries), SETTINGS, lambda _done: None)
+    localiser = SeqSlamLocaliser({"a": references}, ("a",), SETTINGS)
+    found = [localiser.observe(image) for image in queries]
+    assert [-1 if place is None else place.frame for place in found] == whole.reference.tolist()
+    if noise < 100:
+        assert whole.reference[SETTINGS.length - 1 :].tolist() == list(range(5 + SETTINGS.length - 1, 30))
+
+
+def test_the_place_is_in_the_right_demonstration_and_no_trajectory_spans_two() -> None:
+    shown = {"a": traverse(30, 1), "b": traverse(20, 2), "c": traverse(25, 3)}
+    localiser = SeqSlamLocaliser(shown, ("c", "a", "b"), SETTINGS)
+    for number, name in enumerate(("c", "a", "b")):
+        localiser.reset()
+        seen = traverse(len(shown[name]), {"a": 1, "b": 2, "c": 3}[name], 20.0, 5)
+        found = [localiser.observe(image) for image in seen]
+        assert found[: SETTINGS.length - 1] == [None] * (SETTINGS.length - 1)
+        places = [place for place in found if place is not None]
+        assert [place.demonstration for place in places] == [number] * len(places)
+        assert [place.frame for place in places] == list(range(SETTINGS.length - 1, len(seen)))
+        shortest = SETTINGS.trajectories()[0][-1]
+        assert all(place.frame >= shortest for place in places)
+    # The end of one demonstration followed by the start of the next is no place.
+    localiser.reset()
+    for image in [*shown["c"][-3:], *shown["a"][:3]]:
+        place = localiser.observe(image)
+    assert place is not None
+    assert (place.demonstration, place.frame) != (1, 2)
+
+
+def test_what_is_missing_is_named() -> None:
+    with pytest.raises(ValueError, match="demonstration b has no thumbnails"):
+        SeqSlamLocaliser({"a": traverse(30, 1)}, ("a", "b"), SETTINGS)
+    with pytest.raises(ValueError, match="no demonstration is long enough"):
+        SeqSlamLocaliser({"a": traverse(3, 1)}, ("a",), SETTINGS)
+
+
+def test_a_demonstrated_frame_is_in_the_state_of_its_sequence_and_phases_go_on_with_the_frames() -> None:
+    views = corridor(47)
+    taught = [drive(views, 0, 1, name="a"), drive(views, 3, 2, name="b")]
+    model, _ = learn(taught, LearningSettings(features=COLOR, sequence_length=5))
+    for number, one in enumerate(taught):
+        frames = len(one.atoms)
+        places = [state_at(model, number, frame) for frame in range(frames)]
+        begin = first_frame(frames, 5)
+        lasts = range(begin + 4, frames, 5)
+        assert [places[last][0] for last in lasts] == model.state_streams[number].tolist()
+        np.testing.assert_allclose([places[last][1] for last in lasts], model.phases[number])
+        for frame in range(begin + 1, frames):
+            if (frame - begin) % 5:
+                assert places[frame][0] == places[frame - 1][0]
+                assert places[frame][1] == pytest.approx(places[frame - 1][1] + 1.0)
+        for frame in range(begin):
+            assert places[frame] == (places[begin][0], pytest.approx(places[begin][1] - (begin - frame)))
