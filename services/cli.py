@@ -12,7 +12,7 @@ from pydantic import ValidationError
 
 from schemas.codec import describe
 from services.bus import BusError, RpcError
-from services.commands import bench, demonstrate, doctor, learn, run, teleop, topic, up, world
+from services.commands import bench, demonstrate, doctor, learn, match, run, teleop, topic, tune, up, world
 from services.commands.errors import JobError, UsageError, describe_os_error
 from services.process import EXIT_FAILED, EXIT_USAGE, ServiceError
 
@@ -28,6 +28,8 @@ app.command("up")(up.up)
 app.command("demonstrate")(demonstrate.demonstrate)
 app.command("learn")(learn.learn)
 app.command("run")(run.run)
+app.command("match")(match.match)
+app.command("tune")(tune.tune)
 app.command("teleop")(teleop.teleop)
 app.command("doctor")(doctor.doctor)
 app.command("bench", context_settings={"allow_extra_args": True, "ignore_unknown_options": True})(bench.bench)

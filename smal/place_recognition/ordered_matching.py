@@ -29,8 +29,15 @@ from smal.place_recognition.template_sequences import TemplateSequences
 _FIRST: Final = 48
 _MORE: Final = 24
 _MOST_ROUNDS: Final = 30
-#: A residual shorter than this (frames have length 1) is rounding noise; the dual point stays feasible below it.
-_FLOOR: Final = 1e-6
+#: A residual shorter than this (frames have length 1) is rounding noise: its square is the difference of float32
+#: products, which are off by 1e-7. The dual point r / max(||r||, floor) stays feasible below it.
+_FLOOR: Final = 5e-4
+#: A sequence with less curvature than this shows nothing.
+_FLAT: Final = 1e-9
+#: Weights that change by less do not change.
+_STILL: Final = 1e-8
+#: Parabolas in a row for one working set.
+_MOST_STEPS: Final = 1000
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,7 +52,9 @@ class OrderedSolution:
         c, above 0.
     objective : float
     duality_gap : float
-        At most this much is the objective above the optimum, relative to it.
+        At most this much is the objective above the optimum, relative to itself; to the rounding of the float32
+        products, some 1e-7 / (||r|| lambda) with r the shortest residual. Above the tolerance where the products are
+        not precise enough: a query that is a copy of its references is certified to about 1e-3.
     penalty : float
         lambda.
     """
@@ -229,8 +238,8 @@ def _minimise(
     length, count = linear.shape
     curvature, slope = np.empty((count, count)), np.empty(count)
     gradient = np.empty(count)
-    for _ in range(200):
-        _residual_norms(blocks, linear, squares, weights, residuals)
+    _residual_norms(blocks, linear, squares, weights, residuals)
+    for _ in range(_MOST_STEPS):
         curvature[:] = 0.0
         slope[:] = 0.0
         for i in range(length):
@@ -249,17 +258,24 @@ def _minimise(
                 worst = min(worst, penalties[a] / price)
         if primal - worst * reached <= tolerance * primal:
             return
-        _descend(curvature, gradient, weights)
+        moved = _descend(curvature, gradient, weights)
+        # The certificate is of the last weights, whether or not they are good enough.
+        _residual_norms(blocks, linear, squares, weights, residuals)
+        if moved < _STILL:
+            return
 
 
 @compiled
-def _descend(curvature: NDArray[np.float64], gradient: NDArray[np.float64], weights: NDArray[np.float64]) -> None:
-    """Minimise 1/2 c'Hc - g'c over c >= 0 by cyclic coordinate descent; `gradient` is g - Hc and kept so."""
-    count = weights.size
-    for _ in range(100):
+def _descend(curvature: NDArray[np.float64], gradient: NDArray[np.float64], weights: NDArray[np.float64]) -> float:
+    """Minimise 1/2 c'Hc - g'c over c >= 0 by cyclic coordinate descent; `gradient` is g - Hc and kept so.
+
+    Returns the largest step of the first sweep, which is small where the weights were good already.
+    """
+    count, first = weights.size, 0.0
+    for sweep in range(100):
         moved = 0.0
         for a in range(count):
-            if curvature[a, a] <= _FLOOR:
+            if curvature[a, a] <= _FLAT:
                 continue
             step = max(gradient[a] / curvature[a, a], -weights[a])
             if step != 0.0:
@@ -267,8 +283,11 @@ def _descend(curvature: NDArray[np.float64], gradient: NDArray[np.float64], weig
                 for b in range(count):
                     gradient[b] -= step * curvature[a, b]
                 moved = max(moved, abs(step))
-        if moved < 1e-6:
-            return
+        if sweep == 0:
+            first = moved
+        if moved < _STILL:
+            break
+    return first
 
 
 @compiled

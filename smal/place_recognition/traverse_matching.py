@@ -7,7 +7,7 @@ at which the matches around advance, which a first round tells.
 """
 
 from dataclasses import dataclass
-from typing import Final
+from typing import Final, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -61,6 +61,34 @@ class OrderedSettings:
             raise ValueError(f"the tolerance must be above 0 and below 1, got {self.tolerance}")
 
 
+@dataclass(frozen=True, eq=False)
+class TraverseProducts:
+    """All that matching needs of two traverses: the inner products of their features.
+
+    Parameters
+    ----------
+    gram : float32 array (n, n)
+        x_a . x_b of the references.
+    products : float32 array (q, n)
+        x_a . y_i of every query with every reference.
+    norms : float64 array (q,)
+        ||y_i||.
+    """
+
+    gram: NDArray[np.float32]
+    products: NDArray[np.float32]
+    norms: NDArray[np.float64]
+
+    @classmethod
+    def of(cls, references: NDArray[np.float32], queries: NDArray[np.float32]) -> Self:
+        """Multiply features (n, m) and (q, m)."""
+        products = np.empty((queries.shape[0], references.shape[0]), dtype=np.float32)
+        for start in range(0, queries.shape[0], _ROWS):
+            rows = slice(start, start + _ROWS)
+            np.matmul(queries[rows], references.T, out=products[rows])
+        return cls(references @ references.T, products, np.linalg.norm(queries, axis=1).astype(np.float64))
+
+
 def match_traverses(
     references: NDArray[np.float32], queries: NDArray[np.float32], settings: OrderedSettings, progress: Progress
 ) -> Matches:
@@ -95,51 +123,49 @@ def match_traverses(
     if settings.length > references.shape[0]:
         progress(queries.shape[0])
         return Matches.none(queries.shape[0])
-    traverses = _Traverses(references, queries, settings)
+    return match_products(TraverseProducts.of(references, queries), settings, progress)
+
+
+def match_products(traverses: TraverseProducts, settings: OrderedSettings, progress: Progress) -> Matches:
+    """Match two traverses that are known by their inner products; see `match_traverses`."""
+    total, references = traverses.products.shape
+    if settings.length > references:
+        progress(total)
+        return Matches.none(total)
     if settings.length == 1:
-        return traverses.match(np.ones(queries.shape[0]), 0.0, progress)
-    total, penalty = queries.shape[0], settings.speed_penalty
-    first = traverses.match(np.ones(total), penalty / 2, lambda done: progress(done // 2))
+        return _match(traverses, settings, np.ones(total), 0.0, progress)
+    penalty = settings.speed_penalty
+    first = _match(traverses, settings, np.ones(total), penalty / 2, lambda done: progress(done // 2))
     speeds = local_speeds(first, settings.length)
-    return traverses.match(speeds, penalty, lambda done: progress((total + done) // 2))
+    return _match(traverses, settings, speeds, penalty, lambda done: progress((total + done) // 2))
 
 
-class _Traverses:
-    """All products of two traverses, made once for both rounds."""
-
-    def __init__(
-        self, references: NDArray[np.float32], queries: NDArray[np.float32], settings: OrderedSettings
-    ) -> None:
-        self._settings = settings
-        self._sequences = TemplateSequences(settings.length, (1.0,) if settings.length == 1 else SPEEDS)
-        self._gram = references @ references.T
-        self._products = np.empty((queries.shape[0], references.shape[0]), dtype=np.float32)
-        for start in range(0, queries.shape[0], _ROWS):
-            rows = slice(start, start + _ROWS)
-            np.matmul(queries[rows], references.T, out=self._products[rows])
-        self._norms = np.linalg.norm(queries, axis=1).astype(np.float64)
-
-    def match(self, speeds: NDArray[np.float64], speed_penalty: float, progress: Progress) -> Matches:
-        """Match all windows, at about the expected speeds (q,)."""
-        matches = Matches.none(speeds.size)
-        length = self._settings.length
-        for query in range(length - 1, speeds.size):
-            window = slice(query + 1 - length, query + 1)
-            surcharge = speed_penalty * np.abs(self._sequences.octaves - np.log2(speeds[query]))
-            solution = solve_ordered(
-                self._products[window],
-                self._norms[window],
-                self._gram,
-                self._sequences,
-                surcharge,
-                self._settings.relative_penalty,
-                self._settings.tolerance,
-            )
-            if solution.weights.size:
-                matches.reference[query], matches.score[query] = place_of(solution, self._gram.shape[0])
-            progress(query + 1)
-        progress(speeds.size)
-        return matches
+def _match(
+    traverses: TraverseProducts,
+    settings: OrderedSettings,
+    speeds: NDArray[np.float64],
+    speed_penalty: float,
+    progress: Progress,
+) -> Matches:
+    """Match all windows, at about the expected speeds (q,)."""
+    matches = Matches.none(speeds.size)
+    sequences = TemplateSequences(settings.length, (1.0,) if settings.length == 1 else SPEEDS)
+    for query in range(settings.length - 1, speeds.size):
+        window = slice(query + 1 - settings.length, query + 1)
+        solution = solve_ordered(
+            traverses.products[window],
+            traverses.norms[window],
+            traverses.gram,
+            sequences,
+            speed_penalty * np.abs(sequences.octaves - np.log2(speeds[query])),
+            settings.relative_penalty,
+            settings.tolerance,
+        )
+        if solution.weights.size:
+            matches.reference[query], matches.score[query] = place_of(solution, traverses.gram.shape[0])
+        progress(query + 1)
+    progress(speeds.size)
+    return matches
 
 
 def place_of(solution: OrderedSolution, references: int) -> tuple[int, float]:

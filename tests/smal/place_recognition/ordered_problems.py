@@ -15,6 +15,10 @@ from smal.place_recognition.template_sequences import TemplateSequences
 Array = NDArray[np.float64]
 
 
+#: A residual shorter than this has no direction; any theta with a norm of at most 1 is a point of the dual.
+FLOOR = 5e-4
+
+
 @dataclass(frozen=True, eq=False)
 class OrderedProblem:
     """References x (n, m), one query sequence y (l, m), and the parameters of `solve_ordered`."""
@@ -71,7 +75,7 @@ class OrderedProblem:
         return self.relative_penalty * max(largest, 0.0)
 
     def weights(self, solution: OrderedSolution) -> Array:
-        """c of all sequences, (p,); fails where a weight belongs to no sequence."""
+        """Return c of all sequences, (p,); fails where a weight belongs to no sequence."""
         chosen = dict(zip(solution.sequences.tolist(), solution.weights.tolist(), strict=True))
         assert set(chosen) <= set(self.sequences)
         return np.array([chosen.get(number, 0.0) for number in self.sequences])
@@ -82,12 +86,14 @@ class OrderedProblem:
         return residuals
 
     def primal(self, weights: Array) -> float:
-        return float(np.linalg.norm(self.residuals(weights), axis=1).mean() + (self.penalty + self.surcharges) @ weights)
+        return float(
+            np.linalg.norm(self.residuals(weights), axis=1).mean() + (self.penalty + self.surcharges) @ weights
+        )
 
     def dual(self, weights: Array) -> float:
-        """A lower bound on the optimum: the residuals' directions, scaled until they satisfy every constraint."""
+        """Return a lower bound on the optimum, by the residuals' directions, scaled until they are feasible."""
         residuals = self.residuals(weights)
-        theta = residuals / np.maximum(np.linalg.norm(residuals, axis=1, keepdims=True), 1e-300)
+        theta = residuals / np.maximum(np.linalg.norm(residuals, axis=1, keepdims=True), FLOOR)
         share = np.max(self.prices(theta) / (self.penalty + self.surcharges), initial=1.0)
         return float(np.sum(theta * self.queries) / len(self.queries) / share)
 
@@ -103,7 +109,7 @@ class OrderedProblem:
             cp.norm(query - templates[:, i].T @ weights, 2) for i, query in enumerate(self.queries)
         ) / len(self.queries)  # fmt: skip
         program = cp.Problem(cp.Minimize(loss + (self.penalty + self.surcharges) @ weights))
-        program.solve(solver=cp.CLARABEL, tol_gap_abs=1e-9, tol_gap_rel=1e-9, tol_feas=1e-9)
+        program.solve(solver=cp.CLARABEL, tol_gap_abs=1e-8, tol_gap_rel=1e-8, tol_feas=1e-8)
         return float(program.value)
 
 
@@ -114,7 +120,7 @@ def unit(vectors: Array) -> Array:
 
 
 def walk(rng: np.random.Generator, count: int, size: int, step: float = 0.6) -> Array:
-    """A path on the sphere (count, size): neighbours resemble each other, others do not."""
+    """Return a path on the sphere (count, size): neighbours resemble each other, others do not."""
     return unit(np.cumsum(rng.normal(size=(count, size)), axis=0) * step + rng.normal(size=(count, size)))
 
 
@@ -123,34 +129,34 @@ def _random(rng: np.random.Generator, n: int, length: int) -> tuple[Array, Array
 
 
 def _walk(rng: np.random.Generator, n: int, length: int) -> tuple[Array, Array]:
-    """The query is a noisy copy of a piece of the references, or what there is of it."""
+    """Copy a piece of the references with noise, or what there is of it."""
     references = walk(rng, n, 16)
     ends = np.arange(length) + rng.integers(0, max(1, n - length + 1))
     return references, unit(references[ends % n] + 0.15 * rng.normal(size=(length, 16)))
 
 
 def _duplicates(rng: np.random.Generator, n: int, length: int) -> tuple[Array, Array]:
-    """Every reference comes at least twice, one traverse after the other."""
+    """Let every reference come at least twice, one traverse after the other."""
     references, queries = _walk(rng, (n + 1) // 2, length)
     return np.concatenate([references, references]), queries
 
 
 def _standing(rng: np.random.Generator, n: int, length: int) -> tuple[Array, Array]:
-    """The camera stands: all references are the same but for a few."""
+    """Let the camera stand: all references are the same but for a few."""
     references, queries = _walk(rng, n, length)
     references[n // 4 : n - n // 4] = references[n // 2]
     return references, queries
 
 
 def _dark(rng: np.random.Generator, n: int, length: int) -> tuple[Array, Array]:
-    """Some references show nothing."""
+    """Let some references show nothing."""
     references, queries = _walk(rng, n, length)
     references[rng.random(n) < 0.3] = 0.0
     return references, queries
 
 
 def _blind(rng: np.random.Generator, n: int, length: int) -> tuple[Array, Array]:
-    """Some query frames show nothing, perhaps all."""
+    """Let some query frames show nothing, perhaps all."""
     references, queries = _walk(rng, n, length)
     queries[rng.random(length) < 0.5] = 0.0
     return references, queries
@@ -162,12 +168,12 @@ def _identical(rng: np.random.Generator, n: int, length: int) -> tuple[Array, Ar
 
 
 def _opposed(rng: np.random.Generator, n: int, length: int) -> tuple[Array, Array]:
-    """No reference has a positive product with any query frame."""
+    """Let no reference have a positive product with any query frame."""
     return unit(np.abs(rng.normal(size=(n, 8)))), -unit(np.abs(rng.normal(size=(length, 8))))
 
 
 def _uneven(rng: np.random.Generator, n: int, length: int) -> tuple[Array, Array]:
-    """Frames of any length: nothing in the program asks for unit vectors."""
+    """Take frames of any length: nothing in the program asks for unit vectors."""
     references, queries = _walk(rng, n, length)
     return references * rng.uniform(0.1, 3.0, (n, 1)), queries * rng.uniform(0.1, 3.0, (length, 1))
 

@@ -40,12 +40,12 @@ class ByHand:
     def cost(self, t: int, end: int) -> float:
         """S(t, e)."""
         least = math.inf
-        velocity = self.given.v_min
-        while velocity <= self.given.v_max + 1e-6:
+        for step in range(math.floor((self.given.v_max - self.given.v_min) / self.given.v_step + 1e-9) + 1):
+            # Not a running sum: its rounding decides where 0.9 times 5 goes.
+            velocity = self.given.v_min + self.given.v_step * step
             steps = [math.floor(velocity * k + 0.5) for k in range(self.given.length)]
             if end - steps[-1] >= 0:
                 least = min(least, float(np.mean([self.enhanced[t - k][end - s] for k, s in enumerate(steps)])))
-            velocity += self.given.v_step
         return least
 
     def uniqueness(self, costs: list[float], best: int) -> float:

@@ -1,0 +1,81 @@
+"""One image file as an array, of any format that OpenCV reads.
+
+Colour is what OpenCV's IMREAD_COLOR makes of it: grey becomes three equal channels, of 16 bits the upper 8 are kept,
+transparency is dropped. The orientation that a camera noted in EXIF is ignored in every file, for half of a traverse
+may lack it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, Final
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+#: The least size that `extract` takes.
+LEAST_ROWS: Final = 24
+LEAST_COLUMNS: Final = 32
+#: A larger file is no camera's image; it is not read at all.
+MOST_BYTES: Final = 256 * 2**20
+#: How a PNG file begins, and what every whole one ends with.
+_PNG: Final = (b"\x89PNG\r\n\x1a\n", b"IEND")
+_COLOR: Final = cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION
+
+
+def is_named_as_image(name: str) -> bool:
+    """Return whether a file's extension is that of a format that OpenCV knows."""
+    suffix = Path(name).suffix
+    try:
+        return suffix.isascii() and len(suffix) > 1 and cv2.haveImageWriter(f"x{suffix}")
+    except cv2.error:  # a format that OpenCV knows and has turned off, as .exr
+        return True
+
+
+def read_color(path: Path) -> NDArray[np.uint8] | None:
+    """Return an image as RGB (height, width, 3), at least 24 rows and 32 columns; None if it cannot be read."""
+    bgr = _decode(path, _COLOR)
+    if bgr is None or bgr.dtype != np.uint8:
+        return None
+    rgb = cv2.cvtColor(bgr, cv2.COLOR_BGR2RGB)
+    height, width = rgb.shape[:2]
+    if height < LEAST_ROWS or width < LEAST_COLUMNS:
+        rgb = cv2.resize(rgb, (max(width, LEAST_COLUMNS), max(height, LEAST_ROWS)), interpolation=cv2.INTER_LINEAR)
+    return np.asarray(rgb, dtype=np.uint8)
+
+
+def read_depth(path: Path) -> NDArray[np.uint16] | None:
+    """Return a depth image, uint16 (height, width) in millimetres; None if it is none or cannot be read."""
+    depth_mm = _decode(path, cv2.IMREAD_UNCHANGED)
+    if depth_mm is None or depth_mm.dtype != np.uint16 or depth_mm.ndim != 2:
+        return None
+    return np.asarray(depth_mm, dtype=np.uint16)
+
+
+def _decode(path: Path, flags: int) -> NDArray[Any] | None:
+    try:
+        if path.stat().st_size > MOST_BYTES:
+            return None
+        data = path.read_bytes()
+        if data.startswith(_PNG[0]) and _PNG[1] not in data:  # libpng would write about it on standard error
+            return None
+        # From memory: of a truncated file cv2.imread makes a half grey image, cv2.imdecode none.
+        decoded: NDArray[Any] | None = cv2.imdecode(np.frombuffer(data, np.uint8), flags)
+    except (OSError, MemoryError, cv2.error):
+        return None
+    return decoded
+
+
+@contextmanager
+def quiet_opencv() -> Iterator[None]:
+    """Keep OpenCV from writing of every damaged file at length; this module names them."""
+    logging = cv2.utils.logging
+    before = logging.getLogLevel()
+    logging.setLogLevel(logging.LOG_LEVEL_SILENT)
+    try:
+        yield
+    finally:
+        logging.setLogLevel(before)

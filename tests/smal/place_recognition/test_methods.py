@@ -1,0 +1,119 @@
+"""Every method of the table on one made-up road, and the paper's against the program that it states."""
+
+import math
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from smal import solve
+from smal.features import FeatureSettings
+from smal.novelty import sequence_weights
+from smal.place_recognition.matches import NONE
+from smal.place_recognition.methods import METHODS, MatchSettings, Method
+from smal.place_recognition.paper import LAMBDA_SCALE, match_as_in_the_paper
+from smal.state_space import matched_phase
+from tests.smal.place_recognition.ordered_problems import unit, walk
+from tests.smal.place_recognition.traverses import Road, ignore
+
+N, FIRST, LAST = 100, 20, 80
+
+
+def raw_traverses(features: FeatureSettings, seed: int = 0) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Make raw features of a road, and of its frames 20..79 seen again with noise and in other light."""
+    rng = np.random.default_rng(seed)
+    road = Road(rng, features.size).at(np.arange(N))
+    again = road[FIRST:LAST] + rng.normal(scale=0.5, size=(LAST - FIRST, features.size)) + 0.3
+    return road + 1.0, again.astype(np.float32) + 1.0
+
+
+def settings_of(method: Method) -> MatchSettings:
+    return MatchSettings(method.features, method.length, method.penalty)
+
+
+@pytest.mark.parametrize("name", sorted(METHODS))
+def test_every_method_finds_its_way(name: str) -> None:
+    method = METHODS[name]
+    references, queries = raw_traverses(method.features)
+    before = references.copy(), queries.copy()
+    done: list[int] = []
+    matches = method.match(references, queries, settings_of(method), done.append)
+    assert done[-1] == LAST - FIRST
+    assert matches.reference[: method.length - 1].tolist() == [NONE] * (method.length - 1)
+    error = np.abs(matches.reference - np.arange(FIRST, LAST))[matches.matched]
+    assert matches.matched[method.length - 1 :].mean() > 0.9
+    assert np.mean(error <= 2) > 0.9
+    # The command keeps the raw features for other uses.
+    assert np.array_equal(references, before[0])
+    assert np.array_equal(queries, before[1])
+
+
+@pytest.mark.parametrize("name", sorted(METHODS))
+def test_of_too_few_frames_no_method_finds_a_match(name: str) -> None:
+    method = METHODS[name]
+    length = 6 if method.any_length else method.length
+    references, queries = raw_traverses(method.features)
+    for known, asked in ((references[: length - 1], queries), (references, queries[: length - 1])):
+        if len(known) and len(asked):
+            done: list[int] = []
+            chosen = MatchSettings(method.features, length, method.penalty)
+            assert not method.match(known, asked, chosen, done.append).matched.any()
+            assert done[-1] == len(asked)
+
+
+@pytest.mark.parametrize("name", sorted(METHODS))
+def test_the_penalty_of_the_table_is_the_default(name: str) -> None:
+    """Where there is one, it is used: another gives other scores."""
+    method = METHODS[name]
+    references, queries = raw_traverses(method.features)
+
+    def scores(penalty: float | None) -> NDArray[np.float64]:
+        chosen = MatchSettings(method.features, method.length, penalty)
+        return method.match(references[:40], queries[:30], chosen, ignore).score
+
+    if method.penalty is None:
+        assert np.array_equal(scores(None), scores(0.3))
+    else:
+        assert np.array_equal(scores(None), scores(method.penalty))
+        assert not np.allclose(scores(None), scores(0.6 * method.penalty), atol=1e-3)
+
+
+def test_image_is_smal_of_single_images() -> None:
+    image, smal = METHODS["image"], METHODS["smal"]
+    references, queries = raw_traverses(image.features)
+    one = image.match(references, queries, settings_of(image), ignore)
+    other = smal.match(references, queries, MatchSettings(image.features, 1, image.penalty), ignore)
+    assert one.reference.tolist() == other.reference.tolist()
+    assert one.score.tolist() == other.score.tolist()
+
+
+@pytest.mark.parametrize("length", [1, 4])
+def test_paper_is_eq_7_of_the_same_window(length: int) -> None:
+    rng = np.random.default_rng(length)
+    references = walk(rng, 42, 32).astype(np.float32)  # two frames are in no whole sequence at l = 4
+    queries = unit(references[5:25] + 0.1 * rng.normal(size=(20, 32))).astype(np.float32)
+    matches = match_as_in_the_paper(references, queries, length, LAMBDA_SCALE, ignore)
+    penalty = LAMBDA_SCALE * math.sqrt(length)
+    templates = references[: 42 // length * length].T
+    for query in range(length - 1, 20):
+        window = queries[query + 1 - length : query + 1].T
+        solution = solve(templates, window, length, penalty, penalty, 1e-5)
+        weights = sequence_weights(solution.weights, length)
+        best = int(np.argmax(weights))
+        assert abs(matches.reference[query] - (best * length + matched_phase(solution, best))) < 0.6
+        assert matches.score[query] == pytest.approx(weights[best] / length, abs=0.02)
+    assert matches.reference[: length - 1].tolist() == [NONE] * (length - 1)
+
+
+def test_paper_without_any_likeness_finds_no_match() -> None:
+    """W may be negative: only what is orthogonal to all references has none."""
+    features = np.eye(12, dtype=np.float32)
+    assert not match_as_in_the_paper(features[:6], features[6:], 3, LAMBDA_SCALE, ignore).matched.any()
+
+
+def test_paper_refuses_bad_input() -> None:
+    features = np.eye(6, dtype=np.float32)
+    with pytest.raises(ValueError, match="length of at least 1, got 0"):
+        match_as_in_the_paper(features, features, 0, LAMBDA_SCALE, ignore)
+    with pytest.raises(ValueError, match=r"\(n, m\) and \(q, m\)"):
+        match_as_in_the_paper(features, features[:, :2], 2, LAMBDA_SCALE, ignore)

@@ -1,0 +1,158 @@
+"""Ordered matching of whole traverses: one road that is driven again, at other speeds."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+from smal.place_recognition.matches import NONE
+from smal.place_recognition.ordered_matching import OrderedSolution
+from smal.place_recognition.traverse_matching import OrderedSettings, match_traverses, place_of
+from tests.smal.place_recognition.ordered_problems import unit
+from tests.smal.place_recognition.traverses import ignore
+
+LENGTH, N = 10, 240
+Array = NDArray[np.float64]
+
+
+class Walk:
+    """Features that change smoothly along a road of n reference frames: neighbours resemble each other."""
+
+    def __init__(self, rng: np.random.Generator, n: int = N, size: int = 96) -> None:
+        steps = rng.normal(size=(n + 8, size))
+        self._features = unit(np.array([steps[place : place + 8].sum(axis=0) for place in range(n)]))
+        self._rng = rng
+
+    def at(self, places: Array, noise: float) -> NDArray[np.float32]:
+        """Return what is seen at places (q,) between the references, with noise of that length."""
+        low = np.clip(np.floor(places).astype(int), 0, len(self._features) - 2)
+        share = (places - low)[:, np.newaxis]
+        seen = unit((1 - share) * self._features[low] + share * self._features[low + 1])
+        disturbed = unit(seen + noise * unit(self._rng.normal(size=seen.shape)))
+        return disturbed.astype(np.float32)
+
+
+def drives() -> dict[str, Array]:
+    """Return the places of some queries: at one speed, and at changing ones."""
+    found = {f"{speed:g}": np.arange(20, 220, speed) for speed in (0.5, 0.7, 1.0, 1.4, 2.0)}
+    changing = 2.0 ** np.sin(np.arange(400) / 25)
+    places = 20 + np.cumsum(changing)
+    sudden = 20 + np.cumsum(np.repeat([0.5, 2.0, 1.0], [60, 40, 60]))
+    return found | {"waves": places[places < 220], "sudden": sudden[sudden < 220]}
+
+
+@pytest.mark.parametrize("name", sorted(drives()))
+def test_the_place_is_found_at_every_speed(name: str) -> None:
+    places = drives()[name]
+    walk = Walk(np.random.default_rng(0))
+    references, queries = walk.at(np.arange(N, dtype=float), 0.4), walk.at(places, 0.8)
+    matches = match_traverses(references, queries, OrderedSettings(length=LENGTH), ignore)
+    assert matches.reference[: LENGTH - 1].tolist() == [NONE] * (LENGTH - 1)
+    assert (matches.score[: LENGTH - 1] == 0.0).all()
+    error = np.abs(matches.reference - places)[LENGTH - 1 :]
+    assert matches.matched[LENGTH - 1 :].all()
+    assert np.mean(error <= 2) >= 0.97
+
+
+def test_equal_speeds_only_would_not_do() -> None:
+    """The drives above need the other speeds: a single frame, or a diagonal, does worse at twice the speed."""
+    places = drives()["2"]
+    walk = Walk(np.random.default_rng(0))
+    references, queries = walk.at(np.arange(N, dtype=float), 0.4), walk.at(places, 2.5)
+    right = {}
+    for name, chosen in {
+        "any speed": OrderedSettings(length=LENGTH),
+        "equal speeds": OrderedSettings(length=LENGTH, speed_penalty=10.0),
+        "single frames": OrderedSettings(length=1),
+    }.items():
+        matches = match_traverses(references, queries, chosen, ignore)
+        right[name] = np.mean(np.abs(matches.reference - places)[LENGTH - 1 :] <= 2)
+    assert right["any speed"] > right["equal speeds"] + 0.1
+    assert right["any speed"] > right["single frames"] + 0.1
+
+
+@pytest.mark.parametrize("name", ["0.5", "2", "waves"])
+def test_the_second_round_knows_the_speed(name: str) -> None:
+    """With frames so poor that the penalty on other speeds alone costs up to an eighth of the matches."""
+    places, right = drives()[name], []
+    for seed in range(3):
+        walk = Walk(np.random.default_rng(seed))
+        references, queries = walk.at(np.arange(N, dtype=float), 0.4), walk.at(places, 3.0)
+        matches = match_traverses(references, queries, OrderedSettings(length=LENGTH), ignore)
+        right.append(np.mean(np.abs(matches.reference - places)[LENGTH - 1 :] <= 2))
+    assert np.mean(right) > 0.965
+
+
+@given(st.integers(0, 2**32 - 1), st.integers(1, 30), st.integers(0, 30), st.integers(1, 12))
+@settings(max_examples=40, deadline=None)
+def test_sizes(seed: int, n: int, q: int, length: int) -> None:
+    rng = np.random.default_rng(seed)
+    references, queries = (unit(rng.normal(size=(count, 20))).astype(np.float32) for count in (n, q))
+    done: list[int] = []
+    matches = match_traverses(references, queries, OrderedSettings(length=length), done.append)
+    assert matches.reference.shape == matches.score.shape == (q,)
+    assert not matches.matched[: length - 1].any()
+    assert not (length > n and matches.matched.any())
+    assert (matches.score >= 0.0).all()
+    assert (matches.score[matches.matched] > 0.0).all()
+    assert matches.reference.max(initial=NONE) < n
+    assert done == sorted(done)
+    assert done[-1] == q
+    assert min(done) >= 0
+
+
+@pytest.mark.parametrize("queries", [0, 1, LENGTH - 1, LENGTH])
+def test_few_queries(queries: int) -> None:
+    references = Walk(np.random.default_rng(1), 40).at(np.arange(40, dtype=float), 0.0)
+    matches = match_traverses(references, references[:queries], OrderedSettings(length=LENGTH), ignore)
+    assert matches.reference.tolist() == [NONE] * min(queries, LENGTH - 1) + [LENGTH - 1] * (queries == LENGTH)
+
+
+def test_a_traverse_is_found_in_itself() -> None:
+    references = Walk(np.random.default_rng(2), 60).at(np.arange(60, dtype=float), 0.0)
+    matches = match_traverses(references, references.copy(), OrderedSettings(length=LENGTH), ignore)
+    assert matches.reference[LENGTH - 1 :].tolist() == list(range(LENGTH - 1, 60))
+
+
+def test_what_resembles_nothing_has_no_match() -> None:
+    references = np.abs(np.random.default_rng(3).normal(size=(30, 8))).astype(np.float32)
+    matches = match_traverses(references, -references, OrderedSettings(length=4), ignore)
+    assert not matches.matched.any()
+
+
+def test_the_place_is_where_most_weight_ends() -> None:
+    def place(ends: list[int], weights: list[float]) -> tuple[int, float]:
+        return place_of(OrderedSolution(np.array(ends), np.array(weights), 1.0, 0.0, 0.5), 100)
+
+    assert place([40], [0.5]) == (40, pytest.approx(0.5))
+    # Two at one place, of different speeds (number v n + e), against a heavier one elsewhere.
+    assert place([40, 142, 80], [0.3, 0.3, 0.4]) == (41, pytest.approx(0.36))
+    assert place([40, 44], [0.3, 0.1]) == (40, pytest.approx(0.09 / 0.4))
+
+
+@pytest.mark.parametrize(
+    ("chosen", "problem"),
+    [
+        ({"length": 0}, "length of at least 1"),
+        ({"relative_penalty": 0.0}, "above 0 and below 1"),
+        ({"relative_penalty": 1.0}, "above 0 and below 1"),
+        ({"relative_penalty": float("nan")}, "above 0 and below 1"),
+        ({"speed_penalty": -0.1}, "not negative"),
+        ({"speed_penalty": float("inf")}, "finite"),
+        ({"tolerance": 0.0}, "tolerance"),
+    ],
+)
+def test_bad_settings_are_refused(chosen: dict[str, float], problem: str) -> None:
+    with pytest.raises(ValueError, match=problem):
+        OrderedSettings(**chosen)  # type: ignore[arg-type]
+
+
+def test_bad_features_are_refused() -> None:
+    features = np.eye(12, dtype=np.float32)
+    with pytest.raises(ValueError, match=r"\(n, m\) and \(q, m\)"):
+        match_traverses(features, features[:, :3], OrderedSettings(length=2), ignore)
+    broken = features.copy()
+    broken[3, 3] = np.nan
+    with pytest.raises(ValueError, match="queries contain NaN"):
+        match_traverses(features, broken, OrderedSettings(length=2), ignore)
