@@ -12,7 +12,7 @@ from pydantic import ValidationError
 
 from schemas.codec import describe
 from services.bus import BusError, RpcError
-from services.commands import bench, demonstrate, doctor, learn, match, run, teleop, topic, tune, up, world
+from services.commands import bench, demonstrate, doctor, evaluate, learn, match, run, teleop, topic, tune, up, world
 from services.commands.errors import JobError, UsageError, describe_os_error
 from services.process import EXIT_FAILED, EXIT_USAGE, ServiceError
 
@@ -29,6 +29,7 @@ app.command("demonstrate")(demonstrate.demonstrate)
 app.command("learn")(learn.learn)
 app.command("run")(run.run)
 app.command("match")(match.match)
+app.command("evaluate")(evaluate.evaluate)
 app.command("tune")(tune.tune)
 app.command("teleop")(teleop.teleop)
 app.command("doctor")(doctor.doctor)

@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import base64
-import html
-import io
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Final
@@ -15,6 +12,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from services.commands.episodes import EpisodeRecord
+from services.commands.html import image, page, png, source, tiles
 from services.commands.route_map import OUTCOME_COLOURS, draw_routes
 from smal.model import Model
 
@@ -39,10 +37,9 @@ def write_report(
         "<h2>Every run</h2>",
         _table(records),
     ]
-    page = folder / "index.html"
-    title = f"SMAL: {html.escape(world)}, {len(records)} runs"
-    page.write_text(_PAGE.format(title=title, body="\n".join(parts)), encoding="utf-8")
-    return page
+    path = folder / "index.html"
+    path.write_text(page(f"SMAL: {world}, {len(records)} runs", "\n".join(parts)), encoding="utf-8")
+    return path
 
 
 def _tiles(model: Model, records: list[EpisodeRecord], summary: Mapping[str, object]) -> str:
@@ -51,7 +48,7 @@ def _tiles(model: Model, records: list[EpisodeRecord], summary: Mapping[str, obj
     latency = summary["decision_latency_ms"]
     assert isinstance(latency, dict)  # noqa: S101 - made by run.summarise
     p50, p95 = (f"{latency[key]:.0f} ms" if latency[key] is not None else "none taken" for key in ("p50", "p95"))
-    tiles = {
+    values = {
         "victim found": f"{found} of {len(records)}",
         "95 % interval": f"{low:.0%} to {high:.0%}",
         "states": str(model.states),
@@ -60,8 +57,7 @@ def _tiles(model: Model, records: list[EpisodeRecord], summary: Mapping[str, obj
         "decision, median": p50,
         "decision, 95 %": p95,
     }
-    cells = "".join(f"<div><b>{value}</b><span>{name}</span></div>" for name, value in tiles.items())
-    return f'<div class="tiles">{cells}</div>'
+    return tiles(values)
 
 
 def _latencies(records: Iterable[EpisodeRecord]) -> Figure:
@@ -97,35 +93,11 @@ def _table(records: Iterable[EpisodeRecord]) -> str:
 
 
 def _picture(figure: Figure, alt: str) -> str:
-    buffer = io.BytesIO()
-    figure.savefig(buffer, format="png", dpi=110)
-    data = base64.b64encode(buffer.getvalue()).decode()
-    return f'<img class="wide" src="data:image/png;base64,{data}" alt="{alt}">'
+    return image(png(figure), alt)
 
 
-def _jpeg(image: NDArray[np.uint8]) -> str:
-    height, width, _ = image.shape
-    small = cv2.resize(image, (320, round(320 * height / width)), interpolation=cv2.INTER_AREA)
+def _jpeg(view: NDArray[np.uint8]) -> str:
+    height, width, _ = view.shape
+    small = cv2.resize(view, (320, round(320 * height / width)), interpolation=cv2.INTER_AREA)
     _, data = cv2.imencode(".jpg", cv2.cvtColor(small, cv2.COLOR_RGB2BGR))
-    return "data:image/jpeg;base64," + base64.b64encode(data.tobytes()).decode()
-
-
-_PAGE: Final = """<!doctype html>
-<html lang="en"><head><meta charset="utf-8"><title>{title}</title>
-<style>
-body {{ font: 16px/1.5 system-ui, sans-serif; color: #222; max-width: 60rem; margin: 2rem auto; padding: 0 1rem; }}
-h1 {{ font-size: 1.6rem; }} h2 {{ font-size: 1.15rem; margin-top: 2rem; }}
-.tiles {{ display: grid; grid-template-columns: repeat(auto-fit, minmax(8rem, 1fr)); gap: .6rem; }}
-.tiles div {{ border: 1px solid #ddd; border-radius: .5rem; padding: .6rem .8rem; }}
-.tiles b {{ display: block; font-size: 1.3rem; }} .tiles span {{ color: #666; font-size: .85rem; }}
-.wide {{ width: 100%; }}
-.strip {{ display: grid; grid-template-columns: repeat(3, 1fr); gap: .5rem; }}
-.strip figure {{ margin: 0; }} .strip img {{ width: 100%; border-radius: .3rem; }}
-figcaption {{ color: #666; font-size: .85rem; }}
-table {{ border-collapse: collapse; }} th, td {{ text-align: right; padding: .2rem .9rem; }}
-td {{ border-bottom: 1px solid #eee; }}
-</style></head><body>
-<h1>{title}</h1>
-{body}
-</body></html>
-"""
+    return source(data.tobytes(), "jpeg")

@@ -1,0 +1,70 @@
+"""``smal evaluate``: the paper's experiments in simulation, as a page of results."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+from tqdm import tqdm
+
+from services.commands import options
+from services.commands.evaluation.plan import PLANS, Plan
+from services.commands.evaluation.results import ResultStore
+from services.commands.evaluation.units import Unit, units
+from services.commands.evaluation.workers import do_all
+from services.commands.interrupts import interrupted_by_signals
+from smal.evaluation.baselines.behaviour_cloning import CloningUnavailableError, load_torch
+
+
+def evaluate(
+    out: Annotated[Path, typer.Option(help="Folder for the results; where it has some already, it goes on.")],
+    quick: Annotated[bool, typer.Option(help="In some minutes: fewer drives, lengths and runs.")] = False,
+    workers: Annotated[int, typer.Option(min=1, max=64, help="Processes at work, one core each.")] = 2,
+) -> None:
+    """Run the paper's experiments in simulation, and write a page with their figures.
+
+    OUT/index.html shows everything and needs nothing beside it; the figures lie in OUT/figures, the numbers in
+    OUT/results.json. The whole evaluation takes hours. It can be interrupted at any time: the same command
+    goes on where it was. Behaviour cloning needs torch (pip install 'smal[cloning]').
+
+    Example: smal evaluate --out evaluation --quick
+    """
+    options.make_folder(out, "--out")
+    plan = PLANS["quick" if quick else "full"]
+    store = ResultStore(out, plan)
+    planned = units(plan, cloning=_can_clone())
+    store.forget_missing(planned)
+    with interrupted_by_signals():
+        _work(plan, planned, store, workers)
+        from services.commands.evaluation.page import write_page  # noqa: PLC0415 - matplotlib takes a second to import
+
+        page = write_page(plan, planned, store)
+    typer.echo(f"results: {page}")
+
+
+def _can_clone() -> bool:
+    try:
+        load_torch()
+    except CloningUnavailableError as error:
+        typer.echo(f"note: {error}; the report says that it was left out", err=True)
+        return False
+    return True
+
+
+def _work(plan: Plan, planned: list[Unit], store: ResultStore, workers: int) -> None:
+    """Do what is left to do, with one bar over all of it that counts expected seconds."""
+    done = {unit.key for unit in planned if unit.key in store.findings}
+    total = sum(unit.seconds for unit in planned)
+    before = sum(unit.seconds for unit in planned if unit.key in done)
+    shape = "{desc}: {percentage:3.0f}%|{bar}| {elapsed}<{remaining}{postfix}"
+    with tqdm(total=total, initial=before, desc="evaluating", bar_format=shape, dynamic_ncols=True) as bar:
+
+        def finish(unit: Unit, finding: dict[str, Any], seconds: float) -> None:
+            store.add(unit, finding, seconds)
+            doing = f"{len(store.findings)} of {len(planned)} units, {unit.kind} {unit.world}"
+            bar.set_postfix_str(doing, refresh=False)
+            bar.update(unit.seconds)
+
+        if len(done) < len(planned):
+            do_all(plan, planned, done, store.work, workers, finish)

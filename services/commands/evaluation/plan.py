@@ -1,0 +1,224 @@
+"""What an evaluation runs, as data: `QUICK` and `FULL`."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from dataclasses import asdict, dataclass, field
+from typing import Final, Literal
+
+from services.commands.evaluation.degradation import degradation_named
+from smal.learning import LearningSettings
+
+#: The method at its defaults has this length.
+DEFAULT_LENGTH: Final = LearningSettings().sequence_length
+#: Seeds of what is learned from begin here, as in the README; those of what is recognised beyond all of them.
+TEACHING_SEED, QUERY_SEED, RUN_SEED = 1, 1000, 1
+
+
+@dataclass(frozen=True)
+class Criterion:
+    """When a place is recognised: the demonstrated frame that was taken for it was taken so near to the true pose."""
+
+    distance_m: float
+    angle_deg: float
+
+    @property
+    def meaning(self) -> str:
+        """A few words for people."""
+        return f"within {self.distance_m:g} m and {self.angle_deg:g}°"
+
+
+@dataclass(frozen=True)
+class Scheme:
+    """How SMAL decides.
+
+    Attributes
+    ----------
+    name, meaning
+        For the results, and one line for people.
+    overlapping
+        A decision every frame; otherwise every l frames, as in the paper.
+    aligned, belief
+        See `smal.decision`.
+    shorten
+        See `smal.recognition.Recognizer`.
+    """
+
+    name: str
+    meaning: str
+    overlapping: bool = True
+    aligned: bool = True
+    belief: bool = True
+    shorten: bool = True
+
+    def stride(self, length: int) -> int:
+        """Return the frames from one decision to the next."""
+        return 1 if self.overlapping else length
+
+
+_AS_PUBLISHED: Final = {"aligned": False, "belief": False, "shorten": False}
+SCHEMES: Final = {
+    one.name: one
+    for one in (
+        Scheme("paper", "the paper: a decision every l frames", overlapping=False, **_AS_PUBLISHED),
+        Scheme("overlapping", "overlapping windows: the same, every frame", **_AS_PUBLISHED),
+        Scheme("smal", "default: every frame, aligned, by belief"),
+    )
+}
+
+
+@dataclass(frozen=True)
+class Recogniser:
+    """A way to say which demonstrated frame the robot is at: SMAL of a length, or a peer."""
+
+    name: Literal["smal", "nearest", "seqslam"]
+    length: int
+
+    @property
+    def key(self) -> str:
+        """Short name."""
+        return f"{self.name}-{self.length}"
+
+
+#: Peers that recognise, beside SMAL at all lengths of the plan (l = 1 is the single image).
+PEER_RECOGNISERS: Final = (Recogniser("nearest", 1), Recogniser("nearest", 5), Recogniser("seqslam", 10))
+#: Peers that search, beside SMAL with its default length and with l = 1; the number is that of frames, if it matters.
+PEERS: Final = ("nearest-1", "nearest-5", "seqslam", "cloning")
+
+
+@dataclass(frozen=True)
+class WorldPlan:
+    """What is done in one world.
+
+    Attributes
+    ----------
+    world
+        Its name.
+    drives, recoveries
+        That are learned from.
+    criteria
+        Of right recognition; the first one is that of the figures.
+    queries
+        Held-out drives whose every frame is to be recognised.
+    lengths
+        l for precision and recall.
+    recognised
+        Degradations of the queries.
+    search_lengths
+        l of the success rates; none for no searches.
+    searched
+        For every scheme the degradations under which it searches.
+    runs
+        Searches of every scheme, length and degradation.
+    peers
+        Degradations under which the peers search.
+    template_frames
+        At most so many template frames for Algorithm 2, whose time grows with their cube.
+    """
+
+    world: str
+    drives: int
+    recoveries: int
+    criteria: tuple[Criterion, ...]
+    queries: int
+    lengths: tuple[int, ...]
+    recognised: tuple[str, ...]
+    search_lengths: tuple[int, ...] = ()
+    searched: dict[str, tuple[str, ...]] = field(default_factory=dict)
+    runs: int = 0
+    peers: tuple[str, ...] = ()
+    template_frames: int = 1000
+
+    def __post_init__(self) -> None:
+        for name in {*self.recognised, *self.peers, *(each for names in self.searched.values() for each in names)}:
+            degradation_named(name)
+        unknown = [name for name in self.searched if name not in SCHEMES]
+        if unknown:
+            raise ValueError(f"unknown scheme {unknown[0]!r}; known are {', '.join(SCHEMES)}")
+        if self.drives < 1 or not self.criteria:
+            raise ValueError(f"{self.world}: a plan needs at least one drive and one criterion")
+
+    @property
+    def all_lengths(self) -> tuple[int, ...]:
+        """Lengths for which a model is learned."""
+        needed = {*self.lengths, *self.search_lengths, DEFAULT_LENGTH}
+        return tuple(sorted(needed | ({1} if self.peers else set())))
+
+    @property
+    def recognisers(self) -> tuple[Recogniser, ...]:
+        """Who recognises."""
+        return (*(Recogniser("smal", length) for length in self.lengths), *PEER_RECOGNISERS)
+
+
+@dataclass(frozen=True)
+class Plan:
+    """An evaluation.
+
+    Attributes
+    ----------
+    name
+        "quick" or "full".
+    worlds
+        What is done in each.
+    max_ticks
+        Frames after which a search times out.
+    camera
+        Size of the image, pixels.
+    omitted
+        What it leaves out of the full one, for the report.
+    """
+
+    name: str
+    worlds: tuple[WorldPlan, ...]
+    max_ticks: int = 3000
+    camera: tuple[int, int] = (320, 240)
+    omitted: tuple[str, ...] = ()
+
+    def teaching(self, world: WorldPlan) -> str:
+        """Return a fingerprint of what is learned from in a world."""
+        taught = [world.world, world.drives, world.recoveries, TEACHING_SEED, self.camera]
+        return hashlib.sha256(json.dumps(taught).encode()).hexdigest()[:12]
+
+    @property
+    def fingerprint(self) -> str:
+        """Fingerprint of the whole plan."""
+        return hashlib.sha256(json.dumps(asdict(self), sort_keys=True).encode()).hexdigest()[:12]
+
+
+_INDOOR: Final = (Criterion(0.35, 25.0), Criterion(0.2, 15.0))
+_CAMPUS: Final = (Criterion(3.0, 25.0), Criterion(1.5, 15.0))
+_LENGTHS: Final = (1, 2, 5, 10, 20, 40)
+_BOTH: Final = ("clean", "occluded")
+
+FULL: Final = Plan(
+    "full",
+    tuple(
+        WorldPlan(
+            world, 12, 60, criteria, queries=5, lengths=_LENGTHS, recognised=("clean", "occluded", "poor"),
+            search_lengths=_LENGTHS, searched=dict.fromkeys(SCHEMES, _BOTH), runs=10, peers=_BOTH, template_frames=3000,
+        )
+        for world, criteria in (("indoor", _INDOOR), ("campus", _CAMPUS))
+    ),
+)  # fmt: skip
+
+QUICK: Final = Plan(
+    "quick",
+    (
+        WorldPlan(
+            "indoor", 6, 18, _INDOOR, queries=1, lengths=(1, 5, 20), recognised=_BOTH,
+            search_lengths=(1, 5, 20), searched={"paper": _BOTH, "overlapping": ("occluded",), "smal": _BOTH}, runs=3,
+            peers=_BOTH,
+        ),
+        WorldPlan("campus", 3, 0, _CAMPUS, queries=1, lengths=(1, 5, 20), recognised=_BOTH),
+    ),
+    max_ticks=800,
+    omitted=(
+        "lengths of 2, 10 and 40 frames",
+        "searches on the campus",
+        "overlapping windows with a clear view",
+        "most of the runs (3 instead of 10) and of the drives, so that intervals are wide",
+        "searches longer than 800 frames",
+    ),
+)  # fmt: skip
+PLANS: Final = {plan.name: plan for plan in (QUICK, FULL)}

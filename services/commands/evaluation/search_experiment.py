@@ -1,0 +1,118 @@
+"""Searches of SMAL and of its peers, as numbers that JSON knows, and with pictures for the example route."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from typing import Any, Final
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from services.commands.evaluation.controllers import (
+    CloningController,
+    Controller,
+    ImitationController,
+    SeqSlamController,
+    SmalController,
+)
+from services.commands.evaluation.degradation import degradation_named
+from services.commands.evaluation.plan import DEFAULT_LENGTH, SCHEMES
+from services.commands.evaluation.search import Search, search
+from services.commands.evaluation.workplace import Workplace, replace_file
+from smal.evaluation.baselines.behaviour_cloning import ClonedBehaviour, clone
+
+#: Frames from one kept picture of an example route to the next, and of one kept position of any way.
+PICTURE_TICKS, WAY_TICKS = 10, 5
+_JPEG_QUALITY: Final = 90
+
+
+class Drivers:
+    """Controllers, made once in each worker."""
+
+    def __init__(self, workplace: Workplace) -> None:
+        self._workplace = workplace
+        self.driver = lru_cache(maxsize=2)(self._driver)
+        self._cloned = lru_cache(maxsize=1)(self._clone)
+
+    def _driver(self, world: str, teaching: str, name: str, length: int) -> Controller:
+        if name == "cloning":
+            return CloningController(self._cloned(world, teaching))
+        if name.startswith("nearest-"):
+            return ImitationController(
+                self._workplace.drives(world, teaching), self._workplace.features, int(name.removeprefix("nearest-"))
+            )
+        model = self._workplace.model(world, teaching, length)
+        if name == "seqslam":
+            return SeqSlamController(model, self._workplace.drives(world, teaching))
+        scheme = SCHEMES[name]
+        return SmalController(
+            model,
+            scheme.stride(length),
+            aligned=scheme.aligned,
+            belief=scheme.belief,
+            shorten=scheme.shorten,
+        )
+
+    def _clone(self, world: str, teaching: str) -> ClonedBehaviour:
+        drives = self._workplace.drives(world, teaching)
+        images = [one.thumbnails for one in drives if one.thumbnails is not None]
+        return clone(images, [one.demonstration.atoms for one in drives])[0]
+
+
+def run_search(
+    workplace: Workplace,
+    drivers: Drivers,
+    *,
+    world: str,
+    teaching: str,
+    controller: str,
+    length: int,
+    degradation: str,
+    seed: int,
+    max_ticks: int,
+) -> dict[str, Any]:
+    """Search once; of SMAL's at its defaults and with a clear view pictures are kept."""
+    how = degradation_named(degradation)
+    simulation = workplace.simulation(world, how.shake)
+    kept = (controller, length, degradation) == ("smal", DEFAULT_LENGTH, "clean")
+    found = search(
+        simulation,
+        drivers.driver(world, teaching, controller, length),
+        seed,
+        degradation=how,
+        max_ticks=max_ticks,
+        keep=(lambda tick: tick % PICTURE_TICKS == 0) if kept else lambda _tick: False,
+    )
+    finding = _finding(found)
+    if kept:
+        name = route_file(world, seed)
+        replace_file(workplace.folder / name, _route(found).items())
+        finding["files"] = [name]
+    return finding
+
+
+def route_file(world: str, seed: int) -> str:
+    """Name the file of an example route."""
+    return f"route-{world}-{seed}.npz"
+
+
+def _finding(found: Search) -> dict[str, Any]:
+    way = np.concatenate([found.poses[:-1:WAY_TICKS, :2], found.poses[-1:, :2]])
+    return {
+        "outcome": found.outcome,
+        "ticks": found.ticks,
+        "decisions": len(found.decisions),
+        "unknown": found.unknown,
+        "way": way.round(2).tolist(),
+    }
+
+
+def _route(found: Search) -> dict[str, NDArray[Any]]:
+    """Return poses (ticks + 1, 3), the ticks of the pictures, and the pictures as JPEG."""
+    pictures = {}
+    for tick, image in found.pictures.items():
+        bgr = cv2.cvtColor(image, cv2.COLOR_RGB2BGR)
+        _, data = cv2.imencode(".jpg", bgr, [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY])
+        pictures[f"picture_{tick}"] = data
+    return {"poses": found.poses, "ticks": np.array(sorted(found.pictures))} | pictures

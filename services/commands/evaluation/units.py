@@ -1,0 +1,182 @@
+"""The units of work that a plan comes to, and about how long each takes."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Literal
+
+from services.commands.evaluation.plan import (
+    DEFAULT_LENGTH,
+    PEERS,
+    QUERY_SEED,
+    RUN_SEED,
+    SCHEMES,
+    TEACHING_SEED,
+    Plan,
+    Recogniser,
+    WorldPlan,
+)
+
+Kind = Literal["teach", "learn", "queries", "recognise", "objective", "search"]
+#: Whole drives, and recoveries, that are made as one unit of work.
+_DRIVES_AT_A_TIME, _RECOVERIES_AT_A_TIME = 3, 15
+
+
+@dataclass(frozen=True)
+class Unit:
+    """A piece of work that is done once.
+
+    Attributes
+    ----------
+    kind, world
+        What, and where.
+    settings
+        All else that determines it; numbers and texts.
+    needs
+        Keys of the units that must be done before.
+    seconds
+        About how long it takes, for the progress bar.
+    """
+
+    kind: Kind
+    world: str
+    settings: tuple[tuple[str, str | int], ...]
+    needs: tuple[str, ...] = ()
+    seconds: float = 1.0
+
+    def __getitem__(self, name: str) -> str | int:
+        """Return one of the settings."""
+        return dict(self.settings)[name]
+
+    def number(self, name: str) -> int:
+        """Return a setting that is a number."""
+        return int(self[name])
+
+    def text(self, name: str) -> str:
+        """Return a setting that is a text."""
+        return str(self[name])
+
+    @property
+    def key(self) -> str:
+        """What determines it, in one line."""
+        return "/".join([self.kind, self.world, *(f"{name}={value}" for name, value in self.settings)])
+
+
+class _Costs:
+    """About how many seconds things take on one core, as measured on one machine; only for the progress bar."""
+
+    def __init__(self, world: WorldPlan) -> None:
+        outdoors = world.world == "campus"
+        self.frame_s = 0.015 if outdoors else 0.008
+        self.drive_frames = 560 if outdoors else 330
+        #: Frames that are learned from, in thousands.
+        self.learned = (world.drives * self.drive_frames + world.recoveries * 72) / 1e3
+
+    @property
+    def drive_s(self) -> float:
+        return self.drive_frames * self.frame_s
+
+    def match_s(self, length: int) -> float:
+        """Return what matching a window costs."""
+        return 2.5e-3 + 0.7e-3 * length * self.learned
+
+    def recognise_s(self, recogniser: Recogniser) -> float:
+        return self.drive_frames * (self.match_s(recogniser.length) if recogniser.name == "smal" else 1e-3)
+
+    def search_s(self, controller: str, length: int, degradation: str) -> float:
+        """Return what a search costs; where frames are occluded it lasts longer, and matching takes longer."""
+        longer = 1.0 if degradation == "clean" else 1.7
+        frames = self.drive_frames * longer
+        if controller not in SCHEMES:
+            return frames * (self.frame_s + 2e-3)
+        # Long sequences of the paper's scheme get lost, and then look around until the time is out.
+        frames *= 2.0 if length >= 20 and not SCHEMES[controller].aligned else 1.0
+        return frames * (self.frame_s + longer * self.match_s(length) / SCHEMES[controller].stride(length))
+
+
+def units(plan: Plan, *, cloning: bool) -> list[Unit]:
+    """Return all units of a plan, each after those that it needs.
+
+    Parameters
+    ----------
+    plan
+        What is to be done.
+    cloning
+        Whether behaviour cloning can run on this machine.
+    """
+    return [unit for world in plan.worlds for unit in _of_world(plan, world, cloning)]
+
+
+def _of_world(plan: Plan, world: WorldPlan, cloning: bool) -> Iterator[Unit]:
+    costs = _Costs(world)
+    taught = ("teaching", plan.teaching(world))
+    teaching = list(_teaching(world, taught, costs))
+    yield from teaching
+    learned = {}
+    for length in world.all_lengths:
+        settings = (taught, ("length", length))
+        needs = tuple(unit.key for unit in teaching)
+        learned[length] = Unit("learn", world.world, settings, needs, 1.0 + 0.8 * costs.learned)
+        yield learned[length]
+    queries = [
+        Unit("queries", world.world, (taught, ("seed", QUERY_SEED + k)), (), 1.1 * costs.drive_s)
+        for k in range(world.queries)
+    ]
+    yield from queries
+    model = {length: unit.key for length, unit in learned.items()}
+    yield from _recognition(world, taught, model, [unit.key for unit in queries], costs)
+    if queries:
+        at = (taught, ("length", DEFAULT_LENGTH), ("seed", QUERY_SEED), ("templates", world.template_frames))
+        cost_s = 5.0 * (world.template_frames / 1000) ** 3
+        yield Unit("objective", world.world, at, (model[DEFAULT_LENGTH], queries[0].key), cost_s)
+    yield from _searches(plan, world, taught, model, costs, cloning)
+
+
+def _teaching(world: WorldPlan, taught: tuple[str, str], costs: _Costs) -> Iterator[Unit]:
+    kinds = (("drive", world.drives, _DRIVES_AT_A_TIME, costs.drive_s),
+             ("recovery", world.recoveries, _RECOVERIES_AT_A_TIME, 0.2 * costs.drive_s))  # fmt: skip
+    for purpose, count, together, each_s in kinds:
+        for first in range(0, count, together):
+            number = min(together, count - first)
+            settings = (taught, ("purpose", purpose), ("seed", TEACHING_SEED + first), ("count", number))
+            yield Unit("teach", world.world, settings, (), number * each_s)
+
+
+def _recognition(
+    world: WorldPlan, taught: tuple[str, str], model: dict[int, str], queries: list[str], costs: _Costs
+) -> Iterator[Unit]:
+    for recogniser in world.recognisers:
+        # A peer needs no model, but the drives, and those come before every model.
+        needed = model[recogniser.length if recogniser.name == "smal" else DEFAULT_LENGTH]
+        for degradation in world.recognised:
+            for k, query in enumerate(queries):
+                settings = (taught, ("method", recogniser.name), ("length", recogniser.length),
+                            ("degradation", degradation), ("seed", QUERY_SEED + k))  # fmt: skip
+                yield Unit("recognise", world.world, settings, (needed, query), costs.recognise_s(recogniser))
+
+
+def _searches(
+    plan: Plan, world: WorldPlan, taught: tuple[str, str], model: dict[int, str], costs: _Costs, cloning: bool
+) -> Iterator[Unit]:
+    limit = ("max_ticks", plan.max_ticks)
+    asked = [
+        (scheme, length, degradation)
+        for scheme, degradations in world.searched.items()
+        for length in world.search_lengths
+        for degradation in degradations
+    ]
+    asked += [("smal", length, degradation) for length in (DEFAULT_LENGTH, 1) for degradation in world.peers]
+    asked += [
+        (peer, DEFAULT_LENGTH, degradation)
+        for peer in PEERS
+        if cloning or peer != "cloning"
+        for degradation in world.peers
+    ]
+    for controller, length, degradation in dict.fromkeys(asked):
+        for k in range(world.runs):
+            settings = (taught, ("controller", controller), ("length", length), ("degradation", degradation),
+                        ("seed", RUN_SEED + k), limit)  # fmt: skip
+            yield Unit(
+                "search", world.world, settings, (model[length],), costs.search_s(controller, length, degradation)
+            )

@@ -1,0 +1,78 @@
+"""Pieces of a page of results: one HTML file that needs nothing beside it."""
+
+from __future__ import annotations
+
+import base64
+import html
+import io
+from collections.abc import Iterable, Mapping, Sequence
+from typing import TYPE_CHECKING, Final
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+
+def page(title: str, body: str, width_rem: int = 60) -> str:
+    """Return a whole page; the title is escaped, the body is HTML."""
+    return _PAGE.format(title=html.escape(title), body=body, width_rem=width_rem)
+
+
+def tiles(values: Mapping[str, str]) -> str:
+    """Show values large, each with what it is of."""
+    cells = "".join(f"<div><b>{html.escape(value)}</b><span>{html.escape(name)}</span></div>"
+                    for name, value in values.items())  # fmt: skip
+    return f'<div class="tiles">{cells}</div>'
+
+
+def png(figure: Figure, dpi: int = 110) -> bytes:
+    """Draw a figure as a PNG file."""
+    buffer = io.BytesIO()
+    figure.savefig(buffer, format="png", dpi=dpi)
+    return buffer.getvalue()
+
+
+def image(data: bytes, alt: str, kind: str = "png") -> str:
+    """Embed a picture that is as wide as the page."""
+    return f'<img class="wide" src="{source(data, kind)}" alt="{html.escape(alt)}">'
+
+
+def source(data: bytes, kind: str) -> str:
+    """Return a picture's file as the ``src`` of an image."""
+    return f"data:image/{kind};base64,{base64.b64encode(data).decode()}"
+
+
+def table(head: Sequence[str], rows: Iterable[Sequence[str]], left: int = 0) -> str:
+    """Return a table of escaped cells; the first ``left`` columns are texts, the others numbers."""
+
+    def cells(row: Sequence[str], tag: str) -> str:
+        kinds = (' class="text"' if column < left else "" for column in range(len(row)))
+        return "".join(f"<{tag}{kind}>{html.escape(cell)}</{tag}>" for cell, kind in zip(row, kinds, strict=True))
+
+    body = "".join(f"<tr>{cells(row, 'td')}</tr>" for row in rows)
+    return f'<div class="scroll"><table><tr>{cells(head, "th")}</tr>{body}</table></div>'
+
+
+_PAGE: Final = """<!doctype html>
+<html lang="en"><head><meta charset="utf-8"><meta name="viewport" content="width=device-width"><title>{title}</title>
+<style>
+body {{ font: 16px/1.5 system-ui, sans-serif; color: #222; max-width: {width_rem}rem; margin: 2rem auto;
+  padding: 0 1rem; }}
+h1 {{ font-size: 1.6rem; }} h2 {{ font-size: 1.25rem; margin-top: 2.5rem; }} h3 {{ font-size: 1.05rem; }}
+.tiles {{ display: grid; grid-template-columns: repeat(auto-fit, minmax(8rem, 1fr)); gap: .6rem; }}
+.tiles div {{ border: 1px solid #ddd; border-radius: .5rem; padding: .6rem .8rem; }}
+.tiles b {{ display: block; font-size: 1.3rem; }} .tiles span {{ color: #666; font-size: .85rem; }}
+.wide {{ width: 100%; }}
+.strip {{ display: grid; grid-template-columns: repeat(3, 1fr); gap: .5rem; }}
+.strip figure, figure.own {{ margin: 0; }} figure.own {{ margin-bottom: 1.5rem; }}
+.strip img {{ width: 100%; border-radius: .3rem; }}
+figcaption {{ color: #666; font-size: .85rem; }}
+.scroll {{ overflow-x: auto; }}
+table {{ border-collapse: collapse; font-variant-numeric: tabular-nums; }}
+th, td {{ text-align: right; padding: .2rem .9rem; }} th.text, td.text {{ text-align: left; }}
+td {{ border-bottom: 1px solid #eee; }}
+.ahead {{ color: #1a7f37; }} .behind {{ color: #c62828; }} .open {{ color: #8a6100; }}
+</style></head><body>
+<h1>{title}</h1>
+{body}
+</body></html>
+"""

@@ -1,0 +1,96 @@
+"""A small plan, and findings for it as workers would hand them in, with known outcomes."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+
+from services.commands.evaluation.plan import Criterion, Plan, WorldPlan
+from services.commands.evaluation.results import ResultStore
+from services.commands.evaluation.search_experiment import route_file
+from services.commands.evaluation.units import Unit, units
+from services.commands.evaluation.workplace import replace_file
+
+BOTH = ("clean", "occluded")
+SMALL = Plan(
+    "small",
+    (
+        WorldPlan(
+            "yard", 2, 3, (Criterion(1.0, 25.0), Criterion(0.5, 15.0)), queries=1, lengths=(1, 5, 20), recognised=BOTH,
+            search_lengths=(1, 5, 20), searched={"paper": BOTH, "overlapping": BOTH, "smal": BOTH}, runs=8, peers=BOTH,
+            template_frames=100,
+        ),
+    ),
+    max_ticks=200,
+    camera=(64, 48),
+    omitted=("nearly everything",),
+)  # fmt: skip
+QUERIES = 60
+
+
+def outcome(unit: Unit) -> str:
+    """Say how a search ends: the single image fails where frames are occluded, and the paper's long sequences do."""
+    blind = unit.text("degradation") == "occluded" and unit.number("length") == 1
+    slow = unit.text("controller") == "paper" and unit.number("length") == 20
+    return "collision" if blind else "timeout" if slow else "found"
+
+
+def finding(unit: Unit) -> dict[str, Any]:
+    """Return what a unit found out, in the form that workers have it in."""
+    if unit.kind == "teach":
+        return {"drives": unit.number("count"), "frames": 50 * unit.number("count"), "files": []}
+    if unit.kind == "learn":
+        return {"frames": 250, "states": 40, "shared": 10, "files": []}
+    if unit.kind == "queries":
+        return {"frames": QUERIES, "files": []}
+    if unit.kind == "search":
+        ticks = 150 + unit.number("seed")
+        return {
+            "outcome": outcome(unit),
+            "ticks": ticks,
+            "decisions": 100,
+            "unknown": 2,
+            "way": [[0.0, 0.0], [1.0, 2.0]],
+        }
+    if unit.kind == "objective":
+        points = [(3, 2.0, 0.1), (6, 1.7, 1e-2), (9, 1.68, 1e-5)]
+        ours = [{"iterations": k, "objective": value, "duality_gap": gap} for k, value, gap in points]
+        return {"templates": 100, "length": 5, "ours": ours, "algorithm2": [3.0, 2.0, 1.7, 1.681], "lower_bound": 1.68,
+                "initial": 5.0}  # fmt: skip
+    return recognition(unit)
+
+
+def recognition(unit: Unit) -> dict[str, Any]:
+    """Every third answer of a single image is wrong where frames are occluded; all others are right."""
+    answered = np.arange(QUERIES) >= unit.number("length") - 1
+    wrong = np.zeros(QUERIES, dtype=bool)
+    if unit.number("length") == 1 and unit.text("degradation") == "occluded":
+        wrong[::3] = True
+    right = answered & ~wrong
+    score = np.where(answered, 1.0 - 0.5 * wrong - np.arange(QUERIES) / 1000, 0.0)
+    return {
+        "score": score.tolist(),
+        "answered": answered.astype(int).tolist(),
+        "known": (answered & (score > 0.6)).astype(int).tolist(),
+        "apart_m": np.where(answered, 0.1 + 5.0 * wrong, -1.0).tolist(),
+        "right": [right.astype(int).tolist()] * 2,
+        "findable": [[1] * QUERIES] * 2,
+    }
+
+
+def finished(folder: Path) -> tuple[list[Unit], ResultStore]:
+    """Return a store in which all units of the small plan are done."""
+    planned = units(SMALL, cloning=False)
+    store = ResultStore(folder, SMALL)
+    for unit in planned:
+        store.add(unit, finding(unit), 0.5)
+    picture = np.random.default_rng(0).integers(0, 255, (48, 64, 3), dtype=np.uint8)
+    _, data = cv2.imencode(".jpg", picture)
+    ticks = np.arange(0, 151, 10)
+    poses = np.column_stack([np.linspace(0, 10, 152), np.linspace(0, 5, 152), np.zeros(152)])
+    arrays = {"poses": poses, "ticks": ticks} | {f"picture_{tick}": data for tick in ticks}
+    replace_file(store.work / route_file("yard", 1), arrays.items())
+    return planned, store
