@@ -3,7 +3,7 @@
 Eq. 7 lets every frame of a template sequence explain every frame of the query: its S1-norm groups frames and does not
 know their order. On real pictures order is what tells places apart (design.md, section 7). So let the block of W that
 belongs to sequence j be diagonal, W^j = c_j I: the i-th query frame is explained by the i-th frame of the sequence.
-Both penalties of Eq. 7 are then multiples of the same norm, and what remains is
+Both penalties of Eq. 7 are then the same norm, l sum_j c_j, with lambda = lambda1 + lambda2, and what remains is
 
     min_{c >= 0}  1/l sum_i || y_i - sum_j c_j x_{j,i} ||_2  +  sum_j lambda_j c_j ,
 
@@ -22,22 +22,13 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from smal.compiled import compiled
+from smal.place_recognition.ordered_descent import FLOOR, combine, gather, minimise
 from smal.place_recognition.template_sequences import TemplateSequences
 
 #: Sequences that the first working set holds, and that a later round adds at most.
 _FIRST: Final = 48
 _MORE: Final = 24
 _MOST_ROUNDS: Final = 30
-#: A residual shorter than this (frames have length 1) is rounding noise: its square is the difference of float32
-#: products, which are off by 1e-7. The dual point r / max(||r||, floor) stays feasible below it.
-_FLOOR: Final = 5e-4
-#: A sequence with less curvature than this shows nothing.
-_FLAT: Final = 1e-9
-#: Weights that change by less do not change.
-_STILL: Final = 1e-8
-#: Parabolas in a row for one working set.
-_MOST_STEPS: Final = 1000
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,7 +89,7 @@ def solve_ordered(
     OrderedSolution
         Without sequences where none is alike in the least.
     """
-    seen = norms > _FLOOR
+    seen = norms > FLOOR
     scale = np.divide(1.0, norms, out=np.zeros(norms.shape), where=seen)
     prices = template_sequences.means(products * scale[:, np.newaxis].astype(np.float32))
     reduced = prices - surcharge[:, np.newaxis].astype(np.float32)
@@ -152,13 +143,13 @@ class _Problem:
         """
         frames = self._sequences.frames(working, self._gram.shape[0])
         penalties = self._penalties[working // self._gram.shape[0]]
-        blocks, linear = _gather(self._gram, self._products, frames)
+        blocks, linear = gather(self._gram, self._products, frames)
         residuals = np.empty(self._norms.size)
-        _minimise(blocks, linear, self._squares, penalties, weights, residuals, 0.1 * self._tolerance)
+        minimise(blocks, linear, self._squares, penalties, weights, residuals, 0.1 * self._tolerance)
         active = np.flatnonzero(weights)
         prices = self._prices(frames[active], weights[active], residuals)
         primal = float(residuals.mean() + penalties @ weights)
-        agreement = (self._squares - linear @ weights) / np.maximum(residuals, _FLOOR)
+        agreement = (self._squares - linear @ weights) / np.maximum(residuals, FLOOR)
         gap = (primal - self._feasible(prices) * float(agreement.mean())) / primal
         reduced = (prices - self._penalties[:, np.newaxis].astype(np.float32)).ravel()
         reduced[working] = -np.inf
@@ -170,8 +161,8 @@ class _Problem:
     ) -> NDArray[np.float32]:
         """Return 1/l sum_i x_{j,i} . theta_i of all sequences, (speeds, n), for theta_i = r_i / ||r_i||."""
         explained = np.empty_like(self._products)
-        _combine(self._gram, frames, weights.astype(np.float32), explained)
-        scale = (1.0 / np.maximum(residuals, _FLOOR)).astype(np.float32)
+        combine(self._gram, frames, weights.astype(np.float32), explained)
+        scale = (1.0 / np.maximum(residuals, FLOOR)).astype(np.float32)
         return self._sequences.means((self._products - explained) * scale[:, np.newaxis])
 
     def _feasible(self, prices: NDArray[np.float32]) -> float:
@@ -186,118 +177,3 @@ def _largest(values: NDArray[np.float32], count: int) -> NDArray[np.int64]:
     where = np.argpartition(-values, count - 1)[:count]
     found: NDArray[np.int64] = where[np.isfinite(values[where])]
     return found
-
-
-@compiled
-def _gather(
-    gram: NDArray[np.float32], products: NDArray[np.float32], frames: NDArray[np.int64]
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Take out the inner products of p sequences frame by frame, (l, p, p), and those with the query, (l, p)."""
-    count, length = frames.shape
-    blocks, linear = np.empty((length, count, count)), np.empty((length, count))
-    for i in range(length):
-        for a in range(count):
-            row = gram[frames[a, i]]
-            linear[i, a] = products[i, frames[a, i]]
-            for b in range(count):
-                blocks[i, a, b] = row[frames[b, i]]
-    return blocks, linear
-
-
-@compiled
-def _combine(
-    gram: NDArray[np.float32],
-    frames: NDArray[np.int64],
-    weights: NDArray[np.float32],
-    explained: NDArray[np.float32],
-) -> None:
-    """Compute the products of all references with sum_j c_j x_{j,i}, (l, n)."""
-    explained[:] = 0.0
-    for i in range(explained.shape[0]):
-        for a in range(frames.shape[0]):
-            row, weight = gram[frames[a, i]], weights[a]
-            for reference in range(explained.shape[1]):
-                explained[i, reference] += weight * row[reference]
-
-
-@compiled
-def _minimise(
-    blocks: NDArray[np.float64],
-    linear: NDArray[np.float64],
-    squares: NDArray[np.float64],
-    penalties: NDArray[np.float64],
-    weights: NDArray[np.float64],
-    residuals: NDArray[np.float64],
-    tolerance: float,
-) -> None:
-    """Solve the program over p sequences, from `weights`, in place.
-
-    Each residual norm is majorised by the parabola that touches it (as in Algorithm 2), and the parabolas' sum is
-    minimised by cyclic coordinate descent; the objective falls in every round.
-    """
-    length, count = linear.shape
-    curvature, slope = np.empty((count, count)), np.empty(count)
-    gradient = np.empty(count)
-    _residual_norms(blocks, linear, squares, weights, residuals)
-    for _ in range(_MOST_STEPS):
-        curvature[:] = 0.0
-        slope[:] = 0.0
-        for i in range(length):
-            scale = 1.0 / (length * max(residuals[i], _FLOOR))
-            curvature += scale * blocks[i]
-            slope += scale * linear[i]
-        gradient[:] = slope - curvature @ weights - penalties
-        # The majoriser touches the objective here, so their duality gaps agree.
-        primal, reached, worst = penalties @ weights, 0.0, 1.0
-        for i in range(length):
-            primal += residuals[i] / length
-            reached += (squares[i] - linear[i] @ weights) / (length * max(residuals[i], _FLOOR))
-        for a in range(count):
-            price = gradient[a] + penalties[a]
-            if price > penalties[a]:
-                worst = min(worst, penalties[a] / price)
-        if primal - worst * reached <= tolerance * primal:
-            return
-        moved = _descend(curvature, gradient, weights)
-        # The certificate is of the last weights, whether or not they are good enough.
-        _residual_norms(blocks, linear, squares, weights, residuals)
-        if moved < _STILL:
-            return
-
-
-@compiled
-def _descend(curvature: NDArray[np.float64], gradient: NDArray[np.float64], weights: NDArray[np.float64]) -> float:
-    """Minimise 1/2 c'Hc - g'c over c >= 0 by cyclic coordinate descent; `gradient` is g - Hc and kept so.
-
-    Returns the largest step of the first sweep, which is small where the weights were good already.
-    """
-    count, first = weights.size, 0.0
-    for sweep in range(100):
-        moved = 0.0
-        for a in range(count):
-            if curvature[a, a] <= _FLAT:
-                continue
-            step = max(gradient[a] / curvature[a, a], -weights[a])
-            if step != 0.0:
-                weights[a] += step
-                for b in range(count):
-                    gradient[b] -= step * curvature[a, b]
-                moved = max(moved, abs(step))
-        if sweep == 0:
-            first = moved
-        if moved < _STILL:
-            break
-    return first
-
-
-@compiled
-def _residual_norms(
-    blocks: NDArray[np.float64],
-    linear: NDArray[np.float64],
-    squares: NDArray[np.float64],
-    weights: NDArray[np.float64],
-    residuals: NDArray[np.float64],
-) -> None:
-    for i in range(residuals.size):
-        square = squares[i] - 2.0 * (linear[i] @ weights) + weights @ (blocks[i] @ weights)
-        residuals[i] = np.sqrt(max(square, 0.0))
