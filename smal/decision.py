@@ -26,6 +26,9 @@ from smal.recognition import Candidate, Recognition
 
 _TIE = 1e-9
 
+#: Frames for which the last plan may be gone on with while states are unknown: at 0.1 s each about as long as something
+#: hides the view in passing. A robot that turned at once would have to find its heading again each time.
+COAST_TICKS = 3
 #: Share of a view that may stay unexplained for a robot to stop looking around.
 SETTLED_RESIDUAL = 0.7
 
@@ -38,16 +41,17 @@ class Decision:
     ----------
     kind : str
         "action": the policy's action; "goal": the rest of a demonstration that ended here, then stop;
-        "dead_end": the rest of a drive that stopped here without success; "look_around": turn on the spot,
-        since the state is unknown; "stop": looking around has not helped; "wait": no state is due yet.
+        "dead_end": the rest of a drive that stopped here without success; "coast": the rest of the last plan, for
+        a moment in which the state is unknown; "look_around": turn on the spot, since the state is unknown;
+        "stop": looking around has not helped; "wait": no state is due yet.
     atoms : tuple of Atom
-        The plan, l atoms long; empty for "wait", which leaves the last plan as it is.
+        The plan, l atoms long; what is left of it for "coast"; empty for "wait". Both leave the last plan as it is.
     state, action : int or None
     demonstration, frame : int or None
         Where the atoms come from; with a belief, those of the heaviest state.
     """
 
-    kind: Literal["action", "goal", "dead_end", "look_around", "stop", "wait"]
+    kind: Literal["action", "goal", "dead_end", "coast", "look_around", "stop", "wait"]
     atoms: tuple[Atom, ...]
     state: int | None = None
     action: int | None = None
@@ -116,6 +120,7 @@ class DecisionMaker:
         self._plan: deque[Atom] = deque()
         self._turns_left = self._look_around_ticks
         self._looking = False
+        self._coasted = 0
 
     def next_atom(self) -> Atom:
         """Take the next atom of the plan; stop when there is none."""
@@ -129,10 +134,14 @@ class DecisionMaker:
         if recognition.status == "collecting":
             return Decision("wait", ())
         if recognition.state is None or recognition.phase is None or self._keeps_looking(recognition):
+            if self._may_coast():
+                self._coasted += self._stride
+                return Decision("coast", tuple(self._plan))
             decision = self._look_around(recognition.state)
         else:
             alone = (Candidate(recognition.state, recognition.phase, 1.0),)
             decision = self._act(recognition.candidates if self._belief and recognition.candidates else alone)
+            self._coasted = 0
         self._looking = decision.kind == "look_around"
         # Not every decision restores the turns: a state that only turns back would make it swing for ever. Nor does
         # what is planned for after the next decision, which may be another one.
@@ -140,6 +149,10 @@ class DecisionMaker:
             self._turns_left = self._look_around_ticks
         self._plan = deque(decision.atoms)
         return decision
+
+    def _may_coast(self) -> bool:
+        """Whether the last plan, made of a known state, has movements left, and may still be gone on with unseen."""
+        return any(self._plan) and not self._looking and self._coasted + self._stride <= COAST_TICKS
 
     def _keeps_looking(self, recognition: Recognition) -> bool:
         """Whether a robot that is looking around goes on although this view is just about known.

@@ -220,7 +220,7 @@ _fields: dict[type[Message], st.SearchStrategy[dict[str, object]]] = {
     Action: st.fixed_dictionaries(
         {
             **_header,
-            "kind": st.sampled_from(["action", "goal", "dead_end", "look_around", "stop"]),
+            "kind": st.sampled_from(["action", "goal", "dead_end", "coast", "look_around", "stop"]),
             "state": st.none() | st.integers(0, 1_000_000),
             "atoms": st.lists(_atoms, max_size=30).map(tuple),
         }

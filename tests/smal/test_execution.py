@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from smal.action_space import Atom
-from smal.decision import SETTLED_RESIDUAL
+from smal.decision import COAST_TICKS, SETTLED_RESIDUAL
 from smal.execution import Candidate, DecisionMaker, Recognition, Recognizer
 from smal.learning import Demonstration, LearningReport, LearningSettings, learn
 from smal.model import Model
@@ -344,3 +344,43 @@ def test_the_belief_is_about_now(model: Model) -> None:
 def test_an_impossible_memory_is_refused(model: Model) -> None:
     with pytest.raises(ValueError, match="recency_ticks"):
         Recognizer(model, recency_ticks=0.0)
+
+
+def coasting(model: Model, stride: int, unknown: int) -> tuple[list[str], list[Atom]]:
+    """Decide once by a known state of a straight stretch, then while nothing is known."""
+    maker = DecisionMaker(model, stride, belief=False)
+    state = int(model.state_streams[0][0])
+    seen = [
+        Recognition("recognized", 0, state, float(LENGTH - 1)),
+        *[Recognition("unknown", t) for t in range(unknown)],
+    ]
+    kinds, atoms = [], []
+    for recognition in seen:
+        kinds.append(maker.decide(recognition).kind)
+        atoms += [maker.next_atom() for _ in range(stride)]
+    return kinds, atoms
+
+
+def test_a_moment_without_a_state_does_not_change_the_plan(model: Model) -> None:
+    kinds, atoms = coasting(model, 1, 5)
+    assert kinds == ["action", "coast", "coast", "coast", "look_around", "look_around"]
+    maker = DecisionMaker(model, belief=False)
+    plan = maker.decide(Recognition("recognized", 0, int(model.state_streams[0][0]), float(LENGTH - 1))).atoms
+    assert tuple(atoms[: COAST_TICKS + 1]) == plan[: COAST_TICKS + 1]
+    assert atoms[COAST_TICKS + 1 :] == [Atom.LEFT] * 2
+
+
+@pytest.mark.parametrize(("stride", "coasts"), [(1, 3), (2, 1), (3, 1), (4, 0), (LENGTH, 0)])
+def test_coasting_is_bounded_in_frames_and_not_in_decisions(model: Model, stride: int, coasts: int) -> None:
+    kinds, _ = coasting(model, stride, 5)
+    assert kinds.count("coast") == coasts
+    assert kinds[coasts + 1 :] == ["look_around"] * (5 - coasts)
+
+
+def test_a_robot_that_looks_around_or_stands_does_not_coast(model: Model) -> None:
+    maker = DecisionMaker(model, stride=1, look_around_ticks=2)
+    kinds = []
+    for tick in range(5):
+        kinds.append(maker.decide(Recognition("unknown", tick)).kind)
+        maker.next_atom()
+    assert kinds == ["look_around", "look_around", "stop", "stop", "stop"]

@@ -231,7 +231,7 @@ def _recognition_table(found: Sequence[Recognised]) -> str:
         for one in found
     ]
     head = ["method", "view", "area", "95 %", "recall at 100 % precision", "95 %", "novelty test: precision at recall",
-            "queries with an answer"]  # fmt: skip
+            "frames with a right answer"]  # fmt: skip
     return html.table(head, rows, left=2)
 
 
