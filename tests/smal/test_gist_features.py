@@ -83,9 +83,10 @@ def test_a_mirrored_image_has_mirrored_orientations_and_cells(orientation: int, 
     picture = np.random.default_rng(seed).integers(0, 256, (ROWS, COLUMNS, 3), dtype=np.uint8)
     vector = describe(picture).reshape(SHAPE)
     mirrored = describe(np.ascontiguousarray(picture[:, ::-1])).reshape(SHAPE)
-    # A wave at angle t is at 180 degrees - t in the mirror.
+    # A wave at angle t is at 180 degrees - t in the mirror. Images of even width have no middle column: the frequency
+    # grid is not symmetric, by at most 0.35 % over all these seeds.
     opposite = (ORIENTATIONS - orientation) % ORIENTATIONS
-    np.testing.assert_allclose(mirrored[:, opposite], vector[:, orientation, :, ::-1], rtol=2e-3)
+    np.testing.assert_allclose(mirrored[:, opposite], vector[:, orientation, :, ::-1], rtol=5e-3)
 
 
 def test_light_and_contrast_change_little() -> None:
