@@ -8,8 +8,8 @@ the large masses are, and keeps nothing of the objects. Parameters as in the aut
 from functools import cache
 
 import numpy as np
+from numpy import fft
 from numpy.typing import NDArray
-from scipy import fft
 
 from smal.features.modality import unit_length
 from smal.features.resizing import resized_grey
@@ -78,7 +78,7 @@ def _cell_means(amplitude: NDArray[np.float32]) -> NDArray[np.float32]:
 
 @cache
 def transfer_functions() -> NDArray[np.float32]:
-    """Return the Gabor filters (filters, rows, columns) over the frequencies of `scipy.fft.fft2`.
+    """Return the Gabor filters (filters, rows, columns) over the frequencies of `numpy.fft.fft2`.
 
     That of the centre frequency f_s and the orientation t_o is exp(-3.5 (f / f_s - 1)^2 - 2 pi (t - t_o)^2) at the
     frequency f and the angle t, and nothing of the mean passes. Each filter has one side of the plane only, so that

@@ -159,3 +159,19 @@ def test_unknown_modalities_are_one_line(modalities: str, words: str) -> None:
     assert words in ended.stderr
     assert ended.stderr.startswith("features: modalities: ")
     assert ended.stderr.count("\n") == 1
+
+
+def test_the_service_needs_neither_scipy_nor_numba() -> None:
+    """Its container image has neither."""
+    program = (
+        "import sys\n"
+        "sys.modules['scipy'] = sys.modules['numba'] = None\n"
+        "import services.features.__main__\n"
+        "import numpy as np\n"
+        "from smal.features import MODALITIES, FeatureSettings, extract\n"
+        "names = [name for name in MODALITIES if name != 'depth']\n"
+        "print(extract(np.zeros((48, 64, 3), dtype=np.uint8), FeatureSettings.of(names)).size)\n"
+    )
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    assert int(done.stdout) > 8244
