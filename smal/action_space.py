@@ -43,6 +43,11 @@ def first_frame(frames: int, sequence_length: int) -> int:
     return frames % sequence_length
 
 
+def last_frames(frames: int, sequence_length: int) -> NDArray[np.int64]:
+    """Last frame of every sequence of a demonstration, int64 (f // l,)."""
+    return np.arange(first_frame(frames, sequence_length), frames, sequence_length) + sequence_length - 1
+
+
 def following_atoms(atoms: NDArray[np.int8], sequence_length: int) -> NDArray[np.int8]:
     """Cut out the l atoms after each sequence.
 
@@ -62,8 +67,7 @@ def following_atoms(atoms: NDArray[np.int8], sequence_length: int) -> NDArray[np
     """
     l = sequence_length  # noqa: E741
     padded = np.concatenate([atoms, np.full(l - 1, Atom.STOP, dtype=np.int8)])
-    starts = np.arange(first_frame(atoms.size, l), atoms.size, l) + l - 1
-    following: NDArray[np.int8] = padded[starts[:, None] + np.arange(l)]
+    following: NDArray[np.int8] = padded[last_frames(atoms.size, l)[:, None] + np.arange(l)]
     return following
 
 

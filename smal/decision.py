@@ -15,12 +15,12 @@ demonstrations of one route pile up, and both have their remedy in W.
 
 from collections import deque
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from smal.action_space import Atom, first_frame
+from smal.action_space import Atom, last_frames
 from smal.model import Model
 from smal.recognition import Candidate, Recognition
 
@@ -203,16 +203,14 @@ class DecisionMaker:
 def _index_occurrences(model: Model) -> list[list[_Occurrence]]:
     """Every demonstrated sequence, by its state."""
     found: list[list[_Occurrence]] = [[] for _ in range(model.states)]
-    length = model.sequence_length
     for number, atoms in enumerate(model.atoms):
-        streams: tuple[NDArray[np.int32], NDArray[np.float32], NDArray[np.int32]] = (
+        streams: tuple[NDArray[Any], ...] = (
+            last_frames(len(atoms), model.sequence_length),
             model.state_streams[number],
             model.phases[number],
             model.action_streams[number],
         )
-        count = len(streams[0])
-        for index, (state, phase, action) in enumerate(zip(*(part.tolist() for part in streams), strict=True)):
-            last = first_frame(len(atoms), length) + (index + 1) * length - 1
-            ends = index == count - 1 and model.successful[number]
+        for last, state, phase, action in zip(*(part.tolist() for part in streams), strict=True):
+            ends = last == len(atoms) - 1 and model.successful[number]
             found[state].append(_Occurrence(number, last, phase, action, ends))
     return found

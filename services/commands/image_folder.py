@@ -11,7 +11,7 @@ import os
 import re
 import sys
 from collections import deque
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import partial
@@ -24,6 +24,8 @@ from tqdm import tqdm
 
 from services.commands.errors import JobError, UsageError
 from services.commands.image_reading import is_named_as_image, quiet_opencv, read_color, read_depth
+from smal.evaluation.ground_truth import IntervalTruth
+from smal.evaluation.truth_file import TruthFileError, read_truth
 from smal.features import FeatureSettings, extract
 
 #: Names that are spelled out when files are skipped.
@@ -50,6 +52,10 @@ class ImageFolder:
     path: Path
     frames: tuple[str, ...]
     others: tuple[str, ...]
+
+
+#: Of an image (height, width, 3) and the number of its frame: another image of that place.
+Change = Callable[[NDArray[np.uint8], int], NDArray[np.uint8]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -123,10 +129,33 @@ def _leads_nowhere(entry: os.DirEntry[str]) -> bool:
     return entry.is_symlink() and not Path(entry.path).exists()
 
 
+def read_truth_of(path: Path, queries: ImageFolder, references: ImageFolder) -> IntervalTruth:
+    """Read ``--truth``.
+
+    Raises
+    ------
+    UsageError
+        When the file is no truth of these folders, or there is nothing to find.
+    """
+    try:
+        truth = read_truth(path, len(queries.frames), len(references.frames))
+    except TruthFileError as error:
+        raise UsageError(f"--truth {error}") from None
+    if not truth.findable.any():
+        raise UsageError(f"--truth {path}: no query has a reference, so that there is nothing to find")
+    return truth
+
+
 def describe_frames(
-    folder: ImageFolder, settings: FeatureSettings, depth: ImageFolder | None, title: str
+    folder: ImageFolder,
+    settings: FeatureSettings,
+    depth: ImageFolder | None,
+    title: str,
+    *,
+    frames: Sequence[int] | None = None,
+    change: Change | None = None,
 ) -> DescribedFrames:
-    """Compute the features of every frame, with a progress bar.
+    """Compute the features of the frames, with a progress bar.
 
     Parameters
     ----------
@@ -138,26 +167,31 @@ def describe_frames(
         As many depth images, in the same order, if the features need them.
     title
         What the progress bar says.
+    frames
+        Numbers of those that are described, ascending; all if None.
+    change
+        What is done to the images before.
 
     Raises
     ------
     JobError
         When no frame can be read, a feature cannot be computed, or the features do not fit into memory.
     """
-    count = len(folder.frames)
+    asked = range(len(folder.frames)) if frames is None else frames
+    count = len(asked)
     try:
         features = np.zeros((count, settings.size), dtype=np.float32)
     except MemoryError:
         raise JobError(f"{folder.path}: the features of {count} frames do not fit into memory") from None
     numbers: list[int] = []
     unreadable: list[str] = []
-    work = partial(_describe, folder, settings, depth)
+    work = partial(_describe, folder, settings, depth, change)
     with (
         quiet_opencv(),
         ThreadPoolExecutor(_WORKERS) as pool,
         tqdm(total=count, desc=title, unit="image", dynamic_ncols=True, disable=None) as bar,
     ):
-        for number, described in enumerate(_in_order(pool, work, count)):
+        for number, described in zip(asked, _in_order(pool, work, asked), strict=True):
             if described is None:
                 unreadable.append(folder.frames[number])
             else:
@@ -170,22 +204,26 @@ def describe_frames(
     return DescribedFrames(features[: len(numbers)], np.array(numbers, np.int64), tuple(unreadable))
 
 
-def _describe(folder: ImageFolder, settings: FeatureSettings, depth: ImageFolder | None, number: int) -> _Described:
+def _describe(
+    folder: ImageFolder, settings: FeatureSettings, depth: ImageFolder | None, change: Change | None, number: int
+) -> _Described:
     path = folder.path / folder.frames[number]
     image = read_color(path)
     depth_mm = None if depth is None else read_depth(depth.path / depth.frames[number])
     if image is None or (depth is not None and depth_mm is None):
         return None
     try:
-        return extract(image, settings, depth_mm)
+        return extract(image if change is None else change(image, number), settings, depth_mm)
     except ValueError as error:
         raise JobError(f"{path}: {error}") from None
 
 
-def _in_order(pool: ThreadPoolExecutor, work: Callable[[int], _Described], count: int) -> Iterator[_Described]:
-    """Yield work(0) to work(count - 1), a few of them under way at any time: results do not pile up."""
+def _in_order(
+    pool: ThreadPoolExecutor, work: Callable[[int], _Described], frames: Sequence[int]
+) -> Iterator[_Described]:
+    """Yield work of each frame, a few of them under way at any time: results do not pile up."""
     pending: deque[Future[_Described]] = deque()
-    for number in range(count):
+    for number in frames:
         pending.append(pool.submit(work, number))
         if len(pending) >= 2 * _WORKERS:
             yield pending.popleft().result()

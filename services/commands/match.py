@@ -16,12 +16,11 @@ from tqdm import tqdm
 from services.commands import options
 from services.commands.errors import JobError, UsageError
 from services.commands.feature_options import parse_features, with_weights
-from services.commands.image_folder import ImageFolder, describe_frames, list_folder, say_skipped
+from services.commands.image_folder import ImageFolder, describe_frames, list_folder, read_truth_of, say_skipped
 from services.commands.match_report import Quality, Result, Traverses, as_json, as_text, described_by
 from smal.container import replacing
 from smal.evaluation.ground_truth import IntervalTruth, judge
 from smal.evaluation.precision_recall import PrecisionRecall, block_length, bootstrap_intervals
-from smal.evaluation.truth_file import TruthFileError, read_truth
 from smal.features import MODALITY_NAMES, FeatureSettings
 from smal.place_recognition import Matches
 from smal.place_recognition.methods import METHODS, MatchSettings, Method
@@ -128,7 +127,7 @@ def match(
     _check_outputs(json_file, plot, truth, [folder for folder in folders if folder is not None])
     references, queries = list_folder(reference_dir, "REFERENCE_DIR"), list_folder(query_dir, "QUERY_DIR")
     depths = _depths(features, references, queries, reference_depth, query_depth)
-    expected = None if truth is None else _truth(truth, references, queries)
+    expected = None if truth is None else read_truth_of(truth, queries, references)
     began_s = time.perf_counter()
     traverses = Traverses(
         references,
@@ -223,16 +222,6 @@ def _depth_folder(option: str, path: Path, colour: ImageFolder) -> ImageFolder:
             "every image needs its depth"
         )
     return folder
-
-
-def _truth(path: Path, references: ImageFolder, queries: ImageFolder) -> IntervalTruth:
-    try:
-        truth = read_truth(path, len(queries.frames), len(references.frames))
-    except TruthFileError as error:
-        raise UsageError(f"--truth {error}") from None
-    if not truth.findable.any():
-        raise UsageError(f"--truth {path}: no query has a reference, so that there is nothing to find")
-    return truth
 
 
 def _say_skipped(traverses: Traverses, length: int) -> None:

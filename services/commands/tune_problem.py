@@ -9,17 +9,22 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from services.commands.errors import JobError, UsageError
-from services.commands.image_folder import DescribedFrames, ImageFolder, describe_frames, say_skipped
+from services.commands.errors import JobError
+from services.commands.image_folder import (
+    Change,
+    DescribedFrames,
+    ImageFolder,
+    describe_frames,
+    read_truth_of,
+    say_skipped,
+)
 from services.commands.tune_report import Unlabelled
-from services.commands.tune_views import describe_degraded
 from smal.evaluation.cross_validation import QUERIES_PER_FRAME, with_window
 from smal.evaluation.ground_truth import IntervalTruth
-from smal.evaluation.other_conditions import evening, overcast
+from smal.evaluation.other_conditions import Conditions, evening, overcast
 from smal.evaluation.score_threshold import choose_threshold, pooled
 from smal.evaluation.setting_search import mean_auc, restricted
 from smal.evaluation.setting_trials import SettingTrials, TraversePair
-from smal.evaluation.truth_file import TruthFileError, read_truth
 from smal.evaluation.tuning import Tuning
 from smal.features import FeatureSettings
 from smal.place_recognition.methods import MatchSettings
@@ -79,12 +84,7 @@ def labelled(
     JobError
         When there are too few frames, or none can be read.
     """
-    try:
-        truth = read_truth(path, len(queries.frames), len(references.frames))
-    except TruthFileError as error:
-        raise UsageError(f"--truth {error}") from None
-    if not truth.findable.any():
-        raise UsageError(f"--truth {path}: no query has a reference, so that there is nothing to find")
+    truth = read_truth_of(path, queries, references)
     known = describe_frames(references, held, None, "reading references")
     seen = describe_frames(queries, held, None, "reading queries")
     say_skipped(references, known)
@@ -118,7 +118,7 @@ def unlabelled(name: str, references: ImageFolder, held: FeatureSettings, start:
             f"{references.path}: {count} images are too few to tune without labels for windows of {start.length}: "
             f"it takes {least}"
         )
-    known = describe_degraded(references, held, range(0, count, 2), None, seed, "reading references")
+    known = describe_frames(references, held, None, "reading references", frames=range(0, count, 2))
     *weaker, strongest = _STRENGTHS
     for strength in weaker:
         problem = _degraded(name, references, known, held, start, strength, seed)
@@ -142,7 +142,9 @@ def _degraded(
     titles = [f"degraded views, strength {strength:g}, {place} of {len(conditions)}" for place in (1, 2)]
     between = range(1, len(references.frames), 2)
     views = [
-        describe_degraded(references, held, between, condition, seed + place, titles[place])
+        describe_frames(
+            references, held, None, titles[place], frames=between, change=_degrading(condition, seed + place)
+        )
         for place, condition in enumerate(conditions)
     ]
     if strength == _STRENGTHS[0]:  # what is skipped is the same each time
@@ -156,6 +158,10 @@ def _degraded(
         Unlabelled(start.length, said),
         tuple(_pair(gapped, seen, held) for seen in views),
     )
+
+
+def _degrading(conditions: Conditions, seed: int) -> Change:
+    return lambda image, number: conditions.degrade(image, seed, number)
 
 
 def _with_gap(known: DescribedFrames) -> DescribedFrames:

@@ -26,6 +26,7 @@ from services.jpeg import encode_jpeg
 from services.simulator.base import STEP_S
 from services.simulator.drive import TICK_S
 from services.simulator.gate import Applied, CommandGate
+from services.simulator.outcome import outcome_of
 from services.simulator.sensors import ImuReading, OdometryReading
 from services.simulator.sensors.messages import depth_message, imu_message, odometry_message, overhead_message
 from services.simulator.world.place import OverheadMount
@@ -37,6 +38,8 @@ GIVE_UP_S: Final = 30.0
 #: Frames whose readiness is remembered; an older one's command is stale anyway.
 READY_KEPT: Final = 10
 _EPS_S: Final = 1e-9
+# What is told of before the end is; that the victim is found is told when it is first seen.
+_ENDING_EVENTS: Final[dict[Outcome, EventName]] = {"collision": "collision", "timeout": "timed_out"}
 
 
 class World(Protocol):
@@ -274,14 +277,17 @@ class EpisodeRunner:
         yield from self._capture(run)
         if run.request.mode == "realtime":
             yield self._apply(run, self.gate.applied(self._clock()))
-        if self._world.collided:
-            yield self._event("collision")
-            yield from self.end("collision")
-        elif run.in_view and (run.request.purpose == "run" or run.tick >= run.request.max_ticks):
-            yield from self.end("found")
-        elif run.tick >= run.request.max_ticks:
-            yield self._event("timed_out")
-            yield from self.end("timeout")
+        outcome = outcome_of(
+            collided=self._world.collided,
+            in_view=run.in_view,
+            purpose=run.request.purpose,
+            timed_out=run.tick >= run.request.max_ticks,
+        )
+        if outcome is None:
+            return
+        if outcome in _ENDING_EVENTS:
+            yield self._event(_ENDING_EVENTS[outcome])
+        yield from self.end(outcome)
 
     def _capture(self, run: _Running) -> Iterator[Message]:
         pose = self._world.pose

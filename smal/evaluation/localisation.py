@@ -9,7 +9,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from smal.action_space import first_frame
+from smal.action_space import last_frames
 from smal.model import Model
 
 
@@ -27,7 +27,7 @@ class DemonstratedFrames:
         ends, firsts, lasts = [], [], []
         for start, atoms, stream in zip(starts, model.atoms, model.state_streams, strict=False):
             count = len(stream)
-            ends.append(start + first_frame(len(atoms), length) + length * np.arange(1, count + 1) - 1)
+            ends.append(start + last_frames(len(atoms), length))
             firsts.append(np.full(count, start))
             lasts.append(np.full(count, start + len(atoms) - 1))
         self._end, self._first, self._last = (np.concatenate(part) for part in (ends, firsts, lasts))

@@ -101,11 +101,15 @@ def bootstrap_intervals(
     confidence : float
         Between 0 and 1.
     """
+    return intervals_of(bootstrap(judgement, block, resamples=resamples, seed=seed), confidence)
+
+
+def intervals_of(figures: NDArray[np.float64], confidence: float = 0.95) -> Intervals:
+    """Return the percentile intervals of what `bootstrap` has computed."""
     if not 0.0 < confidence < 1.0:
         raise ValueError(f"a confidence lies between 0 and 1, got {confidence}")
     tail = 50.0 * (1.0 - confidence)
     ends = (tail, 100.0 - tail)
-    figures = bootstrap(judgement, block, resamples=resamples, seed=seed)
     auc, recall = np.nanpercentile(figures, ends, axis=0).T.tolist()
     return Intervals((auc[0], auc[1]), (recall[0], recall[1]))
 

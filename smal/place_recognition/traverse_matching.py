@@ -120,9 +120,6 @@ def match_traverses(
     Takes 4 n (n + q) bytes beside the features.
     """
     check_features(references, queries)
-    if settings.length > references.shape[0]:
-        progress(queries.shape[0])
-        return Matches.none(queries.shape[0])
     return match_products(TraverseProducts.of(references, queries), settings, progress)
 
 

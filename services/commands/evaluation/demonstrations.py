@@ -18,6 +18,7 @@ from services.commands.evaluation.rules import advance, outcome_at
 from services.expert.driver import RouteDriver
 from services.simulator.simulation import Simulation
 from smal.action_space import Atom
+from smal.container import replacing
 from smal.evaluation.baselines.thumbnails import thumbnail
 from smal.features import FeatureSettings, extract
 from smal.learning import Demonstration
@@ -64,7 +65,7 @@ def drive(
         None for what `smal learn` leaves out: a collision, or a whole drive that did not reach the victim.
     """
     simulation.reset(seed, purpose)
-    expert = _expert(simulation)
+    expert = expert_of(simulation)
     max_ticks = RECOVERY_TICKS if purpose == "recovery" else DRIVE_TICKS
     views, small, poses = [], [], []
     atoms: list[Atom] = []
@@ -103,7 +104,8 @@ def drive(
     )
 
 
-def _expert(simulation: Simulation) -> RouteDriver:
+def expert_of(simulation: Simulation) -> RouteDriver:
+    """Return who drives from where the robot is to the victim."""
     route = [(float(x), float(y)) for x, y in simulation.route()]
     return RouteDriver(route, simulation.speed_m_s, simulation.found_m)
 
@@ -163,10 +165,8 @@ def save_drives(path: Path, drives: Sequence[Drive], features: FeatureSettings) 
         arrays[f"poses_{number}"] = one.poses
         if meta["thumbnails"] and one.thumbnails is not None:
             arrays[f"thumbnails_{number}"] = one.thumbnails
-    partial = path.with_name(path.name + ".partial")
-    with partial.open("wb") as file:
+    with replacing(path) as file:
         np.savez(file, **arrays)
-    partial.replace(path)
 
 
 def load_drives(path: Path, features: FeatureSettings) -> list[Drive]:

@@ -6,7 +6,6 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Final
 
-import cv2
 import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
@@ -23,6 +22,7 @@ from services.commands.evaluation.summary import (
     controller_name,
     success_of,
 )
+from services.jpeg import decode_jpeg
 from services.simulator.world import load_world
 from services.simulator.world.map_view import draw_map
 
@@ -228,7 +228,7 @@ def example_route(
     figure = Figure(figsize=(15.0, 6.2 + 1.9 * rows), layout="constrained")
     grid = figure.add_gridspec(1 + rows, len(chosen), height_ratios=[3.2, *([1.0] * rows)])
     _draw_way(figure.add_subplot(grid[0, :]), world, poses, chosen)
-    views = {tick: _decoded(route[f"picture_{tick}"]) for tick in chosen}
+    views = {tick: decode_jpeg(route[f"picture_{tick}"].tobytes()) for tick in chosen}
     degraded = {} if degradation is None else _degraded(views, degradation, seed)
     for column, tick in enumerate(chosen):
         for row, pictures in enumerate((views, degraded)[:rows]):
@@ -257,13 +257,6 @@ def _draw_way(axes: Axes, world: str, poses: NDArray[np.float64], chosen: Sequen
     x_min, y_min, x_max, y_max = there.place.bounds
     axes.set_xlim(max(x_min, low[0] - margin), min(x_max, high[0] + margin))
     axes.set_ylim(max(y_min, low[1] - margin), min(y_max, high[1] + margin))
-
-
-def _decoded(jpeg: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    bgr = cv2.imdecode(jpeg, cv2.IMREAD_COLOR)
-    if bgr is None:
-        raise ValueError("a picture of the example route cannot be read")
-    return np.asarray(cv2.cvtColor(bgr, cv2.COLOR_BGR2RGB), dtype=np.uint8)
 
 
 def _degraded(views: Mapping[int, NDArray[np.uint8]], name: str, seed: int) -> dict[int, NDArray[np.uint8]]:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import platform
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from html import escape
 from pathlib import Path
 from typing import Any, Final
@@ -31,30 +30,19 @@ from services.commands.evaluation.search_experiment import route_file
 from services.commands.evaluation.summary import (
     Comparison,
     Recognised,
+    Results,
     Success,
     as_json,
     compare_recognition,
     compare_searches,
     controller_name,
     long_sequences,
-    recognised,
-    successes,
+    results_of,
 )
 from services.commands.evaluation.units import Unit
 
 _DPI: Final = 130
 _VERDICT: Final = {"ahead": "yes", "behind": "no", "open": "not shown", "counts": "-"}
-
-
-@dataclass(frozen=True)
-class Results:
-    """What the page shows of one world."""
-
-    world: WorldPlan
-    recognised: list[Recognised]
-    stricter: list[list[Recognised]]
-    successes: list[Success]
-    objective: Finding | None
 
 
 class _Figures:
@@ -85,14 +73,14 @@ def write_page(plan: Plan, units: Sequence[Unit], store: ResultStore) -> Path:
     Path
         Of the page.
     """
-    found = [_of_world(world, units, store.findings) for world in plan.worlds]
+    found = [results_of(world, units, store.findings) for world in plan.worlds]
     compared = [one for each in found for one in comparisons(each)]
     numbers = {
         "plan": plan.name,
         "version": program_version(),
         "machine_seconds": _seconds(units, store.findings),
         "comparisons": [{"world": c.world, "verdict": c.verdict, "text": c.text} for c in compared],
-        "worlds": as_json(plan, units, store.findings),
+        "worlds": as_json(found),
     }
     (store.folder / "results.json").write_text(json.dumps(numbers, indent=1) + "\n", encoding="utf-8")
     put = _Figures(store.folder / "figures")
@@ -105,17 +93,11 @@ def write_page(plan: Plan, units: Sequence[Unit], store: ResultStore) -> Path:
     return path
 
 
-def _of_world(world: WorldPlan, units: Sequence[Unit], findings: Mapping[str, Finding]) -> Results:
-    objective = [findings[unit.key] for unit in units if unit.kind == "objective" and unit.world == world.world]
-    judged = [recognised(world, units, findings, number) for number in range(len(world.criteria))]
-    return Results(world, judged[0], judged[1:], successes(world, units, findings), objective[0] if objective else None)
-
-
 def comparisons(found: Results) -> list[Comparison]:
     """Return what the page says in words about a world."""
     name = found.world.world
     return [
-        *compare_recognition(name, found.recognised),
+        *compare_recognition(name, found.recognised[0]),
         *compare_searches(name, found.successes),
         *long_sequences(name, found.successes),
     ]
@@ -172,23 +154,23 @@ def _world(found: Results, store: ResultStore, put: _Figures) -> Iterator[str]:
     yield f"<h3>Recognising where the robot is</h3>{_recognition_text(world)}"
     yield put(
         f"precision-recall-{name}",
-        figures.precision_recall(found.recognised, f"State recognition, {name}"),
+        figures.precision_recall(found.recognised[0], f"State recognition, {name}"),
         f"Precision over recall as the score's threshold falls, {_paper_part(name, 'pr')}. A cross is where SMAL's own "
         "novelty test works. Closer to the top right is better.",
     )
     yield put(
         f"precision-recall-lengths-{name}",
-        figures.precision_recall_by_length(found.recognised, f"Sequence lengths, {name}"),
+        figures.precision_recall_by_length(found.recognised[0], f"Sequence lengths, {name}"),
         "The same for SMAL with sequences of l frames (the paper's figure of precision-recall curves in its parameter "
         "analysis). Frames before the first whole window have no answer, so that long sequences cannot reach full "
         "recall.",
     )
     yield put(
         f"area-lengths-{name}",
-        figures.area_by_length(found.recognised, f"Area under the curve over l, {name}"),
+        figures.area_by_length(found.recognised[0], f"Area under the curve over l, {name}"),
         "Areas of the curves above; bars are 95 % intervals of a block bootstrap over the held-out frames.",
     )
-    for criterion, judged in zip(world.criteria, [found.recognised, *found.stricter], strict=True):
+    for criterion, judged in zip(world.criteria, found.recognised, strict=True):
         yield f"<p>By the criterion <b>{escape(criterion.meaning)}</b>:</p>{_recognition_table(judged)}"
     if found.successes:
         yield from _searches(found, store, put)

@@ -15,10 +15,10 @@ from numpy.typing import NDArray
 from services.commands.demonstrate import DRIVE_TICKS
 from services.commands.evaluation.controllers import SEQSLAM
 from services.commands.evaluation.degradation import Degradation, Degrader, degradation_named
+from services.commands.evaluation.demonstrations import expert_of
 from services.commands.evaluation.plan import Criterion, Recogniser
 from services.commands.evaluation.rules import advance, outcome_at
 from services.commands.evaluation.workplace import Workplace, query_file, replace_file
-from services.expert.driver import RouteDriver
 from services.simulator.simulation import Simulation
 from smal.action_space import Atom
 from smal.evaluation.baselines.seqslam_localisation import SeqSlamLocaliser
@@ -61,8 +61,7 @@ def query_drive(
         ``poses`` (f, 3), and for every view NAME ``features_NAME`` (f, m) and ``thumbnails_NAME`` (f, 48, 64, 3).
     """
     simulation.reset(seed, "drive")
-    route = [(float(x), float(y)) for x, y in simulation.route()]
-    expert = RouteDriver(route, simulation.speed_m_s, simulation.found_m)
+    expert = expert_of(simulation)
     degraders = {name: Degrader(how, seed) for name, how in views.items()}
     poses: list[tuple[float, float, float]] = []
     parts = [f"{part}_{name}" for name in views for part in ("features", "thumbnails")]

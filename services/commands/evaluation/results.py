@@ -19,6 +19,7 @@ import smal
 from services.commands.errors import JobError, UsageError
 from services.commands.evaluation.plan import Plan
 from services.commands.evaluation.units import Unit
+from smal.container import replacing
 from smal.features import FeatureSettings
 
 #: What a unit found out: numbers, texts, lists of them.
@@ -87,7 +88,8 @@ class ResultStore:
         if not path.exists():
             if (self.folder / _UNITS).exists():
                 raise UsageError(f"--out {self.folder}: {_PLAN} is missing beside {_UNITS}; give another folder")
-            _write(path, json.dumps(ours, indent=2) + "\n")
+            with replacing(path) as file:
+                file.write((json.dumps(ours, indent=2) + "\n").encode())
             return
         try:
             theirs = json.loads(path.read_text(encoding="utf-8"))
@@ -147,9 +149,3 @@ class ResultStore:
                 wanted.update(unit.needs if not self.done(unit) else ())
                 if unit.key in self.findings and not self.done(unit):
                     del self.findings[unit.key]
-
-
-def _write(path: Path, text: str) -> None:
-    partial = path.with_name(path.name + ".partial")
-    partial.write_text(text, encoding="utf-8")
-    partial.replace(path)

@@ -7,6 +7,7 @@ from typing import Final
 from schemas.base import Atom as AtomName
 from schemas.episode import Outcome, Purpose
 from services.simulator.drive import TICK_S
+from services.simulator.outcome import outcome_of
 from services.simulator.simulation import Simulation
 from smal.action_space import Atom
 
@@ -25,15 +26,11 @@ def advance(simulation: Simulation, atom: Atom) -> None:
 
 
 def outcome_at(simulation: Simulation, tick: int, purpose: Purpose, max_ticks: int) -> Outcome | None:
-    """Say how the episode ends with the frame of a tick, at least 1, or None where it goes on.
+    """Say how the episode ends with the frame of a tick, at least 1, or None where it goes on; see `outcome_of`.
 
-    A collision counts before the victim. A search ends as soon as the victim is near and in view; a demonstration goes
-    on until its driver has arrived. Frame 0 ends nothing.
+    Frame 0 ends nothing.
     """
-    if simulation.collided:
-        return "collision"
-    if tick < max_ticks and purpose != "run":
-        return None
-    if simulation.victim_found():
-        return "found"
-    return "timeout" if tick >= max_ticks else None
+    timed_out = tick >= max_ticks
+    # Looking for the victim renders; of a demonstration it only matters at the end.
+    in_view = not simulation.collided and (purpose == "run" or timed_out) and simulation.victim_found()
+    return outcome_of(collided=simulation.collided, in_view=in_view, purpose=purpose, timed_out=timed_out)

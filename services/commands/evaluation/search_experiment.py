@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 from functools import lru_cache
-from typing import Any, Final
+from typing import Any
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -20,11 +19,11 @@ from services.commands.evaluation.degradation import degradation_named
 from services.commands.evaluation.plan import DEFAULT_LENGTH, SCHEMES
 from services.commands.evaluation.search import Search, search
 from services.commands.evaluation.workplace import Workplace, replace_file
+from services.jpeg import encode_jpeg
 from smal.evaluation.baselines.behaviour_cloning import ClonedBehaviour, clone
 
 #: Frames from one kept picture of an example route to the next, and of one kept position of any way.
 PICTURE_TICKS, WAY_TICKS = 10, 5
-_JPEG_QUALITY: Final = 90
 
 
 class Drivers:
@@ -110,9 +109,7 @@ def _finding(found: Search) -> dict[str, Any]:
 
 def _route(found: Search) -> dict[str, NDArray[Any]]:
     """Return poses (ticks + 1, 3), the ticks of the pictures, and the pictures as JPEG."""
-    pictures = {}
-    for tick, image in found.pictures.items():
-        bgr = cv2.cvtColor(image, cv2.COLOR_RGB2BGR)
-        _, data = cv2.imencode(".jpg", bgr, [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY])
-        pictures[f"picture_{tick}"] = data
+    pictures = {
+        f"picture_{tick}": np.frombuffer(encode_jpeg(image), dtype=np.uint8) for tick, image in found.pictures.items()
+    }
     return {"poses": found.poses, "ticks": np.array(sorted(found.pictures))} | pictures

@@ -10,11 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import binomtest
 
-from services.commands.evaluation.plan import DEFAULT_LENGTH, PEERS, Plan, Recogniser, WorldPlan
+from services.commands.evaluation.plan import DEFAULT_LENGTH, PEERS, Recogniser, WorldPlan
 from services.commands.evaluation.results import Finding
 from services.commands.evaluation.units import Unit
 from smal.evaluation.ground_truth import Judgement
-from smal.evaluation.precision_recall import PrecisionRecall, block_length, bootstrap, bootstrap_intervals
+from smal.evaluation.precision_recall import PrecisionRecall, block_length, bootstrap, intervals_of
 from smal.evaluation.success import wilson_interval
 
 Findings = Mapping[str, Finding]
@@ -35,6 +35,8 @@ class Recognised:
         Of all held-out drives, one after another.
     curve, auc_95, recall_95
         Precision over recall; 95 % intervals of its area and of its recall at 100 % precision.
+    areas
+        The areas of the bootstrap's draws, which are paired between methods.
     operating
         (recall, precision) of the answers that the method's own novelty test lets pass; None if it has none.
     """
@@ -45,6 +47,7 @@ class Recognised:
     curve: PrecisionRecall
     auc_95: tuple[float, float]
     recall_95: tuple[float, float]
+    areas: NDArray[np.float64]
     operating: tuple[float, float] | None
 
     @property
@@ -91,6 +94,16 @@ class Success:
 
 
 @dataclass(frozen=True)
+class Results:
+    """What the report shows of one world: who recognised, by each criterion; who searched; the objective."""
+
+    world: WorldPlan
+    recognised: list[list[Recognised]]
+    successes: list[Success]
+    objective: Finding | None
+
+
+@dataclass(frozen=True)
 class Comparison:
     """What the report says in words: mostly SMAL at its defaults against a peer.
 
@@ -130,6 +143,13 @@ def controller_name(controller: str, length: int) -> str:
     return names.get(controller, f"{controller}, l = {length}")
 
 
+def results_of(world: WorldPlan, units: Sequence[Unit], findings: Findings) -> Results:
+    """Put together what was found out in a world."""
+    objective = [findings[unit.key] for unit in units if unit.kind == "objective" and unit.world == world.world]
+    judged = [recognised(world, units, findings, number) for number in range(len(world.criteria))]
+    return Results(world, judged, successes(world, units, findings), objective[0] if objective else None)
+
+
 def recognised(world: WorldPlan, units: Sequence[Unit], findings: Findings, criterion: int = 0) -> list[Recognised]:
     """Judge every method of a world under every degradation, by one of the criteria."""
     found = []
@@ -150,7 +170,8 @@ def recognised(world: WorldPlan, units: Sequence[Unit], findings: Findings, crit
 def _recognised(recogniser: Recogniser, degradation: str, parts: list[Finding], criterion: int) -> Recognised:
     judgement = _joined(parts, criterion)
     curve = PrecisionRecall.of(judgement)
-    intervals = bootstrap_intervals(judgement, block_of(judgement))
+    draws = bootstrap(judgement, block_of(judgement))
+    intervals = intervals_of(draws)
     operating = None
     if recogniser.name == "smal":
         known = _all(parts, "known").astype(bool)
@@ -158,7 +179,14 @@ def _recognised(recogniser: Recogniser, degradation: str, parts: list[Finding], 
         if known.any():
             operating = (right / int(judgement.findable.sum()), right / int(known.sum()))
     return Recognised(
-        recogniser, degradation, judgement, curve, intervals.auc, intervals.recall_at_100_precision, operating
+        recogniser,
+        degradation,
+        judgement,
+        curve,
+        intervals.auc,
+        intervals.recall_at_100_precision,
+        draws[:, 0],
+        operating,
     )
 
 
@@ -208,11 +236,10 @@ def compare_recognition(world: str, found: Sequence[Recognised]) -> list[Compari
     for ours in found:
         if (ours.recogniser.name, ours.recogniser.length) != ("smal", DEFAULT_LENGTH):
             continue
-        draws = _areas(ours)
         for peer in found:
             if peer.degradation != ours.degradation or (peer.recogniser.name == "smal" and peer.recogniser.length != 1):
                 continue
-            low, high = np.nanpercentile(draws - _areas(peer), [2.5, 97.5])
+            low, high = np.nanpercentile(ours.areas - peer.areas, [2.5, 97.5])
             verdict: Literal["ahead", "behind", "open"] = "ahead" if low > 0.0 else "behind" if high < 0.0 else "open"
             text = (
                 f"recognition, {ours.degradation}: area {ours.curve.auc:.3f} of {ours.name} against "
@@ -221,10 +248,6 @@ def compare_recognition(world: str, found: Sequence[Recognised]) -> list[Compari
             )
             compared.append(Comparison(world, verdict, text))
     return compared
-
-
-def _areas(one: Recognised) -> NDArray[np.float64]:
-    return bootstrap(one.judgement, block_of(one.judgement))[:, 0]
 
 
 def compare_searches(world: str, found: Sequence[Success]) -> list[Comparison]:
@@ -288,25 +311,20 @@ def long_sequences(world: str, found: Sequence[Success]) -> list[Comparison]:
     return said
 
 
-def as_json(plan: Plan, units: Sequence[Unit], findings: Findings) -> dict[str, Any]:
+def as_json(found: Sequence[Results]) -> dict[str, Any]:
     """Return the numbers of all figures."""
-    worlds = {}
-    for world in plan.worlds:
-        recognition = [
-            _recognised_json(one, world.criteria[number].meaning)
-            for number in range(len(world.criteria))
-            for one in recognised(world, units, findings, number)
-        ]
-        searches = successes(world, units, findings)
-        objective = [findings[unit.key] for unit in units if unit.kind == "objective" and unit.world == world.world]
-        worlds[world.world] = {
-            "recognition": recognition,
-            "searches": [_success_json(one) for one in searches],
-            "objective": {name: value for name, value in objective[0].items() if name != "cpu_s"}
-            if objective
-            else None,
+    return {
+        one.world.world: {
+            "recognition": [
+                _recognised_json(each, criterion.meaning)
+                for criterion, judged in zip(one.world.criteria, one.recognised, strict=True)
+                for each in judged
+            ],
+            "searches": [_success_json(each) for each in one.successes],
+            "objective": one.objective and {name: value for name, value in one.objective.items() if name != "cpu_s"},
         }
-    return worlds
+        for one in found
+    }
 
 
 def _recognised_json(one: Recognised, criterion: str) -> dict[str, Any]:

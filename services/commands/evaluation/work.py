@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from services.commands.evaluation.demonstrations import drive, save_drives
+from services.commands.evaluation.demonstrations import demonstrate, save_drives
 from services.commands.evaluation.objective_experiment import objectives
 from services.commands.evaluation.plan import Plan, Recogniser
 from services.commands.evaluation.recognition_experiment import judged, make_queries, recognise
@@ -50,12 +50,9 @@ class Work:
 
     def _teach(self, unit: Unit) -> dict[str, Any]:
         simulation, features = self._place.simulation(unit.world, None), self._place.features
-        first, purpose = unit.number("seed"), unit.text("purpose")
-        made = [
-            drive(simulation, features, seed, "recovery" if purpose == "recovery" else "drive", thumbnails=True)
-            for seed in range(first, first + unit.number("count"))
-        ]
-        kept = [one for one in made if one is not None]
+        count, is_recovery = unit.number("count"), unit.text("purpose") == "recovery"
+        drives, recoveries = (0, count) if is_recovery else (count, 0)
+        kept = demonstrate(simulation, features, drives, recoveries, unit.number("seed"), thumbnails=True)
         save_drives(self._place.folder / teach_file(unit), kept, features)
         frames = sum(len(one.poses) for one in kept)
         return {"drives": len(kept), "frames": frames, "files": [teach_file(unit)]}

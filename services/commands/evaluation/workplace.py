@@ -13,6 +13,7 @@ from services.commands.evaluation.demonstrations import Drive, load_drives
 from services.commands.evaluation.units import Unit
 from services.simulator.opening import open_simulation
 from services.simulator.simulation import CameraSettings, Simulation
+from smal.container import replacing
 from smal.features import FeatureSettings
 from smal.model import Model
 
@@ -75,7 +76,5 @@ def query_file(world: str, seed: int) -> str:
 
 def replace_file(path: Path, arrays: Iterable[tuple[str, NDArray[np.generic]]]) -> None:
     """Write arrays to a file (npz) that is there only when it is complete."""
-    partial = path.with_name(path.name + ".partial")
-    with partial.open("wb") as file:
+    with replacing(path) as file:
         np.savez(file, **dict(arrays))  # type: ignore[arg-type]
-    partial.replace(path)
