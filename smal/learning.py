@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from smal.action_space import ActionSpace, Atom, learn_action_space
+from smal.alignment import aligned_phases
 from smal.features import Centering, FeatureSettings
 from smal.model import Model
 from smal.novelty import RECOGNITION_DEFAULTS, neighbour_agreement, novelty_test
@@ -220,6 +221,8 @@ def learn(
         settings.max_bytes,
         stages.report("states"),
     )
+    phases = aligned_phases(space.templates, space.streams, space.phases, centred, settings.sequence_length)
+    space = replace(space, phases=phases)
     stages.end("states")
     return _plan(demonstrations, settings, centering, space, stages)
 

@@ -1,20 +1,18 @@
 """Execution, first half: from camera frames to a state."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
+from smal.alignment import RECENCY_TICKS, DemonstratedOrder
 from smal.model import Model
-from smal.novelty import describe_match
+from smal.novelty import Match, describe_match
 from smal.state_matching import Solution
 from smal.state_space import matched_phase, phase
 from smal.streaming import StreamingMatcher, compile_ahead
 
-#: Frames back at which a frame's say in the belief has fallen to 1/e. A decision is about now: of the states that the
-#: whole window shows, those that explain its last frames are nearest to what the robot sees, and to its heading.
-RECENCY_TICKS = 3.0
 # Lighter candidates hold a few hundredths of the weight together.
 MAX_CANDIDATES = 32
 
@@ -92,7 +90,7 @@ class Recognizer:
     tolerance : float
         Relative duality gap of each match.
     recency_ticks : float
-        See `RECENCY_TICKS`, above 0; infinite for all frames of the window alike.
+        See `smal.alignment.RECENCY_TICKS`, above 0; infinite for all frames of the window alike.
     shorten : bool
         Whether shorter windows are tried; the paper's scheme does not.
 
@@ -108,6 +106,7 @@ class Recognizer:
         if not recency_ticks > 0.0:
             raise ValueError(f"recency_ticks must be above 0, got {recency_ticks}")
         self._recency_ticks = recency_ticks
+        self._order = DemonstratedOrder(model.state_streams, model.phases, model.sequence_length)
         self._shorten = shorten
         self._model = model
         self._centering = model.centering
@@ -169,20 +168,37 @@ class Recognizer:
         match = describe_match(
             solution, lambda columns: templates[:, columns].T @ window.T, np.linalg.norm(window, axis=1)
         )
-        known = match.state is not None and not self._test.is_novel(match)
-        return Recognition(
-            status="recognized" if known else "unknown",
-            tick=tick,
-            state=match.state if known else None,
-            phase=matched_phase(solution, match.state) if known and match.state is not None else None,
-            score=match.score,
-            total_weight=match.total_weight,
-            residual=match.residual,
-            agreement=match.agreement,
-            duality_gap=solution.duality_gap,
-            candidates=_candidates(solution, self._recency_ticks) if known else (),
-            frames=frames,
+        if match.state is None or self._test.is_novel(match):
+            return _answer("unknown", tick, match, solution, frames)
+        candidates = _candidates(solution, self._recency_ticks)
+        rough = [matched_phase(solution, match.state), *(one.phase for one in candidates)]
+        phase, *phases = self._aligned([match.state, *(one.state for one in candidates)], rough, frames)
+        candidates = tuple(replace(one, phase=each) for one, each in zip(candidates, phases, strict=True))
+        known = _answer("recognized", tick, match, solution, frames)
+        return replace(known, state=match.state, phase=phase, candidates=candidates)
+
+    def _aligned(self, states: list[int], phases: list[float], frames: int) -> list[float]:
+        correlations = self._matcher.correlations(frames)
+        query = np.arange(frames)
+        found = self._order.align(
+            states, phases, frames, lambda columns: correlations[columns, query], self._recency_ticks
         )
+        return [float(phase) for phase in found]
+
+
+def _answer(
+    status: Literal["recognized", "unknown"], tick: int, match: Match, solution: Solution, frames: int
+) -> Recognition:
+    return Recognition(
+        status=status,
+        tick=tick,
+        score=match.score,
+        total_weight=match.total_weight,
+        residual=match.residual,
+        agreement=match.agreement,
+        duality_gap=solution.duality_gap,
+        frames=frames,
+    )
 
 
 def _candidates(solution: Solution, recency_ticks: float) -> tuple[Candidate, ...]:

@@ -134,6 +134,10 @@ class StreamingMatcher:
         """Return the last frames, l unless told otherwise, in order, float64 (frames, m)."""
         return self._frames[self._order(frames)]
 
+    def correlations(self, frames: int | None = None) -> NDArray[np.float32]:
+        """Return X^T Y of the last frames, l unless told otherwise, in order, as estimated: float32 (n, frames)."""
+        return self._correlations[:, self._order(frames)]
+
     def match(self, frames: int | None = None) -> Solution:
         """Match the last l frames, or fewer; the sequences of the last match enter the working set at once.
 

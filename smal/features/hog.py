@@ -1,4 +1,10 @@
-"""Shape modality: histograms of oriented gradients (Dalal & Triggs 2005) on 240 x 320 grey values."""
+"""Shape modality: histograms of oriented gradients (Dalal & Triggs 2005) on 240 x 320 grey values.
+
+The paper computes them as they are. Every block is brought to one length, so that where a view is plain (a wall, the
+sky) a camera's noise is all that a block shows; so we smooth before. Under noise of 15 grey levels and with a third of
+the frames hidden, that is the difference between a robot that looks around for ever and one that drives on, and where
+there is no noise nothing is lost: cells are 20 pixels wide.
+"""
 
 from functools import cache
 from typing import TYPE_CHECKING
@@ -15,6 +21,8 @@ if TYPE_CHECKING:
 ROWS, COLUMNS = 240, 320
 CELL, BINS = 20, 9
 BLOCK = 2 * CELL
+#: Standard deviation of the Gaussian that takes the noise away, pixels of the 240 x 320.
+SMOOTHING_PX = 2.0
 SIZE = ((ROWS - BLOCK) // CELL + 1) * ((COLUMNS - BLOCK) // CELL + 1) * 4 * BINS
 
 
@@ -32,7 +40,7 @@ def hog_descriptor(image: NDArray[np.uint8]) -> NDArray[np.float32]:
     Parameters
     ----------
     image : uint8 array (height, width, 3)
-        RGB, any size; brought to 240 rows and 320 columns of grey.
+        RGB, any size; brought to 240 rows and 320 columns of grey, and smoothed.
 
     Returns
     -------
@@ -40,4 +48,7 @@ def hog_descriptor(image: NDArray[np.uint8]) -> NDArray[np.float32]:
         11 x 15 overlapping blocks of 2 x 2 cells of 9 directions, unit length. An image without any
         edge (constant grey) has no direction and gives the zero vector.
     """
-    return unit_length(np.asarray(_hog().compute(resized_grey(image, ROWS, COLUMNS))))
+    import cv2  # noqa: PLC0415 - see above
+
+    smooth = cv2.GaussianBlur(resized_grey(image, ROWS, COLUMNS), (0, 0), SMOOTHING_PX)
+    return unit_length(np.asarray(_hog().compute(smooth)))

@@ -13,7 +13,7 @@ from smal.features.modalities import modality_named
 from smal.features.modality import Input, Modality
 
 # Raised whenever any descriptor changes its output, so that a model never meets features it was not learned on.
-DESCRIPTOR_VERSION = 1
+DESCRIPTOR_VERSION = 2
 
 
 @dataclass(frozen=True)

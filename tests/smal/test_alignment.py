@@ -1,0 +1,93 @@
+"""Where in the demonstrations a query is, to the frame."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from smal.alignment import REACH, Columns, Correlate, DemonstratedOrder, aligned_phases
+from tests.smal.worlds import corridor, unit
+
+LENGTH = 5
+# Two drives of 30 frames and one of 10, each sequence a state of its own.
+LENGTHS = (30, 30, 10)
+STREAMS = [np.arange(6), 6 + np.arange(6), 12 + np.arange(2)]
+PHASES = [np.full(len(stream), LENGTH - 1.0) for stream in STREAMS]
+TEMPLATES = unit(np.random.default_rng(0).standard_normal((sum(LENGTHS), 40)))
+
+
+def correlations_with(query: np.ndarray) -> Correlate:
+    products = TEMPLATES @ query.T
+
+    def correlate(columns: Columns) -> np.ndarray:
+        values: np.ndarray = products[columns, np.arange(len(query))]
+        return values
+
+    return correlate
+
+
+@settings(deadline=None)
+@given(
+    drive=st.integers(0, 1),
+    last=st.integers(LENGTH + 1, 28),
+    off=st.integers(-REACH, REACH),
+    q=st.integers(1, 2 * LENGTH),
+)
+def test_a_demonstrated_window_is_found_wherever_it_ends(drive: int, last: int, off: int, q: int) -> None:
+    start = sum(LENGTHS[:drive])
+    q = min(q, last + 1)
+    query = TEMPLATES[start + last - q + 1 : start + last + 1]
+    number = min(last // LENGTH, 5)
+    true = last - number * LENGTH
+    found = DemonstratedOrder(STREAMS, PHASES, LENGTH).align(
+        [STREAMS[drive][number]], [float(true + off)], q, correlations_with(query)
+    )
+    assert found.tolist() == [true]
+
+
+@given(seed=st.integers(0, 99))
+def test_no_window_spans_two_drives(seed: int) -> None:
+    query = unit(np.random.default_rng(seed).standard_normal((LENGTH, 40)))
+    order = DemonstratedOrder(STREAMS, PHASES, LENGTH)
+    # The last sequence of the first drive and the first one of the second drive, which are neighbours in X.
+    last, first = order.align([5, 6], [4.0, 2.0], LENGTH, correlations_with(query))
+    assert 4 - REACH <= last <= 4
+    assert 0 <= first <= 2 + REACH
+
+
+def test_a_phase_stays_where_nothing_was_demonstrated_within_reach() -> None:
+    order = DemonstratedOrder(STREAMS, PHASES, LENGTH)
+    found = order.align([13, 0], [30.5, -20.0], 3, correlations_with(TEMPLATES[:3]))
+    assert found.tolist() == [30.5, -20.0]
+
+
+def test_of_equally_good_phases_the_nearest_is_taken() -> None:
+    order = DemonstratedOrder(STREAMS, PHASES, LENGTH)
+    found = order.align([2], [3.2], LENGTH, lambda columns: np.ones(columns.shape))
+    assert found.tolist() == [3.0]
+
+
+def test_recent_frames_decide() -> None:
+    # Old frames of one place, the last ones of another, both within reach of the phase.
+    query = np.concatenate([TEMPLATES[8:11], TEMPLATES[14:16]])
+    order = DemonstratedOrder(STREAMS, PHASES, LENGTH)
+    recent = order.align([2], [3.0], LENGTH, correlations_with(query), recency_ticks=1.0)
+    alike = order.align([2], [3.0], LENGTH, correlations_with(query), recency_ticks=np.inf)
+    assert recent.tolist() == [15 - 10]
+    assert alike.tolist() == [12 - 10]
+
+
+@pytest.mark.parametrize("late", [-3, -1, 0, 2, 4])
+def test_sequences_of_a_second_drive_are_aligned_with_the_first(late: int) -> None:
+    views = corridor(60, 150, 1)
+    rng = np.random.default_rng(late + 5)
+    first, second = (
+        unit(part + 0.2 * unit(rng.standard_normal(part.shape))).astype(np.float32)
+        for part in (views[10:40], views[10 + late : 40 + late])
+    )
+    streams = [np.arange(6, dtype=np.int32)] * 2
+    rough = [np.full(6, 4.0, dtype=np.float32)] * 2
+    found = aligned_phases(np.asfortranarray(first.T), streams, rough, [first, second], LENGTH)
+    assert found[0].tolist() == [4.0] * 6
+    # At the ends the drives do not overlap.
+    assert found[1][1:-1].tolist() == [4.0 + late] * 4
