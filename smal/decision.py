@@ -8,12 +8,15 @@ demonstrations of one route pile up, and both have their remedy in W.
   policy action) and continue its demonstration from the frame that the robot is at ("aligned").
 * Several states share the weight where they resemble each other, and the heaviest alone (Eq. 9) may be a poor one.
   The weights are a belief over states; as in QMDP (Littman, Cassandra and Kaelbling 1995) each state proposes what
-  its policy would do, and each atom of the plan is the one with the most weight behind it ("belief").
+  its policy would do, and has a say in each atom of the plan ("belief"). The majority does not take all: where a third
+  of the weight turns left at every frame, a robot that never did would drift off the way. Each atom is made as often as
+  there is weight behind it, what is owed being carried from frame to frame (error diffusion, Floyd and Steinberg 1976).
 
 `aligned=False, belief=False` is the scheme of the paper.
 """
 
 from collections import deque
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Literal
 
@@ -118,6 +121,8 @@ class DecisionMaker:
     def reset(self) -> None:
         """Drop the plan, for a new episode."""
         self._plan: deque[Atom] = deque()
+        self._votes: deque[NDArray[np.float64]] = deque()
+        self._owed = np.zeros(len(Atom))
         self._turns_left = self._look_around_ticks
         self._looking = False
         self._coasted = 0
@@ -125,6 +130,9 @@ class DecisionMaker:
     def next_atom(self) -> Atom:
         """Take the next atom of the plan; stop when there is none."""
         atom = self._plan.popleft() if self._plan else Atom.STOP
+        if self._votes:
+            self._owed += self._votes.popleft()
+            self._owed[atom] -= 1.0
         if self._looking and atom != Atom.STOP:
             self._turns_left -= 1
         return atom
@@ -164,6 +172,8 @@ class DecisionMaker:
 
     def _look_around(self, state: int | None) -> Decision:
         """Turn on the spot, a bounded number of atoms in all; the views may become known ones."""
+        self._votes.clear()
+        self._owed[:] = 0.0
         turns = min(self._horizon, self._turns_left)
         atoms = (Atom.LEFT,) * turns + (Atom.STOP,) * (self._horizon - turns)
         return Decision("look_around" if turns else "stop", atoms, state)
@@ -174,13 +184,16 @@ class DecisionMaker:
         voters = [(plan, weight) for plan, weight in proposals if plan.kind != "dead_end"]
         if not voters:
             leader = proposals[0][0]
-            return leader if any(leader.atoms) else self._look_around(leader.state)
+            voters = [(leader, 1.0)]
+            if not any(leader.atoms):
+                return self._look_around(leader.state)
         votes = np.zeros((self._horizon, len(Atom)))
         for plan, weight in voters:
             votes[np.arange(self._horizon), plan.atoms] += weight
+        votes /= votes.sum(axis=1, keepdims=True)
         leader = voters[0][0]
-        votes[np.arange(self._horizon), leader.atoms] += _TIE
-        return replace(leader, atoms=tuple(Atom(int(atom)) for atom in votes.argmax(axis=1)))
+        self._votes = deque(votes)
+        return replace(leader, atoms=_diffused(votes, self._owed, leader.atoms))
 
     def _continue(self, state: int, phase: float) -> Decision:
         """Find the demonstrated frame that is closest to where the robot is, and continue from there."""
@@ -198,6 +211,18 @@ class DecisionMaker:
         atoms = tuple(Atom(int(atom)) for atom in recorded)
         atoms += (Atom.STOP,) * (self._horizon - len(atoms))
         return Decision(kind, atoms, state, action if action >= 0 else None, nearest.demonstration, frame)
+
+
+def _diffused(votes: NDArray[np.float64], owed: NDArray[np.float64], favourites: Sequence[Atom]) -> tuple[Atom, ...]:
+    """Choose atoms by their shares of the votes (l, atoms) and what is owed to them; the favourite where they tie."""
+    owed, atoms = owed.copy(), []
+    for shares, favourite in zip(votes, favourites, strict=True):
+        owed += shares
+        claims = owed.copy()
+        claims[favourite] += _TIE
+        atoms.append(Atom(int(claims.argmax())))
+        owed[atoms[-1]] -= 1.0
+    return tuple(atoms)
 
 
 def _index_occurrences(model: Model) -> list[list[_Occurrence]]:

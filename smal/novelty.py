@@ -189,7 +189,7 @@ NOVELTY_TESTS: dict[str, type[WeightTest] | type[AgreementTest]] = {"weight": We
 # In execution the question is whether a view is known at all, not whether it deserves a state of its own.
 RECOGNITION_DEFAULTS: dict[str, dict[str, float]] = {
     "weight": {"tau": 0.1},
-    "agreement": {"max_residual": 0.85, "min_agreement": 0.0},
+    "agreement": {"max_residual": 0.9, "min_agreement": 0.0},
 }
 
 

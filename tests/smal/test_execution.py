@@ -4,6 +4,8 @@ import dataclasses
 
 import numpy as np
 import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
 
 from smal.action_space import Atom
 from smal.decision import COAST_TICKS, SETTLED_RESIDUAL
@@ -237,15 +239,39 @@ def turning_and_straight(model: Model) -> tuple[Candidate, Candidate]:
     return Candidate(turning, LENGTH - 1.0, 0.6), Candidate(straight, LENGTH - 1.0, 0.4)
 
 
-@pytest.mark.parametrize("swap", [False, True])
-def test_every_state_has_a_say_by_its_weight(model: Model, swap: bool) -> None:
+@settings(deadline=None, max_examples=30, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(share=st.floats(0.02, 0.98), stride=st.integers(1, LENGTH), decisions=st.integers(1, 12))
+def test_every_movement_is_made_as_often_as_states_ask_for_it(
+    model: Model, share: float, stride: int, decisions: int
+) -> None:
     turning, straight = turning_and_straight(model)
-    if swap:
-        turning, straight = (dataclasses.replace(turning, weight=0.4), dataclasses.replace(straight, weight=0.6))
+    candidates = (dataclasses.replace(turning, weight=share), dataclasses.replace(straight, weight=1.0 - share))
+    maker = DecisionMaker(model, stride)
+    atoms = []
+    for tick in range(decisions):
+        maker.decide(Recognition("recognized", tick, turning.state, turning.phase, candidates=candidates))
+        atoms += [maker.next_atom() for _ in range(stride)]
+        turns = share * len(atoms)
+        assert abs(atoms.count(Atom.LEFT) - turns) < 1.0
+        assert abs(atoms.count(Atom.FORWARD) - (len(atoms) - turns)) < 1.0
+
+
+def test_what_is_owed_is_forgotten_with_the_way(model: Model) -> None:
+    turning, straight = turning_and_straight(model)
+    candidates = tuple(dataclasses.replace(one, weight=0.5) for one in (straight, turning))
+    maker, fresh = DecisionMaker(model, 1), DecisionMaker(model, 1)
+    seen = Recognition("recognized", 0, straight.state, straight.phase, residual=0.1, candidates=candidates)
+    maker.decide(seen)
+    maker.next_atom()
+    assert maker.decide(seen).atoms != fresh.decide(seen).atoms
+    while maker.decide(Recognition("unknown", 1)).kind != "look_around":
+        maker.next_atom()
+    assert maker.decide(seen).atoms == fresh.decide(seen).atoms
+
+
+def test_the_scheme_of_the_paper_asks_the_heaviest_state_alone(model: Model) -> None:
+    turning, straight = turning_and_straight(model)
     seen = Recognition("recognized", 0, turning.state, turning.phase, candidates=(turning, straight))
-    expected = Atom.FORWARD if swap else Atom.LEFT
-    assert DecisionMaker(model).decide(seen).atoms == (expected,) * LENGTH
-    # The scheme of the paper: the recognised state alone.
     assert DecisionMaker(model, belief=False).decide(seen).atoms == (Atom.LEFT,) * LENGTH
 
 

@@ -1,6 +1,6 @@
 """Precision and recall of recognising where the robot is, as in the paper's experiments.
 
-Queries are all frames of drives that were not learned from, clean or degraded. Every method says at which demonstrated
+Queries are frames of drives that were not learned from, clean or degraded. Every method says at which demonstrated
 frame the robot is, and how sure it is; that is right if the frame was taken near the true pose.
 """
 
@@ -16,7 +16,7 @@ from services.commands.demonstrate import DRIVE_TICKS
 from services.commands.evaluation.controllers import SEQSLAM
 from services.commands.evaluation.degradation import Degradation, Degrader, degradation_named
 from services.commands.evaluation.demonstrations import expert_of
-from services.commands.evaluation.plan import Criterion, Recogniser
+from services.commands.evaluation.plan import JUDGED_TICKS, Criterion, Recogniser
 from services.commands.evaluation.rules import advance, outcome_at
 from services.commands.evaluation.workplace import Workplace, query_file, replace_file
 from services.simulator.simulation import Simulation
@@ -97,7 +97,7 @@ def make_queries(workplace: Workplace, world: str, seed: int, degradations: tupl
 def recognise(
     workplace: Workplace, world: str, teaching: str, recogniser: Recogniser, degradation: str, seed: int
 ) -> tuple[Matches, NDArray[np.bool_], NDArray[np.float64]]:
-    """Have a method recognise the frames of a held-out drive.
+    """Have a method recognise every `JUDGED_TICKS`-th frame of a held-out drive.
 
     Returns
     -------
@@ -108,12 +108,20 @@ def recognise(
     poses : float64 array (q, 3)
         The true ones.
     """
+    matches, known, poses = _recognise_all(workplace, world, teaching, recogniser, degradation, seed)
+    judged = slice(JUDGED_TICKS - 1, None, JUDGED_TICKS)
+    return Matches(matches.reference[judged], matches.score[judged]), known[judged], poses[judged]
+
+
+def _recognise_all(
+    workplace: Workplace, world: str, teaching: str, recogniser: Recogniser, degradation: str, seed: int
+) -> tuple[Matches, NDArray[np.bool_], NDArray[np.float64]]:
     with np.load(workplace.folder / query_file(world, seed), allow_pickle=False) as held:
         poses = held["poses"]
         part = "thumbnails" if recogniser.name == "seqslam" else "features"
         views = held[f"{part}_{degradation}"]
     if recogniser.name == "smal":
-        matches, known = recognise_states(workplace.model(world, teaching, recogniser.length), views)
+        matches, known = recognise_states(workplace.model(world, teaching, recogniser.length), views, JUDGED_TICKS)
         return matches, known, poses
     drives = workplace.drives(world, teaching)
     if recogniser.name == "seqslam":
@@ -128,8 +136,8 @@ def recognise(
     return matches, matches.matched, poses
 
 
-def recognise_states(model: Model, views: NDArray[np.float32]) -> tuple[Matches, NDArray[np.bool_]]:
-    """Recognise states of every whole window, and say which the novelty test lets pass.
+def recognise_states(model: Model, views: NDArray[np.float32], every: int = 1) -> tuple[Matches, NDArray[np.bool_]]:
+    """Recognise states at every so many frames, and say which answers the novelty test lets pass.
 
     The score is the weight of the best sequence (left side of Eq. 8, for each query frame). Whether the test calls the
     window unknown does not matter for it: a threshold on the score takes its place in the curve.
@@ -139,7 +147,7 @@ def recognise_states(model: Model, views: NDArray[np.float32]) -> tuple[Matches,
     recognizer, frames = Recognizer(willing, shorten=False), DemonstratedFrames(model)
     matches, known = Matches.none(len(views)), np.zeros(len(views), dtype=np.bool_)
     for tick, view in enumerate(views):
-        found = recognizer.observe(tick, view, due=True)
+        found = recognizer.observe(tick, view, due=(tick + 1) % every == 0)
         if found.state is not None and found.phase is not None:
             matches.reference[tick] = frames.frame(found.state, found.phase)
             matches.score[tick] = found.score

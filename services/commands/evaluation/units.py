@@ -8,6 +8,7 @@ from typing import Literal
 
 from services.commands.evaluation.plan import (
     DEFAULT_LENGTH,
+    JUDGED_TICKS,
     PEERS,
     QUERY_SEED,
     RUN_SEED,
@@ -82,7 +83,8 @@ class _Costs:
         return 2.5e-3 + 0.7e-3 * length * self.learned
 
     def recognise_s(self, recogniser: Recogniser) -> float:
-        return self.drive_frames * (self.match_s(recogniser.length) if recogniser.name == "smal" else 1e-3)
+        smal = recogniser.name == "smal"
+        return self.drive_frames * (self.match_s(recogniser.length) / JUDGED_TICKS if smal else 1e-3)
 
     def search_s(self, controller: str, length: int, degradation: str) -> float:
         """Return what a search costs; where frames are occluded it lasts longer, and matching takes longer."""

@@ -27,7 +27,7 @@ def test_the_full_plan_is_that_of_the_paper_and_more() -> None:
     searches = [unit for unit in units(FULL, cloning=True) if unit.kind == "search"]
     each = Counter((unit.world, unit["controller"], unit["length"], unit["degradation"]) for unit in searches)
     for world in ("indoor", "campus"):
-        for degradation in ("clean", "occluded"):
+        for degradation in ("clean", "poor"):
             for scheme in ("paper", "overlapping", "smal"):
                 for length in (1, 2, 5, 10, 20, 40):
                     assert each[world, scheme, length, degradation] >= 10
