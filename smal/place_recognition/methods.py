@@ -114,7 +114,7 @@ METHODS: Mapping[str, Method] = MappingProxyType(
         ),
         "nearest": Method("largest sum of products along the sequence, at equal speeds", FEATURES, 10, _nearest),
         "paper": Method(
-            "Eq. 7 and its features as published: sequences without order, cut at fixed phases",
+            "Eq. 7 as published, with colour and HOG: sequences without order, cut at fixed phases",
             FeatureSettings(), 10, _paper, LAMBDA_SCALE,
         ),
     }
