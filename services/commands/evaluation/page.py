@@ -18,6 +18,7 @@ from services.commands.evaluation import figures
 from services.commands.evaluation.degradation import degradation_named
 from services.commands.evaluation.plan import (
     DEFAULT_LENGTH,
+    JUDGED_TICKS,
     QUERY_SEED,
     RUN_SEED,
     SCHEMES,
@@ -187,8 +188,8 @@ def _recognition_text(world: WorldPlan) -> str:
         "occurrence of the state and phase that it recognises. The score is the weight of the best sequence (Eq. 8), "
         "for each frame, whether or not the novelty test lets it pass; for the nearest frames the negative distance, "
         "for SeqSLAM the negative mean difference along its best trajectory. Recall counts all frames that have a "
-        f"right answer among the demonstrations. Queries are every frame of {world.queries} held-out drive"
-        f"{'' if world.queries == 1 else 's'}. Views: {views}.</p>"
+        f"right answer among the demonstrations. Queries are one in {JUDGED_TICKS} frames of "
+        f"{world.queries} held-out drive{'' if world.queries == 1 else 's'}. Views: {views}.</p>"
     )
 
 
