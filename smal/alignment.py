@@ -1,12 +1,16 @@
-"""Where in the demonstrations a query is, to the frame.
+"""Where in the demonstrations a query is, to the frame, and how much it looks like that.
 
 W tells which state a query shows. It tells the phase within it only roughly: the penalties of Eq. 7 spread weight over
 frames that resemble each other, and do not know their order. Continued half a second early or late, an action turns at
 the wrong place. So we look around the phase that W tells for the one at which the query, frame by frame in order,
 resembles the demonstration most. The paper does not: it executes the whole action wherever in the state the robot is.
+
+How much it resembles it says which of the states with weight the robot is in. Under another light, templates explain
+together what all views have in common now and the demonstrations had not; such weights are no evidence for a place.
 """
 
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
@@ -19,9 +23,36 @@ REACH = 5
 #: frames are nearest to what the robot sees, and to its heading.
 RECENCY_TICKS = 3.0
 
+#: Concentration of views about the demonstrated ones (von Mises and Fisher): where the likeness is 0.1 less, it is
+#: 20 times less likely that the robot is there.
+CONCENTRATION = 30.0
+
 Columns = NDArray[np.intp]
 #: Of template frames (k, a, q): their inner products with the q query frames, (k, a, q). Of -1 anything.
 Correlate = Callable[[Columns], NDArray[Any]]
+
+
+@dataclass(frozen=True, eq=False)
+class Alignment:
+    """Where states are aligned with a query.
+
+    Parameters
+    ----------
+    phases : float64 array (k,)
+        Template frame at which the last query frame is.
+    likeness : float64 array (k,)
+        Mean inner product of the query frames with the demonstrated ones, recent frames counting more; -inf where
+        nothing that was demonstrated is within reach.
+    """
+
+    phases: NDArray[np.float64]
+    likeness: NDArray[np.float64]
+
+
+def likelihood(likeness: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return exp(CONCENTRATION * likeness), divided by the largest; ones where nothing is like anything."""
+    largest = likeness.max(initial=-np.inf)
+    return np.exp(CONCENTRATION * (likeness - largest)) if np.isfinite(largest) else np.ones_like(likeness)
 
 
 class DemonstratedOrder:
@@ -61,7 +92,7 @@ class DemonstratedOrder:
         frames: int,
         correlate: Correlate,
         recency_ticks: float = RECENCY_TICKS,
-    ) -> NDArray[np.float64]:
+    ) -> Alignment:
         """Find the phases at which the last frames, in order, resemble what was demonstrated most.
 
         Parameters
@@ -78,8 +109,8 @@ class DemonstratedOrder:
 
         Returns
         -------
-        float64 array (k,)
-            Whole frames, at most `REACH` from the given ones; of equally good ones the nearest. A given phase stays
+        Alignment
+            Whole frames, at most `REACH` from the given phases; of equally good ones the nearest. A given phase stays
             where nothing that was demonstrated is within reach.
         """
         rough = np.rint(np.asarray(phases, dtype=np.float64)).astype(np.intp)
@@ -94,9 +125,10 @@ class DemonstratedOrder:
         weights = np.exp(-back / recency_ticks) * shown
         likeness = (weights * correlate(columns)).sum(axis=-1) / np.maximum(weights.sum(axis=-1), 1e-300)
         possible = shown[..., -1] & (ends < self._columns.size)
-        best = np.where(possible, likeness, -np.inf).argmax(axis=1)
-        found = rough + steps[best]
-        return np.where(possible.any(axis=1), found, np.asarray(phases, dtype=np.float64))
+        likeness = np.where(possible, likeness, -np.inf)
+        found = rough + steps[likeness.argmax(axis=1)]
+        aligned = np.where(possible.any(axis=1), found, np.asarray(phases, dtype=np.float64))
+        return Alignment(aligned, likeness.max(axis=1))
 
 
 def aligned_phases(
@@ -131,7 +163,7 @@ def aligned_phases(
         for number, (state, sequence) in enumerate(zip(stream.tolist(), sequences, strict=True)):
             if state in made:
                 correlate = partial(_correlate, templates, sequence)
-                found[number] = order.align([state], [float(ends[number])], sequence_length, correlate)[0]
+                found[number] = order.align([state], [float(ends[number])], sequence_length, correlate).phases[0]
             made.add(state)
         aligned.append(found)
     return tuple(aligned)

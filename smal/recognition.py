@@ -6,7 +6,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from smal.alignment import RECENCY_TICKS, DemonstratedOrder
+from smal.alignment import RECENCY_TICKS, Alignment, DemonstratedOrder, likelihood
 from smal.model import Model
 from smal.novelty import Match, describe_match
 from smal.state_matching import Solution
@@ -15,6 +15,8 @@ from smal.streaming import StreamingMatcher, compile_ahead
 
 # Lighter candidates hold a few hundredths of the weight together.
 MAX_CANDIDATES = 32
+# A candidate with a smaller share of the belief has no say that anybody would notice.
+_NEGLIGIBLE = 1e-4
 
 
 @dataclass(frozen=True)
@@ -27,7 +29,8 @@ class Candidate:
     phase : float
         Frame of its template at which the last frame is (`smal.state_space.phase`).
     weight : float
-        Its share of the positive weights of W, those of recent frames counting more, above 0 and at most 1.
+        Its share of the belief, above 0 and at most 1: of the positive weights of W, those of recent frames counting
+        more, times the likelihood of the last frames there (`smal.alignment`).
     """
 
     state: int
@@ -171,19 +174,19 @@ class Recognizer:
         if match.state is None or self._test.is_novel(match):
             return _answer("unknown", tick, match, solution, frames)
         candidates = _candidates(solution, self._recency_ticks)
+        states = [match.state, *(one.state for one in candidates)]
         rough = [matched_phase(solution, match.state), *(one.phase for one in candidates)]
-        phase, *phases = self._aligned([match.state, *(one.state for one in candidates)], rough, frames)
-        candidates = tuple(replace(one, phase=each) for one, each in zip(candidates, phases, strict=True))
+        where = self._align(states, rough, frames)
         known = _answer("recognized", tick, match, solution, frames)
-        return replace(known, state=match.state, phase=phase, candidates=candidates)
+        belief = _belief(candidates, where.phases[1:], where.likeness[1:])
+        return replace(known, state=match.state, phase=float(where.phases[0]), candidates=belief)
 
-    def _aligned(self, states: list[int], phases: list[float], frames: int) -> list[float]:
+    def _align(self, states: list[int], phases: list[float], frames: int) -> Alignment:
         correlations = self._matcher.correlations(frames)
         query = np.arange(frames)
-        found = self._order.align(
+        return self._order.align(
             states, phases, frames, lambda columns: correlations[columns, query], self._recency_ticks
         )
-        return [float(phase) for phase in found]
 
 
 def _answer(
@@ -220,3 +223,13 @@ def _candidates(solution: Solution, recency_ticks: float) -> tuple[Candidate, ..
         block[solution.active[where == i] % length] = present[where == i]
         found.append(Candidate(int(blocks[i]), phase(block), float(weights[i]) / total))
     return tuple(found)
+
+
+def _belief(
+    candidates: tuple[Candidate, ...], phases: NDArray[np.float64], likeness: NDArray[np.float64]
+) -> tuple[Candidate, ...]:
+    """Take in where candidates are, and how likely that is."""
+    weights = np.array([one.weight for one in candidates]) * likelihood(likeness)
+    weights /= weights.sum()
+    order = [i for i in np.argsort(-weights, kind="stable") if weights[i] > _NEGLIGIBLE]
+    return tuple(Candidate(candidates[i].state, float(phases[i]), float(weights[i])) for i in order)

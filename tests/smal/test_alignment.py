@@ -5,7 +5,16 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from smal.alignment import REACH, Columns, Correlate, DemonstratedOrder, aligned_phases
+from smal.alignment import (
+    CONCENTRATION,
+    REACH,
+    RECENCY_TICKS,
+    Columns,
+    Correlate,
+    DemonstratedOrder,
+    aligned_phases,
+    likelihood,
+)
 from tests.smal.worlds import corridor, unit
 
 LENGTH = 5
@@ -42,7 +51,7 @@ def test_a_demonstrated_window_is_found_wherever_it_ends(drive: int, last: int, 
     found = DemonstratedOrder(STREAMS, PHASES, LENGTH).align(
         [STREAMS[drive][number]], [float(true + off)], q, correlations_with(query)
     )
-    assert found.tolist() == [true]
+    assert found.phases.tolist() == [true]
 
 
 @given(seed=st.integers(0, 99))
@@ -50,7 +59,7 @@ def test_no_window_spans_two_drives(seed: int) -> None:
     query = unit(np.random.default_rng(seed).standard_normal((LENGTH, 40)))
     order = DemonstratedOrder(STREAMS, PHASES, LENGTH)
     # The last sequence of the first drive and the first one of the second drive, which are neighbours in X.
-    last, first = order.align([5, 6], [4.0, 2.0], LENGTH, correlations_with(query))
+    last, first = order.align([5, 6], [4.0, 2.0], LENGTH, correlations_with(query)).phases
     assert 4 - REACH <= last <= 4
     assert 0 <= first <= 2 + REACH
 
@@ -58,13 +67,30 @@ def test_no_window_spans_two_drives(seed: int) -> None:
 def test_a_phase_stays_where_nothing_was_demonstrated_within_reach() -> None:
     order = DemonstratedOrder(STREAMS, PHASES, LENGTH)
     found = order.align([13, 0], [30.5, -20.0], 3, correlations_with(TEMPLATES[:3]))
-    assert found.tolist() == [30.5, -20.0]
+    assert found.phases.tolist() == [30.5, -20.0]
 
 
 def test_of_equally_good_phases_the_nearest_is_taken() -> None:
     order = DemonstratedOrder(STREAMS, PHASES, LENGTH)
     found = order.align([2], [3.2], LENGTH, lambda columns: np.ones(columns.shape))
-    assert found.tolist() == [3.0]
+    assert found.phases.tolist() == [3.0]
+
+
+def test_likeness_and_likelihood() -> None:
+    query = 0.8 * TEMPLATES[10:15] + 0.6 * TEMPLATES[40:45]
+    found = DemonstratedOrder(STREAMS, PHASES, LENGTH).align(
+        [2, 8, 13], [4.0, 4.0, 40.0], LENGTH, correlations_with(query)
+    )
+    weights = np.exp(-np.arange(LENGTH)[::-1] / RECENCY_TICKS)
+    for number, start in ((0, 10), (1, 40)):
+        products = np.einsum("qm,qm->q", query, TEMPLATES[start : start + LENGTH])
+        assert found.likeness[number] == pytest.approx(np.average(products, weights=weights))
+    assert found.likeness[2] == -np.inf
+    odds = likelihood(found.likeness)
+    assert odds[0] == 1.0
+    assert odds[1] == pytest.approx(np.exp(CONCENTRATION * (found.likeness[1] - found.likeness[0])))
+    assert odds[2] == 0.0
+    assert likelihood(np.array([-np.inf, -np.inf])).tolist() == [1.0, 1.0]
 
 
 def test_recent_frames_decide() -> None:
@@ -73,8 +99,8 @@ def test_recent_frames_decide() -> None:
     order = DemonstratedOrder(STREAMS, PHASES, LENGTH)
     recent = order.align([2], [3.0], LENGTH, correlations_with(query), recency_ticks=1.0)
     alike = order.align([2], [3.0], LENGTH, correlations_with(query), recency_ticks=np.inf)
-    assert recent.tolist() == [15 - 10]
-    assert alike.tolist() == [12 - 10]
+    assert recent.phases.tolist() == [15 - 10]
+    assert alike.phases.tolist() == [12 - 10]
 
 
 @pytest.mark.parametrize("late", [-3, -1, 0, 2, 4])

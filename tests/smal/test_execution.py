@@ -8,6 +8,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from smal.action_space import Atom
+from smal.alignment import CONCENTRATION
 from smal.decision import COAST_TICKS, SETTLED_RESIDUAL
 from smal.execution import Candidate, DecisionMaker, Recognition, Recognizer
 from smal.learning import Demonstration, LearningReport, LearningSettings, learn
@@ -365,6 +366,31 @@ def test_the_belief_is_about_now(model: Model) -> None:
     shares = [late_share(ticks) for ticks in (np.inf, 3.0, 0.5)]
     assert shares == sorted(shares)
     assert shares[0] < 0.5 < shares[1] < shares[2]
+
+
+def share_at(model: Model, recognition: Recognition, place: float) -> float:
+    """Return the share of the belief within two frames of a place."""
+    found = [
+        (place_of(model, dataclasses.replace(recognition, state=one.state, phase=one.phase)), one.weight)
+        for one in recognition.candidates
+    ]
+    return sum(weight for where, weight in found if abs(where - place) <= 2.0)
+
+
+def test_what_explains_the_light_is_no_evidence_for_a_place(model: Model, monkeypatch: pytest.MonkeyPatch) -> None:
+    frames = DRIVES[0].features - model.mean
+    # All views have something in common now that only one demonstrated place had.
+    seen = model.mean + frames[40:46] + 0.7 * frames[90]
+    shares = {}
+    for concentration in (0.0, CONCENTRATION):
+        monkeypatch.setattr("smal.alignment.CONCENTRATION", concentration)
+        recognizer = Recognizer(model)
+        for tick, view in enumerate(seen):
+            found = recognizer.observe(tick, view, True)
+        assert found.status == "recognized"
+        shares[concentration] = (share_at(model, found, 45), share_at(model, found, 90))
+    assert shares[0.0][1] > 0.15
+    assert shares[CONCENTRATION][0] > 0.95
 
 
 def test_an_impossible_memory_is_refused(model: Model) -> None:
