@@ -192,8 +192,11 @@ class EpisodeClient:
 
     def _on_event(self, event: Episode) -> None:
         if self._record is not None and event.episode == self._episode and event.event == "ended":
-            self._record.ticks = event.tick
-            self._record.outcome = event.outcome or "aborted"
+            record = self._record
+            record.ticks, record.outcome = event.tick, event.outcome or "aborted"
+            # What is decided about the last frame moves nothing any more, and may or may not have arrived by now.
+            record.decisions = {tick: kind for tick, kind in record.decisions.items() if tick < event.tick}
+            record.unrecognised = {tick for tick in record.unrecognised if tick < event.tick}
             self._ended = True
 
     def _on_applied(self, applied: CommandApplied) -> None:

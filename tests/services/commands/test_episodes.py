@@ -27,7 +27,7 @@ CAUSE = Message(robot="rescuebot", episode="e", tick=0, stamp_ns=0)
 
 
 class FakeSimulator:
-    """Begins an episode in the world "campus", with decisions of some kinds, and ends it when asked to."""
+    """Begins an episode in the world "campus", with decisions of some kinds, and ends it at tick 4 when asked to."""
 
     def __init__(self, node: Node) -> None:
         self._node = node
@@ -36,15 +36,17 @@ class FakeSimulator:
         node.serve("end", EndRequest, self.end)
 
     def reset(self, _request: ResetRequest) -> ResetReply:
-        for tick, (kind, state) in enumerate((("action", 4), ("look_around", None), ("look_around", 5), ("stop", 5))):
+        decisions = (("action", 4), ("look_around", None), ("look_around", 5), ("stop", 5), ("look_around", None))
+        for tick, (kind, state) in enumerate(decisions):
             cause = CAUSE.model_copy(update={"tick": tick})
             self._node.publish(Action.after(cause, kind=kind, state=state, atoms=("left",)))
         return ResetReply(episode="e", world="campus", route=((0.0, 0.0), (1.0, 0.0)), speed_m_s=2.0, found_m=5.0)
 
     def end(self, request: EndRequest) -> None:
         self.ended.append(request.episode)
+        last = CAUSE.model_copy(update={"tick": 4})
         self._node.publish(
-            Episode.after(CAUSE, event="ended", purpose="run", driver="policy", world="campus", seed=3, outcome="found")
+            Episode.after(last, event="ended", purpose="run", driver="policy", world="campus", seed=3, outcome="found")
         )
 
 
@@ -56,11 +58,13 @@ def simulator(settings: ServiceSettings, run_node: RunNode) -> FakeSimulator:
     return fake
 
 
-def test_only_decisions_without_a_state_are_unknown(simulator: FakeSimulator, settings: ServiceSettings) -> None:
+def test_decisions_without_a_state_and_before_the_end_are_counted(
+    simulator: FakeSimulator, settings: ServiceSettings
+) -> None:
     client = EpisodeClient("test", settings)
     client.node.bus.wait_connected(5.0)
     try:
-        record = client.run(REQUEST, done=lambda: bool(client._record and len(client._record.decisions) == 4))
+        record = client.run(REQUEST, done=lambda: bool(client._record and len(client._record.decisions) == 5))
     finally:
         client.close()
     assert list(record.decisions.values()) == ["action", "look_around", "look_around", "stop"]
