@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import textwrap
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Final
 
@@ -267,7 +268,8 @@ def _degraded(views: Mapping[int, NDArray[np.uint8]], name: str, seed: int) -> d
 
 
 def _seen(degradation: str) -> str:
-    return "clear view" if degradation == "clean" else degradation_named(degradation).meaning
+    # A title must not be wider than its axes.
+    return "clear view" if degradation == "clean" else textwrap.fill(degradation_named(degradation).meaning, 46)
 
 
 def _cycle() -> tuple[str, ...]:

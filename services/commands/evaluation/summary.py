@@ -306,7 +306,12 @@ def long_sequences(world: str, found: Sequence[Success]) -> list[Comparison]:
         best = max(each, key=lambda one: one.rate)
         as_good = all(one.rate >= best.rate for one in long)
         counts = ", ".join(f"{one.found} of {one.runs} at l = {one.length}" for one in each)
-        end = "long sequences are as good as the best" if as_good else f"long sequences lose against l = {best.length}"
+        if not best.found:
+            end = "no length finds the victim"
+        elif as_good:
+            end = "long sequences are as good as the best"
+        else:
+            end = f"long sequences lose against l = {best.length}"
         said.append(Comparison(world, "counts", f"lengths, {controller}, {degradation}: {counts}; {end}"))
     return said
 

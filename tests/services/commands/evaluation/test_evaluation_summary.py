@@ -89,3 +89,9 @@ def test_long_sequences_are_compared_with_the_best_length(tmp_path: Path) -> Non
     (ours,) = [text for text in said if text.startswith("lengths, smal, clean")]
     assert ours.endswith("8 of 8 at l = 20; long sequences are as good as the best")
     assert set(said.values()) == {"counts"}
+
+
+def test_a_length_that_never_succeeds_is_as_good_as_no_other() -> None:
+    lost = [Success("paper", length, "poor", dict.fromkeys(range(3), "timeout"), {}) for length in (1, 5, 20)]
+    (said,) = long_sequences("yard", lost)
+    assert said.text.endswith("0 of 3 at l = 20; no length finds the victim")
