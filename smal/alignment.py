@@ -17,8 +17,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from smal.action_space import first_frame
+from smal.inner_products import Columns
+
 #: Frames to both sides of the phase that W tells among which the best one is taken.
 REACH = 5
+# Nearest first, since the first of equally good phases is taken.
+_STEPS = np.array(sorted(range(-REACH, REACH + 1), key=abs))
 #: Frames back at which a frame's say has fallen to 1/e. A decision is about now: of all that a window shows, its last
 #: frames are nearest to what the robot sees, and to its heading.
 RECENCY_TICKS = 3.0
@@ -27,7 +32,6 @@ RECENCY_TICKS = 3.0
 #: 20 times less likely that the robot is there.
 CONCENTRATION = 30.0
 
-Columns = NDArray[np.intp]
 #: Of template frames (k, a, q): their inner products with the q query frames, (k, a, q). Of -1 anything.
 Correlate = Callable[[Columns], NDArray[Any]]
 
@@ -47,6 +51,11 @@ class Alignment:
 
     phases: NDArray[np.float64]
     likeness: NDArray[np.float64]
+
+
+def recency(frames: int, recency_ticks: float) -> NDArray[np.float64]:
+    """Return how much each of the last frames counts, in order: exp(-k / recency_ticks) k frames back, (frames,)."""
+    return np.exp(-np.arange(frames)[::-1] / recency_ticks)
 
 
 def likelihood(likeness: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -105,7 +114,7 @@ class DemonstratedOrder:
         correlate : callable
             See `Correlate`.
         recency_ticks : float
-            The inner product k frames back counts exp(-k / recency_ticks).
+            See `recency`.
 
         Returns
         -------
@@ -113,22 +122,19 @@ class DemonstratedOrder:
             Whole frames, at most `REACH` from the given phases; of equally good ones the nearest. A given phase stays
             where nothing that was demonstrated is within reach.
         """
-        rough = np.rint(np.asarray(phases, dtype=np.float64)).astype(np.intp)
-        # Nearest first, since the first of the best is taken.
-        steps = np.array(sorted(range(-REACH, REACH + 1), key=abs))
+        rough = np.rint(phases).astype(np.intp)
         firsts = np.array([self._first[state] for state in states], dtype=np.intp)
-        ends = firsts[:, None] + rough[:, None] + steps
-        back = np.arange(frames)[::-1]
-        inside = np.clip(ends[..., None] - back, 0, self._columns.size - 1)
+        ends = firsts[:, None] + rough[:, None] + _STEPS
+        # Whatever lies outside falls into the gaps at both ends.
+        inside = np.clip(ends[..., None] - np.arange(frames)[::-1], 0, self._columns.size - 1)
         columns = self._columns[inside]
         shown = columns >= 0
-        weights = np.exp(-back / recency_ticks) * shown
+        weights = recency(frames, recency_ticks) * shown
         likeness = (weights * correlate(columns)).sum(axis=-1) / np.maximum(weights.sum(axis=-1), 1e-300)
-        possible = shown[..., -1] & (ends < self._columns.size)
+        possible = shown[..., -1]
         likeness = np.where(possible, likeness, -np.inf)
-        found = rough + steps[likeness.argmax(axis=1)]
-        aligned = np.where(possible.any(axis=1), found, np.asarray(phases, dtype=np.float64))
-        return Alignment(aligned, likeness.max(axis=1))
+        found = rough + _STEPS[likeness.argmax(axis=1)]
+        return Alignment(np.where(possible.any(axis=1), found, phases), likeness.max(axis=1))
 
 
 def aligned_phases(
@@ -159,7 +165,7 @@ def aligned_phases(
     aligned = []
     for frames, stream, ends in zip(demonstrations, streams, phases, strict=True):
         found = ends.copy()
-        sequences = frames[len(frames) % sequence_length :].reshape(-1, sequence_length, frames.shape[1])
+        sequences = frames[first_frame(len(frames), sequence_length) :].reshape(-1, sequence_length, frames.shape[1])
         for number, (state, sequence) in enumerate(zip(stream.tolist(), sequences, strict=True)):
             if state in made:
                 correlate = partial(_correlate, templates, sequence)

@@ -181,17 +181,14 @@ class DecisionMaker:
     def _act(self, candidates: tuple[Candidate, ...]) -> Decision:
         """Let the states that know how to go on vote for every atom; the heaviest decides where they tie."""
         proposals = [(self._continue(one.state, one.phase), one.weight) for one in candidates]
-        voters = [(plan, weight) for plan, weight in proposals if plan.kind != "dead_end"]
-        if not voters:
-            leader = proposals[0][0]
-            voters = [(leader, 1.0)]
-            if not any(leader.atoms):
-                return self._look_around(leader.state)
+        voters = [(plan, weight) for plan, weight in proposals if plan.kind != "dead_end"] or proposals[:1]
+        leader = voters[0][0]
+        if leader.kind == "dead_end" and not any(leader.atoms):
+            return self._look_around(leader.state)
         votes = np.zeros((self._horizon, len(Atom)))
         for plan, weight in voters:
             votes[np.arange(self._horizon), plan.atoms] += weight
         votes /= votes.sum(axis=1, keepdims=True)
-        leader = voters[0][0]
         self._votes = deque(votes)
         return replace(leader, atoms=_diffused(votes, self._owed, leader.atoms))
 

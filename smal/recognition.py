@@ -6,9 +6,9 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from smal.alignment import RECENCY_TICKS, Alignment, DemonstratedOrder, likelihood
+from smal.alignment import RECENCY_TICKS, DemonstratedOrder, likelihood, recency
 from smal.model import Model
-from smal.novelty import Match, describe_match
+from smal.novelty import describe_match
 from smal.state_matching import Solution
 from smal.state_space import matched_phase, phase
 from smal.streaming import StreamingMatcher, compile_ahead
@@ -109,7 +109,7 @@ class Recognizer:
         if not recency_ticks > 0.0:
             raise ValueError(f"recency_ticks must be above 0, got {recency_ticks}")
         self._recency_ticks = recency_ticks
-        self._order = DemonstratedOrder(model.state_streams, model.phases, model.sequence_length)
+        self._demonstrated = DemonstratedOrder(model.state_streams, model.phases, model.sequence_length)
         self._shorten = shorten
         self._model = model
         self._centering = model.centering
@@ -171,48 +171,43 @@ class Recognizer:
         match = describe_match(
             solution, lambda columns: templates[:, columns].T @ window.T, np.linalg.norm(window, axis=1)
         )
-        if match.state is None or self._test.is_novel(match):
-            return _answer("unknown", tick, match, solution, frames)
-        candidates = _candidates(solution, self._recency_ticks)
-        states = [match.state, *(one.state for one in candidates)]
-        rough = [matched_phase(solution, match.state), *(one.phase for one in candidates)]
-        where = self._align(states, rough, frames)
-        known = _answer("recognized", tick, match, solution, frames)
-        belief = _belief(candidates, where.phases[1:], where.likeness[1:])
-        return replace(known, state=match.state, phase=float(where.phases[0]), candidates=belief)
-
-    def _align(self, states: list[int], phases: list[float], frames: int) -> Alignment:
-        correlations = self._matcher.correlations(frames)
-        query = np.arange(frames)
-        return self._order.align(
-            states, phases, frames, lambda columns: correlations[columns, query], self._recency_ticks
+        found = Recognition(
+            status="unknown",
+            tick=tick,
+            score=match.score,
+            total_weight=match.total_weight,
+            residual=match.residual,
+            agreement=match.agreement,
+            duality_gap=solution.duality_gap,
+            frames=frames,
         )
-
-
-def _answer(
-    status: Literal["recognized", "unknown"], tick: int, match: Match, solution: Solution, frames: int
-) -> Recognition:
-    return Recognition(
-        status=status,
-        tick=tick,
-        score=match.score,
-        total_weight=match.total_weight,
-        residual=match.residual,
-        agreement=match.agreement,
-        duality_gap=solution.duality_gap,
-        frames=frames,
-    )
+        if match.state is None or self._test.is_novel(match):
+            return found
+        candidates = _candidates(solution, self._recency_ticks)
+        where = self._demonstrated.align(
+            [match.state, *(one.state for one in candidates)],
+            [matched_phase(solution, match.state), *(one.phase for one in candidates)],
+            frames,
+            self._matcher.correlations,
+            self._recency_ticks,
+        )
+        return replace(
+            found,
+            status="recognized",
+            state=match.state,
+            phase=float(where.phases[0]),
+            candidates=_belief(candidates, where.phases[1:], where.likeness[1:]),
+        )
 
 
 def _candidates(solution: Solution, recency_ticks: float) -> tuple[Candidate, ...]:
     """States by their share of the positive weights; a negative weight is no evidence for a state.
 
-    The weights of a frame that is k frames back count exp(-k / recency_ticks), in the phase too. A frame that nothing
-    explains (an occluded one) has no weights, so that what was seen before it decides.
+    Recent frames count more (`smal.alignment.recency`), in the phase too. A frame that nothing explains (an occluded
+    one) has no weights, so that what was seen before it decides.
     """
     length, q = solution.sequence_length, solution.shape[1]
-    recency = np.exp(-np.arange(q)[::-1] / recency_ticks)
-    present = np.maximum(solution.active_weights, 0.0) * recency
+    present = np.maximum(solution.active_weights, 0.0) * recency(q, recency_ticks)
     blocks, where = np.unique(solution.active // length, return_inverse=True)
     weights = np.bincount(where, present.sum(axis=1))
     total = float(weights.sum())

@@ -134,9 +134,9 @@ class StreamingMatcher:
         """Return the last frames, l unless told otherwise, in order, float64 (frames, m)."""
         return self._frames[self._order(frames)]
 
-    def correlations(self, frames: int | None = None) -> NDArray[np.float32]:
-        """Return X^T Y of the last frames, l unless told otherwise, in order, as estimated: float32 (n, frames)."""
-        return self._correlations[:, self._order(frames)]
+    def correlations(self, columns: Columns) -> NDArray[np.float32]:
+        """Estimate the inner products of template frames (..., q) with the last q frames, each with its own."""
+        return self._correlations[columns, self._order(columns.shape[-1])]
 
     def match(self, frames: int | None = None) -> Solution:
         """Match the last l frames, or fewer; the sequences of the last match enter the working set at once.
