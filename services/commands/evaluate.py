@@ -37,7 +37,7 @@ def evaluate(
     store.forget_missing(planned)
     with interrupted_by_signals():
         _work(plan, planned, store, workers)
-        from services.commands.evaluation.page import write_page  # noqa: PLC0415 - matplotlib takes a second to import
+        from services.commands.evaluation.report.page import write_page  # noqa: PLC0415 - loads matplotlib
 
         page = write_page(plan, planned, store)
     typer.echo(f"results: {page}")

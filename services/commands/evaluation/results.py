@@ -25,9 +25,9 @@ from smal.features import FeatureSettings
 #: What a unit found out: numbers, texts, lists of them.
 Finding = Mapping[str, Any]
 _PLAN, _UNITS, _WORK = "plan.json", "units.jsonl", "work"
-# Whatever a result depends on; that a page or a figure is drawn differently invalidates nothing.
+# Whatever a result depends on; that the report is written differently invalidates nothing.
 _SOURCES: Final = ("simulator/**/*", "expert/*", "commands/evaluation/*", "commands/demonstrate.py")
-_ONLY_SHOWN: Final = ("figures.py", "page.py", "results.py", "workers.py", "summary.py", "plan.py", "units.py")
+_OF_NO_RESULT: Final = ("results.py", "workers.py", "plan.py", "units.py")
 
 
 def program_version() -> str:
@@ -42,7 +42,7 @@ def code_fingerprint() -> str:
     """Return a fingerprint of the code that the results depend on."""
     here, method = (Path(str(package.__file__)).parent for package in (services, smal))
     files = sorted(path for pattern in _SOURCES for path in here.glob(pattern))
-    files = [path for path in files if not (path.parent.name == "evaluation" and path.name in _ONLY_SHOWN)]
+    files = [path for path in files if not (path.parent.name == "evaluation" and path.name in _OF_NO_RESULT)]
     digest = hashlib.sha256()
     for path in [*files, *sorted(method.rglob("*.py"))]:
         if path.suffix == ".py":

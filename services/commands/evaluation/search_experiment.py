@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from functools import lru_cache
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -94,6 +95,12 @@ def run_search(
 def route_file(world: str, seed: int) -> str:
     """Name the file of an example route."""
     return f"route-{world}-{seed}.npz"
+
+
+def read_route(path: Path) -> dict[str, NDArray[Any]]:
+    """Read the file of an example route: poses (ticks + 1, 3), ``ticks`` of the pictures, each ``picture_TICK``."""
+    with np.load(path, allow_pickle=False) as held:
+        return {name: held[name] for name in held.files}
 
 
 def _finding(found: Search) -> dict[str, Any]:

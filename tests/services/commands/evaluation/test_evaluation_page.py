@@ -10,7 +10,7 @@ from pathlib import Path
 import cv2
 import pytest
 
-from services.commands.evaluation.page import write_page
+from services.commands.evaluation.report.page import write_page
 from tests.services.commands.evaluation.evaluated import SMALL, finished
 
 FIGURES = {

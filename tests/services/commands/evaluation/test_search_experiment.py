@@ -10,9 +10,8 @@ import pytest
 
 from services.commands.evaluation import search_experiment
 from services.commands.evaluation.demonstrations import Drive, demonstrate
-from services.commands.evaluation.page import _arrays
 from services.commands.evaluation.plan import PEERS, SCHEMES
-from services.commands.evaluation.search_experiment import WAY_TICKS, Drivers, route_file, run_search
+from services.commands.evaluation.search_experiment import WAY_TICKS, Drivers, read_route, route_file, run_search
 from services.commands.evaluation.workplace import Workplace
 from services.simulator.sensors import Tilt
 from services.simulator.simulation import Simulation
@@ -94,7 +93,7 @@ def test_whoever_drives_the_finding_is_numbers(
 def test_pictures_of_a_search_at_the_defaults_are_kept(place: Workplace) -> None:
     asked = {"world": "yard", "teaching": "t", "controller": "smal", "length": 5, "seed": 1, "max_ticks": 25}
     found = run_search(place, Drivers(place), degradation="clean", **asked)  # type: ignore[arg-type]
-    route = _arrays(place.folder / route_file("yard", 1))
+    route = read_route(place.folder / route_file("yard", 1))
     assert found["files"] == [route_file("yard", 1)]
     assert route["poses"].shape == (found["ticks"] + 1, 3)
     assert route["ticks"].tolist() == list(range(0, found["ticks"] + 1, 10))

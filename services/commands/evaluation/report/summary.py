@@ -1,14 +1,13 @@
-"""From what the units found out to the figures of the report: curves, areas, success rates, comparisons."""
+"""From what the units found out to the numbers of the report: curves, areas, success rates."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Final, Literal
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import binomtest
 
 from services.commands.evaluation.plan import DEFAULT_LENGTH, PEERS, Recogniser, WorldPlan
 from services.commands.evaluation.results import Finding
@@ -20,7 +19,6 @@ from smal.evaluation.success import wilson_interval
 Findings = Mapping[str, Finding]
 #: The peers of the method at its defaults, with the single image among them.
 PEERS_OF_DEFAULT: Final = (("smal", 1), *((peer, DEFAULT_LENGTH) for peer in PEERS))
-_CERTAIN: Final = 0.05
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,24 +99,6 @@ class Results:
     recognised: list[list[Recognised]]
     successes: list[Success]
     objective: Finding | None
-
-
-@dataclass(frozen=True)
-class Comparison:
-    """What the report says in words: mostly SMAL at its defaults against a peer.
-
-    Attributes
-    ----------
-    verdict
-        "ahead" or "behind" where the difference is more than chance (95 %), otherwise "open"; "counts" where nothing is
-        tested.
-    text
-        One sentence with its numbers.
-    """
-
-    world: str
-    verdict: Literal["ahead", "behind", "open", "counts"]
-    text: str
 
 
 def recogniser_name(recogniser: Recogniser) -> str:
@@ -228,138 +208,3 @@ def success_of(found: Iterable[Success], controller: str, length: int, degradati
     """Return one of the counts, if it was made."""
     wanted = (controller, length, degradation)
     return next((one for one in found if (one.controller, one.length, one.degradation) == wanted), None)
-
-
-def compare_recognition(world: str, found: Sequence[Recognised]) -> list[Comparison]:
-    """Compare the areas under the curves: SMAL at its default length against every other method."""
-    compared = []
-    for ours in found:
-        if (ours.recogniser.name, ours.recogniser.length) != ("smal", DEFAULT_LENGTH):
-            continue
-        for peer in found:
-            if peer.degradation != ours.degradation or (peer.recogniser.name == "smal" and peer.recogniser.length != 1):
-                continue
-            low, high = np.nanpercentile(ours.areas - peer.areas, [2.5, 97.5])
-            verdict: Literal["ahead", "behind", "open"] = "ahead" if low > 0.0 else "behind" if high < 0.0 else "open"
-            text = (
-                f"recognition, {ours.degradation}: area {ours.curve.auc:.3f} of {ours.name} against "
-                f"{peer.curve.auc:.3f} of {peer.name}, {_said(verdict)} "
-                f"(difference {low:+.3f} to {high:+.3f})"
-            )
-            compared.append(Comparison(world, verdict, text))
-    return compared
-
-
-def compare_searches(world: str, found: Sequence[Success]) -> list[Comparison]:
-    """Compare success on the same seeds: SMAL at its defaults against every peer, by the exact sign test."""
-    compared = []
-    for ours in found:
-        if (ours.controller, ours.length) != ("smal", DEFAULT_LENGTH):
-            continue
-        for controller, length in PEERS_OF_DEFAULT:
-            peer = success_of(found, controller, length, ours.degradation)
-            if peer is None:
-                continue
-            verdict, chance = _sign_test(ours, peer)
-            text = (
-                f"searches, {ours.degradation}: {ours.found} of {ours.runs} found by "
-                f"{controller_name(ours.controller, ours.length)} against {peer.found} of {peer.runs} by "
-                f"{controller_name(controller, length)}, {_said(verdict)} (p = {chance:.2g})"
-            )
-            compared.append(Comparison(world, verdict, text))
-    return compared
-
-
-def _sign_test(ours: Success, peer: Success) -> tuple[Literal["ahead", "behind", "open"], float]:
-    seeds = ours.outcomes.keys() & peer.outcomes.keys()
-    pairs = [(ours.outcomes[seed] == "found", peer.outcomes[seed] == "found") for seed in seeds]
-    wins, losses = pairs.count((True, False)), pairs.count((False, True))
-    if wins == losses:
-        return "open", 1.0
-    chance = float(binomtest(wins, wins + losses).pvalue)
-    if chance >= _CERTAIN:
-        return "open", chance
-    return ("ahead" if wins > losses else "behind"), chance
-
-
-def _said(verdict: str) -> str:
-    return {
-        "ahead": "SMAL is ahead",
-        "behind": "SMAL is behind",
-        "open": "the difference may be chance",
-    }[verdict]
-
-
-def long_sequences(world: str, found: Sequence[Success]) -> list[Comparison]:
-    """Say for every scheme and degradation whether the longest sequences succeed as often as the best length."""
-    said = []
-    for controller, degradation in dict.fromkeys((one.controller, one.degradation) for one in found):
-        if controller in PEERS:
-            continue
-        each = sorted(
-            (one for one in found if (one.controller, one.degradation) == (controller, degradation)),
-            key=lambda one: one.length,
-        )
-        long = [one for one in each if one.length >= 20]
-        if not long or len(each) == len(long):
-            continue
-        best = max(each, key=lambda one: one.rate)
-        as_good = all(one.rate >= best.rate for one in long)
-        counts = ", ".join(f"{one.found} of {one.runs} at l = {one.length}" for one in each)
-        if not best.found:
-            end = "no length finds the victim"
-        elif as_good:
-            end = "long sequences are as good as the best"
-        else:
-            end = f"long sequences lose against l = {best.length}"
-        said.append(Comparison(world, "counts", f"lengths, {controller}, {degradation}: {counts}; {end}"))
-    return said
-
-
-def as_json(found: Sequence[Results]) -> dict[str, Any]:
-    """Return the numbers of all figures."""
-    return {
-        one.world.world: {
-            "recognition": [
-                _recognised_json(each, criterion.meaning)
-                for criterion, judged in zip(one.world.criteria, one.recognised, strict=True)
-                for each in judged
-            ],
-            "searches": [_success_json(each) for each in one.successes],
-            "objective": one.objective and {name: value for name, value in one.objective.items() if name != "cpu_s"},
-        }
-        for one in found
-    }
-
-
-def _recognised_json(one: Recognised, criterion: str) -> dict[str, Any]:
-    curve = one.curve
-    return {
-        "method": one.recogniser.name,
-        "length": one.recogniser.length,
-        "degradation": one.degradation,
-        "criterion": criterion,
-        "queries": int(one.judgement.score.size),
-        "findable": int(one.judgement.findable.sum()),
-        "auc": curve.auc,
-        "auc_95": list(one.auc_95),
-        "recall_at_100_precision": curve.recall_at_100_precision,
-        "recall_at_100_precision_95": list(one.recall_95),
-        "novelty_test": None if one.operating is None else {"recall": one.operating[0], "precision": one.operating[1]},
-        "recall": curve.recall.round(5).tolist(),
-        "precision": curve.precision.round(5).tolist(),
-    }
-
-
-def _success_json(one: Success) -> dict[str, Any]:
-    return {
-        "controller": one.controller,
-        "length": one.length,
-        "degradation": one.degradation,
-        "found": one.found,
-        "runs": one.runs,
-        "success_rate": one.rate,
-        "wilson_95": list(one.wilson_95),
-        "median_ticks_found": one.median_ticks,
-        "outcomes": {str(seed): outcome for seed, outcome in one.outcomes.items()},
-    }

@@ -15,14 +15,14 @@ from numpy.typing import NDArray
 
 from services.commands.evaluation.degradation import Degrader, degradation_named
 from services.commands.evaluation.plan import DEFAULT_LENGTH, SCHEMES, Recogniser
-from services.commands.evaluation.results import Finding
-from services.commands.evaluation.summary import (
+from services.commands.evaluation.report.summary import (
     PEERS_OF_DEFAULT,
     Recognised,
     Success,
     controller_name,
     success_of,
 )
+from services.commands.evaluation.results import Finding
 from services.jpeg import decode_jpeg
 from services.simulator.world import load_world
 from services.simulator.world.map_view import draw_map

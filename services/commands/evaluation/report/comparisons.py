@@ -1,0 +1,136 @@
+"""What the report says in words: SMAL at its defaults against every other method, long sequences against short ones."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final, Literal
+
+import numpy as np
+from scipy.stats import binomtest
+
+from services.commands.evaluation.plan import DEFAULT_LENGTH, PEERS
+from services.commands.evaluation.report.summary import (
+    PEERS_OF_DEFAULT,
+    Recognised,
+    Results,
+    Success,
+    controller_name,
+    success_of,
+)
+
+_CERTAIN: Final = 0.05
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """What the report says in words: mostly SMAL at its defaults against a peer.
+
+    Attributes
+    ----------
+    verdict
+        "ahead" or "behind" where the difference is more than chance (95 %), otherwise "open"; "counts" where nothing is
+        tested.
+    text
+        One sentence with its numbers.
+    """
+
+    world: str
+    verdict: Literal["ahead", "behind", "open", "counts"]
+    text: str
+
+
+def comparisons(found: Results) -> list[Comparison]:
+    """Return all that the report says of a world."""
+    name = found.world.world
+    return [
+        *compare_recognition(name, found.recognised[0]),
+        *compare_searches(name, found.successes),
+        *long_sequences(name, found.successes),
+    ]
+
+
+def compare_recognition(world: str, found: Sequence[Recognised]) -> list[Comparison]:
+    """Compare the areas under the curves: SMAL at its default length against every other method."""
+    compared = []
+    for ours in found:
+        if (ours.recogniser.name, ours.recogniser.length) != ("smal", DEFAULT_LENGTH):
+            continue
+        for peer in found:
+            if peer.degradation != ours.degradation or (peer.recogniser.name == "smal" and peer.recogniser.length != 1):
+                continue
+            low, high = np.nanpercentile(ours.areas - peer.areas, [2.5, 97.5])
+            verdict: Literal["ahead", "behind", "open"] = "ahead" if low > 0.0 else "behind" if high < 0.0 else "open"
+            text = (
+                f"recognition, {ours.degradation}: area {ours.curve.auc:.3f} of {ours.name} against "
+                f"{peer.curve.auc:.3f} of {peer.name}, {_said(verdict)} "
+                f"(difference {low:+.3f} to {high:+.3f})"
+            )
+            compared.append(Comparison(world, verdict, text))
+    return compared
+
+
+def compare_searches(world: str, found: Sequence[Success]) -> list[Comparison]:
+    """Compare success on the same seeds: SMAL at its defaults against every peer, by the exact sign test."""
+    compared = []
+    for ours in found:
+        if (ours.controller, ours.length) != ("smal", DEFAULT_LENGTH):
+            continue
+        for controller, length in PEERS_OF_DEFAULT:
+            peer = success_of(found, controller, length, ours.degradation)
+            if peer is None:
+                continue
+            verdict, chance = _sign_test(ours, peer)
+            text = (
+                f"searches, {ours.degradation}: {ours.found} of {ours.runs} found by "
+                f"{controller_name(ours.controller, ours.length)} against {peer.found} of {peer.runs} by "
+                f"{controller_name(controller, length)}, {_said(verdict)} (p = {chance:.2g})"
+            )
+            compared.append(Comparison(world, verdict, text))
+    return compared
+
+
+def _sign_test(ours: Success, peer: Success) -> tuple[Literal["ahead", "behind", "open"], float]:
+    seeds = ours.outcomes.keys() & peer.outcomes.keys()
+    pairs = [(ours.outcomes[seed] == "found", peer.outcomes[seed] == "found") for seed in seeds]
+    wins, losses = pairs.count((True, False)), pairs.count((False, True))
+    if wins == losses:
+        return "open", 1.0
+    chance = float(binomtest(wins, wins + losses).pvalue)
+    if chance >= _CERTAIN:
+        return "open", chance
+    return ("ahead" if wins > losses else "behind"), chance
+
+
+def _said(verdict: str) -> str:
+    return {
+        "ahead": "SMAL is ahead",
+        "behind": "SMAL is behind",
+        "open": "the difference may be chance",
+    }[verdict]
+
+
+def long_sequences(world: str, found: Sequence[Success]) -> list[Comparison]:
+    """Say for every scheme and degradation whether the longest sequences succeed as often as the best length."""
+    said = []
+    for controller, degradation in dict.fromkeys((one.controller, one.degradation) for one in found):
+        if controller in PEERS:
+            continue
+        each = sorted(
+            (one for one in found if (one.controller, one.degradation) == (controller, degradation)),
+            key=lambda one: one.length,
+        )
+        long = [one for one in each if one.length >= 20]
+        if not long or len(each) == len(long):
+            continue
+        best = max(each, key=lambda one: one.rate)
+        as_good = all(one.rate >= best.rate for one in long)
+        counts = ", ".join(f"{one.found} of {one.runs} at l = {one.length}" for one in each)
+        if not best.found:
+            end = "no length finds the victim"
+        elif as_good:
+            end = "long sequences are as good as the best"
+        else:
+            end = f"long sequences lose against l = {best.length}"
+        said.append(Comparison(world, "counts", f"lengths, {controller}, {degradation}: {counts}; {end}"))
+    return said

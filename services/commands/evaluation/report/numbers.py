@@ -1,0 +1,57 @@
+"""The numbers of all figures, for ``results.json``."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+from services.commands.evaluation.report.summary import Recognised, Results, Success
+
+
+def as_json(found: Sequence[Results]) -> dict[str, Any]:
+    """Return the numbers of all figures."""
+    return {
+        one.world.world: {
+            "recognition": [
+                _recognised_json(each, criterion.meaning)
+                for criterion, judged in zip(one.world.criteria, one.recognised, strict=True)
+                for each in judged
+            ],
+            "searches": [_success_json(each) for each in one.successes],
+            "objective": one.objective and {name: value for name, value in one.objective.items() if name != "cpu_s"},
+        }
+        for one in found
+    }
+
+
+def _recognised_json(one: Recognised, criterion: str) -> dict[str, Any]:
+    curve = one.curve
+    return {
+        "method": one.recogniser.name,
+        "length": one.recogniser.length,
+        "degradation": one.degradation,
+        "criterion": criterion,
+        "queries": int(one.judgement.score.size),
+        "findable": int(one.judgement.findable.sum()),
+        "auc": curve.auc,
+        "auc_95": list(one.auc_95),
+        "recall_at_100_precision": curve.recall_at_100_precision,
+        "recall_at_100_precision_95": list(one.recall_95),
+        "novelty_test": None if one.operating is None else {"recall": one.operating[0], "precision": one.operating[1]},
+        "recall": curve.recall.round(5).tolist(),
+        "precision": curve.precision.round(5).tolist(),
+    }
+
+
+def _success_json(one: Success) -> dict[str, Any]:
+    return {
+        "controller": one.controller,
+        "length": one.length,
+        "degradation": one.degradation,
+        "found": one.found,
+        "runs": one.runs,
+        "success_rate": one.rate,
+        "wilson_95": list(one.wilson_95),
+        "median_ticks_found": one.median_ticks,
+        "outcomes": {str(seed): outcome for seed, outcome in one.outcomes.items()},
+    }

@@ -1,0 +1,84 @@
+"""The part of the report about recognition: precision and recall of every method in a world."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from html import escape
+
+from services.commands import html
+from services.commands.evaluation.degradation import degradation_named
+from services.commands.evaluation.plan import JUDGED_TICKS, WorldPlan
+from services.commands.evaluation.report import figures
+from services.commands.evaluation.report.embedding import EmbeddedFigures
+from services.commands.evaluation.report.summary import Recognised, Results
+
+
+def recognition_section(found: Results, put: EmbeddedFigures) -> Iterator[str]:
+    """Write it as HTML, piece by piece."""
+    world = found.world
+    name = world.world
+    yield f"<h3>Recognising where the robot is</h3>{_criterion(world)}"
+    yield put(
+        f"precision-recall-{name}",
+        figures.precision_recall(found.recognised[0], f"State recognition, {name}"),
+        f"Precision over recall as the score's threshold falls, {_figure_of_the_paper(name)}. A cross is where SMAL's "
+        "own novelty test works. Closer to the top right is better.",
+    )
+    yield put(
+        f"precision-recall-lengths-{name}",
+        figures.precision_recall_by_length(found.recognised[0], f"Sequence lengths, {name}"),
+        "The same for SMAL with sequences of l frames (the paper's figure of precision-recall curves in its parameter "
+        "analysis). Frames before the first whole window have no answer, so that long sequences cannot reach full "
+        "recall.",
+    )
+    yield put(
+        f"area-lengths-{name}",
+        figures.area_by_length(found.recognised[0], f"Area under the curve over l, {name}"),
+        "Areas of the curves above; bars are 95 % intervals of a block bootstrap over the held-out frames.",
+    )
+    for criterion, judged in zip(world.criteria, found.recognised, strict=True):
+        yield f"<p>By the criterion <b>{escape(criterion.meaning)}</b>:</p>{_table(judged)}"
+
+
+def _criterion(world: WorldPlan) -> str:
+    first = world.criteria[0]
+    others = " and ".join(escape(one.meaning) for one in world.criteria[1:])
+    views = "; ".join(f"<b>{name}</b>: {escape(degradation_named(name).meaning)}" for name in world.recognised)
+    return (
+        "<p><b>One criterion for all methods:</b> an answer is right if the demonstrated frame that the method takes "
+        f"the robot to be at was taken {escape(first.meaning)} of the robot's true pose"
+        f"{f' (beside it, stricter: {others})' if others else ''}. For SMAL that is the nearest demonstrated "
+        "occurrence of the state and phase that it recognises. The score is the weight of the best sequence (Eq. 8), "
+        "for each frame, whether or not the novelty test lets it pass; for the nearest frames the negative distance, "
+        "for SeqSLAM the negative mean difference along its best trajectory. Recall counts all frames that have a "
+        f"right answer among the demonstrations. Queries are one in {JUDGED_TICKS} frames of "
+        f"{world.queries} held-out drive{'' if world.queries == 1 else 's'}. Views: {views}.</p>"
+    )
+
+
+def _figure_of_the_paper(world: str) -> str:
+    scene = "the indoor search" if world == "indoor" else "the urban search"
+    return f"as in the paper's figure of precision-recall curves of {scene}"
+
+
+def _table(found: Sequence[Recognised]) -> str:
+    rows = [
+        [
+            one.name,
+            one.degradation,
+            f"{one.curve.auc:.3f}",
+            _interval(one.auc_95),
+            f"{one.curve.recall_at_100_precision:.3f}",
+            _interval(one.recall_95),
+            "-" if one.operating is None else f"{one.operating[1]:.3f} at {one.operating[0]:.3f}",
+            f"{int(one.judgement.findable.sum())} of {one.judgement.score.size}",
+        ]
+        for one in found
+    ]
+    head = ["method", "view", "area", "95 %", "recall at 100 % precision", "95 %", "novelty test: precision at recall",
+            "frames with a right answer"]  # fmt: skip
+    return html.table(head, rows, left=2)
+
+
+def _interval(ends: tuple[float, float]) -> str:
+    return f"{ends[0]:.3f} to {ends[1]:.3f}"

@@ -1,0 +1,83 @@
+"""The part of the report about searches: how often each way to drive finds the victim in a world, and an example."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+from services.commands import html
+from services.commands.evaluation.plan import DEFAULT_LENGTH, SCHEMES
+from services.commands.evaluation.report import figures
+from services.commands.evaluation.report.embedding import EmbeddedFigures
+from services.commands.evaluation.report.summary import Results, Success, controller_name
+from services.commands.evaluation.results import ResultStore
+from services.commands.evaluation.search_experiment import read_route, route_file
+
+
+def search_section(found: Results, store: ResultStore, put: EmbeddedFigures) -> Iterator[str]:
+    """Write it as HTML, piece by piece."""
+    name = found.world.world
+    yield "<h3>Finding the victim</h3>"
+    yield put(
+        f"success-{name}",
+        figures.success_by_length(found.successes, f"Success over sequence length, {name}"),
+        f"Share of {found.world.runs} searches that find the victim without a collision, over l, for each way to "
+        "decide (the paper's figure of success rates in its parameter analysis). Bars are Wilson's 95 % intervals. "
+        "Starts were not used in teaching, and are the same for all. With l = 1 every decision is of one frame, so "
+        "that the paper's scheme and overlapping windows are the same.",
+    )
+    yield put(
+        f"peers-{name}",
+        figures.peers(found.successes, f"SMAL and its peers, {name}"),
+        "The same demonstrations, starts and damage for all. The single image has SMAL's features and decision making; "
+        "SeqSLAM has SMAL's policy and another way to say where the robot is; the others imitate the expert without "
+        f"states.{_about_cloning(found.successes)}",
+    )
+    yield _table(found.successes)
+    yield from _example(found, store, put)
+
+
+def _about_cloning(found: Sequence[Success]) -> str:
+    if any(one.controller == "cloning" for one in found):
+        return ""
+    return (
+        " <b>Behaviour cloning was not run</b>: torch was not installed when this evaluation began "
+        "(pip install 'smal[cloning]')."
+    )
+
+
+def _table(found: Sequence[Success]) -> str:
+    rows = []
+    for one in found:
+        outcomes = list(one.outcomes.values())
+        scheme = SCHEMES[one.controller].meaning if one.controller in SCHEMES else "-"
+        ticks = one.median_ticks
+        rows.append([
+            controller_name(one.controller, one.length), scheme, one.degradation, f"{one.found} of {one.runs}",
+            f"{one.rate:.0%}", "{:.0%} to {:.0%}".format(*one.wilson_95), str(outcomes.count("collision")),
+            str(outcomes.count("timeout")), "-" if ticks is None else f"{ticks:.0f}",
+        ])  # fmt: skip
+    head = ["driver", "decides", "view", "found", "rate", "95 %", "collisions", "out of time", "frames until found"]
+    return html.table(head, rows, left=3)
+
+
+def _example(found: Results, store: ResultStore, put: EmbeddedFigures) -> Iterator[str]:
+    """Show the first search of SMAL at its defaults, with a clear view, that found the victim."""
+    name = found.world.world
+    mine = next(
+        (one for one in found.successes
+         if (one.controller, one.length, one.degradation) == ("smal", DEFAULT_LENGTH, "clean")), None
+    )  # fmt: skip
+    seed = None if mine is None else next((s for s, how in mine.outcomes.items() if how == "found"), None)
+    yield "<h3>An example</h3>"
+    if seed is None or not (store.work / route_file(name, seed)).exists():
+        yield "<p>No search of SMAL at its defaults found the victim, or its pictures were deleted: no example.</p>"
+        return
+    degraded = next((view for view in found.world.peers if view != "clean"), None)
+    yield put(
+        f"route-{name}",
+        figures.example_route(name, read_route(store.work / route_file(name, seed)), seed, degraded,
+                              f"A search in the world {name}, seed {seed}"),
+        "The way of a successful search from a start that was not taught (arrow) to the victim (star), and what the "
+        "camera saw at the numbered places (the paper's figures of route and observations). The lower row shows the "
+        "same views under the declared degradation.",
+    )  # fmt: skip
