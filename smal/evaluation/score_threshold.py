@@ -20,7 +20,7 @@ class Threshold:
     Parameters
     ----------
     tau : float
-        Answers with a score above it are given (`Matches.surer_than`, and Eq. 8).
+        Answers with a score above it are given (`Matches.above`, and Eq. 8).
     precision, recall : float
         In [0, 1].
     """

@@ -7,9 +7,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from smal.evaluation.ground_truth import Judgement, Truth, judge
-from smal.features import Centering, FeatureSettings, select
+from smal.features import FeatureSettings, select
 from smal.place_recognition import Matches
 from smal.place_recognition.methods import METHODS, MatchSettings
+from smal.place_recognition.traverse_centring import centre_traverses
 from smal.place_recognition.traverse_matching import OrderedSettings, TraverseProducts, match_products
 
 #: Methods that need only inner products, of which those of a weighted sum of modalities are made fast.
@@ -50,12 +51,12 @@ class ModalityProducts:
 
     @classmethod
     def of(cls, pair: TraversePair) -> Self:
-        """Multiply the features of each modality, of both traverses centred by their own means."""
+        """Multiply the features of each modality, centred as the methods do."""
         found = {}
         for name, where in zip(pair.held.modalities, pair.held.slices, strict=True):
             alone = FeatureSettings.of((name,))
-            both = (raw[:, where] for raw in (pair.references, pair.queries))
-            found[name] = TraverseProducts.of(*(Centering.fit(raw, alone).apply(raw) for raw in both))
+            centred = centre_traverses(pair.references[:, where], pair.queries[:, where], alone)
+            found[name] = TraverseProducts.of(*centred)
         return cls(found)
 
     def weighted(self, features: FeatureSettings) -> TraverseProducts:
@@ -63,12 +64,13 @@ class ModalityProducts:
         shares = [np.float32(weight * weight) for weight in features.unit_weights]
         parts = [self.by_name[name] for name in features.modalities]
         gram, products = np.zeros_like(parts[0].gram), np.zeros_like(parts[0].products)
-        squares = np.zeros_like(parts[0].norms)
+        recent, squares = np.zeros_like(parts[0].recent), np.zeros_like(parts[0].norms)
         for share, part in zip(shares, parts, strict=True):
             gram += share * part.gram
             products += share * part.products
+            recent += share * part.recent
             squares += float(share) * np.square(part.norms)
-        return TraverseProducts(gram, products, np.sqrt(squares))
+        return TraverseProducts(gram, products, np.sqrt(squares), recent)
 
 
 class SettingTrials:

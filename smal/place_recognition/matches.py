@@ -47,10 +47,14 @@ class Matches:
         """Return the answer that recognises no query of `queries`."""
         return cls(np.full(queries, NONE, dtype=np.int64), np.zeros(queries))
 
-    def surer_than(self, least: float) -> Self:
-        """Return the matches with a score above `least`; the others are none."""
-        sure = self.matched & (self.score > least)
+    def above(self, threshold: float) -> Self:
+        """Return the matches with a score above a threshold; the others are none."""
+        sure = self.matched & (self.score > threshold)
         return type(self)(np.where(sure, self.reference, NONE), np.where(sure, self.score, 0.0))
+
+    def of(self, queries: NDArray[np.int64]) -> Self:
+        """Return the matches of some queries."""
+        return type(self)(self.reference[queries], self.score[queries])
 
     @property
     def matched(self) -> NDArray[np.bool_]:

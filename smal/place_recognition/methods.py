@@ -12,6 +12,7 @@ from smal.place_recognition.matches import Matches, Progress
 from smal.place_recognition.nearest_sequence import match_nearest_sequence
 from smal.place_recognition.paper import LAMBDA_SCALE, match_as_in_the_paper
 from smal.place_recognition.seqslam import SeqSlamSettings, match_seqslam
+from smal.place_recognition.traverse_centring import centre_traverses
 from smal.place_recognition.traverse_matching import OrderedSettings, match_traverses
 
 Features = NDArray[np.float32]
@@ -71,25 +72,37 @@ class Method:
     any_length: bool = True
 
 
-def _by_own_mean(raw: Features, features: FeatureSettings) -> Features:
-    return Centering.fit(raw, features).apply(raw)
+def _of_whole_windows(match: Match) -> Match:
+    """Answer for a method where no window is whole: a traverse without frames has no mean to be centred by."""
+
+    def matched(references: Features, queries: Features, settings: MatchSettings, progress: Progress) -> Matches:
+        if min(len(references), len(queries)) < settings.length:
+            progress(len(queries))
+            return Matches.none(len(queries))
+        return match(references, queries, settings, progress)
+
+    return matched
 
 
+@_of_whole_windows
 def _smal(references: Features, queries: Features, settings: MatchSettings, progress: Progress) -> Matches:
     own = {} if settings.penalty is None else {"relative_penalty": settings.penalty}
-    references, queries = (_by_own_mean(raw, settings.features) for raw in (references, queries))
-    return match_traverses(references, queries, OrderedSettings(length=settings.length, **own), progress)
+    centred = centre_traverses(references, queries, settings.features)
+    return match_traverses(*centred, OrderedSettings(length=settings.length, **own), progress)
 
 
+@_of_whole_windows
 def _nearest(references: Features, queries: Features, settings: MatchSettings, progress: Progress) -> Matches:
-    references, queries = (_by_own_mean(raw, settings.features) for raw in (references, queries))
-    return match_nearest_sequence(references, queries, settings.length, progress)
+    centred = centre_traverses(references, queries, settings.features)
+    return match_nearest_sequence(*centred, settings.length, progress)
 
 
+@_of_whole_windows
 def _seqslam(references: Features, queries: Features, settings: MatchSettings, progress: Progress) -> Matches:
     return match_seqslam(references, queries, SeqSlamSettings(length=settings.length), progress)
 
 
+@_of_whole_windows
 def _paper(references: Features, queries: Features, settings: MatchSettings, progress: Progress) -> Matches:
     mean = Centering.fit(references, settings.features)
     scale = LAMBDA_SCALE if settings.penalty is None else settings.penalty

@@ -9,7 +9,6 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from smal.novelty import sequence_weights
 from smal.place_recognition.matches import Matches, Progress, check_features
 from smal.state_space import matched_phase
 from smal.streaming import StreamingMatcher
@@ -59,11 +58,12 @@ def match_as_in_the_paper(
         matcher.observe(frame)
         if matcher.ready:
             solution = matcher.match()
-            weights = sequence_weights(solution.weights, length)
-            if weights.any():
-                best = int(np.argmax(weights))
+            weights = solution.block_weights
+            if weights.size:
+                heaviest = int(np.argmax(weights))
+                best = int(solution.active_blocks[heaviest])
                 place = best * length + matched_phase(solution, best)
                 matches.reference[query] = int(np.clip(round(place), 0, references.shape[0] - 1))
-                matches.score[query] = weights[best] / length
+                matches.score[query] = weights[heaviest] / length
         progress(query + 1)
     return matches

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from smal.compiled import compiled
 from smal.place_recognition.matches import Matches, Progress, check_features
-from smal.place_recognition.nearest_sequence import rolling, sums_along
+from smal.place_recognition.trajectories import rolling, steps_back, sums_along
 
 _MOST_VELOCITIES = 1000
 #: A standard deviation below this share of the mean difference is the rounding of float32 sums.
@@ -76,8 +76,7 @@ class SeqSlamSettings:
         # Without the small addition 0.8 + 4 * 0.1 would lie beyond 1.2.
         count = math.floor((self.v_max - self.v_min) / self.v_step + 1e-9) + 1
         velocities = self.v_min + self.v_step * np.arange(count)
-        steps = np.floor(np.outer(velocities, np.arange(self.length)) + 0.5).astype(np.int64)
-        lines: list[list[int]] = np.unique(steps, axis=0).tolist()
+        lines: list[list[int]] = np.unique(steps_back(velocities, self.length), axis=0).tolist()
         return lines
 
 

@@ -15,7 +15,8 @@ from smal.place_recognition.matches import Matches
 _SLOWEST, _FASTEST = 0.4, 2.5
 #: A match with less than this share of the median score is left out.
 _SURE: Final = 0.7
-#: As many median speeds of 1 are mixed in, which only counts where hardly any match is sure.
+#: As many slopes of the speed that would be assumed otherwise are mixed in: that of the whole traverse near a query,
+#: equal speeds for the whole traverse. It only counts where hardly any match is sure.
 _DOUBT: Final = 5
 
 
@@ -33,20 +34,29 @@ def local_speeds(matches: Matches, length: int) -> NDArray[np.float64]:
     Returns
     -------
     float64 array (q,)
-        Reference frames to one query frame, 0.5 to 2; that of the whole traverse where nothing near is sure, and 1
-        where nothing is.
+        Reference frames to one query frame, 0.5 to 2; the fewer slopes there are near a query the more that of the
+        whole traverse, and the fewer there are at all the nearer to 1.
     """
     octaves = _slopes(matches, length)
-    known = np.isfinite(octaves)
-    everywhere = float(np.median(octaves[known])) if known.any() else 0.0
-    found = np.full(octaves.size, everywhere)
+    everywhere = _median(octaves, 0.0)
+    found = np.empty(octaves.size)
     for query in range(octaves.size):
-        near = octaves[max(0, query - 2 * length) : query + 2 * length + 1]
-        near = near[np.isfinite(near)]
-        if near.size >= _DOUBT:
-            found[query] = float(np.median(near)) * near.size / (near.size + _DOUBT)
+        found[query] = _median(octaves[max(0, query - 2 * length) : query + 2 * length + 1], everywhere)
     speeds: NDArray[np.float64] = 2.0 ** np.clip(found, -1.0, 1.0)
     return speeds
+
+
+def _median(octaves: NDArray[np.float64], otherwise: float) -> float:
+    """Return the median of what is known, drawn towards what is assumed otherwise where that is little.
+
+    Wrong matches are spread over frames, so that in octaves more of them look fast than slow; weights make up for it.
+    """
+    known = np.sort(octaves[np.isfinite(octaves)])
+    if not known.size:
+        return otherwise
+    below = np.cumsum(2.0**-known)
+    median = float(known[np.searchsorted(below, below[-1] / 2)])
+    return (median * known.size + otherwise * _DOUBT) / (known.size + _DOUBT)
 
 
 def _slopes(matches: Matches, lag: int) -> NDArray[np.float64]:

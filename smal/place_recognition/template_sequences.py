@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from smal.compiled import compiled
+from smal.place_recognition.trajectories import steps_back
 
 #: Reference frames to one query frame, in quarters of an octave from half to twice.
 SPEEDS = tuple(2.0 ** (step / 4) for step in range(-4, 5))
@@ -22,7 +23,8 @@ SPEEDS = tuple(2.0 ** (step / 4) for step in range(-4, 5))
 class TemplateSequences:
     """All sequences of l frames within n reference frames: one for each speed and each last frame.
 
-    Sequence (v, e) has the frames e - round(v (l - 1 - i)), i = 0..l-1; it exists where the first of them does.
+    Sequence (v, e) has the frames e - round(v (l - 1 - i)), i = 0..l-1 (`trajectories.steps_back`); it exists where the
+    first of them does.
 
     Parameters
     ----------
@@ -49,8 +51,7 @@ class TemplateSequences:
     @cached_property
     def back(self) -> NDArray[np.int64]:
         """How many frames before its last one the i-th frame of a sequence is, (speeds, l)."""
-        steps = np.arange(self.length - 1, -1, -1)
-        return np.round(np.outer(self.speeds, steps)).astype(np.int64)
+        return np.ascontiguousarray(steps_back(self.speeds, self.length)[:, ::-1])
 
     @cached_property
     def octaves(self) -> NDArray[np.float64]:

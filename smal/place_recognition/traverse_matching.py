@@ -1,9 +1,7 @@
 """The method on two traverses: every window of queries is matched in order, and the weights are read as places.
 
-What a traverse has in common with itself (its light, its season, its camera) is its mean, so each traverse is centred
-by its own: measured on traverses under other light, more than any feature or length of a sequence changes. The window
-of a query are the l frames that end with it. Speeds are tried from half to twice; a penalty keeps them near the speed
-at which the matches around advance, which a first round tells.
+The window of a query are the l frames that end with it, where the frames of a stop count once. Speeds are tried from
+half to twice; a penalty keeps them near the speed at which the matches around advance, which a first round tells.
 """
 
 from dataclasses import dataclass
@@ -15,6 +13,7 @@ from numpy.typing import NDArray
 from smal.place_recognition.matches import Matches, Progress, check_features
 from smal.place_recognition.ordered_matching import OrderedSolution, solve_ordered
 from smal.place_recognition.speed import local_speeds
+from smal.place_recognition.stops import first_frames, recent_of_gram, recent_products, windows
 from smal.place_recognition.template_sequences import SPEEDS, TemplateSequences
 
 #: Sequences whose last frames lie this near to each other show one place.
@@ -73,11 +72,14 @@ class TraverseProducts:
         x_a . y_i of every query with every reference.
     norms : float64 array (q,)
         ||y_i||.
+    recent : float32 array (q, 16)
+        Of every query with those before it (`stops.recent_products`).
     """
 
     gram: NDArray[np.float32]
     products: NDArray[np.float32]
     norms: NDArray[np.float64]
+    recent: NDArray[np.float32]
 
     @classmethod
     def of(cls, references: NDArray[np.float32], queries: NDArray[np.float32]) -> Self:
@@ -86,7 +88,8 @@ class TraverseProducts:
         for start in range(0, queries.shape[0], _ROWS):
             rows = slice(start, start + _ROWS)
             np.matmul(queries[rows], references.T, out=products[rows])
-        return cls(references @ references.T, products, np.linalg.norm(queries, axis=1).astype(np.float64))
+        norms = np.linalg.norm(queries, axis=1).astype(np.float64)
+        return cls(references @ references.T, products, norms, recent_products(queries))
 
 
 def match_traverses(
@@ -97,7 +100,7 @@ def match_traverses(
     Parameters
     ----------
     references : float32 array (n, m)
-        In order, each traverse centred by its own mean and weighted (`Centering`).
+        In order, centred and weighted (`smal.place_recognition.traverse_centring`).
     queries : float32 array (q, m)
     settings : OrderedSettings
     progress : callable
@@ -130,36 +133,48 @@ def match_products(traverses: TraverseProducts, settings: OrderedSettings, progr
         progress(total)
         return Matches.none(total)
     if settings.length == 1:
-        return _match(traverses, settings, np.ones(total), 0.0, progress)
-    penalty = settings.speed_penalty
-    first = _match(traverses, settings, np.ones(total), penalty / 2, lambda done: progress(done // 2))
-    speeds = local_speeds(first, settings.length)
-    return _match(traverses, settings, speeds, penalty, lambda done: progress((total + done) // 2))
+        alone = np.arange(total)[:, np.newaxis]
+        return _match(traverses, np.arange(references), alone, np.ones(total), settings, 0.0, progress)
+    known = first_frames(recent_of_gram(traverses.gram), np.sqrt(traverses.gram.diagonal(), dtype=np.float64))
+    if np.unique(known).size < settings.length:
+        known = np.arange(references)
+    asked = first_frames(traverses.recent, traverses.norms)
+    moving, own = np.unique(asked, return_inverse=True)
+    frames, penalty = windows(asked, settings.length), settings.speed_penalty
+    first = _match(traverses, known, frames, np.ones(total), settings, penalty / 2, lambda done: progress(done // 2))
+    speeds = local_speeds(first.of(moving), settings.length)[own]
+    return _match(traverses, known, frames, speeds, settings, penalty, lambda done: progress((total + done) // 2))
 
 
 def _match(
     traverses: TraverseProducts,
-    settings: OrderedSettings,
+    known: NDArray[np.int64],
+    frames: NDArray[np.int64],
     speeds: NDArray[np.float64],
+    settings: OrderedSettings,
     speed_penalty: float,
     progress: Progress,
 ) -> Matches:
-    """Match all windows, at about the expected speeds (q,)."""
+    """Match all windows, at about the expected speeds (q,), with references of which each stop counts once."""
     matches = Matches.none(speeds.size)
+    kept, last = np.unique(known), np.searchsorted(known, np.unique(known), side="right") - 1
+    middle = (kept + last) // 2
+    gram = traverses.gram if kept.size == known.size else traverses.gram[np.ix_(kept, kept)]
     sequences = TemplateSequences(settings.length, (1.0,) if settings.length == 1 else SPEEDS)
-    for query in range(settings.length - 1, speeds.size):
-        window = slice(query + 1 - settings.length, query + 1)
+    for query, window in enumerate(frames, settings.length - 1):
+        products = traverses.products[window]
         solution = solve_ordered(
-            traverses.products[window],
+            products if kept.size == known.size else products[:, kept],
             traverses.norms[window],
-            traverses.gram,
+            gram,
             sequences,
             speed_penalty * np.abs(sequences.octaves - np.log2(speeds[query])),
             settings.relative_penalty,
             settings.tolerance,
         )
         if solution.weights.size:
-            matches.reference[query], matches.score[query] = place_of(solution, traverses.gram.shape[0])
+            place, matches.score[query] = place_of(solution, kept.size)
+            matches.reference[query] = middle[place]
         progress(query + 1)
     progress(speeds.size)
     return matches
@@ -189,9 +204,3 @@ def place_of(solution: OrderedSolution, references: int) -> tuple[int, float]:
     best = int(np.argmax(weights))
     there = solution.weights * near[best]
     return round(float(there @ ends / there.sum())), float(weights[best] ** 2 / solution.weights.sum())
-
-
-def compile_ahead() -> None:
-    """Compile what matching needs; from the second time on that takes under a second."""
-    frames = np.eye(12, dtype=np.float32)
-    match_traverses(frames, frames, OrderedSettings(length=2), lambda _done: None)

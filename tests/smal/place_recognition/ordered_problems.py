@@ -1,5 +1,6 @@
 """Problems for ordered matching, and their optimum over all sequences, straight from the definition in float64."""
 
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
@@ -47,7 +48,7 @@ class OrderedProblem:
         found = {}
         for place, speed in enumerate(self.speeds):
             for end in range(n):
-                frames = [end - round(speed * (length - 1 - i)) for i in range(length)]
+                frames = [end - math.floor(speed * (length - 1 - i) + 0.5) for i in range(length)]
                 if frames[0] >= 0:
                     found[place * n + end] = frames
         return found

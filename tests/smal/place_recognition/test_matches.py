@@ -13,6 +13,14 @@ def test_matched_are_the_queries_with_a_reference() -> None:
     assert Matches.none(3).score.tolist() == [0.0] * 3
 
 
+def test_matches_of_some_queries_and_above_a_score() -> None:
+    matches = Matches(np.array([NONE, 0, 7]), np.array([0.0, 0.4, 1.0]))
+    some = matches.of(np.array([2, 0]))
+    assert (some.reference.tolist(), some.score.tolist()) == ([7, NONE], [1.0, 0.0])
+    sure = matches.above(0.4)
+    assert (sure.reference.tolist(), sure.score.tolist()) == ([NONE, NONE, 7], [0.0, 0.0, 1.0])
+
+
 @pytest.mark.parametrize(
     ("reference", "score", "message"),
     [

@@ -8,7 +8,6 @@ from numpy.typing import NDArray
 
 from smal import solve
 from smal.features import FeatureSettings
-from smal.novelty import sequence_weights
 from smal.place_recognition.matches import NONE
 from smal.place_recognition.methods import METHODS, MatchSettings, Method
 from smal.place_recognition.paper import LAMBDA_SCALE, match_as_in_the_paper
@@ -54,11 +53,22 @@ def test_of_too_few_frames_no_method_finds_a_match(name: str) -> None:
     length = 6 if method.any_length else method.length
     references, queries = raw_traverses(method.features)
     for known, asked in ((references[: length - 1], queries), (references, queries[: length - 1])):
-        if len(known) and len(asked):
-            done: list[int] = []
-            chosen = MatchSettings(method.features, length, method.penalty)
-            assert not method.match(known, asked, chosen, done.append).matched.any()
-            assert done[-1] == len(asked)
+        done: list[int] = []
+        chosen = MatchSettings(method.features, length, method.penalty)
+        matches = method.match(known, asked, chosen, done.append)
+        assert matches.matched.tolist() == [False] * len(asked)
+        assert done[-1] == len(asked)
+
+
+@pytest.mark.parametrize("name", ["image", "nearest", "paper", "smal"])
+def test_one_photo_is_found(name: str) -> None:
+    """Its own mean is all that it shows."""
+    method = METHODS[name]
+    references, queries = raw_traverses(method.features)
+    for query in range(0, LAST - FIRST, 7):
+        chosen = MatchSettings(method.features, 1, method.penalty)
+        matches = method.match(references, queries[query : query + 1], chosen, ignore)
+        assert abs(int(matches.reference[0]) - (FIRST + query)) <= 2
 
 
 @pytest.mark.parametrize("name", sorted(METHODS))
@@ -98,14 +108,14 @@ def test_paper_is_eq_7_of_the_same_window(length: int) -> None:
     for query in range(length - 1, 20):
         window = queries[query + 1 - length : query + 1].T
         solution = solve(templates, window, length, penalty, penalty, 1e-5)
-        weights = sequence_weights(solution.weights, length)
+        weights = np.abs(solution.weights).reshape(-1, length * length).sum(axis=1)
         best = int(np.argmax(weights))
         assert abs(matches.reference[query] - (best * length + matched_phase(solution, best))) < 0.6
         assert matches.score[query] == pytest.approx(weights[best] / length, abs=0.02)
     assert matches.reference[: length - 1].tolist() == [NONE] * (length - 1)
 
 
-def test_paper_without_any_likeness_finds_no_match() -> None:
+def test_paper_without_any_similarity_finds_no_match() -> None:
     """W may be negative: only what is orthogonal to all references has none."""
     features = np.eye(12, dtype=np.float32)
     assert not match_as_in_the_paper(features[:6], features[6:], 3, LAMBDA_SCALE, ignore).matched.any()

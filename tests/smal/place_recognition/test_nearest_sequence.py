@@ -6,9 +6,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from smal.place_recognition import nearest_sequence
+from smal.place_recognition import trajectories
 from smal.place_recognition.matches import NONE
-from smal.place_recognition.nearest_sequence import match_nearest_sequence, rolling
+from smal.place_recognition.nearest_sequence import match_nearest_sequence
+from smal.place_recognition.trajectories import rolling
 from tests.smal.place_recognition.traverses import ignore, random_features
 
 
@@ -29,7 +30,7 @@ def test_equals_a_search_by_hand(seed: int, n: int, q: int, length: int, entries
     rng = np.random.default_rng(seed)
     references, queries = random_features(rng, n), random_features(rng, q)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(nearest_sequence, "_BLOCK_ENTRIES", entries)
+        patch.setattr(trajectories, "_BLOCK_ENTRIES", entries)
         matches = match_nearest_sequence(references, queries, length, ignore)
     first = length - 1 if length <= n else q
     assert matches.reference[:first].tolist() == [NONE] * min(first, q)
@@ -58,7 +59,7 @@ def test_order_counts() -> None:
 
 @pytest.mark.parametrize(("queries", "length", "entries"), [(40, 1, 50), (40, 7, 50), (40, 13, 50), (5, 7, 50)])
 def test_every_window_comes_once(queries: int, length: int, entries: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(nearest_sequence, "_BLOCK_ENTRIES", entries)
+    monkeypatch.setattr(trajectories, "_BLOCK_ENTRIES", entries)
     matrix = np.arange(queries * 10, dtype=np.float32).reshape(queries, 10)
     ends: list[int] = []
     for done, rows in rolling(lambda frames: matrix[frames], queries, 10, length):
@@ -69,7 +70,7 @@ def test_every_window_comes_once(queries: int, length: int, entries: int, monkey
 
 
 def test_progress_ends_with_all_queries(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(nearest_sequence, "_BLOCK_ENTRIES", 100)
+    monkeypatch.setattr(trajectories, "_BLOCK_ENTRIES", 100)
     references = random_features(np.random.default_rng(2), 20)
     done: list[int] = []
     match_nearest_sequence(references, references, 3, done.append)

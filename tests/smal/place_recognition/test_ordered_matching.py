@@ -88,7 +88,7 @@ def test_the_certificate_of_an_answer_that_is_not_optimal_says_so() -> None:
 
 
 @pytest.mark.parametrize("structure", ["opposed", "blind"])
-def test_without_likeness_there_is_no_sequence(structure: str) -> None:
+def test_without_similarity_there_is_no_sequence(structure: str) -> None:
     problem = problem_of(structure, 3, 20, 4, 2, 0.5)
     if structure == "blind":
         problem = replace(problem, queries=np.zeros_like(problem.queries))

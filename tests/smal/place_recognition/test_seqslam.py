@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy.spatial.distance import cdist
 
-from smal.place_recognition import nearest_sequence
+from smal.place_recognition import trajectories
 from smal.place_recognition.matches import NONE, Matches
 from smal.place_recognition.seqslam import SeqSlamSettings, differences, match_seqslam
 from tests.smal.place_recognition.traverses import Road, ignore, random_features
@@ -75,7 +75,7 @@ def test_equals_the_equations(seed: int, n: int, q: int, given: SeqSlamSettings,
     rng = np.random.default_rng(seed)
     references, queries = random_features(rng, n), random_features(rng, q)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(nearest_sequence, "_BLOCK_ENTRIES", entries)
+        patch.setattr(trajectories, "_BLOCK_ENTRIES", entries)
         matches = match_seqslam(references, queries, given, ignore)
     hand = ByHand(references, queries, given)
     for t in range(q):

@@ -35,7 +35,7 @@ def test_the_speed_varies_along_the_traverse() -> None:
     places = np.concatenate([0.5 * np.arange(150), 75 + 2.0 * np.arange(150)])
     found = local_speeds(matches_at(places, 0.1), LENGTH)
     assert np.median(found[30:110]) < 0.6
-    assert np.median(found[190:]) > 1.7
+    assert np.median(found[190:]) > 1.6
     assert (found >= 0.5).all()
     assert (found <= 2.0).all()
 
@@ -70,4 +70,25 @@ def test_where_nothing_near_is_sure_the_whole_traverse_tells() -> None:
     reference, score = sure.reference.copy(), sure.score.copy()
     reference[100:200], score[100:200] = -1, 0.0
     found = local_speeds(Matches(reference, score), LENGTH)
-    assert found[150] == pytest.approx(2.0)
+    assert found[150] == pytest.approx(2.0, rel=0.03)
+
+
+def test_one_slope_is_hardly_believed() -> None:
+    """One accident in 300 queries says 2.4; what is next to it may believe it a little, the ends not more."""
+    reference = np.tile([0, 5000], 150)
+    reference[110], reference[120] = 3000, 3024
+    found = local_speeds(Matches(reference, np.ones(300)), LENGTH)
+    assert found[120] == found.max()
+    assert found.max() < 1.5
+    assert found[[0, 299]] == pytest.approx(found[120], rel=0.25)
+    assert (found >= 1.0).all()
+
+
+@pytest.mark.parametrize("references", [100, 300, 1000])
+def test_random_matches_look_neither_fast_nor_slow(references: int) -> None:
+    """Wrong matches are spread over frames, of which there are more at fast slopes than at slow ones."""
+    octaves = []
+    for seed in range(40):
+        random = np.random.default_rng(seed).integers(0, references, 200)
+        octaves.append(np.log2(np.median(local_speeds(Matches(random, np.ones(200)), LENGTH))))
+    assert abs(np.mean(octaves)) < 0.15

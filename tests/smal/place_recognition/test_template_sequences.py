@@ -1,5 +1,7 @@
 """Template sequences against their definition, frame by frame."""
 
+import math
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -10,7 +12,7 @@ from smal.place_recognition.template_sequences import SPEEDS, TemplateSequences
 
 def frames_of(speed: float, end: int, length: int) -> list[int]:
     """Return the frames of one sequence, as the docstring of `TemplateSequences` has them."""
-    return [end - round(speed * (length - 1 - i)) for i in range(length)]
+    return [end - math.floor(speed * (length - 1 - i) + 0.5) for i in range(length)]
 
 
 @given(st.integers(1, 12), st.integers(1, 40), st.lists(st.floats(0.1, 5.0), min_size=1, max_size=6))
@@ -47,6 +49,11 @@ def test_the_first_windows() -> None:
         [end >= 2 for end in range(6)],
         [end >= 4 for end in range(6)],
     ]
+
+
+def test_at_half_speed_every_second_query_advances() -> None:
+    (back,) = TemplateSequences(10, (0.5,)).back
+    assert back.tolist() == [5, 4, 4, 3, 3, 2, 2, 1, 1, 0]
 
 
 def test_speeds_are_from_half_to_twice() -> None:

@@ -6,6 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
+from smal.place_recognition import traverse_matching
 from smal.place_recognition.matches import NONE
 from smal.place_recognition.ordered_matching import OrderedSolution
 from smal.place_recognition.traverse_matching import OrderedSettings, match_traverses, place_of
@@ -82,6 +83,29 @@ def test_the_second_round_knows_the_speed(name: str) -> None:
         matches = match_traverses(references, queries, OrderedSettings(length=LENGTH), ignore)
         right.append(np.mean(np.abs(matches.reference - places)[LENGTH - 1 :] <= 2))
     assert np.mean(right) > 0.965
+
+
+@pytest.mark.parametrize("who", ["queries", "references", "both"])
+def test_who_stands_still_is_found(who: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """For 25 frames each time, most of the traverse; at other places where both do."""
+    rng = np.random.default_rng(4)
+    walk = Walk(rng)
+
+    def stopping(at: int) -> Array:
+        return np.repeat(np.arange(20.0, 220.0), np.where(np.arange(200) % 20 == at, 25, 1))
+
+    known = stopping(3) if who != "queries" else np.arange(float(N))
+    places = stopping(10) if who != "references" else np.arange(20.0, 220.0)
+    references, queries = walk.at(known, 0.1), walk.at(places, 0.1)
+
+    def right() -> float:
+        matches = match_traverses(references, queries, OrderedSettings(length=LENGTH), ignore)
+        matched = np.flatnonzero(matches.matched)
+        return float(np.mean(np.abs(known[matches.reference[matched]] - places[matched]) <= 2))
+
+    assert right() > 0.99
+    monkeypatch.setattr(traverse_matching, "first_frames", lambda _, norms: np.arange(norms.size))
+    assert right() < 0.95
 
 
 @given(st.integers(0, 2**32 - 1), st.integers(1, 30), st.integers(0, 30), st.integers(1, 12))

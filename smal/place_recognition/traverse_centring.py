@@ -1,0 +1,38 @@
+"""What a traverse has in common with itself (its light, its season, its camera) is its mean, and is taken away.
+
+So each traverse is centred by its own mean; measured on traverses under other light, that changes more than any feature
+or length of a sequence does. But the mean of a few queries is what these few places look like, of one alone all that
+there is. It is therefore drawn towards the mean of the references, as if some frames more had been seen.
+"""
+
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from smal.features import Centering, FeatureSettings
+
+#: As many frames that look like the references in the mean are counted among the queries.
+PRIOR_FRAMES: Final = 5
+
+
+def centre_traverses(
+    references: NDArray[np.float32], queries: NDArray[np.float32], settings: FeatureSettings
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Centre two traverses, and weight their modalities.
+
+    Parameters
+    ----------
+    references, queries : float32 arrays (n, m), (q, m)
+        Raw features of `extract`; n and q at least 1.
+    settings : FeatureSettings
+
+    Returns
+    -------
+    float32 arrays (n, m), (q, m)
+        See `Centering.apply`.
+    """
+    known, own = Centering.fit(references, settings), Centering.fit(queries, settings)
+    share = np.float32(queries.shape[0] / (queries.shape[0] + PRIOR_FRAMES))
+    seen = Centering(share * own.mean + (1 - share) * known.mean, settings)
+    return known.apply(references), seen.apply(queries)
