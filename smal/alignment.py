@@ -28,7 +28,7 @@ _STEPS = np.array(sorted(range(-REACH, REACH + 1), key=abs))
 #: frames are nearest to what the robot sees, and to its heading.
 RECENCY_TICKS = 3.0
 
-#: Concentration of views about the demonstrated ones (von Mises and Fisher): where the likeness is 0.1 less, it is
+#: Concentration of views about the demonstrated ones (von Mises and Fisher): where the similarity is 0.1 less, it is
 #: 20 times less likely that the robot is there.
 CONCENTRATION = 30.0
 
@@ -44,13 +44,13 @@ class Alignment:
     ----------
     phases : float64 array (k,)
         Template frame at which the last query frame is.
-    likeness : float64 array (k,)
+    similarity : float64 array (k,)
         Mean inner product of the query frames with the demonstrated ones, recent frames counting more; -inf where
         nothing that was demonstrated is within reach.
     """
 
     phases: NDArray[np.float64]
-    likeness: NDArray[np.float64]
+    similarity: NDArray[np.float64]
 
 
 def recency(frames: int, recency_ticks: float) -> NDArray[np.float64]:
@@ -58,10 +58,10 @@ def recency(frames: int, recency_ticks: float) -> NDArray[np.float64]:
     return np.exp(-np.arange(frames)[::-1] / recency_ticks)
 
 
-def likelihood(likeness: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return exp(CONCENTRATION * likeness), divided by the largest; ones where nothing is like anything."""
-    largest = likeness.max(initial=-np.inf)
-    return np.exp(CONCENTRATION * (likeness - largest)) if np.isfinite(largest) else np.ones_like(likeness)
+def relative_likelihood(similarity: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return exp(CONCENTRATION * similarity), divided by the largest; ones where nothing is like anything."""
+    largest = similarity.max(initial=-np.inf)
+    return np.exp(CONCENTRATION * (similarity - largest)) if np.isfinite(largest) else np.ones_like(similarity)
 
 
 class DemonstratedOrder:
@@ -87,6 +87,7 @@ class DemonstratedOrder:
         for stream, ends in zip(streams, phases, strict=True):
             for state, end in zip(stream.tolist(), ends.tolist(), strict=True):
                 self._first.setdefault(state, position)
+                # What lies beyond the template looks about like its first, or its last, frame.
                 shown = np.clip(round(end) - length + 1 + np.arange(length), 0, length - 1)
                 parts.append(state * length + shown)
                 position += length
@@ -130,11 +131,11 @@ class DemonstratedOrder:
         columns = self._columns[inside]
         shown = columns >= 0
         weights = recency(frames, recency_ticks) * shown
-        likeness = (weights * correlate(columns)).sum(axis=-1) / np.maximum(weights.sum(axis=-1), 1e-300)
+        similarity = (weights * correlate(columns)).sum(axis=-1) / np.maximum(weights.sum(axis=-1), 1e-300)
         possible = shown[..., -1]
-        likeness = np.where(possible, likeness, -np.inf)
-        found = rough + _STEPS[likeness.argmax(axis=1)]
-        return Alignment(np.where(possible.any(axis=1), found, phases), likeness.max(axis=1))
+        similarity = np.where(possible, similarity, -np.inf)
+        found = rough + _STEPS[similarity.argmax(axis=1)]
+        return Alignment(np.where(possible.any(axis=1), found, phases), similarity.max(axis=1))
 
 
 def aligned_phases(

@@ -73,7 +73,7 @@ class LearningSettings:
     novelty_parameters : dict
         Parameters of the test in learning; where not given, defaults, or measured on the demonstrations.
     recognition_parameters : dict
-        Parameters of the test in execution; `smal.novelty.RECOGNITION_DEFAULTS` if None.
+        Parameters of the test in execution; where not given, `smal.novelty.RECOGNITION_DEFAULTS`.
     gamma : float
         Discount factor.
     sparsity, r_max : float
@@ -91,7 +91,7 @@ class LearningSettings:
     lambda2: float | None = None
     novelty: str = "agreement"
     novelty_parameters: dict[str, float] = field(default_factory=dict)
-    recognition_parameters: dict[str, float] | None = None
+    recognition_parameters: dict[str, float] = field(default_factory=dict)
     gamma: float = 0.95
     sparsity: float = 0.5
     r_max: float = 1.0
@@ -112,7 +112,7 @@ class LearningSettings:
     @property
     def recognition(self) -> dict[str, float]:
         """Parameters of the novelty test in execution."""
-        return self.recognition_parameters or RECOGNITION_DEFAULTS[self.novelty]
+        return RECOGNITION_DEFAULTS[self.novelty] | self.recognition_parameters
 
     @property
     def lambdas(self) -> tuple[float, float]:

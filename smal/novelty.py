@@ -16,33 +16,8 @@ from numpy.typing import NDArray
 
 from smal.state_matching import Solution
 
-
-def sequence_weights(weights: NDArray[Any], sequence_length: int) -> NDArray[np.float64]:
-    """Total weight of every template sequence, sum_i ||w_i^j||_1 (left side of Eq. 8).
-
-    Parameters
-    ----------
-    weights : array (n, q)
-        W.
-    sequence_length : int
-        l; the last sequence may be shorter.
-
-    Returns
-    -------
-    float64 array (k,)
-    """
-    if weights.shape[0] == 0:
-        return np.zeros(0)
-    starts = np.arange(0, weights.shape[0], sequence_length)
-    return np.add.reduceat(np.abs(weights).sum(axis=1, dtype=np.float64), starts)
-
-
-def identify(weights: NDArray[Any], sequence_length: int) -> int | None:
-    """Find the sequence with the largest weight (Eq. 9), or None when W is zero and nothing matches."""
-    totals = sequence_weights(weights, sequence_length)
-    if not totals.any():
-        return None
-    return int(np.argmax(totals))
+#: Views whose cosine is nearer to 1 are the same image, but for the rounding of float32.
+_REPEATED = 1e-6
 
 
 @dataclass(frozen=True)
@@ -54,7 +29,7 @@ class Match:
     state : int or None
         Best template sequence (Eq. 9), None when W is zero.
     score : float
-        Its weight per query frame, at least 0 (Eq. 8 divided by l).
+        Its weight for each of the q query frames, at least 0 (left side of Eq. 8, divided by q).
     total_weight : float
         Weight of all sequences per query frame.
     residual : float
@@ -86,9 +61,8 @@ def describe_match(solution: Solution, correlate: Callable[[slice], NDArray[Any]
     residual = float(solution.residual_norms.sum()) / total if total > 0.0 else 1.0
     if not solution.active.size:
         return Match(None, 0.0, 0.0, min(residual, 1.0), 0.0)
-    blocks, where = np.unique(solution.active // length, return_inverse=True)
-    weights = np.bincount(where, np.abs(solution.active_weights).sum(axis=1))
-    state = int(blocks[np.argmax(weights)])
+    weights = solution.block_weights
+    state = int(solution.active_blocks[np.argmax(weights)])
     best = correlate(slice(state * length, (state + 1) * length)).max(axis=0)
     cosines = np.divide(best, query_norms, out=np.zeros(query_norms.size), where=query_norms > 0.0)
     q = query_norms.size
@@ -157,6 +131,9 @@ def neighbour_agreement(demonstrations: Sequence[NDArray[np.float32]], moving: S
     resemble each other depends on camera, noise, speed and surroundings. The upper quartile is taken: the small
     movements, since a turn on the spot changes a view more than any displacement that an action would survive.
 
+    Frames that repeat the one before do not count: a camera slower than the ticks, or a robot that pushes against a
+    wall, would make only equal views the same state.
+
     Parameters
     ----------
     demonstrations : sequence of float32 arrays (f, m)
@@ -172,16 +149,19 @@ def neighbour_agreement(demonstrations: Sequence[NDArray[np.float32]], moving: S
     Raises
     ------
     ValueError
-        The robot never moved.
+        The robot never moved, or no view ever changed.
     """
     cosines = [
-        np.einsum("fm,fm->f", frames[:-1], frames[1:])[moves[:-1]]
+        np.einsum("fm,fm->f", frames[:-1], frames[1:], dtype=np.float64)[moves[:-1]]
         for frames, moves in zip(demonstrations, moving, strict=True)
     ]
     every = np.concatenate(cosines)
     if not every.size:
         raise ValueError("the robot does not move in any demonstration")
-    return float(np.quantile(every, 0.75))
+    changed = every[every < 1.0 - _REPEATED]
+    if not changed.size:
+        raise ValueError("what the camera shows does not change in any demonstration")
+    return float(np.quantile(changed, 0.75))
 
 
 NOVELTY_TESTS: dict[str, type[WeightTest] | type[AgreementTest]] = {"weight": WeightTest, "agreement": AgreementTest}

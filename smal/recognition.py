@@ -6,7 +6,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from smal.alignment import RECENCY_TICKS, DemonstratedOrder, likelihood, recency
+from smal.alignment import RECENCY_TICKS, DemonstratedOrder, recency, relative_likelihood
 from smal.model import Model
 from smal.novelty import describe_match
 from smal.state_matching import Solution
@@ -27,7 +27,7 @@ class Candidate:
     ----------
     state : int
     phase : float
-        Frame of its template at which the last frame is (`smal.state_space.phase`).
+        Frame of its template at which the last frame is (`smal.alignment`).
     weight : float
         Its share of the belief, above 0 and at most 1: of the positive weights of W, those of recent frames counting
         more, times the likelihood of the last frames there (`smal.alignment`).
@@ -45,21 +45,21 @@ class Recognition:
     Parameters
     ----------
     status : str
-        "collecting": there are no l frames yet, or no answer was due; "recognized"; or "unknown": the frames
-        show nothing that was taught.
+        "collecting": the episode has no l frames yet, or no answer was due; "recognized"; or "unknown": the
+        frames show nothing that was taught.
     tick : int
         Of the last frame.
     state : int or None
-        Only if recognized.
+        The one of Eq. 9, with the largest weight; only if recognized. That of the first candidate may be another.
     phase : float or None
-        Frame of the state's template at which the last frame is (`smal.state_space.phase`); only if recognized.
+        Frame of the state's template at which the last frame is (`smal.alignment`); only if recognized.
     score, total_weight, residual, agreement : float
         See `smal.novelty.Match`; 0, 0, 1, 0 while collecting.
     duality_gap : float
         Of the match.
     candidates : tuple of Candidate
-        All states with weight, heaviest first: a belief over states at the last frame. Empty stands for certainty about
-        `state`.
+        States with positive weight, heaviest first, but for negligible ones: a belief over states at the last frame.
+        Without any, `state` is certain.
     frames : int
         How many of the last frames this rests on: l, or fewer where those l are unknown (`Recognizer`).
     """
@@ -85,7 +85,7 @@ class Recognizer:
 
     Where the last l frames show nothing that was taught, the last l / 2 are tried, l / 4 and so on to one: a robot that
     has looked around, or has left the taught way for a moment, would otherwise have to drive l taught frames
-    before it knows again where it is.
+    before it knows again where it is. The same where a frame was lost on the way, and fewer than l have come since.
 
     Parameters
     ----------
@@ -124,6 +124,7 @@ class Recognizer:
         """Forget all frames, for a new episode."""
         self._matcher.reset()
         self._last_tick: int | None = None
+        self._interrupted = False
 
     def observe(self, tick: int, raw_features: NDArray[Any], due: bool) -> Recognition:
         """Take one frame.
@@ -147,15 +148,17 @@ class Recognizer:
             raise ValueError(f"features of one frame must have the shape (m,), got {raw_features.shape}")
         features = self._centering.apply(raw_features)
         if self._last_tick is not None and tick != self._last_tick + 1:
-            self.reset()
+            self._matcher.reset()
+            self._interrupted = True
         self._last_tick = tick
         self._matcher.observe(features)
-        if not due or not self._matcher.ready:
-            return Recognition("collecting", tick)
-        return self._recognize(tick)
+        enough = self._matcher.ready or (self._interrupted and self._shorten)
+        return self._recognize(tick) if due and enough else Recognition("collecting", tick)
 
     def _recognize(self, tick: int) -> Recognition:
         frames = self._model.sequence_length
+        while frames > self._matcher.held:
+            frames //= 2
         found = self._recognize_last(frames, tick)
         while self._shorten and found.status == "unknown" and frames > 1:
             frames //= 2
@@ -181,9 +184,10 @@ class Recognizer:
             duality_gap=solution.duality_gap,
             frames=frames,
         )
-        if match.state is None or self._test.is_novel(match):
-            return found
         candidates = _candidates(solution, self._recency_ticks)
+        # What resembles nothing but the opposite of something has no candidates.
+        if match.state is None or not candidates or self._test.is_novel(match):
+            return found
         where = self._demonstrated.align(
             [match.state, *(one.state for one in candidates)],
             [matched_phase(solution, match.state), *(one.phase for one in candidates)],
@@ -196,7 +200,7 @@ class Recognizer:
             status="recognized",
             state=match.state,
             phase=float(where.phases[0]),
-            candidates=_belief(candidates, where.phases[1:], where.likeness[1:]),
+            candidates=_belief(candidates, where.phases[1:], where.similarity[1:]),
         )
 
 
@@ -221,10 +225,10 @@ def _candidates(solution: Solution, recency_ticks: float) -> tuple[Candidate, ..
 
 
 def _belief(
-    candidates: tuple[Candidate, ...], phases: NDArray[np.float64], likeness: NDArray[np.float64]
+    candidates: tuple[Candidate, ...], phases: NDArray[np.float64], similarity: NDArray[np.float64]
 ) -> tuple[Candidate, ...]:
     """Take in where candidates are, and how likely that is."""
-    weights = np.array([one.weight for one in candidates]) * likelihood(likeness)
+    weights = np.array([one.weight for one in candidates]) * relative_likelihood(similarity)
     weights /= weights.sum()
     order = [i for i in np.argsort(-weights, kind="stable") if weights[i] > _NEGLIGIBLE]
     return tuple(Candidate(candidates[i].state, float(phases[i]), float(weights[i])) for i in order)

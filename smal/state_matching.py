@@ -68,8 +68,14 @@ class Solution:
 
     @property
     def active_blocks(self) -> Columns:
-        """Template sequences with weight, ascending."""
+        """Template sequences with weight, ascending (b,)."""
         return np.unique(self.active // self.sequence_length)
+
+    @property
+    def block_weights(self) -> Array:
+        """Weight of each of them, sum_i ||w_i^j||_1 (left side of Eq. 8), (b,)."""
+        where = np.searchsorted(self.active_blocks, self.active // self.sequence_length)
+        return np.asarray(np.bincount(where, np.abs(self.active_weights).sum(axis=1)), dtype=np.float64)
 
 
 def check_parameters(n: int, sequence_length: int, lambda1: float, lambda2: float, tolerance: float) -> None:

@@ -68,7 +68,8 @@ class StateSpace:
     streams : tuple of int32 arrays (f_d // l,)
         The paper's s-stream, one per demonstration.
     phases : tuple of float32 arrays (f_d // l,)
-        For every sequence the frame of its state's template (0 to about 2 l) at which its last frame is.
+        For every sequence the frame of its state's template at which its last frame is: 0 to 2 l - 2 (`phase`); once
+        aligned (`smal.alignment.aligned_phases`) a little more to both sides.
     residuals, scores, total_weights, agreements : tuples of float32 arrays (f_d // l,)
         `Match` of every sequence before it was added.
     sequence_length : int

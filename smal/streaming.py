@@ -103,9 +103,14 @@ class StreamingMatcher:
         self._previous: Solution | None = None
 
     @property
+    def held(self) -> int:
+        """How many of the last frames are here, at most l."""
+        return min(self._count, self._penalty.sequence_length)
+
+    @property
     def ready(self) -> bool:
         """Whether l frames have arrived."""
-        return self._count >= self._penalty.sequence_length
+        return self.held == self._penalty.sequence_length
 
     def observe(self, frame: NDArray[Any]) -> None:
         """Take a frame in, and correlate it with all templates.
@@ -131,11 +136,23 @@ class StreamingMatcher:
         self._count += 1
 
     def window(self, frames: int | None = None) -> Array:
-        """Return the last frames, l unless told otherwise, in order, float64 (frames, m)."""
+        """Return the last frames, l unless told otherwise, in order, float64 (frames, m).
+
+        Raises
+        ------
+        ValueError
+            There are not so many.
+        """
         return self._frames[self._order(frames)]
 
     def correlations(self, columns: Columns) -> NDArray[np.float32]:
-        """Estimate the inner products of template frames (..., q) with the last q frames, each with its own."""
+        """Estimate the inner products of template frames (..., q) with the last q frames, each with its own.
+
+        Raises
+        ------
+        ValueError
+            There are not so many frames.
+        """
         return self._correlations[columns, self._order(columns.shape[-1])]
 
     def match(self, frames: int | None = None) -> Solution:
@@ -153,10 +170,6 @@ class StreamingMatcher:
         """
         length = self._penalty.sequence_length
         q = length if frames is None else frames
-        if not 1 <= q <= length:
-            raise ValueError(f"the last 1 to {length} frames can be matched, got {q}")
-        if q > self._count:
-            raise ValueError(f"matching needs {q} frames, there are {self._count}")
         order = self._order(q)
         seen = np.flatnonzero(np.square(self._frames[order]).sum(axis=1) > 0.0)
         places = order[seen]
@@ -171,9 +184,15 @@ class StreamingMatcher:
         return solution
 
     def _order(self, frames: int | None = None) -> Columns:
+        """Return where the last frames are in the rings."""
         length = self._penalty.sequence_length
-        order: Columns = (self._count + np.arange(length)) % length
-        return order if frames is None else order[length - frames :]
+        wanted = length if frames is None else frames
+        if not 1 <= wanted <= length:
+            raise ValueError(f"the last 1 to {length} frames can be asked for, not {wanted}")
+        if wanted > self._count:
+            raise ValueError(f"this needs {wanted} frames, there are {self._count}")
+        order: Columns = (self._count + np.arange(length - wanted, length)) % length
+        return order
 
 
 def compile_ahead() -> None:

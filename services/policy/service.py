@@ -83,7 +83,7 @@ def _answer(state: State, maker: DecisionMaker) -> list[Message]:
     if state.status in {"recognized", "unknown"}:
         decision = maker.decide(_recognition(state))
         atoms = tuple(atom.name.lower() for atom in decision.atoms)
-        answer.append(Action.after(state, kind=decision.kind, state=state.state, atoms=atoms))
+        answer.append(Action.after(state, kind=decision.kind, state=decision.state, atoms=atoms))
     atom = maker.next_atom().name.lower()
     answer.append(Command.after(state, source="policy", atom=atom))
     return answer

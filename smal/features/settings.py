@@ -41,12 +41,13 @@ class FeatureSettings:
             raise ValueError("no feature modality is named")
         for name in self.modalities:
             modality_named(name)
-        if len(set(self.modalities)) != len(self.modalities):
-            raise ValueError(f"a feature modality is named twice in {self.modalities}")
+        twice = [name for name in self.modalities if self.modalities.count(name) > 1]
+        if twice:
+            raise ValueError(f"the feature modality {twice[0]} is named twice")
         if len(self.weights) != len(self.modalities):
             raise ValueError(f"{len(self.modalities)} modalities need as many weights, got {len(self.weights)}")
         if not all(math.isfinite(weight) and weight > 0.0 for weight in self.weights):
-            raise ValueError(f"modality weights must be finite and positive, got {self.weights}")
+            raise ValueError(f"modality weights must be finite and positive, got {', '.join(map(str, self.weights))}")
 
     @classmethod
     def of(cls, modalities: Iterable[str], weights: Iterable[float] | None = None) -> Self:

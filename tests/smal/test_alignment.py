@@ -13,7 +13,7 @@ from smal.alignment import (
     Correlate,
     DemonstratedOrder,
     aligned_phases,
-    likelihood,
+    relative_likelihood,
 )
 from tests.smal.worlds import corridor, unit
 
@@ -76,7 +76,7 @@ def test_of_equally_good_phases_the_nearest_is_taken() -> None:
     assert found.phases.tolist() == [3.0]
 
 
-def test_likeness_and_likelihood() -> None:
+def test_similarity_and_likelihood() -> None:
     query = 0.8 * TEMPLATES[10:15] + 0.6 * TEMPLATES[40:45]
     found = DemonstratedOrder(STREAMS, PHASES, LENGTH).align(
         [2, 8, 13], [4.0, 4.0, 40.0], LENGTH, correlations_with(query)
@@ -84,13 +84,13 @@ def test_likeness_and_likelihood() -> None:
     weights = np.exp(-np.arange(LENGTH)[::-1] / RECENCY_TICKS)
     for number, start in ((0, 10), (1, 40)):
         products = np.einsum("qm,qm->q", query, TEMPLATES[start : start + LENGTH])
-        assert found.likeness[number] == pytest.approx(np.average(products, weights=weights))
-    assert found.likeness[2] == -np.inf
-    odds = likelihood(found.likeness)
+        assert found.similarity[number] == pytest.approx(np.average(products, weights=weights))
+    assert found.similarity[2] == -np.inf
+    odds = relative_likelihood(found.similarity)
     assert odds[0] == 1.0
-    assert odds[1] == pytest.approx(np.exp(CONCENTRATION * (found.likeness[1] - found.likeness[0])))
+    assert odds[1] == pytest.approx(np.exp(CONCENTRATION * (found.similarity[1] - found.similarity[0])))
     assert odds[2] == 0.0
-    assert likelihood(np.array([-np.inf, -np.inf])).tolist() == [1.0, 1.0]
+    assert relative_likelihood(np.array([-np.inf, -np.inf])).tolist() == [1.0, 1.0]
 
 
 def test_recent_frames_decide() -> None:

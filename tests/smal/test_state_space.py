@@ -6,9 +6,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from smal.novelty import AgreementTest, Match, WeightTest, identify, neighbour_agreement, novelty_test, sequence_weights
-from smal.state_matching import solve
-from smal.state_space import learn_state_space, matched_phase, phase
+from smal import state_space
+from smal.novelty import AgreementTest, Match, WeightTest, describe_match, neighbour_agreement, novelty_test
+from smal.state_matching import Solution, solve
+from smal.state_space import StateSpace, learn_state_space, matched_phase, phase
 from smal.template_store import MemoryBoundError, TemplateStore
 from tests.smal.worlds import corridor, unit
 
@@ -25,10 +26,18 @@ def noisy(views: np.ndarray, seed: int, noise: float = 0.3) -> np.ndarray:
 
 def test_sequence_weights_and_eq_9_by_hand() -> None:
     W = np.array([[1.0, -1.0], [0.0, 0.5], [0.0, 4.0]])
-    assert sequence_weights(W, 2).tolist() == [2.5, 4.0]
-    assert identify(W, 2) == 1
-    assert identify(np.zeros((4, 2)), 2) is None
-    assert identify(np.zeros((0, 2)), 2) is None
+    solution = Solution(np.array([2, 3, 7]), W, (9, 2), 2, 1.0, 0.0, 1, True, np.array([0.3, 0.5]))
+    assert solution.active_blocks.tolist() == [1, 3]
+    assert solution.block_weights.tolist() == [2.5, 4.0]
+    match = describe_match(solution, lambda frames: np.full((frames.stop - frames.start, 2), 0.5), np.ones(2))
+    assert match.state == 3
+    assert (match.score, match.total_weight, match.residual, match.agreement) == pytest.approx((2.0, 3.25, 0.4, 0.5))
+
+
+def test_without_weights_there_is_no_state() -> None:
+    solution = Solution(np.zeros(0, np.intp), np.zeros((0, 2)), (9, 2), 2, 1.0, 0.0, 1, True, np.ones(2))
+    assert solution.block_weights.size == 0
+    assert describe_match(solution, lambda _: np.zeros((0, 2)), np.ones(2)) == Match(None, 0.0, 0.0, 1.0, 0.0)
 
 
 @pytest.mark.parametrize("shift", [-2, 0, 1, 3])
@@ -88,15 +97,22 @@ def test_unrelated_places_become_states() -> None:
     assert space.streams[1].tolist() == list(range(12, 18))
 
 
-def test_batches_do_not_change_the_result() -> None:
-    """40 sequences do not fit one batch; the templates must be those of one by one."""
-    long = np.concatenate([VIEWS, VIEWS, corridor(80, SIZE, seed=3)])
-    whole = learn_state_space([noisy(long, 2)], LENGTH, LAMBDA, LAMBDA, AgreementTest())
-    frames = noisy(long, 2)
-    parts = [frames[i : i + LENGTH] for i in range(0, len(frames), LENGTH)]
-    apart = learn_state_space(parts, LENGTH, LAMBDA, LAMBDA, AgreementTest())
-    assert whole.streams[0].tolist() == np.concatenate(apart.streams).tolist()
-    np.testing.assert_array_equal(whole.templates, apart.templates)
+def test_batches_do_not_change_the_result(monkeypatch: pytest.MonkeyPatch) -> None:
+    """40 sequences, some of which are states that others of the same batch show."""
+    frames = noisy(np.concatenate([VIEWS, VIEWS, corridor(80, SIZE, seed=3)]), 2)
+
+    def learned() -> StateSpace:
+        return learn_state_space([frames[:150], frames[150:]], LENGTH, LAMBDA, LAMBDA, AgreementTest())
+
+    together = learned()
+    monkeypatch.setattr(state_space, "_BATCH", 1)
+    one_by_one = learned()
+    assert together.states < 40
+    for stream, other in zip(together.streams, one_by_one.streams, strict=True):
+        assert stream.tolist() == other.tolist()
+    for ends, others in zip(together.phases, one_by_one.phases, strict=True):
+        np.testing.assert_allclose(ends, others, atol=0.05)
+    np.testing.assert_array_equal(together.templates, one_by_one.templates)
 
 
 def test_sequences_end_with_the_demonstration() -> None:
@@ -148,3 +164,15 @@ def test_neighbour_agreement_is_that_of_moving_frames_only() -> None:
     assert measured == pytest.approx(np.quantile(cosines, 0.75))
     with pytest.raises(ValueError, match="move"):
         neighbour_agreement([still], moving[1:])
+
+
+@pytest.mark.parametrize("times", [2, 3])
+def test_repeated_frames_are_no_neighbours(times: int) -> None:
+    """As of a camera slower than the ticks; float32 products of equal views may exceed 1."""
+    views = VIEWS[:40].astype(np.float32)
+    repeated = np.repeat(views, times, axis=0)
+    everywhere = [np.ones(40 * times, dtype=bool)]
+    expected = neighbour_agreement([views], [np.ones(40, dtype=bool)])
+    assert neighbour_agreement([repeated], everywhere) == pytest.approx(expected)
+    with pytest.raises(ValueError, match="does not change"):
+        neighbour_agreement([np.repeat(views[:1], 9, axis=0)], [np.ones(9, dtype=bool)])

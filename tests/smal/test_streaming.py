@@ -60,8 +60,23 @@ def test_frames_that_are_not_there_are_refused(q: int, error: str) -> None:
     matcher = StreamingMatcher(X, LENGTH, *LAMBDAS)
     for frame in frames[:2]:
         matcher.observe(frame)
-    with pytest.raises(ValueError, match=error):
-        matcher.match(q)
+    for asked in (matcher.match, matcher.window, lambda q: matcher.correlations(np.zeros((1, q), dtype=np.intp))):
+        with pytest.raises(ValueError, match=error):
+            asked(q)
+
+
+def test_no_frame_of_an_old_episode_is_shown() -> None:
+    X, frames = route()
+    matcher = StreamingMatcher(X, LENGTH, *LAMBDAS)
+    for frame in frames[:8]:
+        matcher.observe(frame)
+    assert matcher.held == LENGTH
+    matcher.reset()
+    assert matcher.held == 0
+    with pytest.raises(ValueError, match="needs 1 frames, there are 0"):
+        matcher.window(1)
+    matcher.observe(frames[20])
+    np.testing.assert_array_equal(matcher.window(1), frames[20:21])
 
 
 def test_warm_starts_change_the_time_only() -> None:
