@@ -35,7 +35,8 @@ def one_line(error: Exception) -> str:
 
 @contextmanager
 def replacing(path: Path) -> Iterator[IO[bytes]]:
-    """Write a file so that there is never a half-written one under its name."""
+    """Write a file so that there is never a half-written one under its name; of a link, the file that it leads to."""
+    path = path.resolve()
     with tempfile.NamedTemporaryFile(dir=path.parent, prefix=f".{path.name}.", delete=False) as file:
         try:
             yield file

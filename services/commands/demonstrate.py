@@ -12,7 +12,7 @@ from tqdm import tqdm
 
 from schemas import topics
 from schemas.rpc import ResetReply, ResetRequest
-from services.commands import options
+from services.commands import options, outputs
 from services.commands.episodes import EpisodeClient, EpisodeRecord, check_world_of
 from services.commands.errors import UsageError
 from services.commands.feature_options import Modalities, feature_flags, features_of_own_stack
@@ -60,7 +60,7 @@ def demonstrate(
     requests = list(_requests(episodes, recoveries, seed))
     if not requests:
         raise UsageError("--episodes 0 --recoveries 0: nothing to demonstrate")
-    options.make_folder(out, "--out")
+    outputs.make_folder(out, "--out")
     services = ("router", "simulator", "features", "recorder")
     own = {"simulator": simulator.flags(), "features": feature_flags(features)}
     with stack_for(connect, services, robot, own) as access:

@@ -8,7 +8,7 @@ from typing import Annotated, Any
 import typer
 from tqdm import tqdm
 
-from services.commands import options
+from services.commands import outputs
 from services.commands.evaluation.plan import PLANS, Plan
 from services.commands.evaluation.results import ResultStore
 from services.commands.evaluation.units import Unit, units
@@ -30,7 +30,7 @@ def evaluate(
 
     Example: smal evaluate --out evaluation --quick
     """
-    options.make_folder(out, "--out")
+    outputs.make_folder(out, "--out")
     plan = PLANS["quick" if quick else "full"]
     store = ResultStore(out, plan)
     planned = units(plan, cloning=_can_clone())

@@ -199,9 +199,16 @@ def describe_frames(
                 numbers.append(number)
             bar.update()
     if not numbers:
-        with_depth = "" if depth is None else f" together with 16-bit depth in {depth.path}"
-        raise JobError(f"{folder.path}: none of {count} images can be read{with_depth}")
+        raise JobError(_nothing_readable(folder, depth, unreadable))
     return DescribedFrames(features[: len(numbers)], np.array(numbers, np.int64), tuple(unreadable))
+
+
+def _nothing_readable(folder: ImageFolder, depth: ImageFolder | None, names: list[str]) -> str:
+    """Say whose fault it is that no frame can be described."""
+    with quiet_opencv():
+        if depth is not None and any(read_color(folder.path / name) is not None for name in names):
+            return f"{depth.path}: none of {len(depth.frames)} images is depth: one channel of 16 bits"
+    return f"{folder.path}: no image can be read: {_named(tuple(names))}"
 
 
 def _describe(

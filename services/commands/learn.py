@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 import sys
 import time
@@ -13,7 +12,7 @@ from typing import Annotated, NoReturn
 import typer
 from tqdm import tqdm
 
-from services.commands import options
+from services.commands import outputs
 from services.commands.errors import JobError, UsageError
 from services.commands.feature_options import ModalitiesOfRecordings, Weights, parse_features, with_weights
 from services.commands.recorded_features import features_of_recordings
@@ -70,8 +69,8 @@ def learn(
         settings = replace(settings, max_bytes=memory * 2**20)
     if out.is_dir():
         raise UsageError(f"--out {out}: is a folder; give the name of a file, for example {out / 'model.smal'}")
-    options.make_folder(out.parent, "--out")
-    options.check_file(json_file, "--json")
+    outputs.make_folder(out.parent, "--out")
+    outputs.check_file(json_file, "--json")
     files = _find(recordings)
     settings = replace(settings, features=_features(files, modalities, weights))
     teaching = _read(files, settings, include_runs)
@@ -79,7 +78,7 @@ def learn(
     try:
         model.save(out)
         if json_file is not None:
-            json_file.write_text(json.dumps(_as_json(teaching, settings, report, out), indent=2) + "\n")
+            outputs.write_json(json_file, "--json", _as_json(teaching, settings, report, out))
     except OSError as error:
         raise JobError(f"cannot write {error.filename or out}: {error.strerror}") from None
     typer.echo(_as_text(teaching, settings, report, out, time.perf_counter() - began_s))

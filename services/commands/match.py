@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import json
 import math
-import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -13,12 +11,11 @@ from typing import Annotated, Final, NoReturn
 import typer
 from tqdm import tqdm
 
-from services.commands import options
+from services.commands import outputs
 from services.commands.errors import JobError, UsageError
-from services.commands.feature_options import parse_features, with_weights
 from services.commands.image_folder import ImageFolder, describe_frames, list_folder, read_truth_of, say_skipped
 from services.commands.match_report import Quality, Result, Traverses, as_json, as_text, described_by
-from smal.container import replacing
+from services.commands.match_settings import choose
 from smal.evaluation.ground_truth import IntervalTruth, judge
 from smal.evaluation.precision_recall import PrecisionRecall, block_length, bootstrap_intervals
 from smal.features import MODALITY_NAMES, FeatureSettings
@@ -98,13 +95,18 @@ def match(
         Path | None,
         typer.Option(
             metavar="CSV",
-            help="What is right: columns query, reference_first, reference_last, with frames counted from 0 and the "
-            "last included. Adds the area under the precision-recall curve (AUC) and the recall at 100 % precision.",
+            help="What is right: a file with the columns query, reference_first, reference_last, one row a query, "
+            "frames counted from 0, the last included (7,20,24). A query that no reference shows has the row 7,, and "
+            "one without a row is not judged. Adds the area under the precision-recall curve (AUC) and the recall at "
+            "100 % precision.",
         ),
     ] = None,
     json_file: Annotated[Path | None, typer.Option("--json", metavar="FILE", help="Write the matches as JSON.")] = None,
     plot: Annotated[
-        Path | None, typer.Option(metavar="FILE.png", help="Draw the matches; with --truth also precision and recall.")
+        Path | None,
+        typer.Option(
+            metavar="FILE", help="Draw the matches, as PNG, SVG or PDF; with --truth also precision and recall."
+        ),
     ] = None,
 ) -> None:
     """Find for every image of one folder the image of another that was taken at the same place.
@@ -113,18 +115,24 @@ def match(
     reads will do, grey or with 16 bits as well. An image that cannot be read is skipped and keeps its number.
 
     Every query frame gets a match as soon as a window of --length frames ends there: the first ones get none. Scores
-    are at least 0, or at least -1 with nearest; a higher one is a surer match, comparable within one run only. In the
-    JSON a frame without a match has the reference null and the score 0.
+    are at least 0, or at least -1 with nearest; a higher one is a surer match, comparable within one run only.
+
+    What all images of a folder have in common, as its light, is taken away (but by paper): matching is not causal, and
+    the more queries there are, the better it works.
+
+    The JSON has "method", "length", "tau", "modalities", "weights", "penalty"; the folders' paths as "references" and
+    "queries" and the names of their frames, read or not; "matches", one for each query frame: {"query", "reference",
+    "score"}, reference null and score 0 where there is none; and with --truth "auc", "recall_at_100_precision", both
+    with 95 % intervals, and how many queries were "judged" and "to_find".
 
     Example: smal match summer winter --length 10 --truth truth.csv --json matches.json --plot matches.png
     """
-    chosen = _method(method)
-    features = _features(method, chosen, modalities, weights)
-    settings = MatchSettings(features, _length(method, chosen, length), _penalty(method, chosen, penalty))
+    chosen, settings = choose(method, length, modalities, weights, penalty)
+    features = settings.features
     if tau is not None and not math.isfinite(tau):
         raise UsageError(f"--tau {tau}: must be finite")
     folders = (reference_dir, query_dir, reference_depth, query_depth)
-    _check_outputs(json_file, plot, truth, [folder for folder in folders if folder is not None])
+    _check_outputs(json_file, plot, [] if truth is None else [truth], [one for one in folders if one is not None])
     references, queries = list_folder(reference_dir, "REFERENCE_DIR"), list_folder(query_dir, "QUERY_DIR")
     depths = _depths(features, references, queries, reference_depth, query_depth)
     expected = None if truth is None else read_truth_of(truth, queries, references)
@@ -136,63 +144,36 @@ def match(
         describe_frames(queries, features, depths[1], "reading queries"),
     )
     read_s = time.perf_counter()
-    _say_skipped(traverses, settings.length)
-    found = _match(chosen, traverses, settings)
-    matches = traverses.in_folders(found if tau is None else found.surer_than(tau))
+    _check_windows(traverses, settings.length)
+    found = traverses.in_folders(_match(chosen, traverses, settings))
+    matches = found if tau is None else found.above(tau)
     seconds = {"reading": read_s - began_s, "matching": time.perf_counter() - read_s}
     quality = None if expected is None else _quality(matches, expected, settings.length)
-    result = Result(method, settings, traverses, matches, quality, seconds)
-    if json_file is not None:
-        with replacing(json_file) as file:
-            file.write((json.dumps(as_json(result), indent=2) + "\n").encode())
-    if plot is not None:
-        _draw(plot, result, expected)
-    for line in as_text(result, [path for path in (json_file, plot) if path is not None]):
-        typer.echo(line)
+    unsure = int(found.matched.sum() - matches.matched.sum())
+    result = Result(method, settings, tau, traverses, matches, unsure, quality, seconds)
+    written: list[Path] = []
+    try:
+        if json_file is not None:
+            outputs.write_json(json_file, "--json", as_json(result))
+            written.append(json_file)
+        if plot is not None:
+            _draw(plot, result, expected)
+            written.append(plot)
+    finally:
+        # Also where a file cannot be written: the figures have cost their time.
+        for line in as_text(result, written):
+            typer.echo(line)
 
 
-def _method(name: str) -> Method:
-    if name not in METHODS:
-        raise UsageError(f"--method {name}: unknown; known are {', '.join(METHODS)}")
-    return METHODS[name]
-
-
-def _length(name: str, method: Method, length: int | None) -> int:
-    if length not in (None, method.length) and not method.any_length:
-        raise UsageError(f"--length {length}: the method {name} is made for {method.length}")
-    return method.length if length is None else length
-
-
-def _penalty(name: str, method: Method, penalty: float | None) -> float | None:
-    if penalty is None:
-        return method.penalty
-    if method.penalty is None:
-        raise UsageError(f"--penalty {penalty:g}: the method {name} has none")
-    if not 0.0 < penalty < 1.0:
-        raise UsageError(f"--penalty {penalty:g}: must be above 0 and below 1")
-    return penalty
-
-
-def _features(name: str, method: Method, modalities: str | None, weights: str | None) -> FeatureSettings:
-    if not method.any_features and (modalities is not None or weights is not None):
-        flag = f"--modalities {modalities}" if modalities is not None else f"--weights {weights}"
-        raise UsageError(f"{flag}: the method {name} has its own features, {', '.join(method.features.modalities)}")
-    if modalities is not None:
-        return parse_features(modalities, weights)
-    return method.features if weights is None else with_weights(method.features, weights)
-
-
-def _check_outputs(json_file: Path | None, plot: Path | None, truth: Path | None, folders: list[Path]) -> None:
+def _check_outputs(json_file: Path | None, plot: Path | None, read: list[Path], folders: list[Path]) -> None:
     for path, option in ((json_file, "--json"), (plot, "--plot")):
-        options.check_file(path, option, () if truth is None else (truth,))
+        outputs.check_file(path, option, read, folders)
     if plot is None:
         return
     if plot.suffix.lower() not in _PLOT_FORMATS:
         raise UsageError(f"--plot {plot}: the name of a picture ends in {', '.join(_PLOT_FORMATS)}")
     if json_file is not None and json_file.resolve() == plot.resolve():
         raise UsageError(f"--plot {plot}: is also the file of --json; give another name")
-    if any(plot.resolve().parent == folder.resolve() for folder in folders):
-        raise UsageError(f"--plot {plot}: would count as a frame of the folder that it is in; choose another folder")
 
 
 def _depths(
@@ -224,15 +205,15 @@ def _depth_folder(option: str, path: Path, colour: ImageFolder) -> ImageFolder:
     return folder
 
 
-def _say_skipped(traverses: Traverses, length: int) -> None:
-    for folder, described, noun in (
-        (traverses.references, traverses.reference_frames, "reference"),
-        (traverses.queries, traverses.query_frames, "query"),
-    ):
+def _check_windows(traverses: Traverses, length: int) -> None:
+    """Name what was skipped; without a whole window of both there is nothing to match."""
+    pairs = ((traverses.references, traverses.reference_frames), (traverses.queries, traverses.query_frames))
+    for folder, described in pairs:
         say_skipped(folder, described)
+    for folder, described in pairs:
         if described.numbers.size < length:
-            frames = f"{described.numbers.size} {noun} frames are fewer than a window of {length} (--length)"
-            sys.stderr.write(f"smal: {folder.path}: {frames}: nothing can be matched\n")
+            frames = "1 image is" if described.numbers.size == 1 else f"{described.numbers.size} images are"
+            raise JobError(f"{folder.path}: {frames} too few for a window of {length}; choose a shorter --length")
 
 
 def _match(method: Method, traverses: Traverses, settings: MatchSettings) -> Matches:
@@ -254,8 +235,9 @@ def _advance(bar: tqdm[NoReturn], done: int) -> None:
 
 def _quality(matches: Matches, truth: IntervalTruth, length: int) -> Quality:
     judgement = judge(matches, truth)
-    block = block_length(int(truth.judged.sum()), length)
-    return Quality(PrecisionRecall.of(judgement), bootstrap_intervals(judgement, block))
+    judged, to_find = int(truth.judged.sum()), int(truth.findable.sum())
+    intervals = bootstrap_intervals(judgement, block_length(judged, length))
+    return Quality(PrecisionRecall.of(judgement), intervals, judged, to_find)
 
 
 def _draw(plot: Path, result: Result, truth: IntervalTruth | None) -> None:
@@ -267,7 +249,8 @@ def _draw(plot: Path, result: Result, truth: IntervalTruth | None) -> None:
         len(folders.references.frames),
         truth,
         None if result.quality is None else result.quality.curve,
-        f"{result.name}, l = {result.settings.length}, {described_by(result.settings.features)}",
+        f"{result.name}, l = {result.settings.length}, {described_by(result.settings.features)}"
+        + ("" if result.tau is None else f", scores above {result.tau:g}"),
     )
-    with replacing(plot) as file:
+    with outputs.writing(plot, "--plot") as file:
         figure.savefig(file, dpi=150, format=plot.suffix[1:].lower())

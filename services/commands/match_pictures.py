@@ -17,6 +17,7 @@ _BAND: Final = "#cfe8cf"
 _WRONG: Final = "#c62828"
 _CURVE: Final = "#1f5fa8"
 _MUTED: Final = "#666666"
+_UNJUDGED: Final = "#b8b8b8"
 
 
 def draw_matches(
@@ -70,6 +71,8 @@ def _draw_points(figure: Figure, axes: Axes, matches: Matches, truth: IntervalTr
     points = axes.scatter(
         queries, matches.reference[matched], c=matches.score[matched], s=size, cmap="viridis", linewidths=0, zorder=3
     )
+    if truth is not None:
+        _draw_unjudged(axes, np.flatnonzero(matched & ~truth.judged), matches, size)
     if queries.size:
         figure.colorbar(points, ax=axes, label="score", shrink=0.8)
     else:
@@ -90,6 +93,13 @@ def _draw_points(figure: Figure, axes: Axes, matches: Matches, truth: IntervalTr
             edgecolors=_WRONG,
             linewidths=0.9,
         )
+
+
+def _draw_unjudged(axes: Axes, queries: NDArray[np.int64], matches: Matches, size: float) -> None:
+    """Grey what the truth says nothing about: it is neither right nor wrong."""
+    if queries.size:
+        axes.scatter(queries, matches.reference[queries], s=1.3 * size, color=_UNJUDGED, linewidths=0, zorder=4,
+                     label=f"not judged ({queries.size})")  # fmt: skip
 
 
 def _draw_unmatched(axes: Axes, queries: NDArray[np.int64]) -> None:

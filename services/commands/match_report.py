@@ -59,10 +59,14 @@ class Quality:
     curve : PrecisionRecall
     intervals : Intervals
         Of its figures, 95 %.
+    judged, to_find : int
+        Queries that something is known about; those of them that a reference shows.
     """
 
     curve: PrecisionRecall
     intervals: Intervals
+    judged: int
+    to_find: int
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,9 +78,13 @@ class Result:
     name : str
         The method.
     settings : MatchSettings
+    tau : float, optional
+        Matches with at most this score were left out.
     traverses : Traverses
     matches : Matches
         Numbered as the folders are.
+    unsure : int
+        How many were left out.
     quality : Quality, optional
         With ``--truth``.
     seconds : dict
@@ -85,8 +93,10 @@ class Result:
 
     name: str
     settings: MatchSettings
+    tau: float | None
     traverses: Traverses
     matches: Matches
+    unsure: int
     quality: Quality | None
     seconds: dict[str, float]
 
@@ -98,6 +108,9 @@ def as_json(result: Result) -> dict[str, object]:
     written: dict[str, object] = {
         "method": result.name,
         "length": result.settings.length,
+        "tau": result.tau,
+        "references": str(folders.references.path),
+        "queries": str(folders.queries.path),
         "matches": [
             {"query": query, "reference": None if reference == NONE else reference, "score": score}
             for query, (reference, score) in enumerate(pairs)
@@ -110,6 +123,8 @@ def as_json(result: Result) -> dict[str, object]:
             "auc_95": list(intervals.auc),
             "recall_at_100_precision": curve.recall_at_100_precision,
             "recall_at_100_precision_95": list(intervals.recall_at_100_precision),
+            "judged": result.quality.judged,
+            "to_find": result.quality.to_find,
         }
     return written | {
         "modalities": list(result.settings.features.modalities),
@@ -132,11 +147,12 @@ def as_text(result: Result, written: list[Path]) -> Iterator[str]:
         "features": described_by(result.settings.features),
         "references": _frames(folders.references, folders.reference_frames),
         "queries": _frames(folders.queries, folders.query_frames),
-        "matched": f"{matches.matched.sum()} of {matches.matched.size} query frames{_why_not_the_first(result)}",
+        "matched": f"{matches.matched.sum()} of {matches.matched.size} query frames{_why_not_all(result)}",
         "seconds": ", ".join(f"{stage} {seconds:.1f}" for stage, seconds in result.seconds.items()),
     }
     if result.quality is not None:
         curve, intervals = result.quality.curve, result.quality.intervals
+        rows["judged"] = f"{result.quality.judged} query frames, {result.quality.to_find} of them to be found"
         rows["AUC"] = _with_interval(curve.auc, intervals.auc)
         rows["recall at 100 % precision"] = _with_interval(
             curve.recall_at_100_precision, intervals.recall_at_100_precision
@@ -155,15 +171,25 @@ def _windows(settings: MatchSettings) -> str:
     return windows if settings.penalty is None else f"{windows}, penalty {settings.penalty:g}"
 
 
-def _why_not_the_first(result: Result) -> str:
-    """Explain the frames that no method can match."""
-    first = min(result.settings.length - 1, result.matches.matched.size)
-    return "" if first == 0 else f" (no window ends at the first {first})"
+def _why_not_all(result: Result) -> str:
+    """Explain the frames without a match."""
+    unreadable = len(result.traverses.query_frames.unreadable)
+    early = result.settings.length - 1
+    nothing = result.matches.matched.size - int(result.matches.matched.sum()) - unreadable - early - result.unsure
+    reasons = {
+        "before the first window": early,
+        "unreadable": unreadable,
+        "like no reference": nothing,
+        "not above tau" if result.tau is None else f"not above tau {result.tau:g}": result.unsure,
+    }
+    said = ", ".join(f"{count} {reason}" for reason, count in reasons.items() if count)
+    return f" ({said})" if said else ""
 
 
 def _frames(folder: ImageFolder, described: DescribedFrames) -> str:
     unreadable = f" ({len(described.unreadable)} of them unreadable)" if described.unreadable else ""
-    return f"{len(folder.frames)} frames{unreadable} in {folder.path}"
+    frames = "1 frame" if len(folder.frames) == 1 else f"{len(folder.frames)} frames"
+    return f"{frames}{unreadable} in {folder.path}"
 
 
 def described_by(features: FeatureSettings) -> str:

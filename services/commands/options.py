@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import os
-from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Final, Self
@@ -131,48 +129,3 @@ def read_model(path: Path, stride: int | None) -> smal_model.Model:
     if stride is not None and stride > model.sequence_length:
         raise UsageError(f"--stride {stride}: at most the model's sequence length, {model.sequence_length}")
     return model
-
-
-def make_folder(path: Path, option: str) -> None:
-    """Make the folder for results before the work begins whose results would be lost without it.
-
-    Raises
-    ------
-    UsageError
-        When nothing can be written there.
-    """
-    try:
-        path.mkdir(parents=True, exist_ok=True)
-    except FileExistsError:
-        raise UsageError(f"{option} {path}: is a file, not a folder") from None
-    except OSError as error:
-        raise UsageError(f"{option} {path}: {error.strerror}") from None
-    if not os.access(path, os.W_OK):
-        raise UsageError(f"{option} {path}: cannot be written to")
-
-
-def check_file(path: Path | None, option: str, read: Iterable[str | Path] = ()) -> None:
-    """Check, before the work begins, that a file of results can be written, if one is wanted.
-
-    Parameters
-    ----------
-    path, option
-        The file, and what names it.
-    read
-        Files that the command reads, which results must not replace.
-
-    Raises
-    ------
-    UsageError
-        When it cannot.
-    """
-    if path is None:
-        return
-    if path.is_dir():
-        raise UsageError(f"{option} {path}: is a folder; give the name of a file")
-    if not path.parent.is_dir():
-        raise UsageError(f"{option} {path}: no folder {path.parent}")
-    if not os.access(path if path.exists() else path.parent, os.W_OK):
-        raise UsageError(f"{option} {path}: cannot be written")
-    if path.exists() and any(path.samefile(one) for one in read if Path(one).exists()):
-        raise UsageError(f"{option} {path}: is a file that this command reads; give another name")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterator
 from contextlib import contextmanager, nullcontext
 from functools import partial
@@ -14,7 +13,7 @@ import typer
 from tqdm import tqdm
 
 from schemas.rpc import LoadReply, LoadRequest, Mode, Nothing, ResetRequest, Status
-from services.commands import options
+from services.commands import options, outputs
 from services.commands.episodes import EpisodeClient, EpisodeRecord, check_world_of
 from services.commands.errors import JobError
 from services.commands.feature_options import feature_flags
@@ -66,10 +65,10 @@ def run(
     identity = identity_of(loaded)
     simulator = simulator_of_own_stack(world, camera, connect, shake=shake, base=base, variation=variation)
     name = options.check_world(world)
-    options.check_file(json_file, "--json", (world, model))
+    outputs.check_file(json_file, "--json", (world, model))
     for folder, option in ((report, "--report"), (record, "--record")):
         if folder is not None:
-            options.make_folder(folder, option)
+            outputs.make_folder(folder, option)
     services = ("router", "simulator", "features", "recognition", "policy", *(["recorder"] if record else []))
     own = {"simulator": simulator.flags(), "features": feature_flags(loaded.feature_settings)}
     requests = [
@@ -90,7 +89,7 @@ def run(
     finally:
         # Also when a later run fails, or is interrupted: the finished ones have cost their time.
         if json_file is not None and records:
-            json_file.write_text(json.dumps(summarise(world, records), indent=2) + "\n")
+            outputs.write_json(json_file, "--json", summarise(world, records))
     summary = summarise(world, records)
     if report is not None:
         from services.commands.report import write_report  # noqa: PLC0415 - matplotlib takes a second to import

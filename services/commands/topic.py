@@ -19,7 +19,9 @@ from services.commands.tables import table
 app = typer.Typer(
     help="List the topics; listen to them.\n\nExample: smal topic echo state --count 5",
     no_args_is_help=True,
+    add_completion=False,
     rich_markup_mode=None,
+    pretty_exceptions_enable=False,
 )
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 import time
 from pathlib import Path
@@ -11,13 +10,12 @@ from typing import Annotated, Final, NoReturn
 import typer
 from tqdm import tqdm
 
-from services.commands import options
+from services.commands import outputs
 from services.commands.errors import JobError, UsageError
 from services.commands.feature_options import parse_features
 from services.commands.image_folder import list_folder
 from services.commands.tune_problem import Problem, labelled, unlabelled, with_threshold
 from services.commands.tune_report import Report, as_json, as_text
-from smal.container import replacing
 from smal.evaluation.setting_search import SearchSpace
 from smal.evaluation.tuning import Tuning
 from smal.evaluation.tuning import tune as tune_settings
@@ -78,6 +76,9 @@ def tune(
 
     With --method paper the answer is also for smal learn: its lambda1 and lambda2, and tau per query frame.
 
+    The JSON has the settings that were "recommended", all that were "tried" and their "auc", the "held_out" figures
+    (value and 95 % interval) and the "threshold" tau with its precision and recall.
+
     Example: smal tune summer winter --truth truth.csv --json tuned.json
     """
     began_s = time.perf_counter()
@@ -87,7 +88,8 @@ def tune(
         raise UsageError(f"--precision {precision:g}: must be above 0 and at most 1")
     length = _length(method, chosen, length)
     _check_pair(query_dir, truth)
-    options.check_file(json_file, "--json", () if truth is None else (truth,))
+    folders = (reference_dir,) if query_dir is None else (reference_dir, query_dir)
+    outputs.check_file(json_file, "--json", () if truth is None else (truth,), folders)
     start = MatchSettings(default, chosen.length if length is None else length, chosen.penalty)
     references = list_folder(reference_dir, "REFERENCE_DIR")
     problem = (
@@ -99,10 +101,11 @@ def tune(
     tuning = _tune(problem, _space(method, chosen, held, problem), precision, seed)
     tuning = with_threshold(problem, method, tuning, precision)
     seconds = {"reading": read_s - began_s, "searching": time.perf_counter() - read_s}
-    report = Report(method, reference_dir, query_dir, truth, problem.unlabelled, precision, tuning, seconds)
+    report = Report(
+        method, reference_dir, query_dir, truth, problem.unlabelled, modalities is not None, precision, tuning, seconds
+    )
     if json_file is not None:
-        with replacing(json_file) as file:
-            file.write((json.dumps(as_json(report), indent=2) + "\n").encode())
+        outputs.write_json(json_file, "--json", as_json(report))
     for line in as_text(report, json_file):
         typer.echo(line)
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import shlex
+import textwrap
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -17,6 +18,8 @@ from smal.place_recognition.methods import MatchSettings
 
 #: Settings that are printed; the JSON has all.
 _SHOWN: Final = 10
+#: Columns of the text.
+_WIDTH: Final = 100
 
 
 @dataclass(frozen=True)
@@ -47,6 +50,8 @@ class Report:
         None without labels.
     unlabelled : Unlabelled, optional
         Without labels.
+    candidates : bool
+        Whether the modalities were given, so that the start is all of them with equal weights and not the defaults.
     precision : float
         Of the answers above tau.
     tuning : Tuning
@@ -59,6 +64,7 @@ class Report:
     queries: Path | None
     truth: Path | None
     unlabelled: Unlabelled | None
+    candidates: bool
     precision: float
     tuning: Tuning
     seconds: dict[str, float]
@@ -70,6 +76,11 @@ class Report:
         return settings if self.unlabelled is None else replace(settings, length=self.unlabelled.length)
 
     @property
+    def start(self) -> str:
+        """What the settings are called that others are compared with."""
+        return "equal weights" if self.candidates else "defaults"
+
+    @property
     def lambdas(self) -> tuple[float, float] | None:
         """lambda1 and lambda2 of Eq. 7, of the recommended settings of the method `paper`."""
         settings = self.recommended
@@ -79,18 +90,12 @@ class Report:
         return scale, scale
 
     @property
-    def tau(self) -> float | None:
-        """The threshold, if any reaches the precision."""
-        return None if self.tuning.threshold is None else self.tuning.threshold.tau
-
-    @property
     def match_command(self) -> str:
-        """The command line with the recommended settings."""
+        """The command line with the recommended settings; without tau, which leaves answers out."""
         settings = self.recommended
         words = ["smal", "match", str(self.references), str(self.queries or "QUERY_DIR"), "--method", self.method]
         words += [*_feature_flags(settings), "--length", str(settings.length)]
         words += [] if settings.penalty is None else ["--penalty", f"{settings.penalty:g}"]
-        words += [] if self.tau is None else ["--tau", f"{self.tau!r}"]
         return shlex.join(words)
 
     @property
@@ -102,7 +107,6 @@ class Report:
         words = ["smal", "learn", "RECORDINGS", "--out", "MODEL", *_feature_flags(settings)]
         words += ["--length", str(settings.length)]
         words += ["--lambda1", f"{self.lambdas[0]:.4g}", "--lambda2", f"{self.lambdas[1]:.4g}"]
-        words += [] if self.tau is None else ["--tau", f"{self.tau!r}"]
         return shlex.join(words)
 
 
@@ -163,15 +167,15 @@ def as_text(report: Report, written: Path | None) -> Iterator[str]:
         [["modality alone", "AUC"], *([described_by(one.settings.features), f"{one.auc:.3f}"] for one in alone)]
     )
     yield ""
-    yield from _settings_tried(report)
+    yield from _settings_tried(report, written)
     yield ""
     rows = {
-        "held-out AUC, defaults": _figure(held_out.default),
+        f"held-out AUC, {report.start}": _figure(held_out.default),
         "held-out AUC, tuned": _figure(held_out.tuned),
-        "tuned minus defaults": _figure(held_out.difference),
-        "recommended": _verdict(tuning),
-        "tau": _about_tau(report),
+        f"tuned minus {report.start}": _figure(held_out.difference),
+        "recommended": _verdict(tuning, report.start),
     }
+    rows |= _about_tau(report)
     if report.lambdas is not None:
         rows["lambda1, lambda2"] = f"{report.lambdas[0]:.4g}, {report.lambdas[1]:.4g}"
     rows["seconds"] = ", ".join(f"{stage} {seconds:.1f}" for stage, seconds in report.seconds.items())
@@ -195,7 +199,8 @@ def _about(report: Report) -> Iterator[str]:
             "": "alone and under other conditions, which stand for another traverse:",
         }
     )
-    yield from (f"  {line}" for line in report.unlabelled.conditions)
+    for line in report.unlabelled.conditions:
+        yield from textwrap.wrap(line, _WIDTH, initial_indent="  ", subsequent_indent="    ")
 
 
 def _columns(rows: dict[str, str]) -> Iterator[str]:
@@ -203,20 +208,21 @@ def _columns(rows: dict[str, str]) -> Iterator[str]:
     yield from (f"{name:{width}}{value}" for name, value in rows.items())
 
 
-def _settings_tried(report: Report) -> Iterator[str]:
+def _settings_tried(report: Report, written: Path | None) -> Iterator[str]:
     tuning = report.tuning
-    rows = [["settings tried, best first", "", "l", "penalty", "AUC"]]
+    rows = [["settings tried on all queries, best first", "", "l", "penalty", "AUC"]]
     places = range(len(tuning.tried))
     default = next(place for place in places if tuning.tried[place].settings == tuning.default)
     for place in sorted({*places[:_SHOWN], default}):
         one = tuning.tried[place]
         penalty = "-" if one.settings.penalty is None else f"{one.settings.penalty:g}"
-        mark = "defaults" if place == default else ""
+        mark = report.start if place == default else ""
         length = one.settings.length
         rows.append([described_by(one.settings.features), mark, str(length), penalty, f"{one.auc:.3f}"])
     yield from table(rows, left=2)
     if len(tuning.tried) > len(rows) - 1:
-        yield f"{len(rows) - 1} of {len(tuning.tried)} settings; --json FILE writes all"
+        more = "--json FILE writes all" if written is None else f"all are in {written}"
+        yield f"{len(rows) - 1} of {len(tuning.tried)} settings; {more}"
 
 
 def _figure(figure: Figure) -> str:
@@ -224,21 +230,24 @@ def _figure(figure: Figure) -> str:
     return f"{figure.value:.3f} (95 % interval {low:.3f} to {high:.3f})"
 
 
-def _verdict(tuning: Tuning) -> str:
+def _verdict(tuning: Tuning, start: str) -> str:
     if tuning.is_better:
-        return "the tuned settings: better than the defaults on queries that did not choose them"
+        return f"the tuned settings: better than {start} on queries that did not choose them"
     if tuning.tuned == tuning.default:
-        return "the defaults: nothing that was tried is better"
-    return "the defaults: on queries that did not choose, the tuned settings are not better by more than chance"
+        return f"{start}: nothing that was tried is better"
+    return f"{start}: on queries that did not choose, the tuned settings are not better by more than chance"
 
 
-def _about_tau(report: Report) -> str:
+def _about_tau(report: Report) -> dict[str, str]:
+    """Say what a threshold would do, on held-out queries first: the others have chosen it."""
     threshold, answers = report.tuning.threshold, report.tuning.held_out_answers
     if threshold is None:
-        return f"none: no threshold gives a precision of {report.precision:g}"
-    said = f"{threshold.tau!r}: precision {threshold.precision:.3f}, recall {threshold.recall:.3f}"
+        return {"tau": f"none: no threshold gives a precision of {report.precision:g}"}
+    rows = {"tau": f"--tau {threshold.tau!r} leaves out what is not sure"}
     if answers is not None:
-        said += f"; of held-out queries {answers.right} of {answers.given} answers right, {answers.findable} to find"
+        rows["  held out"] = f"{answers.right} of {answers.given} answers right, {answers.findable} to find"
+    where = "where it was chosen"
     if report.unlabelled is not None:
-        said += f", by windows of {report.unlabelled.length}, where a third of the places is unknown"
-    return said
+        where = f"by windows of {report.unlabelled.length}, a third of the places unknown"
+    rows["  chosen"] = f"precision {threshold.precision:.3f}, recall {threshold.recall:.3f} {where}"
+    return rows

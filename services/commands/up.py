@@ -11,7 +11,7 @@ from typing import Annotated, Final
 import typer
 
 from services.bus import DEFAULT_ROUTER, Router
-from services.commands import options
+from services.commands import options, outputs
 from services.commands.errors import UsageError
 from services.commands.feature_options import ModalitiesOrOfModel, feature_flags, features_for_model
 from services.commands.interrupts import interrupted_by_signals
@@ -58,7 +58,7 @@ def up(
     options.check_world(world)
     options.check_robot(robot)
     if recordings is not None:
-        options.make_folder(recordings, "--recordings")
+        outputs.make_folder(recordings, "--recordings")
     chain, learned_on = _chain_flags(model, stride)
     features = features_for_model(modalities, learned_on)
     # Said here, in one line, before the processes start and one of them fails.

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from services.commands import options
+from services.commands import outputs
 from services.commands.errors import JobError, UsageError
 from services.commands.tables import table
 from services.commands.world_render import render
@@ -20,7 +20,6 @@ from services.simulator.world.loading import Wishes
 from services.simulator.world.osm import Surroundings
 from services.simulator.world.route import lane_graph, plan_route, route_length_m
 from services.simulator.world.terrain import Terrain
-from smal.container import replacing
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -28,7 +27,9 @@ if TYPE_CHECKING:
 app = typer.Typer(
     help="Make worlds out of maps.\n\nExample: smal world import map.osm --out town.json",
     no_args_is_help=True,
+    add_completion=False,
     rich_markup_mode=None,
+    pretty_exceptions_enable=False,
 )
 
 _NUMBER = r"[-+]?\d+(?:\.\d+)?"
@@ -70,7 +71,7 @@ def import_world(
     began_s = time.perf_counter()
     if out.suffix != ".json":
         raise UsageError(f"--out {out}: the name of a world file ends in .json")
-    options.check_file(out, "--out")
+    outputs.check_file(out, "--out")
     wishes = Wishes(
         start=None if start is None else _pose(start, "--start", (3,)),
         victim=None if victim is None else _pose(victim, "--victim", (2, 3)),
@@ -83,7 +84,7 @@ def import_world(
         imported, text = import_map(osm_map, out, wishes, radius if around is None else None)
     except WorldError as error:
         raise JobError(str(error)) from None
-    with replacing(out) as file:
+    with outputs.writing(out, "--out") as file:
         file.write(text.encode())
     for line in table(list(_summary(imported, time.perf_counter() - began_s)), left=1):
         typer.echo(line)

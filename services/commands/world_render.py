@@ -11,7 +11,7 @@ import shapely
 import typer
 from tqdm import tqdm
 
-from services.commands import options
+from services.commands import options, outputs
 from services.commands.errors import JobError
 from services.simulator.scene.vulkan import RenderingUnavailableError
 from services.simulator.simulation import CameraSettings
@@ -52,7 +52,7 @@ def render(
     Example: smal world render campus --out campus-views --views 8
     """
     size = options.Camera.parse(camera)
-    options.make_folder(out, "--out")
+    outputs.make_folder(out, "--out")
     try:
         world = load_world(name)
         _draw(world, out, views, CameraSettings(size.width, size.height))

@@ -8,7 +8,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import NoReturn
 
-from services.commands import options
+from services.commands import outputs
 from services.commands.errors import JobError, UsageError, describe_os_error
 from services.commands.interrupts import interrupted_by_signals
 from services.process import EXIT_FAILED, EXIT_USAGE
@@ -33,9 +33,9 @@ class Parser(argparse.ArgumentParser):
     def parse(self, arguments: list[str]) -> argparse.Namespace:
         """Read the flags, and check that the results can be written, before the work begins."""
         flags = self.parse_args(arguments)
-        options.check_file(flags.json, "--json")
+        outputs.check_file(flags.json, "--json")
         if flags.out is not None:
-            options.make_folder(flags.out, "--out")
+            outputs.make_folder(flags.out, "--out")
         return flags
 
     def error(self, message: str) -> NoReturn:

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from smal import container
+from smal.container import replacing
 from smal.learning import LearningSettings, learn
 from smal.model import FORMAT_VERSION, Model, ModelError
 from tests.smal.worlds import COLOR, corridor, drive
@@ -117,3 +118,30 @@ def test_parts_that_do_not_fit_are_refused(model: Model) -> None:
         dataclasses.replace(model, policy=model.policy[:-1])
     with pytest.raises(ValueError, match=r"streams|phases"):
         dataclasses.replace(model, atoms=tuple(atoms[:-3] for atoms in model.atoms))
+
+
+def test_a_link_stays_one(tmp_path: Path) -> None:
+    (tmp_path / "there").mkdir()
+    link, target = tmp_path / "link", tmp_path / "there" / "target"
+    link.symlink_to(target)
+    for content in (b"first", b"second"):
+        with replacing(link) as file:
+            file.write(content)
+        assert link.is_symlink()
+        assert target.read_bytes() == content
+    assert [path.name for path in target.parent.iterdir()] == ["target"]
+
+
+def test_a_file_that_is_not_finished_is_none(tmp_path: Path) -> None:
+    path = tmp_path / "file"
+    path.write_bytes(b"before")
+
+    def interrupted() -> None:
+        with replacing(path) as file:
+            file.write(b"half")
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        interrupted()
+    assert path.read_bytes() == b"before"
+    assert [one.name for one in tmp_path.iterdir()] == ["file"]

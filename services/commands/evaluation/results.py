@@ -10,7 +10,6 @@ import hashlib
 import json
 import os
 from collections.abc import Mapping
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any, Final
 
@@ -19,6 +18,7 @@ import smal
 from services.commands.errors import JobError, UsageError
 from services.commands.evaluation.plan import Plan
 from services.commands.evaluation.units import Unit
+from services.commands.version import program_version
 from smal.container import replacing
 from smal.features import FeatureSettings
 
@@ -28,14 +28,6 @@ _PLAN, _UNITS, _WORK = "plan.json", "units.jsonl", "work"
 # Whatever a result depends on; that the report is written differently invalidates nothing.
 _SOURCES: Final = ("simulator/**/*", "expert/*", "commands/evaluation/*", "commands/demonstrate.py")
 _OF_NO_RESULT: Final = ("results.py", "workers.py", "plan.py", "units.py")
-
-
-def program_version() -> str:
-    """Return the version of this program."""
-    try:
-        return version("smal")
-    except PackageNotFoundError:
-        return "unknown"
 
 
 def code_fingerprint() -> str:

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import errno
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -11,8 +13,10 @@ from schemas.rpc import ResetRequest
 from services import cli
 from services.commands.errors import UsageError
 from services.commands.up import _chain_flags
+from services.commands.version import program_version
 from services.process import EXIT_FAILED, EXIT_USAGE
 from tests.services.chain import FEATURES, LENGTH, save_model
+from tests.services.commands.conftest import ROOT, Smal
 
 
 @pytest.mark.parametrize(
@@ -64,3 +68,30 @@ def test_recognition_and_policy_have_their_model_from_the_start(
     ):
         with pytest.raises(UsageError, match=line):
             _chain_flags(path, stride)
+
+
+@pytest.mark.parametrize("name", sorted(cli.COMMANDS))
+def test_every_command_of_the_list_explains_itself(name: str, smal: Smal) -> None:
+    """In its help, with an example, and in one line of a terminal."""
+    status, out, err = smal(name, "--help")
+    assert (status, err) == (0, "")
+    assert out.startswith(f"Usage: smal {name} ")
+    assert f"Example: smal {name}" in out
+    assert len(cli.COMMANDS[name][1]) <= 55
+
+
+def test_help_and_version_load_no_command(smal: Smal) -> None:
+    status, out, _ = smal("--help")
+    assert status == 0
+    assert all(f"  {name} " in out for name in cli.COMMANDS)
+    program = (
+        "import sys; from services.cli import main; sys.argv = ['smal', '--version']\n"
+        "try: main()\n"
+        "finally: print([name for name in ('numpy', 'pydantic', 'cv2', 'zenoh') if name in sys.modules])"
+    )
+    done = subprocess.run([sys.executable, "-c", program], cwd=ROOT, capture_output=True, text=True, check=True)
+    assert done.stdout == f"smal {program_version()}\n[]\n"
+
+
+def test_a_command_that_is_none_is_named_and_another_suggested(smal: Smal) -> None:
+    assert smal("mach") == (2, "", "smal: No such command 'mach'. Did you mean 'match'?\n")

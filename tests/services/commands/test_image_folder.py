@@ -267,5 +267,5 @@ def test_folders_that_are_none(tmp_path: Path) -> None:
 def test_a_folder_of_damaged_images_is_one_line(tmp_path: Path) -> None:
     (tmp_path / "a.jpg").write_bytes(encoded(picture(), ".jpg")[:-30])
     (tmp_path / "b.png").touch()
-    with pytest.raises(JobError, match="none of 2 images can be read"):
+    with pytest.raises(JobError, match=r"no image can be read: a\.jpg, b\.png"):
         describe_frames(list_folder(tmp_path, "QUERY_DIR"), FEATURES, None, "reading")

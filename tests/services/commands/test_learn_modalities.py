@@ -121,7 +121,7 @@ def test_what_says_nothing_of_its_features_leaves_the_usual_ones(tmp_path: Path)
     ("options", "line"),
     [
         ({"modalities": "color,smell"}, "--modalities color,smell: unknown feature modality 'smell'; known are"),
-        ({"modalities": "hog,hog"}, "--modalities hog,hog: a feature modality is named twice"),
+        ({"modalities": "hog,hog"}, "--modalities hog,hog: the feature modality hog is named twice"),
         ({"modalities": "hog", "weights": "1,2"}, "--weights 1,2: 1 modalities need as many weights, got 2"),
         ({"weights": "1,0,1"}, "--weights 1,0,1: modality weights must be finite and positive"),
         ({"weights": "heavy"}, "--weights heavy: modality weights must be numbers separated by commas"),

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import errno
 import json
+import os
 from collections.abc import Iterator
 from pathlib import Path
 from types import MappingProxyType
@@ -13,7 +15,7 @@ import pytest
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from services.commands import match
+from services.commands import match, match_settings
 from services.commands.match_pictures import draw_matches
 from smal.evaluation.ground_truth import IntervalTruth, judge
 from smal.evaluation.precision_recall import PrecisionRecall, block_length, bootstrap_intervals
@@ -56,7 +58,7 @@ TABLE = table_of(
 @pytest.fixture
 def folders(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
     """Make two traverses of the wall, the second darker; the place of frame i is i in both. Work beside them."""
-    monkeypatch.setattr(match, "METHODS", TABLE)
+    monkeypatch.setattr(match_settings, "METHODS", TABLE)
     monkeypatch.chdir(tmp_path)
     for name, share in (("ref", 1.0), ("query", 0.7)):
         Path(name).mkdir()
@@ -110,7 +112,9 @@ def test_what_is_chosen_reaches_the_method(folders: Path, smal: Smal, monkeypatc
         asked.append(settings)
         return nearest(references, queries, settings, progress)
 
-    monkeypatch.setattr(match, "METHODS", table_of(smal=Method("listens.", FeatureSettings(), 5, listen, penalty=0.5)))
+    monkeypatch.setattr(
+        match_settings, "METHODS", table_of(smal=Method("listens.", FeatureSettings(), 5, listen, penalty=0.5))
+    )
     written = [
         matched(smal),
         matched(smal, "--length", "1", "--weights", "1,3", "--penalty", "0.125"),
@@ -218,7 +222,7 @@ def test_without_a_file_some_matches_are_printed(folders: Path, smal: Smal) -> N
     assert (status, err) == (0, "")
     lines = out.splitlines()
     assert lines[0].split() == ["method", "smal,", "windows", "of", "4", "frames,", "penalty", "0.25"]
-    assert "21 of 24 query frames (no window ends at the first 3)" in out
+    assert "21 of 24 query frames (3 before the first window)" in out
     assert lines[-1] == "12 of 24 query frames; --json FILE writes every match"
     first, *_, last = lines[-13:-1]
     assert first.split() == ["0", "img0.png", "-", "-"]
@@ -247,7 +251,8 @@ def test_the_picture_shows_every_match_and_marks_the_wrong_ones() -> None:
     matches = Matches(np.array([-1, 3, 2, 5]), np.array([0.0, 0.9, 0.8, 0.7]))
     truth = IntervalTruth(np.array([0, 2, 5, -1]), np.array([1, 4, 5, -1]), np.array([True, True, True, False]))
     figure = draw_matches(matches, 6, truth, PrecisionRecall.of(judge(matches, truth)), "title")
-    assert drawn(figure, 0) == [[[1, 3], [2, 2], [3, 5]], [[2, 2]]]
+    # All; of them that which is not judged, grey, and that which is wrong, ringed.
+    assert drawn(figure, 0) == [[[1, 3], [2, 2], [3, 5]], [[3, 5]], [[2, 2]]]
     unmatched = next(line for line in figure.axes[0].lines if line.get_label() == "no match (1)")
     assert unmatched.get_xdata().tolist() == [0]
     band = [(bar.get_x(), bar.get_y(), bar.get_height()) for bar in figure.axes[0].patches]
@@ -266,11 +271,43 @@ def test_a_picture_without_any_match_says_so() -> None:
     figure.savefig(Path("/dev/null"), format="png")
 
 
-def test_too_few_frames_for_a_window_get_no_match_and_a_remark(folders: Path, smal: Smal) -> None:
-    status, _, err = smal("match", "ref", "query", "--length", "25", "--json", "out.json")
-    assert status == 0
-    assert "smal: query: 24 query frames are fewer than a window of 25 (--length): nothing can be matched\n" in err
-    assert references_of(json.loads(Path("out.json").read_text())) == [None] * FRAMES
+def test_frames_without_a_match_are_explained(folders: Path, smal: Smal) -> None:
+    cv2.imwrite("query/img20.png", np.zeros((9, 9, 3), np.uint8))
+    Path("query/img21.png").write_bytes(b"no image")
+    scores = [one["score"] for one in matched(smal)["matches"] if one["reference"] is not None]
+    tau = float(np.median(scores))
+    unsure = sum(score <= tau for score in scores)
+    status, out, _ = smal("match", "ref", "query", "--tau", str(tau), "--json", "out.json")
+    written = json.loads(Path("out.json").read_text())
+    left = sum(one["reference"] is not None for one in written["matches"])
+    assert (status, written["tau"]) == (0, tau)
+    said = f"{left} of 24 query frames (3 before the first window, 1 unreadable, {unsure} not above tau {tau:g})"
+    assert said in out
+    assert left + 3 + 1 + unsure == FRAMES
+
+
+def test_how_many_queries_are_judged_is_said(folders: Path, smal: Smal) -> None:
+    write_truth([(5, 4, 6), (7, 6, 7)])
+    with Path("truth.csv").open("a") as file:
+        file.write("9,,\n")
+    status, out, _ = smal("match", "ref", "query", "--truth", "truth.csv", "--json", "out.json")
+    written = json.loads(Path("out.json").read_text())
+    assert (status, written["judged"], written["to_find"]) == (0, 3, 2)
+    assert "3 query frames, 2 of them to be found" in out
+
+
+def test_a_file_that_cannot_be_written_does_not_take_the_figures_with_it(
+    folders: Path, smal: Smal, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(os, "fsync", refuse)
+    status, out, err = smal("match", "ref", "query", "--truth", "truth.csv", "--json", "out.json")
+    assert (status, err) == (1, "smal: --json out.json: cannot be written: No space left on device\n")
+    assert "AUC" in out
+    assert "written" not in out
+
+
+def refuse(_: object) -> None:
+    raise OSError(errno.ENOSPC, "No space left on device")
 
 
 @pytest.mark.parametrize(
@@ -279,7 +316,10 @@ def test_too_few_frames_for_a_window_get_no_match_and_a_remark(folders: Path, sm
         (["none", "query"], 2, "REFERENCE_DIR none: No such file or directory"),
         (["ref", "truth.csv"], 2, "QUERY_DIR truth.csv: is a file, not a folder of images"),
         (["ref", "empty"], 2, "QUERY_DIR empty: no image in this folder (files: 0)"),
-        (["ref", "damaged"], 1, "damaged: none of 1 images can be read"),
+        (["ref", "damaged"], 1, "damaged: no image can be read: a.png"),
+        (["ref", "query", "--length", "25"], 1, "ref: 24 images are too few for a window of 25; choose a shorter"),
+        (["ref", "query", "--json", "query/img3.png"], 2, "--json query/img3.png: would lie among the files"),
+        (["ref", "query", "--json", "pipe"], 2, "--json pipe: is no regular file"),
         (["ref", "query", "--method", "x"], 2, "--method x: unknown; known are smal, own"),
         (["ref", "query", "--method", "own", "--length", "2"], 2, "--length 2: the method own is made for 1"),
         (["ref", "query", "--method", "own", "--weights", "2"], 2,
@@ -300,20 +340,21 @@ def test_too_few_frames_for_a_window_get_no_match_and_a_remark(folders: Path, sm
         (["ref", "query", "--json", "x/out.json"], 2, "--json x/out.json: no folder x"),
         (["ref", "query", "--truth", "truth.csv", "--json", "truth.csv"], 2, "--json truth.csv: is a file that this"),
         (["ref", "query", "--plot", "x.bmp"], 2, "--plot x.bmp: the name of a picture ends in .png, .svg, .pdf"),
-        (["ref", "query", "--plot", "query/x.png"], 2, "--plot query/x.png: would count as a frame of the folder"),
+        (["ref", "query", "--plot", "query/x.png"], 2, "--plot query/x.png: would lie among the files that this"),
         (["ref", "query", "--plot", "x.png", "--json", "x.png"], 2, "--plot x.png: is also the file of --json"),
         (["ref", "query", "--modalities", "depth"], 2, "--reference-depth: missing; the modality depth needs"),
         (["ref", "query", "--query-depth", "query"], 2, "--query-depth query: no modality uses depth"),
         (["ref", "query", "--modalities", "depth", "--reference-depth", "ref", "--query-depth", "damaged"], 2,
          "--query-depth damaged: has 1 images, and query has 24; every image needs its depth"),
         (["ref", "query", "--modalities", "depth", "--reference-depth", "ref", "--query-depth", "query"], 1,
-         "ref: none of 24 images can be read together with 16-bit depth in ref"),
+         "ref: none of 24 images is depth: one channel of 16 bits"),
     ],
 )  # fmt: skip
 def test_mistakes_are_one_line(arguments: list[str], status: int, line: str, folders: Path, smal: Smal) -> None:
     (folders / "empty").mkdir()
     (folders / "damaged").mkdir()
     (folders / "damaged" / "a.png").touch()
+    os.mkfifo(folders / "pipe")
     (folders / "short.csv").write_text("query,reference_first,reference_last\n24,0,0\n")
     (folders / "nothing.csv").write_text("query,reference_first,reference_last\n0,,\n")
     ended, out, err = smal("match", *arguments)
@@ -326,7 +367,7 @@ def test_mistakes_are_one_line(arguments: list[str], status: int, line: str, fol
 @pytest.mark.parametrize(
     ("raised", "status", "line"),
     [
-        (KeyboardInterrupt(), 130, ""),
+        (KeyboardInterrupt(), 130, "smal: interrupted\n"),
         (ValueError("these cannot be"), 1, "smal: cannot match these folders: these cannot be\n"),
         (MemoryError(), 1, "smal: matching 24 and 24 frames takes more memory than there is\n"),
     ],
@@ -342,7 +383,7 @@ def test_what_ends_before_the_end_leaves_the_file_as_it_was(
     def fail(*_: object) -> Matches:
         raise raised
 
-    monkeypatch.setattr(match, "METHODS", table_of(smal=Method("fails.", COLOUR, 1, fail)))
+    monkeypatch.setattr(match_settings, "METHODS", table_of(smal=Method("fails.", COLOUR, 1, fail)))
     Path("out.json").write_text("before")
     ended, _, err = smal("match", "ref", "query", "--json", "out.json", "--plot", "out.png")
     assert (ended, err) == (status, line)
@@ -366,7 +407,7 @@ def test_an_interrupt_while_results_are_written_leaves_the_file_as_it_was(
 def test_every_method_of_the_table_finds_its_way(
     name: str, folders: Path, smal: Smal, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(match, "METHODS", METHODS)
+    monkeypatch.setattr(match_settings, "METHODS", METHODS)
     written = matched(smal, "--method", name, "--truth", str(folders / "truth.csv"))
     assert written["length"] == METHODS[name].length
     found = references_of(written)

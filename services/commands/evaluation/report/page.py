@@ -18,8 +18,9 @@ from services.commands.evaluation.report.objective_section import objective_sect
 from services.commands.evaluation.report.recognition_section import recognition_section
 from services.commands.evaluation.report.search_section import search_section
 from services.commands.evaluation.report.summary import results_of
-from services.commands.evaluation.results import Finding, ResultStore, program_version
+from services.commands.evaluation.results import Finding, ResultStore
 from services.commands.evaluation.units import Unit
+from services.commands.version import program_version
 
 _VERDICT: Final = {"ahead": "yes", "behind": "no", "open": "not shown", "counts": "-"}
 
