@@ -7,7 +7,6 @@ from typing import Annotated
 import typer
 
 from services.commands.errors import UsageError
-from services.commands.stack import flags
 from smal.features import MODALITY_NAMES, FeatureSettings
 
 _NAMES = f"Feature modalities, separated by commas, out of {', '.join(MODALITY_NAMES)}."
@@ -89,4 +88,4 @@ def features_for_model(modalities: str | None, model: FeatureSettings | None) ->
 
 def feature_flags(features: FeatureSettings) -> tuple[str, ...]:
     """Return the flags of the features service."""
-    return flags(modalities=",".join(features.modalities))
+    return "--modalities", ",".join(features.modalities)
