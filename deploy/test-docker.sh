@@ -134,7 +134,7 @@ port=$(docker compose port router 7447)
 check "this machine reaches the router, and only it" "$port" \
   bash -c "[[ $port = 127.0.0.1:* ]] && exec 3<>/dev/tcp/127.0.0.1/${port##*:}"
 fresh=$(docker compose exec -T recognition sh -c '
-  touch /tmp/before && sleep 1 && python -c "from smal.streaming import compile_ahead; compile_ahead()" &&
+  touch /tmp/before && sleep 1 && python -c "from smal.matching.streaming import compile_ahead; compile_ahead()" &&
   find /var/cache/smal -type f -newer /tmp/before | wc -l')
 check "the solver came compiled with the image" "$fresh files to compile" test "$fresh" = 0
 

@@ -7,6 +7,8 @@ from enum import IntEnum
 import numpy as np
 from numpy.typing import NDArray
 
+from smal.sequences import last_frames
+
 
 class Atom(IntEnum):
     """What the robot does between one camera frame and the next."""
@@ -32,20 +34,6 @@ class ActionSpace:
 
     actions: NDArray[np.int8]
     streams: tuple[NDArray[np.int32], ...]
-
-
-def first_frame(frames: int, sequence_length: int) -> int:
-    """Frame at which the first sequence of a demonstration begins.
-
-    Sequences are aligned to the end, so that the last frame (the victim in view) is in the last sequence; up
-    to l - 1 frames at the start stay outside.
-    """
-    return frames % sequence_length
-
-
-def last_frames(frames: int, sequence_length: int) -> NDArray[np.int64]:
-    """Last frame of every sequence of a demonstration, int64 (f // l,)."""
-    return np.arange(first_frame(frames, sequence_length), frames, sequence_length) + sequence_length - 1
 
 
 def following_atoms(atoms: NDArray[np.int8], sequence_length: int) -> NDArray[np.int8]:
@@ -83,7 +71,7 @@ def learn_action_space(demonstrations: Sequence[NDArray[np.int8]], sequence_leng
     Raises
     ------
     ValueError
-        An atom that is none, or no sequence at all.
+        A value that is no atom, or no whole sequence.
     """
     for atoms in demonstrations:
         if atoms.size and not (atoms.min() >= min(Atom) and atoms.max() <= max(Atom)):

@@ -1,12 +1,14 @@
-"""Where in the demonstrations a query is, to the frame, and how much it looks like that.
+"""Align a query with the demonstrations, to the frame: first by W, then by the order of frames.
 
-W tells which state a query shows. It tells the phase within it only roughly: the penalties of Eq. 7 spread weight over
-frames that resemble each other, and do not know their order. Continued half a second early or late, an action turns at
-the wrong place. So we look around the phase that W tells for the one at which the query, frame by frame in order,
-resembles the demonstration most. The paper does not: it executes the whole action wherever in the state the robot is.
+W tells which state a query shows, and roughly the phase, the frame of the state's template at which the query is. Only
+roughly: the penalties of Eq. 7 spread weight over frames that resemble each other, and do not know their order. An
+action that is continued half a second early or late turns at the wrong place. So we look around that phase for the
+one at which the query, frame by frame in order, resembles the demonstration most. The paper does not: it executes the
+whole action wherever in the state the robot is.
 
-How much it resembles it says which of the states with weight the robot is in. Under another light, templates explain
-together what all views have in common now and the demonstrations had not; such weights are no evidence for a place.
+How similar the query is there says which of the states with weight the robot is in. Under another light, templates
+explain together what all views have in common now and the demonstrations had not; such weights are no evidence for a
+place.
 """
 
 from collections.abc import Callable, Sequence
@@ -17,8 +19,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from smal.action_space import first_frame
-from smal.inner_products import Columns
+from smal.matching.inner_products import Columns
+from smal.sequences import first_frame
+from smal.state_matching import Solution
 
 #: Frames to both sides of the phase that W tells among which the best one is taken.
 REACH = 5
@@ -34,6 +37,46 @@ CONCENTRATION = 30.0
 
 #: Of template frames (k, a, q): their inner products with the q query frames, (k, a, q). Of -1 anything.
 Correlate = Callable[[Columns], NDArray[Any]]
+# Share of the largest weight of a block below which a weight is rounding.
+_NO_WEIGHT = 1e-9
+
+
+def phase(weights_block: NDArray[Any]) -> float:
+    """Template frame at which the last query frame is, from one block of W.
+
+    Row r of the block with weight on query frame i says that the query is r - i frames ahead of the template.
+    The weighted median of r - i (interpolated) is the shift between the two sequences. Query frames beyond the
+    template put their weight on its first or last row, which pulls a mean towards no shift, a median less.
+
+    Parameters
+    ----------
+    weights_block : array (l, q)
+        Rows of W of the matched sequence. Negative weights say where the query is not, and do not count.
+
+    Returns
+    -------
+    float
+        0 is the first frame of the template, q - 1 no shift, more than l - 1 beyond its end.
+    """
+    length, queries = weights_block.shape
+    present = np.maximum(weights_block, 0.0)
+    largest = present.max()
+    if largest == 0.0:
+        return float(queries - 1)
+    # Entry j is the weight of the shift j - (q - 1), that is of the phase j.
+    by_phase = np.array([np.trace(present / largest, -shift) for shift in range(1 - queries, length)])
+    phases = np.flatnonzero(by_phase > _NO_WEIGHT)
+    middles = np.cumsum(by_phase[phases]) - by_phase[phases] / 2.0
+    return float(np.interp(by_phase[phases].sum() / 2.0, middles, phases))
+
+
+def matched_phase(solution: Solution, state: int) -> float:
+    """`phase` of a solution with respect to one template sequence."""
+    length = solution.sequence_length
+    block = np.zeros((length, solution.shape[1]))
+    inside = solution.active // length == state
+    block[solution.active[inside] % length] = solution.active_weights[inside]
+    return phase(block)
 
 
 @dataclass(frozen=True, eq=False)
@@ -109,7 +152,7 @@ class DemonstratedOrder:
         ----------
         states : sequence of int (k,)
         phases : sequence of float (k,)
-            About where the query's last frame is in each (`smal.state_space.phase`).
+            About where the query's last frame is in each (`smal.alignment.phase`).
         frames : int
             q, frames of the query.
         correlate : callable

@@ -29,7 +29,7 @@ class ModelError(ValueError):
 
 
 def one_line(error: Exception) -> str:
-    """Return the beginning of what an error says, with nothing of a stranger's in it that moves a log or a terminal."""
+    """Return the beginning of an error's message, with control characters (of untrusted files) replaced."""
     return "".join(c if c.isprintable() else "?" for c in str(error)[:200])
 
 

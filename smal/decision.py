@@ -4,7 +4,7 @@ The paper executes the l atoms of the action of the recognised state. Two things
 demonstrations of one route pile up, and both have their remedy in W.
 
 * Templates are cut at fixed phases, so that the action is up to l / 2 frames early or late. We know the phase of the
-  query (`smal.state_space.phase`) and of every demonstrated occurrence of a state; so we take an occurrence of (state,
+  query (`smal.alignment.phase`) and of every demonstrated occurrence of a state; so we take an occurrence of (state,
   policy action) and continue its demonstration from the frame that the robot is at ("aligned").
 * Several states share the weight where they resemble each other, and the heaviest alone (Eq. 9) may be a poor one.
   The weights are a belief over states; as in QMDP (Littman, Cassandra and Kaelbling 1995) each state proposes what
@@ -12,7 +12,7 @@ demonstrations of one route pile up, and both have their remedy in W.
   of the weight turns left at every frame, a robot that never did would drift off the way. Each atom is made as often as
   there is weight behind it, what is owed being carried from frame to frame (error diffusion, Floyd and Steinberg 1976).
 
-`aligned=False, belief=False` is the scheme of the paper.
+The scheme of the paper is `aligned=False, belief=False` with a stride of l, after `Recognizer(model, shorten=False)`.
 """
 
 from collections import deque
@@ -23,14 +23,15 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from smal.action_space import Atom, last_frames
+from smal.action_space import Atom
 from smal.model import Model
 from smal.recognition import Candidate, Recognition
+from smal.sequences import last_frames
 
 _TIE = 1e-9
 
-#: Frames for which the last plan may be gone on with while states are unknown: at 0.1 s each about as long as something
-#: hides the view in passing. A robot that turned at once would have to find its heading again each time.
+#: Frames for which the robot may continue its last plan while the state is unknown: at 0.1 s each about as long as
+#: something in passing hides the view. A robot that turned at once would have to find its heading again each time.
 COAST_TICKS = 3
 #: Share of a view that may stay unexplained for a robot to stop looking around.
 SETTLED_RESIDUAL = 0.7
@@ -81,8 +82,8 @@ class DecisionMaker:
     Parameters
     ----------
     model : Model
-    stride : int, optional
-        Atoms between two decisions, 1 to l; l, the paper's scheme, if None.
+    stride : int
+        Atoms between two decisions, 1 to l.
     look_around_ticks : int
         How many atoms it turns left while states are unknown, before it stops; moving on restores them.
     aligned : bool
@@ -99,14 +100,14 @@ class DecisionMaker:
     def __init__(
         self,
         model: Model,
-        stride: int | None = None,
+        stride: int = 1,
         look_around_ticks: int = 80,
         aligned: bool = True,
         belief: bool = True,
     ) -> None:
         self._model = model
         self._horizon = model.sequence_length
-        self._stride = self._horizon if stride is None else stride
+        self._stride = stride
         if not 1 <= self._stride <= model.sequence_length:
             raise ValueError(f"stride must be 1 to the sequence length {model.sequence_length}, got {stride}")
         if look_around_ticks < 0:
@@ -159,7 +160,7 @@ class DecisionMaker:
         return decision
 
     def _may_coast(self) -> bool:
-        """Whether the last plan, made of a known state, has movements left, and may still be gone on with unseen."""
+        """Whether the last plan of a known state has movements left that may be made although the state is unknown."""
         return any(self._plan) and not self._looking and self._coasted + self._stride <= COAST_TICKS
 
     def _keeps_looking(self, recognition: Recognition) -> bool:

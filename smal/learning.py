@@ -177,7 +177,9 @@ class _Stages:
 
 
 def learn(
-    demonstrations: Sequence[Demonstration], settings: LearningSettings, progress: StageProgress | None = None
+    demonstrations: Sequence[Demonstration],
+    settings: LearningSettings | None = None,
+    progress: StageProgress | None = None,
 ) -> tuple[Model, LearningReport]:
     """Learn states, actions, transitions, reward and policy.
 
@@ -185,7 +187,7 @@ def learn(
     ----------
     demonstrations : sequence of Demonstration
         At least one successful.
-    settings : LearningSettings
+    settings : LearningSettings, optional
     progress : callable, optional
         Called with the stage ("centering", "states", "transitions", "reward", "policy"), done and total.
 
@@ -198,6 +200,7 @@ def learn(
     ValueError
         No successful demonstration of at least one sequence, or features that do not fit the settings.
     """
+    settings = LearningSettings() if settings is None else settings
     if not demonstrations:
         raise ValueError("there is no demonstration to learn from")
     for one in demonstrations:

@@ -1,5 +1,6 @@
 """What was learned: Omega = (S, A, T, R, gamma) of the paper with the templates that recognise S, as one file."""
 
+import os
 from dataclasses import dataclass, fields
 from functools import cached_property
 from pathlib import Path
@@ -134,9 +135,16 @@ class Model:
         """Return the test by which a query is unknown in execution."""
         return novelty_test(self.novelty, self.recognition_parameters)
 
-    def save(self, path: Path) -> None:
+    def __repr__(self) -> str:
+        """Say what it is, not all its numbers."""
+        return (
+            f"Model({self.states} states, {len(self.actions)} actions, l = {self.sequence_length}, "
+            f"{'+'.join(self.feature_settings.modalities)}, {len(self.names)} demonstrations)"
+        )
+
+    def save(self, path: str | os.PathLike[str]) -> None:
         """Write the model to a file; an existing one is replaced only when the new one is complete."""
-        container.write(path, FORMAT_VERSION, *self._content())
+        container.write(Path(path), FORMAT_VERSION, *self._content())
 
     def _content(self) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
         """Return what the file says of the model, and the arrays in it."""
@@ -170,7 +178,7 @@ class Model:
         return meta, arrays
 
     @classmethod
-    def load(cls, path: Path) -> Self:
+    def load(cls, path: str | os.PathLike[str]) -> Self:
         """Read a model.
 
         Raises
@@ -179,7 +187,7 @@ class Model:
             The file is missing, no model, of another version, truncated, altered or inconsistent, or was
             learned on features that this program computes differently.
         """
-        meta, arrays, checksum = container.read(path, FORMAT_VERSION)
+        meta, arrays, checksum = container.read(Path(path), FORMAT_VERSION)
         try:
             _check_numbers(meta)
             settings = FeatureSettings(tuple(meta["modalities"]), tuple(meta["modality_weights"]))
@@ -212,7 +220,7 @@ class Model:
 
 
 def _check_numbers(meta: dict[str, Any]) -> None:
-    """Refuse a header whose numbers are none, before anything is computed with them."""
+    """Reject a header with missing or wrong numbers before anything is computed with them."""
     counts, reals = ("sequence_length", "states"), ("lambda1", "lambda2", "gamma")
     wrong = [name for name in counts if type(meta[name]) is not int or meta[name] < 1]
     wrong += [name for name in reals if type(meta[name]) not in (int, float)]

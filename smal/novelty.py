@@ -59,10 +59,9 @@ def describe_match(solution: Solution, correlate: Callable[[slice], NDArray[Any]
     length = solution.sequence_length
     total = float(query_norms.sum(dtype=np.float64))
     residual = float(solution.residual_norms.sum()) / total if total > 0.0 else 1.0
-    if not solution.active.size:
+    weights, state = solution.block_weights, solution.best_block
+    if state is None:
         return Match(None, 0.0, 0.0, min(residual, 1.0), 0.0)
-    weights = solution.block_weights
-    state = int(solution.active_blocks[np.argmax(weights)])
     best = correlate(slice(state * length, (state + 1) * length)).max(axis=0)
     cosines = np.divide(best, query_norms, out=np.zeros(query_norms.size), where=query_norms > 0.0)
     q = query_norms.size

@@ -1,4 +1,4 @@
-"""Policy: maximise the discounted reward (paper, section IV) over the actions that were seen in a state."""
+"""Policy (Eq. 13): maximise the discounted reward over the actions that were seen in a state."""
 
 from dataclasses import dataclass
 

@@ -6,12 +6,11 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from smal.alignment import RECENCY_TICKS, DemonstratedOrder, recency, relative_likelihood
+from smal.alignment import RECENCY_TICKS, DemonstratedOrder, matched_phase, phase, recency, relative_likelihood
+from smal.matching.streaming import StreamingMatcher, compile_ahead
 from smal.model import Model
 from smal.novelty import describe_match
 from smal.state_matching import Solution
-from smal.state_space import matched_phase, phase
-from smal.streaming import StreamingMatcher, compile_ahead
 
 # Lighter candidates hold a few hundredths of the weight together.
 MAX_CANDIDATES = 32

@@ -1,10 +1,9 @@
 """State matching (paper, section III-A and Algorithm 2): find the weights W that minimise Eq. 7, with a certificate.
 
 Both penalties separate over template sequences and most sequences get no weight. So we solve Eq. 7 on a working
-set of few sequences (`smal.block_newton`), extend its dual point to all of them, add the sequences that violate
-it, and stop when the relative duality gap of the *full* problem is within the tolerance (`smal.working_set`,
-`smal.certificate`).
-Algorithm 2 as published is in `smal.reference`.
+set of few sequences, extend its dual point to all of them, add the sequences that violate it, and stop when the
+relative duality gap of the *full* problem is within the tolerance; how is in `smal.matching`. Algorithm 2 as published
+is in `smal.algorithm2`.
 """
 
 from dataclasses import dataclass
@@ -13,11 +12,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from smal.inner_products import Columns, GramAndCorrelations, InnerProducts
-from smal.screening import Penalty
-from smal.template_index import IndexAndQuery, TemplateIndex
-from smal.template_products import TemplatesAndQuery
-from smal.working_set import minimise
+from smal.matching.inner_products import Columns, GramAndCorrelations, InnerProducts
+from smal.matching.screening import Penalty
+from smal.matching.template_index import IndexAndQuery, TemplateIndex
+from smal.matching.template_products import TemplatesAndQuery
+from smal.matching.working_set import minimise
 
 Array = NDArray[np.float64]
 
@@ -76,6 +75,12 @@ class Solution:
         """Weight of each of them, sum_i ||w_i^j||_1 (left side of Eq. 8), (b,)."""
         where = np.searchsorted(self.active_blocks, self.active // self.sequence_length)
         return np.asarray(np.bincount(where, np.abs(self.active_weights).sum(axis=1)), dtype=np.float64)
+
+    @property
+    def best_block(self) -> int | None:
+        """The template sequence with the largest weight (Eq. 9); None where W is zero."""
+        weights = self.block_weights
+        return int(self.active_blocks[np.argmax(weights)]) if weights.size else None
 
 
 def check_parameters(n: int, sequence_length: int, lambda1: float, lambda2: float, tolerance: float) -> None:

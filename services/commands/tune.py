@@ -16,11 +16,11 @@ from services.commands.feature_options import parse_features
 from services.commands.image_folder import list_folder
 from services.commands.tune_problem import Problem, labelled, unlabelled, with_threshold
 from services.commands.tune_report import Report, as_json, as_text
-from smal.evaluation.setting_search import SearchSpace
-from smal.evaluation.tuning import Tuning
-from smal.evaluation.tuning import tune as tune_settings
 from smal.features import MODALITIES, MODALITY_NAMES, FeatureSettings
 from smal.place_recognition.methods import METHODS, MatchSettings, Method
+from smal.tuning.recommendation import Tuning
+from smal.tuning.recommendation import tune as tune_settings
+from smal.tuning.setting_search import SearchSpace
 
 _CANDIDATES: Final = ", ".join(name for name in MODALITY_NAMES if name != "depth")
 _PENALTIES: Final = (0.2, 0.35, 0.5, 0.65, 0.8)

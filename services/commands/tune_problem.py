@@ -19,15 +19,15 @@ from services.commands.image_folder import (
     say_skipped,
 )
 from services.commands.tune_report import Unlabelled
-from smal.evaluation.cross_validation import QUERIES_PER_FRAME, with_window
 from smal.evaluation.ground_truth import IntervalTruth
-from smal.evaluation.other_conditions import Conditions, evening, overcast
-from smal.evaluation.score_threshold import choose_threshold, pooled
-from smal.evaluation.setting_search import mean_auc, restricted
-from smal.evaluation.setting_trials import SettingTrials, TraversePair
-from smal.evaluation.tuning import Tuning
 from smal.features import FeatureSettings
 from smal.place_recognition.methods import MatchSettings
+from smal.tuning.cross_validation import QUERIES_PER_FRAME, with_window
+from smal.tuning.other_conditions import Conditions, evening, overcast
+from smal.tuning.recommendation import Tuning
+from smal.tuning.score_threshold import choose_threshold, pooled
+from smal.tuning.setting_search import mean_auc, restricted
+from smal.tuning.setting_trials import SettingTrials, TraversePair
 
 _LENGTHS: Final = (5, 10, 15, 20)
 #: Degradations are made stronger until the defaults fail for some queries: nothing can be learned from what all know.

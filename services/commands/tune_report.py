@@ -12,9 +12,9 @@ from typing import Final
 
 from services.commands.match_report import described_by
 from services.commands.tables import table
-from smal.evaluation.cross_validation import Figure
-from smal.evaluation.tuning import Tried, Tuning
 from smal.place_recognition.methods import MatchSettings
+from smal.tuning.cross_validation import Figure
+from smal.tuning.recommendation import Tried, Tuning
 
 #: Settings that are printed; the JSON has all.
 _SHOWN: Final = 10

@@ -11,7 +11,8 @@ from schemas.rpc import LoadReply, LoadRequest
 from schemas.state import State
 from services.model_service import LoadedModel
 from services.process import Detail, Throttle
-from smal.execution import Candidate, DecisionMaker, Recognition
+from smal.decision import DecisionMaker
+from smal.recognition import Candidate, Recognition
 
 _log = logging.getLogger("policy")
 

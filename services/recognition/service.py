@@ -9,7 +9,7 @@ from schemas.rpc import LoadReply, LoadRequest
 from schemas.state import Candidate, State
 from services.model_service import LoadedModel
 from services.process import Detail, ServiceError
-from smal.execution import Recognizer
+from smal.recognition import Recognizer
 
 
 class RecognitionService:

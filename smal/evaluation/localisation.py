@@ -9,8 +9,8 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from smal.action_space import last_frames
 from smal.model import Model
+from smal.sequences import last_frames
 
 
 class DemonstratedFrames:

@@ -1,4 +1,4 @@
-"""Colour modality: the image itself, seen from very far away (paper, section IV: colour on 24 x 32)."""
+"""Colour modality: the image itself, seen from very far away (paper, section V: colour on 24 x 32)."""
 
 import numpy as np
 from numpy.typing import NDArray

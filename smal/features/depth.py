@@ -1,6 +1,6 @@
 """Depth modality: how near everything is, on a coarse grid.
 
-Light, paint and exposure change every colour and many edges, and no distance: what this modality says of a place is
+Light, paint and exposure change colours and edges, but not distances: what this modality says of a place is
 the same by day and by night.
 """
 

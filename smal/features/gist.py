@@ -1,7 +1,7 @@
 """GIST modality: the spatial envelope of a scene (Oliva & Torralba 2001).
 
-How strongly which part of the view is ribbed in which direction and how finely; it says where the sky, the ground and
-the large masses are, and keeps nothing of the objects. Parameters as in the authors' published code (LMgist), on
+The energy of oriented filters, by cell of the image, orientation and scale: it says where the sky, the ground and the
+large masses are, and keeps nothing of the objects. Parameters as in the authors' published code (LMgist), on
 96 x 128 grey values: the shape of most cameras' images, so that directions stay what they are.
 """
 
@@ -55,7 +55,7 @@ def prefiltered(grey: NDArray[np.uint8]) -> NDArray[np.float32]:
 
     With c = log(1 + I) - g * log(1 + I) and a Gaussian g, the result is c / (0.2 + sqrt(g * c^2)).
     """
-    import cv2  # noqa: PLC0415 - recognition reads SIZE in an image without OpenCV
+    import cv2  # noqa: PLC0415 - containers that only need SIZE have no OpenCV
 
     logarithm = np.log1p(grey.astype(np.float32))
     contrast = logarithm - cv2.GaussianBlur(logarithm, (0, 0), _BLUR_PX)

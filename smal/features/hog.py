@@ -28,7 +28,7 @@ SIZE = ((ROWS - BLOCK) // CELL + 1) * ((COLUMNS - BLOCK) // CELL + 1) * 4 * BINS
 
 @cache
 def _hog() -> "cv2.HOGDescriptor":
-    import cv2  # noqa: PLC0415 - recognition reads SIZE in an image without OpenCV
+    import cv2  # noqa: PLC0415 - containers that only need SIZE have no OpenCV
 
     # OpenCV takes sizes as (width, height): window, block, block stride, cell.
     return cv2.HOGDescriptor((COLUMNS, ROWS), (BLOCK, BLOCK), (CELL, CELL), (CELL, CELL), BINS)

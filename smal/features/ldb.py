@@ -37,7 +37,7 @@ def ldb_descriptor(image: NDArray[np.uint8]) -> NDArray[np.float32]:
         0, and not one of two bits as in the papers: a cloudless sky says nothing, instead of noise. An image of
         one grey is all ties and gives the zero vector.
     """
-    import cv2  # noqa: PLC0415 - recognition reads SIZE in an image without OpenCV
+    import cv2  # noqa: PLC0415 - containers that only need SIZE have no OpenCV
 
     integral = np.asarray(cv2.integral(resized_grey(image, SIDE, SIDE)), dtype=np.int32)
     signs = [_signs(cell_sums(integral, grid)) for grid in GRIDS]

@@ -21,7 +21,7 @@ MODALITIES: Mapping[str, Modality] = MappingProxyType(
     }
 )
 
-#: How people write those that there are.
+#: Names that users may give.
 MODALITY_NAMES = (*MODALITIES, f"{onnx.PREFIX}FILE")
 
 

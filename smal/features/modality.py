@@ -1,4 +1,4 @@
-"""What every feature modality says of itself."""
+"""Interface of a feature modality."""
 
 from collections.abc import Callable
 from dataclasses import dataclass

@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from smal.features import Centering, FeatureSettings
+from smal.place_recognition.as_published import LAMBDA_SCALE, match_as_in_the_paper
 from smal.place_recognition.matches import Matches, Progress
 from smal.place_recognition.nearest_sequence import match_nearest_sequence
-from smal.place_recognition.paper import LAMBDA_SCALE, match_as_in_the_paper
 from smal.place_recognition.seqslam import SeqSlamSettings, match_seqslam
 from smal.place_recognition.traverse_centring import centre_traverses
 from smal.place_recognition.traverse_matching import OrderedSettings, match_traverses

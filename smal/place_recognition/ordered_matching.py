@@ -1,7 +1,7 @@
 """Matching a query sequence in the order of its frames: Eq. 7 with sequences that are matched frame by frame.
 
 Eq. 7 lets every frame of a template sequence explain every frame of the query: its S1-norm groups frames and does not
-know their order. On real pictures order is what tells places apart (design.md, section 7). So let the block of W that
+know their order. On real pictures order is what tells places apart. So let the block of W that
 belongs to sequence j be diagonal, W^j = c_j I: the i-th query frame is explained by the i-th frame of the sequence.
 Both penalties of Eq. 7 are then the same norm, l sum_j c_j, with lambda = lambda1 + lambda2, and what remains is
 

@@ -1,8 +1,8 @@
-"""What a traverse has in common with itself (its light, its season, its camera) is its mean, and is taken away.
+"""Centre each traverse by its own mean, which removes what its light, its season and its camera add.
 
-So each traverse is centred by its own mean; measured on traverses under other light, that changes more than any feature
-or length of a sequence does. But the mean of a few queries is what these few places look like, of one alone all that
-there is. It is therefore drawn towards the mean of the references, as if some frames more had been seen.
+Measured on traverses under other light, that changes more than any feature or length of a sequence does. But the mean
+of few queries is what these few places look like; of a single one it is all that there is. It is therefore drawn
+towards the mean of the references, as if some more frames had been seen.
 """
 
 from typing import Final

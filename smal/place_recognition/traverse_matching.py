@@ -1,6 +1,6 @@
 """The method on two traverses: every window of queries is matched in order, and the weights are read as places.
 
-The window of a query are the l frames that end with it, where the frames of a stop count once. Speeds are tried from
+The window of a query is the last l frames up to it, where the frames of a stop count as one. Speeds are tried from
 half to twice; a penalty keeps them near the speed at which the matches around advance, which a first round tells.
 """
 

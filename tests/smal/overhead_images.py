@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from smal.evaluation.tag_tracking import OverheadCamera, Tag
+from smal.tracking.tag_tracking import OverheadCamera, Tag
 
 #: What a pixel is averaged from, along each axis.
 SUPERSAMPLING = 8

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from smal.certificate import all_polar_bounds, cheap_polar_bound, polar_bound, row_balls
+from smal.matching.certificate import all_polar_bounds, cheap_polar_bound, polar_bound, row_balls
 from tests.smal.matching import polar
 
 LAMBDAS = [(0.3, 0.5), (1.0, 0.1), (0.05, 2.0), (0.4, 0.0), (0.0, 0.4)]

@@ -9,13 +9,13 @@ from hypothesis import strategies as st
 
 from smal.action_space import Atom
 from smal.alignment import CONCENTRATION
-from smal.decision import COAST_TICKS, SETTLED_RESIDUAL
-from smal.execution import Candidate, DecisionMaker, Recognition, Recognizer
+from smal.decision import COAST_TICKS, SETTLED_RESIDUAL, DecisionMaker
 from smal.learning import Demonstration, LearningReport, LearningSettings, learn
+from smal.matching.streaming import StreamingMatcher
 from smal.model import Model
 from smal.novelty import RECOGNITION_DEFAULTS
+from smal.recognition import Candidate, Recognition, Recognizer
 from smal.state_matching import Solution
-from smal.streaming import StreamingMatcher
 from tests.smal.worlds import COLOR, corridor, drive, unit
 
 PLACES, LENGTH = 120, 5
@@ -185,7 +185,7 @@ def test_decisions_follow_the_expert(model: Model, stride: int) -> None:
 
 
 def test_goal_finishes_the_drive_then_stops(model: Model) -> None:
-    maker = DecisionMaker(model)
+    maker = DecisionMaker(model, LENGTH)
     goal = int(model.transitions.goals[0])
     decision = maker.decide(Recognition("recognized", 0, goal, float(model.phases[0][-1]) - 2.0))
     assert decision.kind == "goal"
@@ -211,7 +211,7 @@ def test_unknown_looks_around_for_a_bounded_time(model: Model) -> None:
 
 
 def test_waiting_keeps_the_plan(model: Model) -> None:
-    maker = DecisionMaker(model)
+    maker = DecisionMaker(model, LENGTH)
     plan = maker.decide(Recognition("recognized", 0, 3, 4.0)).atoms
     assert maker.next_atom() == plan[0]
     assert maker.decide(Recognition("collecting", 1)).kind == "wait"
@@ -222,7 +222,7 @@ def test_waiting_keeps_the_plan(model: Model) -> None:
 
 def test_unaligned_is_the_scheme_of_the_paper(model: Model) -> None:
     state = int(model.state_streams[0][5])
-    decision = DecisionMaker(model, aligned=False).decide(Recognition("recognized", 0, state, 6.5))
+    decision = DecisionMaker(model, LENGTH, aligned=False).decide(Recognition("recognized", 0, state, 6.5))
     assert decision.action is not None
     assert list(decision.atoms) == model.actions[decision.action].tolist()
 
@@ -233,7 +233,7 @@ def test_dead_end_finishes_the_drive_then_looks_around() -> None:
     model, report = learn([DRIVES[0], astray], LearningSettings(features=COLOR))
     assert report.dead_ends == 1
     state = int(model.state_streams[1][-1])
-    maker = DecisionMaker(model)
+    maker = DecisionMaker(model, LENGTH)
     assert maker.decide(Recognition("recognized", 0, state, 2.0)).kind == "dead_end"
     assert maker.decide(Recognition("recognized", 5, state, 6.0)).kind == "look_around"
 
@@ -248,7 +248,7 @@ def test_bad_decision_settings_are_refused(model: Model, stride: int, ticks: int
 @pytest.mark.parametrize("length", [1, 2, 10])
 def test_other_lengths_and_tests(novelty: str, length: int) -> None:
     model, _ = learn(DRIVES[:2], LearningSettings(features=COLOR, sequence_length=length, novelty=novelty))
-    recognizer, maker = Recognizer(model), DecisionMaker(model)
+    recognizer, maker = Recognizer(model), DecisionMaker(model, length)
     for tick, view in enumerate(drive(VIEWS, 0, seed=31).features[:30]):
         recognition = recognizer.observe(tick, view, due=True)
         maker.decide(recognition)
@@ -277,7 +277,7 @@ def test_bad_demonstrations_and_settings_are_refused() -> None:
 
 def turning_and_straight(model: Model) -> tuple[Candidate, Candidate]:
     """Two states, as certain as can be, whose policies differ from the first atom on."""
-    maker = DecisionMaker(model, belief=False)
+    maker = DecisionMaker(model, LENGTH, belief=False)
     plans = {
         state: maker.decide(Recognition("recognized", 0, state, LENGTH - 1.0)).atoms for state in range(model.states)
     }
@@ -319,11 +319,11 @@ def test_what_is_owed_is_forgotten_with_the_way(model: Model) -> None:
 def test_the_scheme_of_the_paper_asks_the_heaviest_state_alone(model: Model) -> None:
     turning, straight = turning_and_straight(model)
     seen = Recognition("recognized", 0, turning.state, turning.phase, candidates=(turning, straight))
-    assert DecisionMaker(model, belief=False).decide(seen).atoms == (Atom.LEFT,) * LENGTH
+    assert DecisionMaker(model, LENGTH, belief=False).decide(seen).atoms == (Atom.LEFT,) * LENGTH
 
 
 def test_looking_around_goes_on_until_a_view_is_really_known(model: Model) -> None:
-    maker = DecisionMaker(model)
+    maker = DecisionMaker(model, LENGTH)
     assert maker.decide(Recognition("unknown", 0)).kind == "look_around"
     vague = Recognition("recognized", 5, 0, 2.0, residual=SETTLED_RESIDUAL + 0.1)
     assert maker.decide(vague).kind == "look_around"
@@ -333,7 +333,7 @@ def test_looking_around_goes_on_until_a_view_is_really_known(model: Model) -> No
 
 
 def test_a_vague_view_will_do_after_a_whole_turn(model: Model) -> None:
-    maker = DecisionMaker(model, look_around_ticks=10)
+    maker = DecisionMaker(model, LENGTH, look_around_ticks=10)
     vague = Recognition("recognized", 5, 0, 2.0, residual=SETTLED_RESIDUAL + 0.1)
     kinds = []
     for seen in (Recognition("unknown", 0), vague, vague):
@@ -462,7 +462,7 @@ def coasting(model: Model, stride: int, unknown: int) -> tuple[list[str], list[A
 def test_a_moment_without_a_state_does_not_change_the_plan(model: Model) -> None:
     kinds, atoms = coasting(model, 1, 5)
     assert kinds == ["action", "coast", "coast", "coast", "look_around", "look_around"]
-    maker = DecisionMaker(model, belief=False)
+    maker = DecisionMaker(model, LENGTH, belief=False)
     plan = maker.decide(Recognition("recognized", 0, int(model.state_streams[0][0]), float(LENGTH - 1))).atoms
     assert tuple(atoms[: COAST_TICKS + 1]) == plan[: COAST_TICKS + 1]
     assert atoms[COAST_TICKS + 1 :] == [Atom.LEFT] * 2

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from smal.narrow_product import narrow_product, narrow_product_and_squares, rounding
+from smal.matching.narrow_product import narrow_product, narrow_product_and_squares, rounding
 
 shapes = st.tuples(st.integers(1, 23), st.integers(1, 700), st.integers(1, 13))
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from smal import Solution, TemplateIndex, solve
-from smal.reference import algorithm2
+from smal.algorithm2 import algorithm2
 from tests.smal.matching import Problem, check, check_bounds, from_correlations, streamed, structured
 from tests.smal.worlds import matching_problem, unit
 

@@ -6,7 +6,7 @@ from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
 
 from smal import TemplateIndex, solve, solve_from_correlations
-from smal.reference import algorithm2
+from smal.algorithm2 import algorithm2
 from tests.smal.matching import (
     STRUCTURES,
     Problem,

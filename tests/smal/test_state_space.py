@@ -7,9 +7,10 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 from smal import state_space
+from smal.alignment import matched_phase, phase
 from smal.novelty import AgreementTest, Match, WeightTest, describe_match, neighbour_agreement, novelty_test
 from smal.state_matching import Solution, solve
-from smal.state_space import StateSpace, learn_state_space, matched_phase, phase
+from smal.state_space import StateSpace, learn_state_space
 from smal.template_store import MemoryBoundError, TemplateStore
 from tests.smal.worlds import corridor, unit
 

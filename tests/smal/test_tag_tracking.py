@@ -11,8 +11,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.optimize import minimize
 
-from smal.evaluation.tag_detection import MarkerDetector
-from smal.evaluation.tag_tracking import MAX_ERROR, OverheadCamera, Tag, TagNotSeen, TagPose, TagTracker, fit_square
+from smal.tracking.tag_detection import MarkerDetector
+from smal.tracking.tag_tracking import MAX_ERROR, OverheadCamera, Tag, TagNotSeen, TagPose, TagTracker, fit_square
 from tests.smal.overhead_images import Shot, photograph, pixel
 
 TAG = Tag(number=7, side_m=0.2, height_m=0.43)

@@ -10,16 +10,16 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from smal.evaluation.cross_validation import make_folds, with_window
 from smal.evaluation.ground_truth import IntervalTruth, Judgement, judge
-from smal.evaluation.other_conditions import evening, overcast
 from smal.evaluation.precision_recall import PrecisionRecall
-from smal.evaluation.score_threshold import choose_threshold, count_answers
-from smal.evaluation.setting_search import SearchSpace, Trials, search
-from smal.evaluation.setting_trials import SettingTrials, TraversePair
-from smal.evaluation.tuning import Tuning, tune
 from smal.features import FeatureSettings
 from smal.place_recognition.methods import METHODS, MatchSettings
+from smal.tuning.cross_validation import make_folds, with_window
+from smal.tuning.other_conditions import evening, overcast
+from smal.tuning.recommendation import Tuning, tune
+from smal.tuning.score_threshold import choose_threshold, count_answers
+from smal.tuning.setting_search import SearchSpace, Trials, search
+from smal.tuning.setting_trials import SettingTrials, TraversePair
 
 FRAMES = 80
 #: Of every modality so many entries vary: in more dimensions no noise hides a place.

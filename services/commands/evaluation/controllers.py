@@ -11,14 +11,15 @@ from numpy.typing import NDArray
 
 from services.commands.evaluation.demonstrations import Drive
 from smal.action_space import Atom
+from smal.decision import DecisionMaker
 from smal.evaluation.baselines.behaviour_cloning import ClonedBehaviour
 from smal.evaluation.baselines.nearest_neighbour_imitation import NearestNeighbourImitation
 from smal.evaluation.baselines.seqslam_localisation import SeqSlamLocaliser, state_at
 from smal.evaluation.baselines.thumbnails import thumbnail
-from smal.execution import DecisionMaker, Recognition, Recognizer
 from smal.features import FeatureSettings
 from smal.model import Model
 from smal.place_recognition.seqslam import SeqSlamSettings
+from smal.recognition import Recognition, Recognizer
 
 #: The paper's trajectories of 10 frames. Its neighbourhood of 10 frames is too small for ten frames a second, in which
 #: neighbours hardly differ, and what is enhanced is noise: on drives of the indoor world the place was off by more than

@@ -32,8 +32,8 @@ class Degradation:
     occlusion
         Share of the frames that are occluded, 0 to below 1: a rectangle of one random colour hides 50 to 100 % of them.
     burst_ticks
-        Mean number of frames for which an occluder stays, as one that walks by. None: each frame by itself, which is
-        what design.md's prototype did and what makes single frames fail without hiding a place altogether.
+        Mean number of frames for which an occluder stays, as one that walks by. None: each frame by itself, which
+        makes single frames fail without hiding a place altogether.
     noise
         Standard deviation of Gaussian noise on every pixel and channel, grey levels, at least 0.
     blur_px

@@ -12,10 +12,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from smal.action_space import first_frame
 from smal.features.thumbnail import thumbnail_descriptor
 from smal.model import Model
 from smal.place_recognition.seqslam import SeqSlamSettings, differences, enhanced
+from smal.sequences import first_frame
 
 
 class Place(NamedTuple):

@@ -1,4 +1,4 @@
-"""Our solver against Algorithm 2 as published (`smal.reference`), on the same problem and to the same objective."""
+"""Our solver against Algorithm 2 as published (`smal.algorithm2`), on the same problem and to the same objective."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from smal import reference
+from smal import algorithm2
 from smal.state_matching import solve
 from tests.benchmarks.timing import seconds_of
 
@@ -24,7 +24,7 @@ _REPETITIONS = 5
 def whole_run(problem: Problem) -> Record:
     """Run Algorithm 2 until its objective is close to ours; where it never is, until it has converged."""
     templates, query = problem.templates, problem.queries[0]
-    run = partial(reference.algorithm2, templates, query, problem.length, problem.penalty, problem.penalty)
+    run = partial(algorithm2.algorithm2, templates, query, problem.length, problem.penalty, problem.penalty)
     ours_s, ours = _time_ours(problem)
     result = run(max_iterations=_MAX_ITERATIONS)
     above = np.array(result.objectives) / ours - 1.0
@@ -57,7 +57,7 @@ def from_one_solve(problem: Problem, iterations: int) -> Record:
     correlations = X.T @ problem.queries[0][:, :1].astype(np.float64)
     # The time of a dense solve does not depend on the weights.
     one_column = partial(
-        reference._iterate, gram, correlations, np.ones(1), correlations, problem.length, problem.penalty,
+        algorithm2._iterate, gram, correlations, np.ones(1), correlations, problem.length, problem.penalty,
         problem.penalty, 1e-8,
     )  # fmt: skip
     seconds, _ = seconds_of(one_column)

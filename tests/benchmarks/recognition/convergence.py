@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from smal.reference import algorithm2
+from smal.algorithm2 import algorithm2
 from smal.state_matching import solve
 
 if TYPE_CHECKING:

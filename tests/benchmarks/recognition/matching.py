@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from smal.matching.streaming import StreamingMatcher
+from smal.matching.template_index import TemplateIndex
 from smal.state_matching import Solution
-from smal.streaming import StreamingMatcher
-from smal.template_index import TemplateIndex
 from tests.benchmarks.machine import array_bytes, peak_memory_increase
 from tests.benchmarks.recognition.modes import TOLERANCE, prepare
 from tests.benchmarks.timing import Paired, paired, seconds_of

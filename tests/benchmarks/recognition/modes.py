@@ -6,11 +6,11 @@ from collections.abc import Callable
 from functools import partial
 from typing import TYPE_CHECKING, Final
 
+from smal.matching.streaming import StreamingMatcher
 from smal.state_matching import Solution, solve
-from smal.streaming import StreamingMatcher
 
 if TYPE_CHECKING:
-    from smal.template_index import TemplateIndex
+    from smal.matching.template_index import TemplateIndex
     from tests.benchmarks.recognition.datasets import Frames, Problem
 
 #: What each mode times. Streaming matches the same query; the window before it was matched already, untimed.

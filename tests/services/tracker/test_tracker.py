@@ -18,7 +18,7 @@ from services.settings import ServiceSettings
 from services.simulator.robots import TURTLEBOT
 from services.tracker.config import TrackerSettings
 from services.tracker.service import TrackerService
-from smal.evaluation.tag_tracking import OverheadCamera, Tag
+from smal.tracking.tag_tracking import OverheadCamera, Tag
 from tests.services.chain import process
 from tests.services.conftest import RunNode
 from tests.services.waiting import eventually, introduce, malformed, ready, status_of

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from smal.action_space import first_frame
 from smal.evaluation.baselines.seqslam_localisation import SeqSlamLocaliser, state_at
 from smal.features.thumbnail import thumbnail_descriptor
 from smal.learning import LearningSettings, learn
 from smal.place_recognition.seqslam import SeqSlamSettings, match_seqslam
+from smal.sequences import first_frame
 from tests.smal.worlds import COLOR, corridor, drive
 
 SETTINGS = SeqSlamSettings(length=6, window=10)

@@ -7,11 +7,11 @@ import pytest
 from numpy.typing import NDArray
 
 from smal import solve
+from smal.alignment import matched_phase
 from smal.features import FeatureSettings
+from smal.place_recognition.as_published import LAMBDA_SCALE, match_as_in_the_paper
 from smal.place_recognition.matches import NONE
 from smal.place_recognition.methods import METHODS, MatchSettings, Method
-from smal.place_recognition.paper import LAMBDA_SCALE, match_as_in_the_paper
-from smal.state_space import matched_phase
 from tests.smal.place_recognition.ordered_problems import unit, walk
 from tests.smal.place_recognition.traverses import Road, ignore
 

@@ -11,11 +11,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from smal.inner_products import Columns, DualPoint, Gradients
-from smal.narrow_product import rounding
-from smal.screening import Penalty
+from smal.matching.inner_products import Columns, DualPoint, Gradients
+from smal.matching.narrow_product import rounding
+from smal.matching.screening import Penalty
+from smal.matching.template_index import IndexAndQuery, TemplateIndex
 from smal.state_matching import Solution, check_parameters, match
-from smal.template_index import IndexAndQuery, TemplateIndex
 
 Array = NDArray[np.float64]
 
@@ -35,7 +35,7 @@ class _StreamedQuery(IndexAndQuery):
         self._products, self._correlations, self._radii = gram, correlations, radii
 
     def guess(self) -> NDArray[np.float32]:
-        """No guess is needed."""
+        """Return the known correlations."""
         return self._correlations
 
     def gradients(self, dual: DualPoint, columns: Columns | None, *, fine: bool = False) -> Gradients:

@@ -9,9 +9,9 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from smal.alignment import matched_phase
+from smal.matching.streaming import StreamingMatcher
 from smal.place_recognition.matches import Matches, Progress, check_features
-from smal.state_space import matched_phase
-from smal.streaming import StreamingMatcher
 
 #: a in lambda1 = lambda2 = a sqrt(l), as in learning.
 LAMBDA_SCALE: Final = 0.1
@@ -58,12 +58,10 @@ def match_as_in_the_paper(
         matcher.observe(frame)
         if matcher.ready:
             solution = matcher.match()
-            weights = solution.block_weights
-            if weights.size:
-                heaviest = int(np.argmax(weights))
-                best = int(solution.active_blocks[heaviest])
+            best = solution.best_block
+            if best is not None:
                 place = best * length + matched_phase(solution, best)
                 matches.reference[query] = int(np.clip(round(place), 0, references.shape[0] - 1))
-                matches.score[query] = weights[heaviest] / length
+                matches.score[query] = solution.block_weights.max() / length
         progress(query + 1)
     return matches

@@ -10,7 +10,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from smal.narrow_product import rounding
+from smal.matching.narrow_product import rounding
 
 Array = NDArray[np.float64]
 Columns = NDArray[np.intp]
@@ -121,7 +121,7 @@ class GramAndCorrelations:
         return self._squares
 
     def guess(self) -> NDArray[np.float32]:
-        """No guess is needed."""
+        """Return the known correlations."""
         return self._correlations.astype(np.float32, copy=False)
 
     def restricted(self, columns: Columns) -> tuple[Array, Array]:

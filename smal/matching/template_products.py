@@ -5,8 +5,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from smal.inner_products import Columns, DualPoint, Gradients, common
-from smal.narrow_product import narrow_product, narrow_product_and_squares, rounding
+from smal.matching.inner_products import Columns, DualPoint, Gradients, common
+from smal.matching.narrow_product import narrow_product, narrow_product_and_squares, rounding
 
 Array = NDArray[np.float64]
 
@@ -131,7 +131,7 @@ class TemplatesAndQuery:
 
     def guess(self) -> NDArray[np.float32]:
         """Correlate a sample of the entries."""
-        # A single query frame costs so little that a sample in many places would be felt.
+        # For a single query frame the sampling itself would take most of the time.
         starts, width = sample(self._templates.shape[0], _PLACES if self._query.shape[0] > 1 else _PLACES // 4)
         query = self._query.astype(self._templates.dtype)
         sums = np.zeros((self.size, query.shape[0]), dtype=self._templates.dtype)

@@ -13,7 +13,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from smal.evaluation.tag_detection import MarkerDetector
+from smal.tracking.tag_detection import MarkerDetector
 
 #: Root mean square error of the corners, as a share of the side, beyond which a tag is not believed: what it is when
 #: a single corner is so far off that it turns the heading by 2 degrees.

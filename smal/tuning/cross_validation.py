@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 
 from smal.evaluation.ground_truth import Judgement
 from smal.evaluation.precision_recall import block_length, bootstrap
-from smal.evaluation.score_threshold import Answers, choose_threshold, count_answers, pooled
-from smal.evaluation.setting_search import Part, Trials, restricted
 from smal.place_recognition.methods import MatchSettings
+from smal.tuning.score_threshold import Answers, choose_threshold, count_answers, pooled
+from smal.tuning.setting_search import Part, Trials, restricted
 
 #: Queries for each frame of the longest window: one has no such window yet, and of the others half is left to choose.
 QUERIES_PER_FRAME: Final = 5

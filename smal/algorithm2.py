@@ -89,7 +89,7 @@ def _iterate(
     lambda2: float,
     floor: float,
 ) -> Array:
-    """Lines 3 to 6 of Algorithm 2."""
+    """Lines 3 to 6 of Algorithm 2; the update is Eq. 12."""
     P = 0.5 / np.maximum(residual_norms, floor)
     Q = 0.5 / np.maximum(np.linalg.norm(weights, axis=1), floor)
     starts = np.arange(0, len(weights), sequence_length)

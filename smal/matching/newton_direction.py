@@ -5,8 +5,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from smal.block_problem import BlockProblem
 from smal.compiled import compiled
+from smal.matching.block_problem import BlockProblem
 
 Array = NDArray[np.float64]
 

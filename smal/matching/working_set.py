@@ -1,9 +1,8 @@
 """A working set of template frames for Eq. 7, grown until a duality gap of the full problem is small.
 
-1. Guess which sequences matter, solve Eq. 7 on them alone (`smal.block_newton`), and drop the frames that get no
-   weight.
-2. Extend the dual point of that solution to other sequences (`smal.screening`), first to the likely ones, then to
-   all. Sequences that it does not rule out enter the working set.
+1. Guess which sequences matter, solve Eq. 7 on them alone (`block_newton`), and drop the frames that get no weight.
+2. Extend the dual point of that solution to other sequences (`screening`), first to the likely ones, then to all.
+   Sequences that it does not rule out enter the working set.
 """
 
 from dataclasses import dataclass, replace
@@ -11,10 +10,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from smal.block_newton import FIRST_EPSILON, BlockSolution, solve_blocks
-from smal.block_problem import BlockProblem, block_objective, residual_norms, smoothing_for
-from smal.inner_products import Columns, DualPoint, InnerProducts, common
-from smal.screening import Penalty, Screening, Violations
+from smal.matching.block_newton import FIRST_EPSILON, BlockSolution, solve_blocks
+from smal.matching.block_problem import BlockProblem, block_objective, residual_norms, smoothing_for
+from smal.matching.inner_products import Columns, DualPoint, InnerProducts, common
+from smal.matching.screening import Penalty, Screening, Violations
 
 Array = NDArray[np.float64]
 
@@ -104,8 +103,8 @@ class _Restriction:
         return min(max(wanted, inner.epsilon), FIRST_EPSILON)
 
 
-def _without_crumbs(problem: BlockProblem, weights: Array, allowed: float) -> Array:
-    """Set rows, and columns of blocks, to zero that differ from it by the smoothing only."""
+def _rounded_to_zero(problem: BlockProblem, weights: Array, allowed: float) -> Array:
+    """Set the rows and columns of blocks to zero that have weight only because norms are smoothed."""
     ceiling = block_objective(problem, weights) * (1.0 + allowed)
     squares = np.square(weights)
     rows = np.sqrt(squares.sum(axis=1))
@@ -153,7 +152,7 @@ class _Search:
         """Extend the dual point to all sequences, which bounds the optimum from below; clean the solution up."""
         violations = self.screening.extend(self.dual)
         part = self.part
-        weights = _without_crumbs(part.problem, self.inner.weights, 0.2 * self.penalty.tolerance)
+        weights = _rounded_to_zero(part.problem, self.inner.weights, 0.2 * self.penalty.tolerance)
         residuals = residual_norms(part.problem, weights) * part.query_scale
         # The best weights and the best bound need not come from the same round.
         best, objective = self.outcome, part.objective(weights)

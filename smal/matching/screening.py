@@ -1,7 +1,7 @@
 """Safe screening: a dual point of Eq. 7 rules out template sequences that can have no weight.
 
-Bounds on the polars (`smal.certificate`) come from rounded products, with the error of these added, and follow the
-dual point when it moves. So a bound never rules out a sequence that the solution needs, whatever the precision of
+Bounds on the polars (`certificate`) come from rounded products, with the error of these added, and follow the dual
+point when it moves. So a bound never rules out a sequence that the solution needs, whatever the precision of
 the products that it rests on; the few that stay in doubt are looked at with exact products.
 """
 
@@ -11,8 +11,8 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from smal.certificate import all_polar_bounds, polar_bound, row_balls
-from smal.inner_products import Columns, DualPoint, InnerProducts, common
+from smal.matching.certificate import all_polar_bounds, polar_bound, row_balls
+from smal.matching.inner_products import Columns, DualPoint, InnerProducts, common
 
 Array = NDArray[np.float64]
 

@@ -2,8 +2,8 @@
 
 Every template is rounded to x ~ s k with integers k from -127 to 127 and a scale s of its own. An inner product
 with a unit vector is then off by at most the length of the rounding error, which is known exactly and is about a
-hundredth: enough to rule out nearly all sequences (`smal.screening`) at a quarter of the memory traffic. Those in
-doubt are looked at with the templates themselves, so the answer and its certificate are those of the full problem.
+hundredth: enough to rule out nearly all sequences (`screening`) at a quarter of the memory traffic. Those in doubt are
+looked at with the templates themselves, so the answer and its certificate are those of the full problem.
 
 Other bounds were considered. Random vectors have no low-rank projection, and the part of a query that no template
 explains is as long as the rest, so that the residual norms of a projection rule out little on real frames either.
@@ -15,9 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from smal.compiled import compiled
-from smal.inner_products import Columns, DualPoint, Gradients
-from smal.narrow_product import narrow_product, rounding
-from smal.template_products import TemplatesAndQuery, sample, spectral_norm
+from smal.matching.inner_products import Columns, DualPoint, Gradients
+from smal.matching.narrow_product import narrow_product, rounding
+from smal.matching.template_products import TemplatesAndQuery, sample, spectral_norm
 
 Array = NDArray[np.float64]
 

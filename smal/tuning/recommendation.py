@@ -11,7 +11,8 @@ the bootstrap's draws are the tuned settings recommended.
 
 from dataclasses import dataclass
 
-from smal.evaluation.cross_validation import (
+from smal.place_recognition.methods import MatchSettings
+from smal.tuning.cross_validation import (
     HeldOut,
     check_folds,
     compare_held_out,
@@ -19,9 +20,8 @@ from smal.evaluation.cross_validation import (
     make_folds,
     with_window,
 )
-from smal.evaluation.score_threshold import Answers, Threshold, choose_threshold, pooled
-from smal.evaluation.setting_search import Evaluate, SearchProgress, SearchSpace, Trials, restricted, search
-from smal.place_recognition.methods import MatchSettings
+from smal.tuning.score_threshold import Answers, Threshold, choose_threshold, pooled
+from smal.tuning.setting_search import Evaluate, SearchProgress, SearchSpace, Trials, restricted, search
 
 
 @dataclass(frozen=True)

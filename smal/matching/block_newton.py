@@ -7,7 +7,7 @@ sequence resemble each other. We keep its idea (every norm is replaced by a quad
 * the subgradients U (rows) and V (columns of blocks) are variables of their own, linearised as in Chan,
   Golub & Mulet (1999), which makes Newton steps good far from the optimum too;
 * the Newton system is solved by preconditioned conjugate gradients: applying it costs one product with X^T X,
-  which all query frames share, where the paper's Eq. 9 inverts one matrix per query frame. We do that too where
+  which all query frames share, where the paper's Eq. 12 inverts one matrix per query frame. We do that too where
   conjugate gradients stall, which is where residuals vanish or templates depend on each other linearly.
 
 A stationary point of the smoothed problem satisfies X^T Theta = lambda1 U + lambda2 V with all of Theta, U, V
@@ -20,10 +20,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from smal.block_problem import BlockProblem, Primal, dots, measure, objective, smoothed, smoothing_for
-from smal.certificate import cheap_polar_bound, polar_bound
 from smal.compiled import compiled
-from smal.newton_direction import System, newton_direction
+from smal.matching.block_problem import BlockProblem, Primal, dots, measure, objective, smoothed, smoothing_for
+from smal.matching.certificate import cheap_polar_bound, polar_bound
+from smal.matching.newton_direction import System, newton_direction
 
 Array = NDArray[np.float64]
 
@@ -55,7 +55,7 @@ class BlockSolution:
     dual_weights : float64 array (p, q)
         B in the dual point.
     rows, columns : float64 arrays (p, q)
-        U and V. U is the guess that lets `smal.certificate.polar_bound` certify the sequences that were solved for.
+        U and V. U is the guess that lets `certificate.polar_bound` certify the sequences that were solved for.
     gap : float
         Relative duality gap of the restricted problem.
     epsilon : float
@@ -230,7 +230,7 @@ def solve_blocks(
 ) -> BlockSolution:
     """Minimise Eq. 7 over the weights of a few template frames.
 
-    Lengths are expected near 1 (`smal.working_set` scales them), since epsilon is absolute.
+    Lengths are expected near 1 (`smal.matching.working_set` scales them), since epsilon is absolute.
 
     Parameters
     ----------

@@ -1,0 +1,1 @@
+"""Choosing weights, lengths, penalties and thresholds of place recognition, with labels or without."""
