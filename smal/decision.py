@@ -45,9 +45,9 @@ class Decision:
     ----------
     kind : str
         "action": the policy's action; "goal": the rest of a demonstration that ended here, then stop;
-        "dead_end": the rest of a drive that stopped here without success; "coast": the rest of the last plan, for
-        a moment in which the state is unknown; "look_around": turn on the spot, since the state is unknown;
-        "stop": looking around has not helped; "wait": no state is due yet.
+        "dead_end": the rest of a drive that stopped here without success; "coast": the rest of the last plan, or its
+        last movement again, for a moment in which the state is unknown; "look_around": turn on the spot, since the
+        state is unknown; "stop": looking around has not helped; "wait": no state is due yet.
     atoms : tuple of Atom
         The plan, l atoms long; what is left of it for "coast"; empty for "wait". Both leave the last plan as it is.
     state, action : int or None
@@ -90,6 +90,8 @@ class DecisionMaker:
         Whether to continue from the frame that the robot is at (module docstring).
     belief : bool
         Whether all candidate states have a say, by their weight (module docstring).
+    coast : bool
+        Whether the robot goes on for a moment while the state is unknown, before it looks around.
 
     Raises
     ------
@@ -104,6 +106,7 @@ class DecisionMaker:
         look_around_ticks: int = 80,
         aligned: bool = True,
         belief: bool = True,
+        coast: bool = True,
     ) -> None:
         self._model = model
         self._horizon = model.sequence_length
@@ -115,6 +118,7 @@ class DecisionMaker:
         self._look_around_ticks = look_around_ticks
         self._aligned = aligned
         self._belief = belief
+        self._coast = coast
         self._goals = frozenset(model.transitions.goals.tolist())
         self._occurrences = _index_occurrences(model)
         self.reset()
@@ -127,10 +131,11 @@ class DecisionMaker:
         self._turns_left = self._look_around_ticks
         self._looking = False
         self._coasted = 0
+        self._last = Atom.STOP
 
     def next_atom(self) -> Atom:
         """Take the next atom of the plan; stop when there is none."""
-        atom = self._plan.popleft() if self._plan else Atom.STOP
+        atom = self._last = self._plan.popleft() if self._plan else Atom.STOP
         if self._votes:
             self._owed += self._votes.popleft()
             self._owed[atom] -= 1.0
@@ -145,6 +150,8 @@ class DecisionMaker:
         if recognition.state is None or recognition.phase is None or self._keeps_looking(recognition):
             if self._may_coast():
                 self._coasted += self._stride
+                while len(self._plan) < self._stride:
+                    self._plan.append(self._plan[-1] if self._plan else self._last)
                 return Decision("coast", tuple(self._plan))
             decision = self._look_around(recognition.state)
         else:
@@ -160,8 +167,9 @@ class DecisionMaker:
         return decision
 
     def _may_coast(self) -> bool:
-        """Whether the last plan of a known state has movements left that may be made although the state is unknown."""
-        return any(self._plan) and not self._looking and self._coasted + self._stride <= COAST_TICKS
+        """Whether the robot moves by the plan of a known state, and may go on although the state is unknown."""
+        moves = any(self._plan) if self._plan else self._last != Atom.STOP
+        return self._coast and moves and not self._looking and self._coasted + self._stride <= COAST_TICKS
 
     def _keeps_looking(self, recognition: Recognition) -> bool:
         """Whether a robot that is looking around goes on although this view is just about known.

@@ -33,7 +33,9 @@ def evaluate(
     outputs.make_folder(out, "--out")
     plan = PLANS["quick" if quick else "full"]
     store = ResultStore(out, plan)
-    planned = units(plan, cloning=_can_clone())
+    # What was cloned elsewhere, or before torch was removed, is shown all the same.
+    cloned = any("/controller=cloning/" in key for key in store.findings)
+    planned = units(plan, cloning=_can_clone() or cloned)
     store.forget_missing(planned)
     with interrupted_by_signals():
         _work(plan, planned, store, workers)
@@ -64,7 +66,7 @@ def _work(plan: Plan, planned: list[Unit], store: ResultStore, workers: int) -> 
             store.add(unit, finding, seconds)
             doing = f"{len(store.findings)} of {len(planned)} units, {unit.kind} {unit.world}"
             bar.set_postfix_str(doing, refresh=False)
-            bar.update(unit.seconds)
+            bar.update(min(unit.seconds, total - bar.n))  # not beyond by rounding
 
         if len(done) < len(planned):
             do_all(plan, planned, done, store.work, workers, finish)

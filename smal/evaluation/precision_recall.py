@@ -92,7 +92,9 @@ def bootstrap_intervals(
     """Return percentile intervals: between which the middle `confidence` of the resampled figures lies.
 
     They say how much the figures would vary with other queries of the same kind along the same references. Few blocks
-    make them too narrow.
+    make them too narrow. The recall at 100 % precision is decided by the surest wrong answer, an extreme, which a
+    third of the draws lack: its interval reaches upward, and covered the median of other draws in 61 to 71 % (400
+    independent queries, where that of the area covered it in 93 %).
 
     Parameters
     ----------

@@ -489,3 +489,31 @@ def test_recognition_parameters_that_are_not_given_are_those_of_execution() -> N
     assert default.recognition == RECOGNITION_DEFAULTS["agreement"]
     loose = LearningSettings(features=COLOR, recognition_parameters={"max_residual": 0.95})
     assert loose.recognition == {**RECOGNITION_DEFAULTS["agreement"], "max_residual": 0.95}
+
+
+@pytest.mark.parametrize("length", [1, 2, LENGTH])
+def test_whatever_its_windows_the_robot_goes_on_as_long_when_the_view_is_hidden(length: int) -> None:
+    """A plan of one movement is made again: peers with short windows must not be blinder than others."""
+    model, _ = learn(DRIVES, LearningSettings(features=COLOR, sequence_length=length))
+    maker, recognizer = DecisionMaker(model), Recognizer(model)
+    for tick in range(length):
+        seen = recognizer.observe(tick, DRIVES[0].features[60 + tick], due=True)
+    assert maker.decide(seen).kind == "action"
+    first = maker.next_atom()
+    kinds = []
+    for tick in range(COAST_TICKS + 1):
+        kinds.append(maker.decide(Recognition("unknown", tick)).kind)
+        atom = maker.next_atom()
+        assert length > 1 or atom == first or kinds[-1] == "look_around"
+    assert kinds == ["coast"] * COAST_TICKS + ["look_around"]
+
+
+def test_without_coasting_it_looks_around_at_once(model: Model) -> None:
+    maker = DecisionMaker(model, coast=False)
+    maker.decide(Recognition("recognized", 0, 3, 4.0))
+    maker.next_atom()
+    assert maker.decide(Recognition("unknown", 1)).kind == "look_around"
+
+
+def test_a_robot_that_stands_does_not_coast(model: Model) -> None:
+    assert DecisionMaker(model).decide(Recognition("unknown", 0)).kind == "look_around"

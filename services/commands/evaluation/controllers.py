@@ -79,14 +79,21 @@ class SmalController:
         What was learned. With l = 1 it is the single image, everything else being equal.
     stride
         Frames from one decision to the next, 1 to l; l is the paper's scheme.
-    aligned, belief, shorten
+    aligned, belief, coast, shorten
         See `smal.decision` and `smal.recognition.Recognizer`; all False is the paper's scheme.
     """
 
     def __init__(
-        self, model: Model, stride: int = 1, *, aligned: bool = True, belief: bool = True, shorten: bool = True
+        self,
+        model: Model,
+        stride: int = 1,
+        *,
+        aligned: bool = True,
+        belief: bool = True,
+        coast: bool = True,
+        shorten: bool = True,
     ) -> None:
-        self._maker = DecisionMaker(model, stride, aligned=aligned, belief=belief)
+        self._maker = DecisionMaker(model, stride, aligned=aligned, belief=belief, coast=coast)
         self._recognizer = Recognizer(model, shorten=shorten)
         self._length, self._stride = model.sequence_length, stride
         self._features = model.feature_settings
@@ -189,7 +196,7 @@ class SeqSlamController:
         self, model: Model, drives: Sequence[Drive], stride: int = 1, settings: SeqSlamSettings = SEQSLAM
     ) -> None:
         thumbnails = {one.demonstration.name: one.thumbnails for one in drives if one.thumbnails is not None}
-        self._localiser = SeqSlamLocaliser(thumbnails, model.names, settings)
+        self._localiser = SeqSlamLocaliser(thumbnails, model.names, settings, shorten=True)
         for name, atoms in zip(model.names, model.atoms, strict=True):
             if len(thumbnails[name]) != len(atoms):
                 raise ValueError(f"drive {name} has {len(thumbnails[name])} frames, and the model's has {len(atoms)}")

@@ -46,7 +46,7 @@ class Scheme:
     overlapping
         Decisions every frame, or every l/10 frames where that is more: a long window changes little from one frame
         to the next, and costs more. Otherwise every l frames, as in the paper.
-    aligned, belief
+    aligned, belief, coast
         See `smal.decision`.
     shorten
         See `smal.recognition.Recognizer`.
@@ -57,6 +57,7 @@ class Scheme:
     overlapping: bool = True
     aligned: bool = True
     belief: bool = True
+    coast: bool = True
     shorten: bool = True
 
     def stride(self, length: int) -> int:
@@ -64,7 +65,7 @@ class Scheme:
         return max(1, length // _DECISIONS) if self.overlapping else length
 
 
-_AS_PUBLISHED: Final = {"aligned": False, "belief": False, "shorten": False}
+_AS_PUBLISHED: Final = {"aligned": False, "belief": False, "coast": False, "shorten": False}
 SCHEMES: Final = {
     one.name: one
     for one in (
@@ -89,7 +90,11 @@ class Recogniser:
 
 
 #: Peers that recognise, beside SMAL at all lengths of the plan (l = 1 is the single image).
-PEER_RECOGNISERS: Final = (Recogniser("nearest", 1), Recogniser("nearest", 5), Recogniser("seqslam", 10))
+PEER_RECOGNISERS: Final = (
+    Recogniser("nearest", 1),
+    Recogniser("nearest", 5),
+    *(Recogniser("seqslam", length) for length in (10, 20, 40)),
+)
 #: Peers that search, beside SMAL with its default length and with l = 1; the number is that of frames, if it matters.
 PEERS: Final = ("nearest-1", "nearest-5", "seqslam", "cloning")
 
@@ -153,6 +158,11 @@ class WorldPlan:
         return tuple(sorted(needed | ({1} if self.peers else set())))
 
     @property
+    def first_judged_tick(self) -> int:
+        """Frame of a held-out drive from which on every method has a whole window, and all are judged."""
+        return max(one.length for one in self.recognisers) - 1
+
+    @property
     def recognisers(self) -> tuple[Recogniser, ...]:
         """Who recognises."""
         return (*(Recogniser("smal", length) for length in self.lengths), *PEER_RECOGNISERS)
@@ -189,8 +199,10 @@ class Plan:
 
     @property
     def fingerprint(self) -> str:
-        """Fingerprint of the whole plan."""
-        return hashlib.sha256(json.dumps(asdict(self), sort_keys=True).encode()).hexdigest()[:12]
+        """Fingerprint of the whole plan, and of what all plans have in common."""
+        common = [asdict(scheme) for scheme in SCHEMES.values()] + [asdict(one) for one in PEER_RECOGNISERS]
+        everything = [asdict(self), common, PEERS, JUDGED_TICKS, _DECISIONS]
+        return hashlib.sha256(json.dumps(everything, sort_keys=True).encode()).hexdigest()[:12]
 
 
 _INDOOR: Final = (Criterion(0.35, 25.0), Criterion(0.2, 15.0))

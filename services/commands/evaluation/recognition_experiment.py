@@ -121,7 +121,10 @@ def _recognise_all(
         part = "thumbnails" if recogniser.name == "seqslam" else "features"
         views = held[f"{part}_{degradation}"]
     if recogniser.name == "smal":
-        matches, known = recognise_states(workplace.model(world, teaching, recogniser.length), views, JUDGED_TICKS)
+        model = workplace.model(world, teaching, recogniser.length)
+        if sum(map(len, model.atoms)) != len(workplace.poses(world, teaching)):
+            raise ValueError(f"the drives in {workplace.folder} are not those that the model was learned from")
+        matches, known = recognise_states(model, views, JUDGED_TICKS)
         return matches, known, poses
     drives = workplace.drives(world, teaching)
     if recogniser.name == "seqslam":

@@ -27,18 +27,20 @@ Finding = Mapping[str, Any]
 _PLAN, _UNITS, _WORK = "plan.json", "units.jsonl", "work"
 # Whatever a result depends on; that the report is written differently invalidates nothing.
 _SOURCES: Final = ("simulator/**/*", "expert/*", "commands/evaluation/*", "commands/demonstrate.py")
+_WORLDS: Final = "deploy/worlds/*"
 _OF_NO_RESULT: Final = ("results.py", "workers.py", "plan.py", "units.py")
 
 
 def code_fingerprint() -> str:
-    """Return a fingerprint of the code that the results depend on."""
+    """Return a fingerprint of the code, the shaders and the worlds that the results depend on."""
     here, method = (Path(str(package.__file__)).parent for package in (services, smal))
-    files = sorted(path for pattern in _SOURCES for path in here.glob(pattern))
-    files = [path for path in files if not (path.parent.name == "evaluation" and path.name in _OF_NO_RESULT)]
+    files = {path for pattern in _SOURCES for path in here.glob(pattern)}
+    files -= {here / "commands" / "evaluation" / name for name in _OF_NO_RESULT}
+    files |= {*method.rglob("*.py"), *here.parent.glob(_WORLDS)}
     digest = hashlib.sha256()
-    for path in [*files, *sorted(method.rglob("*.py"))]:
-        if path.suffix == ".py":
-            digest.update(path.name.encode() + b"\0" + path.read_bytes())
+    for path in sorted(files):
+        if path.is_file() and path.suffix != ".pyc":
+            digest.update(str(path.relative_to(here.parent)).encode() + b"\0" + path.read_bytes())
     return digest.hexdigest()[:12]
 
 

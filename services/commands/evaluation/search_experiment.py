@@ -21,10 +21,12 @@ from services.commands.evaluation.plan import DEFAULT_LENGTH, SCHEMES
 from services.commands.evaluation.search import Search, search
 from services.commands.evaluation.workplace import Workplace, replace_file
 from services.jpeg import encode_jpeg
-from smal.evaluation.baselines.behaviour_cloning import ClonedBehaviour, clone
+from smal.evaluation.baselines.behaviour_cloning import ClonedBehaviour, CloningSettings, clone
 
 #: Frames from one kept picture of an example route to the next, and of one kept position of any way.
 PICTURE_TICKS, WAY_TICKS = 10, 5
+#: Networks of behaviour cloning, from other first weights: how well it searches depends on them.
+CLONES = 3
 
 
 class Drivers:
@@ -33,11 +35,15 @@ class Drivers:
     def __init__(self, workplace: Workplace) -> None:
         self._workplace = workplace
         self.driver = lru_cache(maxsize=2)(self._driver)
-        self._cloned = lru_cache(maxsize=1)(self._clone)
+        self._cloned = lru_cache(maxsize=CLONES)(self._clone)
+
+    def of_search(self, world: str, teaching: str, name: str, length: int, seed: int) -> Controller:
+        """Return who drives in a search; of cloning's networks another for every seed, in turn."""
+        if name == "cloning":
+            return CloningController(self._cloned(world, teaching, seed % CLONES))
+        return self.driver(world, teaching, name, length)
 
     def _driver(self, world: str, teaching: str, name: str, length: int) -> Controller:
-        if name == "cloning":
-            return CloningController(self._cloned(world, teaching))
         if name.startswith("nearest-"):
             return ImitationController(
                 self._workplace.drives(world, teaching), self._workplace.features, int(name.removeprefix("nearest-"))
@@ -51,13 +57,14 @@ class Drivers:
             scheme.stride(length),
             aligned=scheme.aligned,
             belief=scheme.belief,
+            coast=scheme.coast,
             shorten=scheme.shorten,
         )
 
-    def _clone(self, world: str, teaching: str) -> ClonedBehaviour:
+    def _clone(self, world: str, teaching: str, seed: int) -> ClonedBehaviour:
         drives = self._workplace.drives(world, teaching)
         images = [one.thumbnails for one in drives if one.thumbnails is not None]
-        return clone(images, [one.demonstration.atoms for one in drives])[0]
+        return clone(images, [one.demonstration.atoms for one in drives], CloningSettings(seed=seed))[0]
 
 
 def run_search(
@@ -78,7 +85,7 @@ def run_search(
     kept = (controller, length, degradation) == ("smal", DEFAULT_LENGTH, "clean")
     found = search(
         simulation,
-        drivers.driver(world, teaching, controller, length),
+        drivers.of_search(world, teaching, controller, length, seed),
         seed,
         degradation=how,
         max_ticks=max_ticks,

@@ -126,12 +126,14 @@ def _of_world(plan: Plan, world: WorldPlan, cloning: bool) -> Iterator[Unit]:
         for k in range(world.queries)
     ]
     yield from queries
-    model = {length: unit.key for length, unit in learned.items()}
+    # Who recognises or searches needs the drives beside the model: their poses, or to imitate them.
+    drives = tuple(unit.key for unit in teaching)
+    model = {length: (unit.key, *drives) for length, unit in learned.items()}
     yield from _recognition(world, taught, model, [unit.key for unit in queries], costs)
     if queries:
         at = (taught, ("length", DEFAULT_LENGTH), ("seed", QUERY_SEED), ("templates", world.template_frames))
         cost_s = 5.0 * (world.template_frames / 1000) ** 3
-        yield Unit("objective", world.world, at, (model[DEFAULT_LENGTH], queries[0].key), cost_s)
+        yield Unit("objective", world.world, at, (*model[DEFAULT_LENGTH], queries[0].key), cost_s)
     yield from _searches(plan, world, taught, model, costs, cloning)
 
 
@@ -146,20 +148,25 @@ def _teaching(world: WorldPlan, taught: tuple[str, str], costs: _Costs) -> Itera
 
 
 def _recognition(
-    world: WorldPlan, taught: tuple[str, str], model: dict[int, str], queries: list[str], costs: _Costs
+    world: WorldPlan, taught: tuple[str, str], model: dict[int, tuple[str, ...]], queries: list[str], costs: _Costs
 ) -> Iterator[Unit]:
     for recogniser in world.recognisers:
-        # A peer needs no model, but the drives, and those come before every model.
+        # A peer needs no model, but the drives.
         needed = model[recogniser.length if recogniser.name == "smal" else DEFAULT_LENGTH]
         for degradation in world.recognised:
             for k, query in enumerate(queries):
                 settings = (taught, ("method", recogniser.name), ("length", recogniser.length),
                             ("degradation", degradation), ("seed", QUERY_SEED + k))  # fmt: skip
-                yield Unit("recognise", world.world, settings, (needed, query), costs.recognise_s(recogniser))
+                yield Unit("recognise", world.world, settings, (*needed, query), costs.recognise_s(recogniser))
 
 
 def _searches(
-    plan: Plan, world: WorldPlan, taught: tuple[str, str], model: dict[int, str], costs: _Costs, cloning: bool
+    plan: Plan,
+    world: WorldPlan,
+    taught: tuple[str, str],
+    model: dict[int, tuple[str, ...]],
+    costs: _Costs,
+    cloning: bool,
 ) -> Iterator[Unit]:
     limit = ("max_ticks", plan.max_ticks)
     asked = [
@@ -167,6 +174,7 @@ def _searches(
         for scheme, degradations in world.searched.items()
         for length in world.search_lengths
         for degradation in degradations
+        if not (scheme == "overlapping" and length == 1 and "paper" in world.searched)  # is the same
     ]
     asked += [("smal", length, degradation) for length in (DEFAULT_LENGTH, 1) for degradation in world.peers]
     asked += [
@@ -179,6 +187,4 @@ def _searches(
         for k in range(world.runs):
             settings = (taught, ("controller", controller), ("length", length), ("degradation", degradation),
                         ("seed", RUN_SEED + k), limit)  # fmt: skip
-            yield Unit(
-                "search", world.world, settings, (model[length],), costs.search_s(controller, length, degradation)
-            )
+            yield Unit("search", world.world, settings, model[length], costs.search_s(controller, length, degradation))

@@ -78,7 +78,10 @@ def _give(worker: _Worker, waiting: list[Unit], ready: set[str]) -> None:
         return
     unit = max(possible, key=lambda one: _likeness(one, worker.last))
     waiting.remove(unit)
-    worker.pipe.send(unit)
+    try:
+        worker.pipe.send(unit)
+    except OSError:
+        raise _ended(worker, unit) from None
     worker.unit = unit
 
 
@@ -96,14 +99,16 @@ def _likeness(unit: Unit, last: Unit | None) -> tuple[bool, int]:
 def _receive(worker: _Worker, unit: Unit) -> tuple[dict[str, Any], float]:
     try:
         problem, finding, seconds = worker.pipe.recv()
-    except (EOFError, ConnectionError):
-        worker.process.join()
-        raise JobError(
-            f"a worker ended with status {worker.process.exitcode} at {unit.key}; run again to go on"
-        ) from None
+    except (EOFError, OSError):
+        raise _ended(worker, unit) from None
     if problem is not None:
         raise JobError(f"{unit.key}: {problem}")
     return finding, seconds
+
+
+def _ended(worker: _Worker, unit: Unit) -> JobError:
+    worker.process.join()
+    return JobError(f"a worker ended with status {worker.process.exitcode} at {unit.key}; run again to go on")
 
 
 @contextmanager

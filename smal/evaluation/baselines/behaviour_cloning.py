@@ -3,9 +3,9 @@
 Needs torch, which is no part of the package: ``pip install 'smal[cloning]'``.
 """
 
-import copy
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from itertools import islice
 from types import ModuleType
 from typing import TYPE_CHECKING
 
@@ -66,8 +66,9 @@ class CloningReport:
     Parameters
     ----------
     epochs : int
-        Until it stopped.
+        That were the best.
     train_images, validation_images : int
+        From which that was found; the network itself is trained on both.
     validation_loss, validation_accuracy : float
         Of the epoch that counts; the accuracy is the share of images with the expert's key.
     """
@@ -130,6 +131,7 @@ def clone(
 ) -> tuple[ClonedBehaviour, CloningReport]:
     """Train a network on demonstrations.
 
+    Some demonstrations tell how many epochs are enough; then a network is trained on all of them for so many.
     Cross-entropy, each atom weighted by one over the square root of its frequency: most frames go forward, and turns
     are what matters. The same settings and images give the same network on one machine.
 
@@ -154,19 +156,19 @@ def clone(
     _check(thumbnails, atoms)
     torch = load_torch()
     train, validation = _split(len(atoms), settings)
+
+    def tensors(part: Sequence[int]) -> tuple["pytorch.Tensor", "pytorch.Tensor"]:
+        images = _tensor(torch, np.concatenate([thumbnails[i] for i in part]))
+        return images, _labels(torch, [atoms[i] for i in part])
+
     with torch.random.fork_rng():
         torch.manual_seed(settings.seed)
-        parts = [
-            (_tensor(torch, np.concatenate([thumbnails[i] for i in part])), _labels(torch, [atoms[i] for i in part]))
-            for part in (train, validation)
-        ]
-        network = _network(torch)
-        epochs, loss = _train(torch, network, parts, settings, progress)
-    cloned = ClonedBehaviour(network)
-    images, labels = parts[1]
-    with torch.inference_mode():
-        right = float((network(_scaled(images)).argmax(dim=1) == labels).float().mean())
-    return cloned, CloningReport(epochs, len(parts[0][1]), len(labels), loss, right)
+        chosen = _choose_epochs(torch, tensors(train), tensors(validation), settings, progress)
+        torch.manual_seed(settings.seed)
+        network, everything = _network(torch), tensors(range(len(atoms)))
+        for _ in islice(_epochs(torch, network, everything, _loss(torch, everything[1]), settings), chosen.epochs):
+            pass
+    return ClonedBehaviour(network), chosen
 
 
 def _check(thumbnails: Sequence[NDArray[np.uint8]], atoms: Sequence[NDArray[np.int8]]) -> None:
@@ -201,20 +203,23 @@ def _network(torch: ModuleType) -> "pytorch.nn.Sequential":
     )  # fmt: skip
 
 
-def _train(
-    torch: ModuleType,
-    network: "pytorch.nn.Module",
-    parts: Sequence[tuple["pytorch.Tensor", "pytorch.Tensor"]],
-    settings: CloningSettings,
-    progress: Callable[[int, float], None],
-) -> tuple[int, float]:
-    """Train until the validation loss falls no more; leave the best weights; return epochs and that loss."""
-    (images, labels), (unseen, unseen_labels) = parts
+def _loss(torch: ModuleType, labels: "pytorch.Tensor") -> "pytorch.nn.Module":
     frequency = torch.bincount(labels, minlength=len(Atom)).float()
     weights = frequency.clamp(min=1.0).rsqrt()
-    loss_of = torch.nn.CrossEntropyLoss(weight=weights / weights.sum())
+    loss: pytorch.nn.Module = torch.nn.CrossEntropyLoss(weight=weights / weights.sum())
+    return loss
+
+
+def _epochs(
+    torch: ModuleType,
+    network: "pytorch.nn.Module",
+    part: tuple["pytorch.Tensor", "pytorch.Tensor"],
+    loss_of: "pytorch.nn.Module",
+    settings: CloningSettings,
+) -> Iterator[int]:
+    """Train, and yield the number of each epoch."""
+    images, labels = part
     optimiser = torch.optim.AdamW(network.parameters(), lr=settings.learning_rate, weight_decay=settings.weight_decay)
-    best, best_weights, best_epoch, epoch = float("inf"), copy.deepcopy(network.state_dict()), 0, 0
     for epoch in range(1, settings.epochs + 1):
         network.train()
         for batch in torch.randperm(len(labels)).split(settings.batch):
@@ -224,16 +229,31 @@ def _train(
             loss_of(network(_scaled(images[batch])), labels[batch]).backward()
             optimiser.step()
         network.eval()
+        yield epoch
+
+
+def _choose_epochs(
+    torch: ModuleType,
+    seen: tuple["pytorch.Tensor", "pytorch.Tensor"],
+    unseen: tuple["pytorch.Tensor", "pytorch.Tensor"],
+    settings: CloningSettings,
+    progress: Callable[[int, float], None],
+) -> CloningReport:
+    """Train until the validation loss falls no more, and report the best epoch."""
+    network, loss_of = _network(torch), _loss(torch, seen[1])
+    images, labels = unseen
+    best = CloningReport(1, len(seen[1]), len(labels), float("inf"), 0.0)
+    for epoch in _epochs(torch, network, seen, loss_of, settings):
         with torch.inference_mode():
-            loss = float(loss_of(network(_scaled(unseen)), unseen_labels))
+            scores = network(_scaled(images))
+            loss = float(loss_of(scores, labels))
+            right = float((scores.argmax(dim=1) == labels).float().mean())
         progress(epoch, loss)
-        if loss < best:
-            best, best_weights, best_epoch = loss, copy.deepcopy(network.state_dict()), epoch
-        elif epoch - best_epoch >= settings.patience:
+        if loss < best.validation_loss:
+            best = replace(best, epochs=epoch, validation_loss=loss, validation_accuracy=right)
+        elif epoch - best.epochs >= settings.patience:
             break
-    network.load_state_dict(best_weights)
-    network.eval()
-    return epoch, best
+    return best
 
 
 def _tensor(torch: ModuleType, thumbnails: NDArray[np.uint8]) -> "pytorch.Tensor":

@@ -40,6 +40,9 @@ class SeqSlamLocaliser:
     names : sequence of str
         Which demonstrations, in the order in which places are numbered.
     settings : SeqSlamSettings
+    shorten : bool
+        Whether it answers from the first frame on, by as many frames as there are: a robot that waits for d_s frames
+        stands still meanwhile, which is no trajectory that is tried.
 
     Raises
     ------
@@ -48,12 +51,16 @@ class SeqSlamLocaliser:
     """
 
     def __init__(
-        self, thumbnails: Mapping[str, NDArray[np.uint8]], names: tuple[str, ...], settings: SeqSlamSettings
+        self,
+        thumbnails: Mapping[str, NDArray[np.uint8]],
+        names: tuple[str, ...],
+        settings: SeqSlamSettings,
+        shorten: bool = False,
     ) -> None:
         missing = [name for name in names if name not in thumbnails]
         if missing:
             raise ValueError(f"demonstration {missing[0]} has no thumbnails")
-        self._settings = settings
+        self._settings, self._least = settings, 1 if shorten else settings.length
         self._lines = settings.trajectories()
         small = [np.stack([thumbnail_descriptor(image) for image in thumbnails[name]]) for name in names]
         self._ends = np.cumsum([0, *map(len, small)])
@@ -69,13 +76,13 @@ class SeqSlamLocaliser:
         self._rows.clear()
 
     def observe(self, image: NDArray[np.uint8]) -> Place | None:
-        """Take one RGB frame, and find where the last d_s ended; None as long as there are fewer."""
+        """Take one RGB frame, and find where the last d_s ended; None as long as there are too few."""
         self._rows.append(self._contrast(thumbnail_descriptor(image)))
-        if len(self._rows) < self._settings.length:
+        if len(self._rows) < self._least:
             return None
         rows = list(reversed(self._rows))
         best = np.full(self._frame.size, np.inf, dtype=np.float32)
-        for line in self._lines:
+        for line in {tuple(line[: len(rows)]) for line in self._lines}:
             total = np.full(self._frame.size, np.inf, dtype=np.float32)
             reach = line[-1]
             total[reach:] = 0.0
@@ -84,7 +91,7 @@ class SeqSlamLocaliser:
             np.minimum(best, np.where(self._frame >= reach, total, np.inf), out=best)
         end = int(best.argmin())
         demonstration = int(np.searchsorted(self._ends, end, side="right")) - 1
-        return Place(demonstration, int(self._frame[end]), float(best[end]) / self._settings.length)
+        return Place(demonstration, int(self._frame[end]), float(best[end]) / len(rows))
 
     def _contrast(self, query: NDArray[np.float32]) -> NDArray[np.float32]:
         """Local contrast enhancement of one frame against all templates, within each demonstration."""

@@ -20,6 +20,8 @@ from services.commands.evaluation.report.summary import (
 )
 
 _CERTAIN: Final = 0.05
+#: Frames from which on a sequence is a long one.
+_LONG: Final = 20
 
 
 @dataclass(frozen=True)
@@ -111,7 +113,7 @@ def _said(verdict: str) -> str:
 
 
 def long_sequences(world: str, found: Sequence[Success]) -> list[Comparison]:
-    """Say for every scheme and degradation whether the longest sequences succeed as often as the best length."""
+    """Compare, for every scheme and degradation, the longest sequences with the best of the short ones."""
     said = []
     for controller, degradation in dict.fromkeys((one.controller, one.degradation) for one in found):
         if controller in PEERS:
@@ -120,17 +122,22 @@ def long_sequences(world: str, found: Sequence[Success]) -> list[Comparison]:
             (one for one in found if (one.controller, one.degradation) == (controller, degradation)),
             key=lambda one: one.length,
         )
-        long = [one for one in each if one.length >= 20]
-        if not long or len(each) == len(long):
+        short, long = ([one for one in each if (one.length >= _LONG) == is_long] for is_long in (False, True))
+        if not short or not long:
             continue
-        best = max(each, key=lambda one: one.rate)
-        as_good = all(one.rate >= best.rate for one in long)
+        best = max(short, key=lambda one: one.rate)
         counts = ", ".join(f"{one.found} of {one.runs} at l = {one.length}" for one in each)
-        if not best.found:
-            end = "no length finds the victim"
-        elif as_good:
-            end = "long sequences are as good as the best"
-        else:
-            end = f"long sequences lose against l = {best.length}"
-        said.append(Comparison(world, "counts", f"lengths, {controller}, {degradation}: {counts}; {end}"))
+        text = f"lengths, {controller}, {degradation}: {counts}; {_long_against_short(long, best)}"
+        said.append(Comparison(world, "counts", text))
     return said
+
+
+def _long_against_short(long: Sequence[Success], best: Success) -> str:
+    if not any(one.found for one in (*long, best)):
+        return "no length finds the victim"
+    losing = [one.length for one in long if _sign_test(one, best)[0] == "behind"]
+    if losing:
+        return f"l = {', '.join(map(str, losing))} lose against l = {best.length}"
+    if all(one.rate >= best.rate for one in long):
+        return "long sequences are as good as the best short one"
+    return f"long sequences find it less often than l = {best.length}, which may be chance"

@@ -35,6 +35,7 @@ def _recognised_json(one: Recognised, criterion: str) -> dict[str, Any]:
         "findable": int(one.judgement.findable.sum()),
         "auc": curve.auc,
         "auc_95": list(one.auc_95),
+        "auc_from_start": one.auc_from_start,
         "recall_at_100_precision": curve.recall_at_100_precision,
         "recall_at_100_precision_95": list(one.recall_95),
         "novelty_test": None if one.operating is None else {"recall": one.operating[0], "precision": one.operating[1]},

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 
 from services.commands import html
-from services.commands.evaluation.report import figures
+from services.commands.evaluation.report import recognition_figures as figures
 from services.commands.evaluation.report.embedding import EmbeddedFigures
 from services.commands.evaluation.report.summary import Results
 

@@ -8,7 +8,7 @@ from html import escape
 from services.commands import html
 from services.commands.evaluation.degradation import degradation_named
 from services.commands.evaluation.plan import JUDGED_TICKS, WorldPlan
-from services.commands.evaluation.report import figures
+from services.commands.evaluation.report import recognition_figures as figures
 from services.commands.evaluation.report.embedding import EmbeddedFigures
 from services.commands.evaluation.report.summary import Recognised, Results
 
@@ -22,14 +22,13 @@ def recognition_section(found: Results, put: EmbeddedFigures) -> Iterator[str]:
         f"precision-recall-{name}",
         figures.precision_recall(found.recognised[0], f"State recognition, {name}"),
         f"Precision over recall as the score's threshold falls, {_figure_of_the_paper(name)}. A cross is where SMAL's "
-        "own novelty test works. Closer to the top right is better.",
+        "own novelty test works, for whole windows. Closer to the top right is better.",
     )
     yield put(
         f"precision-recall-lengths-{name}",
         figures.precision_recall_by_length(found.recognised[0], f"Sequence lengths, {name}"),
         "The same for SMAL with sequences of l frames (the paper's figure of precision-recall curves in its parameter "
-        "analysis). Frames before the first whole window have no answer, so that long sequences cannot reach full "
-        "recall.",
+        "analysis).",
     )
     yield put(
         f"area-lengths-{name}",
@@ -52,7 +51,11 @@ def _criterion(world: WorldPlan) -> str:
         "for each frame, whether or not the novelty test lets it pass; for the nearest frames the negative distance, "
         "for SeqSLAM the negative mean difference along its best trajectory. Recall counts all frames that have a "
         f"right answer among the demonstrations. Queries are one in {JUDGED_TICKS} frames of "
-        f"{world.queries} held-out drive{'' if world.queries == 1 else 's'}. Views: {views}.</p>"
+        f"{world.queries} held-out drive{'' if world.queries == 1 else 's'}, the same for all methods: those from "
+        f"frame {world.first_judged_tick} of a drive on, from which every method has a whole window. The last column "
+        "is the area with the frames before, which cost a method of l frames its first l - 1 answers. Recall at 100 % "
+        "precision is decided by the surest wrong answer alone, which a third of the bootstrap's draws lack: its "
+        f"interval covers less than 95 %. Views: {views}.</p>"
     )
 
 
@@ -72,11 +75,12 @@ def _table(found: Sequence[Recognised]) -> str:
             _interval(one.recall_95),
             "-" if one.operating is None else f"{one.operating[1]:.3f} at {one.operating[0]:.3f}",
             f"{int(one.judgement.findable.sum())} of {one.judgement.score.size}",
+            f"{one.auc_from_start:.3f}",
         ]
         for one in found
     ]
     head = ["method", "view", "area", "95 %", "recall at 100 % precision", "95 %", "novelty test: precision at recall",
-            "frames with a right answer"]  # fmt: skip
+            "frames with a right answer", "area from the start"]  # fmt: skip
     return html.table(head, rows, left=2)
 
 

@@ -6,14 +6,14 @@ from collections.abc import Iterator, Sequence
 
 from services.commands import html
 from services.commands.evaluation.plan import DEFAULT_LENGTH, SCHEMES
-from services.commands.evaluation.report import figures
+from services.commands.evaluation.report import search_figures as figures
 from services.commands.evaluation.report.embedding import EmbeddedFigures
 from services.commands.evaluation.report.summary import Results, Success, controller_name
 from services.commands.evaluation.results import ResultStore
 from services.commands.evaluation.search_experiment import read_route, route_file
 
 
-def search_section(found: Results, store: ResultStore, put: EmbeddedFigures) -> Iterator[str]:
+def search_section(found: Results, max_ticks: int, store: ResultStore, put: EmbeddedFigures) -> Iterator[str]:
     """Write it as HTML, piece by piece."""
     name = found.world.world
     yield "<h3>Finding the victim</h3>"
@@ -28,9 +28,16 @@ def search_section(found: Results, store: ResultStore, put: EmbeddedFigures) -> 
     yield put(
         f"peers-{name}",
         figures.peers(found.successes, f"SMAL and its peers, {name}"),
-        "The same demonstrations, starts and damage for all. The single image has SMAL's features and decision making; "
+        "The same demonstrations, starts and damage for all. The single image has SMAL's features and decision making "
+        "(after an unknown view it repeats its last movement, for as long as SMAL goes on with its plan); "
         "SeqSLAM has SMAL's policy and another way to say where the robot is; the others imitate the expert without "
         f"states.{_about_cloning(found.successes)}",
+    )
+    yield put(
+        f"time-{name}",
+        figures.found_over_time(found.successes, max_ticks, f"Until the victim is found, {name}"),
+        f"The same searches over time. What has not found the victim after {max_ticks} frames, or has collided, never "
+        "rises; the table below says which.",
     )
     yield _table(found.successes)
     yield from _example(found, store, put)
@@ -39,10 +46,7 @@ def search_section(found: Results, store: ResultStore, put: EmbeddedFigures) -> 
 def _about_cloning(found: Sequence[Success]) -> str:
     if any(one.controller == "cloning" for one in found):
         return ""
-    return (
-        " <b>Behaviour cloning was not run</b>: torch was not installed when this evaluation began "
-        "(pip install 'smal[cloning]')."
-    )
+    return " <b>Behaviour cloning was not run</b>: torch is not installed (pip install 'smal[cloning]')."
 
 
 def _table(found: Sequence[Success]) -> str:

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from services.commands.evaluation.plan import DEFAULT_LENGTH, PEERS, Recogniser, WorldPlan
+from services.commands.evaluation.plan import DEFAULT_LENGTH, JUDGED_TICKS, PEERS, Recogniser, WorldPlan
 from services.commands.evaluation.results import Finding
 from services.commands.evaluation.units import Unit
 from smal.evaluation.ground_truth import Judgement
@@ -30,9 +30,11 @@ class Recognised:
     recogniser, degradation
         Who, and what it saw.
     judgement
-        Of all held-out drives, one after another.
+        Of all held-out drives, one after another, from the frame on at which every method has a whole window.
     curve, auc_95, recall_95
         Precision over recall; 95 % intervals of its area and of its recall at 100 % precision.
+    auc_from_start
+        The area over all judged frames, with those before the first whole window.
     areas
         The areas of the bootstrap's draws, which are paired between methods.
     operating
@@ -44,6 +46,7 @@ class Recognised:
     judgement: Judgement
     curve: PrecisionRecall
     auc_95: tuple[float, float]
+    auc_from_start: float
     recall_95: tuple[float, float]
     areas: NDArray[np.float64]
     operating: tuple[float, float] | None
@@ -143,18 +146,22 @@ def recognised(world: WorldPlan, units: Sequence[Unit], findings: Findings, crit
                 == (world.world, recogniser.name, recogniser.length, degradation)
             ]
             if parts:
-                found.append(_recognised(recogniser, degradation, parts, criterion))
+                found.append(_recognised(world, recogniser, degradation, parts, criterion))
     return found
 
 
-def _recognised(recogniser: Recogniser, degradation: str, parts: list[Finding], criterion: int) -> Recognised:
-    judgement = _joined(parts, criterion)
+def _recognised(
+    world: WorldPlan, recogniser: Recogniser, degradation: str, parts: list[Finding], criterion: int
+) -> Recognised:
+    whole = _joined(parts, criterion)
+    late = np.concatenate([_ticks(len(part["score"])) >= world.first_judged_tick for part in parts])
+    judgement = _of(whole, late)
     curve = PrecisionRecall.of(judgement)
-    draws = bootstrap(judgement, block_of(judgement))
+    draws = bootstrap(judgement, block_of(world, judgement))
     intervals = intervals_of(draws)
     operating = None
     if recogniser.name == "smal":
-        known = _all(parts, "known").astype(bool)
+        known = _all(parts, "known").astype(bool)[late]
         right = int((judgement.right & known).sum())
         if known.any():
             operating = (right / int(judgement.findable.sum()), right / int(known.sum()))
@@ -164,6 +171,7 @@ def _recognised(recogniser: Recogniser, degradation: str, parts: list[Finding], 
         judgement,
         curve,
         intervals.auc,
+        PrecisionRecall.of(whole).auc,
         intervals.recall_at_100_precision,
         draws[:, 0],
         operating,
@@ -178,13 +186,22 @@ def _joined(parts: list[Finding], criterion: int) -> Judgement:
     return Judgement(score, answered, right, np.ones(score.size, dtype=np.bool_), findable)
 
 
+def _ticks(queries: int) -> NDArray[np.int64]:
+    """Return at which frames of its drive the queries were judged."""
+    return JUDGED_TICKS * (np.arange(queries) + 1) - 1
+
+
+def _of(whole: Judgement, queries: NDArray[np.bool_]) -> Judgement:
+    return Judgement(*(getattr(whole, each.name)[queries] for each in fields(whole)))
+
+
 def _all(parts: list[Finding], name: str) -> NDArray[Any]:
     return np.concatenate([np.array(part[name]) for part in parts])
 
 
-def block_of(judgement: Judgement) -> int:
+def block_of(world: WorldPlan, judgement: Judgement) -> int:
     """Return how many successive queries the bootstrap keeps together: the same for all methods, to pair them."""
-    return block_length(judgement.score.size, 40)
+    return block_length(judgement.score.size, -(-(world.first_judged_tick + 1) // JUDGED_TICKS))
 
 
 def successes(world: WorldPlan, units: Sequence[Unit], findings: Findings) -> list[Success]:
@@ -194,6 +211,10 @@ def successes(world: WorldPlan, units: Sequence[Unit], findings: Findings) -> li
         if unit.kind == "search" and unit.world == world.world:
             key = (unit.text("controller"), unit.number("length"), unit.text("degradation"))
             groups.setdefault(key, []).append(unit)
+    for degradation in world.searched.get("overlapping", ()):
+        if ("paper", 1, degradation) in groups:
+            # One run stands for both: with l = 1 a decision every l frames is one at every frame.
+            groups["overlapping", 1, degradation] = groups["paper", 1, degradation]
     return [
         Success(
             *key,

@@ -8,7 +8,7 @@ from typing import Any
 import cv2
 import numpy as np
 
-from services.commands.evaluation.plan import Criterion, Plan, WorldPlan
+from services.commands.evaluation.plan import JUDGED_TICKS, Criterion, Plan, WorldPlan
 from services.commands.evaluation.results import ResultStore
 from services.commands.evaluation.search_experiment import route_file
 from services.commands.evaluation.units import Unit, units
@@ -65,7 +65,8 @@ def finding(unit: Unit) -> dict[str, Any]:
 
 def recognition(unit: Unit) -> dict[str, Any]:
     """Every third answer of a single image is wrong where frames are occluded; all others are right."""
-    answered = np.arange(QUERIES) >= unit.number("length") - 1
+    ticks = JUDGED_TICKS * (np.arange(QUERIES) + 1) - 1
+    answered = ticks >= unit.number("length") - 1
     wrong = np.zeros(QUERIES, dtype=bool)
     if unit.number("length") == 1 and unit.text("degradation") == "occluded":
         wrong[::3] = True

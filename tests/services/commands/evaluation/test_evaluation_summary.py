@@ -17,19 +17,31 @@ from tests.services.commands.evaluation.evaluated import QUERIES, SMALL, finishe
 def test_areas_and_operating_points(tmp_path: Path) -> None:
     planned, store = finished(tmp_path)
     found = {(one.recogniser.key, one.degradation): one for one in recognised(WORLD, planned, store.findings)}
-    assert len(found) == 2 * 6
+    assert len(found) == 2 * 8
     ours = found["smal-5", "occluded"]
-    # All answers are right, and 4 of 60 frames have none.
-    assert ours.curve.auc == pytest.approx(56 / QUERIES)
-    assert ours.auc_95[0] < ours.curve.auc <= ours.auc_95[1]
-    assert ours.operating == (pytest.approx(56 / QUERIES), 1.0)
+    # All answers are right, and the first frame, which no window precedes, has none.
+    assert ours.curve.auc == pytest.approx(1.0)
+    assert ours.auc_from_start == pytest.approx(1 - 1 / QUERIES)
+    assert ours.operating == (1.0, 1.0)
     single = found["smal-1", "occluded"]
-    # The 40 right answers are the surest ones.
-    assert single.curve.auc == pytest.approx(40 / QUERIES)
-    assert single.curve.recall_at_100_precision == pytest.approx(40 / QUERIES)
+    # All are judged on the same frames: 51, from the first whole window of the longest sequence (frame 39) on. The 34
+    # right answers are the surest ones.
+    assert {one.judgement.score.size for one in found.values()} == {51}
+    assert single.curve.auc == pytest.approx(34 / 51)
+    assert single.curve.recall_at_100_precision == pytest.approx(34 / 51)
+    assert single.auc_95[0] < single.curve.auc < single.auc_95[1]
     assert found["seqslam-10", "clean"].operating is None
     assert single.name == "single image (l = 1)"
     assert found["nearest-1", "clean"].recogniser == Recogniser("nearest", 1)
+
+
+def test_one_run_stands_for_two_schemes_that_are_the_same(tmp_path: Path) -> None:
+    planned, store = finished(tmp_path)
+    found = successes(WORLD, planned, store.findings)
+    paper, overlapping = (success_of(found, scheme, 1, "clean") for scheme in ("paper", "overlapping"))
+    assert paper is not None
+    assert overlapping is not None
+    assert (overlapping.outcomes, overlapping.ticks) == (paper.outcomes, paper.ticks)
 
 
 def test_counts_of_searches(tmp_path: Path) -> None:

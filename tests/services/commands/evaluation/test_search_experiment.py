@@ -11,13 +11,21 @@ import pytest
 from services.commands.evaluation import search_experiment
 from services.commands.evaluation.demonstrations import Drive, demonstrate
 from services.commands.evaluation.plan import PEERS, SCHEMES
-from services.commands.evaluation.search_experiment import WAY_TICKS, Drivers, read_route, route_file, run_search
+from services.commands.evaluation.search_experiment import (
+    CLONES,
+    WAY_TICKS,
+    Drivers,
+    read_route,
+    route_file,
+    run_search,
+)
 from services.commands.evaluation.workplace import Workplace
 from services.simulator.sensors import Tilt
 from services.simulator.simulation import Simulation
 from services.simulator.world import load_world
 from services.simulator.world.place import Pose
 from smal.action_space import Atom
+from smal.evaluation.baselines.behaviour_cloning import CloningSettings
 from smal.features import FeatureSettings
 from smal.learning import LearningSettings, learn
 from smal.model import Model
@@ -70,7 +78,8 @@ def place(simulation: Simulation, drives: tuple[Drive, ...], model: Model, tmp_p
 def test_whoever_drives_the_finding_is_numbers(
     controller: str, place: Workplace, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def clone(images: list[np.ndarray], atoms: list[np.ndarray]) -> tuple[Forward, None]:
+    def clone(images: list[np.ndarray], atoms: list[np.ndarray], settings: CloningSettings) -> tuple[Forward, None]:
+        assert settings.seed == 3 % CLONES
         assert [len(each) for each in images] == [len(each) for each in atoms]
         return Forward(), None
 
