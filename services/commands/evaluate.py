@@ -26,7 +26,7 @@ def evaluate(
 
     OUT/index.html shows everything and needs nothing beside it; the figures lie in OUT/figures, the numbers in
     OUT/results.json. The whole evaluation takes hours. It can be interrupted at any time: the same command
-    goes on where it was. Behaviour cloning needs torch (pip install 'smal[cloning]').
+    goes on where it was. Behaviour cloning needs torch (pip install -e '.[cloning]').
 
     Example: smal evaluate --out evaluation --quick
     """

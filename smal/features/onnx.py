@@ -112,7 +112,7 @@ def _session(file: str, data: bytes) -> "InferenceSession":
         import onnxruntime  # noqa: PLC0415 - an extra
     except ImportError as error:
         raise ValueError(
-            f"{PREFIX}{file}: needs the package onnxruntime, which is not installed: pip install 'smal[onnx]'"
+            f"{PREFIX}{file}: needs the package onnxruntime, which is not installed: pip install -e '.[onnx]'"
         ) from error
     options = onnxruntime.SessionOptions()
     options.intra_op_num_threads = options.inter_op_num_threads = 1

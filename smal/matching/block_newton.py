@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from smal.compiled import compiled
-from smal.matching.block_problem import BlockProblem, Primal, dots, measure, objective, smoothed, smoothing_for
+from smal.matching.block_problem import BlockProblem, Primal, dots, measure, smoothed, smoothed_objective, smoothing_for
 from smal.matching.certificate import cheap_polar_bound, polar_bound
 from smal.matching.newton_direction import System, newton_direction
 
@@ -50,12 +50,13 @@ class BlockSolution:
     ----------
     weights : float64 array (p, q)
         W.
-    query_shares : float64 array (q,)
-        alpha in the dual point Theta = Y diag(alpha) - X B, whose columns are in the unit ball.
-    dual_weights : float64 array (p, q)
-        B in the dual point.
-    rows, columns : float64 arrays (p, q)
-        U and V. U is the guess that lets `certificate.polar_bound` certify the sequences that were solved for.
+    alpha : float64 array (q,)
+        In the dual point Theta = Y diag(alpha) - X B, whose columns are in the unit ball.
+    B : float64 array (p, q)
+        In the dual point.
+    U, V : float64 arrays (p, q)
+        Subgradients of the norms of rows and of columns of blocks. U is the guess that lets
+        `certificate.polar_bound` certify the sequences that were solved for.
     gap : float
         Relative duality gap of the restricted problem.
     epsilon : float
@@ -65,10 +66,10 @@ class BlockSolution:
     """
 
     weights: Array
-    query_shares: Array
-    dual_weights: Array
-    rows: Array
-    columns: Array
+    alpha: Array
+    B: Array
+    U: Array
+    V: Array
     gap: float
     epsilon: float
     steps: int
@@ -114,7 +115,7 @@ def _largest_polar(problem: BlockProblem, dual: _Dual) -> float:
 @compiled
 def _relative_gap(problem: BlockProblem, primal: Primal, dual: _Dual) -> float:
     value = (dual.alpha * problem.squares).sum() - dots(problem.correlations, dual.B).sum()
-    gap: float = 1.0 - value / _largest_polar(problem, dual) / objective(problem, primal, 0.0)
+    gap: float = 1.0 - value / _largest_polar(problem, dual) / smoothed_objective(problem, primal, 0.0)
     return gap
 
 
@@ -126,15 +127,17 @@ def _newton_system(problem: BlockProblem, primal: Primal, dual: _Dual, epsilon: 
     gradients = problem.correlations - primal.products
     # <theta_i, r_i> / d_i, at most 1: how far the curvature of a residual norm is that of a cone.
     radial = dual.alpha * (problem.squares - dots(problem.correlations, W)) - dots(dual.B, gradients)
-    residual_edges = gradients * np.sqrt(np.maximum(radial, 0.0) / primal.residuals) / d
+    residual_edges = gradients * np.sqrt(np.maximum(radial, 0.0) / primal.squared_residuals) / d
     diagonal, descent = np.empty_like(W), np.empty_like(W)
     row_edges, column_edges, preconditioner = np.empty_like(W), np.empty_like(W), np.empty_like(W)
     for j in range(problem.starts.size - 1):
         start, end = problem.starts[j], problem.starts[j + 1]
         along = np.maximum(dots(dual.V[start:end], W[start:end]), 0.0)
-        column_scale = np.sqrt(problem.lambda2 * along / np.maximum(primal.columns[j], _TINY)) / f[j]
+        column_scale = np.sqrt(problem.lambda2 * along / np.maximum(primal.squared_columns[j], _TINY)) / f[j]
         for r in range(start, end):
-            row_scale = np.sqrt(problem.lambda1 * max(np.dot(dual.U[r], W[r]), 0.0) / max(primal.rows[r], _TINY)) / e[r]
+            row_scale = (
+                np.sqrt(problem.lambda1 * max(np.dot(dual.U[r], W[r]), 0.0) / max(primal.squared_rows[r], _TINY)) / e[r]
+            )
             for i in range(W.shape[1]):
                 penalty = problem.lambda1 / e[r] + problem.lambda2 / f[j, i]
                 descent[r, i] = gradients[r, i] / d[i] - penalty * W[r, i]
@@ -151,11 +154,11 @@ def _line_search(
     problem: BlockProblem, primal: Primal, direction: Array, products: Array, slope: float, epsilon: float
 ) -> tuple[Primal, float]:
     """Halve the step until the smoothed objective falls enough (Armijo)."""
-    ceiling = objective(problem, primal, epsilon) * (1.0 + 1e-14)
+    ceiling = smoothed_objective(problem, primal, epsilon) * (1.0 + 1e-14)
     step = 1.0
     while True:
         moved = measure(problem, primal.W + step * direction, primal.products + step * products)
-        if objective(problem, moved, epsilon) <= ceiling + _ARMIJO * step * slope or step < _SHORTEST_STEP:
+        if smoothed_objective(problem, moved, epsilon) <= ceiling + _ARMIJO * step * slope or step < _SHORTEST_STEP:
             return moved, step
         step *= 0.5
 
@@ -213,7 +216,7 @@ def _minimise(
             best, best_primal, best_dual = gap, primal, dual
         accuracy = _INEXACT if gap < _ENOUGH_PROGRESS * before else max(0.1 * accuracy, _ACCURATE)
         # A larger gap says that Newton's method has not yet caught up with epsilon.
-        wanted = smoothing_for(problem, gap * objective(problem, primal, 0.0))
+        wanted = smoothing_for(problem, gap * smoothed_objective(problem, primal, 0.0))
         epsilon = max(min(max(wanted, _FASTEST * epsilon), epsilon), _LAST_EPSILON)
         steps += 1
     W[:], alpha[:], B[:] = best_primal.W, best_dual.alpha, best_dual.B

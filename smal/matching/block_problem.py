@@ -43,9 +43,9 @@ class Primal(NamedTuple):
 
     W: Array
     products: Array
-    residuals: Array
-    rows: Array
-    columns: Array
+    squared_residuals: Array
+    squared_rows: Array
+    squared_columns: Array
 
 
 @compiled
@@ -78,11 +78,15 @@ def measure(problem: BlockProblem, W: Array, products: Array) -> Primal:
 def smoothed(primal: Primal, epsilon: float) -> tuple[Array, Array, Array]:
     """Return the norms of residuals (q,), rows (p,) and columns of blocks (b, q), smoothed by epsilon."""
     square = epsilon * epsilon
-    return np.sqrt(primal.residuals + square), np.sqrt(primal.rows + square), np.sqrt(primal.columns + square)
+    return (
+        np.sqrt(primal.squared_residuals + square),
+        np.sqrt(primal.squared_rows + square),
+        np.sqrt(primal.squared_columns + square),
+    )
 
 
 @compiled
-def objective(problem: BlockProblem, primal: Primal, epsilon: float) -> float:
+def smoothed_objective(problem: BlockProblem, primal: Primal, epsilon: float) -> float:
     """Eq. 7, every norm smoothed by epsilon."""
     d, e, f = smoothed(primal, epsilon)
     value: float = d.sum() + problem.lambda1 * e.sum() + problem.lambda2 * f.sum()
@@ -101,7 +105,7 @@ def smoothing_for(problem: BlockProblem, excess: float) -> float:
 @compiled
 def block_objective(problem: BlockProblem, weights: Array) -> float:
     """Eq. 7 at the weights (p, q)."""
-    return objective(problem, measure(problem, weights, np.dot(problem.gram, weights)), 0.0)
+    return smoothed_objective(problem, measure(problem, weights, np.dot(problem.gram, weights)), 0.0)
 
 
 def residual_norms(problem: BlockProblem, weights: Array) -> Array:

@@ -85,13 +85,13 @@ class _Restriction:
 
     def dual_point(self, inner: BlockSolution) -> DualPoint:
         """Theta in terms of actual, not scaled, frames."""
-        shares, weights = inner.query_shares / self.query_scale, inner.dual_weights / self.template_scale
-        return DualPoint(shares, self.columns, weights, inner.rows)
+        shares, weights = inner.alpha / self.query_scale, inner.B / self.template_scale
+        return DualPoint(shares, self.columns, weights, inner.U)
 
     def dual_value(self, inner: BlockSolution) -> float:
         """<Theta, Y>."""
-        value = (inner.query_shares * self.problem.squares).sum()
-        return float(value - (self.problem.correlations * inner.dual_weights).sum()) * self.query_scale
+        value = (inner.alpha * self.problem.squares).sum()
+        return float(value - (self.problem.correlations * inner.B).sum()) * self.query_scale
 
     def objective(self, weights: Array) -> float:
         """Eq. 7 at scaled weights."""
@@ -171,13 +171,13 @@ class _Search:
     def grow(self, lacking: Columns, violations: Violations) -> None:
         """Add frames, drop those without weight, and smooth as much as the violations ask for."""
         inner = self.inner
-        alive = np.linalg.norm(inner.rows, axis=1) >= _ALIVE
+        alive = np.linalg.norm(inner.U, axis=1) >= _ALIVE
         self.kept = np.union1d(self.kept, np.intersect1d(lacking, self.dropped))
         stay = self.columns[alive | np.isin(self.columns, self.kept)]
         self.dropped = np.union1d(self.dropped, np.setdiff1d(self.columns, stay))
         excess = 1.0 - 1.0 / violations.polars.max(initial=1.0)
         epsilon, weights = self.part.epsilon_for(excess, inner), inner.weights * self.part.weight_scale
-        self.start = _Start(self.columns, weights, inner.rows, inner.columns, epsilon)
+        self.start = _Start(self.columns, weights, inner.U, inner.V, epsilon)
         self.columns = np.union1d(stay, lacking)
 
 

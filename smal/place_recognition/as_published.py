@@ -11,14 +11,18 @@ from numpy.typing import NDArray
 
 from smal.alignment import matched_phase
 from smal.matching.streaming import StreamingMatcher
-from smal.place_recognition.matches import Matches, Progress, check_features
+from smal.place_recognition.matches import Matches, Progress, check_features, ignore
 
 #: a in lambda1 = lambda2 = a sqrt(l), as in learning.
 LAMBDA_SCALE: Final = 0.1
 
 
 def match_as_in_the_paper(
-    references: NDArray[np.float32], queries: NDArray[np.float32], length: int, lambda_scale: float, progress: Progress
+    references: NDArray[np.float32],
+    queries: NDArray[np.float32],
+    length: int,
+    lambda_scale: float,
+    progress: Progress = ignore,
 ) -> Matches:
     """Match the l frames that end with each query by Eq. 7, with lambda1 = lambda2 = a sqrt(l).
 

@@ -9,6 +9,12 @@ from numpy.typing import NDArray
 
 #: Called with the number of queries that are done.
 Progress = Callable[[int], None]
+
+
+def ignore(_done: int) -> None:
+    """Take notice of no progress."""
+
+
 #: Stands for no reference frame in `Matches.reference`.
 NONE = -1
 

@@ -7,12 +7,15 @@ and the reference sequence with the largest sum is the match. There is no optimi
 import numpy as np
 from numpy.typing import NDArray
 
-from smal.place_recognition.matches import Matches, Progress, check_features
+from smal.place_recognition.matches import Matches, Progress, check_features, ignore
 from smal.place_recognition.trajectories import rolling, sums_along
 
 
 def match_nearest_sequence(
-    references: NDArray[np.float32], queries: NDArray[np.float32], length: int, progress: Progress
+    references: NDArray[np.float32],
+    queries: NDArray[np.float32],
+    length: int,
+    progress: Progress = ignore,
 ) -> Matches:
     """Match each query with the end of the reference sequence that has the largest mean product.
 

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from smal.compiled import compiled
-from smal.place_recognition.matches import Matches, Progress, check_features
+from smal.place_recognition.matches import Matches, Progress, check_features, ignore
 from smal.place_recognition.trajectories import rolling, steps_back, sums_along
 
 _MOST_VELOCITIES = 1000
@@ -81,7 +81,10 @@ class SeqSlamSettings:
 
 
 def match_seqslam(
-    references: NDArray[np.float32], queries: NDArray[np.float32], settings: SeqSlamSettings, progress: Progress
+    references: NDArray[np.float32],
+    queries: NDArray[np.float32],
+    settings: SeqSlamSettings,
+    progress: Progress = ignore,
 ) -> Matches:
     """Match each query with the end of the straight trajectory that differs least from it and its predecessors.
 

@@ -10,7 +10,7 @@ from typing import Final, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from smal.place_recognition.matches import Matches, Progress, check_features
+from smal.place_recognition.matches import Matches, Progress, check_features, ignore
 from smal.place_recognition.ordered_matching import OrderedSolution, solve_ordered
 from smal.place_recognition.speed import local_speeds
 from smal.place_recognition.stops import first_frames, recent_of_gram, recent_products, windows
@@ -93,7 +93,10 @@ class TraverseProducts:
 
 
 def match_traverses(
-    references: NDArray[np.float32], queries: NDArray[np.float32], settings: OrderedSettings, progress: Progress
+    references: NDArray[np.float32],
+    queries: NDArray[np.float32],
+    settings: OrderedSettings,
+    progress: Progress = ignore,
 ) -> Matches:
     """Match every query with a reference.
 

@@ -174,7 +174,7 @@ def test_without_onnxruntime_the_line_says_what_to_install(tmp_path: Path, monke
     monkeypatch.setitem(sys.modules, "onnxruntime", None)
     line = refusal(name)
     assert line.startswith(f"{name}: needs the package onnxruntime")
-    assert line.endswith("pip install 'smal[onnx]'")
+    assert line.endswith("pip install -e '.[onnx]'")
     # The refusal is not remembered once it is installed.
     monkeypatch.undo()
     assert modality_named(name).size == 4

@@ -207,7 +207,7 @@ class Plan:
 
 _INDOOR: Final = (Criterion(0.35, 25.0), Criterion(0.2, 15.0))
 _CAMPUS: Final = (Criterion(3.0, 25.0), Criterion(1.5, 15.0))
-_LENGTHS: Final = (1, 2, 5, 10, 20, 40)
+_LENGTHS: Final = (1, 5, 10, 20, 40)
 #: All that a camera suffers at once: hidden frames, noise, shake.
 _BOTH: Final = ("clean", "poor")
 
@@ -235,7 +235,7 @@ QUICK: Final = Plan(
     ),
     max_ticks=800,
     omitted=(
-        "lengths of 2, 10 and 40 frames",
+        "lengths of 10 and 40 frames",
         "searches on the campus",
         "overlapping windows with a clear view",
         "most of the runs (3 instead of 10) and of the drives, so that intervals are wide",

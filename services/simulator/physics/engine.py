@@ -42,7 +42,7 @@ def load() -> Any:  # noqa: ANN401 - sapien has no types
         import sapien  # noqa: PLC0415
     except (ImportError, OSError) as error:
         raise PhysicsUnavailableError(
-            f"the physics engine cannot be loaded ({error}); pip install smal[simulator]"
+            f"the physics engine cannot be loaded ({error}); pip install -e '.[simulator]'"
         ) from error
     return sapien
 

@@ -53,7 +53,7 @@ def load_sapien() -> Any:  # noqa: ANN401 - sapien has no types
         import sapien.render  # noqa: PLC0415
     except (ImportError, OSError) as error:
         raise RenderingUnavailableError(
-            f"the renderer cannot be loaded ({error}); pip install smal[simulator]"
+            f"the renderer cannot be loaded ({error}); pip install -e '.[simulator]'"
         ) from error
     return sapien
 

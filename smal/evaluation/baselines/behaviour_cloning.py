@@ -1,6 +1,6 @@
 """Behaviour cloning: a small convolutional network that learns which key the expert holds, from one image.
 
-Needs torch, which is no part of the package: ``pip install 'smal[cloning]'``.
+Needs torch, which is no part of the package: ``pip install -e '.[cloning]'``.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -92,7 +92,7 @@ def load_torch() -> ModuleType:
         import torch  # noqa: PLC0415 - an extra, and seconds to import
     except ImportError:
         raise CloningUnavailableError(
-            "behaviour cloning needs torch, which is not installed: pip install 'smal[cloning]'"
+            "behaviour cloning needs torch, which is not installed: pip install -e '.[cloning]'"
         ) from None
     module: ModuleType = torch
     return module

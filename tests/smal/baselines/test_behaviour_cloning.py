@@ -62,7 +62,7 @@ def test_it_stops_when_there_is_nothing_more_to_learn() -> None:
 
 def test_without_torch_it_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "torch", None)
-    with pytest.raises(CloningUnavailableError, match=r"needs torch.*pip install 'smal\[cloning\]'"):
+    with pytest.raises(CloningUnavailableError, match=r"needs torch.*pip install -e '.\[cloning\]'"):
         load_torch()
     with pytest.raises(CloningUnavailableError):
         clone(*drives(2, 1))

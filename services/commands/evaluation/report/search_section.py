@@ -46,7 +46,7 @@ def search_section(found: Results, max_ticks: int, store: ResultStore, put: Embe
 def _about_cloning(found: Sequence[Success]) -> str:
     if any(one.controller == "cloning" for one in found):
         return ""
-    return " <b>Behaviour cloning was not run</b>: torch is not installed (pip install 'smal[cloning]')."
+    return " <b>Behaviour cloning was not run</b>: torch is not installed (pip install -e '.[cloning]')."
 
 
 def _table(found: Sequence[Success]) -> str:

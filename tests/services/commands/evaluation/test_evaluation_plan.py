@@ -31,7 +31,7 @@ def test_the_full_plan_is_that_of_the_paper_and_more() -> None:
         for degradation in ("clean", "poor"):
             for scheme in ("paper", "overlapping", "smal"):
                 # With l = 1 the paper's scheme and overlapping windows are the same, and run once.
-                for length in (2, 5, 10, 20, 40) if scheme == "overlapping" else (1, 2, 5, 10, 20, 40):
+                for length in (5, 10, 20, 40) if scheme == "overlapping" else (1, 5, 10, 20, 40):
                     assert each[world, scheme, length, degradation] >= 10
             for peer in ("nearest-1", "nearest-5", "seqslam", "cloning"):
                 assert each[world, peer, 5, degradation] >= 10
