@@ -142,9 +142,8 @@ class DemonstratedOrder:
         self,
         states: Sequence[int],
         phases: Sequence[float],
-        frames: int,
+        weights: NDArray[np.float64],
         correlate: Correlate,
-        recency_ticks: float = RECENCY_TICKS,
     ) -> Alignment:
         """Find the phases at which the last frames, in order, resemble what was demonstrated most.
 
@@ -153,12 +152,10 @@ class DemonstratedOrder:
         states : sequence of int (k,)
         phases : sequence of float (k,)
             About where the query's last frame is in each (`smal.alignment.phase`).
-        frames : int
-            q, frames of the query.
+        weights : float64 array (q,)
+            How much each frame of the query counts, not negative (`recency`); 0 for a hidden one.
         correlate : callable
             See `Correlate`.
-        recency_ticks : float
-            See `recency`.
 
         Returns
         -------
@@ -170,11 +167,11 @@ class DemonstratedOrder:
         firsts = np.array([self._first[state] for state in states], dtype=np.intp)
         ends = firsts[:, None] + rough[:, None] + _STEPS
         # Whatever lies outside falls into the gaps at both ends.
-        inside = np.clip(ends[..., None] - np.arange(frames)[::-1], 0, self._columns.size - 1)
+        inside = np.clip(ends[..., None] - np.arange(weights.size)[::-1], 0, self._columns.size - 1)
         columns = self._columns[inside]
         shown = columns >= 0
-        weights = recency(frames, recency_ticks) * shown
-        similarity = (weights * correlate(columns)).sum(axis=-1) / np.maximum(weights.sum(axis=-1), 1e-300)
+        counted = weights * shown
+        similarity = (counted * correlate(columns)).sum(axis=-1) / np.maximum(counted.sum(axis=-1), 1e-300)
         possible = shown[..., -1]
         similarity = np.where(possible, similarity, -np.inf)
         found = rough + _STEPS[similarity.argmax(axis=1)]
@@ -213,7 +210,8 @@ def aligned_phases(
         for number, (state, sequence) in enumerate(zip(stream.tolist(), sequences, strict=True)):
             if state in made:
                 correlate = partial(_correlate, templates, sequence)
-                found[number] = order.align([state], [float(ends[number])], sequence_length, correlate).phases[0]
+                weights = recency(sequence_length, RECENCY_TICKS)
+                found[number] = order.align([state], [float(ends[number])], weights, correlate).phases[0]
             made.add(state)
         aligned.append(found)
     return tuple(aligned)

@@ -25,14 +25,14 @@ from numpy.typing import NDArray
 
 from smal.action_space import Atom
 from smal.model import Model
-from smal.recognition import Candidate, Recognition
+from smal.recognition import HIDDEN_TICKS, Candidate, Recognition
 from smal.sequences import last_frames
 
 _TIE = 1e-9
 
 #: Frames for which the robot may continue its last plan while the state is unknown: at 0.1 s each about as long as
 #: something in passing hides the view. A robot that turned at once would have to find its heading again each time.
-COAST_TICKS = 3
+COAST_TICKS = HIDDEN_TICKS
 #: Share of a view that may stay unexplained for a robot to stop looking around.
 SETTLED_RESIDUAL = 0.7
 

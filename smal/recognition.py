@@ -9,11 +9,13 @@ from numpy.typing import NDArray
 from smal.alignment import RECENCY_TICKS, DemonstratedOrder, matched_phase, phase, recency, relative_likelihood
 from smal.matching.streaming import StreamingMatcher, compile_ahead
 from smal.model import Model
-from smal.novelty import describe_match
+from smal.novelty import AgreementTest, describe_match
 from smal.state_matching import Solution
 
 # Lighter candidates hold a few hundredths of the weight together.
 MAX_CANDIDATES = 32
+#: Frames in a row for which the view may be hidden, by what passes, while what was seen before still tells the state.
+HIDDEN_TICKS = 3
 # A candidate with a smaller share of the belief has no say that anybody would notice.
 _NEGLIGIBLE = 1e-4
 
@@ -86,6 +88,9 @@ class Recognizer:
     has looked around, or has left the taught way for a moment, would otherwise have to drive l taught frames
     before it knows again where it is. The same where a frame was lost on the way, and fewer than l have come since.
 
+    The less templates explain of a frame, since something hides the view, the less it has to say in where the robot is;
+    and where the last `HIDDEN_TICKS` and one more are not explained at all, nothing is known.
+
     Parameters
     ----------
     model : Model
@@ -94,7 +99,7 @@ class Recognizer:
     recency_ticks : float
         See `smal.alignment.RECENCY_TICKS`, above 0; infinite for all frames of the window alike.
     shorten : bool
-        Whether shorter windows are tried; the paper's scheme does not.
+        Whether shorter windows are tried, and hidden frames are left out; the paper's scheme does neither.
 
     Raises
     ------
@@ -183,16 +188,18 @@ class Recognizer:
             duality_gap=solution.duality_gap,
             frames=frames,
         )
-        candidates = _candidates(solution, self._recency_ticks)
+        weights = recency(frames, self._recency_ticks) * self._explained(solution, window)
+        if not weights[-1 - HIDDEN_TICKS :].any():
+            return found
+        candidates = _candidates(solution, weights)
         # What resembles nothing but the opposite of something has no candidates.
         if match.state is None or not candidates or self._test.is_novel(match):
             return found
         where = self._demonstrated.align(
             [match.state, *(one.state for one in candidates)],
             [matched_phase(solution, match.state), *(one.phase for one in candidates)],
-            frames,
+            weights,
             self._matcher.correlations,
-            self._recency_ticks,
         )
         return replace(
             found,
@@ -202,15 +209,23 @@ class Recognizer:
             candidates=_belief(candidates, where.phases[1:], where.similarity[1:]),
         )
 
+    def _explained(self, solution: Solution, window: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Say how much templates explain of each frame of a window, (q,): 0 where the novelty test calls it unknown."""
+        if not self._shorten or not isinstance(self._test, AgreementTest):
+            return np.ones(len(window))
+        limits = self._test.max_residual * np.linalg.norm(window, axis=1)
+        unexplained = np.divide(solution.residual_norms, limits, out=np.ones(len(window)), where=limits > 0.0)
+        explained: NDArray[np.float64] = np.maximum(1.0 - unexplained, 0.0)
+        return explained
 
-def _candidates(solution: Solution, recency_ticks: float) -> tuple[Candidate, ...]:
+
+def _candidates(solution: Solution, frame_weights: NDArray[np.float64]) -> tuple[Candidate, ...]:
     """States by their share of the positive weights; a negative weight is no evidence for a state.
 
-    Recent frames count more (`smal.alignment.recency`), in the phase too. A frame that nothing explains (an occluded
-    one) has no weights, so that what was seen before it decides.
+    Frames count by their weights (q,), in the phase too.
     """
     length, q = solution.sequence_length, solution.shape[1]
-    present = np.maximum(solution.active_weights, 0.0) * recency(q, recency_ticks)
+    present = np.maximum(solution.active_weights, 0.0) * frame_weights
     blocks, where = np.unique(solution.active // length, return_inverse=True)
     weights = np.bincount(where, present.sum(axis=1))
     total = float(weights.sum())

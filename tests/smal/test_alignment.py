@@ -13,6 +13,7 @@ from smal.alignment import (
     Correlate,
     DemonstratedOrder,
     aligned_phases,
+    recency,
     relative_likelihood,
 )
 from tests.smal.worlds import corridor, unit
@@ -22,6 +23,7 @@ LENGTH = 5
 LENGTHS = (30, 30, 10)
 STREAMS = [np.arange(6), 6 + np.arange(6), 12 + np.arange(2)]
 PHASES = [np.full(len(stream), LENGTH - 1.0) for stream in STREAMS]
+ALIKE = np.ones(LENGTH)
 TEMPLATES = unit(np.random.default_rng(0).standard_normal((sum(LENGTHS), 40)))
 
 
@@ -49,7 +51,7 @@ def test_a_demonstrated_window_is_found_wherever_it_ends(drive: int, last: int, 
     number = min(last // LENGTH, 5)
     true = last - number * LENGTH
     found = DemonstratedOrder(STREAMS, PHASES, LENGTH).align(
-        [STREAMS[drive][number]], [float(true + off)], q, correlations_with(query)
+        [STREAMS[drive][number]], [float(true + off)], recency(q, RECENCY_TICKS), correlations_with(query)
     )
     assert found.phases.tolist() == [true]
 
@@ -59,27 +61,27 @@ def test_no_window_spans_two_drives(seed: int) -> None:
     query = unit(np.random.default_rng(seed).standard_normal((LENGTH, 40)))
     order = DemonstratedOrder(STREAMS, PHASES, LENGTH)
     # The last sequence of the first drive and the first one of the second drive, which are neighbours in X.
-    last, first = order.align([5, 6], [4.0, 2.0], LENGTH, correlations_with(query)).phases
+    last, first = order.align([5, 6], [4.0, 2.0], ALIKE, correlations_with(query)).phases
     assert 4 - REACH <= last <= 4
     assert 0 <= first <= 2 + REACH
 
 
 def test_a_phase_stays_where_nothing_was_demonstrated_within_reach() -> None:
     order = DemonstratedOrder(STREAMS, PHASES, LENGTH)
-    found = order.align([13, 0], [30.5, -20.0], 3, correlations_with(TEMPLATES[:3]))
+    found = order.align([13, 0], [30.5, -20.0], ALIKE[:3], correlations_with(TEMPLATES[:3]))
     assert found.phases.tolist() == [30.5, -20.0]
 
 
 def test_of_equally_good_phases_the_nearest_is_taken() -> None:
     order = DemonstratedOrder(STREAMS, PHASES, LENGTH)
-    found = order.align([2], [3.2], LENGTH, lambda columns: np.ones(columns.shape))
+    found = order.align([2], [3.2], ALIKE, lambda columns: np.ones(columns.shape))
     assert found.phases.tolist() == [3.0]
 
 
 def test_similarity_and_likelihood() -> None:
     query = 0.8 * TEMPLATES[10:15] + 0.6 * TEMPLATES[40:45]
     found = DemonstratedOrder(STREAMS, PHASES, LENGTH).align(
-        [2, 8, 13], [4.0, 4.0, 40.0], LENGTH, correlations_with(query)
+        [2, 8, 13], [4.0, 4.0, 40.0], recency(LENGTH, RECENCY_TICKS), correlations_with(query)
     )
     weights = np.exp(-np.arange(LENGTH)[::-1] / RECENCY_TICKS)
     for number, start in ((0, 10), (1, 40)):
@@ -97,10 +99,19 @@ def test_recent_frames_decide() -> None:
     # Old frames of one place, the last ones of another, both within reach of the phase.
     query = np.concatenate([TEMPLATES[8:11], TEMPLATES[14:16]])
     order = DemonstratedOrder(STREAMS, PHASES, LENGTH)
-    recent = order.align([2], [3.0], LENGTH, correlations_with(query), recency_ticks=1.0)
-    alike = order.align([2], [3.0], LENGTH, correlations_with(query), recency_ticks=np.inf)
+    recent = order.align([2], [3.0], recency(LENGTH, 1.0), correlations_with(query))
+    alike = order.align([2], [3.0], ALIKE, correlations_with(query))
     assert recent.phases.tolist() == [15 - 10]
     assert alike.phases.tolist() == [12 - 10]
+
+
+def test_hidden_frames_have_no_say() -> None:
+    """The last two show another place, as something in front of the camera may."""
+    query = np.concatenate([TEMPLATES[11:14], TEMPLATES[40:42]])
+    weights = ALIKE * [1, 1, 1, 0, 0]
+    found = DemonstratedOrder(STREAMS, PHASES, LENGTH).align([2], [3.0], weights, correlations_with(query))
+    assert found.phases.tolist() == [15 - 10]
+    assert found.similarity[0] == pytest.approx(1.0)
 
 
 @pytest.mark.parametrize("late", [-3, -1, 0, 2, 4])
