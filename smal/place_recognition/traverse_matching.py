@@ -207,3 +207,9 @@ def place_of(solution: OrderedSolution, references: int) -> tuple[int, float]:
     best = int(np.argmax(weights))
     there = solution.weights * near[best]
     return round(float(there @ ends / there.sum())), float(weights[best] ** 2 / solution.weights.sum())
+
+
+def compile_ahead() -> None:
+    """Compile what matching needs, for who sets up a machine; from the second time on that takes under a second."""
+    frames = np.eye(12, dtype=np.float32)
+    match_traverses(frames, frames, OrderedSettings(length=2))
