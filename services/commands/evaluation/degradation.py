@@ -96,7 +96,7 @@ DEGRADATIONS: Final[Mapping[str, Degradation]] = MappingProxyType(
         "noisy": Degradation(noise=25.0),
         "blurred": Degradation(blur_px=4.0),
         "shaken": Degradation(shake=3.0),
-        "poor": Degradation(occlusion=0.35, noise=15.0, shake=2.0),
+        "poor": Degradation(occlusion=0.35, noise=40.0, shake=2.0),
     }
 )
 
