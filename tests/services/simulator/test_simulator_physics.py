@@ -386,7 +386,7 @@ def test_the_hull_and_the_wheels_fit_into_the_robots_circle(robot: RobotModel) -
 def test_a_missing_engine_is_one_clear_line(monkeypatch: pytest.MonkeyPatch) -> None:
     engine.load.cache_clear()
     monkeypatch.setitem(sys.modules, "sapien", None)
-    with pytest.raises(PhysicsUnavailableError, match=r"cannot be loaded .*pip install smal\[simulator\]") as caught:
+    with pytest.raises(PhysicsUnavailableError, match=r"cannot be loaded .*pip install -e '.\[simulator\]'") as caught:
         PhysicalBase(hall())
     assert "\n" not in str(caught.value)
     assert engine.load.cache_info().currsize == 0, "a failure is not remembered"
