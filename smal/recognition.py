@@ -174,10 +174,8 @@ class Recognizer:
     def _recognize_last(self, frames: int, tick: int) -> Recognition:
         """Recognise the last frames, 1 to l."""
         solution, window = self._matcher.match(frames), self._matcher.window(frames)
-        templates = self._model.templates
-        match = describe_match(
-            solution, lambda columns: templates[:, columns].T @ window.T, np.linalg.norm(window, axis=1)
-        )
+        templates, norms = self._model.templates, np.linalg.norm(window, axis=1)
+        match = describe_match(solution, lambda columns: templates[:, columns].T @ window.T, norms)
         found = Recognition(
             status="unknown",
             tick=tick,
@@ -188,7 +186,7 @@ class Recognizer:
             duality_gap=solution.duality_gap,
             frames=frames,
         )
-        weights = recency(frames, self._recency_ticks) * self._explained(solution, window)
+        weights = recency(frames, self._recency_ticks) * self._explained(solution, norms)
         if not weights[-1 - HIDDEN_TICKS :].any():
             return found
         candidates = _candidates(solution, weights)
@@ -209,12 +207,12 @@ class Recognizer:
             candidates=_belief(candidates, where.phases[1:], where.similarity[1:]),
         )
 
-    def _explained(self, solution: Solution, window: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Say how much templates explain of each frame of a window, (q,): 0 where the novelty test calls it unknown."""
+    def _explained(self, solution: Solution, norms: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Say how much templates explain of frames of these norms (q,): 0 where the novelty test calls one unknown."""
         if not self._shorten or not isinstance(self._test, AgreementTest):
-            return np.ones(len(window))
-        limits = self._test.max_residual * np.linalg.norm(window, axis=1)
-        unexplained = np.divide(solution.residual_norms, limits, out=np.ones(len(window)), where=limits > 0.0)
+            return np.ones_like(norms)
+        limits = self._test.max_residual * norms
+        unexplained = np.divide(solution.residual_norms, limits, out=np.ones_like(norms), where=limits > 0.0)
         explained: NDArray[np.float64] = np.maximum(1.0 - unexplained, 0.0)
         return explained
 

@@ -7,6 +7,7 @@ is in `smal.algorithm2`.
 """
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -65,12 +66,12 @@ class Solution:
         weights[self.active] = self.active_weights
         return weights
 
-    @property
+    @cached_property
     def active_blocks(self) -> Columns:
         """Template sequences with weight, ascending (b,)."""
         return np.unique(self.active // self.sequence_length)
 
-    @property
+    @cached_property
     def block_weights(self) -> Array:
         """Weight of each of them, sum_i ||w_i^j||_1 (left side of Eq. 8), (b,)."""
         where = np.searchsorted(self.active_blocks, self.active // self.sequence_length)

@@ -14,6 +14,7 @@ from services.commands import outputs
 from services.commands.errors import JobError, UsageError
 from services.commands.feature_options import parse_features
 from services.commands.image_folder import list_folder
+from services.commands.match_settings import check_length
 from services.commands.tune_problem import Problem, labelled, unlabelled, with_threshold
 from services.commands.tune_report import Report, as_json, as_text
 from smal.features import MODALITIES, MODALITY_NAMES, FeatureSettings
@@ -86,7 +87,8 @@ def tune(
     default, held = _features(chosen, modalities)
     if not (math.isfinite(precision) and 0.0 < precision <= 1.0):
         raise UsageError(f"--precision {precision:g}: must be above 0 and at most 1")
-    length = _length(method, chosen, length)
+    check_length(method, chosen, length)
+    length = length if chosen.any_length else chosen.length
     _check_pair(query_dir, truth)
     folders = (reference_dir,) if query_dir is None else (reference_dir, query_dir)
     outputs.check_file(json_file, "--json", () if truth is None else (truth,), folders)
@@ -117,14 +119,6 @@ def _method(name: str) -> Method:
     if name not in known:
         raise UsageError(f"--method {name}: has nothing to tune; known are {', '.join(known)}")
     return METHODS[name]
-
-
-def _length(name: str, method: Method, length: int | None) -> int | None:
-    if not method.any_length:
-        if length not in (None, method.length):
-            raise UsageError(f"--length {length}: the method {name} is made for {method.length}")
-        return method.length
-    return length
 
 
 def _features(method: Method, modalities: str | None) -> tuple[FeatureSettings, FeatureSettings]:

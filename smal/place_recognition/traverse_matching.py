@@ -5,7 +5,7 @@ half to twice; a penalty keeps them near the speed at which the matches around a
 """
 
 from dataclasses import dataclass
-from typing import Final, Self
+from typing import Final, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -136,48 +136,61 @@ def match_products(traverses: TraverseProducts, settings: OrderedSettings, progr
         progress(total)
         return Matches.none(total)
     if settings.length == 1:
-        alone = np.arange(total)[:, np.newaxis]
-        return _match(traverses, np.arange(references), alone, np.ones(total), settings, 0.0, progress)
-    known = first_frames(recent_of_gram(traverses.gram), np.sqrt(traverses.gram.diagonal(), dtype=np.float64))
-    if np.unique(known).size < settings.length:
-        known = np.arange(references)
+        every = _Places.of(traverses.gram, np.arange(references))
+        return _match(traverses, every, np.arange(total)[:, np.newaxis], np.ones(total), settings, 0.0, progress)
+    norms = np.sqrt(traverses.gram.diagonal(), dtype=np.float64)
+    places = _Places.of(traverses.gram, first_frames(recent_of_gram(traverses.gram), norms))
+    if places.frames.size < settings.length:
+        places = _Places.of(traverses.gram, np.arange(references))
     asked = first_frames(traverses.recent, traverses.norms)
     moving, own = np.unique(asked, return_inverse=True)
     frames, penalty = windows(asked, settings.length), settings.speed_penalty
-    first = _match(traverses, known, frames, np.ones(total), settings, penalty / 2, lambda done: progress(done // 2))
+    first = _match(traverses, places, frames, np.ones(total), settings, penalty / 2, lambda done: progress(done // 2))
     speeds = local_speeds(first.of(moving), settings.length)[own]
-    return _match(traverses, known, frames, speeds, settings, penalty, lambda done: progress((total + done) // 2))
+    return _match(traverses, places, frames, speeds, settings, penalty, lambda done: progress((total + done) // 2))
+
+
+class _Places(NamedTuple):
+    """References, each stop counted once: first and middle frames (k,), and inner products (k, k)."""
+
+    frames: NDArray[np.int64]
+    middle: NDArray[np.int64]
+    gram: NDArray[np.float32]
+
+    @classmethod
+    def of(cls, gram: NDArray[np.float32], first: NDArray[np.int64]) -> Self:
+        frames = np.unique(first)
+        last = np.searchsorted(first, frames, side="right") - 1
+        return cls(frames, (frames + last) // 2, gram if frames.size == first.size else gram[np.ix_(frames, frames)])
 
 
 def _match(
     traverses: TraverseProducts,
-    known: NDArray[np.int64],
+    places: _Places,
     frames: NDArray[np.int64],
     speeds: NDArray[np.float64],
     settings: OrderedSettings,
     speed_penalty: float,
     progress: Progress,
 ) -> Matches:
-    """Match all windows, at about the expected speeds (q,), with references of which each stop counts once."""
+    """Match all windows, at about the expected speeds (q,)."""
     matches = Matches.none(speeds.size)
-    kept, last = np.unique(known), np.searchsorted(known, np.unique(known), side="right") - 1
-    middle = (kept + last) // 2
-    gram = traverses.gram if kept.size == known.size else traverses.gram[np.ix_(kept, kept)]
+    everywhere = places.frames.size == traverses.products.shape[1]
     sequences = TemplateSequences(settings.length, (1.0,) if settings.length == 1 else SPEEDS)
     for query, window in enumerate(frames, settings.length - 1):
         products = traverses.products[window]
         solution = solve_ordered(
-            products if kept.size == known.size else products[:, kept],
+            products if everywhere else products[:, places.frames],
             traverses.norms[window],
-            gram,
+            places.gram,
             sequences,
             speed_penalty * np.abs(sequences.octaves - np.log2(speeds[query])),
             settings.relative_penalty,
             settings.tolerance,
         )
         if solution.weights.size:
-            place, matches.score[query] = place_of(solution, kept.size)
-            matches.reference[query] = middle[place]
+            place, matches.score[query] = place_of(solution, places.frames.size)
+            matches.reference[query] = places.middle[place]
         progress(query + 1)
     progress(speeds.size)
     return matches

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from smal.evaluation.ground_truth import Judgement, Truth, judge
 from smal.features import FeatureSettings, select
 from smal.place_recognition import Matches
+from smal.place_recognition.matches import ignore
 from smal.place_recognition.methods import METHODS, MatchSettings
 from smal.place_recognition.traverse_centring import centre_traverses
 from smal.place_recognition.traverse_matching import OrderedSettings, TraverseProducts, match_products
@@ -98,16 +99,12 @@ class SettingTrials:
         products = self._products[number] if self._products else None
         if products is not None and settings.penalty is not None:
             own = OrderedSettings(length=settings.length, relative_penalty=settings.penalty)
-            return match_products(products.weighted(settings.features), own, _ignore)
+            return match_products(products.weighted(settings.features), own, ignore)
         pair = self._pairs[number]
         references, queries = (select(raw, pair.held, settings.features) for raw in (pair.references, pair.queries))
-        return METHODS[self._method].match(references, queries, settings, _ignore)
+        return METHODS[self._method].match(references, queries, settings, ignore)
 
     def _multiplied(self, pair: TraversePair) -> ModalityProducts | None:
         references, queries = pair.references.shape[0], pair.queries.shape[0]
         size = 4 * references * (references + queries) * len(pair.held.modalities) * len(self._pairs)
         return ModalityProducts.of(pair) if size <= _MOST_BYTES else None
-
-
-def _ignore(_done: int) -> None:
-    """Take the progress within one setting, which is not shown."""

@@ -10,10 +10,10 @@ from smal import solve
 from smal.alignment import matched_phase
 from smal.features import FeatureSettings
 from smal.place_recognition.as_published import LAMBDA_SCALE, match_as_in_the_paper
-from smal.place_recognition.matches import NONE
+from smal.place_recognition.matches import NONE, ignore
 from smal.place_recognition.methods import METHODS, MatchSettings, Method
 from tests.smal.place_recognition.ordered_problems import unit, walk
-from tests.smal.place_recognition.traverses import Road, ignore
+from tests.smal.place_recognition.traverses import Road
 
 N, FIRST, LAST = 100, 20, 80
 

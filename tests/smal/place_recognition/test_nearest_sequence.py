@@ -7,10 +7,10 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from smal.place_recognition import trajectories
-from smal.place_recognition.matches import NONE
+from smal.place_recognition.matches import NONE, ignore
 from smal.place_recognition.nearest_sequence import match_nearest_sequence
 from smal.place_recognition.trajectories import rolling
-from tests.smal.place_recognition.traverses import ignore, random_features
+from tests.smal.place_recognition.traverses import random_features
 
 
 def by_hand(references: NDArray[np.float32], queries: NDArray[np.float32], length: int, end: int) -> list[float]:

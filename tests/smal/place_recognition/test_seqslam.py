@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 from scipy.spatial.distance import cdist
 
 from smal.place_recognition import trajectories
-from smal.place_recognition.matches import NONE, Matches
+from smal.place_recognition.matches import NONE, Matches, ignore
 from smal.place_recognition.seqslam import SeqSlamSettings, differences, match_seqslam
-from tests.smal.place_recognition.traverses import Road, ignore, random_features
+from tests.smal.place_recognition.traverses import Road, random_features
 
 
 @dataclass

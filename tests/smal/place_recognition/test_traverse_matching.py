@@ -7,11 +7,10 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from smal.place_recognition import traverse_matching
-from smal.place_recognition.matches import NONE
+from smal.place_recognition.matches import NONE, ignore
 from smal.place_recognition.ordered_matching import OrderedSolution
 from smal.place_recognition.traverse_matching import OrderedSettings, match_traverses, place_of
 from tests.smal.place_recognition.ordered_problems import unit
-from tests.smal.place_recognition.traverses import ignore
 
 LENGTH, N = 10, 240
 Array = NDArray[np.float64]

@@ -4,10 +4,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 
-def ignore(_done: int) -> None:
-    """Take notice of no progress."""
-
-
 def random_features(rng: np.random.Generator, count: int, size: int = 24) -> NDArray[np.float32]:
     """Return features (count, size) of frames that have nothing to do with each other, of length 1."""
     features = rng.normal(size=(count, size))
