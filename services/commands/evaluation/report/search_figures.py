@@ -27,10 +27,8 @@ def success_by_length(found: Sequence[Success], title: str) -> Figure:
     """Draw the success rate over l for every scheme, with Wilson's intervals, a panel for each degradation."""
     mine = [one for one in found if one.controller in SCHEMES]
     lengths = sorted({one.length for one in mine})
-    degradations = list(dict.fromkeys(one.degradation for one in mine))
-    figure = Figure(figsize=(5.6 * len(degradations), 4.6), layout="constrained")
-    panels = np.atleast_1d(figure.subplots(1, len(degradations), sharey=True))
-    for axes, degradation in zip(panels, degradations, strict=True):
+    figure, panels = _panels(mine)
+    for degradation, axes in panels.items():
         for number, scheme in enumerate(SCHEMES.values()):
             each = {one.length: one for one in mine
                     if (one.controller, one.degradation) == (scheme.name, degradation)}  # fmt: skip
@@ -39,10 +37,25 @@ def success_by_length(found: Sequence[Success], title: str) -> Figure:
                 places = [lengths.index(length) + 0.09 * (number - 1) for length in each]
                 _rates(axes, places, list(each.values()), {"color": colour, "marker": marker, "label": scheme.meaning})
         axes.set_xticks(range(len(lengths)), [str(length) for length in lengths])
-        axes.set(xlabel="sequence length l (frames)", ylim=(-0.03, 1.05), title=seen(degradation))
+        axes.set(xlabel="sequence length l (frames)")
+    return _titled(figure, title, "searches that found the victim")
+
+
+def _panels(found: Sequence[Success]) -> tuple[Figure, dict[str, Axes]]:
+    """Make a panel of shares for each degradation."""
+    degradations = list(dict.fromkeys(one.degradation for one in found))
+    figure = Figure(figsize=(5.6 * len(degradations), 4.6), layout="constrained")
+    panels = np.atleast_1d(figure.subplots(1, len(degradations), sharey=True))
+    for axes, degradation in zip(panels, degradations, strict=True):
+        axes.set(ylim=(-0.03, 1.05), title=seen(degradation))
         plain(axes)
-    panels[0].set_ylabel("searches that found the victim")
-    handles, labels = panels[-1].get_legend_handles_labels()
+    return figure, dict(zip(degradations, panels, strict=True))
+
+
+def _titled(figure: Figure, title: str, share: str) -> Figure:
+    """Say what the panels show, and of whom below."""
+    figure.axes[0].set_ylabel(share)
+    handles, labels = figure.axes[-1].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside lower center", ncols=min(3, len(labels)), frameon=False, fontsize=9)
     figure.suptitle(title)
     return figure
@@ -62,24 +75,16 @@ def found_over_time(found: Sequence[Success], max_ticks: int, title: str) -> Fig
         ("paper", DEFAULT_LENGTH): (SINGLE, ":"),
         **{(peer, DEFAULT_LENGTH): (PEER_COLOURS[peer], "--") for peer in PEERS},
     }
-    degradations = list(dict.fromkeys(one.degradation for one in found))
-    figure = Figure(figsize=(5.6 * len(degradations), 4.6), layout="constrained")
-    panels = np.atleast_1d(figure.subplots(1, len(degradations), sharey=True))
-    for axes, degradation in zip(panels, degradations, strict=True):
+    figure, panels = _panels(found)
+    for degradation, axes in panels.items():
         for way, (colour, line) in ways.items():
             one = success_of(found, *way, degradation)
             if one is not None:
-                ticks = sorted(one.ticks[seed] for seed, outcome in one.outcomes.items() if outcome == "found")
-                share = np.arange(len(ticks) + 1) / one.runs
-                axes.step([0, *ticks, max_ticks], [*share, share[-1]], where="post", color=colour, ls=line, lw=2,
+                ticks, share = [0, *one.found_ticks, max_ticks], np.arange(one.found + 1) / one.runs
+                axes.step(ticks, [*share, share[-1]], where="post", color=colour, ls=line, lw=2,
                           label=controller_name(*way))  # fmt: skip
-        axes.set(xlim=(0, max_ticks), ylim=(-0.03, 1.05), xlabel="frames since the start", title=seen(degradation))
-        plain(axes)
-    panels[0].set_ylabel("searches that have found the victim")
-    handles, labels = panels[0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=3, frameon=False, fontsize=9)
-    figure.suptitle(title)
-    return figure
+        axes.set(xlim=(0, max_ticks), xlabel="frames since the start")
+    return _titled(figure, title, "searches that have found the victim")
 
 
 def peers(found: Sequence[Success], title: str) -> Figure:

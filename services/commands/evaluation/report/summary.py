@@ -88,10 +88,14 @@ class Success:
         return wilson_interval(self.found, self.runs)
 
     @property
+    def found_ticks(self) -> list[int]:
+        """Frames until the victim was found, of the searches that found it, ascending."""
+        return sorted(self.ticks[seed] for seed, outcome in self.outcomes.items() if outcome == "found")
+
+    @property
     def median_ticks(self) -> float | None:
-        """Frames until the victim was found, of the searches that found it."""
-        ticks = [self.ticks[seed] for seed, outcome in self.outcomes.items() if outcome == "found"]
-        return float(np.median(ticks)) if ticks else None
+        """Their median."""
+        return float(np.median(self.found_ticks)) if self.found else None
 
 
 @dataclass(frozen=True)
