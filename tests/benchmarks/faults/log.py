@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterable
+from contextlib import closing
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import IO, Any
@@ -65,12 +66,6 @@ def parse(lines: Iterable[str]) -> list[Entry]:
     return [Entry(**(fields := json.loads(line)) | {"order": tuple(fields["order"])}) for line in lines]
 
 
-def read_log(path: Path) -> list[Entry]:
-    """Read a whole log."""
-    with path.open() as file:
-        return parse(file)
-
-
 class Tail:
     """Follows a log while it is written.
 
@@ -91,3 +86,9 @@ class Tail:
     def close(self) -> None:
         """Close the file."""
         self._file.close()
+
+
+def read_log(path: Path) -> list[Entry]:
+    """Read the log so far; whoever writes it may be in the middle of a line, or may have been killed there."""
+    with closing(Tail(path)) as log:
+        return log.read()

@@ -11,7 +11,7 @@ from schemas.topics import ACTION, APPLIED, JPEG, OBSERVATION, POSE
 from tests.benchmarks.faults import judge
 from tests.benchmarks.faults.cells import MATRIX, QUICK, Cell, Limits
 from tests.benchmarks.faults.judge import Window
-from tests.benchmarks.faults.log import Entry, Tail, entry_of, parse
+from tests.benchmarks.faults.log import Entry, Tail, entry_of, parse, read_log
 from tests.benchmarks.faults.recordings import Recorded, balance, ticks_of
 from tests.benchmarks.faults.run import Outcome, verdict
 from tests.benchmarks.faults.track import Track, tracks
@@ -217,6 +217,7 @@ def test_a_log_comes_back_and_holds_nothing_big(tmp_path: Path) -> None:
     assert {one["topic"] for one in map(json.loads, lines)} >= {POSE.name, OBSERVATION.name, APPLIED.name}
     path = tmp_path / "log"
     path.write_text("".join(lines)[:-5])
+    assert read_log(path) == entries[:-1]
     tail = Tail(path)
     assert tail.read() == entries[:-1]
     with path.open("a") as file:
