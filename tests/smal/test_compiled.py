@@ -1,0 +1,56 @@
+"""Machine code that is kept on disk is that of the source as it is now."""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+_CALLEE = """
+from smal.compiled import compiled
+LIMIT = {limit}
+@compiled
+def inner(x):
+    return x + {added}
+"""
+_CALLER = """
+from callee import LIMIT, inner
+from smal.compiled import compiled
+@compiled
+def outer(x):
+    return min(inner(x), LIMIT)
+print(outer(1.0), sum(outer.stats.cache_hits.values()))
+"""
+
+
+def run(folder: Path) -> list[float]:
+    """Return what the function says, and whether it was found on disk."""
+    paths = os.pathsep.join([str(folder), str(Path.cwd())])
+    settings = os.environ | {
+        "PYTHONPATH": paths,
+        "NUMBA_CACHE_DIR": str(folder / "kept"),
+        "PYTHONDONTWRITEBYTECODE": "1",
+    }
+    done = subprocess.run(
+        [sys.executable, "-c", "import caller"], capture_output=True, text=True, timeout=120, check=True, env=settings
+    )
+    return [float(one) for one in done.stdout.split()]
+
+
+def test_functions_that_were_compiled_into_another_one_are_not_forgotten(tmp_path: Path) -> None:
+    (tmp_path / "caller.py").write_text(_CALLER)
+    callee = tmp_path / "callee.py"
+    callee.write_text(_CALLEE.format(limit=100.0, added=10.0))
+    assert run(tmp_path) == [11.0, 0.0]
+    assert run(tmp_path) == [11.0, 1.0]
+    callee.write_text(_CALLEE.format(limit=100.0, added=2.0))
+    assert run(tmp_path) == [3.0, 0.0]
+    callee.write_text(_CALLEE.format(limit=2.5, added=2.0))
+    assert run(tmp_path) == [2.5, 0.0]
+    assert run(tmp_path) == [2.5, 1.0]
+
+
+def test_the_library_runs_without_compilation() -> None:
+    """As debuggers, coverage and fuzzers need it."""
+    settings = os.environ | {"NUMBA_DISABLE_JIT": "1"}
+    code = "import smal.matching.narrow_product, smal.matching.streaming"
+    subprocess.run([sys.executable, "-c", code], timeout=120, check=True, env=settings)
