@@ -60,6 +60,25 @@ class Gradients:
     radii: Array
 
 
+@dataclass(frozen=True, eq=False)
+class DualRounding:
+    """How far products that are not quite exact may mislead about a dual point.
+
+    Parameters
+    ----------
+    value : float
+        <Theta, Y> may be so much smaller.
+    length : float
+        The columns of Theta may be as long as this, at least 1.
+    entries : float64 array (q,)
+        Bound on the error of each entry of X^T Theta.
+    """
+
+    value: float
+    length: float
+    entries: Array
+
+
 class InnerProducts(Protocol):
     """What is known about n template frames X and a query Y."""
 
@@ -82,6 +101,9 @@ class InnerProducts(Protocol):
 
     def exact_gradients(self, dual: DualPoint, columns: Columns) -> Array:
         """X_R^T Theta in float64 (r, q)."""
+
+    def dual_rounding(self, dual: DualPoint) -> DualRounding | None:
+        """Bound what `restricted`, `squares` and `exact_gradients` get wrong; None for no more than float64 does."""
 
     def movement(self, old: DualPoint, new: DualPoint) -> tuple[float, float] | None:
         """Spectral norm and longest column of Theta_new - Theta_old; None where it does not pay to know."""
@@ -148,6 +170,10 @@ class GramAndCorrelations:
         gram = self._gram[np.ix_(columns, dual.columns)].astype(np.float64)
         exact: Array = self._correlations[columns] * dual.alpha - gram @ dual.B
         return exact
+
+    def dual_rounding(self, dual: DualPoint) -> DualRounding | None:
+        """Take the products as given."""
+        return None
 
     def movement(self, old: DualPoint, new: DualPoint) -> tuple[float, float] | None:
         """Gradients cost less than knowing which of them moved."""

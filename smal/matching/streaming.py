@@ -1,7 +1,9 @@
 """Matching a stream of frames: most of the work is done before the last frame of a sequence arrives.
 
-The correlations of a frame with all templates are computed when it arrives. After the last frame of a sequence
-there remain one product with that frame, a small solve, and a combination of known inner products to certify it.
+The correlations of a frame with all templates are estimated when it arrives (`frame_ring`). After the last frame of a
+sequence there remain exact products of that frame with few templates, a small solve, and a combination of known inner
+products to certify it (`streamed_products`). Where residuals vanish, so that X^T X in float32 cannot certify
+anything, the match is made once more in float64.
 """
 
 import math
@@ -11,46 +13,20 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from smal.matching.inner_products import Columns, DualPoint, Gradients
-from smal.matching.narrow_product import rounding
+from smal.matching.block_problem import block_starts
+from smal.matching.frame_ring import FrameRing
+from smal.matching.inner_products import Columns
 from smal.matching.screening import Penalty
-from smal.matching.template_index import IndexAndQuery, TemplateIndex
+from smal.matching.streamed_products import StreamedProducts, StreamedQuery
+from smal.matching.template_index import TemplateIndex
+from smal.objective import l21_norm
 from smal.state_matching import Solution, check_parameters, match
 
 Array = NDArray[np.float64]
 
-
-class _StreamedQuery(IndexAndQuery):
-    """X^T X (or not, where it is too large) and an estimate of X^T Y are known beforehand."""
-
-    def __init__(
-        self,
-        index: TemplateIndex,
-        query: Array,
-        gram: NDArray[np.float32] | None,
-        correlations: NDArray[np.float32],
-        radii: NDArray[np.float32],
-    ) -> None:
-        super().__init__(index, query)
-        self._products, self._correlations, self._radii = gram, correlations, radii
-
-    def guess(self) -> NDArray[np.float32]:
-        """Return the known correlations."""
-        return self._correlations
-
-    def gradients(self, dual: DualPoint, columns: Columns | None, *, fine: bool = False) -> Gradients:
-        """Combine rows of X^T X, or else multiply with the rounded templates."""
-        if columns is not None or self._products is None:
-            return super().gradients(dual, columns, fine=fine)
-        values = self._correlations * dual.alpha.astype(np.float32)
-        values -= self._products[dual.columns].T @ dual.B.astype(np.float32)
-        lengths = self.lengths()
-        # Each product is off by rounding(m), and their sum by rounding(p).
-        m, p = self._templates.shape[0], dual.columns.size
-        reach = float((lengths[dual.columns] * np.linalg.norm(dual.B, axis=1)).sum())
-        reach += float(np.linalg.norm(dual.alpha * np.sqrt(self.squares)))
-        radii = np.sqrt(np.square(self._radii) @ np.square(dual.alpha).astype(np.float32)).astype(np.float64)
-        return Gradients(values, radii * (1.0 + 1e-5) + lengths * (reach * rounding(m + p + 4)))
+# Tolerance from which on X^T X in float32 is good enough to certify a match, since its rounding takes up a small part
+# of the gap; and lengths of templates whose products float32 can hold.
+_COARSE, _SHORTEST, _LONGEST = 5e-4, 1e-12, 1e12
 
 
 class StreamingMatcher:
@@ -67,8 +43,8 @@ class StreamingMatcher:
     tolerance : float
         Relative duality gap of each match.
     max_gram_bytes : int
-        Memory for X^T X, 4 n^2 bytes. Where it does not fit, certifying a match takes a pass over the rounded
-        templates instead.
+        Memory for X^T X, 4 n^2 bytes. Where it does not fit, or the tolerance is below 5e-4, a match multiplies the
+        few templates that matter once more in float64, which takes about twice the time.
 
     Raises
     ------
@@ -85,27 +61,25 @@ class StreamingMatcher:
         tolerance: float = 1e-4,
         max_gram_bytes: int = 2**30,
     ) -> None:
-        self._index = templates if isinstance(templates, TemplateIndex) else TemplateIndex(templates)
-        m, n = self._index.shape
-        check_parameters(n, sequence_length, lambda1, lambda2, tolerance)
+        index = templates if isinstance(templates, TemplateIndex) else TemplateIndex(templates)
+        check_parameters(index.shape[1], sequence_length, lambda1, lambda2, tolerance)
         self._penalty = Penalty(sequence_length, lambda1, lambda2, tolerance)
-        X = self._index.templates
-        self._gram = X.T @ X if 4 * n * n <= max_gram_bytes else None
-        # Rings: place t % l belongs to the frame that arrived as number t.
-        self._frames = np.zeros((sequence_length, m))
-        self._correlations = np.zeros((n, sequence_length), dtype=np.float32)
-        self._radii = np.zeros((n, sequence_length), dtype=np.float32)
+        lengths = index.lengths[index.lengths > 0.0]
+        representable = lengths.min(initial=1.0) > _SHORTEST and lengths.max(initial=1.0) < _LONGEST
+        self._gram = index.gram() if representable and 4 * index.shape[1] ** 2 <= max_gram_bytes else None
+        self._certifying = tolerance >= _COARSE
+        self._ring = FrameRing(index, sequence_length)
         self.reset()
 
     def reset(self) -> None:
         """Forget all frames."""
-        self._count = 0
+        self._ring.reset()
         self._previous: Solution | None = None
 
     @property
     def held(self) -> int:
         """How many of the last frames are here, at most l."""
-        return min(self._count, self._penalty.sequence_length)
+        return self._ring.held
 
     @property
     def ready(self) -> bool:
@@ -124,16 +98,7 @@ class StreamingMatcher:
         ValueError
             Of another length, NaN or infinity; the frame is then not taken in.
         """
-        if frame.shape != (self._frames.shape[1],):
-            raise ValueError(f"a frame must have the shape ({self._frames.shape[1]},), got {frame.shape}")
-        if not np.isfinite(np.square(frame, dtype=np.float64).sum()):
-            raise ValueError("the frame contains NaN or infinity")
-        place = self._count % self._penalty.sequence_length
-        self._frames[place] = frame
-        estimate = self._index.correlate(self._frames[place : place + 1])
-        self._correlations[:, place] = estimate.values[:, 0]
-        self._radii[:, place] = estimate.radii
-        self._count += 1
+        self._ring.observe(frame)
 
     def window(self, frames: int | None = None) -> Array:
         """Return the last frames, l unless told otherwise, in order, float64 (frames, m).
@@ -143,7 +108,7 @@ class StreamingMatcher:
         ValueError
             There are not so many.
         """
-        return self._frames[self._order(frames)]
+        return self._ring.frames[self._order(frames)]
 
     def correlations(self, columns: Columns) -> NDArray[np.float32]:
         """Estimate the inner products of template frames (..., q) with the last q frames, each with its own.
@@ -153,7 +118,7 @@ class StreamingMatcher:
         ValueError
             There are not so many frames.
         """
-        return self._correlations[columns, self._order(columns.shape[-1])]
+        return self._ring.estimated(columns, self._order(columns.shape[-1]))
 
     def match(self, frames: int | None = None) -> Solution:
         """Match the last l frames, or fewer; the sequences of the last match enter the working set at once.
@@ -170,29 +135,43 @@ class StreamingMatcher:
         """
         length = self._penalty.sequence_length
         q = length if frames is None else frames
-        order = self._order(q)
-        seen = np.flatnonzero(np.square(self._frames[order]).sum(axis=1) > 0.0)
-        places = order[seen]
-        products = _StreamedQuery(
-            self._index, self._frames[places].T, self._gram, self._correlations[:, places], self._radii[:, places]
-        )
+        places = self._order(q)
+        seen = np.flatnonzero(self._ring.norms[places] > 0.0)
         share = math.sqrt(q / length)
         penalty = replace(self._penalty, lambda1=share * self._penalty.lambda1, lambda2=share * self._penalty.lambda2)
-        solution = match(products, seen, q, penalty, self._previous)
+        solution = self._match(places, seen, penalty)
         if q == length:
             self._previous = solution
         return solution
 
+    def _match(self, places: Columns, seen: Columns, penalty: Penalty) -> Solution:
+        q, warm = places.size, self._previous
+        if self._gram is not None and self._certifying and seen.size:
+            products = StreamedProducts(self._ring, places[seen], self._gram)
+            solution = _evaluated(match(products, seen, q, penalty, warm), self._ring, places, penalty)
+            if solution.converged:
+                return solution
+            warm = solution
+        return match(StreamedQuery(self._ring, places[seen], self._gram), seen, q, penalty, warm)
+
     def _order(self, frames: int | None = None) -> Columns:
-        """Return where the last frames are in the rings."""
-        length = self._penalty.sequence_length
-        wanted = length if frames is None else frames
-        if not 1 <= wanted <= length:
-            raise ValueError(f"the last 1 to {length} frames can be asked for, not {wanted}")
-        if wanted > self._count:
-            raise ValueError(f"this needs {wanted} frames, there are {self._count}")
-        order: Columns = (self._count + np.arange(length - wanted, length)) % length
-        return order
+        """Return where the last frames are in the ring."""
+        return self._ring.places(self._penalty.sequence_length if frames is None else frames)
+
+
+def _evaluated(solution: Solution, ring: FrameRing, places: Columns, penalty: Penalty) -> Solution:
+    """Return the solution with the objective that its weights really have, and the gap to the bound from below."""
+    X, Y, W = ring.index.templates, ring.frames[places].T, solution.active_weights
+    residuals = np.linalg.norm(Y - X[:, solution.active].astype(np.float64) @ W, axis=0)
+    value = float(residuals.sum()) + penalty.lambda1 * l21_norm(W)
+    if W.size:
+        starts = block_starts(solution.active, penalty.sequence_length)[:-1]
+        value += penalty.lambda2 * float(np.sqrt(np.add.reduceat(np.square(W), starts)).sum())
+    bound = solution.objective * (1.0 - solution.duality_gap)
+    gap = 1.0 - bound / value
+    return replace(
+        solution, objective=value, duality_gap=gap, converged=gap <= penalty.tolerance, residual_norms=residuals
+    )
 
 
 def compile_ahead() -> None:

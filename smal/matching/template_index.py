@@ -9,7 +9,7 @@ Other bounds were considered. Random vectors have no low-rank projection, and th
 explains is as long as the rest, so that the residual norms of a projection rule out little on real frames either.
 """
 
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,6 +22,10 @@ from smal.matching.template_products import TemplatesAndQuery, sample, spectral_
 Array = NDArray[np.float64]
 
 _LARGEST = 127.0
+# X^T X is summed over so many entries in float32, and then in float64; so many of its rows at a time.
+_SUMMED, _TILE = 64, 256
+#: Relative error of the products in `TemplateIndex.gram`.
+GRAM_PRECISION: Final = rounding(_SUMMED + 2)
 
 
 @compiled
@@ -98,6 +102,23 @@ class TemplateIndex:
     def lengths(self) -> Array:
         """||x_r||, float64 (n,)."""
         return self._lengths
+
+    def gram(self) -> NDArray[np.float32]:
+        """X^T X, float32 (n, n): each product is off by at most `GRAM_PRECISION` times the two lengths."""
+        n, m = self._rows.shape
+        gram = np.empty((n, n), dtype=np.float32)
+        for start in range(0, n, _TILE):
+            rows, others = self._rows[start : start + _TILE], self._rows[start:]
+            sums, part = np.zeros((len(rows), len(others))), np.empty((len(rows), len(others)), dtype=np.float32)
+            for k in range(0, m, _SUMMED):
+                np.matmul(rows[:, k : k + _SUMMED], others[:, k : k + _SUMMED].T, out=part)
+                sums += part
+            # Order of summation may differ between x_r x_s and x_s x_r.
+            among = sums[:, : len(rows)]
+            among[:] = 0.5 * (among + among.T)
+            gram[start : start + _TILE, start:] = sums
+            gram[start:, start : start + _TILE] = sums.T
+        return gram
 
     def guess(self, vectors: Array) -> NDArray[np.float32]:
         """Correlate a sample of the entries with vectors (q, m): X^T Y, float32 (n, q), roughly and up to a factor."""

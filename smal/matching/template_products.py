@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from smal.matching.inner_products import Columns, DualPoint, Gradients, common
+from smal.matching.inner_products import Columns, DualPoint, DualRounding, Gradients, common
 from smal.matching.narrow_product import narrow_product, narrow_product_and_squares, rounding
 
 Array = NDArray[np.float64]
@@ -201,6 +201,10 @@ class TemplatesAndQuery:
         others[here] = False
         exact[others] = self._templates.T[columns[others]].astype(np.float64) @ self.theta(dual).T
         return exact
+
+    def dual_rounding(self, dual: DualPoint) -> DualRounding | None:
+        """Products are in float64."""
+        return None
 
     def movement(self, old: DualPoint, new: DualPoint) -> tuple[float, float] | None:
         """Compare the points entry by entry."""

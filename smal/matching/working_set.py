@@ -11,8 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from smal.matching.block_newton import FIRST_EPSILON, BlockSolution, solve_blocks
-from smal.matching.block_problem import BlockProblem, block_objective, residual_norms, smoothing_for
-from smal.matching.inner_products import Columns, DualPoint, InnerProducts, common
+from smal.matching.block_problem import BlockProblem, block_objective, block_starts, residual_norms, smoothing_for
+from smal.matching.certificate import bound_by_lengths
+from smal.matching.inner_products import Columns, DualPoint, DualRounding, InnerProducts, common
 from smal.matching.screening import Penalty, Screening, Violations
 
 Array = NDArray[np.float64]
@@ -64,14 +65,13 @@ class _Restriction:
         gram, correlations = products.restricted(columns)
         self.template_scale = float(np.sqrt(gram.diagonal().max(initial=0.0))) or 1.0
         self.query_scale = float(np.sqrt(products.squares.max()))
-        starts = np.flatnonzero(np.diff(columns // penalty.sequence_length, prepend=-1))
         self.problem = BlockProblem(
             gram / self.template_scale**2,
             correlations / (self.template_scale * self.query_scale),
             products.squares / self.query_scale**2,
             penalty.lambda1 / self.template_scale,
             penalty.lambda2 / self.template_scale,
-            np.append(starts, columns.size),
+            block_starts(columns, penalty.sequence_length),
         )
         self.weight_scale = self.query_scale / self.template_scale
 
@@ -136,6 +136,8 @@ class _Search:
         nothing, none = np.zeros(0, dtype=np.intp), np.zeros((0, norms.size))
         self.start, self.steps = _Start(nothing, none, none, none, FIRST_EPSILON), 0
         self.outcome = Outcome(nothing, none, norms, float(norms.sum()), 0.0, 0)
+        #: Share of the objective by which rounded products kept the last bound from being better.
+        self.lost = 0.0
 
     def solve(self, tolerance: float) -> None:
         """Solve on the working set."""
@@ -156,11 +158,24 @@ class _Search:
         residuals = residual_norms(part.problem, weights) * part.query_scale
         # The best weights and the best bound need not come from the same round.
         best, objective = self.outcome, part.objective(weights)
-        lower_bound = max(part.dual_value(self.inner) / self.screening.largest, best.lower_bound)
+        value, largest = part.dual_value(self.inner), self.screening.largest
+        rounding = self.products.dual_rounding(self.dual)
+        lower_bound = value / largest
+        if rounding is not None:
+            largest = max(largest + self._polar_of(rounding), rounding.length)
+            sure = (value - rounding.value) / largest
+            self.lost, lower_bound = (lower_bound - sure) / objective, sure
+        lower_bound = max(lower_bound, best.lower_bound)
         if objective <= best.objective:
             best = Outcome(self.columns, weights * part.weight_scale, residuals, objective, lower_bound, self.steps)
         self.outcome = replace(best, lower_bound=lower_bound, steps=self.steps)
         return violations
+
+    def _polar_of(self, rounding: DualRounding) -> float:
+        """Bound the polar of the error of X_j^T Theta."""
+        row = float(np.linalg.norm(rounding.entries))
+        column = float(np.sqrt(self.penalty.sequence_length) * rounding.entries.max())
+        return bound_by_lengths(row, column, self.penalty.lambda1, self.penalty.lambda2)
 
     def lacking(self, violations: Violations) -> Columns:
         """Frames of the worst violations that are not in the working set, ascending."""
@@ -193,6 +208,8 @@ def _likely(products: InnerProducts, norms: Array, length: int) -> Columns:
 def minimise(products: InnerProducts, penalty: Penalty, warm_blocks: Columns) -> Outcome:
     """Grow a working set until the gap of the full problem is within the tolerance.
 
+    Products that are not exact (`InnerProducts.dual_rounding`) may keep it from getting there; then it ends early.
+
     Parameters
     ----------
     products : InnerProducts
@@ -212,7 +229,7 @@ def minimise(products: InnerProducts, penalty: Penalty, warm_blocks: Columns) ->
             everywhere = True
             violations = search.certify()
             lacking = search.lacking(violations)
-        if everywhere and search.outcome.gap <= penalty.tolerance:
+        if everywhere and (search.outcome.gap <= penalty.tolerance or search.lost > 0.5 * penalty.tolerance):
             break
         if not lacking.size:
             # Nothing is missing: the restricted solution itself must become sharper, or has reached its limit.
