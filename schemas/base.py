@@ -52,7 +52,7 @@ class Message(Strict):
 
     @classmethod
     def schema_name(cls) -> str:
-        """Name and version as they stand in the encoding, for example ``smal.State/2``."""
+        """Name and version as they stand in the encoding, for example ``smal.State/3``."""
         return f"smal.{cls.__name__}/{cls.version}"
 
     @property

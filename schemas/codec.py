@@ -28,7 +28,7 @@ class DecodeError(ValueError):
 
 @cache
 def encoding_of(message: type[Message]) -> str:
-    """Return the encoding that goes with a message class, for example ``application/vnd.msgpack;smal.State/2``."""
+    """Return the encoding that goes with a message class, for example ``application/vnd.msgpack;smal.State/3``."""
     return ENCODING_PREFIX + message.schema_name()
 
 

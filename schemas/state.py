@@ -25,7 +25,7 @@ class Candidate(Strict):
 class State(Message):
     """Answer of recognition for one frame; only ``recognized`` and ``unknown`` call for a decision."""
 
-    version: ClassVar[int] = 2
+    version: ClassVar[int] = 3
     topic: ClassVar[str] = "state"
 
     status: Literal["idle", "collecting", "recognized", "unknown"]
@@ -48,6 +48,9 @@ class State(Message):
     """Certificate of the weights: relative distance to the global optimum of Eq. 7 at most."""
     candidates: Annotated[tuple[Candidate, ...], Field(max_length=MAX_CANDIDATES)] = ()
     """The belief over states, heaviest first; empty unless recognized."""
+    explained: Annotated[float, Field(ge=0, le=1)] = 1.0
+    """How much templates explain of the last frames, recent ones counting more: 1 all, 0 no more than of what is new.
+    1 too where that is not known: in the paper's scheme, and unless recognized."""
 
     @model_validator(mode="after")
     def _check(self) -> Self:

@@ -8,27 +8,28 @@ demonstrations of one route pile up, and both have their remedy in W.
   policy action) and continue its demonstration from the frame that the robot is at ("aligned").
 * Several states share the weight where they resemble each other, and the heaviest alone (Eq. 9) may be a poor one.
   The weights are a belief over states; as in QMDP (Littman, Cassandra and Kaelbling 1995) each state proposes what
-  its policy would do, and has a say in each atom of the plan ("belief"). The majority does not take all: where a third
-  of the weight turns left at every frame, a robot that never did would drift off the way. Each atom is made as often as
-  there is weight behind it, what is owed being carried from frame to frame (error diffusion, Floyd and Steinberg 1976).
+  its policy would do, and has a say in each atom of the plan ("belief", `smal.plan_votes`).
+
+A third thing is mended with a belief. Where the robot has drifted away from what was taught, the nearest demonstrated
+frame stays the same while it moves on; every plan starts there anew, and the turn that the demonstration makes ten
+frames later never comes. So plans of before keep a say in every atom, as chunks of actions do in temporal ensembling
+(Zhao et al., ACT, 2023): the more, the less of the last frames is explained and the less the demonstration goes by. A
+robot that knows where it is, or moves along, follows its latest plan alone.
 
 The scheme of the paper is `aligned=False, belief=False` with a stride of l, after `Recognizer(model, shorten=False)`.
 """
 
 from collections import deque
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Literal
 
-import numpy as np
 from numpy.typing import NDArray
 
 from smal.action_space import Atom
 from smal.model import Model
+from smal.plan_votes import PlanVotes, Progress
 from smal.recognition import HIDDEN_TICKS, Candidate, Recognition
 from smal.sequences import last_frames
-
-_TIE = 1e-9
 
 #: Frames for which the robot may continue its last plan while the state is unknown: at 0.1 s each about as long as
 #: something in passing hides the view. A robot that turned at once would have to find its heading again each time.
@@ -89,7 +90,7 @@ class DecisionMaker:
     aligned : bool
         Whether to continue from the frame that the robot is at (module docstring).
     belief : bool
-        Whether all candidate states have a say, by their weight (module docstring).
+        Whether all candidate states have a say, by their weight, and plans of before (module docstring).
     coast : bool
         Whether the robot goes on for a moment while the state is unknown, before it looks around.
 
@@ -121,13 +122,15 @@ class DecisionMaker:
         self._coast = coast
         self._goals = frozenset(model.transitions.goals.tolist())
         self._occurrences = _index_occurrences(model)
+        self._votes = PlanVotes(self._horizon)
+        self._progress = Progress(stride)
         self.reset()
 
     def reset(self) -> None:
         """Drop the plan, for a new episode."""
         self._plan: deque[Atom] = deque()
-        self._votes: deque[NDArray[np.float64]] = deque()
-        self._owed = np.zeros(len(Atom))
+        self._votes.clear()
+        self._progress.reset()
         self._turns_left = self._look_around_ticks
         self._looking = False
         self._coasted = 0
@@ -136,9 +139,7 @@ class DecisionMaker:
     def next_atom(self) -> Atom:
         """Take the next atom of the plan; stop when there is none."""
         atom = self._last = self._plan.popleft() if self._plan else Atom.STOP
-        if self._votes:
-            self._owed += self._votes.popleft()
-            self._owed[atom] -= 1.0
+        self._votes.made(atom)
         if self._looking and atom != Atom.STOP:
             self._turns_left -= 1
         return atom
@@ -155,8 +156,10 @@ class DecisionMaker:
                 return Decision("coast", tuple(self._plan))
             decision = self._look_around(recognition.state)
         else:
-            alone = (Candidate(recognition.state, recognition.phase, 1.0),)
-            decision = self._act(recognition.candidates if self._belief and recognition.candidates else alone)
+            if self._belief and recognition.candidates:
+                decision = self._act(recognition.candidates, 1.0 - recognition.explained)
+            else:
+                decision = self._act((Candidate(recognition.state, recognition.phase, 1.0),), 0.0)
             self._coasted = 0
         self._looking = decision.kind == "look_around"
         # Not every decision restores the turns: a state that only turns back would make it swing for ever. Nor does
@@ -182,24 +185,24 @@ class DecisionMaker:
     def _look_around(self, state: int | None) -> Decision:
         """Turn on the spot, a bounded number of atoms in all; the views may become known ones."""
         self._votes.clear()
-        self._owed[:] = 0.0
         turns = min(self._horizon, self._turns_left)
         atoms = (Atom.LEFT,) * turns + (Atom.STOP,) * (self._horizon - turns)
         return Decision("look_around" if turns else "stop", atoms, state)
 
-    def _act(self, candidates: tuple[Candidate, ...]) -> Decision:
-        """Let the states that know how to go on vote for every atom; the heaviest decides where they tie."""
+    def _act(self, candidates: tuple[Candidate, ...], doubt: float) -> Decision:
+        """Let the states that know how to go on vote for every atom; the heaviest decides where they tie.
+
+        The doubt is how little of the last frames is explained, 0 to 1 (`Recognition.explained`).
+        """
         proposals = [(self._continue(one.state, one.phase), one.weight) for one in candidates]
         voters = [(plan, weight) for plan, weight in proposals if plan.kind != "dead_end"] or proposals[:1]
         leader = voters[0][0]
         if leader.kind == "dead_end" and not any(leader.atoms):
             return self._look_around(leader.state)
-        votes = np.zeros((self._horizon, len(Atom)))
-        for plan, weight in voters:
-            votes[np.arange(self._horizon), plan.atoms] += weight
-        votes /= votes.sum(axis=1, keepdims=True)
-        self._votes = deque(votes)
-        return replace(leader, atoms=_diffused(votes, self._owed, leader.atoms))
+        if leader.demonstration is not None and leader.frame is not None:
+            self._progress.follow(leader.demonstration, leader.frame)
+        persistence = doubt * (1.0 - self._progress.value)
+        return replace(leader, atoms=self._votes.cast([(plan.atoms, weight) for plan, weight in voters], persistence))
 
     def _continue(self, state: int, phase: float) -> Decision:
         """Find the demonstrated frame that is closest to where the robot is, and continue from there."""
@@ -217,18 +220,6 @@ class DecisionMaker:
         atoms = tuple(Atom(int(atom)) for atom in recorded)
         atoms += (Atom.STOP,) * (self._horizon - len(atoms))
         return Decision(kind, atoms, state, action if action >= 0 else None, nearest.demonstration, frame)
-
-
-def _diffused(votes: NDArray[np.float64], owed: NDArray[np.float64], favourites: Sequence[Atom]) -> tuple[Atom, ...]:
-    """Choose atoms by their shares of the votes (l, atoms) and what is owed to them; the favourite where they tie."""
-    owed, atoms = owed.copy(), []
-    for shares, favourite in zip(votes, favourites, strict=True):
-        owed += shares
-        claims = owed.copy()
-        claims[favourite] += _TIE
-        atoms.append(Atom(int(claims.argmax())))
-        owed[atoms[-1]] -= 1.0
-    return tuple(atoms)
 
 
 def _index_occurrences(model: Model) -> list[list[_Occurrence]]:

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from smal.alignment import RECENCY_TICKS, DemonstratedOrder, matched_phase, phase, recency, relative_likelihood
 from smal.matching.streaming import StreamingMatcher, compile_ahead
 from smal.model import Model
-from smal.novelty import AgreementTest, describe_match
+from smal.novelty import describe_match
 from smal.state_matching import Solution
 
 # Lighter candidates hold a few hundredths of the weight together.
@@ -63,6 +63,10 @@ class Recognition:
         Without any, `state` is certain.
     frames : int
         How many of the last frames this rests on: l, or fewer where those l are unknown (`Recognizer`).
+    explained : float
+        How much templates explain of these frames, the mean with recent ones counting more: 1 all of it, 0 if they
+        alone would count as novel. 1 too where that is not known: with `shorten=False`, with a novelty test that does
+        not tell frames apart, and unless there are candidates.
     """
 
     status: Literal["collecting", "recognized", "unknown"]
@@ -76,6 +80,7 @@ class Recognition:
     duality_gap: float = 0.0
     candidates: tuple[Candidate, ...] = ()
     frames: int = 0
+    explained: float = 1.0
 
 
 class Recognizer:
@@ -186,7 +191,9 @@ class Recognizer:
             duality_gap=solution.duality_gap,
             frames=frames,
         )
-        weights = recency(frames, self._recency_ticks) * self._explained(solution, norms)
+        weights = recent = recency(frames, self._recency_ticks)
+        if self._shorten:
+            weights = recent * self._test.explained(solution.residual_norms, norms)
         if not weights[-1 - HIDDEN_TICKS :].any():
             return found
         candidates = _candidates(solution, weights)
@@ -205,16 +212,8 @@ class Recognizer:
             state=match.state,
             phase=float(where.phases[0]),
             candidates=_belief(candidates, where.phases[1:], where.similarity[1:]),
+            explained=min(float(weights.sum() / recent.sum()), 1.0),
         )
-
-    def _explained(self, solution: Solution, norms: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Say how much templates explain of frames of these norms (q,): 0 where the novelty test calls one unknown."""
-        if not self._shorten or not isinstance(self._test, AgreementTest):
-            return np.ones_like(norms)
-        limits = self._test.max_residual * norms
-        unexplained = np.divide(solution.residual_norms, limits, out=np.ones_like(norms), where=limits > 0.0)
-        explained: NDArray[np.float64] = np.maximum(1.0 - unexplained, 0.0)
-        return explained
 
 
 def _candidates(solution: Solution, frame_weights: NDArray[np.float64]) -> tuple[Candidate, ...]:

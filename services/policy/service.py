@@ -103,4 +103,5 @@ def _recognition(state: State) -> Recognition:
         agreement=state.agreement,
         duality_gap=state.duality_gap,
         candidates=tuple(Candidate(c.state, c.phase, c.weight) for c in state.candidates),
+        explained=state.explained,
     )

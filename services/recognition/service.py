@@ -75,6 +75,7 @@ class RecognitionService:
             residual=found.residual,
             agreement=found.agreement,
             duality_gap=found.duality_gap,
+            explained=found.explained,
             candidates=tuple(Candidate(state=c.state, phase=c.phase, weight=c.weight) for c in found.candidates),
         )
         return self._last

@@ -71,6 +71,7 @@ EXAMPLES: dict[type[Message], Message] = {
         agreement=0.625,
         duality_gap=1e-6,
         candidates=(Candidate(state=7, phase=2.5, weight=0.75), Candidate(state=3, phase=-0.5, weight=0.25)),
+        explained=0.375,
     ),
     Action: Action(**HEADER, kind="action", state=7, atoms=("forward", "left", "stop")),
     Command: Command(**HEADER, source="teleop", sequence=2, atom="forward", speed=0.5),

@@ -105,6 +105,7 @@ def test_recognition_knows_where_the_robot_is(client: Bus, listen: Listen[State]
     assert (answer.state, answer.phase) == (2, pytest.approx(LENGTH - 1, abs=0.5))
     assert answer.candidates[0].state == 2
     assert answer.duality_gap < 1e-3
+    assert 0.5 < answer.explained < 1.0
     assert answer.model == identity(model)
 
 
@@ -181,6 +182,23 @@ def test_policy_answers_a_repeated_state_with_the_same_command(
     client.publish(state(1, model, status="collecting"))
     eventually(lambda: 1 in commands)
     assert commands[1].atom == "left"
+
+
+@pytest.mark.usefixtures("policy")
+@pytest.mark.parametrize(("explained", "turns"), [(1.0, False), (0.0, True)])
+def test_policy_makes_the_turn_to_come_where_it_knows_little_and_does_not_move_on(
+    client: Bus, listen: Listen[Message], model: Path, explained: float, turns: bool
+) -> None:
+    commands = listen(topics.COMMANDS["policy"], Command)
+    until_heard(client, state(99, model, episode="hello", status="collecting"), commands)
+    belief = (Candidate(state=2, phase=2.0, weight=1.0),)
+    for tick in range(20):
+        client.publish(
+            state(tick, model, status="recognized", state=2, phase=2.0, candidates=belief, explained=explained)
+        )
+        eventually(lambda tick=tick: tick in commands)  # type: ignore[misc]
+    made = {commands[tick].atom for tick in range(20)}
+    assert made == ({"forward", "left"} if turns else {"forward"})
 
 
 @pytest.mark.usefixtures("policy")

@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 from smal.action_space import Atom
 from smal.alignment import CONCENTRATION
 from smal.decision import COAST_TICKS, SETTLED_RESIDUAL, DecisionMaker
+from smal.evaluation.baselines.seqslam_localisation import state_at
 from smal.learning import Demonstration, LearningReport, LearningSettings, learn
 from smal.matching.streaming import StreamingMatcher
 from smal.model import Model
@@ -303,6 +304,61 @@ def test_every_movement_is_made_as_often_as_states_ask_for_it(
         assert abs(atoms.count(Atom.FORWARD) - (len(atoms) - turns)) < 1.0
 
 
+def atoms_while_stuck(model: Model, explained: float) -> list[Atom]:
+    """Drive on while every view is that of a state whose plan has a turn to come."""
+    plans = DecisionMaker(model, LENGTH)
+    for state in range(model.states):
+        plan = plans.decide(Recognition("recognized", 0, state, LENGTH - 1.0)).atoms
+        if plan[0] == Atom.FORWARD and Atom.LEFT in plan:
+            break
+    else:
+        raise AssertionError("no state is followed by a turn")
+    here = Recognition(
+        "recognized", 0, state, LENGTH - 1.0, candidates=(Candidate(state, LENGTH - 1.0, 1.0),), explained=explained
+    )
+    maker, atoms = DecisionMaker(model, 1), []
+    for _ in range(60):
+        maker.decide(here)
+        atoms.append(maker.next_atom())
+    return atoms
+
+
+def test_a_turn_to_come_is_made_although_the_view_stays_the_same(model: Model) -> None:
+    turns = [atoms_while_stuck(model, explained).count(Atom.LEFT) for explained in (1.0, 0.7, 0.4, 0.1)]
+    assert turns[0] == 0, "a robot that knows where it is follows its latest plan alone"
+    assert turns == sorted(turns)
+    assert 5 < turns[-1] < 50
+
+
+def test_a_robot_that_moves_along_follows_its_latest_plan_alone(model: Model) -> None:
+    """At twice the speed of the demonstration the plan of before is behind, and has no say."""
+    known, vague = DecisionMaker(model, 1), DecisionMaker(model, 1)
+    made = []
+    for tick, frame in enumerate(range(LENGTH, len(model.atoms[0]) - 2 * LENGTH, 2)):
+        state, phase = state_at(model, 0, frame)
+        seen = Recognition("recognized", tick, state, phase, candidates=(Candidate(state, phase, 1.0),))
+        known.decide(seen)
+        vague.decide(dataclasses.replace(seen, explained=0.0))
+        made.append((known.next_atom(), vague.next_atom()))
+    assert {Atom.FORWARD, Atom.LEFT} <= {one for one, _ in made}
+    assert all(one == other for one, other in made)
+
+
+def test_the_less_templates_explain_the_more_plans_of_before_say(model: Model) -> None:
+    """What is explained is told by recognition: much of a taught drive, less where noise is added."""
+    rng, told = np.random.default_rng(3), []
+    for noise in (0.0, 0.5, 1.5):
+        recognizer = Recognizer(model)
+        found = [
+            recognizer.observe(tick, frame + noise * rng.standard_normal(frame.size) / np.sqrt(frame.size), True)
+            for tick, frame in enumerate(DRIVES[0].features[:12])
+        ]
+        told.append(np.mean([one.explained for one in found if one.status == "recognized"]))
+    assert 1.0 >= told[0] > told[1] > told[2] > 0.0
+    paper = Recognizer(model, shorten=False)
+    assert {paper.observe(tick, one, True).explained for tick, one in enumerate(DRIVES[0].features[:12])} == {1.0}
+
+
 def test_what_is_owed_is_forgotten_with_the_way(model: Model) -> None:
     turning, straight = turning_and_straight(model)
     candidates = tuple(dataclasses.replace(one, weight=0.5) for one in (straight, turning))
@@ -389,7 +445,7 @@ def test_a_shorter_window_knows_the_way_again_at_once(long_model: Model, taught:
 def test_a_known_window_is_not_shortened(long_model: Model) -> None:
     long, short = (back_on_the_way(long_model, shorten, taught=LONG) for shorten in (False, True))
     # The belief differs a little: what is explained less counts less.
-    assert dataclasses.replace(long, candidates=()) == dataclasses.replace(short, candidates=())
+    assert dataclasses.replace(long, candidates=()) == dataclasses.replace(short, candidates=(), explained=1.0)
     assert long.candidates[0].state == short.candidates[0].state
     assert long.status == "recognized"
     assert long.frames == LONG
