@@ -23,7 +23,7 @@ from schemas.state import State
 from schemas.tracked_pose import TrackedPose
 
 ROOT: Final = "smal"
-#: How long a sender keeps what is recorded, so that a recorder which was away gets it afterwards.
+#: How long, at least, a sender keeps what is recorded, so that a recorder which was away gets it afterwards.
 KEPT_S: Final = 30.0
 
 
@@ -66,8 +66,11 @@ class Topic:
 
     @property
     def kept(self) -> int:
-        """How many messages of a recorded topic its sender keeps; of events as many as if they came at 10 Hz."""
-        return math.ceil(KEPT_S * (self.rate_hz or 10))
+        """How many messages of a recorded topic its sender keeps; of events as many as if they came at 10 Hz.
+
+        Half as many again as the nominal rate asks for: commands are applied at 12 Hz and more.
+        """
+        return math.ceil(1.5 * KEPT_S * (self.rate_hz or 10))
 
     @property
     def meaning(self) -> str:

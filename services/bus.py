@@ -20,6 +20,7 @@ from schemas.codec import describe, encode, encoding_of, printable
 from schemas.rpc import Failure
 from schemas.topics import KEPT_S, TOPICS, Topic, rpc_key
 from services.memory import keep_freed_memory
+from services.replay import Replay
 
 DEFAULT_ROUTER: Final = "tcp/127.0.0.1:7447"
 ENDPOINT_PATTERN: Final = r"(?:tcp|tls|quic|udp|ws)/([^\s/]+):(\d{1,5})"
@@ -30,6 +31,13 @@ PATIENCE_S: Final = 10.0
 #: A publisher that was silent tells at most this long after its last sample how many there were, so that a subscriber
 #: that missed it notices.
 HEARTBEAT_S: Final = 0.25
+#: Priority of replayed samples: that of the message by which Zenoh ends a reply. With a lower one that would overtake
+#: them on a busy machine, and the rest be lost.
+REPLAY_PRIORITY: Final = zenoh.Priority.DATA
+#: How long a sender that does not answer can hold up its own samples.
+REPLAY_TIMEOUT_S: Final = 10.0
+#: Of calls: ahead of images and of what is replayed.
+_CALL_PRIORITY: Final = zenoh.Priority.INTERACTIVE_LOW
 JSON_ENCODING: Final = zenoh.Encoding("application/json")
 #: Largest request or reply of a queryable, bytes.
 MAX_RPC_BYTES: Final = 1_000_000
@@ -214,7 +222,7 @@ class Bus:
                 key, encoding=encoding, congestion_control=congestion, priority=priority, express=topic.urgent
             )
         replies = zenoh.ext.RepliesConfig(
-            congestion_control=zenoh.CongestionControl.BLOCK, priority=zenoh.Priority.BACKGROUND, express=False
+            congestion_control=zenoh.CongestionControl.BLOCK, priority=REPLAY_PRIORITY, express=False
         )
         return zenoh.ext.declare_advanced_publisher(
             session,
@@ -250,18 +258,48 @@ class Bus:
             take(sample.payload.to_bytes(), str(sample.encoding), transit_s)
 
         key, session = topic.key(self.robot), self._sessions[topic.urgent]
-        if not replay:
+        if replay:
+            self._subscribe_replayed(session, key, on_sample)
+        else:
             self._declared.append(session.declare_subscriber(key, _in_order(on_sample)))
-            return
-        self._declared.append(
-            zenoh.ext.declare_advanced_subscriber(
-                session,
-                key,
-                _in_order(on_sample),
-                history=zenoh.ext.HistoryConfig(detect_late_publishers=True, max_age=KEPT_S),
-                recovery=zenoh.ext.RecoveryConfig(periodic_queries=None, heartbeat=True),
+
+    def _subscribe_replayed(self, session: zenoh.Session, key: str, take: Callable[[zenoh.Sample], None]) -> None:
+        senders = f"{key}/@adv/pub"
+
+        def ask(name: str) -> None:
+            def on_reply(reply: zenoh.Reply) -> None:
+                if reply.ok is not None and reply.ok.source_info is not None:
+                    replay.replayed(name, reply.ok.source_info.source_sn, reply.ok)
+
+            session.get(
+                zenoh.Selector(f"{senders}/{name}/**", f"_time=[now(-{KEPT_S:g}s)..]"),
+                zenoh.handlers.Callback(on_reply, lambda: replay.ended(name), indirect=False),
+                consolidation=zenoh.ConsolidationMode.NONE,
+                accept_replies=zenoh.ReplyKeyExpr.ANY,
+                timeout=REPLAY_TIMEOUT_S,
             )
-        )
+
+        replay = Replay(take, ask)
+
+        def on_live(sample: zenoh.Sample) -> None:
+            source = sample.source_info
+            if source is None:  # of a stranger, who keeps nothing
+                take(sample)
+            else:
+                replay.live(f"{source.source_id.zid}/{source.source_id.eid}", source.source_sn, sample)
+
+        def on_sender(token: zenoh.Sample) -> None:
+            if token.kind == zenoh.SampleKind.PUT:
+                zid, eid, *_ = str(token.key_expr).removeprefix(f"{senders}/").split("/")
+                replay.met(f"{zid}/{eid}")
+
+        # First the subscription: nothing is lost between what a sender kept and what it sends from then on. What gets
+        # lost on the way, and in an outage, is noticed by its number, and asked for by Zenoh, in order.
+        recovery = zenoh.ext.RecoveryConfig(periodic_queries=None, heartbeat=True)
+        self._declared += [
+            zenoh.ext.declare_advanced_subscriber(session, key, _in_order(on_live), recovery=recovery),
+            session.liveliness().declare_subscriber(f"{senders}/**", _in_order(on_sender), history=True),
+        ]
 
     def listen(self, keys: str, take: Callable[[str, bytes, str], None], *, urgent: bool = False) -> None:
         """Call ``take(key, payload, encoding)`` for every sample on matching keys, on Zenoh's thread.
@@ -311,7 +349,7 @@ class Bus:
         """
         key = rpc_key(self.robot, service, verb)
         replies = self._sessions[False].get(
-            key, payload=request.model_dump_json(), encoding=JSON_ENCODING, timeout=timeout_s
+            key, payload=request.model_dump_json(), encoding=JSON_ENCODING, timeout=timeout_s, priority=_CALL_PRIORITY
         )
         for reply in replies:
             try:
@@ -332,10 +370,13 @@ class Bus:
 
 
 def _priority(topic: Topic) -> zenoh.Priority:
-    """Return a topic's queue. What waits must not wait behind images: a slow link would then be closed for them."""
+    """Return a topic's queue. What waits must not wait behind images: a slow link would then be closed for them.
+
+    And nothing must wait behind what is replayed.
+    """
     if topic.urgent:
         return zenoh.Priority.REAL_TIME
-    return zenoh.Priority.DATA_HIGH if topic.reliable else zenoh.Priority.DATA
+    return zenoh.Priority.INTERACTIVE_LOW if topic.reliable else zenoh.Priority.DATA_HIGH
 
 
 def _in_order(on_sample: Callable[[zenoh.Sample], None]) -> zenoh.handlers.Callback[zenoh.Sample]:

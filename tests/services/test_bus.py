@@ -192,8 +192,12 @@ def replayed(bus: Bus, topic: topics.Topic) -> Callable[[], list[int]]:
 
 
 @pytest.mark.parametrize("topic", [topics.STATE, topics.COMMANDS["teleop"]], ids=lambda topic: topic.name)
-def test_what_is_recorded_survives_an_outage_of_the_router(free_endpoint: str, topic: topics.Topic) -> None:
+@pytest.mark.parametrize("kept_s", [topics.KEPT_S, 0.05], ids=["short", "longer than is asked for"])
+def test_what_is_recorded_survives_an_outage_of_the_router(
+    free_endpoint: str, topic: topics.Topic, kept_s: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """The recorder gets what was sent while there was no router, each once and in order, the last one too."""
+    monkeypatch.setattr("services.bus.KEPT_S", kept_s)
     router = Router(free_endpoint)
     sender, receiver = Bus("rescuebot", free_endpoint), Bus("rescuebot", free_endpoint)
 
@@ -229,6 +233,30 @@ def test_who_comes_late_has_replayed_what_was_sent_before(client: Bus, other: Bu
     client.publish(EXAMPLES[State].model_copy(update={"tick": 20}))
     eventually(lambda: ticks()[-1] == 20)
     assert plain.qsize() <= 21, "nobody else has anything sent twice"
+
+
+def test_nothing_is_missing_where_live_samples_come_during_the_replay(client: Bus, router_endpoint: str) -> None:
+    """As for a recorder that is started again while the robot drives."""
+    before, after, late = 100, 150, [Bus("rescuebot", router_endpoint) for _ in range(6)]
+
+    def send(ticks: range, pace_s: float = 0.0) -> None:
+        for tick in ticks:
+            client.publish(EXAMPLES[State].model_copy(update={"tick": tick}))
+            threading.Event().wait(pace_s)
+
+    send(range(before))
+    sender = threading.Thread(target=send, args=(range(before, before + after), 0.002))
+    sender.start()
+    try:
+        heard_by = [replayed(bus, topics.STATE) for bus in late]
+        sender.join()
+        for ticks in heard_by:
+            eventually(lambda ticks=ticks: len(ticks()) >= before + after)
+            assert ticks() == list(range(before + after))
+    finally:
+        sender.join()
+        for bus in late:
+            bus.close()
 
 
 def test_whether_anybody_listens_is_known(client: Bus, router_endpoint: str) -> None:

@@ -1,0 +1,85 @@
+"""What a sender kept from before somebody listened, and then what it sends, in its order and each once.
+
+Zenoh's own subscriber with history loses all that it has fetched where a live sample comes after the end of its first
+query and before the end of its second, which is for senders that appear later (1.10.2; under load one start in two of
+a subscriber to a dozen topics). So we fetch ourselves.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Final, Generic, TypeVar
+
+T = TypeVar("T")
+
+#: Senders that are known again; a subscriber hears of one at a time, and of another whenever that is restarted.
+_KNOWN: Final = 64
+
+
+@dataclass
+class _Sender(Generic[T]):
+    """Number of the last sample passed on, and, until what was kept has come, the live samples."""
+
+    last: int = -1
+    held: list[tuple[int, T]] | None = field(default_factory=list)
+
+
+class Replay(Generic[T]):
+    """Asks each sender that it hears of, once, for what it kept; what is live waits until that has come.
+
+    Any thread may call. Of a sender that does not answer, samples are held until its query ends.
+
+    Parameters
+    ----------
+    take : callable
+        Called with each sample, by one thread at a time; must return at once, and not raise.
+    ask : callable
+        Called with a sender's name: `replayed` and then `ended` must follow, on any thread.
+    """
+
+    def __init__(self, take: Callable[[T], None], ask: Callable[[str], None]) -> None:
+        self._take = take
+        self._ask = ask
+        self._lock = threading.Lock()
+        self._senders: dict[str, _Sender[T]] = {}
+
+    def met(self, name: str) -> _Sender[T]:
+        """Note that a sender is there."""
+        with self._lock:
+            if (sender := self._senders.get(name)) is not None:
+                return sender
+            sender = self._senders[name] = _Sender()
+            if len(self._senders) > _KNOWN:
+                del self._senders[next(iter(self._senders))]
+        self._ask(name)
+        return sender
+
+    def live(self, name: str, number: int, sample: T) -> None:
+        """Take a sample that was just sent, the `number`-th of its sender; numbers grow, but for what is lost."""
+        sender = self.met(name)
+        with self._lock:
+            if sender.held is None:
+                self._pass(sender, number, sample)
+            else:
+                sender.held.append((number, sample))
+
+    def replayed(self, name: str, number: int, sample: T) -> None:
+        """Take a sample that was kept, in the order of numbers."""
+        with self._lock:
+            if (sender := self._senders.get(name)) is not None:
+                self._pass(sender, number, sample)
+
+    def ended(self, name: str) -> None:
+        """Note that all that was kept has come, or that the sender does not answer."""
+        with self._lock:
+            if (sender := self._senders.get(name)) is not None and sender.held is not None:
+                held, sender.held = sender.held, None
+                for number, sample in held:
+                    self._pass(sender, number, sample)
+
+    def _pass(self, sender: _Sender[T], number: int, sample: T) -> None:
+        if number > sender.last:
+            sender.last = number
+            self._take(sample)
