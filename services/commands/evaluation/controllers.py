@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from services.commands.evaluation.demonstrations import Drive
+from services.commands.evaluation.plan import SCHEMES, Scheme
 from smal.action_space import Atom
 from smal.decision import DecisionMaker
 from smal.evaluation.baselines.behaviour_cloning import ClonedBehaviour
@@ -23,7 +24,8 @@ from smal.recognition import Recognition, Recognizer
 
 #: The paper's trajectories of 10 frames. Its neighbourhood of 10 frames is too small for ten frames a second, in which
 #: neighbours hardly differ, and what is enhanced is noise: on drives of the indoor world the place was off by more than
-#: 2.5 m in one of ten frames, with 40 frames by 0.13 m.
+#: 2.5 m in one of ten frames, with 40 frames by 0.13 m. On the campus it collides whatever the settings: neighbourhoods
+#: of 10 to 160 frames, trajectories of 5 to 40, velocities of 0.5 to 2 (three searches each).
 SEQSLAM: Final = SeqSlamSettings(length=10, window=40)
 
 
@@ -77,25 +79,17 @@ class SmalController:
     ----------
     model
         What was learned. With l = 1 it is the single image, everything else being equal.
-    stride
-        Frames from one decision to the next, 1 to l; l is the paper's scheme.
-    aligned, belief, coast, shorten
-        See `smal.decision` and `smal.recognition.Recognizer`; all False is the paper's scheme.
+    scheme
+        How it decides.
     """
 
-    def __init__(
-        self,
-        model: Model,
-        stride: int = 1,
-        *,
-        aligned: bool = True,
-        belief: bool = True,
-        coast: bool = True,
-        shorten: bool = True,
-    ) -> None:
-        self._maker = DecisionMaker(model, stride, aligned=aligned, belief=belief, coast=coast)
-        self._recognizer = Recognizer(model, shorten=shorten)
-        self._length, self._stride = model.sequence_length, stride
+    def __init__(self, model: Model, scheme: Scheme = SCHEMES["smal"]) -> None:
+        self._length = model.sequence_length
+        self._stride = scheme.stride(self._length)
+        self._maker = DecisionMaker(
+            model, self._stride, aligned=scheme.aligned, belief=scheme.belief, coast=scheme.coast
+        )
+        self._recognizer = Recognizer(model, shorten=scheme.shorten)
         self._features = model.feature_settings
 
     @property

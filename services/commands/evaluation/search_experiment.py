@@ -51,15 +51,7 @@ class Drivers:
         model = self._workplace.model(world, teaching, length)
         if name == "seqslam":
             return SeqSlamController(model, self._workplace.drives(world, teaching))
-        scheme = SCHEMES[name]
-        return SmalController(
-            model,
-            scheme.stride(length),
-            aligned=scheme.aligned,
-            belief=scheme.belief,
-            coast=scheme.coast,
-            shorten=scheme.shorten,
-        )
+        return SmalController(model, SCHEMES[name])
 
     def _clone(self, world: str, teaching: str, seed: int) -> ClonedBehaviour:
         drives = self._workplace.drives(world, teaching)

@@ -67,7 +67,8 @@ class Unit:
 class _Costs:
     """About how many seconds things take on one core, as measured on one machine; only for the progress bar."""
 
-    def __init__(self, world: WorldPlan) -> None:
+    def __init__(self, world: WorldPlan, max_ticks: int) -> None:
+        self.max_ticks = max_ticks
         outdoors = world.world == "campus"
         self.frame_s = 0.015 if outdoors else 0.008
         self.drive_frames = 560 if outdoors else 330
@@ -79,21 +80,24 @@ class _Costs:
         return self.drive_frames * self.frame_s
 
     def match_s(self, length: int) -> float:
-        """Return what matching a window costs."""
-        return 2.5e-3 + 0.7e-3 * length * self.learned
+        """Return what matching a window costs in a stream of frames."""
+        return 1e-3 + (1e-4 * length + 1.1e-5 * length**2) * self.learned
 
     def recognise_s(self, recogniser: Recogniser) -> float:
-        smal = recogniser.name == "smal"
-        return self.drive_frames * (self.match_s(recogniser.length) / JUDGED_TICKS if smal else 1e-3)
+        """Return what recognising a drive costs; its frames are far apart, and the first match prepares templates."""
+        if recogniser.name != "smal":
+            return 1.0
+        return 2.5 + self.drive_frames / JUDGED_TICKS * (0.02 + self.match_s(recogniser.length))
 
     def search_s(self, controller: str, length: int, degradation: str) -> float:
         """Return what a search costs; where frames are occluded it lasts longer, and matching takes longer."""
-        longer = 1.0 if degradation == "clean" else 1.7
+        longer = 1.0 if degradation == "clean" else 1.5
         frames = self.drive_frames * longer
         if controller not in SCHEMES:
-            return frames * (self.frame_s + 2e-3)
-        # Long sequences of the paper's scheme get lost, and then look around until the time is out.
-        frames *= 2.0 if length >= 20 and not SCHEMES[controller].aligned else 1.0
+            return frames * (self.frame_s + 5e-3)
+        if not SCHEMES[controller].aligned and (longer > 1.0 or length > 1):
+            # It gets lost, and stands until the time is out.
+            return self.max_ticks * (self.frame_s + 3e-3)
         return frames * (self.frame_s + longer * self.match_s(length) / SCHEMES[controller].stride(length))
 
 
@@ -111,7 +115,7 @@ def units(plan: Plan, *, cloning: bool) -> list[Unit]:
 
 
 def _of_world(plan: Plan, world: WorldPlan, cloning: bool) -> Iterator[Unit]:
-    costs = _Costs(world)
+    costs = _Costs(world, plan.max_ticks)
     taught = ("teaching", plan.teaching(world))
     teaching = list(_teaching(world, taught, costs))
     yield from teaching
@@ -119,7 +123,7 @@ def _of_world(plan: Plan, world: WorldPlan, cloning: bool) -> Iterator[Unit]:
     for length in world.all_lengths:
         settings = (taught, ("length", length))
         needs = tuple(unit.key for unit in teaching)
-        learned[length] = Unit("learn", world.world, settings, needs, 1.0 + 0.8 * costs.learned)
+        learned[length] = Unit("learn", world.world, settings, needs, 1.0 + 1.5 * costs.learned)
         yield learned[length]
     queries = [
         Unit("queries", world.world, (taught, ("seed", QUERY_SEED + k)), (), 1.1 * costs.drive_s)

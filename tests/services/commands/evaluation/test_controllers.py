@@ -9,6 +9,7 @@ import pytest
 
 from services.commands.evaluation.controllers import Controller, ImitationController, SeqSlamController, SmalController
 from services.commands.evaluation.demonstrations import Drive
+from services.commands.evaluation.plan import SCHEMES, Scheme
 from smal.action_space import Atom
 from smal.features import FeatureSettings, extract
 from smal.learning import Demonstration, LearningSettings, learn
@@ -53,10 +54,8 @@ def shown(controller: Controller, one: Drive) -> list[Atom]:
 
 def make(name: str, model: Model) -> Controller:
     drives = taught()
-    if name == "smal":
-        return SmalController(model)
-    if name == "paper":
-        return SmalController(model, LENGTH, aligned=False, belief=False, coast=False, shorten=False)
+    if name in SCHEMES:
+        return SmalController(model, SCHEMES[name])
     if name == "seqslam":
         return SeqSlamController(model, drives, settings=SeqSlamSettings(length=LENGTH))
     return ImitationController(drives, FEATURES, int(name))
@@ -75,11 +74,23 @@ def test_a_demonstration_seen_again_is_driven_again(name: str, waits: int, sure:
         assert done[sure:] == [Atom(int(atom)) for atom in one.demonstration.atoms[sure:]]
 
 
-def test_decisions_come_with_the_first_whole_window_and_then_at_the_stride(model: Model) -> None:
-    controller = SmalController(model, 3)
+class EveryThird(Scheme):
+    """Decides at every third frame."""
+
+    def stride(self, length: int) -> int:
+        return 3
+
+
+@pytest.mark.parametrize(
+    ("scheme", "stride"), [(SCHEMES["smal"], 1), (EveryThird("smal", ""), 3), (SCHEMES["paper"], LENGTH)]
+)
+def test_decisions_come_with_the_first_whole_window_and_then_at_the_stride(
+    scheme: Scheme, stride: int, model: Model
+) -> None:
+    controller = SmalController(model, scheme)
     one = taught()[0]
     moves = [controller.act(tick, np.zeros(0, np.uint8), view) for tick, view in enumerate(one.demonstration.features)]
-    assert [tick for tick, move in enumerate(moves) if move.decision] == list(range(LENGTH - 1, FRAMES, 3))
+    assert [tick for tick, move in enumerate(moves) if move.decision] == list(range(LENGTH - 1, FRAMES, stride))
     controller.reset()
     strange = [extract(picture(1000 + tick), FEATURES) for tick in range(LENGTH)]
     moves = [controller.act(tick, np.zeros(0, np.uint8), view) for tick, view in enumerate(strange)]
