@@ -14,7 +14,7 @@ from tqdm import tqdm
 from services.commands import options, outputs
 from services.commands.errors import JobError
 from services.simulator.scene.vulkan import RenderingUnavailableError
-from services.simulator.simulation import CameraSettings
+from services.simulator.sensors.camera import CameraSettings
 from services.simulator.world import Pose, World, WorldError, load_world
 from services.simulator.world.route import plan_route, route_length_m
 from services.simulator.world.terrain import Terrain

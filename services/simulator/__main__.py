@@ -10,8 +10,8 @@ from services.simulator.episode import EpisodeRunner
 from services.simulator.opening import open_simulation
 from services.simulator.physics.engine import PhysicsUnavailableError
 from services.simulator.scene.vulkan import RenderingUnavailableError
+from services.simulator.sensors.camera import CameraSettings
 from services.simulator.service import SimulatorService
-from services.simulator.simulation import CameraSettings
 from services.simulator.world import WorldError
 
 

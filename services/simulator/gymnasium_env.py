@@ -17,7 +17,8 @@ from schemas.base import ATOMS
 from schemas.episode import Purpose
 from services.simulator.drive import TICK_S
 from services.simulator.opening import BaseKind, open_simulation
-from services.simulator.simulation import CameraSettings, Simulation
+from services.simulator.sensors.camera import CameraSettings
+from services.simulator.simulation import Simulation
 
 #: Frames after which an episode is truncated: five minutes.
 MAX_TICKS: Final = 3000

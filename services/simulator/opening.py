@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING, Literal
 
 from services.simulator.base import KinematicBase
 from services.simulator.sensors import ShakeSettings
-from services.simulator.simulation import CameraSettings, Simulation
+from services.simulator.sensors.camera import CameraSettings
+from services.simulator.simulation import Simulation
 from services.simulator.variation import variation_named
 from services.simulator.world import load_world
 from services.simulator.world.varying import vary

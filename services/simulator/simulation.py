@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final, Protocol
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
 from services.simulator.base import STEP_S, Base, KinematicBase
 from services.simulator.scene.atmosphere import exposed, hazy
-from services.simulator.sensors import ImuReading, OdometryReading, Sensors, ShakeSettings, Tilt
+from services.simulator.sensors import ImuReading, OdometryReading, Sensors, ShakeSettings
 from services.simulator.sensors.blur import blur
-from services.simulator.variation import DAY, Daylight, Variation
+from services.simulator.sensors.camera import Camera, CameraSettings
+from services.simulator.variation import DAY, Variation
 from services.simulator.world.route import plan_route
 from services.simulator.world.starts import sample_start
 
@@ -28,44 +28,6 @@ VISIBLE_FRACTION: Final = 0.0005
 _PURPOSE_NUMBER: Final[dict[Purpose, int]] = {"drive": 0, "run": 1, "recovery": 2}
 # Sources of chance in an episode: start, wheels, odometry, inertial unit, shake. Their order is part of every seed.
 _STREAMS: Final = 5
-
-
-@dataclass(frozen=True)
-class CameraSettings:
-    """The robot's camera: image size in pixels, shadows of the sun, how wide it sees, and in what light.
-
-    Attributes
-    ----------
-    supersample
-        Pixels rendered per image pixel along each axis, averaged; more smooths edges and costs its square in time.
-    """
-
-    width: int = 1024
-    height: int = 768
-    shadows: bool = True
-    field_of_view_deg: float = 75.0
-    supersample: int = 1
-    light: Daylight = DAY.light
-
-
-class Camera(Protocol):
-    """The robot's eye, and the one above it; `rendering.SceneCamera` is the real one."""
-
-    @property
-    def focal_px(self) -> float:
-        """Focal length of the robot's eye in pixels."""
-
-    def render(self, pose: Pose, tilt: Tilt) -> NDArray[np.uint8]:
-        """Return the image seen from `pose` by a camera that is tilted there."""
-
-    def depth_m(self, pose: Pose, tilt: Tilt) -> NDArray[np.float32]:
-        """Return how far along the optical axis each pixel's surface is, (height, width) metres or `inf`."""
-
-    def victim_pixels(self, pose: Pose, tilt: Tilt) -> float:
-        """Return the fraction of the image, 0 to 1, that the victim fills, seen from `pose`."""
-
-    def overhead(self, pose: Pose) -> NDArray[np.uint8]:
-        """Return what the camera above the scene, if there is one, sees of a robot at `pose`."""
 
 
 class Simulation:

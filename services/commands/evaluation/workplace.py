@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 from services.commands.evaluation.demonstrations import Drive, load_drives
 from services.commands.evaluation.units import Unit
 from services.simulator.opening import open_simulation
-from services.simulator.simulation import CameraSettings, Simulation
+from services.simulator.sensors.camera import CameraSettings
+from services.simulator.simulation import Simulation
 from smal.container import replacing
 from smal.features import FeatureSettings
 from smal.model import Model

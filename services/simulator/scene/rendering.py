@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from services.simulator.scene.surfaces import Scene, Vector
-    from services.simulator.simulation import CameraSettings
+    from services.simulator.sensors.camera import CameraSettings
     from services.simulator.world.place import OverheadMount, Pose, World
 
 _NEAR_M: Final = 0.1

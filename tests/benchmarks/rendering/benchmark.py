@@ -32,7 +32,7 @@ from tqdm import tqdm
 from services.commands.errors import JobError, UsageError
 from services.simulator.scene.rendering import SceneCamera
 from services.simulator.scene.vulkan import RenderingUnavailableError
-from services.simulator.simulation import CameraSettings
+from services.simulator.sensors.camera import CameraSettings
 from services.simulator.world import Pose, World, WorldError, known_worlds, load_world
 from services.simulator.world.route import plan_route
 from services.simulator.world.terrain import Terrain

@@ -17,7 +17,7 @@ import numpy as np
 
 from services.simulator.scene import vulkan
 from services.simulator.scene.build import build_scene
-from services.simulator.simulation import CameraSettings
+from services.simulator.sensors.camera import CameraSettings
 from tests.benchmarks.rendering.towns import field
 
 

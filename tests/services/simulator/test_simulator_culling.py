@@ -9,8 +9,8 @@ import pytest
 
 from services.simulator.scene.occlusion import Occluders
 from services.simulator.scene.rendering import SceneCamera
+from services.simulator.sensors.camera import CameraSettings
 from services.simulator.sensors.shake import LEVEL, Tilt
-from services.simulator.simulation import CameraSettings
 from services.simulator.world import load_world
 from services.simulator.world.place import Pose
 

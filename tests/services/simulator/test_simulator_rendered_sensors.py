@@ -14,8 +14,9 @@ from numpy.typing import NDArray
 from services.simulator.scene.rendering import SceneCamera
 from services.simulator.sensors import LEVEL, ShakeSettings, Tilt
 from services.simulator.sensors.blur import blur
+from services.simulator.sensors.camera import CameraSettings
 from services.simulator.sensors.shake import TiltRate
-from services.simulator.simulation import CameraSettings, Simulation
+from services.simulator.simulation import Simulation
 from services.simulator.world import load_world
 from services.simulator.world.place import OverheadMount, Pose, World
 from services.simulator.world.terrain import Terrain

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from services.simulator.scene.rendering import ROBOT, SceneCamera
-from services.simulator.simulation import CameraSettings, Simulation
+from services.simulator.sensors.camera import CameraSettings
+from services.simulator.simulation import Simulation
 from services.simulator.world import load_world
 from services.simulator.world.place import Pose
 from services.simulator.world.route import plan_route

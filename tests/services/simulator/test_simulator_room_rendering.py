@@ -10,7 +10,8 @@ import pytest
 import shapely
 
 from services.simulator.scene.rendering import NOTHING, ROBOT, SceneCamera
-from services.simulator.simulation import CameraSettings, Simulation
+from services.simulator.sensors.camera import CameraSettings
+from services.simulator.simulation import Simulation
 from services.simulator.world.place import Pose
 from services.simulator.world.route import plan_route
 from tests.services.simulator.simulator_rooms import indoor

@@ -29,7 +29,8 @@ from services.policy.service import PolicyService
 from services.recognition.service import RecognitionService
 from services.simulator.episode import EpisodeRunner
 from services.simulator.opening import open_simulation
-from services.simulator.simulation import CameraSettings, Simulation
+from services.simulator.sensors.camera import CameraSettings
+from services.simulator.simulation import Simulation
 from services.simulator.world import load_world
 from smal.action_space import Atom
 from smal.features import FeatureSettings
