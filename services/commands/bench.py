@@ -11,10 +11,10 @@ from typing import Annotated, Final
 
 import typer
 
-from services.commands.child import tied
 from services.commands.errors import JobError, UsageError
 from services.commands.interrupts import interrupted_by_signals
-from services.commands.stack import flags
+from services.commands.stack.child import tied
+from services.commands.stack.processes import flags
 
 #: Where benchmarks are: beside the packages, in a checkout only.
 FOLDER: Final = Path(__file__).parents[2] / "tests" / "benchmarks"

@@ -22,7 +22,7 @@ from schemas.base import Strict
 from schemas.command import Command
 from schemas.rpc import Nothing, Status
 from services.bus import DEFAULT_ROUTER, Bus, BusError, Router, RpcError, host_and_port
-from services.commands.stack import SERVICES, free_endpoint
+from services.commands.stack.processes import SERVICES, free_endpoint
 
 PYTHONS: Final = ((3, 11), (3, 13))
 #: Recordings of a full set of drives, with room for the reports.

@@ -13,18 +13,15 @@ from tqdm import tqdm
 from schemas import topics
 from schemas.rpc import ResetReply, ResetRequest
 from services.commands import options, outputs
-from services.commands.episodes import EpisodeClient, EpisodeRecord, check_world_of
+from services.commands.episodes.client import EpisodeClient, EpisodeRecord, check_world_of
+from services.commands.episodes.recording import recording
 from services.commands.errors import UsageError
 from services.commands.feature_options import Modalities, feature_flags, features_of_own_stack
-from services.commands.recording import recording
 from services.commands.simulator_options import simulator_of_own_stack
-from services.commands.stack import Access, stack_for
+from services.commands.stack.processes import Access, stack_for
+from services.expert.driver import DRIVE_TICKS, RECOVERY_TICKS
 from services.expert.service import ExpertService
 
-#: A recovery drive is over after this many frames (8 s at 10 Hz).
-RECOVERY_TICKS = 80
-#: Frames after which a full drive is given up.
-DRIVE_TICKS = 4000
 #: Recovery drives for each full drive, where the user does not say: what it takes to come back after a drift.
 RECOVERIES_PER_DRIVE = 5
 
@@ -124,7 +121,7 @@ def _with_progress(requests: list[ResetRequest]) -> Iterator[tuple[ResetRequest,
 
 
 def _draw(world: str, records: list[EpisodeRecord], picture: Path) -> None:
-    from services.commands.route_map import draw_routes  # noqa: PLC0415 - matplotlib takes a second to import
+    from services.commands.episodes.route_map import draw_routes  # noqa: PLC0415 - matplotlib takes a second to import
 
     draw_routes(world, records).savefig(picture, dpi=110)
     tqdm.write(f"picture of {len(records)} drives: {picture}")

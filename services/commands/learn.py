@@ -15,8 +15,8 @@ from tqdm import tqdm
 from services.commands import outputs
 from services.commands.errors import JobError, UsageError
 from services.commands.feature_options import ModalitiesOfRecordings, Weights, parse_features, with_weights
-from services.commands.recorded_features import features_of_recordings
-from services.commands.teaching import Teacher, Teaching, find_recordings, states_shared_by_episodes
+from services.commands.teaching.recorded_features import features_of_recordings
+from services.commands.teaching.teacher import Teacher, Teaching, find_recordings, states_shared_by_episodes
 from smal.features import FeatureSettings
 from smal.learning import LearningReport, LearningSettings
 from smal.learning import learn as learn_model

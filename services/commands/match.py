@@ -13,9 +13,15 @@ from tqdm import tqdm
 
 from services.commands import outputs
 from services.commands.errors import JobError, UsageError
-from services.commands.image_folder import ImageFolder, describe_frames, list_folder, read_truth_of, say_skipped
-from services.commands.match_report import Quality, Result, Traverses, as_json, as_text, described_by
-from services.commands.match_settings import choose
+from services.commands.matching.image_folder import (
+    ImageFolder,
+    describe_frames,
+    list_folder,
+    read_truth_of,
+    say_skipped,
+)
+from services.commands.matching.report import Quality, Result, Traverses, as_json, as_text, described_by
+from services.commands.matching.settings import choose
 from smal.evaluation.ground_truth import IntervalTruth, judge
 from smal.evaluation.precision_recall import PrecisionRecall, block_length, bootstrap_intervals
 from smal.features import MODALITY_NAMES, FeatureSettings
@@ -241,7 +247,7 @@ def _quality(matches: Matches, truth: IntervalTruth, length: int) -> Quality:
 
 
 def _draw(plot: Path, result: Result, truth: IntervalTruth | None) -> None:
-    from services.commands.match_pictures import draw_matches  # noqa: PLC0415 - matplotlib takes a second to import
+    from services.commands.matching.pictures import draw_matches  # noqa: PLC0415 - matplotlib takes a second to import
 
     folders = result.traverses
     figure = draw_matches(

@@ -14,12 +14,12 @@ from tqdm import tqdm
 
 from schemas.rpc import LoadReply, LoadRequest, Mode, Nothing, ResetRequest, Status
 from services.commands import options, outputs
-from services.commands.episodes import EpisodeClient, EpisodeRecord, check_world_of
+from services.commands.episodes.client import EpisodeClient, EpisodeRecord, check_world_of
+from services.commands.episodes.recording import recording
 from services.commands.errors import JobError
 from services.commands.feature_options import feature_flags
-from services.commands.recording import recording
 from services.commands.simulator_options import simulator_of_own_stack
-from services.commands.stack import Access, stack_for
+from services.commands.stack.processes import Access, stack_for
 from services.model_service import identity_of
 from services.settings import ServiceSettings
 from smal.evaluation.success import wilson_interval
@@ -92,7 +92,7 @@ def run(
             outputs.write_json(json_file, "--json", summarise(world, records))
     summary = summarise(world, records)
     if report is not None:
-        from services.commands.report import write_report  # noqa: PLC0415 - matplotlib takes a second to import
+        from services.commands.episodes.report import write_report  # noqa: PLC0415 - matplotlib takes a second to import
 
         typer.echo(f"results: {write_report(report, world, loaded, records, summary)}")
     found = sum(r.outcome == "found" for r in records)

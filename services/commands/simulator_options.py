@@ -7,7 +7,7 @@ from typing import get_args
 
 from services.commands.errors import UsageError
 from services.commands.options import Camera, camera_of_own_stack
-from services.commands.stack import flags
+from services.commands.stack.processes import flags
 from services.simulator.opening import BaseKind
 from services.simulator.variation import VARIATIONS
 

@@ -11,8 +11,8 @@ import typer
 from schemas.codec import encoding_of
 from schemas.topics import TOPICS, Topic, topic_of
 from services.commands.errors import UsageError
-from services.commands.latency_command import latency
-from services.commands.listening import bw, echo, hz, say
+from services.commands.listening.commands import bw, echo, hz, say
+from services.commands.listening.latency_command import latency
 from services.commands.options import DEFAULT_ROBOT, Json, Robot, check_robot
 from services.commands.tables import table
 

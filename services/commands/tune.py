@@ -13,10 +13,10 @@ from tqdm import tqdm
 from services.commands import outputs
 from services.commands.errors import JobError, UsageError
 from services.commands.feature_options import parse_features
-from services.commands.image_folder import list_folder
-from services.commands.match_settings import check_length
-from services.commands.tune_problem import Problem, labelled, unlabelled, with_threshold
-from services.commands.tune_report import Report, as_json, as_text
+from services.commands.matching.image_folder import list_folder
+from services.commands.matching.settings import check_length
+from services.commands.tuning.problem import Problem, labelled, unlabelled, with_threshold
+from services.commands.tuning.report import Report, as_json, as_text
 from smal.features import MODALITIES, MODALITY_NAMES, FeatureSettings
 from smal.place_recognition.methods import METHODS, MatchSettings, Method
 from smal.tuning.recommendation import Tuning

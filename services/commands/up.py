@@ -17,7 +17,7 @@ from services.commands.feature_options import ModalitiesOrOfModel, feature_flags
 from services.commands.interrupts import interrupted_by_signals
 from services.commands.options import Camera
 from services.commands.simulator_options import SimulatorOptions
-from services.commands.stack import SERVICES, Stack, StackPlan, flags
+from services.commands.stack.processes import SERVICES, Stack, StackPlan, flags
 from services.process import configure_logging
 from smal.features import FeatureSettings
 

@@ -11,6 +11,10 @@ from numpy.typing import NDArray
 
 from schemas.base import Atom
 
+#: A recovery drive is over after this many frames (8 s at 10 Hz).
+RECOVERY_TICKS: Final = 80
+#: Frames after which a full drive is given up.
+DRIVE_TICKS: Final = 4000
 #: How far ahead on the route the driver looks, as seconds of driving.
 LOOKAHEAD_S: Final = 1.25
 #: A person corrects the heading when it is off by this much, and then until it is this close, radians.

@@ -9,8 +9,8 @@ import sys
 from pathlib import Path
 from typing import Final
 
-from services.commands.child import tied
 from services.commands.errors import JobError
+from services.commands.stack.child import tied
 from tests.benchmarks.results import LeftOutError
 
 _SMAL: Final = "from services.cli import main; main()"

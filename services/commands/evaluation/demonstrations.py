@@ -13,9 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from schemas.episode import Outcome, Purpose
-from services.commands.demonstrate import DRIVE_TICKS, RECOVERY_TICKS
 from services.commands.evaluation.rules import advance, outcome_at
-from services.expert.driver import RouteDriver
+from services.expert.driver import DRIVE_TICKS, RECOVERY_TICKS, RouteDriver
 from services.simulator.simulation import Simulation
 from smal.action_space import Atom
 from smal.container import replacing

@@ -12,13 +12,13 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from services.commands.demonstrate import DRIVE_TICKS
 from services.commands.evaluation.controllers import SEQSLAM
 from services.commands.evaluation.degradation import Degradation, Degrader, degradation_named
 from services.commands.evaluation.demonstrations import expert_of
 from services.commands.evaluation.plan import JUDGED_TICKS, Criterion, Recogniser
 from services.commands.evaluation.rules import advance, outcome_at
 from services.commands.evaluation.workplace import Workplace, query_file, replace_file
+from services.expert.driver import DRIVE_TICKS
 from services.simulator.simulation import Simulation
 from smal.action_space import Atom
 from smal.evaluation.baselines.seqslam_localisation import SeqSlamLocaliser

@@ -26,7 +26,7 @@ from smal.features import FeatureSettings
 Finding = Mapping[str, Any]
 _PLAN, _UNITS, _WORK = "plan.json", "units.jsonl", "work"
 # Whatever a result depends on; that the report is written differently invalidates nothing.
-_SOURCES: Final = ("simulator/**/*", "expert/*", "commands/evaluation/*", "commands/demonstrate.py")
+_SOURCES: Final = ("simulator/**/*", "expert/*", "commands/evaluation/*")
 _WORLDS: Final = "deploy/worlds/*"
 _OF_NO_RESULT: Final = ("results.py", "workers.py", "plan.py", "units.py")
 

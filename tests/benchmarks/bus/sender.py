@@ -16,8 +16,8 @@ from schemas.base import Message
 from schemas.codec import encode
 from services.bus import Bus
 from services.commands.bench import FOLDER
-from services.commands.child import tied
 from services.commands.errors import JobError
+from services.commands.stack.child import tied
 from tests.benchmarks.bus.messages import Case
 from tests.benchmarks.bus.receiver import ARRIVAL, CALLBACK, NODE, beside
 

@@ -9,7 +9,7 @@ from functools import partial
 from typing import Final, Literal
 
 from schemas.topics import KEPT_S
-from services.commands.stack import SERVICES
+from services.commands.stack.processes import SERVICES
 from tests.benchmarks.faults import harm
 from tests.benchmarks.faults.judge import Window
 from tests.benchmarks.faults.rig import Rig

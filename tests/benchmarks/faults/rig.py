@@ -14,7 +14,7 @@ from schemas.rpc import EndRequest, Nothing, RecordReply, ResetReply, ResetReque
 from schemas.topics import EPISODE
 from services.bus import Bus, RpcError
 from services.commands.errors import JobError
-from services.commands.stack import SERVICES, Stack, StackPlan, flags, free_endpoint
+from services.commands.stack.processes import SERVICES, Stack, StackPlan, flags, free_endpoint
 from services.commands.up import WATCH_S
 from tests.benchmarks.faults.judge import moving
 from tests.benchmarks.faults.log import Entry, Tail

@@ -22,8 +22,8 @@ from tqdm import tqdm
 from schemas.rpc import LoadReply, LoadRequest
 from services.commands.errors import UsageError
 from services.commands.options import Camera, read_model
-from services.commands.stack import Stack, StackPlan, free_endpoint
-from services.commands.teaching import find_recordings
+from services.commands.stack.processes import Stack, StackPlan, free_endpoint
+from services.commands.teaching.teacher import find_recordings
 from services.settings import ServiceSettings
 from tests.benchmarks.command_line import Parser
 from tests.benchmarks.latency.drives import drives, make, resized

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from services.commands.errors import JobError
 from services.commands.options import Camera
-from services.commands.teaching import find_recordings
+from services.commands.teaching.teacher import find_recordings
 from services.recorder.encoding import decode_image
 from services.recorder.mcap_reader import RecordingError, read_recording
 from tests.benchmarks.drives import demonstrate, learn

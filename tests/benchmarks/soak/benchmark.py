@@ -20,7 +20,7 @@ from tqdm import tqdm
 
 from services.commands import options
 from services.commands.errors import JobError
-from services.commands.stack import SERVICES
+from services.commands.stack.processes import SERVICES
 from tests.benchmarks.command_line import Parser
 from tests.benchmarks.faults.model import taught_model
 from tests.benchmarks.faults.picture import draw_growth

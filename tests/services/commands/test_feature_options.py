@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from services.commands.episodes import EpisodeClient
+from services.commands.episodes.client import EpisodeClient
 from services.commands.errors import JobError, UsageError
 from services.commands.feature_options import feature_flags, features_for_model, features_of_own_stack
 from services.commands.run import _check_features

@@ -15,7 +15,7 @@ from schemas.episode import Outcome, Purpose
 from schemas.observation import Observation
 from services.commands.errors import JobError, UsageError
 from services.commands.learn import learn
-from services.commands.teaching import Teacher, find_recordings
+from services.commands.teaching.teacher import Teacher, find_recordings
 from services.jpeg import encode_jpeg
 from services.recorder.mcap_reader import read_recording
 from services.recorder.mcap_writer import EpisodeWriter

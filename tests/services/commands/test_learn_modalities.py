@@ -10,7 +10,7 @@ import pytest
 
 from services.commands.errors import JobError, UsageError
 from services.commands.learn import learn
-from services.commands.recorded_features import features_in, features_of_recordings
+from services.commands.teaching.recorded_features import features_in, features_of_recordings
 from smal.features import FeatureSettings, extract
 from smal.model import Model
 from tests.services.commands.test_learn import FEATURES, depth, drive, teach, view

@@ -15,8 +15,9 @@ import pytest
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from services.commands import match, match_settings
-from services.commands.match_pictures import draw_matches
+from services.commands import match
+from services.commands.matching import settings as match_settings
+from services.commands.matching.pictures import draw_matches
 from smal.evaluation.ground_truth import IntervalTruth, judge
 from smal.evaluation.precision_recall import PrecisionRecall, block_length, bootstrap_intervals
 from smal.features import Centering, FeatureSettings

@@ -17,8 +17,8 @@ from schemas.observation import Observation
 from schemas.state import State
 from schemas.topics import TOPICS
 from services.bus import Bus
-from services.commands.listening import key_expression
-from services.commands.samples import Sample, header_of
+from services.commands.listening.commands import key_expression
+from services.commands.listening.samples import Sample, header_of
 from services.commands.topic import markdown_table
 from tests.schemas.messages import EXAMPLES, any_message
 from tests.services.commands.conftest import Listen, Smal

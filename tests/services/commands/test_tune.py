@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 import pytest
 
-from services.commands import tune_problem
+from services.commands.tuning import problem as tune_problem
 from tests.services.commands.conftest import Smal
 
 FRAMES = 60

@@ -13,9 +13,9 @@ from schemas.episode import Episode, Purpose
 from schemas.image import Image
 from schemas.pose import Pose
 from schemas.rpc import ResetRequest
-from services.commands.demonstrate import DRIVE_TICKS, RECOVERY_TICKS
 from services.commands.evaluation.demonstrations import demonstrate, drive, load_drives, save_drives
-from services.commands.teaching import unusable
+from services.commands.teaching.teacher import unusable
+from services.expert.driver import DRIVE_TICKS, RECOVERY_TICKS
 from services.expert.service import ExpertService
 from services.features.service import FeaturesService
 from services.recorder.recorded import RecordedEpisode

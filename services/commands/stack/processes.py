@@ -19,11 +19,11 @@ from typing import Final, Self
 
 from schemas.rpc import Nothing, Status
 from services.bus import Bus, BusError, RpcError
-from services.commands.backoff import Backoff
-from services.commands.child import tied
 from services.commands.errors import JobError
 from services.commands.interrupts import interrupted_by_signals
 from services.commands.options import check_robot
+from services.commands.stack.backoff import Backoff
+from services.commands.stack.child import tied
 from services.settings import ServiceSettings
 
 #: The services, in the order in which they start. Each runs as ``python -m services.<name>``.

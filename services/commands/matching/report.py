@@ -9,7 +9,7 @@ from typing import Final
 
 import numpy as np
 
-from services.commands.image_folder import DescribedFrames, ImageFolder, printable
+from services.commands.matching.image_folder import DescribedFrames, ImageFolder, printable
 from services.commands.tables import table
 from smal.evaluation.precision_recall import Intervals, PrecisionRecall
 from smal.features import FeatureSettings

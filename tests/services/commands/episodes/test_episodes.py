@@ -12,12 +12,12 @@ from schemas.action import Action
 from schemas.base import Message
 from schemas.episode import Episode
 from schemas.rpc import EndRequest, ResetReply, ResetRequest
-from services.commands.episodes import EpisodeClient, EpisodeRecord, check_world_of
+from services.commands.episodes.client import EpisodeClient, EpisodeRecord, check_world_of
 from services.commands.errors import JobError, UsageError
 from services.commands.options import Camera, camera_of_own_stack
 from services.commands.run import CHAIN, _check_models, _run_all, summarise
 from services.commands.simulator_options import simulator_of_own_stack
-from services.commands.stack import Access
+from services.commands.stack.processes import Access
 from services.process import Node
 from services.settings import ServiceSettings
 from tests.services.conftest import RunNode

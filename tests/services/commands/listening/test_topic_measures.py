@@ -14,9 +14,9 @@ from hypothesis import strategies as st
 from schemas.command import Command
 from schemas.image import Image
 from services.bus import Bus
-from services.commands import listening as commands_listening
-from services.commands.bandwidth import Sizes, bandwidth_lines, human, total
-from services.commands.rates import Rate, rate_lines
+from services.commands.listening import commands as listening_commands
+from services.commands.listening.bandwidth import Sizes, bandwidth_lines, human, total
+from services.commands.listening.rates import Rate, rate_lines
 from services.commands.tables import table
 from tests.schemas.messages import EXAMPLES
 from tests.services.commands.conftest import Listen, Smal
@@ -141,7 +141,7 @@ def talking(client: Bus, router_endpoint: str, monkeypatch: pytest.MonkeyPatch) 
 
         eventually(enough)
 
-    monkeypatch.setattr(commands_listening, "wait", wait)
+    monkeypatch.setattr(listening_commands, "wait", wait)
     yield
     witness.close()
 

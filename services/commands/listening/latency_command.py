@@ -15,10 +15,10 @@ from schemas.command import CommandApplied
 from schemas.topics import ACTION, APPLIED, CAMERA, COMMANDS, OBSERVATION, POSE, STATE, Topic
 from services.bus import DEFAULT_ROUTER, Bus
 from services.commands.errors import JobError
-from services.commands.latency import ACCEPTED, LatencyTrace, record, rows
-from services.commands.listening import Seconds, listening, say, wait
+from services.commands.listening.commands import Seconds, listening, say, wait
+from services.commands.listening.latency import ACCEPTED, LatencyTrace, record, rows
+from services.commands.listening.samples import header_of
 from services.commands.options import DEFAULT_ROBOT, Json, Robot, Router
-from services.commands.samples import header_of
 from services.commands.tables import table
 
 

@@ -10,7 +10,7 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Final
 
-from services.commands.match_report import described_by
+from services.commands.matching.report import described_by
 from services.commands.tables import table
 from smal.place_recognition.methods import MatchSettings
 from smal.tuning.cross_validation import Figure

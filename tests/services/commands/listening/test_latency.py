@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from schemas.base import Message, Source
 from schemas.command import CommandApplied
-from services.commands.latency import ACCEPTED, OPEN_TICKS, Hop, LatencyTrace, Spread, hops, record, rows
+from services.commands.listening.latency import ACCEPTED, OPEN_TICKS, Hop, LatencyTrace, Spread, hops, record, rows
 
 POLICY_HOPS: list[Hop] = [
     ("frame", "observation"),

@@ -25,7 +25,7 @@ from pydantic import ValidationError
 
 from schemas.codec import describe, encode, encoding_of, printable
 from schemas.topics import ROOT, key_of, topic_of
-from services.commands.samples import Sample
+from services.commands.listening.samples import Sample
 
 
 def decode_to_json(key: str, value: bytes) -> str:

@@ -8,7 +8,7 @@ import pytest
 
 from schemas.rpc import Nothing, RecordReply, RecordRequest
 from services.bus import Bus, RpcError
-from services.commands.recording import recording
+from services.commands.episodes.recording import recording
 from services.process import Node, ServiceError
 from services.settings import ServiceSettings
 from tests.services.conftest import RunNode

@@ -15,10 +15,10 @@ import typer
 
 from schemas.topics import ROOT
 from services.bus import DEFAULT_ROUTER, Bus
-from services.commands.bandwidth import Sizes, bandwidth_lines, total
+from services.commands.listening.bandwidth import Sizes, bandwidth_lines, total
+from services.commands.listening.rates import Rate, rate_lines
+from services.commands.listening.samples import Sample
 from services.commands.options import DEFAULT_ROBOT, Json, Robot, Router, check_robot
-from services.commands.rates import Rate, rate_lines
-from services.commands.samples import Sample
 from services.inbox import Inbox
 
 #: Samples kept while the terminal is slower than the bus; a raw frame takes 2.4 MB.

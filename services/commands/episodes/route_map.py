@@ -10,7 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from services.commands.episodes import EpisodeRecord
+from services.commands.episodes.client import EpisodeRecord
 from services.simulator.world import load_world
 from services.simulator.world.map_view import draw_map
 

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from services.commands.errors import JobError
-from services.commands.image_folder import (
+from services.commands.matching.image_folder import (
     Change,
     DescribedFrames,
     ImageFolder,
@@ -18,7 +18,7 @@ from services.commands.image_folder import (
     read_truth_of,
     say_skipped,
 )
-from services.commands.tune_report import Unlabelled
+from services.commands.tuning.report import Unlabelled
 from smal.evaluation.ground_truth import IntervalTruth
 from smal.features import FeatureSettings
 from smal.place_recognition.methods import MatchSettings

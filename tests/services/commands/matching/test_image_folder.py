@@ -16,8 +16,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from services.commands.errors import JobError, UsageError
-from services.commands.image_folder import NAMED, describe_frames, list_folder, natural_key, say_skipped
-from services.commands.image_reading import LEAST_COLUMNS, LEAST_ROWS, read_color, read_depth
+from services.commands.matching.image_folder import NAMED, describe_frames, list_folder, natural_key, say_skipped
+from services.commands.matching.image_reading import LEAST_COLUMNS, LEAST_ROWS, read_color, read_depth
 from smal.features import FeatureSettings, extract
 
 FEATURES = FeatureSettings.of(["color"])
@@ -228,7 +228,7 @@ def test_more_pixels_than_allowed_are_refused(tmp_path: Path) -> None:
         write(tmp_path / f"{number}.png", picture(number, *size))
     program = (
         "import sys; from pathlib import Path; from smal.features import FeatureSettings;"
-        "from services.commands.image_folder import describe_frames, list_folder;"
+        "from services.commands.matching.image_folder import describe_frames, list_folder;"
         "folder = list_folder(Path(sys.argv[1]), 'QUERY_DIR');"
         "print(describe_frames(folder, FeatureSettings.of(['color']), None, 'reading').unreadable)"
     )
@@ -236,7 +236,7 @@ def test_more_pixels_than_allowed_are_refused(tmp_path: Path) -> None:
     environment = {**os.environ, "OPENCV_IO_MAX_IMAGE_PIXELS": "100000"}
     done = subprocess.run(
         [sys.executable, "-c", program, str(tmp_path)],
-        cwd=Path(__file__).parents[3], env=environment, capture_output=True, text=True, check=True,
+        cwd=Path(__file__).parents[4], env=environment, capture_output=True, text=True, check=True,
     )  # fmt: skip
     assert (done.stdout, done.stderr) == ("('1.png',)\n", "")
 
@@ -245,7 +245,7 @@ def test_the_command_limits_pixels_before_opencv_is_loaded() -> None:
     environment = {name: value for name, value in os.environ.items() if name != "OPENCV_IO_MAX_IMAGE_PIXELS"}
     done = subprocess.run(
         [sys.executable, "-c", "import os, services.cli; print(os.environ['OPENCV_IO_MAX_IMAGE_PIXELS'])"],
-        cwd=Path(__file__).parents[3], env=environment, capture_output=True, text=True, check=True,
+        cwd=Path(__file__).parents[4], env=environment, capture_output=True, text=True, check=True,
     )  # fmt: skip
     assert 10**7 <= int(done.stdout) <= 10**8  # the camera's images pass, and three bytes a pixel fit into memory
 

@@ -23,14 +23,14 @@ from schemas.image import Image
 from schemas.rpc import Nothing
 from schemas.topics import TOPICS
 from services.bus import Bus
-from services.commands.zenoh_codec import decode_to_json, encode_from_json
+from services.commands.listening.zenoh_codec import decode_to_json, encode_from_json
 from tests.schemas.messages import EXAMPLES, any_message
 from tests.services.waiting import eventually
 
-ROOT = Path(__file__).parents[3]
+ROOT = Path(__file__).parents[4]
 GROUPS = {
-    "zenoh_cli.codecs.decoders": {"smal": "services.commands.zenoh_codec:decode_to_json"},
-    "zenoh_cli.codecs.encoders": {"smal": "services.commands.zenoh_codec:encode_from_json"},
+    "zenoh_cli.codecs.decoders": {"smal": "services.commands.listening.zenoh_codec:decode_to_json"},
+    "zenoh_cli.codecs.encoders": {"smal": "services.commands.listening.zenoh_codec:encode_from_json"},
 }
 TELEOP = "smal/rescuebot/command/teleop"
 
@@ -117,7 +117,8 @@ def test_what_is_no_message_is_not_encoded(key: str, value: str, reason: str) ->
 
 
 def test_the_codec_does_not_import_zenoh() -> None:
-    code = "import sys, services.commands.zenoh_codec; sys.exit('zenoh' in sys.modules or 'typer' in sys.modules)"
+    module = "services.commands.listening.zenoh_codec"
+    code = f"import sys, {module}; sys.exit('zenoh' in sys.modules or 'typer' in sys.modules)"
     subprocess.run([sys.executable, "-c", code], cwd=ROOT, check=True)
 
 

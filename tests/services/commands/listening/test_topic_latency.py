@@ -18,7 +18,7 @@ from schemas.pose import Pose
 from schemas.state import State
 from schemas.topics import APPLIED, COMMANDS
 from services.bus import Bus
-from services.commands import latency_command
+from services.commands.listening import latency_command
 from tests.schemas.messages import EXAMPLES
 from tests.services.commands.conftest import Smal
 from tests.services.waiting import eventually

@@ -13,17 +13,17 @@ import pytest
 
 from schemas.rpc import Nothing, Status
 from services.bus import Bus
-from services.commands.backoff import FIRST_S, LONGEST_S, STEADY_S, Backoff
 from services.commands.errors import JobError, UsageError
 from services.commands.interrupts import interrupted_by_signals
-from services.commands.stack import Stack, StackPlan, flags, stack_for
+from services.commands.stack.backoff import FIRST_S, LONGEST_S, STEADY_S, Backoff
+from services.commands.stack.processes import Stack, StackPlan, flags, stack_for
 from tests.services.waiting import eventually, ready
 
 START = """
 import sys
 from pathlib import Path
 from services.cli import main
-from services.commands.stack import stack_for
+from services.commands.stack.processes import stack_for
 import services.cli, time
 def work():
     with stack_for(None, ("router", "recorder"), sys.argv[1], {}, Path(sys.argv[2])):

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from schemas.base import ATOMS
-from services.commands.recorded_features import features_in
+from services.commands.teaching.recorded_features import features_in
 from services.recorder.encoding import decode_image
 from services.recorder.mcap_reader import RecordingError, read_recording
 from services.recorder.recorded import Piece, RecordedEpisode

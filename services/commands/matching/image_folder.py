@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from tqdm import tqdm
 
 from services.commands.errors import JobError, UsageError
-from services.commands.image_reading import is_named_as_image, quiet_opencv, read_color, read_depth
+from services.commands.matching.image_reading import is_named_as_image, quiet_opencv, read_color, read_depth
 from smal.evaluation.ground_truth import IntervalTruth
 from smal.evaluation.truth_file import TruthFileError, read_truth
 from smal.features import FeatureSettings, extract

@@ -11,9 +11,9 @@ import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from services.commands.episodes import EpisodeRecord
+from services.commands.episodes.client import EpisodeRecord
+from services.commands.episodes.route_map import OUTCOME_COLOURS, draw_routes
 from services.commands.html import image, page, png, source, tiles
-from services.commands.route_map import OUTCOME_COLOURS, draw_routes
 from smal.model import Model
 
 #: Camera images shown of the example run.

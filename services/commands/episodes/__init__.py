@@ -1,0 +1,1 @@
+"""Episodes that a command has run: asked for, recorded, and shown."""

@@ -1,0 +1,1 @@
+"""What `smal topic` hears: messages, rates, bandwidth, and where the time goes."""

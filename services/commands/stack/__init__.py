@@ -1,0 +1,1 @@
+"""The processes of a stack that a command starts."""

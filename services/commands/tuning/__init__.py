@@ -1,0 +1,1 @@
+"""What `smal tune` searches and answers."""
