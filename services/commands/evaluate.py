@@ -9,6 +9,7 @@ import typer
 from tqdm import tqdm
 
 from services.commands import outputs
+from services.commands.errors import UsageError
 from services.commands.evaluation.plan import PLANS, Plan
 from services.commands.evaluation.results import ResultStore
 from services.commands.evaluation.units import Unit, units
@@ -21,24 +22,29 @@ def evaluate(
     out: Annotated[Path, typer.Option(help="Folder for the results; where it has some already, it goes on.")],
     quick: Annotated[bool, typer.Option(help="In some minutes: fewer drives, lengths and runs.")] = False,
     workers: Annotated[int, typer.Option(min=1, max=64, help="Processes at work, one core each.")] = 2,
+    report_only: Annotated[bool, typer.Option("--report-only", help="Only write the page of what is done.")] = False,
 ) -> None:
     """Run the paper's experiments in simulation, and write a page with their figures.
 
     OUT/index.html shows everything and needs nothing beside it; the figures lie in OUT/figures, the numbers in
     OUT/results.json. The whole evaluation takes hours. It can be interrupted at any time: the same command
-    goes on where it was. Behaviour cloning needs torch (pip install -e '.[cloning]').
+    goes on where it was, and while it works another one with --report-only shows what there is so far.
+    Behaviour cloning needs torch (pip install -e '.[cloning]').
 
     Example: smal evaluate --out evaluation --quick
     """
+    if report_only and not out.is_dir():
+        raise UsageError(f"--out {out}: there is no such folder, and so nothing to report")
     outputs.make_folder(out, "--out")
     plan = PLANS["quick" if quick else "full"]
     store = ResultStore(out, plan)
     # What was cloned elsewhere, or before torch was removed, is shown all the same.
     cloned = any("/controller=cloning/" in key for key in store.findings)
     planned = units(plan, cloning=_can_clone() or cloned)
-    store.forget_missing(planned)
     with interrupted_by_signals():
-        _work(plan, planned, store, workers)
+        if not report_only:
+            store.forget_missing(planned)
+            _work(plan, planned, store, workers)
         from services.commands.evaluation.report.page import write_page  # noqa: PLC0415 - loads matplotlib
 
         page = write_page(plan, planned, store)

@@ -68,6 +68,7 @@ class ResultStore:
         self._check_plan(plan)
         self.findings: dict[str, Finding] = {}
         self._path = folder / _UNITS
+        self._torn = False
         self._read()
 
     def _check_plan(self, plan: Plan) -> None:
@@ -98,13 +99,13 @@ class ResultStore:
             )
 
     def _read(self) -> None:
-        """Read the lines; a torn last one, of a program that was killed in writing it, is dropped."""
+        """Read the lines but for a torn last one, of a program that was killed in writing it, or that is writing it."""
         if not self._path.exists():
             return
-        whole = 0
         with self._path.open("rb") as file:
             for number, line in enumerate(file, 1):
                 if not line.endswith(b"\n"):
+                    self._torn = True
                     break
                 try:
                     entry = json.loads(line)
@@ -113,9 +114,6 @@ class ResultStore:
                     raise JobError(
                         f"{self._path}: line {number} is no result; delete it to have it made again"
                     ) from None
-                whole += len(line)
-        if whole < self._path.stat().st_size:
-            os.truncate(self._path, whole)
 
     def add(self, unit: Unit, finding: Finding, seconds: float) -> None:
         """Write what a unit found out; `seconds` of processor time it took."""
@@ -123,8 +121,11 @@ class ResultStore:
             raise ValueError(f"{unit.key} is done already")
         kept = {**finding, "cpu_s": round(seconds, 3)}
         line = json.dumps({"key": unit.key, "finding": kept}, separators=(",", ":"), allow_nan=False)
-        with self._path.open("a", encoding="utf-8") as file:
-            file.write(line + "\n")
+        with self._path.open("ab") as file:
+            if self._torn:
+                file.truncate(self._path.read_bytes().rfind(b"\n") + 1)
+                self._torn = False
+            file.write(f"{line}\n".encode())
             file.flush()
             os.fsync(file.fileno())
         self.findings[unit.key] = kept

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Container, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -114,6 +114,16 @@ def units(plan: Plan, *, cloning: bool) -> list[Unit]:
     return [unit for world in plan.worlds for unit in _of_world(plan, world, cloning)]
 
 
+def whole_series(units: Sequence[Unit], done: Container[str]) -> list[Unit]:
+    """Return those units that can be reported: all that differ in their seed alone are done."""
+
+    def series(unit: Unit) -> tuple[object, ...]:
+        return unit.kind, unit.world, *(one for one in unit.settings if one[0] != "seed")
+
+    torn = {series(unit) for unit in units if unit.key not in done}
+    return [unit for unit in units if series(unit) not in torn]
+
+
 def _of_world(plan: Plan, world: WorldPlan, cloning: bool) -> Iterator[Unit]:
     costs = _Costs(world, plan.max_ticks)
     taught = ("teaching", plan.teaching(world))
@@ -173,19 +183,20 @@ def _searches(
     cloning: bool,
 ) -> Iterator[Unit]:
     limit = ("max_ticks", plan.max_ticks)
-    asked = [
-        (scheme, length, degradation)
-        for scheme, degradations in world.searched.items()
-        for length in world.search_lengths
-        for degradation in degradations
-        if not (scheme == "overlapping" and length == 1 and "paper" in world.searched)  # is the same
-    ]
-    asked += [("smal", length, degradation) for length in (DEFAULT_LENGTH, 1) for degradation in world.peers]
+    # What tells most first: whoever looks at the page before all is done sees the method and its peers.
+    asked = [("smal", length, degradation) for length in (DEFAULT_LENGTH, 1) for degradation in world.peers]
     asked += [
         (peer, DEFAULT_LENGTH, degradation)
         for peer in PEERS
         if cloning or peer != "cloning"
         for degradation in world.peers
+    ]
+    asked += [
+        (scheme, length, degradation)
+        for scheme, degradations in world.searched.items()
+        for length in world.search_lengths
+        for degradation in degradations
+        if not (scheme == "overlapping" and length == 1 and "paper" in world.searched)  # is the same
     ]
     for controller, length, degradation in dict.fromkeys(asked):
         for k in range(world.runs):

@@ -69,6 +69,12 @@ def test_an_evaluation_goes_on_where_it_was_interrupted(
     before = lines_of(out)
     assert not (out / "index.html").exists()
 
+    # What there is so far can be looked at, and nothing is done for it.
+    status, printed, _ = smal("evaluate", "--out", str(out), "--quick", "--report-only")
+    assert (status, printed) == (0, f"results: {out / 'index.html'}\n")
+    assert f"<b>Not all is done:</b> {len(before)} of" in (out / "index.html").read_text()
+    assert lines_of(out) == before
+
     status, printed, _ = smal("evaluate", "--out", str(out), "--quick")
     assert (status, printed) == (0, f"results: {out / 'index.html'}\n")
     after = lines_of(out)
@@ -97,6 +103,15 @@ def test_a_file_is_no_folder(tmp_path: Path, smal: Smal) -> None:
     (tmp_path / "file").touch()
     status, _, said = smal("evaluate", "--out", str(tmp_path / "file"))
     assert (status, said) == (2, f"smal: --out {tmp_path / 'file'}: is a file, not a folder\n")
+
+
+def test_there_is_nothing_to_report(tmp_path: Path, smal: Smal) -> None:
+    status, _, said = smal("evaluate", "--out", str(tmp_path / "none"), "--report-only")
+    assert (status, said) == (
+        2,
+        f"smal: --out {tmp_path / 'none'}: there is no such folder, and so nothing to report\n",
+    )
+    assert not (tmp_path / "none").exists()
 
 
 def test_a_unit_that_fails_is_one_line_and_leaves_what_was_done(tmp_path: Path, smal: Smal) -> None:

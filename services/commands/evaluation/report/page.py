@@ -20,7 +20,7 @@ from services.commands.evaluation.report.search_section import search_section
 from services.commands.evaluation.report.summary import results_of
 from services.commands.evaluation.results import Finding, ResultStore
 from services.commands.evaluation.search import MAX_TICKS
-from services.commands.evaluation.units import Unit
+from services.commands.evaluation.units import Unit, whole_series
 from services.commands.version import program_version
 
 _VERDICT: Final = {"ahead": "yes", "behind": "no", "open": "not shown", "counts": "-"}
@@ -32,31 +32,43 @@ def write_page(plan: Plan, units: Sequence[Unit], store: ResultStore) -> Path:
     Parameters
     ----------
     plan, units
-        What was run, all of it.
+        What is to be run, all of it.
     store
-        What was found out.
+        What was found out. Where that is not all, the page says so, and shows every series that is whole.
 
     Returns
     -------
     Path
         Of the page.
     """
+    planned, done = len(units), sum(unit.key in store.findings for unit in units)
+    cloning = any(unit.kind == "search" and unit["controller"] == "cloning" for unit in units)
+    units = whole_series(units, store.findings)
     found = [results_of(world, units, store.findings) for world in plan.worlds]
     compared = [one for each in found for one in comparisons(each)]
     numbers = {
         "plan": plan.name,
         "version": program_version(),
+        "units": {"planned": planned, "done": done, "shown": len(units)},
         "machine_seconds": _seconds(units, store.findings),
         "comparisons": [{"world": c.world, "verdict": c.verdict, "text": c.text} for c in compared],
         "worlds": as_json(found),
     }
     (store.folder / "results.json").write_text(json.dumps(numbers, indent=1) + "\n", encoding="utf-8")
     put = EmbeddedFigures(store.folder / "figures")
-    body = [*_introduction(plan, units, store), *_summary(compared)]
+    body = [*_introduction(plan, units, store)]
+    if done < planned:
+        body.append(
+            f"<p><b>Not all is done:</b> {done:,} of {planned:,} units. What is shown is whole, with all of its runs; "
+            "the rest is left out until it is.</p>"
+        )
+    body += _summary(compared)
     for each in found:
-        body += [f"<h2>{escape(each.world.world.capitalize())}</h2>", *recognition_section(each, put)]
+        body.append(f"<h2>{escape(each.world.world.capitalize())}</h2>")
+        if each.recognised[0]:
+            body += recognition_section(each, put)
         if each.successes:
-            body += search_section(each, plan.max_ticks, store, put)
+            body += search_section(each, plan.max_ticks, store, put, cloning=cloning)
     body += [*objective_section(found, put), *_method(plan, units, store)]
     path = store.folder / "index.html"
     path.write_text(html.page(f"SMAL: evaluation in simulation ({plan.name})", "\n".join(body), 72), encoding="utf-8")

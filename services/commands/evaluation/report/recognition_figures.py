@@ -84,11 +84,13 @@ def area_by_length(found: Sequence[Recognised], title: str) -> Figure:
     for degradation, colour in zip(dict.fromkeys(one.degradation for one in found), CYCLE, strict=False):
         each = {one.recogniser.length: one for one in found
                 if one.recogniser.name == "smal" and one.degradation == degradation}  # fmt: skip
-        area = np.array([each[length].curve.auc for length in lengths])
-        low, high = np.array([each[length].auc_95 for length in lengths]).T
+        if not each:
+            continue
+        area = np.array([one.curve.auc for one in each.values()])
+        low, high = np.array([one.auc_95 for one in each.values()]).T
         around = np.maximum([area - low, high - area], 0.0)
-        axes.errorbar(range(len(lengths)), area, around, color=colour, marker="o", lw=2, capsize=4,
-                      label=f"SMAL, {seen(degradation)}")  # fmt: skip
+        axes.errorbar([lengths.index(length) for length in each], area, around, color=colour, marker="o", lw=2,
+                      capsize=4, label=f"SMAL, {seen(degradation)}")  # fmt: skip
     axes.set_xticks(range(len(lengths)), [str(length) for length in lengths])
     axes.set(xlabel="sequence length l (frames)", ylabel="area under the curve", ylim=(None, 1.01), title=title)
     axes.legend(frameon=False, fontsize=9)

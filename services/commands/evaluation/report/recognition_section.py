@@ -24,6 +24,14 @@ def recognition_section(found: Results, put: EmbeddedFigures) -> Iterator[str]:
         f"Precision over recall as the score's threshold falls, {_figure_of_the_paper(name)}. A cross is where SMAL's "
         "own novelty test works, for whole windows. Closer to the top right is better.",
     )
+    if any(one.recogniser.name == "smal" for one in found.recognised[0]):
+        yield from _lengths(found, put)
+    for criterion, judged in zip(world.criteria, found.recognised, strict=True):
+        yield f"<p>By the criterion <b>{escape(criterion.meaning)}</b>:</p>{_table(judged)}"
+
+
+def _lengths(found: Results, put: EmbeddedFigures) -> Iterator[str]:
+    name = found.world.world
     yield put(
         f"precision-recall-lengths-{name}",
         figures.precision_recall_by_length(found.recognised[0], f"Sequence lengths, {name}"),
@@ -35,8 +43,6 @@ def recognition_section(found: Results, put: EmbeddedFigures) -> Iterator[str]:
         figures.area_by_length(found.recognised[0], f"Area under the curve over l, {name}"),
         "Areas of the curves above; bars are 95 % intervals of a block bootstrap over the held-out frames.",
     )
-    for criterion, judged in zip(world.criteria, found.recognised, strict=True):
-        yield f"<p>By the criterion <b>{escape(criterion.meaning)}</b>:</p>{_table(judged)}"
 
 
 def _criterion(world: WorldPlan) -> str:

@@ -30,12 +30,11 @@ def success_by_length(found: Sequence[Success], title: str) -> Figure:
     figure, panels = _panels(mine)
     for degradation, axes in panels.items():
         for number, scheme in enumerate(SCHEMES.values()):
-            each = {one.length: one for one in mine
-                    if (one.controller, one.degradation) == (scheme.name, degradation)}  # fmt: skip
+            each = [one for one in mine if (one.controller, one.degradation) == (scheme.name, degradation)]
             if each:
                 colour, marker = _SCHEME[scheme.name]
-                places = [lengths.index(length) + 0.09 * (number - 1) for length in each]
-                _rates(axes, places, list(each.values()), {"color": colour, "marker": marker, "label": scheme.meaning})
+                places = [lengths.index(one.length) + 0.09 * (number - 1) for one in each]
+                _rates(axes, places, each, {"color": colour, "marker": marker, "label": scheme.meaning})
         axes.set_xticks(range(len(lengths)), [str(length) for length in lengths])
         axes.set(xlabel="sequence length l (frames)")
     return _titled(figure, title, "searches that found the victim")
@@ -56,7 +55,8 @@ def _titled(figure: Figure, title: str, share: str) -> Figure:
     """Say what the panels show, and of whom below."""
     figure.axes[0].set_ylabel(share)
     handles, labels = figure.axes[-1].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=min(3, len(labels)), frameon=False, fontsize=9)
+    columns = min(3, max(1, len(labels)))
+    figure.legend(handles, labels, loc="outside lower center", ncols=columns, frameon=False, fontsize=9)
     figure.suptitle(title)
     return figure
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from typing import Final
 
 from services.commands import html
 from services.commands.evaluation.plan import DEFAULT_LENGTH, SCHEMES
@@ -12,27 +13,34 @@ from services.commands.evaluation.report.summary import Results, Success, contro
 from services.commands.evaluation.results import ResultStore
 from services.commands.evaluation.search_experiment import read_route, route_file
 
+_WITHOUT_CLONING: Final = " <b>Behaviour cloning was not run</b>: torch is not installed (pip install -e '.[cloning]')."
 
-def search_section(found: Results, max_ticks: int, store: ResultStore, put: EmbeddedFigures) -> Iterator[str]:
-    """Write it as HTML, piece by piece."""
+
+def search_section(
+    found: Results, max_ticks: int, store: ResultStore, put: EmbeddedFigures, *, cloning: bool
+) -> Iterator[str]:
+    """Write it as HTML, piece by piece; `cloning` says whether behaviour cloning is a part of it."""
     name = found.world.world
+    ways = {(one.controller, one.length) for one in found.successes}
     yield "<h3>Finding the victim</h3>"
-    yield put(
-        f"success-{name}",
-        figures.success_by_length(found.successes, f"Success over sequence length, {name}"),
-        f"Share of {found.world.runs} searches that find the victim without a collision, over l, for each way to "
-        "decide (the paper's figure of success rates in its parameter analysis). Bars are Wilson's 95 % intervals. "
-        "Starts were not used in teaching, and are the same for all. With l = 1 every decision is of one frame, so "
-        "that the paper's scheme and overlapping windows are the same.",
-    )
-    yield put(
-        f"peers-{name}",
-        figures.peers(found.successes, f"SMAL and its peers, {name}"),
-        "The same demonstrations, starts and damage for all. The single image has SMAL's features and decision making "
-        "(after an unknown view it repeats its last movement, for as long as SMAL goes on with its plan); "
-        "SeqSLAM has SMAL's policy and another way to say where the robot is; the others imitate the expert without "
-        f"states.{_about_cloning(found.successes)}",
-    )
+    if any(controller in SCHEMES for controller, _ in ways):
+        yield put(
+            f"success-{name}",
+            figures.success_by_length(found.successes, f"Success over sequence length, {name}"),
+            f"Share of {found.world.runs} searches that find the victim without a collision, over l, for each way to "
+            "decide (the paper's figure of success rates in its parameter analysis). Bars are Wilson's 95 % intervals. "
+            "Starts were not used in teaching, and are the same for all. With l = 1 every decision is of one frame, so "
+            "that the paper's scheme and overlapping windows are the same.",
+        )
+    if ("smal", DEFAULT_LENGTH) in ways:
+        yield put(
+            f"peers-{name}",
+            figures.peers(found.successes, f"SMAL and its peers, {name}"),
+            "The same demonstrations, starts and damage for all. The single image has SMAL's features and decision "
+            "making (after an unknown view it repeats its last movement, for as long as SMAL goes on with its plan); "
+            "SeqSLAM has SMAL's policy and another way to say where the robot is; the others imitate the expert "
+            f"without states.{'' if cloning else _WITHOUT_CLONING}",
+        )
     yield put(
         f"time-{name}",
         figures.found_over_time(found.successes, max_ticks, f"Until the victim is found, {name}"),
@@ -41,12 +49,6 @@ def search_section(found: Results, max_ticks: int, store: ResultStore, put: Embe
     )
     yield _table(found.successes)
     yield from _example(found, store, put)
-
-
-def _about_cloning(found: Sequence[Success]) -> str:
-    if any(one.controller == "cloning" for one in found):
-        return ""
-    return " <b>Behaviour cloning was not run</b>: torch is not installed (pip install -e '.[cloning]')."
 
 
 def _table(found: Sequence[Success]) -> str:

@@ -9,7 +9,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from services.commands.evaluation.plan import DEFAULT_LENGTH, JUDGED_TICKS, PEERS, Recogniser, WorldPlan
+from services.commands.evaluation.plan import DEFAULT_LENGTH, JUDGED_TICKS, PEERS, SCHEMES, Recogniser, WorldPlan
 from services.commands.evaluation.results import Finding
 from services.commands.evaluation.units import Unit
 from smal.evaluation.ground_truth import Judgement
@@ -209,7 +209,7 @@ def block_of(world: WorldPlan, judgement: Judgement) -> int:
 
 
 def successes(world: WorldPlan, units: Sequence[Unit], findings: Findings) -> list[Success]:
-    """Count the searches of a world, by who drove and what the robot saw."""
+    """Count the searches of a world, by who drove and what the robot saw; schemes first, by length."""
     groups: dict[tuple[str, int, str], list[Unit]] = {}
     for unit in units:
         if unit.kind == "search" and unit.world == world.world:
@@ -219,13 +219,14 @@ def successes(world: WorldPlan, units: Sequence[Unit], findings: Findings) -> li
         if ("paper", 1, degradation) in groups:
             # One run stands for both: with l = 1 a decision every l frames is one at every frame.
             groups["overlapping", 1, degradation] = groups["paper", 1, degradation]
+    order = [*SCHEMES, *PEERS]
     return [
         Success(
             *key,
             {unit.number("seed"): str(findings[unit.key]["outcome"]) for unit in group},
             {unit.number("seed"): int(findings[unit.key]["ticks"]) for unit in group},
         )
-        for key, group in groups.items()
+        for key, group in sorted(groups.items(), key=lambda one: (order.index(one[0][0]), one[0][1]))
     ]
 
 

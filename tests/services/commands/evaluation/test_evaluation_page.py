@@ -8,9 +8,11 @@ from html.parser import HTMLParser
 from pathlib import Path
 
 import cv2
+import numpy as np
 import pytest
 
 from services.commands.evaluation.report.page import write_page
+from services.commands.evaluation.results import ResultStore
 from services.commands.evaluation.units import units
 from tests.services.commands.evaluation.evaluated import SMALL, finished
 
@@ -78,6 +80,26 @@ def test_what_the_page_says_is_computed_from_the_results(page: Path) -> None:
     assert [one["auc"] for one in areas] == pytest.approx([1.0] * 4)
     assert [one["auc_from_start"] for one in areas] == pytest.approx([59 / 60] * 4)
     assert numbers["machine_seconds"] == pytest.approx(0.5 * len(units(SMALL, cloning=False)), abs=0.1)
+
+
+@pytest.mark.parametrize("share", [0.0, 0.3, 0.6, 0.8, 0.9, 0.97])
+def test_a_page_of_what_is_done_so_far_shows_whole_series_only(share: float, tmp_path: Path) -> None:
+    planned, whole = finished(tmp_path / "whole")
+    rng = np.random.default_rng(round(100 * share))
+    store = ResultStore(tmp_path / "part", SMALL)
+    for unit in planned:
+        if unit.kind in {"teach", "learn", "queries"} or rng.random() < share:
+            store.add(unit, whole.findings[unit.key], 0.5)
+    text = write_page(SMALL, planned, store).read_text(encoding="utf-8")
+    parser = Balanced()
+    parser.feed(text)
+    assert f"<b>Not all is done:</b> {len(store.findings)} of {len(planned)} units" in text
+    numbers = json.loads((store.folder / "results.json").read_text())
+    shown = {(one["controller"], one["length"], one["degradation"]) for one in numbers["worlds"]["yard"]["searches"]}
+    searches = [unit for unit in planned if unit.kind == "search"]
+    torn = {(one["controller"], one["length"], one["degradation"]) for one in searches if one.key not in store.findings}
+    every = {(one["controller"], one["length"], one["degradation"]) for one in searches}
+    assert {one for one in shown if one[:2] != ("overlapping", 1)} == every - torn
 
 
 def test_without_pictures_the_page_says_so(tmp_path: Path) -> None:

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from services.commands.evaluation.plan import Recogniser
+from services.commands.evaluation.plan import SCHEMES, Recogniser
 from services.commands.evaluation.report.summary import recognised, success_of, successes
 from smal.evaluation.success import wilson_interval
 from tests.services.commands.evaluation.evaluated import QUERIES, SMALL, finished
@@ -42,6 +42,16 @@ def test_one_run_stands_for_two_schemes_that_are_the_same(tmp_path: Path) -> Non
     assert paper is not None
     assert overlapping is not None
     assert (overlapping.outcomes, overlapping.ticks) == (paper.outcomes, paper.ticks)
+
+
+def test_schemes_come_first_and_by_length(tmp_path: Path) -> None:
+    planned, store = finished(tmp_path)
+    found = [(one.controller, one.length) for one in successes(WORLD, planned, store.findings)]
+    schemes = [one for one in found if one[0] in SCHEMES]
+    assert found[: len(schemes)] == schemes
+    for name in SCHEMES:
+        lengths = [length for scheme, length in schemes if scheme == name]
+        assert lengths == sorted(lengths) == [1, 1, 5, 5, 20, 20]
 
 
 def test_counts_of_searches(tmp_path: Path) -> None:
