@@ -11,7 +11,12 @@ def l21_norm(matrix: NDArray[Any]) -> float:
     return float(np.linalg.norm(np.asarray(matrix, dtype=np.float64), axis=1).sum())
 
 
-def s1_norm(weights: NDArray[Any], sequence_length: int) -> float:
+def sequence_starts(rows: NDArray[np.intp], sequence_length: int) -> NDArray[np.intp]:
+    """Where another sequence starts among these template frames, which ascend."""
+    return np.flatnonzero(np.diff(rows // sequence_length, prepend=-1))
+
+
+def s1_norm(weights: NDArray[Any], sequence_length: int, rows: NDArray[np.intp] | None = None) -> float:
     """Sum over query frames and template sequences of the l2 norm of their weights (Eq. 6).
 
     Parameters
@@ -20,13 +25,15 @@ def s1_norm(weights: NDArray[Any], sequence_length: int) -> float:
         Row r belongs to template frame r, column i to query frame i.
     sequence_length : int
         Adjacent template frames in a sequence; the last sequence may be shorter.
+    rows : intp array, optional
+        Template frames that the rows belong to, ascending, if they are not all: the rest of W is zero.
     """
     if sequence_length < 1:
         raise ValueError(f"sequence_length must be at least 1, got {sequence_length}")
     if weights.shape[0] == 0:
         return 0.0
     squares = np.asarray(weights, dtype=np.float64) ** 2
-    starts = np.arange(0, weights.shape[0], sequence_length)
+    starts = sequence_starts(np.arange(weights.shape[0]) if rows is None else rows, sequence_length)
     return float(np.sqrt(np.add.reduceat(squares, starts, axis=0)).sum())
 
 

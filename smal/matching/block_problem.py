@@ -38,12 +38,6 @@ class BlockProblem(NamedTuple):
     starts: NDArray[np.intp]
 
 
-def block_starts(columns: NDArray[np.intp], sequence_length: int) -> NDArray[np.intp]:
-    """Where sequences start among these template frames, ascending, and their number: `BlockProblem.starts`."""
-    starts = np.flatnonzero(np.diff(columns // sequence_length, prepend=-1))
-    return np.append(starts, columns.size)
-
-
 class Primal(NamedTuple):
     """W, X^T X W, and the squares of all norms in Eq. 7."""
 

@@ -13,13 +13,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from smal.matching.block_problem import block_starts
 from smal.matching.frame_ring import FrameRing
 from smal.matching.inner_products import Columns
 from smal.matching.screening import Penalty
 from smal.matching.streamed_products import StreamedProducts, StreamedQuery
 from smal.matching.template_index import TemplateIndex
-from smal.objective import l21_norm
+from smal.objective import l21_norm, s1_norm
 from smal.state_matching import Solution, check_parameters, match
 
 Array = NDArray[np.float64]
@@ -164,9 +163,7 @@ def _evaluated(solution: Solution, ring: FrameRing, places: Columns, penalty: Pe
     X, Y, W = ring.index.templates, ring.frames[places].T, solution.active_weights
     residuals = np.linalg.norm(Y - X[:, solution.active].astype(np.float64) @ W, axis=0)
     value = float(residuals.sum()) + penalty.lambda1 * l21_norm(W)
-    if W.size:
-        starts = block_starts(solution.active, penalty.sequence_length)[:-1]
-        value += penalty.lambda2 * float(np.sqrt(np.add.reduceat(np.square(W), starts)).sum())
+    value += penalty.lambda2 * s1_norm(W, penalty.sequence_length, solution.active)
     bound = solution.objective * (1.0 - solution.duality_gap)
     gap = 1.0 - bound / value
     return replace(

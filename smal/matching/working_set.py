@@ -11,10 +11,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from smal.matching.block_newton import FIRST_EPSILON, BlockSolution, solve_blocks
-from smal.matching.block_problem import BlockProblem, block_objective, block_starts, residual_norms, smoothing_for
+from smal.matching.block_problem import BlockProblem, block_objective, residual_norms, smoothing_for
 from smal.matching.certificate import bound_by_lengths
 from smal.matching.inner_products import Columns, DualPoint, DualRounding, InnerProducts, common
 from smal.matching.screening import Penalty, Screening, Violations
+from smal.objective import sequence_starts
 
 Array = NDArray[np.float64]
 
@@ -71,7 +72,7 @@ class _Restriction:
             products.squares / self.query_scale**2,
             penalty.lambda1 / self.template_scale,
             penalty.lambda2 / self.template_scale,
-            block_starts(columns, penalty.sequence_length),
+            np.append(sequence_starts(columns, penalty.sequence_length), columns.size),
         )
         self.weight_scale = self.query_scale / self.template_scale
 

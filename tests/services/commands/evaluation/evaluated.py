@@ -2,17 +2,29 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import cv2
 import numpy as np
 
-from services.commands.evaluation.plan import JUDGED_TICKS, Criterion, Plan, WorldPlan
+from services.commands.evaluation.plan import JUDGED_TICKS, Criterion, Plan, Scheme, WorldPlan
 from services.commands.evaluation.results import ResultStore
 from services.commands.evaluation.search_experiment import route_file
 from services.commands.evaluation.units import Unit, units
 from services.commands.evaluation.workplace import replace_file
+
+
+@dataclass(frozen=True)
+class Every(Scheme):
+    """Decides at every so many frames."""
+
+    frames: int = 1
+
+    def stride(self, length: int) -> int:
+        return self.frames
+
 
 BOTH = ("clean", "occluded")
 SMALL = Plan(

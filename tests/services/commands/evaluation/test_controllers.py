@@ -16,6 +16,7 @@ from smal.learning import Demonstration, LearningSettings, learn
 from smal.model import Model
 from smal.place_recognition.seqslam import SeqSlamSettings
 from tests.services.chain import picture
+from tests.services.commands.evaluation.evaluated import Every
 
 FEATURES = FeatureSettings()
 LENGTH, FRAMES = 4, 32
@@ -74,15 +75,8 @@ def test_a_demonstration_seen_again_is_driven_again(name: str, waits: int, sure:
         assert done[sure:] == [Atom(int(atom)) for atom in one.demonstration.atoms[sure:]]
 
 
-class EveryThird(Scheme):
-    """Decides at every third frame."""
-
-    def stride(self, length: int) -> int:
-        return 3
-
-
 @pytest.mark.parametrize(
-    ("scheme", "stride"), [(SCHEMES["smal"], 1), (EveryThird("smal", ""), 3), (SCHEMES["paper"], LENGTH)]
+    ("scheme", "stride"), [(SCHEMES["smal"], 1), (Every("smal", "", frames=3), 3), (SCHEMES["paper"], LENGTH)]
 )
 def test_decisions_come_with_the_first_whole_window_and_then_at_the_stride(
     scheme: Scheme, stride: int, model: Model

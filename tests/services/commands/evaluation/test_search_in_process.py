@@ -21,7 +21,6 @@ from schemas.state import State
 from services.commands.evaluation.controllers import Controller, Move, SmalController
 from services.commands.evaluation.degradation import Degradation
 from services.commands.evaluation.demonstrations import demonstrate
-from services.commands.evaluation.plan import Scheme
 from services.commands.evaluation.search import search
 from services.expert.driver import RouteDriver
 from services.features.service import FeaturesService
@@ -35,17 +34,11 @@ from services.simulator.world import load_world
 from smal.action_space import Atom
 from smal.features import FeatureSettings
 from smal.learning import LearningSettings, learn
+from tests.services.commands.evaluation.evaluated import Every
 from tests.services.simulator.simulator_driving import StubCamera
 
 YARD = load_world("yard")
 FEATURES = FeatureSettings()
-
-
-class EverySecond(Scheme):
-    """Decides at every second frame."""
-
-    def stride(self, length: int) -> int:
-        return 2
 
 
 class Script:
@@ -182,7 +175,7 @@ def test_smal_in_this_process_and_as_services_drives_alike_to_the_last_bit(tmp_p
         yield from policy.handle(state)
 
     for seed in (1, 2):
-        found = search(simulation, SmalController(model, EverySecond("smal", "")), seed, max_ticks=250)
+        found = search(simulation, SmalController(model, Every("smal", "", frames=2)), seed, max_ticks=250)
         end, poses, answers = by_services(simulation, answer, seed, 250)
         assert (found.outcome, found.ticks) == (end.outcome, end.tick)
         np.testing.assert_array_equal(found.poses, poses)
