@@ -151,7 +151,7 @@ def solve(
         Relative duality gap at which to stop. Where a query frame is a combination of templates, its residual
         vanishes, and below about 1e-5 rounding may keep the gap from getting there; `converged` tells.
     gram : float array (n, n), optional
-        X^T X if it is known; in float64, or residuals near zero lose their digits.
+        X^T X if it is known; in float64, or residuals near zero are not found. The gap holds whatever it is.
 
     Returns
     -------

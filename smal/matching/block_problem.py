@@ -106,10 +106,3 @@ def smoothing_for(problem: BlockProblem, excess: float) -> float:
 def block_objective(problem: BlockProblem, weights: Array) -> float:
     """Eq. 7 at the weights (p, q)."""
     return smoothed_objective(problem, measure(problem, weights, np.dot(problem.gram, weights)), 0.0)
-
-
-def residual_norms(problem: BlockProblem, weights: Array) -> Array:
-    """||y_i - X w_i|| of every query frame."""
-    along = np.einsum("pi,pi->i", weights, 2.0 * problem.correlations - problem.gram @ weights)
-    norms: Array = np.sqrt(np.maximum(problem.squares - along, _ROUNDING * problem.squares))
-    return norms

@@ -61,17 +61,17 @@ class Gradients:
 
 
 @dataclass(frozen=True, eq=False)
-class DualRounding:
-    """How far products that are not quite exact may mislead about a dual point.
+class DualBounds:
+    """What is certain about a dual point, rounding included.
 
     Parameters
     ----------
     value : float
-        <Theta, Y> may be so much smaller.
+        <Theta, Y> is at least this.
     length : float
-        The columns of Theta may be as long as this, at least 1.
+        No column of Theta is longer.
     entries : float64 array (q,)
-        Bound on the error of each entry of X^T Theta.
+        Bound on the error of each entry of `InnerProducts.exact_gradients`.
     """
 
     value: float
@@ -102,14 +102,36 @@ class InnerProducts(Protocol):
     def exact_gradients(self, dual: DualPoint, columns: Columns) -> Array:
         """X_R^T Theta in float64 (r, q)."""
 
-    def dual_rounding(self, dual: DualPoint) -> DualRounding | None:
-        """Bound what `restricted`, `squares` and `exact_gradients` get wrong; None for no more than float64 does."""
+    def residual_norms(self, columns: Columns, weights: Array) -> Array:
+        """||y_i - X_S w_i|| for weights (p, q), float64 (q,), rounded up."""
+
+    def dual_bounds(self, dual: DualPoint) -> DualBounds:
+        """Bound the value of Theta and the lengths of its columns, whatever alpha and B were meant to make of it."""
 
     def movement(self, old: DualPoint, new: DualPoint) -> tuple[float, float] | None:
         """Spectral norm and longest column of Theta_new - Theta_old; None where it does not pay to know."""
 
     def lengths(self) -> Array:
         """||x_r||, float64 (n,), or bounds on them from above; known after the first `gradients` of all."""
+
+
+def _rounding(B: Array) -> float:
+    """Bound on the error of sums over B (p, q) and over X^T X B, relative to the sum of their absolute terms."""
+    return rounding(B.size + 2 * len(B) + 8, np.float64)
+
+
+def _reach(products: InnerProducts, columns: Columns, alpha: Array, B: Array) -> Array:
+    """Sum of the lengths of all terms in the columns of Y diag(alpha) - X_S B."""
+    reach: Array = alpha * np.sqrt(products.squares) + products.lengths()[columns] @ np.abs(B)
+    return reach
+
+
+def squared_lengths(products: InnerProducts, columns: Columns, alpha: Array, B: Array) -> Array:
+    """Squared lengths of the columns of Y diag(alpha) - X_S B by known products, float64 (q,), rounded up."""
+    gram, correlations = products.restricted(columns)
+    squares = alpha**2 * products.squares + (B * (gram @ B - 2.0 * alpha * correlations)).sum(axis=0)
+    above: Array = np.maximum(squares, 0.0) + _rounding(B) * _reach(products, columns, alpha, B) ** 2
+    return above
 
 
 class GramAndCorrelations:
@@ -171,9 +193,17 @@ class GramAndCorrelations:
         exact: Array = self._correlations[columns] * dual.alpha - gram @ dual.B
         return exact
 
-    def dual_rounding(self, dual: DualPoint) -> DualRounding | None:
-        """Take the products as given."""
-        return None
+    def residual_norms(self, columns: Columns, weights: Array) -> Array:
+        """Combine products."""
+        return np.sqrt(squared_lengths(self, columns, np.ones(weights.shape[1]), weights))
+
+    def dual_bounds(self, dual: DualPoint) -> DualBounds:
+        """Take the products as given, and bound what float64 makes of them."""
+        value = (dual.alpha * self._squares).sum() - (self._correlations[dual.columns] * dual.B).sum()
+        off, reach = _rounding(dual.B), _reach(self, dual.columns, dual.alpha, dual.B)
+        length = np.sqrt(squared_lengths(self, dual.columns, dual.alpha, dual.B)).max()
+        error = off * float(reach @ np.sqrt(self._squares))
+        return DualBounds(float(value) - error, float(length), (off * float(self.lengths().max())) * reach)
 
     def movement(self, old: DualPoint, new: DualPoint) -> tuple[float, float] | None:
         """Gradients cost less than knowing which of them moved."""

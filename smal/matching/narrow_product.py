@@ -148,10 +148,10 @@ def narrow_product_and_squares(
     return out, squares
 
 
-def rounding(m: int) -> float:
-    """Bound on the relative error of a float32 inner product of m terms, whatever the order of summation.
+def rounding(m: int, kind: type[np.floating[Any]] = np.float32) -> float:
+    """Bound on the relative error of an inner product of m terms, whatever the order of summation.
 
-    gamma_m = m u / (1 - m u) with u = 2^-24 (Higham, Accuracy and Stability of Numerical Algorithms, 3.1).
+    gamma_m = m u / (1 - m u) with u = 2^-24 in float32 (Higham, Accuracy and Stability of Numerical Algorithms, 3.1).
     """
-    unit = m * 2.0**-24
+    unit = m * float(np.finfo(kind).eps) / 2.0
     return unit / (1.0 - unit) if unit < 1.0 else np.inf

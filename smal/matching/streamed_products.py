@@ -4,7 +4,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from smal.matching.frame_ring import KEPT, FrameRing
-from smal.matching.inner_products import Columns, DualPoint, DualRounding, Gradients
+from smal.matching.inner_products import Columns, DualBounds, DualPoint, Gradients, squared_lengths
 from smal.matching.narrow_product import rounding
 from smal.matching.template_index import GRAM_PRECISION, IndexAndQuery
 
@@ -19,7 +19,7 @@ class StreamedProducts:
     """X^T X is known in float32, and X^T Y of the template frames that were asked for before.
 
     A residual near zero would drown in the rounding of X^T X. So every query frame is given another component,
-    orthogonal to all templates and about as long as that; `dual_rounding` takes it out of the bound on the optimum.
+    orthogonal to all templates and about as long as that; `dual_bounds` takes it out of the bound on the optimum.
 
     Parameters
     ----------
@@ -66,14 +66,19 @@ class StreamedProducts:
         exact: Array = self._ring.correlations(columns, self._places) * dual.alpha - gram @ dual.B
         return exact
 
-    def dual_rounding(self, dual: DualPoint) -> DualRounding:
+    def residual_norms(self, columns: Columns, weights: Array) -> Array:
+        """Take the products as they are known."""
+        return np.sqrt(squared_lengths(self, columns, np.ones(weights.shape[1]), weights))
+
+    def dual_bounds(self, dual: DualPoint) -> DualBounds:
         """Add up what rounding can do to X^T X and X^T Y, and leave out the component that was added."""
         shares = dual.alpha * self._norms
         weights = self.lengths()[dual.columns] @ np.abs(dual.B)
-        value = _PRECISION * float(weights @ self._norms) + _ADDED * float(shares @ self._norms)
+        correlations = self._ring.correlations(dual.columns, self._places).astype(np.float64)
+        value = float(shares @ self._norms - (correlations * dual.B).sum()) - _PRECISION * float(weights @ self._norms)
         squares = 1.0 + _PRECISION * (2.0 * shares + weights) * weights
         entries = (_PRECISION * float(self.lengths().max())) * (shares + weights)
-        return DualRounding(value, float(np.sqrt(squares.max())), entries)
+        return DualBounds(value, float(np.sqrt(squares.max())), entries)
 
     def movement(self, old: DualPoint, new: DualPoint) -> tuple[float, float] | None:
         """Gradients cost less than knowing which of them moved."""

@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from smal.matching.inner_products import Columns, DualPoint, DualRounding, Gradients, common
+from smal.matching.inner_products import Columns, DualBounds, DualPoint, Gradients, common
 from smal.matching.narrow_product import narrow_product, narrow_product_and_squares, rounding
 
 Array = NDArray[np.float64]
@@ -82,6 +82,17 @@ class _Vectors:
         places = self.places(columns)
         return self._gram[np.ix_(places, places)], self._correlations[places]
 
+    @property
+    def rounding(self) -> float:
+        """Bound on the error of `combine` and a subtraction, relative to the sum of the lengths of all terms."""
+        return rounding(self._columns.size + 2, np.float64)
+
+    def correlate(self, columns: Columns, vectors: Array) -> Array:
+        """Inner products of frames with vectors (v, m), as (p, v)."""
+        places = self.places(columns)
+        products: Array = (self._rows[: self._columns.size] @ vectors.T)[places]
+        return products
+
     def combine(self, columns: Columns, weights: Array) -> Array:
         """Sum of the frames with weights (p, q), as rows (q, m)."""
         padded = np.zeros((self._columns.size, weights.shape[1]))
@@ -113,7 +124,9 @@ class TemplatesAndQuery:
     def __init__(self, templates: NDArray[Any], query: Array, gram: NDArray[Any] | None = None) -> None:
         self._templates = templates
         self._query = np.ascontiguousarray(query.T)
-        self._squares: Array = np.square(self._query).sum(axis=1)
+        #: Bound on the relative error of inner products of query frames, and of sums of these.
+        self._rounding = rounding(sum(query.shape) + 2, np.float64)
+        self._squares: Array = np.square(self._query).sum(axis=1) * (1.0 + self._rounding)
         self._vectors = _Vectors(templates, self._query, gram)
         self._theta: tuple[DualPoint, Array] | None = None
         self._lengths: Array | None = None
@@ -126,7 +139,7 @@ class TemplatesAndQuery:
 
     @property
     def squares(self) -> Array:
-        """||y_i||^2, float64 (q,)."""
+        """||y_i||^2, float64 (q,), rounded up."""
         return self._squares
 
     def guess(self) -> NDArray[np.float32]:
@@ -194,24 +207,34 @@ class TemplatesAndQuery:
     def exact_gradients(self, dual: DualPoint, columns: Columns) -> Array:
         """Multiply in float64."""
         exact = np.empty((columns.size, dual.alpha.size))
-        here, there = common(columns, dual.columns)
-        gram, correlations = self._vectors.restricted(dual.columns)
-        exact[here] = (correlations * dual.alpha - gram @ dual.B)[there]
+        here, _ = common(columns, dual.columns)
+        exact[here] = self._vectors.correlate(columns[here], self.theta(dual))
         others = np.ones(columns.size, dtype=np.bool_)
         others[here] = False
         exact[others] = self._templates.T[columns[others]].astype(np.float64) @ self.theta(dual).T
         return exact
 
-    def dual_rounding(self, dual: DualPoint) -> DualRounding | None:
-        """Products are in float64."""
-        return None
+    def residual_norms(self, columns: Columns, weights: Array) -> Array:
+        """Subtract entry by entry: from inner products, a residual below 1e-8 of a query frame would be noise."""
+        lengths = np.linalg.norm(self._query - self._vectors.combine(columns, weights), axis=1)
+        reach = np.sqrt(self._squares) + self.lengths()[columns] @ np.abs(weights)
+        above: Array = lengths * (1.0 + self._rounding) + self._vectors.rounding * reach
+        return above
+
+    def dual_bounds(self, dual: DualPoint) -> DualBounds:
+        """Measure Theta as it is in float64."""
+        theta, off = self.theta(dual), self._rounding
+        lengths: Array = np.linalg.norm(theta, axis=1) * (1.0 + off)
+        value = np.einsum("im,im->i", theta, self._query).sum() - off * (lengths @ np.sqrt(self._squares))
+        return DualBounds(float(value), float(lengths.max()), (off * float(self.lengths().max())) * lengths)
 
     def movement(self, old: DualPoint, new: DualPoint) -> tuple[float, float] | None:
         """Compare the points entry by entry."""
         before = self.theta(old)
         step = self.theta(new) - before
         products = step @ step.T
-        return spectral_norm(products), float(np.sqrt(products.diagonal().max()))
+        above = 1.0 + self._rounding
+        return above * spectral_norm(products), above * float(np.sqrt(products.diagonal().max()))
 
     def lengths(self) -> Array:
         """||x_r||, float64 (n,), rounded up."""

@@ -11,11 +11,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from smal.matching.block_newton import FIRST_EPSILON, BlockSolution, solve_blocks
-from smal.matching.block_problem import BlockProblem, block_objective, residual_norms, smoothing_for
+from smal.matching.block_problem import BlockProblem, block_objective, smoothing_for
 from smal.matching.certificate import bound_by_lengths
-from smal.matching.inner_products import Columns, DualPoint, DualRounding, InnerProducts, common
+from smal.matching.inner_products import Columns, DualPoint, InnerProducts, common
+from smal.matching.narrow_product import rounding
 from smal.matching.screening import Penalty, Screening, Violations
-from smal.objective import sequence_starts
+from smal.objective import l21_norm, s1_norm, sequence_starts
 
 Array = NDArray[np.float64]
 
@@ -26,6 +27,8 @@ _MAX_ROUNDS = 200
 _ALIVE = 0.8
 # Rounded products show violations of this size.
 _VISIBLE = 1e-3
+# A polar, the objective and their quotient take fewer operations, beside the terms of their sums.
+_OPERATIONS = 32
 # Gap to which Eq. 7 is solved while the likely sequences are being sorted out.
 _LOOSE = 1e-2
 
@@ -94,10 +97,6 @@ class _Restriction:
         value = (inner.alpha * self.problem.squares).sum()
         return float(value - (self.problem.correlations * inner.B).sum()) * self.query_scale
 
-    def objective(self, weights: Array) -> float:
-        """Eq. 7 at scaled weights."""
-        return block_objective(self.problem, weights) * self.query_scale
-
     def epsilon_for(self, gap: float, inner: BlockSolution) -> float:
         """Smoothing that costs about as much as the gap."""
         wanted = smoothing_for(self.problem, gap * block_objective(self.problem, inner.weights))
@@ -155,27 +154,27 @@ class _Search:
         """Extend the dual point to all sequences, which bounds the optimum from below; clean the solution up."""
         violations = self.screening.extend(self.dual)
         part = self.part
-        weights = _rounded_to_zero(part.problem, self.inner.weights, 0.2 * self.penalty.tolerance)
-        residuals = residual_norms(part.problem, weights) * part.query_scale
+        scaled = _rounded_to_zero(part.problem, self.inner.weights, 0.2 * self.penalty.tolerance)
+        weights = scaled * part.weight_scale
         # The best weights and the best bound need not come from the same round.
-        best, objective = self.outcome, part.objective(weights)
-        value, largest = part.dual_value(self.inner), self.screening.largest
-        rounding = self.products.dual_rounding(self.dual)
-        lower_bound = value / largest
-        if rounding is not None:
-            largest = max(largest + self._polar_of(rounding), rounding.length)
-            sure = (value - rounding.value) / largest
-            self.lost, lower_bound = (lower_bound - sure) / objective, sure
-        lower_bound = max(lower_bound, best.lower_bound)
+        best, penalty = self.outcome, self.penalty
+        residuals = self.products.residual_norms(self.columns, weights)
+        objective = float(residuals.sum()) + penalty.lambda1 * l21_norm(weights)
+        objective += penalty.lambda2 * s1_norm(weights, penalty.sequence_length, self.columns)
+        known, largest = self.products.dual_bounds(self.dual), self.screening.largest
+        sure = known.value / max(largest + self._polar_of(known.entries), known.length, 1.0)
+        sure *= 1.0 - rounding(weights.size + penalty.sequence_length + residuals.size + _OPERATIONS, np.float64)
+        self.lost = (part.dual_value(self.inner) / largest - sure) / objective
+        lower_bound = max(sure, best.lower_bound)
         if objective <= best.objective:
-            best = Outcome(self.columns, weights * part.weight_scale, residuals, objective, lower_bound, self.steps)
+            best = Outcome(self.columns, weights, residuals, objective, lower_bound, self.steps)
         self.outcome = replace(best, lower_bound=lower_bound, steps=self.steps)
         return violations
 
-    def _polar_of(self, rounding: DualRounding) -> float:
-        """Bound the polar of the error of X_j^T Theta."""
-        row = float(np.linalg.norm(rounding.entries))
-        column = float(np.sqrt(self.penalty.sequence_length) * rounding.entries.max())
+    def _polar_of(self, entries: Array) -> float:
+        """Bound the polar of an error of X_j^T Theta whose entries are no larger than these (q,)."""
+        row = float(np.linalg.norm(entries))
+        column = float(np.sqrt(self.penalty.sequence_length) * entries.max())
         return bound_by_lengths(row, column, self.penalty.lambda1, self.penalty.lambda2)
 
     def lacking(self, violations: Violations) -> Columns:

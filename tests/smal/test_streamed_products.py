@@ -8,6 +8,7 @@ from hypothesis import strategies as st
 from smal import Solution, StreamingMatcher, TemplateIndex, solve
 from smal.matching import streaming
 from smal.matching.frame_ring import KEPT, FrameRing
+from smal.matching.inner_products import DualBounds, DualPoint
 from smal.matching.screening import Penalty
 from smal.matching.streamed_products import StreamedProducts
 from smal.matching.template_index import GRAM_PRECISION
@@ -92,7 +93,12 @@ def test_no_bound_is_above_the_optimum_however_products_are_rounded(seed: int, n
 
 
 def test_it_would_be_above_if_rounding_were_left_out(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(_Corrupted, "dual_rounding", lambda _self, _dual: None)
+    def as_given(products: StreamedProducts, dual: DualPoint) -> DualBounds:
+        correlations = products.restricted(dual.columns)[1]
+        value = float(dual.alpha @ products.squares - (correlations * dual.B).sum())
+        return DualBounds(value, 1.0, np.zeros(dual.alpha.size))
+
+    monkeypatch.setattr(_Corrupted, "dual_bounds", as_given)
     assert min(corrupted_bound(seed, 0.5, 0.3) for seed in range(10)) < -1e-6
 
 

@@ -1,0 +1,53 @@
+"""Near-copies of templates and small penalties leave so little of Eq. 7 that rounding could take its place."""
+
+import numpy as np
+import pytest
+
+from smal import Solution, TemplateIndex, solve
+from tests.smal.matching import Problem
+from tests.smal.worlds import unit
+
+NOISES = (0.0, 1e-7, 1e-6, 1e-5, 1e-4)
+
+
+def near_copy(seed: int, lambda_: float, noise: float) -> tuple[Problem, int]:
+    """Query a template sequence that noise was added to, and tell where it starts."""
+    rng = np.random.default_rng(seed)
+    length, size = int(rng.choice([1, 2, 3, 5])), int(rng.choice([40, 100, 200]))
+    count = length * int(rng.integers(3, 20))
+    X = np.asfortranarray(unit(rng.standard_normal((count, size))).T, dtype=np.float32)
+    start = length * int(rng.integers(0, count // length))
+    Y = X[:, start : start + length] + noise * unit(rng.standard_normal((length, size))).T
+    return Problem(X, np.asfortranarray(Y), length, lambda_, lambda_), start
+
+
+def extended(problem: Problem, active: np.ndarray, weights: np.ndarray) -> np.longdouble:
+    """Eq. 7 in extended precision, at the rows of W that are not zero."""
+    X, Y, W = (array.astype(np.longdouble) for array in (problem.X[:, active], problem.Y, weights))
+    of_block = (active // problem.length)[:, None] == np.unique(active // problem.length)
+    squares = of_block.T.astype(np.longdouble) @ W**2
+    value = np.sqrt(((Y - X @ W) ** 2).sum(axis=0)).sum() + problem.lambda1 * np.sqrt((W**2).sum(axis=1)).sum()
+    return np.longdouble(value + problem.lambda2 * np.sqrt(squares).sum())
+
+
+@pytest.mark.skipif(np.finfo(np.longdouble).eps > 1e-18, reason="this machine has no extended precision")
+@pytest.mark.parametrize("lambda_", [1e-6, 1e-5, 1e-4, 1e-3])
+def test_gaps_are_true_where_rounding_is_as_large_as_the_objective(lambda_: float) -> None:
+    solutions: list[Solution] = []
+    for seed, noise in ((seed, noise) for seed in range(6) for noise in NOISES):
+        problem, start = near_copy(seed, lambda_, noise)
+        copied = np.arange(start, start + problem.length)
+        best = extended(problem, copied, np.eye(problem.length))
+        found = [
+            solve(templates, problem.Y, *problem.parameters, tolerance=tolerance)
+            for templates in (problem.X, TemplateIndex(problem.X))
+            for tolerance in (1e-3, 1e-4)
+        ]
+        values = [extended(problem, solution.active, solution.active_weights) for solution in found]
+        best = min(best, *values)
+        for solution, value in zip(found, values, strict=True):
+            assert value <= solution.objective * (1.0 + 1e-15), (seed, noise)
+            assert 1.0 - best / value <= solution.duality_gap, (seed, noise)
+        solutions += found
+    # A gap of 1 would always be true.
+    assert any(solution.converged for solution in solutions)
