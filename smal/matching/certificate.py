@@ -27,8 +27,9 @@ _TINY = 1e-150
 def cheap_polar_bound(gradient: NDArray[Any], lambda1: float, lambda2: float) -> float:
     """Bound the polar of one sequence from its longest row and its longest column.
 
-    With a the longest row and b the longest column of G, U = V = G / (lambda1 + lambda2) weighted by a and b
-    splits G with the value 1 / (lambda1 / a + lambda2 / b), which is exact for diagonal and for flat blocks.
+    With a the longest row and b the longest column of G, the rows of U = G / a and the columns of V = G / b are in the
+    unit ball, and G = s (lambda1 U + lambda2 V) for s = 1 / (lambda1 / a + lambda2 / b). So s bounds the polar; it is
+    exact for diagonal and for flat blocks.
 
     Parameters
     ----------
