@@ -40,7 +40,8 @@ class Solution:
     objective : float
         Eq. 7 at W.
     duality_gap : float
-        Relative: the optimum of Eq. 7 is at least objective * (1 - duality_gap).
+        Relative: the optimum of Eq. 7 is at least objective * (1 - duality_gap), rounding included
+        (`solve_from_correlations`: save that of the products it is given).
     iterations : int
         Newton steps in all rounds of the working set.
     converged : bool
@@ -217,7 +218,8 @@ def solve_from_correlations(
     Solution
         Of Eq. 7 with every query frame given a component of 1e-3 of its length orthogonal to all templates,
         since products in float32 cannot tell smaller residuals from zero: objective and gap are those of that
-        problem, whose optimum is at most 1e-3 * sum ||y_i|| above the other one.
+        problem, whose optimum is at most 1e-3 * sum ||y_i|| above the other one. They take correlations and gram as
+        exact: what these lost in rounding, in float32 above all, is not in the gap.
 
     Raises
     ------
