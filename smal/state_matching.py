@@ -141,7 +141,8 @@ def solve(
     ----------
     templates : float array (m, n) or TemplateIndex
         X. Sequence j is the columns j * sequence_length and following; the last one may be shorter. Float32 in
-        Fortran order (a template contiguous) is fastest; an index pays from the second query on.
+        Fortran order (a template contiguous) is fastest. C order is not copied, but takes about twice as long: for
+        many queries prepare X once, by `np.asfortranarray` or as an index, which pays from the second query on.
     query : float array (m, q)
         Y, usually with q = sequence_length.
     sequence_length : int
