@@ -1,11 +1,15 @@
 """Near-copies of templates and small penalties leave so little of Eq. 7 that rounding could take its place."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from smal import Solution, TemplateIndex, solve
-from tests.smal.matching import Problem
-from tests.smal.worlds import unit
+from smal.matching import working_set
+from smal.matching.block_newton import BlockSolution, solve_blocks
+from tests.smal.matching import Problem, from_correlations
+from tests.smal.worlds import matching_problem, unit
 
 NOISES = (0.0, 1e-7, 1e-6, 1e-5, 1e-4)
 
@@ -51,3 +55,18 @@ def test_gaps_are_true_where_rounding_is_as_large_as_the_objective(lambda_: floa
         solutions += found
     # A gap of 1 would always be true.
     assert any(solution.converged for solution in solutions)
+
+
+def test_a_dual_point_that_came_out_too_long_bounds_nothing_too_high(monkeypatch: pytest.MonkeyPatch) -> None:
+    """No template has a weight here, so that nothing but the length of Theta holds the bound down."""
+
+    def too_long(*arguments: object) -> BlockSolution:
+        found = solve_blocks(*arguments)  # type: ignore[arg-type]
+        return replace(found, alpha=1.5 * found.alpha, B=1.5 * found.B)
+
+    monkeypatch.setattr(working_set, "solve_blocks", too_long)
+    X, Y = matching_problem(0, blocks=5, length=5)
+    problem = Problem(X, Y, 5, 10.0, 10.0)
+    for solution in (solve(X, Y, *problem.parameters), from_correlations(problem, 1e-4)[0]):
+        assert not solution.weights.any()
+        assert 0.0 <= solution.duality_gap <= 1e-9
