@@ -1,0 +1,375 @@
+"""Where the robot is: a Bayes filter over taught places, the robot's offset there, and "lost".
+
+The hidden state is a pose beside a taught keyframe: which keyframe, how far ahead and to the left of it, and how far
+turned; or that the robot is nowhere near what was taught. A particle filter (Gordon, Salmond and Smith 1993; Thrun,
+Burgard and Fox 2005, chapters 4 and 8) keeps it:
+
+* *Prediction* moves every particle by what the wheels say (or by what the atom usually does), with noise.
+* *Update* weighs it by how alike the view is to the virtual views of its keyframe (`smal.visual_map`): kappa times what
+  the cosine exceeds the one that unrelated views are as likely to have. So the evidence of "lost" is 1, and whether
+  the robot is lost is a matter of probability and not of a threshold.
+* A view is as much evidence as it is new: of a robot that stands still, the same view ten times is one view. New is
+  what lies a keyframe's distance further, so that neither frame rate nor speed enters.
+* A second set of particles, the scouts, are drawn from everywhere by what a single view says, and have to explain the
+  views that follow better than the first set does, by the odds against having been carried away. If they do, they take
+  over. They find a robot that is switched on anywhere, and one that was kidnapped.
+
+The paper instead matches the last l frames anew at every decision (Eq. 7 to 9, `smal.recognition`). That has no memory,
+so that alikeness longer than l frames cannot be resolved.
+"""
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from smal.features import Centering
+from smal.movement import STILL, Movement, wrapped
+from smal.visual_map import TURNS_DEG, VisualMap
+
+#: How often a robot is carried away, or a view of the way changes for good: once in so many seconds.
+KIDNAP_S = 300.0
+#: Share of views that show nothing of the place, since something hides it.
+_HIDDEN = 0.05
+#: First belief: at the start of a taught drive, anywhere beside the ways, and lost.
+_FIRST = (0.5, 0.4, 0.1)
+#: How far the first heading may be from the taught one, degrees.
+_FIRST_TURN_DEG = 30.0
+#: Particles of each set.
+_PARTICLES = 1000
+#: Keyframes to both sides among which a particle that moved finds the nearest.
+_REACH = np.arange(-6, 7)
+
+
+@dataclass(frozen=True)
+class MotionNoise:
+    """How far the robot's movement differs from what it is said to be, standard deviations.
+
+    Parameters
+    ----------
+    ahead, turn : float
+        Relative errors of the way ahead and of a turn.
+    drift_rad : float
+        Of the heading, for every correlation length of way; it grows with the square root of the way.
+    jitter_rad : float
+        Of the heading at every new view, for what shakes.
+    """
+
+    ahead: float
+    turn: float
+    drift_rad: float
+    jitter_rad: float
+
+
+#: Wheels that slip a little; and atoms, of which only the usual movement is known.
+BY_ODOMETRY = MotionNoise(0.05, 0.03, math.radians(1.5), math.radians(0.3))
+BY_ATOMS = MotionNoise(0.1, 0.1, math.radians(5.0), math.radians(0.3))
+
+
+@dataclass(frozen=True, eq=False)
+class Belief:
+    """Where the robot may be.
+
+    Parameters
+    ----------
+    keyframes : int array (p,)
+        Keyframe that each particle is beside.
+    offsets : float64 array (p, 3)
+        How far ahead and to the left of it, in the map's unit, and turned left, radians.
+    weights : float64 array (p,)
+        Probabilities given that the robot is not lost; they sum to 1.
+    lost : float
+        Probability, 0 to 1, that the robot is nowhere near what was taught.
+    cosine : float
+        Mean cosine of the last view with the views of these places.
+    tracked : float
+        Way that the robot was followed for since the belief was last taken over by scouts, in the map's unit.
+    """
+
+    keyframes: NDArray[np.intp]
+    offsets: NDArray[np.float64]
+    weights: NDArray[np.float64]
+    lost: float
+    cosine: float
+    tracked: float
+
+    def summary(self, most: int) -> "Belief":
+        """Return it with one particle for each keyframe, their mean: at most so many, the heaviest."""
+        keys, where = np.unique(self.keyframes, return_inverse=True)
+        weights = np.bincount(where, self.weights)
+        safe = np.maximum(weights, 1e-300)
+        mean = np.stack([np.bincount(where, self.weights * column) / safe for column in self.offsets.T], axis=1)
+        order = np.argsort(-weights, kind="stable")[:most]
+        order = order[weights[order] > 0.0]
+        kept = weights[order] / weights[order].sum()
+        return Belief(keys[order], mean[order], kept, self.lost, self.cosine, self.tracked)
+
+
+class _Particles:
+    """Poses in the axes of the drive of their keyframe, and weights that sum to 1."""
+
+    def __init__(self, visual_map: VisualMap, keyframes: NDArray[np.intp], poses: NDArray[np.float64]) -> None:
+        self._map = visual_map
+        self.keyframes, self.poses = keyframes, poses
+        self.weights = np.full(len(poses), 1.0 / len(poses))
+        self.cosine = 0.0
+        self.evidence = 0.0
+
+    def move(self, movement: Movement, noise: MotionNoise, newness: float, rng: np.random.Generator) -> None:
+        """Predict: move all by a movement with noise, and find their keyframes."""
+        ahead_noise, turn_noise, drift, jitter = rng.standard_normal((4, len(self.poses)))
+        ahead = movement.ahead * (1.0 + noise.ahead * ahead_noise)
+        way = math.sqrt(abs(movement.ahead) / self._map.correlation_length)
+        turn = movement.turn_rad * (1.0 + noise.turn * turn_noise)
+        turn += noise.drift_rad * way * drift + noise.jitter_rad * newness * jitter
+        middle = self.poses[:, 2] + turn / 2.0
+        self.poses += np.stack([ahead * np.cos(middle), ahead * np.sin(middle), turn], axis=1)
+        first, last = (edge[self.keyframes][:, None] for edge in self._map.key_range)
+        near = np.clip(self.keyframes[:, None] + _REACH, first, last)
+        apart = self.poses[:, None] - self._map.key_poses[near]
+        far = (apart[..., 0] ** 2 + apart[..., 1] ** 2) / self._map.correlation_length**2
+        # A turn is covered by the virtual views: it counts for less than the place.
+        far += (wrapped(apart[..., 2]) / (3.0 * self._map.correlation_rad)) ** 2
+        self.keyframes = np.take_along_axis(near, far.argmin(axis=1)[:, None], axis=1)[:, 0]
+
+    def offsets(self) -> NDArray[np.float64]:
+        """Return poses as seen from their keyframes: ahead, left, turned (p, 3)."""
+        apart = self.poses - self._map.key_poses[self.keyframes]
+        cos, sin = np.cos(self._map.key_poses[self.keyframes, 2]), np.sin(self._map.key_poses[self.keyframes, 2])
+        x, y = apart[:, 0], apart[:, 1]
+        return np.stack([cos * x + sin * y, -sin * x + cos * y, wrapped(apart[:, 2])], axis=1)
+
+    def update(self, cosines: NDArray[np.float32], newness: float, rng: np.random.Generator) -> float:
+        """Weigh by a view, which is new to a degree of 0 to 1; return the logarithm of its probability here.
+
+        Cosines (k, 3, turns) are those of the view with all views of the map.
+        """
+        found, beyond = self._interpolated(cosines)
+        self.cosine = float(self.weights @ found)
+        likelihood = _likelihood(self._map, found, beyond) ** newness
+        weights = self.weights * likelihood
+        total = float(weights.sum())
+        self.weights = weights / total
+        self.evidence += newness
+        if (self.weights**2).sum() > 2.0 / len(self.weights):
+            self.keep(self.drawn(len(self.weights), rng))
+        return math.log(total)
+
+    def _interpolated(self, cosines: NDArray[np.float32]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Return the cosine with the view at each particle's offset, and how far that lies beyond the virtual views.
+
+        Between two views the one between them is their sum, scaled to unit length; beyond the outermost ones it is
+        in correlation lengths.
+        """
+        offsets = self.offsets()
+        by_turn, by_place = self._map.neighbour_cosines
+        k = self.keyframes
+        step = float(TURNS_DEG[1] - TURNS_DEG[0])
+        turned = (np.degrees(offsets[:, 2]) - TURNS_DEG[0]) / step
+        inside = np.clip(turned, 0.0, TURNS_DEG.size - 1)
+        t = np.minimum(inside.astype(np.intp), TURNS_DEG.size - 2)
+        f = inside - t
+        aside = np.clip(offsets[:, 1] / self._map.aside, -1.0, 1.0) + 1.0
+        p = np.minimum(aside.astype(np.intp), 1)
+        g = aside - p
+
+        def at(place: NDArray[np.intp]) -> NDArray[np.float64]:
+            mixed = (1.0 - f) * cosines[k, place, t] + f * cosines[k, place, t + 1]
+            scaled: NDArray[np.float64] = mixed / _norm(f, by_turn[k, place, t])
+            return scaled
+
+        found = ((1.0 - g) * at(p) + g * at(p + 1)) / _norm(g, by_place[k, p, t])
+        length = self._map.correlation_length
+        beyond = np.hypot(
+            np.maximum(np.abs(offsets[:, 1]) - self._map.aside, 0.0) / self._map.aside,
+            np.maximum(np.abs(offsets[:, 0]) - 0.5 * length, 0.0) / length,
+        )
+        turned_beyond = np.maximum(np.abs(turned - (TURNS_DEG.size - 1) / 2.0) - (TURNS_DEG.size / 2.0), 0.0)
+        return found, np.hypot(beyond, turned_beyond * math.radians(step) / self._map.correlation_rad)
+
+    def drawn(self, count: int, rng: np.random.Generator) -> NDArray[np.intp]:
+        """Draw particles by their weights, systematically."""
+        return _systematic(self.weights, count, rng)
+
+    def keep(self, which: NDArray[np.intp]) -> None:
+        """Keep some particles, alike in weight."""
+        self.keyframes, self.poses = self.keyframes[which], self.poses[which]
+        self.weights = np.full(which.size, 1.0 / which.size)
+
+
+def _likelihood(
+    visual_map: VisualMap, cosines: NDArray[Any], beyond: NDArray[Any] | float = 0.0
+) -> NDArray[np.float64]:
+    """Return how much likelier a view of such a cosine is here than anywhere; 1 is no evidence."""
+    evidence = visual_map.kappa * (cosines - visual_map.outlier_cosine) - 2.0 * np.square(beyond)
+    return np.asarray((1.0 - _HIDDEN) * np.exp(evidence) + _HIDDEN, dtype=np.float64)
+
+
+def _norm(share: NDArray[np.float64], cosine: NDArray[Any]) -> NDArray[np.float64]:
+    """Return the length of a mixture of two unit vectors, of which the second has this share."""
+    length: NDArray[np.float64] = np.sqrt((1.0 - share) ** 2 + share**2 + 2.0 * share * (1.0 - share) * cosine)
+    return length
+
+
+def _systematic(weights: NDArray[Any], count: int, rng: np.random.Generator) -> NDArray[np.intp]:
+    edges = np.cumsum(weights, dtype=np.float64)
+    marks = (rng.random() + np.arange(count)) / max(count, 1) * edges[-1]
+    found: NDArray[np.intp] = np.minimum(np.searchsorted(edges, marks), len(weights) - 1)
+    return found
+
+
+class Filter:
+    """Follows the robot from frame to frame.
+
+    Parameters
+    ----------
+    visual_map : VisualMap
+    centering : Centering
+        Of the features.
+    seed : int
+        Of the particles' noise: the same frames and movements give the same belief.
+    """
+
+    def __init__(self, visual_map: VisualMap, centering: Centering, seed: int = 0) -> None:
+        self._map = visual_map
+        self._centering = centering
+        self._noise = BY_ODOMETRY if visual_map.odometry else BY_ATOMS
+        self._seed = seed
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget everything, for a new episode."""
+        self._rng = np.random.default_rng(self._seed)
+        self._tracked: _Particles | None = None
+        self._scouts: _Particles | None = None
+        # Log probabilities that the tracked particles, the scouts, or neither are right.
+        self._odds = np.log(_FIRST)
+        self._waited_s = 0.0
+        self._followed = 0.0
+
+    def observe(self, raw_features: NDArray[Any], movement: Movement = STILL, elapsed_s: float | None = None) -> Belief:
+        """Take one frame.
+
+        Parameters
+        ----------
+        raw_features : array (m,)
+            From `smal.features.extract`.
+        movement : Movement
+            Since the frame before; that before the first frame does not count.
+        elapsed_s : float, optional
+            Time since the frame before; a taught tick if not given.
+
+        Raises
+        ------
+        ValueError
+            Features of the wrong length, NaN or infinity; the frame is then not taken in.
+        """
+        cosines = self._map.cosines(self._centering.apply(raw_features))
+        elapsed_s = self._map.tick_s if elapsed_s is None else elapsed_s
+        if self._tracked is None:
+            self._tracked, newness = self._at_starts(), 1.0
+        else:
+            newness = self._newness(movement)
+            for particles in (self._tracked, self._scouts):
+                if particles is not None:
+                    particles.move(movement, self._noise, newness, self._rng)
+            self._followed += abs(movement.ahead)
+        self._waited_s += elapsed_s
+        self._odds[0] += self._tracked.update(cosines, newness, self._rng)
+        if self._scouts is None:
+            self._send_scouts(cosines)
+        else:
+            self._odds[1] += self._scouts.update(cosines, newness, self._rng)
+        self._leak(elapsed_s)
+        if self._scouts is not None and self._scouts.evidence >= _TRIAL:
+            self._merge()
+        return self._belief()
+
+    def _newness(self, movement: Movement) -> float:
+        """How much of a view is new: 1 where the robot is a keyframe's distance further."""
+        ahead = movement.ahead / self._map.correlation_length
+        turn = movement.turn_rad / (2.0 * self._map.correlation_rad)
+        return min(1.0, _VIEWS_A_LENGTH * math.hypot(ahead, turn))
+
+    def _at_starts(self) -> _Particles:
+        starts = np.unique(self._map.key_range[0])
+        keyframes = self._rng.choice(starts, _PARTICLES)
+        return self._beside(keyframes, np.zeros(_PARTICLES), math.radians(_FIRST_TURN_DEG))
+
+    def _beside(self, keyframes: NDArray[np.intp], turns: NDArray[np.float64], spread_rad: float) -> _Particles:
+        """Scatter particles about keyframes, as far as virtual views reach."""
+        spread = np.array([self._map.aside, self._map.aside, spread_rad])
+        poses = self._map.key_poses[keyframes] + self._rng.uniform(-1.0, 1.0, (len(keyframes), 3)) * spread
+        poses[:, 2] += turns
+        return _Particles(self._map, keyframes, poses)
+
+    def _send_scouts(self, cosines: NDArray[np.float32]) -> None:
+        """Draw particles from everywhere by one view; their odds are those of having been carried there."""
+        likelihood = _likelihood(self._map, cosines[:, 1])
+        keyframes, turns = np.divmod(_systematic(likelihood.ravel(), _PARTICLES, self._rng), TURNS_DEG.size)
+        half = math.radians(float(TURNS_DEG[1] - TURNS_DEG[0])) / 2.0
+        self._scouts = self._beside(keyframes, np.radians(TURNS_DEG[turns]), half)
+        if not np.isfinite(self._odds[1]) or self._odds[1] < math.log(_FIRST[1]) - 1e-9:
+            shares = _normalised(self._odds)
+            carried = shares[0] * min(self._waited_s / KIDNAP_S, 0.5)
+            shares = np.array([shares[0] - carried, shares[2] / 2.0 + carried, shares[2] / 2.0])
+            self._odds = np.log(np.maximum(shares, 1e-12))
+        self._odds[1] += math.log(float(likelihood.mean()))
+        self._waited_s = 0.0
+
+    def _leak(self, elapsed_s: float) -> None:
+        """Let a little of what is known become lost."""
+        shares = _normalised(self._odds)
+        leaked = shares[:2] * (elapsed_s / KIDNAP_S)
+        shares[:2] -= leaked
+        shares[2] += leaked.sum()
+        self._odds = np.log(np.maximum(shares, 1e-12))
+
+    def _merge(self) -> None:
+        """Give the scouts the part of the particles that they have earned, and send new ones."""
+        assert self._tracked is not None
+        assert self._scouts is not None
+        shares = _normalised(self._odds)
+        new = round(_PARTICLES * float(shares[1] / max(shares[0] + shares[1], 1e-12)))
+        if new:
+            old, scouts = self._tracked, self._scouts
+            kept, taken = old.drawn(_PARTICLES - new, self._rng), scouts.drawn(new, self._rng)
+            self._tracked = _Particles(
+                self._map,
+                np.concatenate([old.keyframes[kept], scouts.keyframes[taken]]),
+                np.concatenate([old.poses[kept], scouts.poses[taken]]),
+            )
+            self._tracked.cosine = scouts.cosine if 2 * new > _PARTICLES else old.cosine
+            if 2 * new > _PARTICLES:
+                self._followed = 0.0
+        self._odds = np.log(np.maximum([shares[0] + shares[1], 0.0, shares[2]], 1e-12))
+        self._scouts = None
+
+    def _belief(self) -> Belief:
+        assert self._tracked is not None
+        shares = _normalised(self._odds)
+        sets = [(self._tracked, float(shares[0])), (self._scouts, float(shares[1]))]
+        present = [(particles, share) for particles, share in sets if particles is not None]
+        total = sum(share for _, share in present)
+        return Belief(
+            np.concatenate([particles.keyframes for particles, _ in present]),
+            np.concatenate([particles.offsets() for particles, _ in present]),
+            np.concatenate([particles.weights * (share / total) for particles, share in present]),
+            float(shares[2]),
+            sum(particles.cosine * share for particles, share in present) / total,
+            self._followed,
+        )
+
+
+#: Views a correlation length, each of them new: as many as keyframes.
+_VIEWS_A_LENGTH = 5.0
+#: New views that scouts have to explain before they may take over.
+_TRIAL = 1.5
+
+
+def _normalised(log_odds: NDArray[np.float64]) -> NDArray[np.float64]:
+    shares = np.exp(log_odds - log_odds.max())
+    normalised: NDArray[np.float64] = shares / shares.sum()
+    return normalised

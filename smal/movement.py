@@ -1,0 +1,93 @@
+"""How the robot moves between two frames: by its wheels' odometry, or by what each atom movement usually does."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from smal.action_space import Atom
+
+
+@dataclass(frozen=True)
+class Movement:
+    """A small planar movement.
+
+    Parameters
+    ----------
+    ahead : float
+        Way along the heading, metres (or in units of one forward atom where nothing tells metres); negative backwards.
+    turn_rad : float
+        Change of the heading, counter-clockwise, radians.
+    """
+
+    ahead: float
+    turn_rad: float
+
+    @classmethod
+    def between(cls, before: Sequence[float], after: Sequence[float]) -> "Movement":
+        """Return the movement from one pose (x, y, heading in radians) to the next."""
+        (x0, y0, heading), (x1, y1, new) = before, after
+        ahead = (x1 - x0) * math.cos(heading) + (y1 - y0) * math.sin(heading)
+        return cls(math.copysign(math.hypot(x1 - x0, y1 - y0), ahead), math.remainder(new - heading, math.tau))
+
+
+STILL = Movement(0.0, 0.0)
+
+
+def wrapped(angle_rad: NDArray[Any]) -> NDArray[Any]:
+    """Bring angles into [-pi, pi)."""
+    return (angle_rad + np.pi) % (2.0 * np.pi) - np.pi
+
+
+def atom_movements(poses: Sequence[NDArray[np.float64]], atoms: Sequence[NDArray[np.int8]]) -> NDArray[np.float64]:
+    """Measure what each atom does between two frames.
+
+    The median over all frames of the demonstrations, which a wheel that slips for a moment does not move.
+
+    Parameters
+    ----------
+    poses : sequence of float64 arrays (f, 3)
+        Odometry of each demonstration: x, y, heading in radians.
+    atoms : sequence of int8 arrays (f,)
+        Atom k was executed between frames k and k + 1.
+
+    Returns
+    -------
+    float64 array (5, 2)
+        Way ahead and turn in radians of each `Atom`. One that was never made is the opposite of its opposite, or still.
+    """
+    found: dict[int, list[tuple[float, float]]] = {int(atom): [] for atom in Atom}
+    for way, made in zip(poses, atoms, strict=True):
+        for before, after, atom in zip(way[:-1], way[1:], made[:-1].tolist(), strict=True):
+            step = Movement.between(before, after)
+            found[atom].append((step.ahead, step.turn_rad))
+    table = np.array([np.median(found[int(atom)], axis=0) if found[int(atom)] else (0.0, 0.0) for atom in Atom])
+    for one, other in ((Atom.LEFT, Atom.RIGHT), (Atom.FORWARD, Atom.BACKWARD)):
+        for this, opposite in ((one, other), (other, one)):
+            if not found[this] and found[opposite]:
+                table[this] = -table[opposite]
+    return table
+
+
+def dead_reckoning(atoms: NDArray[np.int8], movements: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Add up the usual movements of atoms.
+
+    Parameters
+    ----------
+    atoms : int8 array (f,)
+    movements : float64 array (5, 2)
+        From `atom_movements`.
+
+    Returns
+    -------
+    float64 array (f, 3)
+        x, y and heading of every frame, from (0, 0, 0); a turn is made half before the way ahead and half after.
+    """
+    ahead, turn = movements[atoms[:-1]].T
+    heading = np.concatenate([[0.0], np.cumsum(turn)])
+    middle = heading[:-1] + turn / 2.0
+    x, y = (np.concatenate([[0.0], np.cumsum(ahead * part(middle))]) for part in (np.cos, np.sin))
+    return np.stack([x, y, heading], axis=1)

@@ -1,0 +1,124 @@
+"""What to do: the atom that most of the belief wants, towards the taught way and along it to the goal.
+
+Each place that the robot may be at has a cost to go, the time to the goal along the taught ways, and a direction: that
+of the taught way a moment ahead. What is done follows the mean direction over the belief; where the belief is too wide
+for that, or the robot is lost, it turns to look.
+"""
+
+import math
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from smal.action_space import Atom
+from smal.filter import Belief
+from smal.movement import wrapped
+from smal.visual_map import VisualMap
+
+#: How far ahead on the taught way the robot aims, as time of driving: less follows noise, more cuts corners.
+LOOKAHEAD_S = 0.7
+#: Directions that differ by more than this about their mean are no direction to drive in.
+WIDE_DEG = 25.0
+#: How far it turns to look around: once round, and a view more.
+LOOK_DEG = 400.0
+#: For how long it then drives by its best guess, before it looks again.
+GUESS_S = 2.0
+#: Belief with which it says that it has arrived.
+_SURE = 0.9
+
+
+@dataclass(frozen=True)
+class Decision:
+    """What to do until the next frame, and why.
+
+    Parameters
+    ----------
+    kind : str
+        "follow": along the taught way; "look_around": turn, since the belief is too wide; "guess": drive all the same,
+        since looking has not helped; "goal": arrived, and stop.
+    atom : Atom
+    heading_error_rad : float
+        Mean direction to aim at less the heading.
+    """
+
+    kind: Literal["follow", "look_around", "guess", "goal"]
+    atom: Atom
+    heading_error_rad: float
+
+
+class Planner:
+    """Turns beliefs into atoms.
+
+    Parameters
+    ----------
+    visual_map : VisualMap
+    """
+
+    def __init__(self, visual_map: VisualMap) -> None:
+        self._map = visual_map
+        # Turning begins where an atom of it makes the direction better, and ends where another one would not.
+        self._turn_rad = abs(float(visual_map.movements[Atom.LEFT, 1])) or math.radians(5.0)
+        self._ahead = LOOKAHEAD_S * visual_map.speed
+        of = visual_map.drives[visual_map.keyframes]
+        self._end_frame = np.searchsorted(visual_map.drives, of, side="right") - 1
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget what was being done, for a new episode."""
+        self._turning: Atom | None = None
+        self._looked_rad = 0.0
+        self._guessed_s = 0.0
+        self.done = False
+
+    def decide(self, belief: Belief) -> Decision:
+        """Say what to do until the next frame."""
+        directions, left_to_go = self._directions(belief)
+        mean = complex((belief.weights * np.exp(1j * directions)).sum())
+        error = math.atan2(mean.imag, mean.real)
+        here = left_to_go < 0.5 * self._map.speed * self._map.tick_s
+        arrived = float(belief.weights @ here) * (1.0 - belief.lost)
+        # What a single view says may be another place: arrived is who was followed there.
+        self.done = self.done or (arrived > _SURE and belief.tracked > self._map.correlation_length / 2.0)
+        if self.done:
+            return Decision("goal", Atom.STOP, error)
+        unsure = belief.lost > 0.5 or abs(mean) < math.cos(math.radians(WIDE_DEG))
+        if not unsure:
+            self._looked_rad = self._guessed_s = 0.0
+            return Decision("follow", self._steer(error), error)
+        if self._looked_rad < math.radians(LOOK_DEG):
+            self._looked_rad += self._turn_rad
+            if self._turning is None:
+                self._turning = Atom.LEFT if error >= 0.0 else Atom.RIGHT
+            return Decision("look_around", self._turning, error)
+        self._guessed_s += self._map.tick_s
+        if self._guessed_s >= GUESS_S:
+            self._looked_rad = self._guessed_s = 0.0
+        return Decision("guess", self._steer(error), error)
+
+    def _steer(self, error: float) -> Atom:
+        """Turn on the spot while the direction is off by more than an atom of turning; drive otherwise."""
+        wanted = Atom.LEFT if error > 0.0 else Atom.RIGHT
+        begins = self._turning is None and abs(error) > self._turn_rad
+        goes_on = self._turning is wanted and abs(error) > self._turn_rad / 2.0
+        self._turning = wanted if begins or goes_on else None
+        return self._turning or Atom.FORWARD
+
+    def _directions(self, belief: Belief) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Return for each particle the direction to aim at less its heading, and the way that is left."""
+        taught = self._map
+        key = taught.keyframes[belief.keyframes]
+        ahead, left, turned = belief.offsets.T
+        along = taught.arc[key] + ahead
+        end = self._end_frame[belief.keyframes]
+        target = np.minimum(np.searchsorted(taught.arc, along + self._ahead), end)
+        # As seen from the keyframe.
+        apart = taught.poses[target] - taught.poses[key]
+        cos, sin = np.cos(taught.poses[key, 2]), np.sin(taught.poses[key, 2])
+        x = cos * apart[:, 0] + sin * apart[:, 1] - ahead
+        y = -sin * apart[:, 0] + cos * apart[:, 1] - left
+        # Near its end a way has a heading, but no point ahead any more.
+        near = np.hypot(x, y) < 0.3 * self._ahead
+        aim = np.where(near, apart[:, 2], np.arctan2(y, x))
+        return wrapped(aim - turned), taught.arc[end] - along

@@ -1,0 +1,192 @@
+"""Views from where nobody drove: a taught image as a camera a little aside, or turned, would have seen it.
+
+One drive shows every place from one pose. A robot that drifts sees it from others, and the paper needs a demonstration
+for each. We warp the taught image instead. A pure turn is a homography, exact whatever the scene is. For a step aside
+or ahead we need distances, and take the simplest scene that has any: flat ground under the camera, and everything above
+it at one distance. Focal length, height of the camera and that distance are those by which views that were taught
+predict other views of the same drive best (`fit_scene`), so nobody has to measure them.
+"""
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from smal.movement import wrapped
+
+#: What a fit chooses from. Fields of view of cameras on robots, degrees; the height of the camera over the correlation
+#: length of views (`smal.visual_map`), and the distance of the scene over that height, both in steps of a half.
+_FIELDS_DEG = tuple(range(40, 125, 5))
+_HEIGHTS = tuple(0.1 * 1.5**k for k in range(7))
+_DISTANCES = tuple(3.0 * 2.0**k for k in range(6))
+#: Field of view that is assumed where no drive turns, degrees.
+_USUAL_FIELD_DEG = 70.0
+#: Pairs of views that a fit looks at, at most: more change nothing that is seen.
+_PAIRS = 40
+
+Image = NDArray[np.uint8]
+Maps = tuple[NDArray[Any], NDArray[Any]]
+
+
+@dataclass(frozen=True)
+class Scene:
+    """A pinhole camera over flat ground, before a wall all round.
+
+    Parameters
+    ----------
+    focal : float
+        Focal length over the image's width, above 0; the optical axis meets the image in its middle, and is level.
+    height : float
+        Of the camera above the ground, above 0.
+    distance : float
+        Of everything above the ground, above 0; in the same unit as the height.
+    """
+
+    focal: float
+    height: float
+    distance: float
+
+    def warp(self, image: Image, ahead: float = 0.0, left: float = 0.0, turn_rad: float = 0.0) -> Image:
+        """Return what is seen from a pose beside the one at which an image was taken.
+
+        Parameters
+        ----------
+        image : uint8 array (height, width, 3)
+        ahead, left : float
+            Where the other pose is, in the unit of the scene.
+        turn_rad : float
+            How far it is turned left.
+
+        Returns
+        -------
+        uint8 array (height, width, 3)
+            What the image does not show repeats its border.
+        """
+        return remapped(image, self.maps(image.shape[:2], ahead, left, turn_rad))
+
+    def maps(self, shape: tuple[int, ...], ahead: float, left: float, turn_rad: float) -> Maps:
+        """Return where each pixel of the other view lies in an image of this shape, for `remapped`."""
+        import cv2  # noqa: PLC0415 - processes that only read models have no OpenCV
+
+        rows, columns = shape
+        focal = self.focal * columns
+        middle_u, middle_v = (columns - 1) / 2.0, (rows - 1) / 2.0
+        v, u = np.mgrid[0:rows, 0:columns].astype(np.float32)
+        across, down = (u - middle_u) / focal, (v - middle_v) / focal
+        # The ray of each pixel, in axes of the camera that took the image: right, down, ahead.
+        right = math.cos(turn_rad) * across - math.sin(turn_rad)
+        deep = math.sin(turn_rad) * across + math.cos(turn_rad)
+        # How far along the ray the ground or the wall is, whichever comes first.
+        reach = 1.0 / np.maximum(down / self.height, np.hypot(right, deep) / self.distance)
+        # A point behind the image has no pixel; far outside it, the border is repeated.
+        z = np.maximum(reach * deep + ahead, 1e-3 * self.height)
+        x, y = reach * right - left, reach * down
+        return cv2.convertMaps(
+            (focal * x / z + middle_u).astype(np.float32), (focal * y / z + middle_v).astype(np.float32), cv2.CV_16SC2
+        )
+
+
+def remapped(image: Image, maps: Maps) -> Image:
+    """Return another view of an image (height, width, 3); maps are made once for many images (`Scene.maps`)."""
+    import cv2  # noqa: PLC0415 - see above
+
+    return np.asarray(
+        cv2.remap(image, maps[0], maps[1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE), dtype=np.uint8
+    )
+
+
+def fit_scene(
+    images: Sequence[Image],
+    poses: NDArray[np.float64],
+    drives: NDArray[np.intp],
+    correlation_length: float,
+    describe: Callable[[Image], NDArray[np.float32]],
+    focal: float | None = None,
+) -> Scene:
+    """Find the camera and the scene by which views of the drives predict each other best.
+
+    Parameters
+    ----------
+    images : sequence of uint8 arrays (height, width, 3)
+    poses : float64 array (f, 3)
+        Of every image: x, y, heading in radians.
+    drives : int array (f,)
+        Which drive each is of.
+    correlation_length : float
+        Way ahead over which views become unlike, in the unit of the poses.
+    describe : callable
+        Centred features of an image, of unit length.
+    focal : float, optional
+        Focal length over the image's width, where it is known.
+
+    Returns
+    -------
+    Scene
+    """
+    scene = Scene(focal or _focal_of(_USUAL_FIELD_DEG), correlation_length / 3.0, correlation_length * 4.0)
+    if focal is None:
+        turns = _pairs(
+            poses, drives, lambda ahead, turn: (ahead < 0.02 * correlation_length) & (turn > math.radians(9))
+        )
+        scene = _best(scene, [replace(scene, focal=_focal_of(field)) for field in _FIELDS_DEG], images, turns, describe)
+    steps = _pairs(poses, drives, lambda ahead, turn: (ahead > 0.5 * correlation_length) & (turn < math.radians(25)))
+    heights = [correlation_length * share for share in _HEIGHTS]
+    scenes = [replace(scene, height=h, distance=h * far) for h in heights for far in _DISTANCES]
+    scene = _best(scene, scenes, images, steps, describe)
+    near = [replace(scene, height=scene.height * 1.5**k) for k in (-0.5, -0.25, 0.0, 0.25, 0.5)]
+    return _best(scene, near, images, steps, describe)
+
+
+def _focal_of(field_deg: float) -> float:
+    return 0.5 / math.tan(math.radians(field_deg) / 2.0)
+
+
+Pair = tuple[int, int, float, float, float]
+
+
+def _pairs(
+    poses: NDArray[np.float64],
+    drives: NDArray[np.intp],
+    wanted: Callable[[NDArray[np.float64], NDArray[np.float64]], NDArray[np.bool_]],
+) -> list[Pair]:
+    """Choose pairs of frames of one drive, the second the first after the first one that is as wanted.
+
+    Each is (frame, other, ahead, left, turn) of the other as seen from the frame.
+    """
+    found: list[Pair] = []
+    for frame in range(len(poses) - 1):
+        ahead_of = np.flatnonzero(drives[frame + 1 : frame + 101] == drives[frame]) + frame + 1
+        apart = poses[ahead_of, :2] - poses[frame, :2]
+        turn = wrapped(poses[ahead_of, 2] - poses[frame, 2])
+        good = np.flatnonzero(wanted(np.hypot(*apart.T), np.abs(turn)))
+        if good.size:
+            cos, sin = math.cos(poses[frame, 2]), math.sin(poses[frame, 2])
+            x, y = apart[good[0]]
+            found.append((frame, int(ahead_of[good[0]]), cos * x + sin * y, -sin * x + cos * y, float(turn[good[0]])))
+    return [found[k] for k in np.unique(np.linspace(0, len(found) - 1, _PAIRS).astype(int))] if found else []
+
+
+def _best(
+    scene: Scene,
+    scenes: Sequence[Scene],
+    images: Sequence[Image],
+    pairs: Sequence[Pair],
+    describe: Callable[[Image], NDArray[np.float32]],
+) -> Scene:
+    """Return the scene under which the first views of pairs predict the second ones best; the given one without any."""
+    if not pairs:
+        return scene
+    seen = [(images[frame], describe(images[other]), step) for frame, other, *step in pairs]
+
+    def score(one: Scene) -> float:
+        return sum(float(y @ describe(one.warp(image, *step))) for image, y, step in seen)
+
+    from concurrent.futures import ThreadPoolExecutor  # noqa: PLC0415 - only learning needs it
+
+    # OpenCV lets go of the interpreter's lock.
+    with ThreadPoolExecutor() as pool:
+        scores = list(pool.map(score, scenes))
+    return scenes[int(np.argmax(scores))]

@@ -1,0 +1,365 @@
+"""What the filter knows of the taught ways: keyframes, their virtual views, and how alike views are.
+
+A keyframe is a taught frame together with how its place looks from beside and turned (`smal.virtual_views`). Keyframes
+are a fifth of the correlation length apart, the way over which views become half as alike as they can be, so that
+between two of them a view hardly changes. Nothing here is in ticks: a robot that drives faster, or a camera with
+another rate, has the same map.
+
+Views are kept as their principal components, which is what makes thousands of them fit a decision's time.
+"""
+
+import math
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, fields
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from smal.action_space import Atom
+from smal.features import Centering, extract
+from smal.movement import atom_movements, dead_reckoning, wrapped
+from smal.virtual_views import Image, Scene, fit_scene, remapped
+
+#: Turns of the virtual views, degrees. Twenty taught pixels, the width of a cell of HOG, are about 5 degrees, within
+#: which a view turned stays alike; beyond 40 hardly anything of the taught image is left.
+TURNS_DEG = np.arange(-40.0, 41.0, 5.0)
+#: Keyframes are so much of the correlation length apart, or so many degrees.
+_SPACING, _SPACING_DEG = 0.2, 12.0
+#: Virtual views are taken so much of the correlation length aside.
+_ASIDE = 0.4
+#: Principal components keep this share of what views are, and at most so many are kept: 5,000 taught frames, 1 km at
+#: 2 m/s, then take 0.2 GB and a few hundredths of a second.
+_KEPT, _MOST_COMPONENTS = 0.9, 400
+#: Views from which components are computed.
+_SAMPLE = 2500
+
+
+@dataclass(frozen=True, eq=False)
+class VisualMap:
+    """Taught ways, and how they look.
+
+    Poses are x, y and heading in radians in axes of their own for each drive, by its odometry; lengths are in metres,
+    or in units of one forward atom where a drive has no odometry.
+
+    Parameters
+    ----------
+    poses : float64 array (f, 3)
+        Of every taught frame.
+    drives : int32 array (f,)
+        Which demonstration it is of, ascending.
+    keyframes : int32 array (k,)
+        Taught frames that are keyframes, ascending; the first and last frame of every drive are among them.
+    basis : float32 array (m, r)
+        Principal components of centred features.
+    views : float32 array (k, 3, turns, r)
+        Components of each keyframe's views: from `aside` to the right, from there, from the left; each turned by
+        `TURNS_DEG`.
+    aside : float
+    correlation_length, correlation_rad : float
+        Way ahead, and turn, after which the expected cosine of two views is half way down to that of unrelated ones.
+    kappa : float
+        Concentration of the cosines of views that show one place: 1 over their standard deviation. A view is e times
+        less likely where its cosine is that much smaller.
+    outlier_cosine : float
+        Cosine that views of one place and of unrelated places are equally likely to have.
+    movements : float64 array (5, 2)
+        What each atom does between two frames (`smal.movement.atom_movements`).
+    tick_s : float
+        Time between two taught frames.
+    odometry : bool
+        Whether poses are of odometry, or the usual movements of atoms added up.
+    scene : float64 array (3,)
+        `smal.virtual_views.Scene`, for people.
+    """
+
+    poses: NDArray[np.float64]
+    drives: NDArray[np.int32]
+    keyframes: NDArray[np.int32]
+    basis: NDArray[np.float32]
+    views: NDArray[np.float32]
+    aside: float
+    correlation_length: float
+    correlation_rad: float
+    kappa: float
+    outlier_cosine: float
+    movements: NDArray[np.float64]
+    tick_s: float
+    odometry: bool
+    scene: NDArray[np.float64]
+
+    def __post_init__(self) -> None:
+        frames, count = len(self.poses), len(self.keyframes)
+        wrong = [
+            name
+            for name, fits in {
+                "poses": self.poses.shape == (frames, 3) and bool(np.isfinite(self.poses).all()),
+                "drives": self.drives.shape == (frames,) and bool((np.diff(self.drives) >= 0).all()),
+                "keyframes": count > 0 and int(self.keyframes.min()) >= 0 and int(self.keyframes.max()) < frames,
+                "views": self.views.shape == (count, 3, TURNS_DEG.size, self.basis.shape[1]),
+                "movements": self.movements.shape == (len(Atom), 2),
+                "scene": self.scene.shape == (3,),
+            }.items()
+            if not fits
+        ]
+        lengths = ("aside", "correlation_length", "correlation_rad", "kappa", "tick_s")
+        wrong += [name for name in lengths if not (math.isfinite(getattr(self, name)) and getattr(self, name) > 0.0)]
+        if wrong:
+            raise ValueError(f"the parts of the visual map do not fit together: {', '.join(wrong)}")
+
+    @cached_property
+    def flat_views(self) -> NDArray[np.float32]:
+        """Every view as a row, (k * 3 * turns, r)."""
+        return np.ascontiguousarray(self.views.reshape(-1, self.views.shape[-1]))
+
+    @cached_property
+    def neighbour_cosines(self) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """Cosines of views that lie beside each other: by turn (k, 3, turns - 1), and by place (k, 2, turns)."""
+        unit = self.views / np.maximum(np.linalg.norm(self.views, axis=-1, keepdims=True), 1e-12)
+        return (unit[:, :, 1:] * unit[:, :, :-1]).sum(axis=-1), (unit[:, 1:] * unit[:, :-1]).sum(axis=-1)
+
+    @cached_property
+    def key_poses(self) -> NDArray[np.float64]:
+        """Poses of the keyframes, (k, 3)."""
+        return self.poses[self.keyframes]
+
+    @cached_property
+    def key_range(self) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+        """First and last keyframe of the drive of each keyframe, (k,) and (k,)."""
+        of = self.drives[self.keyframes]
+        return np.searchsorted(of, of, side="left"), np.searchsorted(of, of, side="right") - 1
+
+    @cached_property
+    def arc(self) -> NDArray[np.float64]:
+        """Way driven until each frame, all drives one after the other, (f,)."""
+        steps = np.hypot(*np.diff(self.poses[:, :2], axis=0).T)
+        return np.concatenate([[0.0], np.cumsum(np.where(np.diff(self.drives) == 0, steps, 0.0))])
+
+    @property
+    def speed(self) -> float:
+        """Nominal speed, a second; 0 if nobody drove ahead."""
+        return float(self.movements[Atom.FORWARD, 0]) / self.tick_s
+
+    def cosines(self, centred: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Return the cosine of a frame (m,) with every view, (k, 3, turns)."""
+        found: NDArray[np.float32] = self.flat_views @ (centred @ self.basis)
+        return found.reshape(self.views.shape[:3])
+
+    def content(self) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
+        """Return its numbers and its arrays, for a file."""
+        each = {one.name: getattr(self, one.name) for one in fields(self)}
+        arrays = {name: value for name, value in each.items() if isinstance(value, np.ndarray)}
+        return {name: value for name, value in each.items() if name not in arrays}, arrays
+
+
+def learn_visual_map(
+    images: Sequence[Sequence[Image]],
+    raw: Sequence[NDArray[np.float32]],
+    atoms: Sequence[NDArray[np.int8]],
+    odometry: Sequence[NDArray[np.float64] | None],
+    centering: Centering,
+    tick_s: float,
+    progress: Callable[[int, int], None] = lambda _done, _total: None,
+) -> VisualMap:
+    """Make the map of demonstrations.
+
+    Parameters
+    ----------
+    images : sequence of sequences of uint8 arrays (height, width, 3)
+        Of every frame of each demonstration.
+    raw : sequence of float32 arrays (f_d, m)
+        Their raw features.
+    atoms : sequence of int8 arrays (f_d,)
+    odometry : sequence of float64 arrays (f_d, 3) or None
+        x, y and heading in radians by the wheels. If one is without, all go by the usual movements of atoms, in which
+        a forward atom is one unit long.
+    centering : Centering
+    tick_s : float
+        Time between two frames.
+    progress : callable
+        Called with keyframes done and their number.
+    """
+    with_odometry = all(one is not None for one in odometry)
+    if with_odometry:
+        ways = [np.asarray(one, dtype=np.float64) for one in odometry if one is not None]
+        movements = atom_movements(ways, atoms)
+    else:
+        movements = _UNIT_MOVEMENTS
+        ways = [dead_reckoning(one, movements) for one in atoms]
+    poses = np.concatenate(ways)
+    drives = np.repeat(np.arange(len(ways), dtype=np.int32), [len(way) for way in ways])
+    centred = np.concatenate([centering.apply(one) for one in raw])
+    length, unrelated = _correlation_length(centred, poses, drives)
+
+    def describe(image: Image) -> NDArray[np.float32]:
+        return centering.apply(extract(image, centering.settings))
+
+    every = _Chain(images)
+    scene = fit_scene(every, poses, drives.astype(np.intp), length, describe)
+    keyframes = _choose_keyframes(poses, drives, length)
+    views, basis = _make_views(every, keyframes, scene, _ASIDE * length, describe, progress)
+    return VisualMap(
+        poses=poses,
+        drives=drives,
+        keyframes=keyframes,
+        basis=basis,
+        views=views,
+        aside=_ASIDE * length,
+        correlation_length=length,
+        correlation_rad=_correlation_turn(views, unrelated),
+        movements=movements,
+        tick_s=tick_s,
+        odometry=with_odometry,
+        scene=np.array([scene.focal, scene.height, scene.distance]),
+        **_likelihood(centred, poses, drives, length),
+    )
+
+
+class _Chain(Sequence[Image]):
+    """Sequences of images as one, none of which is read before it is asked for."""
+
+    def __init__(self, parts: Sequence[Sequence[Image]]) -> None:
+        self._parts = parts
+        self._ends = np.cumsum([len(part) for part in parts])
+
+    def __len__(self) -> int:
+        return int(self._ends[-1])
+
+    def __getitem__(self, index: Any) -> Any:  # noqa: ANN401 - a sequence is asked for numbers or slices
+        part = int(np.searchsorted(self._ends, index, side="right"))
+        return self._parts[part][int(index) - (int(self._ends[part - 1]) if part else 0)]
+
+
+#: Without odometry: a forward atom is the unit, and turns are those of our robots, 45 degrees a second at 10 Hz.
+_UNIT_MOVEMENTS = np.array([[0.0, 0.0], [1.0, 0.0], [-1.0, 0.0], [0.0, math.pi / 40.0], [0.0, -math.pi / 40.0]])
+
+
+def _apart(poses: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return distances and angles between all poses, (f, f) each."""
+    across = poses[:, None, :2] - poses[None, :, :2]
+    return np.hypot(across[..., 0], across[..., 1]), np.abs(wrapped(poses[:, None, 2] - poses[None, :, 2]))
+
+
+#: Frames of a drive that the statistics of views are taken from; their number grows with the square.
+_LOOKED_AT = 1000
+
+
+def _spread(drives: NDArray[np.int32]) -> list[NDArray[np.intp]]:
+    """Choose at most `_LOOKED_AT` frames of each drive, all over it."""
+    each = [np.flatnonzero(drives == drive) for drive in np.unique(drives)]
+    return [one[np.unique(np.linspace(0, one.size - 1, min(one.size, _LOOKED_AT)).astype(int))] for one in each]
+
+
+def _correlation_length(
+    centred: NDArray[np.float32], poses: NDArray[np.float64], drives: NDArray[np.int32]
+) -> tuple[float, float]:
+    """Measure the way ahead over which views become half as alike as they can be, and the cosine of unrelated ones."""
+    found: list[tuple[NDArray[Any], NDArray[Any]]] = []
+    unrelated = []
+    for frames in _spread(drives):
+        cosines = centred[frames] @ centred[frames].T
+        distance, angle = _apart(poses[frames])
+        reach = float(distance.max())
+        unrelated.append(cosines[distance >= 0.1 * reach] if reach > 0.0 else np.zeros(1))
+        same = (angle < math.radians(3.0)) & (distance < 0.2 * reach)
+        found.append((distance[same], cosines[same]))
+    background = float(np.concatenate(unrelated).mean())
+    distances, cosines = (np.concatenate([one[k] for one in found]) for k in (0, 1))
+    reach = float(distances.max(initial=0.0))
+    if reach <= 0.0:
+        raise ValueError("the robot does not move in any demonstration")
+    edges = np.linspace(0.0, reach, 100)
+    where = np.digitize(distances, edges[1:-1])
+    count = np.bincount(where, minlength=99)
+    mean = np.bincount(where, cosines, minlength=99)[count > 0] / count[count > 0]
+    middle = ((edges[:-1] + edges[1:]) / 2.0)[count > 0]
+    half = (1.0 + background) / 2.0
+    return float(np.interp(-half, -np.minimum.accumulate(mean), middle)), background
+
+
+def _correlation_turn(views: NDArray[np.float32], unrelated: float) -> float:
+    """Measure the turn after which a view is half as alike as it can be, radians."""
+    middle = TURNS_DEG.size // 2
+    mean = np.einsum("kr,ktr->t", views[:, 1, middle], views[:, 1]) / len(views)
+    mean = (mean[middle:] + mean[middle::-1]) / 2.0
+    half = (float(mean[0]) + unrelated) / 2.0
+    return math.radians(float(np.interp(-half, -np.minimum.accumulate(mean), TURNS_DEG[middle:])))
+
+
+def _likelihood(
+    centred: NDArray[np.float32], poses: NDArray[np.float64], drives: NDArray[np.int32], length: float
+) -> dict[str, float]:
+    """Measure how the cosines of views of one place, and of unrelated places, are distributed.
+
+    One place is what lies within the correlation length and a few degrees; unrelated is four times as far.
+    """
+    near, far = [], []
+    for frames in _spread(drives):
+        cosines = centred[frames] @ centred[frames].T
+        distance, angle = _apart(poses[frames])
+        near.append(cosines[(distance > _SPACING * length) & (distance < length) & (angle < math.radians(5.0))])
+        far.append(cosines[distance > 4.0 * length])
+    one, other = np.concatenate(near), np.concatenate(far)
+    if not one.size:
+        raise ValueError("the demonstrations are too short to tell how alike views of one place are")
+    other = other if other.size else np.zeros(1)
+    return {
+        "kappa": 1.0 / max(float(one.std()), 1e-3),
+        "outlier_cosine": (float(one.mean()) + float(other.mean())) / 2.0,
+    }
+
+
+def _choose_keyframes(poses: NDArray[np.float64], drives: NDArray[np.int32], length: float) -> NDArray[np.int32]:
+    chosen: list[int] = []
+    for frame in range(len(poses)):
+        first = frame == 0 or drives[frame] != drives[frame - 1]
+        last = frame == len(poses) - 1 or drives[frame] != drives[frame + 1]
+        if not (first or last):
+            moved = poses[frame] - poses[chosen[-1]]
+            far = math.hypot(moved[0], moved[1]) >= _SPACING * length
+            if not far and abs(math.remainder(moved[2], math.tau)) < math.radians(_SPACING_DEG):
+                continue
+        chosen.append(frame)
+    return np.array(chosen, dtype=np.int32)
+
+
+def _make_views(
+    images: Sequence[Image],
+    keyframes: NDArray[np.int32],
+    scene: Scene,
+    aside: float,
+    describe: Callable[[Image], NDArray[np.float32]],
+    progress: Callable[[int, int], None],
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Make the virtual views of keyframes, and the components in which they are kept."""
+    shape = images[int(keyframes[0])].shape[:2]
+    maps = [[scene.maps(shape, 0.0, left, math.radians(turn)) for turn in TURNS_DEG] for left in (-aside, 0.0, aside)]
+
+    def views_of(frame: int) -> NDArray[np.float32]:
+        image = images[frame]
+        return np.stack([np.stack([describe(remapped(image, one)) for one in row]) for row in maps])
+
+    # All views at once would take gigabytes for a long drive: components first, from a sample of keyframes.
+    with ThreadPoolExecutor() as pool:
+        each = len(maps) * TURNS_DEG.size
+        sample = keyframes[np.unique(np.linspace(0, keyframes.size - 1, max(1, _SAMPLE // each)).astype(int))]
+        basis = _components(
+            np.concatenate(list(pool.map(views_of, sample.tolist()))).reshape(-1, len(describe(images[0])))
+        )
+        views = []
+        for done, view in enumerate(pool.map(lambda frame: views_of(frame) @ basis, keyframes.tolist()), 1):
+            views.append(view)
+            progress(done, keyframes.size)
+    return np.stack(views), basis
+
+
+def _components(sample: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Return the leading principal components of rows (s, m), (m, r)."""
+    values, vectors = np.linalg.eigh(sample @ sample.T)
+    values, vectors = np.maximum(values[::-1], 0.0), vectors[:, ::-1]
+    share = np.cumsum(values) / max(float(values.sum()), 1e-12)
+    count = min(int(np.searchsorted(share, _KEPT)) + 1, _MOST_COMPONENTS, int((values > 1e-6 * values[0]).sum()))
+    basis: NDArray[np.float32] = sample.T @ (vectors[:, :count] / np.sqrt(values[:count]))
+    return basis.astype(np.float32)
