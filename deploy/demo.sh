@@ -10,7 +10,7 @@ case "${1:-}" in
   --full) runs=20 camera=1024x768 ;;
   *) sed -n '2,4s/^# *//p' "$0" >&2; exit 2 ;;
 esac
-drives=12 recoveries=60
+drives=1
 seed=${SMAL_DEMO_SEED:-1}
 world=${SMAL_DEMO_WORLD:-campus}
 out=${SMAL_DEMO_OUT:-out/demo-$(date +%Y%m%d-%H%M%S)}
@@ -18,13 +18,13 @@ out=${SMAL_DEMO_OUT:-out/demo-$(date +%Y%m%d-%H%M%S)}
 bash deploy/setup.sh
 smal=.venv/bin/smal
 echo
-echo "This demo teaches with $drives drives and $recoveries recovery drives at $camera and then lets the robot search $runs times."
+echo "This demo teaches with $drives drive(s) at $camera and then lets the robot search $runs times."
 [ "${1:-}" = --full ] || echo "The camera image is smaller than the robot's 1024x768 so that it ends soon; --full does it all at full size."
 echo
 echo "1/3 The expert demonstrates; the recorder writes $out/drives"
-"$smal" demonstrate --world "$world" --episodes "$drives" --recoveries "$recoveries" --seed "$seed" --camera "$camera" --out "$out/drives"
+"$smal" demonstrate --world "$world" --episodes "$drives" --seed "$seed" --camera "$camera" --out "$out/drives"
 echo
-echo "2/3 Learning states, actions, transitions, reward and policy from the recordings"
+echo "2/3 Learning a map of views, states, actions, transitions, reward and policy from the recordings"
 "$smal" learn "$out/drives" --out "$out/model.smal"
 echo
 echo "3/3 The robot searches by itself, from starts that it was not taught from"

@@ -13,13 +13,14 @@ class Action(Message):
     """One decision: the atom movements that follow, one a frame, until the next decision replaces them."""
 
     topic: ClassVar[str] = "action"
-    version: ClassVar[int] = 2
+    version: ClassVar[int] = 3
 
-    kind: Literal["action", "goal", "dead_end", "coast", "look_around", "stop"]
-    """action: the policy's; goal: the rest of a demonstration that ended here; dead_end: the rest of a drive that
-    stopped here without success; coast: the rest of the last plan, for a moment in which the state is unknown;
-    look_around: state unknown, turning on the spot; stop: turning has not helped."""
+    kind: Literal["follow", "action", "goal", "dead_end", "look_around", "guess", "stop"]
+    """follow: along the taught way; action: the policy's, of the paper's scheme; goal: the robot says that it has
+    arrived, or makes the rest of a demonstration that ended here; dead_end: the rest of a drive that stopped here
+    without success; look_around: turning on the spot, since it is not known where the robot is; guess: driving all the
+    same, since that has not helped; stop: turning has not helped."""
     state: Annotated[int | None, Field(ge=0, le=1_000_000)] = None
-    """The recognised state, if any."""
+    """The keyframe, or in the paper's scheme the state, where the robot is; none where it is lost."""
     atoms: Annotated[tuple[Atom, ...], Field(max_length=1000)]
     """The planned atom movements, one a frame."""

@@ -10,6 +10,10 @@ from schemas.base import EpisodeId, Strict
 from schemas.episode import Purpose
 
 Mode = Literal["lockstep", "realtime"]
+#: About the world's start, or anywhere beside the way from there to the victim.
+Start = Literal["start", "anywhere"]
+#: Knowing where it is by a filter over the map of views; or by the paper's Eq. 7 to 9, deciding every l frames.
+Scheme = Literal["filter", "paper"]
 #: The sources that can drive; an emergency stop only ever makes the robot stand.
 Driver = Literal["teleop", "expert", "policy"]
 
@@ -69,6 +73,10 @@ class ResetRequest(Strict):
     """Which starts to draw from."""
     driver: Driver = "policy"
     """Who drives."""
+    start: Start = "start"
+    """Where a run begins; anywhere: up to 1.5 m beside the way (less indoors), turned by up to 40 degrees."""
+    kidnap_tick: Annotated[int | None, Field(ge=1, le=1_000_000)] = None
+    """Frame at which the robot is carried to another such place, without its wheels turning."""
     mode: Mode = "lockstep"
     """Whether time waits for commands."""
     max_ticks: Annotated[int, Field(ge=1, le=1_000_000)] = 3000
@@ -105,8 +113,10 @@ class LoadRequest(Strict):
 
     path: str
     """Path of the model file, as the service sees it."""
+    scheme: Scheme = "filter"
+    """How the robot is to know where it is, and decide."""
     stride: Annotated[int | None, Field(ge=1, le=1000)] = None
-    """Frames from one decision to the next; 1 if not given; the model's sequence length is the paper's scheme."""
+    """Frames from one decision to the next in the paper's scheme; the model's sequence length if not given."""
 
 
 class LoadReply(Strict):
@@ -118,6 +128,10 @@ class LoadReply(Strict):
     """Template frames."""
     sequence_length: int
     """Frames of a sequence."""
+    keyframes: int
+    """Of the map of views; 0 without one."""
+    scheme: Scheme
+    """How the service works with it."""
     stride: int
     """Frames from one decision to the next."""
 

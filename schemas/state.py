@@ -1,4 +1,4 @@
-"""Which learned state the robot is in (Eq. 9 of the paper)."""
+"""Where in what was taught the robot is."""
 
 from __future__ import annotations
 
@@ -8,32 +8,48 @@ from pydantic import Field, model_validator
 
 from schemas.base import Message, Strict
 
-MAX_CANDIDATES = 64
+MAX_PLACES = 64
 
 
-class Candidate(Strict):
-    """A learned state that the last frames may show."""
+class Place(Strict):
+    """A pose beside a taught keyframe, where the robot may be."""
 
-    state: Annotated[int, Field(ge=0, le=1_000_000)]
-    """Its index."""
-    phase: Annotated[float, Field(ge=-1e6, le=1e6)]
-    """Frame of its template sequence, from 0, at which the last frame is; may lie beyond its ends."""
+    keyframe: Annotated[int, Field(ge=0, le=1_000_000)]
+    """Its number in the model's map of views."""
+    ahead_m: Annotated[float, Field(ge=-1e6, le=1e6)]
+    """How far ahead of the keyframe the robot is, along its heading."""
+    left_m: Annotated[float, Field(ge=-1e6, le=1e6)]
+    """How far to the left of it."""
+    turned_rad: Annotated[float, Field(ge=-3.2, le=3.2)]
+    """How far the robot is turned against it, counter-clockwise."""
     weight: Annotated[float, Field(ge=0, le=1.001)]
-    """Its share of the belief."""
+    """Probability of being there, given that the robot is not lost."""
 
 
 class State(Message):
-    """Answer of recognition for one frame; only ``recognized`` and ``unknown`` call for a decision."""
+    """Answer of recognition for one frame; only ``recognized`` and ``unknown`` call for a decision.
 
-    version: ClassVar[int] = 3
+    By the filter it is a belief over places; by the paper's scheme the learned state of Eq. 9.
+    """
+
+    version: ClassVar[int] = 4
     topic: ClassVar[str] = "state"
 
     status: Literal["idle", "collecting", "recognized", "unknown"]
-    """idle: no model; collecting: no decision is due at this frame; unknown: no learned state matches."""
+    """idle: no model; collecting: no decision is due at this frame; unknown: the robot is more likely lost than not, or
+    no learned state matches."""
     model: Annotated[str | None, Field(pattern=r"^[0-9a-f]{8,64}$")] = None
     """Beginning of the checksum of the model that the state belongs to; a policy refuses another's. None when idle."""
+    places: Annotated[tuple[Place, ...], Field(max_length=MAX_PLACES)] = ()
+    """The filter's belief, heaviest first; empty in the paper's scheme."""
+    lost: Annotated[float, Field(ge=0, le=1)] = 0.0
+    """Probability that the robot is nowhere near what was taught; of the filter."""
+    cosine: Annotated[float, Field(ge=-1.1, le=1.1)] = 0.0
+    """Mean cosine between the view and those of the places; of the filter."""
+    tracked_m: Annotated[float, Field(ge=0, le=1e9)] = 0.0
+    """Way that the robot was followed for without a jump; of the filter."""
     state: Annotated[int | None, Field(ge=0, le=1_000_000)] = None
-    """Index of the learned state, when recognized."""
+    """Index of the learned state, when recognized by the paper's scheme."""
     phase: Annotated[float | None, Field(ge=-1e6, le=1e6)] = None
     """Frame of the matched template sequence, from 0, at which the last frame is; may lie beyond its ends."""
     score: Annotated[float, Field(ge=0, le=1e9)] = 0.0
@@ -46,17 +62,12 @@ class State(Message):
     """Mean cosine between the query frames and the nearest frames of the matched sequence."""
     duality_gap: Annotated[float, Field(ge=0, le=1e9)] = 0.0
     """Certificate of the weights: relative distance to the global optimum of Eq. 7 at most."""
-    candidates: Annotated[tuple[Candidate, ...], Field(max_length=MAX_CANDIDATES)] = ()
-    """The belief over states, heaviest first; empty unless recognized."""
-    explained: Annotated[float, Field(ge=0, le=1)] = 1.0
-    """How much templates explain of the last frames, recent ones counting more: 1 all, 0 no more than of what is new.
-    1 too where that is not known: in the paper's scheme, and unless recognized."""
 
     @model_validator(mode="after")
     def _check(self) -> Self:
         if (self.model is None) != (self.status == "idle"):
             raise ValueError("the model is given exactly when the status is not 'idle'")
-        recognized = self.status == "recognized"
-        if (self.state is not None, self.phase is not None) != (recognized, recognized):
-            raise ValueError("state and phase are given exactly when the status is 'recognized'")
+        of_paper = self.status == "recognized" and not self.places
+        if (self.state is not None, self.phase is not None) != (of_paper, of_paper):
+            raise ValueError("state and phase are given exactly when the status is 'recognized' without places")
         return self

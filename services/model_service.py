@@ -10,7 +10,7 @@ from typing import Annotated, Final, Protocol, Self, TypeVar
 from pydantic import Field
 
 from schemas.base import Message
-from schemas.rpc import LoadReply, LoadRequest
+from schemas.rpc import LoadReply, LoadRequest, Scheme
 from schemas.topics import Topic
 from services.process import Detail, Node, ServiceError, configure_logging, read_settings
 from services.settings import ServiceSettings
@@ -18,8 +18,6 @@ from smal.model import Model, ModelError
 
 #: So many hex digits of a model's checksum tell one model from another.
 _DIGITS: Final = 16
-#: Frames from one decision to the next, where nobody says otherwise: as often as there is something new to see.
-DEFAULT_STRIDE: Final = 1
 M_contra = TypeVar("M_contra", bound=Message, contravariant=True)
 
 
@@ -28,14 +26,34 @@ class ModelSettings(ServiceSettings):
 
     model: Path | None = None
     """Model file, made by `smal learn`."""
+    scheme: Scheme = "filter"
+    """`filter`, or `paper` for the paper's own recognition and execution."""
     stride: Annotated[int | None, Field(ge=1, le=1000)] = None
-    """Frames from one decision to the next; every frame if not given, and the model's sequence length is the paper's
-    scheme."""
+    """Frames from one decision to the next in the paper's scheme; the model's sequence length if not given."""
 
 
 def identity_of(model: Model) -> str:
     """Return the name by which messages and health tell of a model: the beginning of its checksum."""
     return model.checksum[:_DIGITS]
+
+
+def refused(model: Model, scheme: Scheme, stride: int | None) -> str | None:
+    """Say in one line why a model cannot be used by a scheme with a stride, or None."""
+    if scheme == "filter":
+        if stride not in (None, 1):
+            return f"stride {stride}: the filter decides at every frame; only the paper's scheme has a stride"
+        if model.visual_map is None:
+            return (
+                "the model has no map of views: no drive to the goal that it was learned from has images; "
+                "learn it again, or use the scheme 'paper'"
+            )
+        if not model.visual_map.odometry:
+            return (
+                "the model was learned from drives without odometry, which the filter needs here; record them with it"
+            )
+    elif stride is not None and stride > model.sequence_length:
+        return f"stride must be 1 to the sequence length {model.sequence_length}, got {stride}"
+    return None
 
 
 @dataclass(frozen=True)
@@ -50,13 +68,16 @@ class LoadedModel:
         See ``identity_of``.
     path
         Its file.
+    scheme
+        How to work with it.
     stride
-        Frames from one decision to the next.
+        Frames from one decision to the next; 1 but for the paper's scheme.
     """
 
     model: Model
     identity: str
     path: str
+    scheme: Scheme
     stride: int
 
     @classmethod
@@ -66,16 +87,17 @@ class LoadedModel:
         Raises
         ------
         ServiceError
-            When the file is no model, or the stride is longer than its sequences.
+            When the file is no model, or cannot be used so.
         """
         try:
             model = Model.load(Path(request.path))
         except ModelError as error:
             raise ServiceError(str(error)) from None
-        stride = request.stride or DEFAULT_STRIDE
-        if stride > model.sequence_length:
-            raise ServiceError(f"stride must be 1 to the sequence length {model.sequence_length}, got {stride}")
-        return cls(model, identity_of(model), request.path, stride)
+        refusal = refused(model, request.scheme, request.stride)
+        if refusal is not None:
+            raise ServiceError(refusal)
+        stride = 1 if request.scheme == "filter" else request.stride or model.sequence_length
+        return cls(model, identity_of(model), request.path, request.scheme, stride)
 
     def reply(self) -> LoadReply:
         """Tell who asked for it what was loaded."""
@@ -83,12 +105,14 @@ class LoadedModel:
             states=self.model.states,
             templates=self.model.templates.shape[1],
             sequence_length=self.model.sequence_length,
+            keyframes=0 if self.model.visual_map is None else len(self.model.visual_map.keyframes),
+            scheme=self.scheme,
             stride=self.stride,
         )
 
     def detail(self) -> Detail:
         """Tell of the model in the service's status."""
-        return {"model": self.path, "checksum": self.identity, "states": self.model.states, "stride": self.stride}
+        return {"model": self.path, "checksum": self.identity, "states": self.model.states, "scheme": self.scheme}
 
 
 class ModelService(Protocol[M_contra]):
@@ -97,7 +121,7 @@ class ModelService(Protocol[M_contra]):
     def load(self, request: LoadRequest) -> LoadReply:
         """Load a model; when it is refused, go on with the one before."""
 
-    def handle(self, message: M_contra, /) -> Message | list[Message]:
+    def handle(self, message: M_contra, /) -> Message | list[Message] | None:
         """Answer a message."""
 
     def detail(self) -> Detail:
@@ -114,7 +138,7 @@ def serve_model(
     settings = read_settings(ModelSettings, name)
     configure_logging(settings.log_level)
     if settings.model is not None:
-        service.load(LoadRequest(path=str(settings.model), stride=settings.stride))
+        service.load(LoadRequest(path=str(settings.model), scheme=settings.scheme, stride=settings.stride))
     with Node(name, settings) as node:
         node.stop_on_signals()
         node.detail = service.detail

@@ -31,15 +31,18 @@ if TYPE_CHECKING:
     from smal.action_space import Atom
     from smal.decision import Decision, DecisionMaker
     from smal.features import FeatureSettings, extract
-    from smal.learning import Demonstration, LearningReport, LearningSettings, learn
+    from smal.filter import Belief
+    from smal.learning import Demonstration, LearningReport, LearningSettings, fit, learn
     from smal.matching.streaming import StreamingMatcher
     from smal.matching.template_index import TemplateIndex
     from smal.model import Model
     from smal.recognition import Recognition, Recognizer
+    from smal.robot import Robot
     from smal.state_matching import Solution, solve, solve_from_correlations
 
 _FILES = {
     "Atom": "action_space",
+    "Belief": "filter",
     "Decision": "decision",
     "DecisionMaker": "decision",
     "Demonstration": "learning",
@@ -49,16 +52,19 @@ _FILES = {
     "Model": "model",
     "Recognition": "recognition",
     "Recognizer": "recognition",
+    "Robot": "robot",
     "Solution": "state_matching",
     "StreamingMatcher": "matching.streaming",
     "TemplateIndex": "matching.template_index",
     "extract": "features",
+    "fit": "learning",
     "learn": "learning",
     "solve": "state_matching",
     "solve_from_correlations": "state_matching",
 }
 __all__ = [
     "Atom",
+    "Belief",
     "Decision",
     "DecisionMaker",
     "Demonstration",
@@ -68,10 +74,12 @@ __all__ = [
     "Model",
     "Recognition",
     "Recognizer",
+    "Robot",
     "Solution",
     "StreamingMatcher",
     "TemplateIndex",
     "extract",
+    "fit",
     "learn",
     "solve",
     "solve_from_correlations",

@@ -235,7 +235,6 @@ class Filter:
     def __init__(self, visual_map: VisualMap, centering: Centering, seed: int = 0) -> None:
         self._map = visual_map
         self._centering = centering
-        self._noise = BY_ODOMETRY if visual_map.odometry else BY_ATOMS
         self._seed = seed
         self.reset()
 
@@ -249,7 +248,13 @@ class Filter:
         self._waited_s = 0.0
         self._followed = 0.0
 
-    def observe(self, raw_features: NDArray[Any], movement: Movement = STILL, elapsed_s: float | None = None) -> Belief:
+    def observe(
+        self,
+        raw_features: NDArray[Any],
+        movement: Movement = STILL,
+        noise: MotionNoise = BY_ODOMETRY,
+        elapsed_s: float | None = None,
+    ) -> Belief:
         """Take one frame.
 
         Parameters
@@ -258,6 +263,8 @@ class Filter:
             From `smal.features.extract`.
         movement : Movement
             Since the frame before; that before the first frame does not count.
+        noise : MotionNoise
+            Of that movement.
         elapsed_s : float, optional
             Time since the frame before; a taught tick if not given.
 
@@ -274,7 +281,7 @@ class Filter:
             newness = self._newness(movement)
             for particles in (self._tracked, self._scouts):
                 if particles is not None:
-                    particles.move(movement, self._noise, newness, self._rng)
+                    particles.move(movement, noise, newness, self._rng)
             self._followed += abs(movement.ahead)
         self._waited_s += elapsed_s
         self._odds[0] += self._tracked.update(cosines, newness, self._rng)

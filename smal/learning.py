@@ -1,16 +1,17 @@
-"""From demonstrations to a model: Algorithms 1, 3 and 4, the reward and the policy, in the order of the paper."""
+"""From demonstrations to a model: the map of views, then Algorithms 1, 3 and 4, the reward and the policy."""
 
 import math
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from smal.action_space import ActionSpace, Atom, learn_action_space
 from smal.alignment import aligned_phases
-from smal.features import Centering, FeatureSettings
+from smal.features import Centering, FeatureSettings, extract, select
 from smal.model import Model
 from smal.novelty import RECOGNITION_DEFAULTS, neighbour_agreement, novelty_test
 from smal.policy import check_discount, policy_iteration
@@ -18,6 +19,8 @@ from smal.reward import learn_reward
 from smal.state_space import StateSpace, learn_state_space
 from smal.template_store import TemplateStore
 from smal.transitions import Transitions, learn_transitions
+from smal.virtual_views import Image
+from smal.visual_map import ImageChain, VisualMap, learn_visual_map
 
 # Called with the stage, what is done of it and how much there is of it.
 StageProgress = Callable[[str, int, int], None]
@@ -39,6 +42,12 @@ class Demonstration:
         Whether it ended at the goal.
     recovery : bool
         Whether it began off the route, to show the way back to it.
+    images : sequence of uint8 arrays (height, width, 3), optional
+        RGB of every frame; read when they are wanted. Without them it adds nothing to the map of views.
+    odometry : float64 array (f, 3), optional
+        x, y and heading in radians of every frame by the wheels.
+    episode : str
+        Which drive it is a part of, where frames between parts were lost; its name if empty.
     """
 
     name: str
@@ -46,6 +55,9 @@ class Demonstration:
     atoms: NDArray[np.int8]
     successful: bool = True
     recovery: bool = False
+    images: Sequence[Image] | None = None
+    odometry: NDArray[np.float64] | None = None
+    episode: str = ""
 
     def __post_init__(self) -> None:
         if self.features.ndim != 2 or self.atoms.shape != (self.features.shape[0],):
@@ -53,6 +65,11 @@ class Demonstration:
                 f"demonstration {self.name}: features (f, m) and atoms (f,) do not fit: "
                 f"{self.features.shape} and {self.atoms.shape}"
             )
+        frames = len(self.atoms)
+        if self.images is not None and len(self.images) != frames:
+            raise ValueError(f"demonstration {self.name}: {len(self.images)} images for {frames} frames")
+        if self.odometry is not None and self.odometry.shape != (frames, 3):
+            raise ValueError(f"demonstration {self.name}: odometry {self.odometry.shape} for {frames} frames")
 
 
 @dataclass(frozen=True)
@@ -82,6 +99,10 @@ class LearningSettings:
         Relative duality gap of each match.
     max_bytes : int, optional
         Bound on the memory of templates.
+    tick_s : float
+        Time between two frames.
+    map_views : bool
+        Whether to make the map of views; the paper's scheme has none.
     """
 
     features: FeatureSettings = field(default_factory=FeatureSettings)
@@ -97,6 +118,8 @@ class LearningSettings:
     r_max: float = 1.0
     tolerance: float = 1e-3
     max_bytes: int | None = None
+    tick_s: float = 0.1
+    map_views: bool = True
 
     def __post_init__(self) -> None:
         if self.sequence_length < 1:
@@ -105,6 +128,8 @@ class LearningSettings:
             value = getattr(self, name)
             if value is not None and not (math.isfinite(value) and value > 0.0):
                 raise ValueError(f"{name} must be finite and positive, got {value}")
+        if not (math.isfinite(self.tick_s) and self.tick_s > 0.0):
+            raise ValueError(f"tick_s must be finite and positive, got {self.tick_s}")
         novelty_test(self.novelty, self.novelty_parameters)
         novelty_test(self.novelty, self.recognition)
         check_discount(self.gamma)
@@ -134,6 +159,8 @@ class LearningReport:
         States that nothing is known to follow.
     reward_states : int
         States with a reward above 1e-6.
+    keyframes : int
+        Of the map of views; 0 without one.
     template_bytes : int
         Memory that templates and their inner products took while the states were learned: 4 n (n + m) for n template
         frames of m features.
@@ -150,6 +177,7 @@ class LearningReport:
     shared_states: int
     dead_ends: int
     reward_states: int
+    keyframes: int
     template_bytes: int
     seconds: dict[str, float]
 
@@ -189,7 +217,7 @@ def learn(
         At least one successful.
     settings : LearningSettings, optional
     progress : callable, optional
-        Called with the stage ("centering", "states", "transitions", "reward", "policy"), done and total.
+        Called with the stage ("centering", "views", "states", "transitions", "reward", "policy"), done and total.
 
     Returns
     -------
@@ -215,6 +243,10 @@ def learn(
     centred = [centering.apply(each) for each in frames]
     settings = _calibrated(settings, demonstrations, centred)
     stages.end("centering")
+    visual_map = None
+    if settings.map_views:
+        visual_map = _map_views(demonstrations, centering, settings.tick_s, stages.report("views"))
+    stages.end("views")
     space = learn_state_space(
         centred,
         settings.sequence_length,
@@ -227,7 +259,79 @@ def learn(
     phases = aligned_phases(space.templates, space.streams, space.phases, centred, settings.sequence_length)
     space = replace(space, phases=phases)
     stages.end("states")
-    return _plan(demonstrations, settings, centering, space, stages)
+    return _plan(demonstrations, settings, centering, visual_map, space, stages)
+
+
+def _map_views(
+    demonstrations: Sequence[Demonstration],
+    centering: Centering,
+    tick_s: float,
+    progress: Callable[[int, int], None],
+) -> VisualMap | None:
+    """Make the map of views of the drives that reached the goal and have images; None if there are none.
+
+    Parts of one drive are put together: by its wheels the robot knows how far it went between them.
+    """
+    of_images = centering.of_images()
+    if of_images is None:
+        return None
+    drives: dict[str, list[Demonstration]] = {}
+    for one in demonstrations:
+        drives.setdefault(one.episode or one.name, []).append(one)
+    usable = []
+    for parts in drives.values():
+        whole = parts if all(part.odometry is not None for part in parts) else parts[-1:]
+        if whole[-1].successful and all(part.images is not None for part in whole):
+            usable.append(whole)
+    if not usable:
+        return None
+    return learn_visual_map(
+        [ImageChain([part.images for part in parts if part.images is not None]) for parts in usable],
+        [select(np.concatenate([part.features for part in parts]), centering.settings, of_images.settings)
+         for parts in usable],
+        [np.concatenate([part.atoms for part in parts]) for parts in usable],
+        [_joined([part.odometry for part in parts]) for parts in usable],
+        of_images,
+        tick_s,
+        progress,
+    )  # fmt: skip
+
+
+def _joined(parts: Sequence[NDArray[np.float64] | None]) -> NDArray[np.float64] | None:
+    known = [part for part in parts if part is not None]
+    return np.concatenate(known) if len(known) == len(parts) else None
+
+
+def fit(
+    drives: Sequence[tuple[Any, ...]],
+    settings: LearningSettings | None = None,
+    progress: StageProgress | None = None,
+) -> Model:
+    """Learn from images and what was done at each of them.
+
+    Parameters
+    ----------
+    drives : sequence of (images, atoms) or (images, atoms, odometry)
+        Of drives that reached the goal: images (height, width, 3) uint8 RGB, an `Atom` for each, and the pose of each
+        by the wheels (x, y, heading in radians), if there is any.
+    settings : LearningSettings, optional
+    progress : callable, optional
+        See `learn`.
+
+    Examples
+    --------
+    >>> model = smal.fit([(images, atoms)])  # doctest: +SKIP
+    >>> robot = smal.Robot(model)  # doctest: +SKIP
+    >>> atom = robot.step(image)  # doctest: +SKIP
+    """
+    settings = LearningSettings() if settings is None else settings
+    taught = []
+    for number, (images, atoms, *odometry) in enumerate(drives):
+        features = np.stack([extract(image, settings.features) for image in images])
+        way = np.asarray(odometry[0], dtype=np.float64) if odometry else None
+        made = np.asarray(atoms, dtype=np.int8)
+        taught.append(Demonstration(f"drive-{number}", features, made, images=images, odometry=way))
+    return learn(taught, settings, progress)[0]
 
 
 def _calibrated(
@@ -244,6 +348,7 @@ def _plan(
     demonstrations: Sequence[Demonstration],
     settings: LearningSettings,
     centering: Centering,
+    visual_map: VisualMap | None,
     space: StateSpace,
     stages: _Stages,
 ) -> tuple[Model, LearningReport]:
@@ -280,6 +385,7 @@ def _plan(
         policy=policy.action,
         value=policy.value,
         gamma=settings.gamma,
+        visual_map=visual_map,
     )
     return model, _report(demonstrations, space, actions, transitions, model, stages.seconds)
 
@@ -302,6 +408,7 @@ def _report(
         shared_states=model.shared_states,
         dead_ends=space.states - np.unique(transitions.state).size,
         reward_states=int((model.reward > 1e-6).sum()),
+        keyframes=0 if model.visual_map is None else len(model.visual_map.keyframes),
         template_bytes=TemplateStore.bytes_for(*space.templates.shape),
         seconds=seconds,
     )

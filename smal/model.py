@@ -14,10 +14,11 @@ from smal.container import ModelError
 from smal.features import Centering, FeatureSettings
 from smal.novelty import AgreementTest, WeightTest, novelty_test
 from smal.transitions import Transitions
+from smal.visual_map import VisualMap
 
 __all__ = ["FORMAT_VERSION", "Model", "ModelError"]
 
-FORMAT_VERSION = 1
+FORMAT_VERSION = 2
 
 _TRANSITION_ARRAYS = [field.name for field in fields(Transitions) if field.name != "states"]
 _STREAMS = ("state_streams", "action_streams", "phases", "atoms")
@@ -66,6 +67,8 @@ class Model:
         V of the policy.
     gamma : float
         Discount factor.
+    visual_map : VisualMap, optional
+        Where the filter follows the robot; None where no drive to the goal has images.
     """
 
     feature_settings: FeatureSettings
@@ -90,6 +93,7 @@ class Model:
     policy: NDArray[np.int32]
     value: NDArray[np.float64]
     gamma: float
+    visual_map: VisualMap | None = None
 
     def __post_init__(self) -> None:
         l, states = self.sequence_length, self.transitions.states  # noqa: E741
@@ -125,6 +129,22 @@ class Model:
     def centering(self) -> Centering:
         """Turns raw features into those of the templates."""
         return Centering(self.mean, self.feature_settings)
+
+    @property
+    def mapped(self) -> VisualMap:
+        """The map of views.
+
+        Raises
+        ------
+        ValueError
+            There is none.
+        """
+        if self.visual_map is None:
+            raise ValueError(
+                "the model has no map of views: no drive to the goal that it was learned from has images; "
+                "learn it again, or use the paper's scheme"
+            )
+        return self.visual_map
 
     @cached_property
     def checksum(self) -> str:
@@ -174,7 +194,11 @@ class Model:
             "recovery": self.recovery,
             "states": self.states,
             "gamma": self.gamma,
+            "map": None,
         }
+        if self.visual_map is not None:
+            meta["map"], parts = self.visual_map.content()
+            arrays |= {f"map.{name}": array for name, array in parts.items()}
         return meta, arrays
 
     @classmethod
@@ -209,6 +233,7 @@ class Model:
                 feature_settings=settings,
                 templates=arrays["templates"].T,
                 transitions=Transitions(**named, states=meta["states"]),
+                visual_map=_visual_map(meta["map"], arrays),
                 **same,
                 **streams,
             )
@@ -217,6 +242,14 @@ class Model:
         # Known from the file: hashing all templates again would delay the start of a service.
         vars(model)["checksum"] = checksum
         return model
+
+
+def _visual_map(numbers: dict[str, Any] | None, arrays: dict[str, NDArray[Any]]) -> VisualMap | None:
+    """Make the map of what a file says of it."""
+    if numbers is None:
+        return None
+    parts: dict[str, Any] = {name[4:]: array for name, array in arrays.items() if name.startswith("map.")}
+    return VisualMap(**numbers, **parts)
 
 
 def _check_numbers(meta: dict[str, Any]) -> None:

@@ -25,7 +25,7 @@ _DISTANCES = tuple(3.0 * 2.0**k for k in range(6))
 #: Field of view that is assumed where no drive turns, degrees.
 _USUAL_FIELD_DEG = 70.0
 #: Pairs of views that a fit looks at, at most: more change nothing that is seen.
-_PAIRS = 40
+_PAIRS = 24
 
 Image = NDArray[np.uint8]
 Maps = tuple[NDArray[Any], NDArray[Any]]

@@ -196,7 +196,7 @@ def learn_visual_map(
     def describe(image: Image) -> NDArray[np.float32]:
         return centering.apply(extract(image, centering.settings))
 
-    every = _Chain(images)
+    every = ImageChain(images)
     scene = fit_scene(every, poses, drives.astype(np.intp), length, describe)
     keyframes = _choose_keyframes(poses, drives, length)
     views, basis = _make_views(every, keyframes, scene, _ASIDE * length, describe, progress)
@@ -217,7 +217,7 @@ def learn_visual_map(
     )
 
 
-class _Chain(Sequence[Image]):
+class ImageChain(Sequence[Image]):
     """Sequences of images as one, none of which is read before it is asked for."""
 
     def __init__(self, parts: Sequence[Sequence[Image]]) -> None:

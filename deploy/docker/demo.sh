@@ -2,7 +2,7 @@
 # The main job against the stack of docker-compose.yml: demonstrate, learn, run; ends with a page of results in /out.
 set -euo pipefail
 router=${SMAL_ROUTER:?} world=${SMAL_WORLD:?}
-drives=${SMAL_DEMO_DRIVES:-12} recoveries=${SMAL_DEMO_RECOVERIES:-60} runs=${SMAL_DEMO_RUNS:-5} seed=${SMAL_DEMO_SEED:-1}
+drives=${SMAL_DEMO_DRIVES:-1} runs=${SMAL_DEMO_RUNS:-5} seed=${SMAL_DEMO_SEED:-1}
 # A folder of its own for each time: results of an earlier demo stay as they are.
 name=demo-$(date +%Y%m%d-%H%M%S)
 out=/out/$name
@@ -32,11 +32,11 @@ step() {
 child=
 trap '[ -z "$child" ] || { kill -TERM "$child"; wait "$child" || true; }; exit 143' TERM INT
 
-echo "This demo teaches with $drives drives and $recoveries recovery drives in $world and lets the robot search $runs times."
+echo "This demo teaches with $drives drive(s) in $world and lets the robot search $runs times."
 [ -z "$(ls -d /out/demo-* 2>/dev/null)" ] || echo "Earlier results in out/ stay; this one goes to out/$name."
 echo "1/3 The expert demonstrates; the recorder writes out/$name/drives"
-step demonstrate --connect "$router" --world "$world" --episodes "$drives" --recoveries "$recoveries" --seed "$seed" --out "$out/drives"
-echo "2/3 Learning states, actions, transitions, reward and policy from the recordings"
+step demonstrate --connect "$router" --world "$world" --episodes "$drives" --seed "$seed" --out "$out/drives"
+echo "2/3 Learning a map of views, states, actions, transitions, reward and policy from the recordings"
 step learn "$out/drives" --out "$out/model.smal"
 echo "3/3 The robot searches by itself, from starts that it was not taught from"
 step run --connect "$router" --model "$out/model.smal" --world "$world" --episodes "$runs" --seed "$seed" --json "$out/runs.json" --report "$out/report"

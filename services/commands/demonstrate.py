@@ -22,17 +22,13 @@ from services.commands.stack.processes import Access, stack_for
 from services.expert.driver import DRIVE_TICKS, RECOVERY_TICKS
 from services.expert.service import ExpertService
 
-#: Recovery drives for each full drive, where the user does not say: what it takes to come back after a drift.
-RECOVERIES_PER_DRIVE = 5
-
 
 def demonstrate(
     world: options.World = "campus",
-    episodes: Annotated[int, typer.Option(min=0, help="Full drives from the start to the victim.")] = 12,
+    episodes: Annotated[int, typer.Option(min=0, help="Full drives from the start to the victim.")] = 1,
     recoveries: Annotated[
-        int | None,
-        typer.Option(min=0, help="Short drives that begin off the route and come back to it. [default: 5 per drive]"),
-    ] = None,
+        int, typer.Option(min=0, help="Short drives that begin off the route and come back, for the paper's scheme.")
+    ] = 0,
     seed: options.Seed = 1,
     out: Annotated[Path, typer.Option(help="Folder for the recordings, one MCAP file a drive.")] = Path("recordings"),
     camera: options.OwnCameraSize = None,
@@ -48,9 +44,8 @@ def demonstrate(
     Without --connect a stack of its own is started for the purpose, and ended after it. Episode k of a kind uses the
     seed SEED + k, so the same command makes the same drives.
 
-    Example: smal demonstrate --world campus --episodes 12 --seed 1 --out drives
+    Example: smal demonstrate --world campus --seed 1 --out drives
     """
-    recoveries = RECOVERIES_PER_DRIVE * episodes if recoveries is None else recoveries
     simulator = simulator_of_own_stack(world, camera, connect, shake=shake, base=base, variation=variation)
     features = features_of_own_stack(modalities, connect)
     name = options.check_world(world)

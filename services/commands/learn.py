@@ -12,7 +12,8 @@ from typing import Annotated, NoReturn
 import typer
 from tqdm import tqdm
 
-from services.commands import outputs
+from schemas.rpc import Scheme
+from services.commands import options, outputs
 from services.commands.errors import JobError, UsageError
 from services.commands.feature_options import ModalitiesOfRecordings, Weights, parse_features, with_weights
 from services.commands.teaching.recorded_features import features_of_recordings
@@ -21,6 +22,7 @@ from smal.features import FeatureSettings
 from smal.learning import LearningReport, LearningSettings
 from smal.learning import learn as learn_model
 from smal.model import Model
+from smal.novelty import WeightTest
 from smal.reward import RewardError
 from smal.template_store import MemoryBoundError
 
@@ -31,9 +33,10 @@ def learn(
     length: Annotated[int | None, typer.Option(min=1, help="Frames of a sequence, l. [default: 5]")] = None,
     lambda1: Annotated[float | None, typer.Option(help="Of Eq. 7. [default: 0.1 sqrt(l)]")] = None,
     lambda2: Annotated[float | None, typer.Option(help="Of Eq. 7. [default: 0.1 sqrt(l)]")] = None,
+    scheme: options.SchemeOption = "filter",
     tau: Annotated[
         float | None,
-        typer.Option(help="Use the paper's test for new states (Eq. 8), with this threshold for each query frame."),
+        typer.Option(help="The paper's test for new states (Eq. 8), with this threshold for each query frame."),
     ] = None,
     gamma: Annotated[float | None, typer.Option(help="Discount factor. [default: 0.95]")] = None,
     modalities: ModalitiesOfRecordings = None,
@@ -52,11 +55,12 @@ def learn(
     ] = None,
     json_file: Annotated[Path | None, typer.Option("--json", help="Write the report as JSON.")] = None,
 ) -> None:
-    """Learn states, actions, transitions, reward and policy from recorded drives.
+    """Learn a map of views, and the paper's states, actions, transitions, reward and policy, from recorded drives.
 
-    Drives that reached the victim teach (by the scripted expert or by hand), and so do recovery drives; drives that
-    did not reach it, collisions, and the robot's own runs do not. What is left out of a recording is said on standard
-    error. Only camera and applied commands are used, never poses.
+    One drive that reached the victim is enough, by the scripted expert or by hand. Recovery drives add to the paper's
+    part alone; drives that did not reach the victim, collisions, and the robot's own runs teach nothing. What is left
+    out of a recording is said on standard error. Only camera, wheel odometry and applied commands are used, never true
+    poses. With --scheme paper only the paper's part is learned, with its test for new states.
 
     Of the modalities in a recording any can be learned from. All but depth can also be computed from the recorded
     images.
@@ -64,7 +68,8 @@ def learn(
     Example: smal learn drives --out campus.smal --length 5
     """
     began_s = time.perf_counter()
-    settings = _settings(length, lambda1, lambda2, tau, gamma)
+    settings = _settings(length, lambda1, lambda2, _tau(scheme, tau), gamma)
+    settings = replace(settings, map_views=scheme == "filter")
     if memory is not None:
         settings = replace(settings, max_bytes=memory * 2**20)
     if out.is_dir():
@@ -82,6 +87,11 @@ def learn(
     except OSError as error:
         raise JobError(f"cannot write {error.filename or out}: {error.strerror}") from None
     typer.echo(_as_text(teaching, settings, report, out, time.perf_counter() - began_s))
+
+
+def _tau(scheme: Scheme, tau: float | None) -> float | None:
+    """Return the threshold of Eq. 8, which the paper's scheme always goes by."""
+    return WeightTest().tau if tau is None and scheme == "paper" else tau
 
 
 def _settings(
@@ -167,6 +177,7 @@ def _as_text(teaching: Teaching, settings: LearningSettings, report: LearningRep
         "recordings": f"{teaching.recordings} ({teaching.episodes} episodes used)",
         "frames": report.frames,
         "features": _named(settings.features),
+        "keyframes": f"{report.keyframes} of the map of views" if report.keyframes else "none: no map of views",
         "states": report.states,
         "shared states": f"{report.shared_states} (seen in at least two episodes)",
         "actions": report.actions,

@@ -8,9 +8,11 @@ from typing import Annotated, Final, Self
 
 import typer
 
+from schemas.rpc import Scheme
 from schemas.topics import check_robot_id
 from services.bus import DEFAULT_ROUTER
 from services.commands.errors import UsageError
+from services.model_service import refused
 from services.simulator.variation import VARIATIONS
 from services.simulator.world import WorldError, load_world
 from smal import model as smal_model
@@ -46,6 +48,17 @@ Connect = Annotated[
     typer.Option(help=f"Use the running stack whose router is at this address (`smal up`: {DEFAULT_ROUTER})."),
 ]
 Model = Annotated[Path, typer.Option(help="Model file, made by `smal learn`.")]
+SchemeOption = Annotated[
+    Scheme,
+    typer.Option(
+        "--scheme",
+        help="filter: a belief over taught places, and steering along the way; paper: Eq. 7 to 9 and whole actions.",
+    ),
+]
+Stride = Annotated[
+    int | None,
+    typer.Option(min=1, help="Frames from one decision to the next, of the paper's scheme. [default: the model's l]"),
+]
 
 
 @dataclass(frozen=True)
@@ -114,18 +127,19 @@ def check_world(world: str) -> str:
         raise UsageError(f"--world {world}: {error}") from None
 
 
-def read_model(path: Path, stride: int | None) -> smal_model.Model:
-    """Read the model of ``--model``, for which ``--stride`` must be right.
+def read_model(path: Path, scheme: Scheme, stride: int | None) -> smal_model.Model:
+    """Read the model of ``--model``, for which ``--scheme`` and ``--stride`` must be right.
 
     Raises
     ------
     UsageError
-        When the file is no model, or the stride is longer than its sequences.
+        When the file is no model, or cannot be used so.
     """
     try:
         model = smal_model.Model.load(path)
     except smal_model.ModelError as error:
         raise UsageError(f"--model {error}") from None
-    if stride is not None and stride > model.sequence_length:
-        raise UsageError(f"--stride {stride}: at most the model's sequence length, {model.sequence_length}")
+    refusal = refused(model, scheme, stride)
+    if refusal is not None:
+        raise UsageError(f"--model {path}, --scheme {scheme}: {refusal}")
     return model

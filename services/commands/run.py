@@ -12,7 +12,7 @@ import numpy as np
 import typer
 from tqdm import tqdm
 
-from schemas.rpc import LoadReply, LoadRequest, Mode, Nothing, ResetRequest, Status
+from schemas.rpc import LoadReply, LoadRequest, Mode, Nothing, ResetRequest, Start, Status
 from services.commands import options, outputs
 from services.commands.episodes.client import EpisodeClient, EpisodeRecord, check_world_of
 from services.commands.episodes.recording import recording
@@ -36,11 +36,14 @@ def run(
     world: options.World = "campus",
     episodes: Annotated[int, typer.Option(min=1, help="Runs.")] = 20,
     seed: options.Seed = 1,
-    stride: Annotated[
+    scheme: options.SchemeOption = "filter",
+    stride: options.Stride = None,
+    start: Annotated[
+        Start, typer.Option(help="Where runs begin: about the world's start, or anywhere beside the way to the victim.")
+    ] = "start",
+    kidnap: Annotated[
         int | None,
-        typer.Option(
-            min=1, help="Frames from one decision to the next; the model's l is the paper's scheme. [default: 1]"
-        ),
+        typer.Option(min=1, metavar="TICK", help="Carry the robot to another place beside the way at this frame."),
     ] = None,
     realtime: Annotated[bool, typer.Option(help="Let the clock run, instead of waiting for every command.")] = False,
     max_ticks: Annotated[int, typer.Option(min=1, help="Frames after which a run times out.")] = 3000,
@@ -61,7 +64,7 @@ def run(
     Example: smal run --model campus.smal --world campus --episodes 20 --seed 1 --json runs.json
     """
     mode: Mode = "realtime" if realtime else "lockstep"
-    loaded = options.read_model(model, stride)
+    loaded = options.read_model(model, scheme, stride)
     identity = identity_of(loaded)
     simulator = simulator_of_own_stack(world, camera, connect, shake=shake, base=base, variation=variation)
     name = options.check_world(world)
@@ -72,14 +75,24 @@ def run(
     services = ("router", "simulator", "features", "recognition", "policy", *(["recorder"] if record else []))
     own = {"simulator": simulator.flags(), "features": feature_flags(loaded.feature_settings)}
     requests = [
-        ResetRequest(seed=seed + k, purpose="run", driver="policy", mode=mode, max_ticks=max_ticks)
+        ResetRequest(
+            seed=seed + k,
+            purpose="run",
+            driver="policy",
+            mode=mode,
+            max_ticks=max_ticks,
+            start=start,
+            kidnap_tick=kidnap,
+        )
         for k in range(episodes)
     ]
     records: list[EpisodeRecord] = []
     try:
         with (
             stack_for(connect, services, robot, own) as access,
-            _client(access.settings, model, stride, identity) as client,
+            _client(
+                access.settings, LoadRequest(path=str(model.resolve()), scheme=scheme, stride=stride), identity
+            ) as client,
             recording(client.node.bus, record) if record else nullcontext(),
         ):
             _check_features(client, loaded.feature_settings)
@@ -127,14 +140,13 @@ def summarise(world: str, records: list[EpisodeRecord]) -> dict[str, object]:
 
 
 @contextmanager
-def _client(settings: ServiceSettings, model: Path, stride: int | None, identity: str) -> Iterator[EpisodeClient]:
+def _client(settings: ServiceSettings, request: LoadRequest, identity: str) -> Iterator[EpisodeClient]:
     """Connect, and have recognition and policy load the model."""
     client = EpisodeClient("run", settings)
     try:
         client.watch_poses()
         client.watch_frames(FRAMES_APART)
         client.node.bus.wait_connected(5.0)
-        request = LoadRequest(path=str(model.resolve()), stride=stride)
         for service in CHAIN:
             client.node.bus.call(service, "load", request, LoadReply, timeout_s=60.0)
         _check_models(client, identity)

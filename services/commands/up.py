@@ -10,6 +10,7 @@ from typing import Annotated, Final
 
 import typer
 
+from schemas.rpc import Scheme
 from services.bus import DEFAULT_ROUTER, Router
 from services.commands import options, outputs
 from services.commands.errors import UsageError
@@ -28,9 +29,8 @@ WATCH_S: Final = 0.5
 def up(
     world: options.World = "campus",
     model: Annotated[Path | None, typer.Option(help="Model that recognition and policy load at the start.")] = None,
-    stride: Annotated[
-        int | None, typer.Option(min=1, help="Frames from one decision to the next. [default: 1]")
-    ] = None,
+    scheme: options.SchemeOption = "filter",
+    stride: options.Stride = None,
     recordings: Annotated[Path | None, typer.Option(help="Record every episode into this folder.")] = None,
     camera: options.CameraSize = "640x480",
     shake: options.Shake = None,
@@ -59,7 +59,7 @@ def up(
     options.check_robot(robot)
     if recordings is not None:
         outputs.make_folder(recordings, "--recordings")
-    chain, learned_on = _chain_flags(model, stride)
+    chain, learned_on = _chain_flags(model, scheme, stride)
     features = features_for_model(modalities, learned_on)
     # Said here, in one line, before the processes start and one of them fails.
     Router(router).close()
@@ -95,7 +95,9 @@ def _http_addresses(first_port: int | None) -> dict[str, str]:
     return {name: f"127.0.0.1:{first_port + k}" for k, name in enumerate(SERVICES)}
 
 
-def _chain_flags(model: Path | None, stride: int | None) -> tuple[tuple[str, ...], FeatureSettings | None]:
+def _chain_flags(
+    model: Path | None, scheme: Scheme, stride: int | None
+) -> tuple[tuple[str, ...], FeatureSettings | None]:
     """Return the flags with which recognition and policy have their model from the start, and after every restart.
 
     And the features that it was learned on.
@@ -104,5 +106,5 @@ def _chain_flags(model: Path | None, stride: int | None) -> tuple[tuple[str, ...
         if stride is not None:
             raise UsageError(f"--stride {stride}: needs --model")
         return (), None
-    features = options.read_model(model, stride).feature_settings
-    return flags(model=model.resolve(), stride=stride), features
+    features = options.read_model(model, scheme, stride).feature_settings
+    return flags(model=model.resolve(), scheme=scheme, stride=stride), features

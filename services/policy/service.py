@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import logging
 
+import numpy as np
+
 from schemas.action import Action
 from schemas.base import Message
 from schemas.command import Command
@@ -12,7 +14,9 @@ from schemas.state import State
 from services.model_service import LoadedModel
 from services.process import Detail, Throttle
 from smal.decision import DecisionMaker
-from smal.recognition import Candidate, Recognition
+from smal.filter import Belief
+from smal.planning import Planner
+from smal.recognition import Recognition
 
 _log = logging.getLogger("policy")
 
@@ -25,7 +29,7 @@ class PolicyService:
 
     def __init__(self) -> None:
         self._loaded: LoadedModel | None = None
-        self._maker: DecisionMaker | None = None
+        self._maker: _ByFilter | _ByPaper | None = None
         self._last: tuple[State, list[Message]] | None = None
         self._foreign = 0
         self._complaints = Throttle()
@@ -36,10 +40,10 @@ class PolicyService:
         Raises
         ------
         ServiceError
-            When the file is no model, or the stride is longer than its sequences.
+            When the file is no model, or cannot be used so.
         """
         loaded = LoadedModel.read(request)
-        maker = DecisionMaker(loaded.model, loaded.stride)
+        maker = _ByFilter(loaded) if loaded.scheme == "filter" else _ByPaper(loaded)
         self._loaded, self._maker, self._last, self._foreign = loaded, maker, None, 0
         return loaded.reply()
 
@@ -47,7 +51,10 @@ class PolicyService:
         """Return the decision, if one is due at this frame, and the command for it."""
         if self._loaded is None or self._maker is None or state.status == "idle":
             return []
-        if state.model != self._loaded.identity:
+        decided = state.status in {"recognized", "unknown"}
+        if state.model != self._loaded.identity or (
+            decided and bool(state.places) != (self._loaded.scheme == "filter")
+        ):
             return [self._refuse(state, self._loaded, self._maker)]
         if self._last is not None:
             last, answer = self._last
@@ -56,11 +63,11 @@ class PolicyService:
                 return answer
             if last.episode != state.episode:
                 self._maker.reset()
-        answer = _answer(state, self._maker)
+        answer = self._maker.answer(state)
         self._last = (state, answer)
         return answer
 
-    def _refuse(self, state: State, loaded: LoadedModel, maker: DecisionMaker) -> Command:
+    def _refuse(self, state: State, loaded: LoadedModel, maker: _ByFilter | _ByPaper) -> Command:
         """Stop, and have nothing left to do when the states are of the right model again."""
         maker.reset()
         self._last = None
@@ -79,15 +86,52 @@ class PolicyService:
         return {"model": None} if loaded is None else loaded.detail() | {"states_of_another_model": self._foreign}
 
 
-def _answer(state: State, maker: DecisionMaker) -> list[Message]:
-    answer: list[Message] = []
-    if state.status in {"recognized", "unknown"}:
-        decision = maker.decide(_recognition(state))
-        atoms = tuple(atom.name.lower() for atom in decision.atoms)
-        answer.append(Action.after(state, kind=decision.kind, state=decision.state, atoms=atoms))
-    atom = maker.next_atom().name.lower()
-    answer.append(Command.after(state, source="policy", atom=atom))
-    return answer
+class _ByFilter:
+    """Steers along the taught way by a belief over places."""
+
+    def __init__(self, loaded: LoadedModel) -> None:
+        self._planner = Planner(loaded.model.mapped)
+        self.reset()
+
+    def reset(self) -> None:
+        self._planner.reset()
+
+    def answer(self, state: State) -> list[Message]:
+        places = state.places
+        belief = Belief(
+            np.array([place.keyframe for place in places]),
+            np.array([(place.ahead_m, place.left_m, place.turned_rad) for place in places]),
+            np.array([place.weight for place in places]),
+            state.lost,
+            state.cosine,
+            state.tracked_m,
+        )
+        decision = self._planner.decide(belief)
+        atom = decision.atom.name.lower()
+        known = places[0].keyframe if state.status == "recognized" else None
+        return [
+            Action.after(state, kind=decision.kind, state=known, atoms=(atom,)),
+            Command.after(state, source="policy", atom=atom),
+        ]
+
+
+class _ByPaper:
+    """Executes the whole action of the state of Eq. 9."""
+
+    def __init__(self, loaded: LoadedModel) -> None:
+        self._maker = DecisionMaker(loaded.model, loaded.stride, aligned=False, belief=False, coast=False)
+
+    def reset(self) -> None:
+        self._maker.reset()
+
+    def answer(self, state: State) -> list[Message]:
+        answer: list[Message] = []
+        if state.status in {"recognized", "unknown"}:
+            decision = self._maker.decide(_recognition(state))
+            atoms = tuple(atom.name.lower() for atom in decision.atoms)
+            answer.append(Action.after(state, kind=decision.kind, state=decision.state, atoms=atoms))
+        answer.append(Command.after(state, source="policy", atom=self._maker.next_atom().name.lower()))
+        return answer
 
 
 def _recognition(state: State) -> Recognition:
@@ -102,6 +146,4 @@ def _recognition(state: State) -> Recognition:
         residual=state.residual,
         agreement=state.agreement,
         duality_gap=state.duality_gap,
-        candidates=tuple(Candidate(c.state, c.phase, c.weight) for c in state.candidates),
-        explained=state.explained,
     )

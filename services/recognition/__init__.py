@@ -1,1 +1,1 @@
-"""Observations in, the learned state that the robot is in out (Eq. 9)."""
+"""Observations and odometry in, where the robot is in what was taught out."""

@@ -14,6 +14,7 @@ def serve() -> None:
 
     def wire(node: Node) -> None:
         service.behind = lambda: node.waits(topics.OBSERVATION)
+        node.subscribe(topics.ODOMETRY, service.see)
 
     serve_model("recognition", service, topics.OBSERVATION, wire)
 

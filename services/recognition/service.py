@@ -3,28 +3,40 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Final
 
 from schemas.observation import Observation
+from schemas.odometry import Odometry
 from schemas.rpc import LoadReply, LoadRequest
-from schemas.state import Candidate, State
+from schemas.state import MAX_PLACES, Place, State
 from services.model_service import LoadedModel
 from services.process import Detail, ServiceError
+from smal.features import select
+from smal.filter import BY_ATOMS, BY_ODOMETRY, Belief, Filter
+from smal.model import Model
+from smal.movement import STILL, Movement
 from smal.recognition import Recognizer
+
+#: Odometry that is kept until the observation of its frame comes, frames.
+_KEPT: Final = 100
+Pose = tuple[float, float, float]
 
 
 class RecognitionService:
-    """Keeps the window of recent frames and recognises the state whenever a decision is due.
+    """Knows where the robot is, by the filter or by the paper's scheme.
 
-    A frame that another one already waits behind is taken in only: answering it would make the newest answer later, and
-    the policy goes on with its plan meanwhile. In lockstep there is none.
+    A frame that another one already waits behind is left out by the filter, which goes by the odometry of the next, and
+    only taken in by the paper's scheme: answering it would make the newest answer later. In lockstep there is none.
     """
 
     def __init__(self) -> None:
         #: Whether newer observations wait.
         self.behind: Callable[[], bool] = lambda: False
         self._loaded: LoadedModel | None = None
-        self._recognizer: Recognizer | None = None
+        self._localiser: _ByFilter | _ByPaper | None = None
         self._last: State | None = None
+        self._odometry: dict[tuple[str, int], Pose] = {}
+        self._waiting: Observation | None = None
 
     def load(self, request: LoadRequest) -> LoadReply:
         """Load a model; the one before stays when it is refused.
@@ -32,39 +44,126 @@ class RecognitionService:
         Raises
         ------
         ServiceError
-            When the file is no model, or the stride is longer than its sequences.
+            When the file is no model, or cannot be used so.
         """
         loaded = LoadedModel.read(request)
-        recognizer = Recognizer(loaded.model)
-        self._loaded, self._recognizer, self._last = loaded, recognizer, None
+        localiser = _ByFilter(loaded) if loaded.scheme == "filter" else _ByPaper(loaded)
+        self._loaded, self._localiser, self._last, self._waiting = loaded, localiser, None, None
         return loaded.reply()
 
-    def handle(self, observation: Observation) -> State:
-        """Return the state at one frame; ``collecting`` where no decision is due.
+    def see(self, odometry: Odometry) -> State | None:
+        """Take the odometry of a frame, which may come before or after its observation."""
+        self._odometry[odometry.episode, odometry.tick] = (odometry.x_m, odometry.y_m, odometry.heading_rad)
+        while len(self._odometry) > _KEPT:
+            del self._odometry[next(iter(self._odometry))]
+        waiting = self._waiting
+        if waiting is None or (waiting.episode, waiting.tick) != (odometry.episode, odometry.tick):
+            return None
+        return self._answer(waiting)
+
+    def handle(self, observation: Observation) -> State | None:
+        """Return the state at one frame; ``collecting`` where no decision is due, None where its odometry is to come.
 
         Raises
         ------
         ServiceError
             When the observation was made with other features than the model.
         """
-        if self._recognizer is None or self._loaded is None:
+        if self._loaded is None or self._localiser is None:
             return State.after(observation, status="idle")
-        model = self._loaded.model
-        wanted = model.feature_settings.fingerprint
+        wanted = self._loaded.model.feature_settings.fingerprint
         if observation.fingerprint != wanted:
             raise ServiceError(
                 f"observations have the features {observation.fingerprint}, the model {wanted}; learn the model again"
             )
-        last = self._last
-        if last is not None and last.episode == observation.episode and last.tick == observation.tick:
-            # The simulator sent the frame again because an answer was lost: the same answer, the window unchanged.
+        last, waiting = self._last, self._waiting
+        if last is not None and (last.episode, last.tick) == (observation.episode, observation.tick):
+            # The simulator sent the frame again because an answer was lost: the same answer, nothing else changed.
             return last
-        if last is None or last.episode != observation.episode:
-            self._recognizer.reset()
+        again = waiting is not None and (waiting.episode, waiting.tick) == (observation.episode, observation.tick)
+        known = (observation.episode, observation.tick) in self._odometry
+        if isinstance(self._localiser, _ByFilter) and not known and not again:
+            self._waiting = observation
+            return None
+        return self._answer(observation)
+
+    def _answer(self, observation: Observation) -> State | None:
+        assert self._localiser is not None  # noqa: S101 - without a model nothing waits
+        self._waiting = None
+        if self._last is None or self._last.episode != observation.episode:
+            self._localiser.reset()
+        odometry = self._odometry.get((observation.episode, observation.tick))
+        found = self._localiser.observe(observation, odometry, behind=self.behind())
+        self._last = found or self._last
+        return found
+
+    def detail(self) -> Detail:
+        """Tell the loaded model."""
+        # This runs on a thread of the bus: the model may be replaced at any time.
+        loaded = self._loaded
+        return {"model": None} if loaded is None else loaded.detail()
+
+
+class _ByFilter:
+    def __init__(self, loaded: LoadedModel) -> None:
+        model: Model = loaded.model
+        of_images = model.centering.of_images()
+        assert of_images is not None  # noqa: S101 - or there would be no map
+        self._held, self._wanted = model.feature_settings, of_images.settings
+        self._identity = loaded.identity
+        self._filter = Filter(model.mapped, of_images)
+        self.reset()
+
+    def reset(self) -> None:
+        self._filter.reset()
+        self._pose: Pose | None = None
+        self._stamp_ns: int | None = None
+
+    def observe(self, observation: Observation, odometry: Pose | None, *, behind: bool) -> State | None:
+        if behind:
+            return None
+        elapsed_s = None if self._stamp_ns is None else max(observation.stamp_ns - self._stamp_ns, 0) / 1e9
+        if odometry is None or self._pose is None:
+            # Of a frame without odometry nothing is known; the next one's says how far the robot went in between.
+            movement, noise = STILL, BY_ATOMS
+        else:
+            movement, noise = Movement.between(self._pose, odometry), BY_ODOMETRY
+        raw = select(observation.features.to_numpy(), self._held, self._wanted)
+        belief = self._filter.observe(raw, movement, noise, elapsed_s)
+        self._pose, self._stamp_ns = odometry or self._pose, observation.stamp_ns
+        return self._state(observation, belief.summary(MAX_PLACES))
+
+    def _state(self, observation: Observation, belief: Belief) -> State:
+        return State.after(
+            observation,
+            status="unknown" if belief.lost > 0.5 else "recognized",
+            model=self._identity,
+            places=tuple(
+                Place(keyframe=keyframe, ahead_m=ahead, left_m=left, turned_rad=turned, weight=weight)
+                for keyframe, (ahead, left, turned), weight in zip(
+                    belief.keyframes.tolist(), belief.offsets.tolist(), belief.weights.tolist(), strict=True
+                )
+            ),
+            lost=min(belief.lost, 1.0),
+            cosine=belief.cosine,
+            tracked_m=belief.tracked,
+        )
+
+
+class _ByPaper:
+    def __init__(self, loaded: LoadedModel) -> None:
+        self._loaded = loaded
+        self._recognizer = Recognizer(loaded.model, shorten=False)
+
+    def reset(self) -> None:
+        self._recognizer.reset()
+
+    def observe(self, observation: Observation, _odometry: Pose | None, *, behind: bool) -> State:
         # The first decision is due with the first whole window, the others follow at equal distances.
-        due = (observation.tick + 1 - model.sequence_length) % self._loaded.stride == 0 and not self.behind()
+        first = self._loaded.model.sequence_length - 1
+        due = (observation.tick - first) % self._loaded.stride == 0 and not behind
         found = self._recognizer.observe(observation.tick, observation.features.to_numpy(), due)
-        self._last = State.after(
+        return State.after(
             observation,
             status=found.status,
             model=self._loaded.identity,
@@ -75,13 +174,4 @@ class RecognitionService:
             residual=found.residual,
             agreement=found.agreement,
             duality_gap=found.duality_gap,
-            explained=found.explained,
-            candidates=tuple(Candidate(state=c.state, phase=c.phase, weight=c.weight) for c in found.candidates),
         )
-        return self._last
-
-    def detail(self) -> Detail:
-        """Tell the loaded model."""
-        # This runs on a thread of the bus: the model may be replaced at any time.
-        loaded = self._loaded
-        return {"model": None} if loaded is None else loaded.detail()

@@ -21,8 +21,9 @@ from schemas.base import Message
 from schemas.command import CommandApplied
 from schemas.episode import Episode
 from schemas.observation import Observation
+from schemas.odometry import Odometry
 from schemas.pose import Pose
-from schemas.topics import APPLIED, CAMERA, EPISODE, JPEG, OBSERVATION, POSE, Topic, topic_of
+from schemas.topics import APPLIED, CAMERA, EPISODE, JPEG, OBSERVATION, ODOMETRY, POSE, Topic, topic_of
 from services.recorder.recorded import RecordedEpisode
 from services.recorder.records import MAGIC, fields, flat_records, message_header, message_payload, view_of
 from services.recorder.sink import PARTIAL_SUFFIX, is_being_recorded
@@ -116,6 +117,7 @@ class _Reader:
             OBSERVATION.name: self._take_observation,
             APPLIED.name: self._take_applied,
             POSE.name: self._take_pose,
+            ODOMETRY.name: self._take_odometry,
         }
 
     def take(self, opcode: int, body: memoryview) -> None:
@@ -138,8 +140,7 @@ class _Reader:
     def _take_message(self, topic: Topic, robot: str, episode: str, tick: int, payload: memoryview) -> None:
         record = self.episodes.setdefault((robot, episode), RecordedEpisode(robot, episode))
         if topic in _IMAGES:
-            if tick not in record.features:
-                record.images.setdefault(tick, payload)
+            record.images.setdefault(tick, payload)
             return
         take = self._take.get(topic.name)
         if take is None:
@@ -164,7 +165,6 @@ class _Reader:
         assert isinstance(observation, Observation)  # noqa: S101 - by the table of topics
         if observation.fingerprint == self._fingerprint and observation.tick not in record.features:
             record.features[observation.tick] = observation.features.to_numpy()
-            record.images.pop(observation.tick, None)
 
     def _take_applied(self, record: RecordedEpisode, applied: Message) -> None:
         assert isinstance(applied, CommandApplied)  # noqa: S101 - by the table of topics
@@ -176,3 +176,7 @@ class _Reader:
     def _take_pose(self, record: RecordedEpisode, pose: Message) -> None:
         assert isinstance(pose, Pose)  # noqa: S101 - by the table of topics
         record.poses.setdefault(pose.tick, pose)
+
+    def _take_odometry(self, record: RecordedEpisode, odometry: Message) -> None:
+        assert isinstance(odometry, Odometry)  # noqa: S101 - by the table of topics
+        record.odometry.setdefault(odometry.tick, (odometry.x_m, odometry.y_m, odometry.heading_rad))

@@ -28,6 +28,10 @@ class Piece:
         (f, m) float32, raw feature vectors.
     atoms
         (f,) int8, index in ``schemas.base.ATOMS`` of the movement between frame k and frame k + 1.
+    images
+        As recorded (for ``encoding.decode_image``), one a frame; None if one is missing.
+    odometry
+        (f, 3) float64, x and y in metres and heading in radians by the wheels; None if one is missing.
     at_goal
         Whether the last frame is the goal: the last frame of its episode, which ended there with the victim found.
     """
@@ -35,6 +39,8 @@ class Piece:
     ticks: NDArray[np.int64]
     features: NDArray[np.float32]
     atoms: NDArray[np.int8]
+    images: tuple[memoryview, ...] | None
+    odometry: NDArray[np.float64] | None
     at_goal: bool
 
 
@@ -51,7 +57,9 @@ class RecordedEpisode:
     features
         Raw feature vectors that were recorded with the wanted fingerprint.
     images
-        Recorded images (for ``encoding.decode_image``) of the ticks without such a vector.
+        Recorded images (for ``encoding.decode_image``).
+    odometry
+        Pose by the wheels: x, y in metres and heading in radians.
     applied
         What the actuator did from this tick to the next.
     poses
@@ -68,6 +76,7 @@ class RecordedEpisode:
     end_tick: int | None = None
     features: dict[int, NDArray[np.float32]] = field(default_factory=dict)
     images: dict[int, memoryview] = field(default_factory=dict)
+    odometry: dict[int, tuple[float, float, float]] = field(default_factory=dict)
     applied: dict[int, CommandApplied] = field(default_factory=dict)
     poses: dict[int, Pose] = field(default_factory=dict)
 
@@ -86,7 +95,17 @@ class RecordedEpisode:
     def _piece(self, ticks: NDArray[np.int64]) -> Piece:
         features = np.stack([self.features[tick] for tick in ticks.tolist()])
         atoms = np.array([self._atom(tick) for tick in ticks.tolist()], dtype=np.int8)
-        return Piece(ticks, features, atoms, at_goal=self._is_goal(int(ticks[-1])))
+        held = [self.images.get(tick) for tick in ticks.tolist()]
+        images = tuple(image for image in held if image is not None)
+        way = [self.odometry[tick] for tick in ticks.tolist() if tick in self.odometry]
+        return Piece(
+            ticks,
+            features,
+            atoms,
+            images if len(images) == ticks.size else None,
+            np.array(way) if len(way) == ticks.size else None,
+            at_goal=self._is_goal(int(ticks[-1])),
+        )
 
     def _is_goal(self, tick: int) -> bool:
         """Whether this is the frame that shows the goal.

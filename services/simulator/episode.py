@@ -57,8 +57,11 @@ class World(Protocol):
     def found_m(self) -> float:
         """How near the victim counts as found, if it is seen."""
 
-    def reset(self, seed: int, purpose: Purpose) -> PlanarPose:
+    def reset(self, seed: int, purpose: Purpose, *, anywhere: bool = False) -> PlanarPose:
         """Put the robot at a seeded start."""
+
+    def carry_away(self) -> PlanarPose:
+        """Put the robot anywhere beside the way."""
 
     def advance(self, atom: Atom, speed: float, duration_s: float) -> None:
         """Move the robot."""
@@ -180,7 +183,7 @@ class EpisodeRunner:
             The answer to the caller, and what to publish: the old episode's end, the new one's start, its frame 0.
         """
         messages = self.end(None)
-        self._world.reset(request.seed, request.purpose)
+        self._world.reset(request.seed, request.purpose, anywhere=request.start == "anywhere")
         self._count += 1
         episode = f"{request.purpose}-{request.seed}-{self._session}-{self._count}"
         now_s, now_ns = self._clock(), self._wall_clock_ns()
@@ -274,6 +277,8 @@ class EpisodeRunner:
     def _next_tick(self, run: _Running) -> Iterator[Message]:
         run.tick += 1
         run.said = 0
+        if run.tick == run.request.kidnap_tick:
+            self._world.carry_away()
         yield from self._capture(run)
         if run.request.mode == "realtime":
             yield self._apply(run, self.gate.applied(self._clock()))

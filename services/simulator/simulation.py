@@ -28,6 +28,8 @@ VISIBLE_FRACTION: Final = 0.0005
 _PURPOSE_NUMBER: Final[dict[Purpose, int]] = {"drive": 0, "run": 1, "recovery": 2}
 # Sources of chance in an episode: start, wheels, odometry, inertial unit, shake. Their order is part of every seed.
 _STREAMS: Final = 5
+# Sources of chance of being carried away: where to, and the wheels from there on.
+_CARRIED: Final = (5, 6)
 
 
 class Simulation:
@@ -68,7 +70,7 @@ class Simulation:
         self._sensors = Sensors(world.robot.drive, shake or ShakeSettings(world.place.shake))
         self.reset(0, "drive")
 
-    def reset(self, seed: int, purpose: Purpose) -> Pose:
+    def reset(self, seed: int, purpose: Purpose, *, anywhere: bool = False) -> Pose:
         """Begin an episode; the same seed and purpose give the same start, wheel errors, sensor noise and shake.
 
         Parameters
@@ -77,6 +79,8 @@ class Simulation:
             At least 0. Different purposes with one seed are independent.
         purpose
             What the start pose is for, see `starts.sample_start`.
+        anywhere
+            Whether to begin beside the way, as recovery drives do.
 
         Returns
         -------
@@ -85,10 +89,25 @@ class Simulation:
         start_rng, wheel_rng, odometry_rng, imu_rng, shake_rng = (
             np.random.default_rng([seed, _PURPOSE_NUMBER[purpose], stream]) for stream in range(_STREAMS)
         )
-        self._pose = self._start = sample_start(self.world, start_rng, purpose)
+        self._seed, self._purpose = seed, purpose
+        self._pose = self._start = sample_start(self.world, start_rng, "recovery" if anywhere else purpose)
         self._base.put(self._start, wheel_rng)
         self._sensors.begin(self._start, odometry_rng, imu_rng, shake_rng)
         self._collided = False
+        return self._pose
+
+    def carry_away(self) -> Pose:
+        """Put the robot anywhere beside the way; its wheels do not turn on the way there.
+
+        Returns
+        -------
+        The pose, the same for the same seed and purpose of the episode.
+        """
+        place_rng, wheel_rng = (
+            np.random.default_rng([self._seed, _PURPOSE_NUMBER[self._purpose], stream]) for stream in _CARRIED
+        )
+        self._pose = sample_start(self.world, place_rng, "recovery")
+        self._base.put(self._pose, wheel_rng)
         return self._pose
 
     @property

@@ -1,17 +1,17 @@
 """From recordings to demonstrations: which episodes teach, and what of them.
 
-Only what the robot's camera saw and what its actuator did is used, never a pose.
+Only what the robot's camera saw, what its wheels counted and what its actuator did is used, never a true pose.
 """
 
 from __future__ import annotations
 
 import os
 from collections import Counter
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -161,9 +161,10 @@ def complete(episode: RecordedEpisode, settings: FeatureSettings) -> int:
         except ValueError:
             return None
 
+    missing = [tick for tick in episode.images if tick not in episode.features]
     # OpenCV lets go of the interpreter's lock, so threads use every core.
     with ThreadPoolExecutor(os.cpu_count()) as pool:
-        vectors = dict(zip(episode.images, pool.map(compute, episode.images), strict=True))
+        vectors = dict(zip(missing, pool.map(compute, missing), strict=True))
     computed = {tick: vector for tick, vector in vectors.items() if vector is not None}
     episode.features.update(computed)
     return len(computed)
@@ -196,7 +197,23 @@ def _demonstration(episode: RecordedEpisode, piece: Piece, whole: bool) -> Demon
         atoms=_NUMBERS[piece.atoms],
         successful=piece.at_goal,
         recovery=episode.purpose == "recovery",
+        images=None if piece.images is None else RecordedImages(piece.images),
+        odometry=piece.odometry,
+        episode=episode.episode,
     )
+
+
+class RecordedImages(Sequence[NDArray[np.uint8]]):
+    """Images as they were recorded, decoded when they are wanted."""
+
+    def __init__(self, images: Sequence[memoryview]) -> None:
+        self._images = images
+
+    def __len__(self) -> int:
+        return len(self._images)
+
+    def __getitem__(self, index: Any) -> Any:  # noqa: ANN401 - a sequence is asked for numbers or slices
+        return decode_image(bytes(self._images[index]))
 
 
 def find_recordings(paths: Iterable[Path]) -> list[Path]:

@@ -1,0 +1,133 @@
+"""The method in four lines: a model, a robot, an image, an atom."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from smal.action_space import Atom
+from smal.features import extract
+from smal.filter import BY_ATOMS, BY_ODOMETRY, Belief, Filter
+from smal.model import Model
+from smal.movement import STILL, Movement
+from smal.planning import Decision, Planner
+
+
+@dataclass(frozen=True)
+class Place:
+    """Where in what was taught.
+
+    Parameters
+    ----------
+    drive : int
+        Which of the drives that the map holds.
+    frame : int
+        Taught frame, counted over all drives of the map.
+    ahead, left : float
+        Of the robot as seen from there, metres (or forward atoms, without odometry).
+    turned_rad : float
+        How far the robot is turned left against it.
+    probability : float
+        Of being beside that frame, given that the robot is not lost.
+    """
+
+    drive: int
+    frame: int
+    ahead: float
+    left: float
+    turned_rad: float
+    probability: float
+
+
+class Robot:
+    """Finds the goal: takes an image, gives the atom to make until the next one.
+
+    Parameters
+    ----------
+    model : Model
+        With a map of views.
+    seed : int
+        Of the filter's noise.
+
+    Attributes
+    ----------
+    belief : Belief
+        After the last image.
+    decision : Decision
+
+    Raises
+    ------
+    ValueError
+        The model has no map of views.
+    """
+
+    belief: Belief
+    decision: Decision
+
+    def __init__(self, model: Model, seed: int = 0) -> None:
+        self._map = model.mapped
+        of_images = model.centering.of_images()
+        assert of_images is not None  # or there would be no map
+        self._features = of_images.settings
+        self._filter = Filter(self._map, of_images, seed)
+        self._planner = Planner(self._map)
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget everything, for a new episode."""
+        self._filter.reset()
+        self._planner.reset()
+        self._pose: Sequence[float] | None = None
+        self._atom = Atom.STOP
+
+    def step(
+        self, image: NDArray[np.uint8], odometry: Sequence[float] | None = None, elapsed_s: float | None = None
+    ) -> Atom:
+        """Take one image.
+
+        Parameters
+        ----------
+        image : uint8 array (height, width, 3)
+            RGB.
+        odometry : (x, y, heading in radians), optional
+            Pose by the wheels at the image. Without it the robot is taken to have made the last atom, as usual.
+        elapsed_s : float, optional
+            Time since the image before; as between taught images if not given.
+
+        Returns
+        -------
+        Atom
+            To make until the next image.
+        """
+        elapsed_s = self._map.tick_s if elapsed_s is None else elapsed_s
+        if odometry is None or self._pose is None:
+            ahead, turn = self._map.movements[self._atom] * (elapsed_s / self._map.tick_s)
+            movement = Movement(float(ahead), float(turn)) if odometry is None else STILL
+        else:
+            movement = Movement.between(self._pose, odometry)
+        self._pose = odometry
+        noise = BY_ATOMS if odometry is None else BY_ODOMETRY
+        self.belief = self._filter.observe(extract(image, self._features), movement, noise, elapsed_s)
+        self.decision = self._planner.decide(self.belief)
+        self._atom = self.decision.atom
+        return self._atom
+
+    @property
+    def where(self) -> Place:
+        """The likeliest place."""
+        best = self.belief.summary(1)
+        frame = int(self._map.keyframes[best.keyframes[0]])
+        share = float(self.belief.weights[self.belief.keyframes == best.keyframes[0]].sum())
+        ahead, left, turned = best.offsets[0].tolist()
+        return Place(int(self._map.drives[frame]), frame, ahead, left, turned, share)
+
+    @property
+    def lost(self) -> bool:
+        """Whether the robot is more likely lost than not."""
+        return self.belief.lost > 0.5
+
+    @property
+    def done(self) -> bool:
+        """Whether it says that it has arrived."""
+        return self._planner.done
