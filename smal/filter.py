@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 
 from smal.features import Centering
 from smal.movement import STILL, Movement, wrapped
-from smal.visual_map import TURNS_DEG, VisualMap
+from smal.visual_map import TURNS_DEG, VIEWS_A_LENGTH, VisualMap
 
 #: How often a robot is carried away, or a view of the way changes for good: once in so many seconds.
 KIDNAP_S = 300.0
@@ -298,7 +298,7 @@ class Filter:
         """How much of a view is new: 1 where the robot is a keyframe's distance further."""
         ahead = movement.ahead / self._map.correlation_length
         turn = movement.turn_rad / (2.0 * self._map.correlation_rad)
-        return min(1.0, _VIEWS_A_LENGTH * math.hypot(ahead, turn))
+        return min(1.0, VIEWS_A_LENGTH * math.hypot(ahead, turn))
 
     def _at_starts(self) -> _Particles:
         starts = np.unique(self._map.key_range[0])
@@ -370,8 +370,6 @@ class Filter:
         )
 
 
-#: Views a correlation length, each of them new: as many as keyframes.
-_VIEWS_A_LENGTH = 5.0
 #: New views that scouts have to explain before they may take over.
 _TRIAL = 1.5
 

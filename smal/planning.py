@@ -1,8 +1,12 @@
-"""What to do: the atom that most of the belief wants, towards the taught way and along it to the goal.
+"""What to do: the atom that most of the belief wants, towards the taught way and along the shortest to a goal.
 
-Each place that the robot may be at has a cost to go, the time to the goal along the taught ways, and a direction: that
-of the taught way a moment ahead. What is done follows the mean direction over the belief; where the belief is too wide
-for that, or the robot is lost, it turns to look.
+The taught drives are a graph: keyframes, what follows each of them, and the places that drives share
+(`smal.stitches`). Value iteration gives every keyframe its cost to go, the time to the nearest goal, and what is best
+to follow from there: the drive that it is of, or another one that passes here and is there sooner. So a shorter way is
+preferred, drives are joined to ways that nobody drove in one piece, and all of a belief that is spread over drives
+wants the same. What is done follows the mean direction over the belief, each place that the robot may be at having
+the say of its probability (QMDP, Littman, Cassandra and Kaelbling 1995). Where the belief is too wide for that, or the
+robot is lost, it turns to look.
 """
 
 import math
@@ -11,10 +15,13 @@ from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import sparse
+from scipy.sparse.csgraph import dijkstra
 
 from smal.action_space import Atom
 from smal.filter import Belief
 from smal.movement import wrapped
+from smal.stitches import Stitches, find_stitches
 from smal.visual_map import VisualMap
 
 #: How far ahead on the taught way the robot aims, as time of driving: less follows noise, more cuts corners.
@@ -25,6 +32,8 @@ WIDE_DEG = 25.0
 LOOK_DEG = 400.0
 #: For how long it then drives by its best guess, before it looks again.
 GUESS_S = 2.0
+#: What going over to another drive must save: how two drives stand to each other is less certain than either of them.
+GO_OVER_S = 2.0
 #: Belief with which it says that it has arrived.
 _SURE = 0.9
 
@@ -48,6 +57,32 @@ class Decision:
     heading_error_rad: float
 
 
+def cost_to_go(visual_map: VisualMap, stitches: Stitches) -> tuple[NDArray[np.float64], NDArray[np.intp]]:
+    """Return the time to the nearest goal from every keyframe (k,), and the keyframe to follow next (k,), -1 at goals.
+
+    The graph is deterministic and costs are positive, so that Dijkstra's algorithm is value iteration in the order in
+    which values become final. A goal is the end of a drive. Going over to another drive costs the time for the turn and the
+    way between the two, and `GO_OVER_S`.
+    """
+    count = len(visual_map.keyframes)
+    of = visual_map.drives[visual_map.keyframes]
+    on = np.flatnonzero(of[:-1] == of[1:])
+    taken_s = np.diff(visual_map.keyframes)[on] * visual_map.tick_s
+    goals = np.flatnonzero(np.append(of[:-1] != of[1:], True))
+    # From a node beyond all goals, against the way; 1e-9, since a sparse matrix has no edges of cost 0.
+    rows = np.concatenate([on + 1, stitches.target, np.full(goals.size, count)])
+    columns = np.concatenate([on, stitches.source, goals])
+    turn_rad, ahead = (float(np.abs(column).max()) for column in visual_map.movements[:, ::-1].T)
+    apart = np.hypot(*stitches.offsets[:, :2].T) / max(ahead, 1e-9) + np.abs(stitches.offsets[:, 2]) / max(
+        turn_rad, 1e-9
+    )
+    costs = np.concatenate([taken_s, GO_OVER_S + apart * visual_map.tick_s, np.full(goals.size, 1e-9)])
+    graph = sparse.csr_array((costs, (rows, columns)), shape=(count + 1, count + 1))
+    costs_to_go, previous = dijkstra(graph, indices=np.array([count]), return_predecessors=True)
+    following = previous[0, :-1].astype(np.intp)
+    return costs_to_go[0, :-1], np.where(following == count, -1, following)
+
+
 class Planner:
     """Turns beliefs into atoms.
 
@@ -63,7 +98,23 @@ class Planner:
         self._ahead = LOOKAHEAD_S * visual_map.speed
         of = visual_map.drives[visual_map.keyframes]
         self._end_frame = np.searchsorted(visual_map.drives, of, side="right") - 1
+        self._keyframe, self._offset = self._followed(find_stitches(visual_map), of)
         self.reset()
+
+    def _followed(self, stitches: Stitches, of: NDArray[np.int32]) -> tuple[NDArray[np.intp], NDArray[np.float64]]:
+        """Return for each keyframe the one whose drive is to be followed there, and its own offset from that one."""
+        _, following = cost_to_go(self._map, stitches)
+        keyframe, offset = np.arange(len(of)), np.zeros((len(of), 3))
+        stitch = {
+            pair: k for k, pair in enumerate(zip(stitches.source.tolist(), stitches.target.tolist(), strict=True))
+        }
+        for start in range(len(of)):
+            here = start
+            while (here, int(following[here])) in stitch:
+                offset[start] = _seen_from(offset[start], stitches.offsets[stitch[here, int(following[here])]])
+                here = int(following[here])
+            keyframe[start] = here
+        return keyframe, offset
 
     def reset(self) -> None:
         """Forget what was being done, for a new episode."""
@@ -108,10 +159,11 @@ class Planner:
     def _directions(self, belief: Belief) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Return for each particle the direction to aim at less its heading, and the way that is left."""
         taught = self._map
-        key = taught.keyframes[belief.keyframes]
-        ahead, left, turned = belief.offsets.T
+        followed = self._keyframe[belief.keyframes]
+        key = taught.keyframes[followed]
+        ahead, left, turned = _seen_from(belief.offsets, self._offset[belief.keyframes]).T
         along = taught.arc[key] + ahead
-        end = self._end_frame[belief.keyframes]
+        end = self._end_frame[followed]
         target = np.minimum(np.searchsorted(taught.arc, along + self._ahead), end)
         # As seen from the keyframe.
         apart = taught.poses[target] - taught.poses[key]
@@ -122,3 +174,13 @@ class Planner:
         near = np.hypot(x, y) < 0.3 * self._ahead
         aim = np.where(near, apart[:, 2], np.arctan2(y, x))
         return wrapped(aim - turned), taught.arc[end] - along
+
+
+def _seen_from(offsets: NDArray[np.float64], frame: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return offsets (..., 3) from a keyframe as seen from another, from which that keyframe has the offset `frame`."""
+    ahead, left, turned = np.moveaxis(offsets, -1, 0)
+    frame_ahead, frame_left, frame_turned = np.moveaxis(frame, -1, 0)
+    cos, sin = np.cos(frame_turned), np.sin(frame_turned)
+    return np.stack(
+        [frame_ahead + cos * ahead - sin * left, frame_left + sin * ahead + cos * left, turned + frame_turned], axis=-1
+    )

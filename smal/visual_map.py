@@ -26,8 +26,10 @@ from smal.virtual_views import Image, Scene, fit_scene, remapped
 #: Turns of the virtual views, degrees. Twenty taught pixels, the width of a cell of HOG, are about 5 degrees, within
 #: which a view turned stays alike; beyond 40 hardly anything of the taught image is left.
 TURNS_DEG = np.arange(-40.0, 41.0, 5.0)
+#: Keyframes in a correlation length; a view that is one of them further is a new one.
+VIEWS_A_LENGTH = 5
 #: Keyframes are so much of the correlation length apart, or so many degrees.
-_SPACING, _SPACING_DEG = 0.2, 12.0
+_SPACING, _SPACING_DEG = 1.0 / VIEWS_A_LENGTH, 12.0
 #: Virtual views are taken so much of the correlation length aside.
 _ASIDE = 0.4
 #: Principal components keep this share of what views are, and at most so many are kept: 5,000 taught frames, 1 km at
