@@ -100,7 +100,11 @@ class Belief:
         keys, where = np.unique(self.keyframes, return_inverse=True)
         weights = np.bincount(where, self.weights)
         safe = np.maximum(weights, 1e-300)
-        mean = np.stack([np.bincount(where, self.weights * column) / safe for column in self.offsets.T], axis=1)
+        ahead, left, turned = self.offsets.T
+        # The mean of turns is that of directions: those of a robot that looks back are on both sides of half a turn.
+        columns = (ahead, left, np.cos(turned), np.sin(turned))
+        x, y, cos, sin = (np.bincount(where, self.weights * column) / safe for column in columns)
+        mean = np.stack([x, y, np.arctan2(sin, cos)], axis=1)
         order = np.argsort(-weights, kind="stable")[:most]
         order = order[weights[order] > 0.0]
         kept = weights[order] / weights[order].sum()
@@ -264,10 +268,17 @@ class Filter:
         Raises
         ------
         ValueError
-            Features of the wrong length, NaN or infinity; the frame is then not taken in.
+            Features of the wrong length, or features, a movement or a time that are NaN, infinite or backwards; the
+            frame is then not taken in.
         """
-        cosines = self._map.cosines(self._centering.apply(raw_features))
+        if raw_features.ndim != 1:
+            raise ValueError(f"the features of one frame are wanted, got the shape {raw_features.shape}")
         elapsed_s = self._map.tick_s if elapsed_s is None else elapsed_s
+        if not (math.isfinite(movement.ahead) and math.isfinite(movement.turn_rad)):
+            raise ValueError(f"a movement must be finite, got {movement.ahead} ahead and a turn of {movement.turn_rad}")
+        if not (math.isfinite(elapsed_s) and elapsed_s >= 0.0):
+            raise ValueError(f"the time since the frame before must be finite and not negative, got {elapsed_s}")
+        cosines = self._map.cosines(self._centering.apply(raw_features))
         if self._tracked is None:
             self._tracked, newness = self._at_starts(), 1.0
         else:
