@@ -62,6 +62,7 @@ class Planner:
         self._turn_rad = abs(float(visual_map.movements[Atom.LEFT, 1])) or math.radians(5.0)
         self._ahead = LOOKAHEAD_S * visual_map.speed
         of = visual_map.drives[visual_map.keyframes]
+        self._start_frame = np.searchsorted(visual_map.drives, of, side="left")
         self._end_frame = np.searchsorted(visual_map.drives, of, side="right") - 1
         self.reset()
 
@@ -111,8 +112,9 @@ class Planner:
         key = taught.keyframes[belief.keyframes]
         ahead, left, turned = belief.offsets.T
         along = taught.arc[key] + ahead
-        end = self._end_frame[belief.keyframes]
-        target = np.minimum(np.searchsorted(taught.arc, along + self._ahead), end)
+        start, end = self._start_frame[belief.keyframes], self._end_frame[belief.keyframes]
+        # Another drive's frames, in axes of their own, come before and after.
+        target = np.clip(np.searchsorted(taught.arc, along + self._ahead), start, end)
         # As seen from the keyframe.
         apart = taught.poses[target] - taught.poses[key]
         cos, sin = np.cos(taught.poses[key, 2]), np.sin(taught.poses[key, 2])
