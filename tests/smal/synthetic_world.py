@@ -128,6 +128,13 @@ def drive(
     return Drive(np.array(poses), np.array([*atoms, Atom.STOP], dtype=np.int8))
 
 
+def from_beside(pose: Sequence[float], ahead: float, left: float, turn: float) -> tuple[float, float, float]:
+    """Return the pose that lies ahead and to the left of another one, turned left."""
+    x, y, heading = pose
+    cos, sin = math.cos(heading), math.sin(heading)
+    return x + cos * ahead - sin * left, y + sin * ahead + cos * left, heading + turn
+
+
 def taught(
     room: Room,
     *drives: Drive,

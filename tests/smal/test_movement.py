@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from smal.action_space import Atom
@@ -26,6 +26,7 @@ def moved(pose: tuple[float, float, float], movement: Movement) -> tuple[float, 
     )
 
 
+@settings(deadline=None, derandomize=True)
 @given(
     pose=st.tuples(COORDINATE, COORDINATE, ANGLE),
     ahead=st.floats(0.001, 5.0),
@@ -40,6 +41,7 @@ def test_between_finds_the_movement_that_was_made(
     assert found.turn_rad == pytest.approx(turn, abs=1e-9)
 
 
+@settings(deadline=None, derandomize=True)
 @given(pose=st.tuples(COORDINATE, COORDINATE, ANGLE), rounds=st.integers(-3, 3))
 def test_whole_turns_of_the_heading_are_no_movement(pose: tuple[float, float, float], rounds: int) -> None:
     found = Movement.between(pose, (pose[0], pose[1], pose[2] + rounds * math.tau))
@@ -47,6 +49,7 @@ def test_whole_turns_of_the_heading_are_no_movement(pose: tuple[float, float, fl
     assert found.turn_rad == pytest.approx(0.0, abs=1e-9)
 
 
+@settings(deadline=None, derandomize=True)
 @given(angle=st.floats(-100.0, 100.0))
 def test_wrapped_angles_point_the_same_way(angle: float) -> None:
     found = float(wrapped(np.array(angle)))
@@ -67,6 +70,7 @@ def test_a_square_comes_home(turn: Atom) -> None:
     np.testing.assert_allclose(way[2 * len(side) - 10, :2], [0.8, left], atol=1e-9)
 
 
+@settings(deadline=None, derandomize=True)
 @given(atoms=st.lists(st.sampled_from(list(Atom)), min_size=1, max_size=40))
 def test_dead_reckoning_makes_the_movements_of_its_atoms(atoms: list[Atom]) -> None:
     way = dead_reckoning(np.array(atoms, dtype=np.int8), TABLE)
