@@ -35,6 +35,8 @@ KIDNAP_S = 300.0
 _HIDDEN = 0.05
 #: First belief: at the start of a taught drive, anywhere beside the ways, and lost.
 _FIRST = (0.5, 0.4, 0.1)
+#: Share of lost robots that are beside the way again when scouts are sent.
+_BACK = 0.1
 #: How far the first heading may be from the taught one, degrees.
 _FIRST_TURN_DEG = 30.0
 #: Particles of each set.
@@ -100,7 +102,11 @@ class Belief:
         keys, where = np.unique(self.keyframes, return_inverse=True)
         weights = np.bincount(where, self.weights)
         safe = np.maximum(weights, 1e-300)
-        mean = np.stack([np.bincount(where, self.weights * column) / safe for column in self.offsets.T], axis=1)
+        ahead, left, turned = self.offsets.T
+        # The mean of turns is that of directions: those of a robot that looks back are on both sides of half a turn.
+        columns = (ahead, left, np.cos(turned), np.sin(turned))
+        x, y, cos, sin = (np.bincount(where, self.weights * column) / safe for column in columns)
+        mean = np.stack([x, y, np.arctan2(sin, cos)], axis=1)
         order = np.argsort(-weights, kind="stable")[:most]
         order = order[weights[order] > 0.0]
         kept = weights[order] / weights[order].sum()
@@ -271,10 +277,17 @@ class Filter:
         Raises
         ------
         ValueError
-            Features of the wrong length, NaN or infinity; the frame is then not taken in.
+            Features of the wrong length, or features, a movement or a time that are NaN, infinite or backwards; the
+            frame is then not taken in.
         """
-        cosines = self._map.cosines(self._centering.apply(raw_features))
+        if raw_features.ndim != 1:
+            raise ValueError(f"the features of one frame are wanted, got the shape {raw_features.shape}")
         elapsed_s = self._map.tick_s if elapsed_s is None else elapsed_s
+        if not (math.isfinite(movement.ahead) and math.isfinite(movement.turn_rad)):
+            raise ValueError(f"a movement must be finite, got {movement.ahead} ahead and a turn of {movement.turn_rad}")
+        if not (math.isfinite(elapsed_s) and elapsed_s >= 0.0):
+            raise ValueError(f"the time since the frame before must be finite and not negative, got {elapsed_s}")
+        cosines = self._map.cosines(self._centering.apply(raw_features))
         if self._tracked is None:
             self._tracked, newness = self._at_starts(), 1.0
         else:
@@ -289,7 +302,9 @@ class Filter:
             self._send_scouts(cosines)
         else:
             self._odds[1] += self._scouts.update(cosines, newness, self._rng)
-        self._leak(elapsed_s)
+        # A robot that stands still has no evidence to set against it.
+        if newness > 0.0:
+            self._leak(elapsed_s)
         if self._scouts is not None and self._scouts.evidence >= _TRIAL:
             self._merge()
         return self._belief()
@@ -321,7 +336,8 @@ class Filter:
         if not np.isfinite(self._odds[1]) or self._odds[1] < math.log(_FIRST[1]) - 1e-9:
             shares = _normalised(self._odds)
             carried = shares[0] * min(self._waited_s / KIDNAP_S, 0.5)
-            shares = np.array([shares[0] - carried, shares[2] / 2.0 + carried, shares[2] / 2.0])
+            back = _BACK * shares[2]
+            shares = np.array([shares[0] - carried, carried + back, shares[2] - back])
             self._odds = np.log(np.maximum(shares, 1e-12))
         self._odds[1] += math.log(float(likelihood.mean()))
         self._waited_s = 0.0

@@ -61,8 +61,8 @@ def cost_to_go(visual_map: VisualMap, stitches: Stitches) -> tuple[NDArray[np.fl
     """Return the time to the nearest goal from every keyframe (k,), and the keyframe to follow next (k,), -1 at goals.
 
     The graph is deterministic and costs are positive, so that Dijkstra's algorithm is value iteration in the order in
-    which values become final. A goal is the end of a drive. Going over to another drive costs the time for the turn and the
-    way between the two, and `GO_OVER_S`.
+    which values become final. A goal is the end of a drive. Going over to another drive costs the time for the turn
+    and the way between the two, and `GO_OVER_S`.
     """
     count = len(visual_map.keyframes)
     of = visual_map.drives[visual_map.keyframes]
@@ -97,6 +97,7 @@ class Planner:
         self._turn_rad = abs(float(visual_map.movements[Atom.LEFT, 1])) or math.radians(5.0)
         self._ahead = LOOKAHEAD_S * visual_map.speed
         of = visual_map.drives[visual_map.keyframes]
+        self._start_frame = np.searchsorted(visual_map.drives, of, side="left")
         self._end_frame = np.searchsorted(visual_map.drives, of, side="right") - 1
         self._keyframe, self._offset = self._followed(find_stitches(visual_map), of)
         self.reset()
@@ -151,7 +152,7 @@ class Planner:
     def _steer(self, error: float) -> Atom:
         """Turn on the spot while the direction is off by more than an atom of turning; drive otherwise."""
         wanted = Atom.LEFT if error > 0.0 else Atom.RIGHT
-        begins = self._turning is None and abs(error) > self._turn_rad
+        begins = self._turning is not wanted and abs(error) > self._turn_rad
         goes_on = self._turning is wanted and abs(error) > self._turn_rad / 2.0
         self._turning = wanted if begins or goes_on else None
         return self._turning or Atom.FORWARD
@@ -163,8 +164,9 @@ class Planner:
         key = taught.keyframes[followed]
         ahead, left, turned = _seen_from(belief.offsets, self._offset[belief.keyframes]).T
         along = taught.arc[key] + ahead
-        end = self._end_frame[followed]
-        target = np.minimum(np.searchsorted(taught.arc, along + self._ahead), end)
+        start, end = self._start_frame[followed], self._end_frame[followed]
+        # Another drive's frames, in axes of their own, come before and after.
+        target = np.clip(np.searchsorted(taught.arc, along + self._ahead), start, end)
         # As seen from the keyframe.
         apart = taught.poses[target] - taught.poses[key]
         cos, sin = np.cos(taught.poses[key, 2]), np.sin(taught.poses[key, 2])

@@ -12,7 +12,7 @@ import math
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, fields
-from functools import cached_property
+from functools import cache, cached_property
 from typing import Any
 
 import numpy as np
@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from smal.action_space import Atom
 from smal.features import Centering, extract
 from smal.movement import atom_movements, dead_reckoning, wrapped
-from smal.virtual_views import Image, Scene, fit_scene, remapped
+from smal.virtual_views import Image, Maps, Scene, fit_scene, remapped
 
 #: Turns of the virtual views, degrees. Twenty taught pixels, the width of a cell of HOG, are about 5 degrees, within
 #: which a view turned stays alike; beyond 40 hardly anything of the taught image is left.
@@ -37,6 +37,14 @@ _ASIDE = 0.4
 _KEPT, _MOST_COMPONENTS = 0.9, 400
 #: Views from which components are computed.
 _SAMPLE = 2500
+
+
+#: Axes of the arrays of a map.
+_AXES = {"poses": 2, "drives": 1, "keyframes": 1, "basis": 2, "views": 4, "movements": 2, "scene": 1}
+
+
+def _finite(array: NDArray[Any], axes: int) -> bool:
+    return array.ndim == axes and bool(np.isfinite(array).all())
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,19 +101,23 @@ class VisualMap:
     scene: NDArray[np.float64]
 
     def __post_init__(self) -> None:
-        frames, count = len(self.poses), len(self.keyframes)
-        wrong = [
-            name
-            for name, fits in {
-                "poses": self.poses.shape == (frames, 3) and bool(np.isfinite(self.poses).all()),
-                "drives": self.drives.shape == (frames,) and bool((np.diff(self.drives) >= 0).all()),
-                "keyframes": count > 0 and int(self.keyframes.min()) >= 0 and int(self.keyframes.max()) < frames,
+        wrong = [name for name, axes in _AXES.items() if not _finite(getattr(self, name), axes)]
+        if not wrong:
+            frames, count = len(self.poses), len(self.keyframes)
+            ends = np.flatnonzero(np.diff(self.drives, prepend=-1, append=-1))
+            fitting = {
+                "poses": self.poses.shape == (frames, 3),
+                "drives": self.drives.shape == (frames,) and bool((np.diff(self.drives, prepend=0) >= 0).all()),
+                "keyframes": count > 0
+                and bool((np.diff(self.keyframes, prepend=-1) > 0).all())
+                and int(self.keyframes[-1]) < frames
+                and bool(np.isin([*ends[:-1], *(ends[1:] - 1)], self.keyframes).all()),
                 "views": self.views.shape == (count, 3, TURNS_DEG.size, self.basis.shape[1]),
                 "movements": self.movements.shape == (len(Atom), 2),
                 "scene": self.scene.shape == (3,),
-            }.items()
-            if not fits
-        ]
+                "outlier_cosine": math.isfinite(self.outlier_cosine),
+            }
+            wrong = [name for name, fits in fitting.items() if not fits]
         lengths = ("aside", "correlation_length", "correlation_rad", "kappa", "tick_s")
         wrong += [name for name in lengths if not (math.isfinite(getattr(self, name)) and getattr(self, name) > 0.0)]
         if wrong:
@@ -336,16 +348,20 @@ def _make_views(
     progress: Callable[[int, int], None],
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     """Make the virtual views of keyframes, and the components in which they are kept."""
-    shape = images[int(keyframes[0])].shape[:2]
-    maps = [[scene.maps(shape, 0.0, left, math.radians(turn)) for turn in TURNS_DEG] for left in (-aside, 0.0, aside)]
+    lefts = (-aside, 0.0, aside)
+
+    # Drives may be of cameras of different sizes.
+    @cache
+    def maps_of(shape: tuple[int, ...]) -> list[list[Maps]]:
+        return [[scene.maps(shape, 0.0, left, math.radians(turn)) for turn in TURNS_DEG] for left in lefts]
 
     def views_of(frame: int) -> NDArray[np.float32]:
         image = images[frame]
-        return np.stack([np.stack([describe(remapped(image, one)) for one in row]) for row in maps])
+        return np.stack([np.stack([describe(remapped(image, one)) for one in row]) for row in maps_of(image.shape[:2])])
 
     # All views at once would take gigabytes for a long drive: components first, from a sample of keyframes.
     with ThreadPoolExecutor() as pool:
-        each = len(maps) * TURNS_DEG.size
+        each = len(lefts) * TURNS_DEG.size
         sample = keyframes[np.unique(np.linspace(0, keyframes.size - 1, max(1, _SAMPLE // each)).astype(int))]
         basis = _components(
             np.concatenate(list(pool.map(views_of, sample.tolist()))).reshape(-1, len(describe(images[0])))

@@ -1,0 +1,162 @@
+"""A room with painted walls and floor, and a camera that drives through it: images without a simulator."""
+
+import math
+from collections.abc import Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass
+from functools import cache, cached_property
+from unittest.mock import patch
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from smal.action_space import Atom
+from smal.features import Centering, FeatureSettings, extract
+from smal.movement import Movement
+from smal.virtual_views import Scene
+from smal.visual_map import VisualMap, learn_visual_map
+
+#: What describes frames: HOG as well takes ten times as long.
+COLOR = FeatureSettings(("color",), (1.0,))
+FIELD_DEG = 75.0
+CAMERA_HEIGHT = 0.35
+SPEED, TURN_RAD_S = 0.5, math.radians(45.0)
+ROWS, COLUMNS = 72, 96
+#: A way through the room: metres ahead and degrees to the left, by turns.
+WAY = ((2.5, 90.0), (2.0, -90.0), (2.0, 0.0))
+START = (2.5, 4.0, 0.0)
+
+#: What a fit should find, but for the distance, which no room has one of.
+SCENE = Scene(0.5 / math.tan(math.radians(FIELD_DEG) / 2.0), CAMERA_HEIGHT, 6.0)
+
+Image = NDArray[np.uint8]
+Pose = NDArray[np.float64]
+
+
+def paint(rng: np.random.Generator, rows: int, columns: int, texels: int) -> Image:
+    """Make a texture of coloured spots, the largest of so many texels, that joins itself at its borders."""
+    picture = np.zeros((rows, columns, 3))
+    for size, strength in ((texels, 1.0), (texels // 2, 0.7), (texels // 4, 0.4)):
+        spots = rng.uniform(-1.0, 1.0, (rows // size, columns // size, 3))
+        spots = np.pad(spots, ((1, 1), (1, 1), (0, 0)), mode="wrap")
+        large = cv2.resize(spots, None, fx=size, fy=size, interpolation=cv2.INTER_CUBIC)
+        picture += strength * large[size : size + rows, size : size + columns]
+    return np.clip(128.0 + 110.0 * picture, 0, 255).astype(np.uint8)
+
+
+@dataclass(frozen=True)
+class Room:
+    """A square room about (6, 6) with walls that have no top.
+
+    Parameters
+    ----------
+    seed : int
+        Of its paint.
+    half : float
+        Half of its side, metres.
+    """
+
+    seed: int = 0
+    half: float = 6.0
+
+    @cached_property
+    def _floor(self) -> Image:
+        return paint(np.random.default_rng([self.seed, 0]), 512, 512, 16)
+
+    @cached_property
+    def _walls(self) -> Image:
+        return paint(np.random.default_rng([self.seed, 1]), 256, 2048, 64)
+
+    def look(self, pose: Sequence[float] | Pose, rows: int = ROWS, columns: int = COLUMNS) -> Image:
+        """Render what a camera at x, y, heading sees: 20 texels a metre on the floor, 40 on the walls."""
+        x, y, heading = pose
+        focal = 0.5 * columns / math.tan(math.radians(FIELD_DEG) / 2.0)
+        v, u = np.mgrid[0:rows, 0:columns]
+        down, right = (v - (rows - 1) / 2.0) / focal, (u - (columns - 1) / 2.0) / focal
+        ray_x = math.cos(heading) + math.sin(heading) * right
+        ray_y = math.sin(heading) - math.cos(heading) * right
+        with np.errstate(divide="ignore"):
+            to_floor = np.where(down > 0.0, CAMERA_HEIGHT / down, np.inf)
+            to_x = (self.half - np.sign(ray_x) * (x - 6.0)) / np.abs(ray_x)
+            to_y = (self.half - np.sign(ray_y) * (y - 6.0)) / np.abs(ray_y)
+        reach = np.minimum(np.minimum(to_x, to_y), to_floor)
+        at_x, at_y = x + reach * ray_x, y + reach * ray_y
+        height = CAMERA_HEIGHT - reach * down
+        side = np.where(to_x < to_y, np.where(ray_x > 0, 0, 2), np.where(ray_y > 0, 1, 3))
+        along = np.where(to_x < to_y, at_y, at_x) - 6.0 + self.half
+        floor = _sampled(self._floor, at_x * 20.0, at_y * 20.0)
+        walls = _sampled(self._walls, side * 512.0 + along * 40.0, height * 40.0)
+        return np.where((to_floor <= np.minimum(to_x, to_y))[..., None], floor, walls)
+
+
+def _sampled(texture: Image, u: NDArray[np.float64], v: NDArray[np.float64]) -> Image:
+    rows, columns = texture.shape[:2]
+    maps = (np.mod(u, columns).astype(np.float32), np.mod(v, rows).astype(np.float32))
+    return np.asarray(cv2.remap(texture, *maps, cv2.INTER_LINEAR, borderMode=cv2.BORDER_WRAP), dtype=np.uint8)
+
+
+@dataclass(frozen=True)
+class Drive:
+    """Poses (f, 3) and the atoms (f,) made after them."""
+
+    poses: Pose
+    atoms: NDArray[np.int8]
+
+    def movements(self) -> list[Movement]:
+        return [Movement.between(*pair) for pair in zip(self.poses[:-1], self.poses[1:], strict=True)]
+
+
+def drive(
+    start: Sequence[float] = START, way: Sequence[tuple[float, float]] = WAY, rate_hz: float = 10.0, speed: float = 1.0
+) -> Drive:
+    """Drive straight and turn on the spot, by turns, at so many frames a second and so many times the usual speed."""
+    x, y, heading = start
+    poses, atoms = [(x, y, heading)], []
+    for metres, degrees in way:
+        steps = round(metres / SPEED / speed * rate_hz)
+        for _ in range(steps):
+            x += metres / steps * math.cos(heading)
+            y += metres / steps * math.sin(heading)
+            poses.append((x, y, heading))
+        atoms += [Atom.FORWARD] * steps
+        turns = round(abs(math.radians(degrees)) / TURN_RAD_S / speed * rate_hz)
+        for _ in range(turns):
+            heading += math.radians(degrees) / turns
+            poses.append((x, y, heading))
+        atoms += [Atom.LEFT if degrees > 0.0 else Atom.RIGHT] * turns
+    return Drive(np.array(poses), np.array([*atoms, Atom.STOP], dtype=np.int8))
+
+
+def from_beside(pose: Sequence[float], ahead: float, left: float, turn: float) -> tuple[float, float, float]:
+    """Return the pose that lies ahead and to the left of another one, turned left."""
+    x, y, heading = pose
+    cos, sin = math.cos(heading), math.sin(heading)
+    return x + cos * ahead - sin * left, y + sin * ahead + cos * left, heading + turn
+
+
+def taught(
+    room: Room,
+    *drives: Drive,
+    rate_hz: float = 10.0,
+    odometry: bool = True,
+    settings: FeatureSettings = COLOR,
+    scene: Scene | None = None,
+) -> tuple[VisualMap, Centering]:
+    """Learn the map of drives through a room; a scene that is given is not fitted, which takes half of the time."""
+    images = [[room.look(pose) for pose in one.poses] for one in drives]
+    raw = [np.stack([extract(image, settings) for image in each]) for each in images]
+    centering = Centering.fit(raw, settings)
+    ways = [one.poses if odometry else None for one in drives]
+    with ExitStack() as changed:
+        changed.enter_context(patch("smal.visual_map._SAMPLE", 500))
+        if scene is not None:
+            changed.enter_context(patch("smal.visual_map.fit_scene", lambda *_: scene))
+        found = learn_visual_map(images, raw, [one.atoms for one in drives], ways, centering, 1.0 / rate_hz)
+    return found, centering
+
+
+@cache
+def usual_map() -> tuple[VisualMap, Centering]:
+    """Learn the usual way, once for all tests."""
+    return taught(Room(), drive(), scene=SCENE)

@@ -1,0 +1,304 @@
+"""The filter follows a robot through a painted room, finds it, and knows when it is lost."""
+
+import copy
+import math
+from functools import cache
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from smal.features import extract
+from smal.filter import Belief, Filter
+from smal.movement import STILL, Movement
+from smal.visual_map import VisualMap
+from tests.smal.synthetic_world import (
+    COLOR,
+    COLUMNS,
+    ROWS,
+    START,
+    Drive,
+    Room,
+    drive,
+    from_beside,
+    usual_map,
+)
+
+ROOM = Room()
+TICK = 0.1
+
+
+def poses_of(belief: Belief, visual_map: VisualMap) -> np.ndarray:
+    """Return the poses of particles in the axes of the drive, with the direction as a unit vector, (4, p)."""
+    x, y, heading = visual_map.key_poses[belief.keyframes].T
+    ahead, left, turned = belief.offsets.T
+    cos, sin = np.cos(heading), np.sin(heading)
+    points = [x + cos * ahead - sin * left, y + sin * ahead + cos * left]
+    return np.stack([*points, np.cos(heading + turned), np.sin(heading + turned)])
+
+
+def off(belief: Belief, pose: np.ndarray) -> tuple[float, float]:
+    """Return how far the belief is from the truth, metres and degrees."""
+    x, y, cos, sin = poses_of(belief, usual_map()[0]) @ belief.weights
+    turn = math.remainder(math.atan2(sin, cos) - pose[2], math.tau)
+    return math.hypot(x - pose[0], y - pose[1]), abs(math.degrees(turn))
+
+
+def follow(seen: Drive, found: Filter | None = None, room: Room = ROOM, tick_s: float = TICK) -> list[Belief]:
+    """Show the filter a drive."""
+    found = found or Filter(*usual_map())
+    return [
+        found.observe(extract(room.look(pose), COLOR), movement, tick_s)
+        for pose, movement in zip(seen.poses, [STILL, *seen.movements()], strict=True)
+    ]
+
+
+def beside(one: Drive, left: float, turn_deg: float) -> Drive:
+    """Move a whole drive to the left, and turn it about its start."""
+    start = from_beside(tuple(one.poses[0]), 0.0, left, 0.0)[:2]
+    turn = math.radians(turn_deg)
+    about = one.poses[:, :2] - one.poses[0, :2]
+    turned = about @ np.array([[math.cos(turn), math.sin(turn)], [-math.sin(turn), math.cos(turn)]])
+    return Drive(np.column_stack([turned + start, one.poses[:, 2] + turn]), one.atoms)
+
+
+def same(one: Belief, other: Belief) -> bool:
+    return all(
+        np.array_equal(getattr(one, name), getattr(other, name))
+        for name in ("keyframes", "offsets", "weights", "lost", "cosine", "tracked")
+    )
+
+
+@pytest.mark.parametrize(("rate_hz", "speed"), [(10.0, 1.0), (5.0, 1.0), (20.0, 1.0), (10.0, 0.5), (10.0, 2.0)])
+def test_it_follows_the_taught_way_at_any_rate_and_speed(rate_hz: float, speed: float) -> None:
+    seen = drive(way=((2.5, 90.0), (1.0, 0.0)), rate_hz=rate_hz, speed=speed)
+    beliefs = follow(seen, tick_s=1.0 / rate_hz)
+    # It has settled within a correlation length.
+    settled = round(0.7 / 0.5 / speed * rate_hz)
+    errors = np.array([off(*pair) for pair in zip(beliefs, seen.poses, strict=True)])[settled:]
+    assert errors[:, 0].max() < 0.1
+    assert errors[:, 1].max() < 2.0
+    assert max(belief.lost for belief in beliefs[settled:]) < 0.05
+    assert beliefs[-1].tracked == pytest.approx(3.5, rel=0.01)
+
+
+@pytest.mark.parametrize(("left", "turn_deg"), [(0.3, -10.0), (-0.3, 10.0), (0.3, 10.0), (-0.3, -10.0)])
+@pytest.mark.parametrize("seed", [0, 1])
+def test_it_follows_a_drive_that_starts_aside_and_turned(left: float, turn_deg: float, seed: int) -> None:
+    seen = beside(drive(way=((1.7, 0.0),)), left * usual_map()[0].correlation_length, turn_deg)
+    beliefs = follow(seen, Filter(*usual_map(), seed))
+    errors = np.array([off(*pair) for pair in zip(beliefs, seen.poses, strict=True)])[14:]
+    assert errors[:, 0].max() < 0.2
+    assert errors[:, 1].max() < 4.0
+    assert beliefs[-1].lost < 0.1
+
+
+def test_the_same_seed_gives_the_same_belief() -> None:
+    seen = drive(way=((0.8, 0.0),))
+    first, other, reused = (Filter(*usual_map(), seed) for seed in (3, 4, 3))
+    beliefs = follow(seen, first)
+    assert not same(beliefs[-1], follow(seen, other)[-1])
+    follow(drive(way=((0.3, 0.0),)), reused)
+    reused.reset()
+    assert all(same(*pair) for pair in zip(beliefs, follow(seen, reused), strict=True))
+
+
+def test_a_movement_before_the_first_frame_does_not_count() -> None:
+    raw = extract(ROOM.look(START), COLOR)
+    first, other = (Filter(*usual_map()).observe(raw, movement) for movement in (STILL, Movement(3.0, 1.0)))
+    assert same(first, other)
+
+
+@pytest.mark.parametrize("frames_before", [1, 20])
+def test_a_robot_that_stands_still_does_not_become_surer(frames_before: int) -> None:
+    visual_map = usual_map()[0]
+    seen = drive(way=((1.5, 0.0),))
+    found = Filter(*usual_map())
+    before = follow(Drive(seen.poses[:frames_before], seen.atoms[:frames_before]), found)[-1]
+    raw = extract(ROOM.look(seen.poses[frames_before - 1]), COLOR)
+    for _ in range(50):
+        after = found.observe(raw, STILL, TICK)
+    # A particle may be seen from another keyframe, and stays where it is.
+    np.testing.assert_allclose(poses_of(after, visual_map), poses_of(before, visual_map), atol=1e-9)
+    np.testing.assert_allclose(after.weights, before.weights, atol=2e-4)
+    # It may have been carried away meanwhile, once in 300 s.
+    assert before.lost <= after.lost < before.lost + 0.03
+    assert after.tracked == before.tracked
+
+
+@pytest.mark.parametrize("moves", [True, False])
+def test_hidden_frames_do_not_move_the_belief(moves: bool) -> None:
+    """Noise hides half a metre, most of a correlation length; the belief goes on by the wheels."""
+    seen = drive(way=((2.2, 0.0),))
+    found = Filter(*usual_map())
+    follow(Drive(seen.poses[:20], seen.atoms[:20]), found)
+    rng = np.random.default_rng(0)
+    for number in range(20, 30):
+        hidden = rng.integers(0, 256, (ROWS, COLUMNS, 3), dtype=np.uint8)
+        movement = Movement.between(*seen.poses[number - 1 : number + 1]) if moves else STILL
+        belief = found.observe(extract(hidden, COLOR), movement, TICK)
+        metres, degrees = off(belief, seen.poses[number if moves else 19])
+        assert metres < 0.1
+        assert degrees < 2.0
+        assert belief.lost < 0.3
+
+
+def arrives(start: int, found: Filter, lengths: float) -> None:
+    """Show the way from a frame on; the belief has to be there within some correlation lengths, and to stay."""
+    one = drive()
+    seen = Drive(one.poses[start:], one.atoms[start:])
+    beliefs = follow(seen, found)
+    way = np.concatenate([[0.0], np.cumsum([abs(movement.ahead) for movement in seen.movements()])])
+    after = np.flatnonzero(way >= lengths * usual_map()[0].correlation_length)
+    assert after.size > 10
+    for number in after:
+        metres, degrees = off(beliefs[number], seen.poses[number])
+        assert metres < 0.15
+        assert degrees < 5.0
+        assert beliefs[number].lost < 0.2
+
+
+@pytest.mark.parametrize("to", [72, 90, 115])
+def test_a_kidnapped_robot_is_found(to: int) -> None:
+    found = Filter(*usual_map())
+    before = follow(drive(way=((1.0, 0.0),)), found)[-1]
+    assert before.tracked > 0.9
+    arrives(to, found, 2.0)
+    # What was followed counts from when it was found again.
+    belief = found.observe(extract(ROOM.look(drive().poses[-1]), COLOR), STILL, TICK)
+    assert belief.tracked < (len(drive().poses) - to) * 0.05
+
+
+@pytest.mark.parametrize("start", [25, 75, 115])
+def test_a_robot_that_is_switched_on_anywhere_is_found(start: int) -> None:
+    arrives(start, Filter(*usual_map()), 2.0)
+
+
+def at_home(found: Filter) -> None:
+    """Show the way from its second metre on; the robot is not lost any more within a correlation length and a half."""
+    one = drive()
+    back = follow(Drive(one.poses[20:60], one.atoms[20:60]), found)
+    assert max(belief.lost for belief in back[20:]) < 0.25
+    assert off(back[-1], one.poses[59])[0] < 0.2
+
+
+def test_it_is_lost_where_nothing_is_alike_and_not_at_home() -> None:
+    visual_map, centering = usual_map()
+    one, found = drive(), Filter(visual_map, centering)
+    assert follow(Drive(one.poses[:20], one.atoms[:20]), found)[-1].lost < 0.01
+    rng = np.random.default_rng(0)
+    lost = []
+    for _ in range(round(4.0 * visual_map.correlation_length / 0.05)):
+        view = rng.standard_normal(COLOR.size).astype(np.float32)
+        unlike = view - visual_map.basis @ (visual_map.basis.T @ view)
+        lost.append(found.observe(centering.mean + 0.01 * unlike, Movement(0.05, 0.0), TICK).lost)
+    assert min(lost[len(lost) // 2 :]) > 0.5
+    at_home(found)
+
+
+@cache
+def elsewhere(seed: int) -> tuple[list[float], Filter]:
+    """Return what is lost over four correlation lengths through another room."""
+    one, found = drive(), Filter(*usual_map())
+    follow(Drive(one.poses[:20], one.atoms[:20]), found)
+    far = drive((3.5, 4.0, 0.0), ((4.0 * usual_map()[0].correlation_length, 0.0),))
+    return [belief.lost for belief in follow(far, found, Room(seed))], found
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3, 7])
+def test_back_from_another_room_it_is_not_lost(seed: int) -> None:
+    lost, found = elsewhere(seed)
+    assert lost[0] < 0.01
+    assert max(lost) > 0.3
+    at_home(copy.deepcopy(found))
+
+
+@pytest.mark.xfail(
+    strict=True,
+    reason="every time that scouts are sent half of 'lost' goes to places chosen by what the view just shows, and "
+    "their share is kept: in another room of the same style 'lost' falls back to 0.01 while no place is right",
+)
+def test_it_becomes_lost_in_another_room_and_stays_so() -> None:
+    for seed in (1, 2, 3, 7):
+        lost = elsewhere(seed)[0]
+        assert min(lost[len(lost) // 2 :]) > 0.5
+
+
+@settings(deadline=None, derandomize=True, max_examples=15)
+@given(
+    seed=st.integers(0, 2**16),
+    steps=st.lists(
+        st.tuples(st.floats(-2.0, 2.0), st.floats(-4.0, 4.0), st.sampled_from([0.0, 0.05, 1.0, 1000.0])),
+        min_size=1,
+        max_size=12,
+    ),
+)
+def test_a_belief_is_made_of_probabilities(seed: int, steps: list[tuple[float, float, float]]) -> None:
+    rng = np.random.default_rng(seed)
+    found = Filter(*usual_map(), seed)
+    seen = [extract(ROOM.look(pose), COLOR) for pose in drive().poses[::40]]
+    for ahead, turn, elapsed_s in steps:
+        raw = (
+            seen[rng.integers(len(seen))]
+            if rng.random() < 0.5
+            else rng.standard_normal(COLOR.size) * 10.0 ** rng.integers(-3, 4)
+        )
+        belief = found.observe(raw.astype(np.float32), Movement(ahead, turn), elapsed_s)
+        assert belief.weights.sum() == pytest.approx(1.0)
+        assert belief.weights.min() >= 0.0
+        assert 0.0 <= belief.lost <= 1.0
+        assert -1.0 <= belief.cosine <= 1.1
+        assert np.isfinite(belief.offsets).all()
+        assert belief.keyframes.min() >= 0
+        assert belief.keyframes.max() < len(usual_map()[0].keyframes)
+
+
+@pytest.mark.parametrize(
+    ("raw", "movement", "elapsed_s"),
+    [
+        (np.ones(COLOR.size - 1), STILL, TICK),
+        (np.ones(0), STILL, TICK),
+        (np.array(1.0), STILL, TICK),
+        (np.ones((2, COLOR.size)), STILL, TICK),
+        (np.full(COLOR.size, math.nan), STILL, TICK),
+        (np.where(np.arange(COLOR.size) == 7, math.inf, 1.0), STILL, TICK),
+        (np.ones(COLOR.size), Movement(math.nan, 0.0), TICK),
+        (np.ones(COLOR.size), Movement(0.0, math.inf), TICK),
+        (np.ones(COLOR.size), STILL, math.nan),
+        (np.ones(COLOR.size), STILL, -1.0),
+    ],
+)
+@pytest.mark.parametrize("first", [True, False])
+def test_what_is_no_frame_is_refused_and_changes_nothing(
+    raw: Any, movement: Movement, elapsed_s: float, first: bool
+) -> None:
+    seen = drive(way=((0.2, 0.0),))
+    one, other = Filter(*usual_map()), Filter(*usual_map())
+    if not first:
+        follow(seen, one)
+        follow(seen, other)
+    with pytest.raises(ValueError, match=r"feature|movement|time"):
+        one.observe(raw, movement, elapsed_s)
+    good = extract(ROOM.look(seen.poses[-1]), COLOR)
+    assert same(one.observe(good, Movement(0.05, 0.0), TICK), other.observe(good, Movement(0.05, 0.0), TICK))
+
+
+def belief_of(keyframes: list[int], turns: list[float], weights: list[float]) -> Belief:
+    offsets = np.array([[0.1 * number, -0.1 * number, turn] for number, turn in enumerate(turns)])
+    return Belief(np.array(keyframes), offsets, np.array(weights), 0.25, 0.5, 2.0)
+
+
+def test_a_summary_keeps_the_heaviest_keyframes_and_their_means() -> None:
+    found = belief_of([4, 2, 4, 9], [0.1, 0.2, 0.3, 0.0], [0.3, 0.35, 0.3, 0.05]).summary(2)
+    assert found.keyframes.tolist() == [4, 2]
+    np.testing.assert_allclose(found.weights, [0.6 / 0.95, 0.35 / 0.95])
+    np.testing.assert_allclose(found.offsets, [[0.1, -0.1, 0.2], [0.1, -0.1, 0.2]], atol=1e-3)
+    assert (found.lost, found.cosine, found.tracked) == (0.25, 0.5, 2.0)
+
+
+def test_the_mean_of_turns_to_the_back_is_a_turn_to_the_back() -> None:
+    """A robot that looks around turns through it."""
+    found = belief_of([0, 0], [math.pi - 0.1, -math.pi + 0.2], [0.5, 0.5]).summary(1)
+    assert math.cos(float(found.offsets[0, 2]) - math.pi) == pytest.approx(math.cos(0.05))

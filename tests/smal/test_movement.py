@@ -1,0 +1,112 @@
+"""Movements between poses, what atoms usually do, and ways added up from them."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from smal.action_space import Atom
+from smal.movement import Movement, atom_movements, dead_reckoning, wrapped
+
+COORDINATE = st.floats(-50.0, 50.0)
+ANGLE = st.floats(-10.0, 10.0)
+TABLE = np.array([[0.0, 0.0], [0.05, 0.01], [-0.04, 0.02], [0.003, 0.08], [0.002, -0.07]])
+
+
+def moved(pose: tuple[float, float, float], movement: Movement) -> tuple[float, float, float]:
+    """Make half of the turn, go ahead, and make the other half, as dead reckoning and the filter do."""
+    x, y, heading = pose
+    middle = heading + movement.turn_rad / 2.0
+    return (
+        x + movement.ahead * math.cos(middle),
+        y + movement.ahead * math.sin(middle),
+        heading + movement.turn_rad,
+    )
+
+
+@settings(deadline=None, derandomize=True)
+@given(
+    pose=st.tuples(COORDINATE, COORDINATE, ANGLE),
+    ahead=st.floats(0.001, 5.0),
+    sign=st.sampled_from([-1.0, 1.0]),
+    turn=st.floats(-3.0, 3.0),
+)
+def test_between_finds_the_movement_that_was_made(
+    pose: tuple[float, float, float], ahead: float, sign: float, turn: float
+) -> None:
+    found = Movement.between(pose, moved(pose, Movement(sign * ahead, turn)))
+    assert found.ahead == pytest.approx(sign * ahead, abs=1e-9)
+    assert found.turn_rad == pytest.approx(turn, abs=1e-9)
+
+
+@settings(deadline=None, derandomize=True)
+@given(pose=st.tuples(COORDINATE, COORDINATE, ANGLE), rounds=st.integers(-3, 3))
+def test_whole_turns_of_the_heading_are_no_movement(pose: tuple[float, float, float], rounds: int) -> None:
+    found = Movement.between(pose, (pose[0], pose[1], pose[2] + rounds * math.tau))
+    assert found.ahead == 0.0
+    assert found.turn_rad == pytest.approx(0.0, abs=1e-9)
+
+
+@settings(deadline=None, derandomize=True)
+@given(angle=st.floats(-100.0, 100.0))
+def test_wrapped_angles_point_the_same_way(angle: float) -> None:
+    found = float(wrapped(np.array(angle)))
+    assert -math.pi <= found < math.pi
+    assert math.cos(found - angle) == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize("turn", [Atom.LEFT, Atom.RIGHT])
+def test_a_square_comes_home(turn: Atom) -> None:
+    movements = np.array([[0.0, 0.0], [0.1, 0.0], [-0.1, 0.0], [0.0, math.pi / 20], [0.0, -math.pi / 20]])
+    side = [Atom.FORWARD] * 8 + [turn] * 10
+    way = dead_reckoning(np.array([*side * 4, Atom.STOP], dtype=np.int8), movements)
+    assert way.shape == (len(side) * 4 + 1, 3)
+    np.testing.assert_allclose(way[-1, :2], 0.0, atol=1e-9)
+    assert abs(way[-1, 2]) == pytest.approx(math.tau)
+    # The second corner is a side ahead and a side to the side that it turns to.
+    left = 0.8 if turn is Atom.LEFT else -0.8
+    np.testing.assert_allclose(way[2 * len(side) - 10, :2], [0.8, left], atol=1e-9)
+
+
+@settings(deadline=None, derandomize=True)
+@given(atoms=st.lists(st.sampled_from(list(Atom)), min_size=1, max_size=40))
+def test_dead_reckoning_makes_the_movements_of_its_atoms(atoms: list[Atom]) -> None:
+    way = dead_reckoning(np.array(atoms, dtype=np.int8), TABLE)
+    assert way[0].tolist() == [0.0, 0.0, 0.0]
+    for before, after, atom in zip(way[:-1], way[1:], atoms[:-1], strict=True):
+        np.testing.assert_allclose(after, moved(tuple(before), Movement(*TABLE[atom])), atol=1e-9)
+
+
+def test_the_table_that_made_a_noisy_drive_is_found() -> None:
+    rng = np.random.default_rng(0)
+    atoms = [rng.integers(0, 5, 400).astype(np.int8) for _ in range(2)]
+    ways = []
+    for each in atoms:
+        pose, way = (1.0, 2.0, 0.5), [(1.0, 2.0, 0.5)]
+        for number, atom in enumerate(each[:-1]):
+            ahead, turn = TABLE[atom] * (1.0 + 0.05 * rng.standard_normal(2))
+            # A wheel slips for a while, and the odometry jumps.
+            pose = moved(pose, Movement(ahead + (1.5 if number % 29 == 0 else 0.0), turn))
+            way.append(pose)
+        ways.append(np.array(way))
+    np.testing.assert_allclose(atom_movements(ways, atoms), TABLE, atol=2e-3)
+
+
+@pytest.mark.parametrize(
+    ("made", "missing"), [(Atom.RIGHT, Atom.LEFT), (Atom.LEFT, Atom.RIGHT), (Atom.FORWARD, Atom.BACKWARD)]
+)
+def test_an_atom_that_was_never_made_is_the_opposite_of_its_opposite(made: Atom, missing: Atom) -> None:
+    atoms = np.full(20, made, dtype=np.int8)
+    found = atom_movements([dead_reckoning(atoms, TABLE)], [atoms])
+    np.testing.assert_allclose(found[made], TABLE[made], atol=1e-9)
+    np.testing.assert_array_equal(found[missing], -found[made])
+    others = [atom for atom in Atom if atom not in (made, missing)]
+    assert not found[others].any()
+
+
+def test_what_the_last_atom_does_is_not_known() -> None:
+    """It was made after the last frame."""
+    atoms = np.array([Atom.FORWARD, Atom.FORWARD, Atom.LEFT], dtype=np.int8)
+    assert not atom_movements([np.array([[0.0, 0, 0], [1, 0, 0], [2, 0, 0]])], [atoms])[Atom.LEFT].any()

@@ -1,0 +1,205 @@
+"""What the planner does with a belief: along the way, towards it, at its end, and when the belief is too wide."""
+
+import math
+from collections import Counter
+
+import numpy as np
+import pytest
+
+from smal.action_space import Atom
+from smal.features import extract
+from smal.filter import Belief, Filter
+from smal.movement import STILL, Movement
+from smal.planning import GUESS_S, LOOK_DEG, Planner
+from smal.visual_map import TURNS_DEG, VisualMap
+from tests.smal.synthetic_world import COLOR, SPEED, START, TURN_RAD_S, Room, drive, from_beside, usual_map
+
+TICK = 0.1
+
+
+def map_of(*lengths_m: float) -> VisualMap:
+    """Make a map of straight drives at 0.5 m/s and 10 Hz, a keyframe every 10 cm; each in other axes, without views."""
+    ways = []
+    for number, metres in enumerate(lengths_m):
+        along = np.arange(round(metres / 0.05) + 1) * 0.05
+        angle = 2.0 * number
+        ways.append(np.stack([along * math.cos(angle), along * math.sin(angle), np.full(along.size, angle)], axis=1))
+    drives = np.repeat(np.arange(len(ways), dtype=np.int32), [len(way) for way in ways])
+    ends = np.cumsum([len(way) for way in ways])
+    every = [np.arange(end - len(way), end, 2) for way, end in zip(ways, ends, strict=True)]
+    keyframes = np.unique(np.concatenate([*every, ends - 1])).astype(np.int32)
+    return VisualMap(
+        poses=np.concatenate(ways),
+        drives=drives,
+        keyframes=keyframes,
+        basis=np.ones((4, 1), dtype=np.float32),
+        views=np.zeros((keyframes.size, 3, TURNS_DEG.size, 1), dtype=np.float32),
+        aside=0.2,
+        correlation_length=0.5,
+        correlation_rad=0.2,
+        kappa=6.0,
+        outlier_cosine=0.2,
+        movements=np.array([[0, 0], [0.05, 0], [-0.05, 0], [0, math.radians(4.5)], [0, -math.radians(4.5)]]),
+        tick_s=TICK,
+        odometry=True,
+        scene=np.array([0.7, 0.3, 5.0]),
+    )
+
+
+STRAIGHT = map_of(5.0)
+
+
+def belief(
+    *places: tuple[int, float, float, float],
+    weights: tuple[float, ...] = (1.0,),
+    lost: float = 0.0,
+    tracked: float = 3.0,
+) -> Belief:
+    """Believe in places: keyframe, ahead, left, turned in degrees."""
+    keyframes, ahead, left, turned = zip(*places, strict=True)
+    offsets = np.stack([ahead, left, np.radians(turned)], axis=1)
+    return Belief(np.array(keyframes), offsets, np.array(weights), lost, 0.8, tracked)
+
+
+SPLIT = belief((10, 0.0, 0.0, 0.0), (10, 0.0, 0.0, 180.0), weights=(0.5, 0.5))
+
+
+@pytest.mark.parametrize("key", [0, 10, 45])
+@pytest.mark.parametrize("ahead", [-0.05, 0.0, 0.05])
+def test_on_the_way_it_goes_forward(key: int, ahead: float) -> None:
+    decision = Planner(STRAIGHT).decide(belief((key, ahead, 0.0, 0.0)))
+    assert (decision.kind, decision.atom) == ("follow", Atom.FORWARD)
+    assert decision.heading_error_rad == pytest.approx(0.0, abs=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("left", "turned_deg", "atom"),
+    [(0.0, 20.0, Atom.RIGHT), (0.0, -20.0, Atom.LEFT), (0.5, 0.0, Atom.RIGHT), (-0.5, 0.0, Atom.LEFT)],
+)
+def test_turned_or_aside_it_turns_back_to_the_way(left: float, turned_deg: float, atom: Atom) -> None:
+    decision = Planner(STRAIGHT).decide(belief((10, 0.0, left, turned_deg)))
+    assert (decision.kind, decision.atom) == ("follow", atom)
+    # It aims at the way 0.35 m ahead.
+    aim = -math.degrees(math.atan2(left, 0.35)) - turned_deg
+    assert math.degrees(decision.heading_error_rad) == pytest.approx(aim, abs=6.0)
+
+
+def test_aside_but_turned_towards_the_way_it_drives() -> None:
+    decision = Planner(STRAIGHT).decide(belief((10, 0.0, 0.35, -45.0)))
+    assert (decision.kind, decision.atom) == ("follow", Atom.FORWARD)
+
+
+def test_the_mean_of_the_belief_decides() -> None:
+    planner = Planner(STRAIGHT)
+    places = ((10, 0.0, 0.0, 20.0), (10, 0.0, 0.0, -20.0))
+    assert planner.decide(belief(*places, weights=(0.5, 0.5))).atom is Atom.FORWARD
+    assert planner.decide(belief(*places, weights=(0.9, 0.1))).atom is Atom.RIGHT
+
+
+def test_at_the_end_it_stops_for_good() -> None:
+    planner = Planner(STRAIGHT)
+    end = len(STRAIGHT.keyframes) - 1
+    assert planner.decide(belief((end, -0.1, 0.0, 0.0))).atom is Atom.FORWARD
+    assert not planner.done
+    decision = planner.decide(belief((end, 0.0, 0.0, 0.0)))
+    assert (decision.kind, decision.atom, planner.done) == ("goal", Atom.STOP, True)
+    assert planner.decide(belief((10, 0.0, 0.0, 0.0))).kind == "goal"
+    planner.reset()
+    assert not planner.done
+    assert planner.decide(belief((10, 0.0, 0.0, 0.0))).atom is Atom.FORWARD
+
+
+def test_beyond_the_end_it_has_arrived_too() -> None:
+    planner = Planner(STRAIGHT)
+    planner.decide(belief((len(STRAIGHT.keyframes) - 1, 0.15, 0.0, 0.0)))
+    assert planner.done
+
+
+@pytest.mark.parametrize(
+    ("share", "lost", "tracked"), [(1.0, 0.0, 0.1), (1.0, 0.0, 0.25), (1.0, 0.2, 3.0), (0.8, 0.0, 3.0)]
+)
+def test_it_does_not_say_that_it_has_arrived_where_it_is_not_sure(share: float, lost: float, tracked: float) -> None:
+    planner = Planner(STRAIGHT)
+    places = ((len(STRAIGHT.keyframes) - 1, 0.0, 0.0, 0.0), (10, 0.0, 0.0, 0.0))
+    decision = planner.decide(belief(*places, weights=(share, 1.0 - share), lost=lost, tracked=tracked))
+    assert not planner.done
+    assert decision.kind != "goal"
+
+
+@pytest.mark.parametrize("lost", [0.0, 0.6])
+def test_it_looks_around_where_it_knows_no_direction_then_guesses_and_looks_again(lost: float) -> None:
+    planner = Planner(STRAIGHT)
+    unsure = SPLIT if not lost else belief((10, 0.0, 0.0, 0.0), lost=lost)
+    decisions = [planner.decide(unsure) for _ in range(400)]
+    kinds = [decision.kind for decision in decisions]
+    look, guess = math.ceil(LOOK_DEG / 4.5), round(GUESS_S / TICK)
+    assert set(kinds) == {"look_around", "guess"}
+    assert kinds[:look] == ["look_around"] * look
+    for start in range(0, 400 - look - guess - 5, look + guess):
+        counted = Counter(kinds[start : start + look + guess])
+        assert counted["look_around"] == pytest.approx(look, abs=2)
+        assert counted["guess"] == pytest.approx(guess, abs=2)
+    # It turns one way while it looks, and drives when it guesses.
+    assert len({decision.atom for decision in decisions[:look]}) == 1
+    assert decisions[0].atom in (Atom.LEFT, Atom.RIGHT)
+    if lost:
+        assert decisions[look + 2].atom is Atom.FORWARD
+
+
+def test_it_follows_again_when_it_knows_and_may_then_look_as_long_again() -> None:
+    planner = Planner(STRAIGHT)
+    for _ in range(3):
+        assert [planner.decide(SPLIT).kind for _ in range(60)] == ["look_around"] * 60
+        assert planner.decide(belief((10, 0.0, 0.0, 0.0))).kind == "follow"
+
+
+@pytest.mark.parametrize(("before", "after"), [(-60.0, 60.0), (60.0, -60.0)])
+def test_it_turns_the_other_way_at_once(before: float, after: float) -> None:
+    planner = Planner(STRAIGHT)
+    planner.decide(belief((10, 0.0, 0.0, before)))
+    wanted = Atom.RIGHT if after > 0.0 else Atom.LEFT
+    assert planner.decide(belief((10, 0.0, 0.0, after))).atom is wanted
+
+
+def test_a_turn_goes_on_until_another_atom_would_not_help() -> None:
+    planner = Planner(STRAIGHT)
+    assert planner.decide(belief((10, 0.0, 0.0, -4.0))).atom is Atom.FORWARD
+    assert planner.decide(belief((10, 0.0, 0.0, -8.0))).atom is Atom.LEFT
+    assert planner.decide(belief((10, 0.0, 0.0, -4.0))).atom is Atom.LEFT
+    assert planner.decide(belief((10, 0.0, 0.0, -2.0))).atom is Atom.FORWARD
+
+
+@pytest.mark.parametrize("ahead", [0.0, -0.3, -0.6])
+def test_behind_the_start_of_a_second_drive_it_goes_to_that_start(ahead: float) -> None:
+    two = map_of(2.0, 3.0)
+    first = int(np.flatnonzero(two.drives[two.keyframes] == 1)[0])
+    decision = Planner(two).decide(belief((first, ahead, 0.0, 0.0)))
+    assert (decision.kind, decision.atom) == ("follow", Atom.FORWARD)
+    assert decision.heading_error_rad == pytest.approx(0.0, abs=1e-6)
+
+
+def test_it_arrives_at_the_end_of_either_drive() -> None:
+    two = map_of(2.0, 3.0)
+    of = two.drives[two.keyframes]
+    for number in (0, 1):
+        planner = Planner(two)
+        end = int(np.flatnonzero(of == number)[-1])
+        assert planner.decide(belief((end - 2, 0.0, 0.0, 0.0))).atom is Atom.FORWARD
+        planner.decide(belief((end, 0.0, 0.0, 0.0)))
+        assert planner.done
+
+
+@pytest.mark.parametrize(("left", "turn_deg"), [(0.0, 0.0), (0.25, 15.0), (-0.25, -25.0)])
+def test_filter_and_planner_drive_the_taught_way_to_its_end(left: float, turn_deg: float) -> None:
+    room, goal = Room(), drive().poses[-1]
+    found, planner = Filter(*usual_map()), Planner(usual_map()[0])
+    pose, movement = np.array(from_beside(START, 0.0, left, math.radians(turn_deg))), STILL
+    for _ in range(260):
+        atom = planner.decide(found.observe(extract(room.look(pose), COLOR), movement, TICK)).atom
+        if planner.done:
+            break
+        turn = {Atom.LEFT: TURN_RAD_S * TICK, Atom.RIGHT: -TURN_RAD_S * TICK}.get(atom, 0.0)
+        after = np.array(from_beside(tuple(pose), SPEED * TICK if atom is Atom.FORWARD else 0.0, 0.0, turn))
+        movement, pose = Movement.between(pose, after), after
+    assert planner.done
+    assert math.hypot(*(pose - goal)[:2]) < 0.25

@@ -1,0 +1,105 @@
+"""Views from where nobody drove, against what a camera there sees."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from smal.features import Centering, extract
+from smal.virtual_views import Image, Scene, fit_scene
+from tests.smal.synthetic_world import CAMERA_HEIGHT, COLOR, FIELD_DEG, SCENE, Drive, Room, drive, from_beside
+
+ROWS, COLUMNS = 144, 192
+#: In the middle of a room, whose walls are then all about as far away.
+MIDDLE = (6.0, 6.0, 0.3)
+ROOM = Room(half=8.0)
+ROOM_SCENE = Scene(SCENE.focal, CAMERA_HEIGHT, 8.4)
+
+
+def difference(one: Image, other: Image) -> float:
+    """Return the mean difference of two images, grey levels."""
+    return float(np.abs(one.astype(float) - other.astype(float)).mean())
+
+
+@settings(deadline=None, derandomize=True, max_examples=25)
+@given(turn_deg=st.floats(-25.0, 25.0), half_field_deg=st.floats(32.0, 50.0))
+def test_a_turn_and_back_changes_nothing(turn_deg: float, half_field_deg: float) -> None:
+    image = ROOM.look(MIDDLE, ROWS, COLUMNS)
+    scene = Scene(0.5 / math.tan(math.radians(half_field_deg)), 0.3, 5.0)
+    turn = math.radians(turn_deg)
+    back = scene.warp(scene.warp(image, turn_rad=turn), turn_rad=-turn)
+    # What stays in view of both, above the horizon: far away on the ground colours change within a pixel.
+    rays = np.degrees(np.arctan((np.arange(COLUMNS) - (COLUMNS - 1) / 2.0) / (scene.focal * COLUMNS)))
+    seen = np.abs(rays) < half_field_deg - abs(turn_deg) - 2.0
+    where = np.ix_(np.arange(ROWS // 4, ROWS // 2 - 4), np.flatnonzero(seen))
+    assert difference(back[where], image[where]) < 2.0
+
+
+def test_no_step_is_the_image_itself() -> None:
+    image = ROOM.look(MIDDLE, ROWS, COLUMNS)
+    np.testing.assert_array_equal(SCENE.warp(image), image)
+
+
+@pytest.mark.parametrize(
+    ("ahead", "left", "turn_deg"),
+    [(0, 0, 20), (0, 0, -20), (0.2, 0, 0), (-0.1, 0, 0), (0, 0.15, 0), (0, -0.15, 0), (0.15, 0.1, 10)],
+)
+def test_a_warped_view_is_what_a_camera_there_sees(ahead: float, left: float, turn_deg: float) -> None:
+    turn = math.radians(turn_deg)
+    here = ROOM.look(MIDDLE, ROWS, COLUMNS)
+    there = ROOM.look(from_beside(MIDDLE, ahead, left, turn), ROWS, COLUMNS)
+    warped = ROOM_SCENE.warp(here, ahead, left, turn)
+    to_the_wrong_side = ROOM_SCENE.warp(here, -ahead, -left, -turn)
+    # What both see of the wall, and of the ground that is near enough to be drawn well.
+    side = round(COLUMNS * (0.1 + abs(turn_deg) / FIELD_DEG))
+    for rows in (slice(ROWS // 4, ROWS // 2 - 4), slice(ROWS * 13 // 20, ROWS * 17 // 20)):
+        where = (rows, slice(side, COLUMNS - side))
+        off = difference(warped[where], there[where])
+        assert off < 2.5
+        assert off < difference(here[where], there[where]) / 4.0
+        assert off < difference(to_the_wrong_side[where], there[where]) / 4.0
+
+
+def test_the_border_is_repeated_where_the_image_shows_nothing() -> None:
+    image = np.full((ROWS, COLUMNS, 3), 90, dtype=np.uint8)
+    for pose in ((0.0, 0.0, math.pi), (5.0, 0.0, 0.0), (-5.0, 3.0, 1.0)):
+        np.testing.assert_array_equal(SCENE.warp(image, *pose), image)
+
+
+def fitted(room: Room, one: Drive, focal: float | None = None) -> Scene:
+    images = [room.look(pose) for pose in one.poses]
+    raw = np.stack([extract(image, COLOR) for image in images])
+    centering = Centering.fit(raw, COLOR)
+    return fit_scene(
+        images,
+        one.poses,
+        np.zeros(len(images), dtype=np.intp),
+        0.6,
+        lambda image: centering.apply(extract(image, COLOR)),
+        focal,
+    )
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+def test_a_drive_tells_its_camera(seed: int) -> None:
+    found = fitted(Room(seed), drive())
+    field = math.degrees(2.0 * math.atan(0.5 / found.focal))
+    assert field == pytest.approx(FIELD_DEG, abs=5.0 + 1e-6)
+    assert found.height == pytest.approx(CAMERA_HEIGHT, rel=0.25)
+    # The walls are 2 to 9 metres away.
+    assert 1.5 < found.distance < 12.0
+
+
+def test_a_drive_without_turns_assumes_a_usual_camera_and_a_known_one_is_kept() -> None:
+    straight = drive(way=((2.0, 0.0),), rate_hz=5.0)
+    assert fitted(Room(), straight).focal == pytest.approx(0.5 / math.tan(math.radians(35.0)))
+    found = fitted(Room(), straight, SCENE.focal)
+    assert found.focal == SCENE.focal
+    assert found.height == pytest.approx(CAMERA_HEIGHT, rel=0.25)
+
+
+def test_a_single_frame_has_a_scene_too() -> None:
+    found = fitted(Room(), drive(way=((0.05, 0.0),)))
+    assert (found.height, found.distance) == pytest.approx((0.2, 2.4))

@@ -1,0 +1,260 @@
+"""The map of taught ways: which frames it keeps, what it measures of views, and what it refuses."""
+
+import math
+import threading
+import weakref
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import replace
+from functools import cache
+from typing import Any
+from unittest.mock import patch
+
+import numpy as np
+import pytest
+
+from smal.action_space import Atom
+from smal.features import Centering, extract
+from smal.visual_map import TURNS_DEG, VisualMap, learn_visual_map
+from tests.smal.synthetic_world import COLOR, SCENE, START, Image, Room, drive, taught, usual_map
+
+ROOM = Room()
+BEND = ((3.0, 60.0), (1.5, 0.0))
+MIDDLE = TURNS_DEG.size // 2
+
+
+@cache
+def at_rate(rate_hz: float) -> VisualMap:
+    return taught(ROOM, drive(way=BEND, rate_hz=rate_hz), rate_hz=rate_hz, scene=SCENE)[0]
+
+
+@cache
+def of_two_drives() -> VisualMap:
+    first, second = drive(way=((2.0, 0.0),), rate_hz=5.0), drive((2.5, 4.5, 0.0), ((1.5, 30.0),), rate_hz=5.0)
+    return taught(ROOM, first, second, rate_hz=5.0, scene=SCENE)[0]
+
+
+def learn(images: Sequence[Sequence[Image]], poses: Sequence[Any], atoms: Sequence[Any]) -> VisualMap:
+    raw = [np.stack([extract(image, COLOR) for image in each]) for each in images]
+    with patch("smal.visual_map._SAMPLE", 500):
+        return learn_visual_map(images, raw, atoms, poses, Centering.fit(raw, COLOR), 0.1)
+
+
+def test_the_ends_of_every_drive_are_keyframes() -> None:
+    found = of_two_drives()
+    ends = np.searchsorted(found.drives, [0, 1], side="left").tolist()
+    ends += (np.searchsorted(found.drives, [0, 1], side="right") - 1).tolist()
+    assert set(ends) <= set(found.keyframes.tolist())
+    assert (np.diff(found.keyframes) > 0).all()
+    first, last = found.key_range
+    np.testing.assert_array_equal(found.keyframes[first], np.array(ends[:2])[found.drives[found.keyframes]])
+    np.testing.assert_array_equal(found.keyframes[last], np.array(ends[2:])[found.drives[found.keyframes]])
+
+
+def test_no_way_is_driven_from_one_drive_to_the_next() -> None:
+    found = of_two_drives()
+    assert found.arc[-1] == pytest.approx(3.5)
+    assert found.arc[np.searchsorted(found.drives, 1)] == pytest.approx(2.0)
+
+
+def test_keyframes_are_a_fifth_of_the_correlation_length_or_some_degrees_apart() -> None:
+    found = usual_map()[0]
+    step = np.abs(np.diff(found.key_poses, axis=0))
+    way, turn = np.hypot(step[:, 0], step[:, 1]), np.degrees(step[:, 2])
+    # A frame is 5 cm or 4.5 degrees; the last keyframe is the last frame.
+    assert (way <= 0.2 * found.correlation_length + 0.051).all()
+    assert (turn <= 12.0 + 4.6).all()
+    assert ((way >= 0.2 * found.correlation_length - 1e-9) | (turn >= 12.0 - 1e-9))[:-1].all()
+
+
+@pytest.mark.parametrize("rate_hz", [5.0, 20.0])
+def test_the_frame_rate_does_not_change_the_map(rate_hz: float) -> None:
+    usual, other = at_rate(10.0), at_rate(rate_hz)
+    # The measured length is no bound of what was looked at.
+    assert usual.correlation_length < 0.7
+    assert other.correlation_length == pytest.approx(usual.correlation_length, rel=0.15)
+    assert other.correlation_rad == pytest.approx(usual.correlation_rad, rel=0.15)
+    assert other.kappa == pytest.approx(usual.kappa, rel=0.3)
+    assert len(other.keyframes) == pytest.approx(len(usual.keyframes), rel=0.25)
+    assert other.speed == pytest.approx(usual.speed, rel=1e-6)
+
+
+def test_without_odometry_a_forward_atom_is_the_unit() -> None:
+    one = drive(way=BEND)
+    found = taught(ROOM, one, odometry=False, scene=SCENE)[0]
+    assert (found.odometry, at_rate(10.0).odometry) == (False, True)
+    assert found.movements[Atom.FORWARD].tolist() == [1.0, 0.0]
+    assert found.correlation_length == pytest.approx(at_rate(10.0).correlation_length / 0.05, rel=0.05)
+    assert found.arc[-1] == pytest.approx(4.5 / 0.05)
+
+
+def test_one_drive_without_odometry_makes_all_go_by_atoms() -> None:
+    one = drive(way=((1.5, 0.0),), rate_hz=5.0)
+    images = [[ROOM.look(pose) for pose in one.poses]] * 2
+    found = learn(images, [one.poses, None], [one.atoms] * 2)
+    assert not found.odometry
+    assert found.poses[:, 0].max() == pytest.approx(len(one.poses) - 1)
+
+
+def test_a_view_is_most_alike_to_the_virtual_view_from_there() -> None:
+    found, centering = usual_map()
+    for key in range(2, len(found.keyframes), 6):
+        x, y, heading = found.key_poses[key]
+        for column, place in ((0, -found.aside), (1, 0.0), (2, found.aside)):
+            for turn in (-20, 0, 20):
+                pose = (
+                    x - math.sin(heading) * place,
+                    y + math.cos(heading) * place,
+                    heading + math.radians(turn),
+                )
+                cosines = found.cosines(centering.apply(extract(ROOM.look(pose), COLOR)))[key]
+                best = np.unravel_index(cosines.argmax(), cosines.shape)
+                assert best[0] == column
+                assert abs(TURNS_DEG[best[1]] - turn) <= 5.0
+                assert cosines.max() > found.outlier_cosine
+
+
+def test_a_keyframe_is_found_by_its_own_frame() -> None:
+    found, centering = usual_map()
+    for key, pose in enumerate(found.key_poses):
+        cosines = found.cosines(centering.apply(extract(ROOM.look(pose), COLOR)))
+        assert abs(int(cosines[:, 1, MIDDLE].argmax()) - key) <= 1
+        assert cosines[key, 1, MIDDLE] > 0.6
+
+
+class Reader(Sequence[Image]):
+    """Images of a drive, which are drawn when they are asked for; counts who asks, and what is still held."""
+
+    def __init__(self, poses: np.ndarray) -> None:
+        self._poses = poses
+        self._lock = threading.Lock()
+        self.reads: Counter[int] = Counter()
+        self.held = self.most_held = 0
+
+    def __len__(self) -> int:
+        return len(self._poses)
+
+    def __getitem__(self, index: Any) -> Any:
+        assert isinstance(index, int)
+        image = ROOM.look(self._poses[index])
+        with self._lock:
+            self.reads[index] += 1
+            self.held += 1
+            self.most_held = max(self.held, self.most_held)
+        weakref.finalize(image, self._release)
+        return image
+
+    def _release(self) -> None:
+        with self._lock:
+            self.held -= 1
+
+
+def test_images_are_read_when_they_are_needed_and_let_go() -> None:
+    drives = [drive(way=((4.0, 60.0),), rate_hz=40.0), drive((2.5, 4.5, 0.0), ((1.0, 0.0),), rate_hz=40.0)]
+    raw = [np.stack([extract(ROOM.look(pose), COLOR) for pose in one.poses]) for one in drives]
+    readers = [Reader(one.poses) for one in drives]
+    done: list[tuple[int, int]] = []
+    with patch("smal.visual_map._SAMPLE", 500):
+        found = learn_visual_map(
+            readers,
+            raw,
+            [one.atoms for one in drives],
+            [one.poses for one in drives],
+            Centering.fit(raw, COLOR),
+            0.025,
+            lambda *progress: done.append(progress),
+        )
+    frames = sum(len(one.poses) for one in drives)
+    reads = sum(sum(one.reads.values()) for one in readers)
+    # Forty pairs for each of three fits, and keyframes once for the components and once for their views.
+    assert reads <= 3 * 2 * 40 + 2 * len(found.keyframes) + 2
+    assert sum(len(one.reads) for one in readers) < 0.75 * frames
+    assert max(one.most_held for one in readers) < frames / 4
+    # Every keyframe is read from the drive that it is of.
+    for number, reader in enumerate(readers):
+        start = int(np.searchsorted(found.drives, number))
+        assert {int(key) - start for key in found.keyframes[found.drives[found.keyframes] == number]} <= set(
+            reader.reads
+        )
+    assert done == [(number + 1, len(found.keyframes)) for number in range(len(found.keyframes))]
+
+
+def test_cameras_of_two_sizes_see_the_same_places() -> None:
+    one = drive(way=((1.5, 0.0),), rate_hz=5.0)
+    images = [[ROOM.look(pose) for pose in one.poses], [ROOM.look(pose, 144, 192) for pose in one.poses]]
+    found = learn(images, [one.poses] * 2, [one.atoms] * 2)
+    of = found.drives[found.keyframes]
+    small, large = (found.views[of == number][:, 1, MIDDLE] for number in (0, 1))
+    cosine = (small * large).sum(axis=1) / np.linalg.norm(small, axis=1) / np.linalg.norm(large, axis=1)
+    assert cosine.min() > 0.8
+
+
+@pytest.mark.parametrize("odometry", [True, False])
+def test_a_robot_that_never_moves_is_refused(odometry: bool) -> None:
+    images = [ROOM.look(START)] * 12
+    with pytest.raises(ValueError, match="does not move") as refused:
+        learn([images], [np.tile(START, (12, 1)) if odometry else None], [np.zeros(12, dtype=np.int8)])
+    assert "\n" not in str(refused.value)
+
+
+@pytest.mark.parametrize("frames", [1, 2])
+def test_a_drive_of_hardly_any_frames_is_refused(frames: int) -> None:
+    one = drive(way=((1.0, 0.0),))
+    with pytest.raises(ValueError, match="demonstration"):
+        learn([[ROOM.look(pose) for pose in one.poses[:frames]]], [one.poses[:frames]], [one.atoms[:frames]])
+
+
+def test_a_camera_that_sees_nothing_is_refused() -> None:
+    one = drive(way=((1.0, 0.0),))
+    with pytest.raises(ValueError, match="demonstrations"):
+        learn([[np.full((72, 96, 3), 40, dtype=np.uint8)] * len(one.poses)], [one.poses], [one.atoms])
+
+
+def nan_of(array: np.ndarray) -> np.ndarray:
+    return np.full_like(array, np.nan)
+
+
+@pytest.mark.parametrize(
+    ("name", "change"),
+    [
+        ("poses", lambda one: one.poses[:, :2]),
+        ("poses", lambda one: nan_of(one.poses)),
+        ("poses", lambda _: np.array(1.0)),
+        ("drives", lambda one: one.drives[::-1]),
+        ("drives", lambda one: one.drives[:-1]),
+        ("keyframes", lambda one: one.keyframes[:0]),
+        ("keyframes", lambda one: one.keyframes + 1),
+        ("keyframes", lambda one: one.keyframes - 1),
+        ("keyframes", lambda one: one.keyframes[::-1]),
+        ("keyframes", lambda one: np.maximum(one.keyframes, 1)),
+        ("basis", lambda one: one.basis[:, 0]),
+        ("basis", lambda one: nan_of(one.basis)),
+        ("views", lambda one: one.views[:-1]),
+        ("views", lambda one: one.views[..., :-1]),
+        ("views", lambda one: nan_of(one.views)),
+        ("aside", lambda _: 0.0),
+        ("correlation_length", lambda _: -1.0),
+        ("correlation_rad", lambda _: math.inf),
+        ("kappa", lambda _: math.nan),
+        ("outlier_cosine", lambda _: math.nan),
+        ("movements", lambda one: one.movements[:3]),
+        ("movements", lambda one: nan_of(one.movements)),
+        ("tick_s", lambda _: 0.0),
+        ("scene", lambda one: one.scene[:2]),
+        ("scene", lambda one: nan_of(one.scene)),
+    ],
+)
+def test_parts_that_do_not_fit_are_named(name: str, change: Any) -> None:
+    good = of_two_drives()
+    with pytest.raises(ValueError, match=rf"do not fit together: (\w+, )*{name}"):
+        replace(good, **{name: change(good)})
+
+
+def test_the_content_makes_the_map_again() -> None:
+    good = of_two_drives()
+    numbers, arrays = good.content()
+    again = VisualMap(**numbers, **arrays)
+    assert not {*numbers} & {*arrays}
+    assert again.content()[0] == numbers
+    for name, array in arrays.items():
+        np.testing.assert_array_equal(getattr(again, name), array)
