@@ -9,8 +9,9 @@ whose camera sees 75 degrees too. It departs from them where the robot or its ta
 - Distances are counted in forward atoms, so that one set of numbers does indoors and outdoors.
 - Their controller's speeds become atoms: a turn on the spot if the goal is off by more than one turning atom. Half of
   that takes one and a half times as long for the same error, for with each turn the robot loses its speed.
-- A drive begins anywhere near the taught one, so the heading of the best keyframe counts in full at the start, the
-  first keyframes have an advantage, and a robot that recognises nothing looks round once. (Theirs stays where it is.)
+- It may begin beside any keyframe of any drive and turned (theirs too may begin at any, but on the way). So the heading
+  by the best keyframe counts in full at the start, first keyframes have an advantage, and a robot that recognises
+  nothing looks round once, where theirs refuses to begin.
 """
 
 import math
