@@ -1,0 +1,147 @@
+"""Teach and repeat comes back to the taught way, tells headings from shifts, stops at the end, names what is wrong."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from smal.action_space import Atom
+from smal.evaluation.baselines.teach_and_repeat import COLUMNS, TaughtDrive, TeachAndRepeat
+
+HEIGHT, WIDTH, FIELD_RAD = 44, COLUMNS, math.radians(75.0)
+STEP_M, TURN_RAD = 0.2, math.radians(4.0)
+#: A straight way of 8 m, a bend of 48 degrees to the left, 6 m.
+TAUGHT = [Atom.FORWARD] * 40 + [Atom.LEFT, Atom.FORWARD] * 12 + [Atom.FORWARD] * 30 + [Atom.STOP]
+
+
+class Wood:
+    """Grey pillars at random places around the taught way, and a robot in it that does what atoms say."""
+
+    def __init__(self, seed: int) -> None:
+        rng = np.random.default_rng(seed)
+        at = rng.uniform((-10, -15), (35, 25), (500, 2))
+        self.way = np.array([(0.0, 0.0, 0.0)])
+        for atom in TAUGHT[:-1]:
+            self.way = np.vstack([self.way, moved(self.way[-1], atom)])
+        gap = np.hypot(*np.moveaxis(at[:, None] - self.way[None, :, :2], 2, 0)).min(axis=1)
+        self.pillars = np.column_stack([at, rng.uniform(0.1, 0.4, len(at)), rng.uniform(0, 255, len(at))])[gap > 1.5]
+
+    def seen(self, pose: NDArray[np.float64]) -> NDArray[np.uint8]:
+        """Paint the pillars, far ones first; columns are equal angles."""
+        image = np.full((HEIGHT, WIDTH), 128, dtype=np.uint8)
+        x, y = (self.pillars[:, :2] - pose[:2]).T
+        distance, bearing = np.hypot(x, y), (np.arctan2(y, x) - pose[2] + np.pi) % (2 * np.pi) - np.pi
+        middle, half = WIDTH * (0.5 - bearing / FIELD_RAD), WIDTH / FIELD_RAD * self.pillars[:, 2] / distance
+        left, right = np.clip([middle - half, middle + half], 0, WIDTH).round().astype(int)
+        rows = np.minimum(HEIGHT / distance, HEIGHT / 2).astype(int)
+        for one in np.argsort(-distance):
+            top, bottom = HEIGHT // 2 - rows[one], HEIGHT // 2 + rows[one]
+            image[top:bottom, left[one] : right[one]] = self.pillars[one, 3]
+        return image
+
+    def drive(self) -> TaughtDrive:
+        return TaughtDrive(
+            np.stack([self.seen(pose) for pose in self.way]), self.way, np.array(TAUGHT, dtype=np.int8), FIELD_RAD
+        )
+
+    def repeat(
+        self, robot: TeachAndRepeat, start: tuple[float, ...], ticks: int, slip: float = 0.0
+    ) -> NDArray[np.float64]:
+        """Return the poses (f, 3) until it stops; wheels that slip count more way than there is."""
+        poses, wheels = [np.array(start)], np.zeros(3)
+        robot.reset()
+        while len(poses) < ticks and (atom := robot.act(self.seen(poses[-1]), wheels.tolist())) != Atom.STOP:
+            poses.append(moved(poses[-1], atom))
+            step = moved(wheels, atom) - wheels
+            wheels = wheels + step * [1.0 + slip, 1.0 + slip, 1.0]
+        return np.array(poses)
+
+
+def moved(pose: NDArray[np.float64], atom: Atom) -> NDArray[np.float64]:
+    ahead = STEP_M * (atom == Atom.FORWARD)
+    turn = TURN_RAD * ((atom == Atom.LEFT) - float(atom == Atom.RIGHT))
+    there: NDArray[np.float64] = pose + np.array([ahead * math.cos(pose[2]), ahead * math.sin(pose[2]), turn])
+    return there
+
+
+def aside_of(way: NDArray[np.float64], poses: NDArray[np.float64]) -> NDArray[np.float64]:
+    nearest: NDArray[np.float64] = np.hypot(*np.moveaxis(poses[:, None, :2] - way[None, :, :2], 2, 0)).min(axis=1)
+    return nearest
+
+
+@pytest.mark.parametrize("start", [(0.0, 0.0, 0.0), (0.0, 0.6, 0.2), (0.0, -0.6, 0.25), (0.3, 0.6, -0.3)])
+def test_it_comes_back_to_the_taught_way_and_stops_at_its_end(start: tuple[float, float, float]) -> None:
+    wood = Wood(1)
+    poses = wood.repeat(TeachAndRepeat([wood.drive()]), start, 300)
+    aside = aside_of(wood.way, poses)
+    assert len(poses) < 200, "it stops"
+    assert math.dist(poses[-1, :2], wood.way[-1, :2]) < 2.0, "within the reach of a goal"
+    assert aside[-20:].max() < max(0.5 * aside[0], 0.2)
+
+
+@pytest.mark.parametrize("slip", [-0.15, 0.15])
+def test_images_tell_the_way_along_where_wheels_slip(slip: float, monkeypatch: pytest.MonkeyPatch) -> None:
+    wood = Wood(1)
+    robot = TeachAndRepeat([wood.drive()])
+    with_images = wood.repeat(robot, (0.0, 0.0, 0.0), 300, slip)
+    monkeypatch.setattr("smal.evaluation.baselines.teach_and_repeat.WAY_GAIN", 0.0)
+    without = wood.repeat(robot, (0.0, 0.0, 0.0), 300, slip)
+    monkeypatch.undo()
+    runs = (wood.repeat(robot, (0.0, 0.0, 0.0), 300), with_images, without)
+    plain, corrected, uncorrected = (np.hypot(*np.diff(run[:, :2], axis=0).T).sum() for run in runs)
+    assert abs(corrected - plain) < abs(uncorrected - plain)
+
+
+@pytest.mark.parametrize("columns", [-30, -7, 0, 1, 12, 30])
+def test_the_heading_is_that_of_the_shift(columns: int) -> None:
+    wide = np.random.default_rng(3).integers(0, 255, (HEIGHT, WIDTH + 60), dtype=np.uint8)
+    wood = Wood(1)
+    taught = replace(wood.drive(), images=np.repeat(wide[None, :, 30 : 30 + WIDTH], len(TAUGHT), axis=0))
+    robot = TeachAndRepeat([taught])
+    robot.act(wide[:, 30 + columns : 30 + columns + WIDTH], (0.0, 0.0, 0.0))
+    # What is seen further left in the image than taught: the robot has turned right, and the goal is on its left.
+    assert robot.begun is not None
+    assert robot.begun[2] == pytest.approx(columns * FIELD_RAD / COLUMNS)
+
+
+def test_it_begins_anywhere_and_looks_round_first_where_it_sees_the_wrong_way() -> None:
+    wood = Wood(1)
+    robot = TeachAndRepeat([wood.drive()])
+    assert aside_of(wood.way, wood.repeat(robot, tuple(wood.way[45]), 300)).max() < 0.3
+    backwards = (*wood.way[20, :2], math.pi)
+    poses = wood.repeat(robot, backwards, 300)
+    assert np.ptp(poses[:90, 2]) > 0.9 * math.tau
+    assert math.dist(poses[-1, :2], wood.way[-1, :2]) < 2.0
+
+
+def test_the_drive_that_is_seen_is_repeated() -> None:
+    woods = [Wood(1), Wood(2)]
+    robot = TeachAndRepeat([wood.drive() for wood in woods])
+    for number, wood in enumerate(woods):
+        robot.reset()
+        robot.act(wood.seen(wood.way[0]), (0.0, 0.0, 0.0))
+        assert robot.begun is not None
+        assert robot.begun[:2] == (number, 0)
+
+
+def test_what_does_not_fit_is_named_in_one_line() -> None:
+    drive = Wood(1).drive()
+    with pytest.raises(ValueError, match="there must be drives, with one camera, got 0"):
+        TeachAndRepeat([])
+    with pytest.raises(ValueError, match="one camera, got 2"):
+        TeachAndRepeat([drive, replace(drive, field_of_view_rad=1.0)])
+    with pytest.raises(ValueError, match=r"^drive 1: .*do not fit, got \(95, 44, 115\), \(94, 3\) and \(95,\)$"):
+        TeachAndRepeat([drive, replace(drive, odometry=drive.odometry[1:])])
+    with pytest.raises(ValueError, match=r"drive 0: .*got \(95, 44\)"):
+        TeachAndRepeat([replace(drive, images=drive.images[:, :, 0])])
+    with pytest.raises(ValueError, match="field of view must be between 0 and pi radians, got 75"):
+        TeachAndRepeat([replace(drive, field_of_view_rad=75.0)])
+    with pytest.raises(ValueError, match="at least one turn"):
+        TeachAndRepeat([replace(drive, odometry=np.zeros_like(drive.odometry))])
+    robot = TeachAndRepeat([drive])
+    with pytest.raises(ValueError, match=r"must be \(44, 115\) and \(3,\), got \(44, 115, 3\) and \(2,\)"):
+        robot.act(np.zeros((44, 115, 3), dtype=np.uint8), (0.0, 0.0))
