@@ -258,8 +258,8 @@ class Filter:
         self,
         raw_features: NDArray[Any],
         movement: Movement = STILL,
-        noise: MotionNoise = BY_ODOMETRY,
         elapsed_s: float | None = None,
+        noise: MotionNoise = BY_ODOMETRY,
     ) -> Belief:
         """Take one frame.
 
@@ -269,10 +269,10 @@ class Filter:
             From `smal.features.extract`.
         movement : Movement
             Since the frame before; that before the first frame does not count.
-        noise : MotionNoise
-            Of that movement.
         elapsed_s : float, optional
             Time since the frame before; a taught tick if not given.
+        noise : MotionNoise
+            Of the movement.
 
         Raises
         ------

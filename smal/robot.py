@@ -108,7 +108,7 @@ class Robot:
             movement = Movement.between(self._pose, odometry)
         self._pose = odometry
         noise = BY_ATOMS if odometry is None else BY_ODOMETRY
-        self.belief = self._filter.observe(extract(image, self._features), movement, noise, elapsed_s)
+        self.belief = self._filter.observe(extract(image, self._features), movement, elapsed_s, noise)
         self.decision = self._planner.decide(self.belief)
         self._atom = self.decision.atom
         return self._atom

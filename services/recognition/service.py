@@ -129,7 +129,7 @@ class _ByFilter:
         else:
             movement, noise = Movement.between(self._pose, odometry), BY_ODOMETRY
         raw = select(observation.features.to_numpy(), self._held, self._wanted)
-        belief = self._filter.observe(raw, movement, noise, elapsed_s)
+        belief = self._filter.observe(raw, movement, elapsed_s, noise)
         self._pose, self._stamp_ns = odometry or self._pose, observation.stamp_ns
         return self._state(observation, belief.summary(MAX_PLACES))
 
