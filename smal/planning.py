@@ -28,8 +28,9 @@ from smal.visual_map import VisualMap
 LOOKAHEAD_S = 0.7
 #: Directions that differ by more than this about their mean are no direction to drive in.
 WIDE_DEG = 25.0
-#: How far it turns to look around: once round, and a view more.
-LOOK_DEG = 400.0
+#: How far it turns to look around: to one side first, since robots are seldom turned further away from their way, then
+#: to the other, once round and a view more.
+LOOK_ASIDE_DEG, LOOK_DEG = 45.0, 490.0
 #: For how long it then drives by its best guess, before it looks again.
 GUESS_S = 2.0
 #: What going over to another drive must save: how two drives stand to each other is less certain than either of them.
@@ -143,6 +144,9 @@ class Planner:
             self._looked_rad += self._turn_rad
             if self._turning is None:
                 self._turning = Atom.LEFT if error >= 0.0 else Atom.RIGHT
+            aside = math.radians(LOOK_ASIDE_DEG)
+            if self._looked_rad - self._turn_rad < aside <= self._looked_rad:
+                self._turning = Atom.RIGHT if self._turning is Atom.LEFT else Atom.LEFT
             return Decision("look_around", self._turning, error)
         self._guessed_s += self._map.tick_s
         if self._guessed_s >= GUESS_S:
