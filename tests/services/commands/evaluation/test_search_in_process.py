@@ -35,6 +35,7 @@ from services.simulator.world import load_world
 from smal.action_space import Atom
 from smal.features import FeatureSettings
 from smal.learning import LearningSettings, learn
+from smal.model import Model
 from tests.services.simulator.simulator_driving import StubCamera
 
 YARD = load_world("yard")
@@ -162,13 +163,20 @@ def test_pictures_of_chosen_ticks_are_what_the_controller_saw() -> None:
     assert found.pictures[0].std() > 10
 
 
+@pytest.fixture(scope="module")
+def rendered() -> tuple[Simulation, Model]:
+    simulation = open_simulation("yard", CameraSettings(160, 120))
+    drives = demonstrate(simulation, FEATURES, 1, 0)
+    return simulation, learn([one.demonstration for one in drives], LearningSettings(sequence_length=5))[0]
+
+
 @pytest.mark.rendering
 @pytest.mark.parametrize("scheme", ["filter", "paper"])
-def test_smal_in_this_process_and_as_services_drives_alike_to_the_last_bit(tmp_path: Path, scheme: Scheme) -> None:
+def test_smal_in_this_process_and_as_services_drives_alike_to_the_last_bit(
+    rendered: tuple[Simulation, Model], tmp_path: Path, scheme: Scheme
+) -> None:
     """What the processes add is transport: `RecognitionService` and the others hold all that decides."""
-    simulation = open_simulation("yard", CameraSettings(160, 120))
-    drives = demonstrate(simulation, FEATURES, 2, 2)
-    model, _ = learn([one.demonstration for one in drives], LearningSettings(sequence_length=5))
+    simulation, model = rendered
     model.save(tmp_path / "yard.smal")
     features, recognition, policy = FeaturesService(FEATURES), RecognitionService(), PolicyService()
     for service in (recognition, policy):
