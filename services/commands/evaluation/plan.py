@@ -37,7 +37,7 @@ SCHEMES: Final = {"paper": "the paper: a decision every l frames", "smal": "defa
 
 @dataclass(frozen=True)
 class Recogniser:
-    """A way to say which demonstrated frame the robot is at: SMAL of a length, or a peer."""
+    """A way to say which demonstrated frame the robot is at: Eq. 9 ("smal") of a length, or a peer."""
 
     name: Literal["smal", "nearest", "seqslam"]
     length: int
@@ -48,7 +48,7 @@ class Recogniser:
         return f"{self.name}-{self.length}"
 
 
-#: Peers that recognise, beside SMAL at all lengths of the plan (l = 1 is the single image).
+#: Peers that recognise, beside Eq. 9 at all lengths of the plan (l = 1 is the single image).
 PEER_RECOGNISERS: Final = (
     Recogniser("nearest", 1),
     Recogniser("nearest", 5),
