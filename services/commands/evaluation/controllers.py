@@ -118,7 +118,7 @@ class FilterController:
             movement, noise = Movement.between(self._pose, odometry), BY_ODOMETRY
         self._pose = odometry
         # The policy hears of so many places and no more.
-        belief = self._filter.observe(raw_features, movement, noise).summary(MAX_PLACES)
+        belief = self._filter.observe(raw_features, movement, noise=noise).summary(MAX_PLACES)
         decision = self._planner.decide(belief)
         return Move(decision.atom, decision.kind, belief.lost <= 0.5)
 
