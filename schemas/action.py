@@ -17,9 +17,9 @@ class Action(Message):
 
     kind: Literal["follow", "action", "goal", "dead_end", "look_around", "guess", "stop"]
     """follow: along the taught way; action: the policy's, of the paper's scheme; goal: the robot says that it has
-    arrived, or makes the rest of a demonstration that ended here; dead_end: the rest of a drive that stopped here
-    without success; look_around: turning on the spot, since it is not known where the robot is; guess: driving all the
-    same, since that has not helped; stop: turning has not helped."""
+    arrived; dead_end: nothing is known to follow, and it stops, as for stop: the state is unknown, of the paper's
+    scheme; look_around: turning on the spot, since it is not known where the robot is; guess: driving all the same,
+    since that has not helped."""
     state: Annotated[int | None, Field(ge=0, le=1_000_000)] = None
     """The keyframe, or in the paper's scheme the state, where the robot is; none where it is lost."""
     atoms: Annotated[tuple[Atom, ...], Field(max_length=1000)]

@@ -37,7 +37,7 @@ class State(Message):
 
     status: Literal["idle", "collecting", "recognized", "unknown"]
     """idle: no model; collecting: no decision is due at this frame; unknown: the robot is more likely lost than not, or
-    no learned state matches."""
+    no learned state has a weight."""
     model: Annotated[str | None, Field(pattern=r"^[0-9a-f]{8,64}$")] = None
     """Beginning of the checksum of the model that the state belongs to; a policy refuses another's. None when idle."""
     places: Annotated[tuple[Place, ...], Field(max_length=MAX_PLACES)] = ()
@@ -50,8 +50,6 @@ class State(Message):
     """Way that the robot was followed for without a jump; of the filter."""
     state: Annotated[int | None, Field(ge=0, le=1_000_000)] = None
     """Index of the learned state, when recognized by the paper's scheme."""
-    phase: Annotated[float | None, Field(ge=-1e6, le=1e6)] = None
-    """Frame of the matched template sequence, from 0, at which the last frame is; may lie beyond its ends."""
     score: Annotated[float, Field(ge=0, le=1e9)] = 0.0
     """Weight of the matched sequence over the sequence length (Eq. 9 divided by l)."""
     total_weight: Annotated[float, Field(ge=0, le=1e9)] = 0.0
@@ -68,6 +66,6 @@ class State(Message):
         if (self.model is None) != (self.status == "idle"):
             raise ValueError("the model is given exactly when the status is not 'idle'")
         of_paper = self.status == "recognized" and not self.places
-        if (self.state is not None, self.phase is not None) != (of_paper, of_paper):
-            raise ValueError("state and phase are given exactly when the status is 'recognized' without places")
+        if (self.state is not None) != of_paper:
+            raise ValueError("a state is given exactly when the status is 'recognized' without places")
         return self

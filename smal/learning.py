@@ -10,10 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from smal.action_space import ActionSpace, Atom, learn_action_space
-from smal.alignment import aligned_phases
 from smal.features import Centering, FeatureSettings, extract, select
 from smal.model import Model
-from smal.novelty import RECOGNITION_DEFAULTS, neighbour_agreement, novelty_test
+from smal.novelty import neighbour_agreement, novelty_test
 from smal.policy import check_discount, policy_iteration
 from smal.reward import learn_reward
 from smal.state_space import StateSpace, learn_state_space
@@ -88,9 +87,7 @@ class LearningSettings:
     novelty : str
         Name of the novelty test: "agreement" or the paper's "weight" (Eq. 8).
     novelty_parameters : dict
-        Parameters of the test in learning; where not given, defaults, or measured on the demonstrations.
-    recognition_parameters : dict
-        Parameters of the test in execution; where not given, `smal.novelty.RECOGNITION_DEFAULTS`.
+        Parameters of the test; where not given, defaults, or measured on the demonstrations.
     gamma : float
         Discount factor.
     sparsity, r_max : float
@@ -112,7 +109,6 @@ class LearningSettings:
     lambda2: float | None = None
     novelty: str = "agreement"
     novelty_parameters: dict[str, float] = field(default_factory=dict)
-    recognition_parameters: dict[str, float] = field(default_factory=dict)
     gamma: float = 0.95
     sparsity: float = 0.5
     r_max: float = 1.0
@@ -131,13 +127,7 @@ class LearningSettings:
         if not (math.isfinite(self.tick_s) and self.tick_s > 0.0):
             raise ValueError(f"tick_s must be finite and positive, got {self.tick_s}")
         novelty_test(self.novelty, self.novelty_parameters)
-        novelty_test(self.novelty, self.recognition)
         check_discount(self.gamma)
-
-    @property
-    def recognition(self) -> dict[str, float]:
-        """Parameters of the novelty test in execution."""
-        return RECOGNITION_DEFAULTS[self.novelty] | self.recognition_parameters
 
     @property
     def lambdas(self) -> tuple[float, float]:
@@ -256,8 +246,6 @@ def learn(
         settings.max_bytes,
         stages.report("states"),
     )
-    phases = aligned_phases(space.templates, space.streams, space.phases, centred, settings.sequence_length)
-    space = replace(space, phases=phases)
     stages.end("states")
     return _plan(demonstrations, settings, centering, visual_map, space, stages)
 
@@ -370,12 +358,9 @@ def _plan(
         lambda2=lambda2,
         novelty=settings.novelty,
         novelty_parameters=settings.novelty_parameters,
-        recognition_parameters=settings.recognition,
         templates=space.templates,
         actions=actions.actions,
         state_streams=space.streams,
-        action_streams=actions.streams,
-        phases=space.phases,
         atoms=tuple(one.atoms for one in demonstrations),
         names=tuple(one.name for one in demonstrations),
         successful=tuple(successful),

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from smal import container
 from smal.container import ModelError
 from smal.features import Centering, FeatureSettings
-from smal.novelty import AgreementTest, WeightTest, novelty_test
+from smal.novelty import novelty_test
 from smal.transitions import Transitions
 from smal.visual_map import VisualMap
 
@@ -21,7 +21,7 @@ __all__ = ["FORMAT_VERSION", "Model", "ModelError"]
 FORMAT_VERSION = 2
 
 _TRANSITION_ARRAYS = [field.name for field in fields(Transitions) if field.name != "states"]
-_STREAMS = ("state_streams", "action_streams", "phases", "atoms")
+_STREAMS = ("state_streams", "atoms")
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,19 +38,15 @@ class Model:
     lambda1, lambda2 : float
         Of Eq. 7.
     novelty : str
-        Name of the test by which states were learned, and by default are recognised.
+        Name of the test by which states were learned.
     novelty_parameters : dict
         Its parameters.
-    recognition_parameters : dict
-        Parameters of the same test in execution, usually laxer: a view between two states is new, not unknown.
     templates : float32 array (m, n)
         X; state j is the columns j * l and following.
     actions : int8 array (number of actions, l)
         Atoms of every action.
-    state_streams, action_streams : tuples of int32 arrays (f_d // l,)
+    state_streams : tuple of int32 arrays (f_d // l,)
         The sequences of every demonstration in time; they end with its last frame.
-    phases : tuple of float32 arrays (f_d // l,)
-        Template frame at which the last frame of each sequence is.
     atoms : tuple of int8 arrays (f_d,)
         Atom k was executed between frames k and k + 1.
     names : tuple of str
@@ -78,12 +74,9 @@ class Model:
     lambda2: float
     novelty: str
     novelty_parameters: dict[str, float]
-    recognition_parameters: dict[str, float]
     templates: NDArray[np.float32]
     actions: NDArray[np.int8]
     state_streams: tuple[NDArray[np.int32], ...]
-    action_streams: tuple[NDArray[np.int32], ...]
-    phases: tuple[NDArray[np.float32], ...]
     atoms: tuple[NDArray[np.int8], ...]
     names: tuple[str, ...]
     successful: tuple[bool, ...]
@@ -106,13 +99,11 @@ class Model:
             "value": self.value.shape == (states,),
             "names": len(self.names) == len(self.atoms) == len(self.successful) == len(self.recovery),
             "state_streams": [len(s) for s in self.state_streams] == [len(a) // l for a in self.atoms],
-            "action_streams": [len(s) for s in self.action_streams] == [len(a) // l for a in self.atoms],
-            "phases": [len(s) for s in self.phases] == [len(a) // l for a in self.atoms],
         }
         wrong = [name for name, fits in checks.items() if not fits]
         if wrong:
             raise ValueError(f"the parts of the model do not fit together: {', '.join(wrong)}")
-        self.recognition_test()
+        novelty_test(self.novelty, self.novelty_parameters)
 
     @property
     def states(self) -> int:
@@ -151,10 +142,6 @@ class Model:
         """SHA-256 of all that the model holds, in hex: the one with which its file ends."""
         return container.checksum(FORMAT_VERSION, *self._content())
 
-    def recognition_test(self) -> WeightTest | AgreementTest:
-        """Return the test by which a query is unknown in execution."""
-        return novelty_test(self.novelty, self.recognition_parameters)
-
     def __repr__(self) -> str:
         """Say what it is, not all its numbers."""
         return (
@@ -187,7 +174,6 @@ class Model:
             "lambda2": self.lambda2,
             "novelty": self.novelty,
             "novelty_parameters": self.novelty_parameters,
-            "recognition_parameters": self.recognition_parameters,
             "names": self.names,
             "frames": [len(atoms) for atoms in self.atoms],
             "successful": self.successful,
@@ -227,7 +213,7 @@ class Model:
             named: dict[str, Any] = {name: arrays[f"transitions.{name}"] for name in _TRANSITION_ARRAYS}
             same: dict[str, Any] = {name: arrays[name] for name in ("mean", "actions", "reward", "policy", "value")}
             same |= {name: tuple(meta[name]) for name in ("names", "successful", "recovery")}
-            same |= {name: meta[name] for name in ("novelty", "novelty_parameters", "recognition_parameters")}
+            same |= {name: meta[name] for name in ("novelty", "novelty_parameters")}
             same |= {name: meta[name] for name in ("sequence_length", "lambda1", "lambda2", "gamma")}
             model = cls(
                 feature_settings=settings,

@@ -74,15 +74,6 @@ class NoveltyTest(Protocol):
     def is_novel(self, match: Match) -> bool:
         """Return True if the query matches no template sequence."""
 
-    def explained(self, residual_norms: NDArray[np.float64], query_norms: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Say how much the templates explain of each frame: 1 all of it, 0 if it alone would count as novel.
-
-        Parameters
-        ----------
-        residual_norms, query_norms : arrays (q,)
-            ||y_i - X w_i|| and ||y_i||.
-        """
-
 
 @dataclass(frozen=True)
 class WeightTest:
@@ -103,10 +94,6 @@ class WeightTest:
     def is_novel(self, match: Match) -> bool:
         """Compare the best weight; all others are smaller."""
         return match.state is None or match.score <= self.tau
-
-    def explained(self, residual_norms: NDArray[np.float64], query_norms: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Tell no frame from another: Eq. 8 is about their sum."""
-        return np.ones_like(query_norms)
 
 
 @dataclass(frozen=True)
@@ -134,13 +121,6 @@ class AgreementTest:
     def is_novel(self, match: Match) -> bool:
         """Apply both limits."""
         return match.state is None or match.residual > self.max_residual or match.agreement < self.min_agreement
-
-    def explained(self, residual_norms: NDArray[np.float64], query_norms: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Compare with the residual that is allowed."""
-        limits = self.max_residual * query_norms
-        unexplained = np.divide(residual_norms, limits, out=np.ones_like(query_norms), where=limits > 0.0)
-        explained: NDArray[np.float64] = np.maximum(1.0 - unexplained, 0.0)
-        return explained
 
 
 def neighbour_agreement(demonstrations: Sequence[NDArray[np.float32]], moving: Sequence[NDArray[np.bool_]]) -> float:
@@ -184,12 +164,6 @@ def neighbour_agreement(demonstrations: Sequence[NDArray[np.float32]], moving: S
 
 
 NOVELTY_TESTS: dict[str, type[WeightTest] | type[AgreementTest]] = {"weight": WeightTest, "agreement": AgreementTest}
-
-# In execution the question is whether a view is known at all, not whether it deserves a state of its own.
-RECOGNITION_DEFAULTS: dict[str, dict[str, float]] = {
-    "weight": {"tau": 0.1},
-    "agreement": {"max_residual": 0.9, "min_agreement": 0.0},
-}
 
 
 def novelty_test(name: str, parameters: dict[str, float]) -> WeightTest | AgreementTest:

@@ -6,7 +6,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from smal.alignment import matched_phase
 from smal.novelty import Match, NoveltyTest, describe_match
 from smal.sequences import first_frame
 from smal.state_matching import Solution, solve_from_correlations
@@ -27,9 +26,6 @@ class StateSpace:
         X; state j is the columns j * l and following.
     streams : tuple of int32 arrays (f_d // l,)
         The paper's s-stream, one per demonstration.
-    phases : tuple of float32 arrays (f_d // l,)
-        For every sequence the frame of its state's template at which its last frame is (`smal.alignment`): 0 to
-        2 l - 2, and once aligned a little more to both sides.
     residuals, scores, total_weights, agreements : tuples of float32 arrays (f_d // l,)
         `Match` of every sequence before it was added.
     sequence_length : int
@@ -37,7 +33,6 @@ class StateSpace:
 
     templates: NDArray[np.float32]
     streams: tuple[NDArray[np.int32], ...]
-    phases: tuple[NDArray[np.float32], ...]
     residuals: tuple[NDArray[np.float32], ...]
     scores: tuple[NDArray[np.float32], ...]
     total_weights: tuple[NDArray[np.float32], ...]
@@ -59,8 +54,8 @@ class _Learner:
         self.length, self.lambda1, self.lambda2, self.tolerance = length, lambda1, lambda2, tolerance
         self.previous: Solution | None = None
 
-    def step(self, frames: NDArray[np.float32], correlations: NDArray[np.float32]) -> tuple[int, float, Match]:
-        """Match one sequence (l, m) with correlations (n, l), or add it: its state and phase, and the match."""
+    def step(self, frames: NDArray[np.float32], correlations: NDArray[np.float32]) -> tuple[int, Match]:
+        """Match one sequence (l, m) with correlations (n, l), or add it: its state, and the match."""
         match, solution = Match(None, 0.0, 0.0, 1.0, 0.0), None
         if len(self.store):
             norms = np.linalg.norm(frames, axis=1)
@@ -70,10 +65,10 @@ class _Learner:
             )  # fmt: skip
             match = describe_match(solution, lambda frames: correlations[frames], norms)
         self.previous = solution
-        if match.state is None or solution is None or self.test.is_novel(match):
+        if match.state is None or self.test.is_novel(match):
             self.store.append(frames, correlations)
-            return len(self.store) // self.length - 1, float(self.length - 1), match
-        return match.state, matched_phase(solution, match.state), match
+            return len(self.store) // self.length - 1, match
+        return match.state, match
 
 
 def _batches(demonstrations: Sequence[NDArray[np.float32]], length: int) -> Iterator[NDArray[np.float32]]:
@@ -132,7 +127,7 @@ def learn_state_space(
         raise ValueError(f"no demonstration has {sequence_length} frames")
     store = TemplateStore(demonstrations[0].shape[1], max_bytes=max_bytes)
     learner = _Learner(store, test, sequence_length, lambda1, lambda2, tolerance)
-    results: list[tuple[int, float, Match]] = []
+    results: list[tuple[int, Match]] = []
     for batch in _batches(demonstrations, sequence_length):
         _learn_batch(learner, batch, results)
         if progress is not None:
@@ -144,17 +139,16 @@ def learn_state_space(
 
     return StateSpace(
         store.templates,
-        tuple(np.split(np.array([state for state, _, _ in results], dtype=np.int32), ends)),
-        per_demonstration([where for _, where, _ in results]),
-        per_demonstration([match.residual for _, _, match in results]),
-        per_demonstration([match.score for _, _, match in results]),
-        per_demonstration([match.total_weight for _, _, match in results]),
-        per_demonstration([match.agreement for _, _, match in results]),
+        tuple(np.split(np.array([state for state, _ in results], dtype=np.int32), ends)),
+        per_demonstration([match.residual for _, match in results]),
+        per_demonstration([match.score for _, match in results]),
+        per_demonstration([match.total_weight for _, match in results]),
+        per_demonstration([match.agreement for _, match in results]),
         sequence_length,
     )
 
 
-def _learn_batch(learner: _Learner, batch: NDArray[np.float32], results: list[tuple[int, float, Match]]) -> None:
+def _learn_batch(learner: _Learner, batch: NDArray[np.float32], results: list[tuple[int, Match]]) -> None:
     """Match or add the sequences (b, l, m) in order."""
     store, length = learner.store, learner.length
     before = len(store)

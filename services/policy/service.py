@@ -116,10 +116,10 @@ class _ByFilter:
 
 
 class _ByPaper:
-    """Executes the whole action of the state of Eq. 9."""
+    """Executes the action of the state of Eq. 9."""
 
     def __init__(self, loaded: LoadedModel) -> None:
-        self._maker = DecisionMaker(loaded.model, loaded.stride, aligned=False, belief=False, coast=False)
+        self._maker = DecisionMaker(loaded.model)
 
     def reset(self) -> None:
         self._maker.reset()
@@ -127,23 +127,8 @@ class _ByPaper:
     def answer(self, state: State) -> list[Message]:
         answer: list[Message] = []
         if state.status in {"recognized", "unknown"}:
-            decision = self._maker.decide(_recognition(state))
+            decision = self._maker.decide(Recognition(state.status, state.tick, state.state))
             atoms = tuple(atom.name.lower() for atom in decision.atoms)
             answer.append(Action.after(state, kind=decision.kind, state=decision.state, atoms=atoms))
         answer.append(Command.after(state, source="policy", atom=self._maker.next_atom().name.lower()))
         return answer
-
-
-def _recognition(state: State) -> Recognition:
-    assert state.status != "idle"  # noqa: S101 - not answered at all
-    return Recognition(
-        status=state.status,
-        tick=state.tick,
-        state=state.state,
-        phase=state.phase,
-        score=state.score,
-        total_weight=state.total_weight,
-        residual=state.residual,
-        agreement=state.agreement,
-        duality_gap=state.duality_gap,
-    )

@@ -153,7 +153,7 @@ class _ByFilter:
 class _ByPaper:
     def __init__(self, loaded: LoadedModel) -> None:
         self._loaded = loaded
-        self._recognizer = Recognizer(loaded.model, shorten=False)
+        self._recognizer = Recognizer(loaded.model)
 
     def reset(self) -> None:
         self._recognizer.reset()
@@ -168,7 +168,6 @@ class _ByPaper:
             status=found.status,
             model=self._loaded.identity,
             state=found.state,
-            phase=found.phase,
             score=found.score,
             total_weight=found.total_weight,
             residual=found.residual,

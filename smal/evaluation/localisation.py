@@ -22,35 +22,26 @@ class DemonstratedFrames:
     """
 
     def __init__(self, model: Model) -> None:
-        length = model.sequence_length
-        starts = np.cumsum([0, *(len(atoms) for atoms in model.atoms)])
-        ends, firsts, lasts = [], [], []
-        for start, atoms, stream in zip(starts, model.atoms, model.state_streams, strict=False):
-            count = len(stream)
-            ends.append(start + last_frames(len(atoms), length))
-            firsts.append(np.full(count, start))
-            lasts.append(np.full(count, start + len(atoms) - 1))
-        self._end, self._first, self._last = (np.concatenate(part) for part in (ends, firsts, lasts))
-        self._state, self._phase = np.concatenate(model.state_streams), np.concatenate(model.phases)
+        counts = [len(atoms) for atoms in model.atoms]
+        starts = np.cumsum([0, *counts[:-1]])
+        ends = [start + last_frames(count, model.sequence_length) for start, count in zip(starts, counts, strict=True)]
+        lasts = np.repeat(starts + counts - 1, [len(each) for each in ends])
+        # The first sequence of a state is the one that it was made of.
+        _, made = np.unique(np.concatenate(model.state_streams), return_index=True)
+        self._begin, self._last = np.concatenate(ends)[made] - model.sequence_length + 1, lasts[made]
 
     def frame(self, state: int, phase: float) -> int:
-        """Return the frame, counted over all demonstrations in order, that is nearest to (state, phase).
-
-        Of the demonstrated occurrences of the state the one whose phase differs least, moved by the difference: the
-        frame that `smal.decision.DecisionMaker` continues from, except that it only looks at the occurrences after
-        which the policy's action was taken. Of equal ones the earliest.
+        """Return the frame, counted over all demonstrations in order, that a frame of a state's template was.
 
         Parameters
         ----------
         state : int
             0 to the number of states - 1.
         phase : float
-            Frame of the state's template at which the robot is.
+            Frame of the state's template, at least 0 (`smal.phase`); those beyond it are the frames that came after it,
+            but for the end of the demonstration.
         """
-        of_state = np.flatnonzero(self._state == state)
-        nearest = of_state[np.abs(self._phase[of_state] - phase).argmin()]
-        shift = round(phase - float(self._phase[nearest]))
-        return int(np.clip(self._end[nearest] + shift, self._first[nearest], self._last[nearest]))
+        return int(min(self._begin[state] + round(phase), self._last[state]))
 
 
 def nearest_windows(

@@ -104,10 +104,6 @@ class FrameRing:
         where = (slice(None), places) if columns is None else np.ix_(columns, places)
         return self._correlations[where], self._radii[where]
 
-    def estimated(self, columns: Columns, places: Columns) -> NDArray[np.float32]:
-        """Look single products up as they are known: of template frames (..., q), each with its own place (q,)."""
-        return self._correlations[columns, places]
-
     def correlations(self, columns: Columns, places: Columns) -> NDArray[np.float32]:
         """X_R^T Y of template frames R (r,) and frames at places (q,), to the last digit of float32 (r, q)."""
         self.refine(columns, places)

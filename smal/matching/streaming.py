@@ -6,7 +6,6 @@ products to certify it (`streamed_products`). Where residuals vanish, so that X^
 anything, the match is made once more in float64.
 """
 
-import math
 from dataclasses import replace
 from typing import Any
 
@@ -76,14 +75,9 @@ class StreamingMatcher:
         self._previous: Solution | None = None
 
     @property
-    def held(self) -> int:
-        """How many of the last frames are here, at most l."""
-        return self._ring.held
-
-    @property
     def ready(self) -> bool:
         """Whether l frames have arrived."""
-        return self.held == self._penalty.sequence_length
+        return self._ring.held == self._penalty.sequence_length
 
     def observe(self, frame: NDArray[Any]) -> None:
         """Take a frame in, and correlate it with all templates.
@@ -99,52 +93,31 @@ class StreamingMatcher:
         """
         self._ring.observe(frame)
 
-    def window(self, frames: int | None = None) -> Array:
-        """Return the last frames, l unless told otherwise, in order, float64 (frames, m).
+    def window(self) -> Array:
+        """Return the last l frames in order, float64 (l, m).
 
         Raises
         ------
         ValueError
             There are not so many.
         """
-        return self._ring.frames[self._order(frames)]
+        return self._ring.frames[self._order()]
 
-    def correlations(self, columns: Columns) -> NDArray[np.float32]:
-        """Estimate the inner products of template frames (..., q) with the last q frames, each with its own.
-
-        Raises
-        ------
-        ValueError
-            There are not so many frames.
-        """
-        return self._ring.estimated(columns, self._order(columns.shape[-1]))
-
-    def match(self, frames: int | None = None) -> Solution:
-        """Match the last l frames, or fewer; the sequences of the last match enter the working set at once.
-
-        Parameters
-        ----------
-        frames : int, optional
-            q, 1 to l. The penalties of Eq. 7 grow with the square root of a query's length, as `lambda_scale` has it.
+    def match(self) -> Solution:
+        """Match the last l frames; the sequences of the last match enter the working set at once.
 
         Raises
         ------
         ValueError
-            There are not so many frames yet, or never will be.
+            There are not so many.
         """
-        length = self._penalty.sequence_length
-        q = length if frames is None else frames
-        places = self._order(q)
+        places = self._order()
         seen = np.flatnonzero(self._ring.norms[places] > 0.0)
-        share = math.sqrt(q / length)
-        penalty = replace(self._penalty, lambda1=share * self._penalty.lambda1, lambda2=share * self._penalty.lambda2)
-        solution = self._match(places, seen, penalty)
-        if q == length:
-            self._previous = solution
-        return solution
+        self._previous = self._match(places, seen)
+        return self._previous
 
-    def _match(self, places: Columns, seen: Columns, penalty: Penalty) -> Solution:
-        q, warm = places.size, self._previous
+    def _match(self, places: Columns, seen: Columns) -> Solution:
+        q, penalty, warm = places.size, self._penalty, self._previous
         if self._gram is not None and self._certifying and seen.size:
             products = StreamedProducts(self._ring, places[seen], self._gram)
             solution = _evaluated(match(products, seen, q, penalty, warm), self._ring, places, penalty)
@@ -153,9 +126,9 @@ class StreamingMatcher:
             warm = solution
         return match(StreamedQuery(self._ring, places[seen], self._gram), seen, q, penalty, warm)
 
-    def _order(self, frames: int | None = None) -> Columns:
-        """Return where the last frames are in the ring."""
-        return self._ring.places(self._penalty.sequence_length if frames is None else frames)
+    def _order(self) -> Columns:
+        """Return where the last l frames are in the ring."""
+        return self._ring.places(self._penalty.sequence_length)
 
 
 def _evaluated(solution: Solution, ring: FrameRing, places: Columns, penalty: Penalty) -> Solution:

@@ -7,8 +7,8 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 from smal import state_space
-from smal.alignment import matched_phase, phase
 from smal.novelty import AgreementTest, Match, WeightTest, describe_match, neighbour_agreement, novelty_test
+from smal.phase import matched_phase, phase
 from smal.state_matching import Solution, solve
 from smal.state_space import StateSpace, learn_state_space
 from smal.template_store import MemoryBoundError, TemplateStore
@@ -87,8 +87,6 @@ def test_a_repeated_drive_shares_its_states(test: WeightTest | AgreementTest) ->
     assert space.states == 12
     for stream in space.streams:
         assert stream.tolist() == list(range(12))
-    np.testing.assert_allclose(space.phases[1], 4.0, atol=0.5)
-    np.testing.assert_array_equal(space.phases[0], 4.0)
 
 
 def test_unrelated_places_become_states() -> None:
@@ -111,8 +109,6 @@ def test_batches_do_not_change_the_result(monkeypatch: pytest.MonkeyPatch) -> No
     assert together.states < 40
     for stream, other in zip(together.streams, one_by_one.streams, strict=True):
         assert stream.tolist() == other.tolist()
-    for ends, others in zip(together.phases, one_by_one.phases, strict=True):
-        np.testing.assert_allclose(ends, others, atol=0.05)
     np.testing.assert_array_equal(together.templates, one_by_one.templates)
 
 

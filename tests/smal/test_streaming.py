@@ -39,46 +39,6 @@ def test_every_window_of_a_drive(tolerance: float, max_gram_bytes: int, indexed:
         check_bounds(solutions, min(solution.objective for solution in solutions.values()))
 
 
-@pytest.mark.parametrize("q", [1, 2, 4])
-@pytest.mark.parametrize("max_gram_bytes", [2**30, 0])
-def test_fewer_frames_are_matched_by_themselves(q: int, max_gram_bytes: int) -> None:
-    X, frames = route()
-    matcher = StreamingMatcher(X, LENGTH, *LAMBDAS, 1e-6, max_gram_bytes)
-    for frame in frames[:20]:
-        matcher.observe(frame)
-    np.testing.assert_array_equal(matcher.window(q), frames[20 - q : 20])
-    share = np.sqrt(q / LENGTH)
-    problem = Problem(X, np.asfortranarray(frames[20 - q : 20].T), LENGTH, *(share * one for one in LAMBDAS))
-    solutions = {"stream": matcher.match(q), "plain": solve(X, problem.Y, *problem.parameters, 1e-6)}
-    check(solutions["stream"], problem, 1e-6)
-    check_bounds(solutions, min(solution.objective for solution in solutions.values()))
-
-
-@pytest.mark.parametrize(("q", "error"), [(0, "1 to 5"), (6, "1 to 5"), (3, "needs 3 frames, there are 2")])
-def test_frames_that_are_not_there_are_refused(q: int, error: str) -> None:
-    X, frames = route()
-    matcher = StreamingMatcher(X, LENGTH, *LAMBDAS)
-    for frame in frames[:2]:
-        matcher.observe(frame)
-    for asked in (matcher.match, matcher.window, lambda q: matcher.correlations(np.zeros((1, q), dtype=np.intp))):
-        with pytest.raises(ValueError, match=error):
-            asked(q)
-
-
-def test_no_frame_of_an_old_episode_is_shown() -> None:
-    X, frames = route()
-    matcher = StreamingMatcher(X, LENGTH, *LAMBDAS)
-    for frame in frames[:8]:
-        matcher.observe(frame)
-    assert matcher.held == LENGTH
-    matcher.reset()
-    assert matcher.held == 0
-    with pytest.raises(ValueError, match="needs 1 frames, there are 0"):
-        matcher.window(1)
-    matcher.observe(frames[20])
-    np.testing.assert_array_equal(matcher.window(1), frames[20:21])
-
-
 def test_warm_starts_change_the_time_only() -> None:
     """A start from quite another query, from the same one, and from none."""
     X, frames = route()

@@ -9,18 +9,22 @@ from typing import Final, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from schemas.state import MAX_PLACES
 from services.commands.evaluation.demonstrations import Drive
-from services.commands.evaluation.plan import SCHEMES, Scheme
+from services.commands.evaluation.rules import Pose
 from smal.action_space import Atom
 from smal.decision import DecisionMaker
 from smal.evaluation.baselines.behaviour_cloning import ClonedBehaviour
 from smal.evaluation.baselines.nearest_neighbour_imitation import NearestNeighbourImitation
-from smal.evaluation.baselines.seqslam_localisation import SeqSlamLocaliser, state_at
+from smal.evaluation.baselines.seqslam_localisation import SeqSlamLocaliser
 from smal.evaluation.baselines.thumbnails import thumbnail
 from smal.features import FeatureSettings
+from smal.filter import BY_ATOMS, BY_ODOMETRY, Filter
 from smal.model import Model
+from smal.movement import STILL, Movement
 from smal.place_recognition.seqslam import SeqSlamSettings
-from smal.recognition import Recognition, Recognizer
+from smal.planning import Planner
+from smal.recognition import Recognizer
 
 #: The paper's trajectories of 10 frames. Its neighbourhood of 10 frames is too small for ten frames a second, in which
 #: neighbours hardly differ, and what is enhanced is noise: on drives of the indoor world the place was off by more than
@@ -38,7 +42,8 @@ class Move:
     atom
         The movement until the next frame.
     decision
-        Kind of the decision that was taken at this frame (`smal.decision.Decision`), or None where none was due.
+        Kind of the decision that was taken at this frame (`smal.planning.Decision`, `smal.decision.Decision`), or None
+        where none was due.
     recognised
         Whether that decision knew where the robot is.
     """
@@ -58,7 +63,9 @@ class Controller(Protocol):
     def reset(self) -> None:
         """Forget everything of the last episode."""
 
-    def act(self, tick: int, image: NDArray[np.uint8], raw_features: NDArray[np.float32] | None) -> Move:
+    def act(
+        self, tick: int, image: NDArray[np.uint8], raw_features: NDArray[np.float32] | None, odometry: Pose
+    ) -> Move:
         """Take one frame, and say what to do.
 
         Parameters
@@ -69,27 +76,65 @@ class Controller(Protocol):
             (height, width, 3) RGB.
         raw_features
             (m,), from `smal.features.extract` with `features`; None if it wants none.
+        odometry
+            x, y in metres and heading in radians by the wheels.
         """
 
 
-class SmalController:
-    """The method: recognition and decision as the services do it.
+class FilterController:
+    """SMAL: the filter and the planner as the services have them.
 
     Parameters
     ----------
     model
-        What was learned. With l = 1 it is the single image, everything else being equal.
-    scheme
-        How it decides.
+        With a map of views.
     """
 
-    def __init__(self, model: Model, scheme: Scheme = SCHEMES["smal"]) -> None:
+    def __init__(self, model: Model) -> None:
+        of_images = model.centering.of_images()
+        assert of_images is not None  # noqa: S101 - or there would be no map
+        self._features = of_images.settings
+        self._filter, self._planner = Filter(model.mapped, of_images), Planner(model.mapped)
+        self.reset()
+
+    @property
+    def features(self) -> FeatureSettings:
+        """Those of the map."""
+        return self._features
+
+    def reset(self) -> None:
+        """Forget the belief, and what was being done."""
+        self._filter.reset()
+        self._planner.reset()
+        self._pose: Pose | None = None
+
+    def act(
+        self, tick: int, image: NDArray[np.uint8], raw_features: NDArray[np.float32] | None, odometry: Pose
+    ) -> Move:
+        """Decide at every frame."""
+        assert raw_features is not None  # noqa: S101 - it asks for them
+        movement, noise = STILL, BY_ATOMS
+        if self._pose is not None:
+            movement, noise = Movement.between(self._pose, odometry), BY_ODOMETRY
+        self._pose = odometry
+        # The policy hears of so many places and no more.
+        belief = self._filter.observe(raw_features, movement, noise=noise).summary(MAX_PLACES)
+        decision = self._planner.decide(belief)
+        return Move(decision.atom, decision.kind, belief.lost <= 0.5)
+
+
+class PaperController:
+    """The paper's scheme: a decision every l frames.
+
+    Parameters
+    ----------
+    model
+        What was learned. With l = 1 it is the single image.
+    """
+
+    def __init__(self, model: Model) -> None:
         self._length = model.sequence_length
-        self._stride = scheme.stride(self._length)
-        self._maker = DecisionMaker(
-            model, self._stride, aligned=scheme.aligned, belief=scheme.belief, coast=scheme.coast
-        )
-        self._recognizer = Recognizer(model, shorten=scheme.shorten)
+        self._maker, self._recognizer = DecisionMaker(model), Recognizer(model)
         self._features = model.feature_settings
 
     @property
@@ -102,11 +147,12 @@ class SmalController:
         self._recognizer.reset()
         self._maker.reset()
 
-    def act(self, tick: int, image: NDArray[np.uint8], raw_features: NDArray[np.float32] | None) -> Move:
-        """Decide where a decision is due: with the first whole window, then at equal distances."""
+    def act(
+        self, tick: int, image: NDArray[np.uint8], raw_features: NDArray[np.float32] | None, odometry: Pose
+    ) -> Move:
+        """Decide with every whole window, none of which overlap."""
         assert raw_features is not None  # noqa: S101 - it asks for them
-        due = (tick + 1 - self._length) % self._stride == 0
-        found = self._recognizer.observe(tick, raw_features, due)
+        found = self._recognizer.observe(tick, raw_features, due=(tick + 1) % self._length == 0)
         if found.status == "collecting":
             return Move(self._maker.next_atom())
         decision = self._maker.decide(found)
@@ -139,7 +185,9 @@ class ImitationController:
         """Forget all frames."""
         self._imitation.reset()
 
-    def act(self, tick: int, image: NDArray[np.uint8], raw_features: NDArray[np.float32] | None) -> Move:
+    def act(
+        self, tick: int, image: NDArray[np.uint8], raw_features: NDArray[np.float32] | None, odometry: Pose
+    ) -> Move:
         """Imitate the nearest frame."""
         assert raw_features is not None  # noqa: S101 - it asks for them
         return Move(self._imitation.act(raw_features))
@@ -156,57 +204,44 @@ class CloningController:
     def reset(self) -> None:
         """Nothing to forget: it looks at one image."""
 
-    def act(self, tick: int, image: NDArray[np.uint8], raw_features: NDArray[np.float32] | None) -> Move:
+    def act(
+        self, tick: int, image: NDArray[np.uint8], raw_features: NDArray[np.float32] | None, odometry: Pose
+    ) -> Move:
         """Ask the network."""
         return Move(self._cloned.act(thumbnail(image)))
 
 
 class SeqSlamController:
-    """SeqSLAM says where in the demonstrations the robot is, and SMAL's policy what to do there.
-
-    The demonstrated frame becomes the model's state there and the phase in it; the rest is as in `SmalController`
-    with "aligned". There is one place and no belief.
+    """SeqSLAM says which demonstrated frame the robot is at, and it does what was done there.
 
     Parameters
     ----------
-    model
-        Learned from the drives; its policy decides.
     drives
         With thumbnails.
-    stride
-        Frames from one decision to the next.
     settings
         Of SeqSLAM, `SEQSLAM` unless given.
 
     Raises
     ------
     ValueError
-        A drive of the model is not there, is another one, or has no thumbnails.
+        A drive has no thumbnails.
     """
 
     features: FeatureSettings | None = None
 
-    def __init__(
-        self, model: Model, drives: Sequence[Drive], stride: int = 1, settings: SeqSlamSettings = SEQSLAM
-    ) -> None:
+    def __init__(self, drives: Sequence[Drive], settings: SeqSlamSettings = SEQSLAM) -> None:
         thumbnails = {one.demonstration.name: one.thumbnails for one in drives if one.thumbnails is not None}
-        self._localiser = SeqSlamLocaliser(thumbnails, model.names, settings, shorten=True)
-        for name, atoms in zip(model.names, model.atoms, strict=True):
-            if len(thumbnails[name]) != len(atoms):
-                raise ValueError(f"drive {name} has {len(thumbnails[name])} frames, and the model's has {len(atoms)}")
-        self._maker = DecisionMaker(model, stride, belief=False)
-        self._model, self._stride, self._length = model, stride, settings.length
+        names = tuple(one.demonstration.name for one in drives)
+        self._localiser = SeqSlamLocaliser(thumbnails, names, settings, shorten=True)
+        self._atoms = [one.demonstration.atoms for one in drives]
 
     def reset(self) -> None:
-        """Forget frames and plan."""
+        """Forget all frames."""
         self._localiser.reset()
-        self._maker.reset()
 
-    def act(self, tick: int, image: NDArray[np.uint8], raw_features: NDArray[np.float32] | None) -> Move:
-        """Decide where a decision is due, by the place that the last frames end at."""
+    def act(
+        self, tick: int, image: NDArray[np.uint8], raw_features: NDArray[np.float32] | None, odometry: Pose
+    ) -> Move:
+        """Continue the demonstration from the place that the last frames end at."""
         place = self._localiser.observe(thumbnail(image))
-        if place is None or (tick + 1 - self._length) % self._stride != 0:
-            return Move(self._maker.next_atom())
-        state, phase = state_at(self._model, place.demonstration, place.frame)
-        decision = self._maker.decide(Recognition("recognized", tick, state, phase))
-        return Move(self._maker.next_atom(), decision.kind)
+        return Move(Atom.STOP if place is None else Atom(int(self._atoms[place.demonstration][place.frame])))

@@ -13,8 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from schemas.episode import Outcome, Purpose
-from services.commands.evaluation.rules import advance, outcome_at
+from services.commands.evaluation.rules import Pose, advance, odometry_of, outcome_at
+from services.commands.teaching.teacher import RecordedImages
 from services.expert.driver import DRIVE_TICKS, RECOVERY_TICKS, RouteDriver
+from services.jpeg import decode_jpeg, encode_jpeg
 from services.simulator.simulation import Simulation
 from smal.action_space import Atom
 from smal.container import replacing
@@ -30,7 +32,8 @@ class Drive:
     Attributes
     ----------
     demonstration
-        What `smal learn` would make of it.
+        What `smal learn` would make of it; with images, as JPEG, only where it reached the goal: others add nothing to
+        the map of views.
     poses
         (f, 3) float64, x, y in metres and heading in radians of every frame; the truth, which learning must not use.
     thumbnails
@@ -66,13 +69,16 @@ def drive(
     simulation.reset(seed, purpose)
     expert = expert_of(simulation)
     max_ticks = RECOVERY_TICKS if purpose == "recovery" else DRIVE_TICKS
-    views, small, poses = [], [], []
+    views, small, poses, jpegs = [], [], [], []
+    ways: list[Pose] = []
     atoms: list[Atom] = []
     outcome: Outcome | None = None
     while True:
         image, pose = simulation.render(), simulation.pose
         views.append(extract(image, features))
         poses.append((pose.x, pose.y, pose.heading))
+        ways.append(odometry_of(simulation))
+        jpegs.append(encode_jpeg(image))
         if thumbnails:
             small.append(thumbnail(image))
         if outcome is None and expert.arrived(pose.x, pose.y):
@@ -97,6 +103,8 @@ def drive(
             atoms=np.array(atoms, dtype=np.int8),
             successful=outcome == "found",
             recovery=purpose == "recovery",
+            images=RecordedImages(jpegs[:frames], decode_jpeg) if outcome == "found" else None,
+            odometry=np.array(ways[:frames]),
         ),
         np.array(poses[:frames]),
         np.stack(small[:frames]) if thumbnails else None,
@@ -161,7 +169,12 @@ def save_drives(path: Path, drives: Sequence[Drive], features: FeatureSettings) 
     for number, one in enumerate(drives):
         arrays[f"features_{number}"] = one.demonstration.features
         arrays[f"atoms_{number}"] = one.demonstration.atoms
+        arrays[f"odometry_{number}"] = one.demonstration.odometry
         arrays[f"poses_{number}"] = one.poses
+        if isinstance(one.demonstration.images, RecordedImages):
+            jpegs = one.demonstration.images.recorded
+            arrays[f"jpegs_{number}"] = np.frombuffer(b"".join(jpegs), dtype=np.uint8)
+            arrays[f"jpeg_ends_{number}"] = np.cumsum([len(jpeg) for jpeg in jpegs])
         if meta["thumbnails"] and one.thumbnails is not None:
             arrays[f"thumbnails_{number}"] = one.thumbnails
     with replacing(path) as file:
@@ -191,7 +204,20 @@ def _drives(held: np.lib.npyio.NpzFile, meta: dict[str, list[object]]) -> Iterat
     rows = zip(meta["names"], meta["successful"], meta["recovery"], strict=True)
     for number, (name, successful, recovery) in enumerate(rows):
         demonstration = Demonstration(
-            str(name), held[f"features_{number}"], held[f"atoms_{number}"], bool(successful), bool(recovery)
+            str(name),
+            held[f"features_{number}"],
+            held[f"atoms_{number}"],
+            bool(successful),
+            bool(recovery),
+            _images(held, number),
+            held[f"odometry_{number}"],
         )
         small = held[f"thumbnails_{number}"] if meta["thumbnails"] else None
         yield Drive(demonstration, held[f"poses_{number}"], small)
+
+
+def _images(held: np.lib.npyio.NpzFile, number: int) -> RecordedImages | None:
+    if f"jpegs_{number}" not in held:
+        return None
+    jpegs = np.split(held[f"jpegs_{number}"], held[f"jpeg_ends_{number}"][:-1])
+    return RecordedImages([jpeg.tobytes() for jpeg in jpegs], decode_jpeg)

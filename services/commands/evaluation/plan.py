@@ -10,7 +10,7 @@ from typing import Final, Literal
 from services.commands.evaluation.degradation import degradation_named
 from smal.learning import LearningSettings
 
-#: The method at its defaults has this length.
+#: Sequences have this length by default; the filter has none.
 DEFAULT_LENGTH: Final = LearningSettings().sequence_length
 #: Seeds of what is learned from begin here, as in the README; those of what is recognised beyond all of them.
 TEACHING_SEED, QUERY_SEED, RUN_SEED = 1, 1000, 1
@@ -31,54 +31,13 @@ class Criterion:
 
 #: Frames from one that is to be recognised to the next: ten frames a second show nearly the same.
 JUDGED_TICKS: Final = 4
-#: Decisions within the l frames of a window, where windows overlap and are that long.
-_DECISIONS: Final = 10
-
-
-@dataclass(frozen=True)
-class Scheme:
-    """How SMAL decides.
-
-    Attributes
-    ----------
-    name, meaning
-        For the results, and one line for people.
-    overlapping
-        Decisions every frame, or every l/10 frames where that is more: a long window changes little from one frame
-        to the next, and costs more. Otherwise every l frames, as in the paper.
-    aligned, belief, coast
-        See `smal.decision`.
-    shorten
-        See `smal.recognition.Recognizer`.
-    """
-
-    name: str
-    meaning: str
-    overlapping: bool = True
-    aligned: bool = True
-    belief: bool = True
-    coast: bool = True
-    shorten: bool = True
-
-    def stride(self, length: int) -> int:
-        """Return the frames from one decision to the next."""
-        return max(1, length // _DECISIONS) if self.overlapping else length
-
-
-_AS_PUBLISHED: Final = {"aligned": False, "belief": False, "coast": False, "shorten": False}
-SCHEMES: Final = {
-    one.name: one
-    for one in (
-        Scheme("paper", "the paper: a decision every l frames", overlapping=False, **_AS_PUBLISHED),
-        Scheme("overlapping", "overlapping windows: the same, more often", **_AS_PUBLISHED),
-        Scheme("smal", "default: as often, aligned, by belief"),
-    )
-}
+#: How SMAL decides: name, and one line for people.
+SCHEMES: Final = {"paper": "the paper: a decision every l frames", "smal": "default: the filter, at every frame"}
 
 
 @dataclass(frozen=True)
 class Recogniser:
-    """A way to say which demonstrated frame the robot is at: SMAL of a length, or a peer."""
+    """A way to say which demonstrated frame the robot is at: Eq. 9 ("smal") of a length, or a peer."""
 
     name: Literal["smal", "nearest", "seqslam"]
     length: int
@@ -89,13 +48,13 @@ class Recogniser:
         return f"{self.name}-{self.length}"
 
 
-#: Peers that recognise, beside SMAL at all lengths of the plan (l = 1 is the single image).
+#: Peers that recognise, beside Eq. 9 at all lengths of the plan (l = 1 is the single image).
 PEER_RECOGNISERS: Final = (
     Recogniser("nearest", 1),
     Recogniser("nearest", 5),
     *(Recogniser("seqslam", length) for length in (10, 20, 40)),
 )
-#: Peers that search, beside SMAL with its default length and with l = 1; the number is that of frames, if it matters.
+#: Peers that search, beside SMAL and the paper's scheme with l = 1; the number is that of frames, if it matters.
 PEERS: Final = ("nearest-1", "nearest-5", "seqslam", "cloning")
 
 
@@ -118,11 +77,11 @@ class WorldPlan:
     recognised
         Degradations of the queries.
     search_lengths
-        l of the success rates; none for no searches.
+        l of the success rates of the paper's scheme; none for no searches of it.
     searched
         For every scheme the degradations under which it searches.
     runs
-        Searches of every scheme, length and degradation.
+        Searches of every driver, length and degradation.
     peers
         Degradations under which the peers search.
     template_frames
@@ -200,8 +159,7 @@ class Plan:
     @property
     def fingerprint(self) -> str:
         """Fingerprint of the whole plan, and of what all plans have in common."""
-        common = [asdict(scheme) for scheme in SCHEMES.values()] + [asdict(one) for one in PEER_RECOGNISERS]
-        everything = [asdict(self), common, PEERS, JUDGED_TICKS, _DECISIONS]
+        everything = [asdict(self), SCHEMES, [asdict(one) for one in PEER_RECOGNISERS], PEERS, JUDGED_TICKS]
         return hashlib.sha256(json.dumps(everything, sort_keys=True).encode()).hexdigest()[:12]
 
 
@@ -228,8 +186,7 @@ QUICK: Final = Plan(
     (
         WorldPlan(
             "indoor", 6, 18, _INDOOR, queries=1, lengths=(1, 5, 20), recognised=_BOTH,
-            search_lengths=(1, 5, 20), searched={"paper": _BOTH, "overlapping": ("poor",), "smal": _BOTH}, runs=3,
-            peers=_BOTH,
+            search_lengths=(1, 5, 20), searched=dict.fromkeys(SCHEMES, _BOTH), runs=3, peers=_BOTH,
         ),
         WorldPlan("campus", 3, 0, _CAMPUS, queries=1, lengths=(1, 5, 20), recognised=_BOTH),
     ),
@@ -237,7 +194,6 @@ QUICK: Final = Plan(
     omitted=(
         "lengths of 10 and 40 frames",
         "searches on the campus",
-        "overlapping windows with a clear view",
         "most of the runs (3 instead of 10) and of the drives, so that intervals are wide",
         "searches longer than 800 frames",
     ),

@@ -7,7 +7,7 @@ frame the robot is, and how sure it is; that is right if the frame was taken nea
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any, Final
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,17 +26,11 @@ from smal.evaluation.baselines.thumbnails import thumbnail
 from smal.evaluation.ground_truth import PoseTruth, judge
 from smal.evaluation.localisation import DemonstratedFrames, nearest_windows
 from smal.features import Centering, FeatureSettings, extract
+from smal.matching.streaming import StreamingMatcher
 from smal.model import Model
-from smal.novelty import Match
+from smal.phase import matched_phase
 from smal.place_recognition import Matches
 from smal.place_recognition.matches import NONE
-from smal.recognition import Recognition, Recognizer
-
-# By novelty test the parameters with which only a query without any weight is unknown.
-_ALWAYS_ANSWERS: Final[dict[str, dict[str, float]]] = {
-    "agreement": {"max_residual": 1.0, "min_agreement": -1.0},
-    "weight": {"tau": 0.0},
-}
 
 
 def query_drive(
@@ -96,26 +90,24 @@ def make_queries(workplace: Workplace, world: str, seed: int, degradations: tupl
 
 def recognise(
     workplace: Workplace, world: str, teaching: str, recogniser: Recogniser, degradation: str, seed: int
-) -> tuple[Matches, NDArray[np.bool_], NDArray[np.float64]]:
+) -> tuple[Matches, NDArray[np.float64]]:
     """Have a method recognise every `JUDGED_TICKS`-th frame of a held-out drive.
 
     Returns
     -------
     matches
         Demonstrated frame, counted over all demonstrations, and score of every query.
-    known : bool array (q,)
-        Which answers the method itself would give: for SMAL those that its novelty test lets pass.
     poses : float64 array (q, 3)
         The true ones.
     """
-    matches, known, poses = _recognise_all(workplace, world, teaching, recogniser, degradation, seed)
+    matches, poses = _recognise_all(workplace, world, teaching, recogniser, degradation, seed)
     judged = slice(JUDGED_TICKS - 1, None, JUDGED_TICKS)
-    return Matches(matches.reference[judged], matches.score[judged]), known[judged], poses[judged]
+    return Matches(matches.reference[judged], matches.score[judged]), poses[judged]
 
 
 def _recognise_all(
     workplace: Workplace, world: str, teaching: str, recogniser: Recogniser, degradation: str, seed: int
-) -> tuple[Matches, NDArray[np.bool_], NDArray[np.float64]]:
+) -> tuple[Matches, NDArray[np.float64]]:
     with np.load(workplace.folder / query_file(world, seed), allow_pickle=False) as held:
         poses = held["poses"]
         part = "thumbnails" if recogniser.name == "seqslam" else "features"
@@ -124,8 +116,7 @@ def _recognise_all(
         model = workplace.model(world, teaching, recogniser.length)
         if sum(map(len, model.atoms)) != len(workplace.poses(world, teaching)):
             raise ValueError(f"the drives in {workplace.folder} are not those that the model was learned from")
-        matches, known = recognise_states(model, views, JUDGED_TICKS)
-        return matches, known, poses
+        return recognise_states(model, views, JUDGED_TICKS), poses
     drives = workplace.drives(world, teaching)
     if recogniser.name == "seqslam":
         small = {one.demonstration.name: one.thumbnails for one in drives if one.thumbnails is not None}
@@ -136,30 +127,26 @@ def _recognise_all(
         centering = Centering.fit(raw, workplace.features)
         templates = [centering.apply(each) for each in raw]
         matches = Matches(*nearest_windows(templates, centering.apply(views), recogniser.length))
-    return matches, matches.matched, poses
+    return matches, poses
 
 
-def recognise_states(model: Model, views: NDArray[np.float32], every: int = 1) -> tuple[Matches, NDArray[np.bool_]]:
-    """Recognise states at every so many frames, and say which answers the novelty test lets pass.
+def recognise_states(model: Model, views: NDArray[np.float32], every: int = 1) -> Matches:
+    """Recognise states (Eq. 9) at every so many frames, and where in them the robot is by W.
 
-    The score is the weight of the best sequence (left side of Eq. 8, for each query frame). Whether the test calls the
-    window unknown does not matter for it: a threshold on the score takes its place in the curve.
+    The score is the weight of the best sequence (left side of Eq. 8, for each query frame).
     """
-    test = model.recognition_test()
-    willing = replace(model, recognition_parameters=_ALWAYS_ANSWERS[model.novelty])
-    recognizer, frames = Recognizer(willing, shorten=False), DemonstratedFrames(model)
-    matches, known = Matches.none(len(views)), np.zeros(len(views), dtype=np.bool_)
-    for tick, view in enumerate(views):
-        found = recognizer.observe(tick, view, due=(tick + 1) % every == 0)
-        if found.state is not None and found.phase is not None:
-            matches.reference[tick] = frames.frame(found.state, found.phase)
-            matches.score[tick] = found.score
-            known[tick] = not test.is_novel(_match_of(found))
-    return matches, known
-
-
-def _match_of(found: Recognition) -> Match:
-    return Match(found.state, found.score, found.total_weight, found.residual, found.agreement)
+    length, frames = model.sequence_length, DemonstratedFrames(model)
+    matcher = StreamingMatcher(model.templates, length, model.lambda1, model.lambda2, tolerance=1e-3)
+    matches = Matches.none(len(views))
+    for tick, view in enumerate(model.centering.apply(views)):
+        matcher.observe(view)
+        if not matcher.ready or (tick + 1) % every != 0:
+            continue
+        solution = matcher.match()
+        if (state := solution.best_block) is not None:
+            matches.reference[tick] = frames.frame(state, matched_phase(solution, state))
+            matches.score[tick] = solution.block_weights.max() / length
+    return matches
 
 
 def _by_seqslam(localiser: SeqSlamLocaliser, lengths: list[int], views: NDArray[np.uint8]) -> Matches:
@@ -176,7 +163,6 @@ def _by_seqslam(localiser: SeqSlamLocaliser, lengths: list[int], views: NDArray[
 
 def judged(
     matches: Matches,
-    known: NDArray[np.bool_],
     demonstrated: NDArray[np.float64],
     true: NDArray[np.float64],
     criteria: tuple[Criterion, ...],
@@ -186,7 +172,7 @@ def judged(
     Returns
     -------
     dict
-        For every query ``score``, ``answered``, ``known``, ``apart_m`` (distance of the answer's pose; -1 without one);
+        For every query ``score``, ``answered``, ``apart_m`` (distance of the answer's pose; -1 without one);
         and for every criterion ``right`` and ``findable``, lists of lists.
     """
     judgements = [judge(matches, PoseTruth(demonstrated, true, one.distance_m, one.angle_deg)) for one in criteria]
@@ -194,7 +180,6 @@ def judged(
     return {
         "score": [float(f"{score:.6g}") for score in matches.score.tolist()],
         "answered": matches.matched.astype(int).tolist(),
-        "known": (known & matches.matched).astype(int).tolist(),
         "apart_m": np.where(matches.reference == NONE, -1.0, apart_m).round(3).tolist(),
         "right": [one.right.astype(int).tolist() for one in judgements],
         "findable": [one.findable.astype(int).tolist() for one in judgements],

@@ -5,9 +5,11 @@ from __future__ import annotations
 from typing import Final
 
 from schemas.base import Atom as AtomName
+from schemas.base import Message
 from schemas.episode import Outcome, Purpose
 from services.simulator.drive import TICK_S
 from services.simulator.outcome import outcome_of
+from services.simulator.sensors.messages import odometry_message
 from services.simulator.simulation import Simulation
 from smal.action_space import Atom
 
@@ -18,6 +20,16 @@ _NAMES: Final[dict[Atom, AtomName]] = {
     Atom.LEFT: "left",
     Atom.RIGHT: "right",
 }
+
+#: x, y in metres and heading in radians.
+Pose = tuple[float, float, float]
+_HEADER: Final = Message(robot="any", episode="any", tick=0, stamp_ns=0)
+
+
+def odometry_of(simulation: Simulation) -> Pose:
+    """Return where the wheels say that the robot is, with the digits that the simulator's message has."""
+    said = odometry_message(_HEADER, simulation.odometry())
+    return said.x_m, said.y_m, said.heading_rad
 
 
 def advance(simulation: Simulation, atom: Atom) -> None:

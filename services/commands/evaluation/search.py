@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from schemas.episode import Outcome
 from services.commands.evaluation.controllers import Controller
 from services.commands.evaluation.degradation import CLEAN, Degradation, Degrader
-from services.commands.evaluation.rules import advance, outcome_at
+from services.commands.evaluation.rules import advance, odometry_of, outcome_at
 from services.simulator.simulation import Simulation
 from smal.features import extract
 
@@ -105,7 +105,7 @@ def search(
         if keep(tick):
             pictures[tick] = image
         features = None if controller.features is None else extract(image, controller.features)
-        move = controller.act(tick, image, features)
+        move = controller.act(tick, image, features, odometry_of(simulation))
         if move.decision is not None:
             decisions[tick] = move.decision
             if not move.recognised:

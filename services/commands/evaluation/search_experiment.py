@@ -12,12 +12,12 @@ from numpy.typing import NDArray
 from services.commands.evaluation.controllers import (
     CloningController,
     Controller,
+    FilterController,
     ImitationController,
+    PaperController,
     SeqSlamController,
-    SmalController,
 )
 from services.commands.evaluation.degradation import degradation_named
-from services.commands.evaluation.plan import DEFAULT_LENGTH, SCHEMES
 from services.commands.evaluation.search import Search, search
 from services.commands.evaluation.workplace import Workplace, replace_file
 from services.jpeg import encode_jpeg
@@ -48,10 +48,10 @@ class Drivers:
             return ImitationController(
                 self._workplace.drives(world, teaching), self._workplace.features, int(name.removeprefix("nearest-"))
             )
-        model = self._workplace.model(world, teaching, length)
         if name == "seqslam":
-            return SeqSlamController(model, self._workplace.drives(world, teaching))
-        return SmalController(model, SCHEMES[name])
+            return SeqSlamController(self._workplace.drives(world, teaching))
+        model = self._workplace.model(world, teaching, length)
+        return FilterController(model) if name == "smal" else PaperController(model)
 
     def _clone(self, world: str, teaching: str, seed: int) -> ClonedBehaviour:
         drives = self._workplace.drives(world, teaching)
@@ -71,10 +71,10 @@ def run_search(
     seed: int,
     max_ticks: int,
 ) -> dict[str, Any]:
-    """Search once; of SMAL's at its defaults and with a clear view pictures are kept."""
+    """Search once; of SMAL's with a clear view pictures are kept."""
     how = degradation_named(degradation)
     simulation = workplace.simulation(world, how.shake)
-    kept = (controller, length, degradation) == ("smal", DEFAULT_LENGTH, "clean")
+    kept = (controller, degradation) == ("smal", "clean")
     found = search(
         simulation,
         drivers.of_search(world, teaching, controller, length, seed),

@@ -12,7 +12,6 @@ from services.commands.evaluation.plan import (
     PEERS,
     QUERY_SEED,
     RUN_SEED,
-    SCHEMES,
     TEACHING_SEED,
     Plan,
     Recogniser,
@@ -68,7 +67,7 @@ class _Costs:
     """About how many seconds things take on one core, as measured on one machine; only for the progress bar."""
 
     def __init__(self, world: WorldPlan, max_ticks: int) -> None:
-        self.max_ticks = max_ticks
+        self.max_ticks, self.drives = max_ticks, world.drives
         outdoors = world.world == "campus"
         self.frame_s = 0.015 if outdoors else 0.008
         self.drive_frames = 560 if outdoors else 330
@@ -83,6 +82,10 @@ class _Costs:
         """Return what matching a window costs in a stream of frames."""
         return 1e-3 + (1e-4 * length + 1.1e-5 * length**2) * self.learned
 
+    def learn_s(self, length: int) -> float:
+        """Return what learning costs; one model has the map of views."""
+        return 1.0 + 1.5 * self.learned + (0.1 * self.drives * self.drive_frames if length == DEFAULT_LENGTH else 0.0)
+
     def recognise_s(self, recogniser: Recogniser) -> float:
         """Return what recognising a drive costs; its frames are far apart, and the first match prepares templates."""
         if recogniser.name != "smal":
@@ -93,12 +96,12 @@ class _Costs:
         """Return what a search costs; where frames are occluded it lasts longer, and matching takes longer."""
         longer = 1.0 if degradation == "clean" else 1.5
         frames = self.drive_frames * longer
-        if controller not in SCHEMES:
+        if controller != "paper":
             return frames * (self.frame_s + 5e-3)
-        if not SCHEMES[controller].aligned and (longer > 1.0 or length > 1):
+        if longer > 1.0 or length > 1:
             # It gets lost, and stands until the time is out.
             return self.max_ticks * (self.frame_s + 3e-3)
-        return frames * (self.frame_s + longer * self.match_s(length) / SCHEMES[controller].stride(length))
+        return frames * (self.frame_s + self.match_s(length))
 
 
 def units(plan: Plan, *, cloning: bool) -> list[Unit]:
@@ -133,7 +136,7 @@ def _of_world(plan: Plan, world: WorldPlan, cloning: bool) -> Iterator[Unit]:
     for length in world.all_lengths:
         settings = (taught, ("length", length))
         needs = tuple(unit.key for unit in teaching)
-        learned[length] = Unit("learn", world.world, settings, needs, 1.0 + 1.5 * costs.learned)
+        learned[length] = Unit("learn", world.world, settings, needs, costs.learn_s(length))
         yield learned[length]
     queries = [
         Unit("queries", world.world, (taught, ("seed", QUERY_SEED + k)), (), 1.1 * costs.drive_s)
@@ -184,7 +187,8 @@ def _searches(
 ) -> Iterator[Unit]:
     limit = ("max_ticks", plan.max_ticks)
     # What tells most first: whoever looks at the page before all is done sees the method and its peers.
-    asked = [("smal", length, degradation) for length in (DEFAULT_LENGTH, 1) for degradation in world.peers]
+    asked = [("smal", DEFAULT_LENGTH, degradation) for degradation in world.peers]
+    asked += [("paper", 1, degradation) for degradation in world.peers]
     asked += [
         (peer, DEFAULT_LENGTH, degradation)
         for peer in PEERS
@@ -194,9 +198,8 @@ def _searches(
     asked += [
         (scheme, length, degradation)
         for scheme, degradations in world.searched.items()
-        for length in world.search_lengths
+        for length in (world.search_lengths if scheme == "paper" else (DEFAULT_LENGTH,))
         for degradation in degradations
-        if not (scheme == "overlapping" and length == 1 and "paper" in world.searched)  # is the same
     ]
     for controller, length, degradation in dict.fromkeys(asked):
         for k in range(world.runs):

@@ -11,7 +11,7 @@ import numpy as np
 
 from services.commands.evaluation.demonstrations import demonstrate, save_drives
 from services.commands.evaluation.objective_experiment import objectives
-from services.commands.evaluation.plan import Plan, Recogniser
+from services.commands.evaluation.plan import DEFAULT_LENGTH, Plan, Recogniser
 from services.commands.evaluation.recognition_experiment import judged, make_queries, recognise
 from services.commands.evaluation.search_experiment import Drivers, run_search
 from services.commands.evaluation.units import Unit
@@ -59,9 +59,13 @@ class Work:
 
     def _learn(self, unit: Unit) -> dict[str, Any]:
         drives = self._place.drives(unit.world, unit.text("teaching"))
-        settings = LearningSettings(features=self._place.features, sequence_length=unit.number("length"))
+        length = unit.number("length")
+        # The paper's test for new states; and one map, which does not depend on l.
+        settings = LearningSettings(
+            features=self._place.features, sequence_length=length, novelty="weight", map_views=length == DEFAULT_LENGTH
+        )
         model, report = learn([one.demonstration for one in drives], settings)
-        name = model_file(unit.world, unit.text("teaching"), unit.number("length"))
+        name = model_file(unit.world, unit.text("teaching"), length)
         model.save(self._place.folder / name)
         return {"frames": report.frames, "states": report.states, "shared": report.shared_states, "files": [name]}
 
@@ -73,9 +77,9 @@ class Work:
     def _recognise(self, unit: Unit) -> dict[str, Any]:
         method, teaching = unit.text("method"), unit.text("teaching")
         recogniser = Recogniser(method, unit.number("length"))  # type: ignore[arg-type]  # of this plan
-        found = recognise(self._place, unit.world, teaching, recogniser, unit.text("degradation"), unit.number("seed"))
-        matches, known, true = found
-        return judged(matches, known, self._place.poses(unit.world, teaching), true, self._worlds[unit.world].criteria)
+        degradation, seed = unit.text("degradation"), unit.number("seed")
+        matches, true = recognise(self._place, unit.world, teaching, recogniser, degradation, seed)
+        return judged(matches, self._place.poses(unit.world, teaching), true, self._worlds[unit.world].criteria)
 
     def _objective(self, unit: Unit) -> dict[str, Any]:
         model = self._place.model(unit.world, unit.text("teaching"), unit.number("length"))

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import os
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -206,14 +206,17 @@ def _demonstration(episode: RecordedEpisode, piece: Piece, whole: bool) -> Demon
 class RecordedImages(Sequence[NDArray[np.uint8]]):
     """Images as they were recorded, decoded when they are wanted."""
 
-    def __init__(self, images: Sequence[memoryview]) -> None:
-        self._images = images
+    def __init__(
+        self, recorded: Sequence[bytes | memoryview], decode: Callable[[bytes], NDArray[np.uint8]] = decode_image
+    ) -> None:
+        self.recorded = recorded
+        self._decode = decode
 
     def __len__(self) -> int:
-        return len(self._images)
+        return len(self.recorded)
 
     def __getitem__(self, index: Any) -> Any:  # noqa: ANN401 - a sequence is asked for numbers or slices
-        return decode_image(bytes(self._images[index]))
+        return self._decode(bytes(self.recorded[index]))
 
 
 def find_recordings(paths: Iterable[Path]) -> list[Path]:

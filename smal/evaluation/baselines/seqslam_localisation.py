@@ -13,9 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from smal.features.thumbnail import thumbnail_descriptor
-from smal.model import Model
 from smal.place_recognition.seqslam import SeqSlamSettings, differences, enhanced
-from smal.sequences import first_frame
 
 
 class Place(NamedTuple):
@@ -102,23 +100,3 @@ class SeqSlamLocaliser:
         ]
         contrast: NDArray[np.float32] = np.concatenate(parts, axis=1)[0]
         return contrast
-
-
-def state_at(model: Model, demonstration: int, frame: int) -> tuple[int, float]:
-    """Return the state of a demonstrated frame, and the frame of the state's template at which it is.
-
-    Of the sequences of the demonstration the one that the frame is in; for the frames before the first sequence that
-    one, with a phase that may be negative.
-
-    Parameters
-    ----------
-    model : Model
-        With at least one whole sequence of that demonstration.
-    demonstration, frame : int
-    """
-    length = model.sequence_length
-    atoms = model.atoms[demonstration]
-    offset = frame - first_frame(len(atoms), length)
-    index = max(0, offset // length)
-    last = (index + 1) * length - 1
-    return int(model.state_streams[demonstration][index]), float(model.phases[demonstration][index]) + offset - last

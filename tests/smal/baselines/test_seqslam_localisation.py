@@ -6,12 +6,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from smal.evaluation.baselines.seqslam_localisation import SeqSlamLocaliser, state_at
+from smal.evaluation.baselines.seqslam_localisation import SeqSlamLocaliser
 from smal.features.thumbnail import thumbnail_descriptor
-from smal.learning import LearningSettings, learn
 from smal.place_recognition.seqslam import SeqSlamSettings, match_seqslam
-from smal.sequences import first_frame
-from tests.smal.worlds import COLOR, corridor, drive
 
 SETTINGS = SeqSlamSettings(length=6, window=10)
 
@@ -75,22 +72,3 @@ def test_what_is_missing_is_named() -> None:
         SeqSlamLocaliser({"a": traverse(30, 1)}, ("a", "b"), SETTINGS)
     with pytest.raises(ValueError, match="no demonstration is long enough"):
         SeqSlamLocaliser({"a": traverse(3, 1)}, ("a",), SETTINGS)
-
-
-def test_a_demonstrated_frame_is_in_the_state_of_its_sequence_and_phases_go_on_with_the_frames() -> None:
-    views = corridor(47)
-    taught = [drive(views, 0, 1, name="a"), drive(views, 3, 2, name="b")]
-    model, _ = learn(taught, LearningSettings(features=COLOR, sequence_length=5))
-    for number, one in enumerate(taught):
-        frames = len(one.atoms)
-        places = [state_at(model, number, frame) for frame in range(frames)]
-        begin = first_frame(frames, 5)
-        lasts = range(begin + 4, frames, 5)
-        assert [places[last][0] for last in lasts] == model.state_streams[number].tolist()
-        np.testing.assert_allclose([places[last][1] for last in lasts], model.phases[number])
-        for frame in range(begin + 1, frames):
-            if (frame - begin) % 5:
-                assert places[frame][0] == places[frame - 1][0]
-                assert places[frame][1] == pytest.approx(places[frame - 1][1] + 1.0)
-        for frame in range(begin):
-            assert places[frame] == (places[begin][0], pytest.approx(places[begin][1] - (begin - frame)))

@@ -1,4 +1,4 @@
-"""What the report says in words: SMAL at its defaults against every other method, long sequences against short ones."""
+"""What the report says in words: SMAL against every other method, long sequences against short ones."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Final, Literal
 import numpy as np
 from scipy.stats import binomtest
 
-from services.commands.evaluation.plan import DEFAULT_LENGTH, PEERS
+from services.commands.evaluation.plan import DEFAULT_LENGTH
 from services.commands.evaluation.report.summary import (
     PEERS_OF_DEFAULT,
     Recognised,
@@ -26,7 +26,7 @@ _LONG: Final = 20
 
 @dataclass(frozen=True)
 class Comparison:
-    """What the report says in words: mostly SMAL at its defaults against a peer.
+    """What the report says in words: mostly SMAL against a peer.
 
     Attributes
     ----------
@@ -53,7 +53,7 @@ def comparisons(found: Results) -> list[Comparison]:
 
 
 def compare_recognition(world: str, found: Sequence[Recognised]) -> list[Comparison]:
-    """Compare the areas under the curves: SMAL at its default length against every other method."""
+    """Compare the areas under the curves: Eq. 9 at its default length against every other method."""
     compared = []
     for ours in found:
         if (ours.recogniser.name, ours.recogniser.length) != ("smal", DEFAULT_LENGTH):
@@ -65,7 +65,7 @@ def compare_recognition(world: str, found: Sequence[Recognised]) -> list[Compari
             verdict: Literal["ahead", "behind", "open"] = "ahead" if low > 0.0 else "behind" if high < 0.0 else "open"
             text = (
                 f"recognition, {ours.degradation}: area {ours.curve.auc:.3f} of {ours.name} against "
-                f"{peer.curve.auc:.3f} of {peer.name}, {_said(verdict)} "
+                f"{peer.curve.auc:.3f} of {peer.name}, {_said('Eq. 9', verdict)} "
                 f"(difference {low:+.3f} to {high:+.3f})"
             )
             compared.append(Comparison(world, verdict, text))
@@ -73,10 +73,10 @@ def compare_recognition(world: str, found: Sequence[Recognised]) -> list[Compari
 
 
 def compare_searches(world: str, found: Sequence[Success]) -> list[Comparison]:
-    """Compare success on the same seeds: SMAL at its defaults against every peer, by the exact sign test."""
+    """Compare success on the same seeds: SMAL against every peer, by the exact sign test."""
     compared = []
     for ours in found:
-        if (ours.controller, ours.length) != ("smal", DEFAULT_LENGTH):
+        if ours.controller != "smal":
             continue
         for controller, length in PEERS_OF_DEFAULT:
             peer = success_of(found, controller, length, ours.degradation)
@@ -86,7 +86,7 @@ def compare_searches(world: str, found: Sequence[Success]) -> list[Comparison]:
             text = (
                 f"searches, {ours.degradation}: {ours.found} of {ours.runs} found by "
                 f"{controller_name(ours.controller, ours.length)} against {peer.found} of {peer.runs} by "
-                f"{controller_name(controller, length)}, {_said(verdict)} (p = {chance:.2g})"
+                f"{controller_name(controller, length)}, {_said('SMAL', verdict)} (p = {chance:.2g})"
             )
             compared.append(Comparison(world, verdict, text))
     return compared
@@ -104,30 +104,22 @@ def _sign_test(ours: Success, peer: Success) -> tuple[Literal["ahead", "behind",
     return ("ahead" if wins > losses else "behind"), chance
 
 
-def _said(verdict: str) -> str:
-    return {
-        "ahead": "SMAL is ahead",
-        "behind": "SMAL is behind",
-        "open": "the difference may be chance",
-    }[verdict]
+def _said(ours: str, verdict: str) -> str:
+    return "the difference may be chance" if verdict == "open" else f"{ours} is {verdict}"
 
 
 def long_sequences(world: str, found: Sequence[Success]) -> list[Comparison]:
-    """Compare, for every scheme and degradation, the longest sequences with the best of the short ones."""
+    """Compare, for every degradation, the longest sequences of the paper's scheme with the best of the short ones."""
     said = []
-    for controller, degradation in dict.fromkeys((one.controller, one.degradation) for one in found):
-        if controller in PEERS:
-            continue
-        each = sorted(
-            (one for one in found if (one.controller, one.degradation) == (controller, degradation)),
-            key=lambda one: one.length,
-        )
+    paper = sorted((one for one in found if one.controller == "paper"), key=lambda one: one.length)
+    for degradation in dict.fromkeys(one.degradation for one in paper):
+        each = [one for one in paper if one.degradation == degradation]
         short, long = ([one for one in each if (one.length >= _LONG) == is_long] for is_long in (False, True))
         if not short or not long:
             continue
         best = max(short, key=lambda one: one.rate)
         counts = ", ".join(f"{one.found} of {one.runs} at l = {one.length}" for one in each)
-        text = f"lengths, {controller}, {degradation}: {counts}; {_long_against_short(long, best)}"
+        text = f"lengths of the paper's scheme, {degradation}: {counts}; {_long_against_short(long, best)}"
         said.append(Comparison(world, "counts", text))
     return said
 

@@ -38,7 +38,6 @@ def _recognised_json(one: Recognised, criterion: str) -> dict[str, Any]:
         "auc_from_start": one.auc_from_start,
         "recall_at_100_precision": curve.recall_at_100_precision,
         "recall_at_100_precision_95": list(one.recall_95),
-        "novelty_test": None if one.operating is None else {"recall": one.operating[0], "precision": one.operating[1]},
         "recall": curve.recall.round(5).tolist(),
         "precision": curve.precision.round(5).tolist(),
     }

@@ -85,8 +85,9 @@ def _introduction(plan: Plan, units: Sequence[Unit], store: ResultStore) -> Iter
     yield (
         "<p>The experiments of Han, Yang, Zhang and Zhang, <em>Sequence-based Multimodal Apprenticeship Learning for "
         "Robot Perception and Decision Making</em> (ICRA 2017), repeated in simulation, and taken further. A scripted "
-        "expert drives the robot to a victim; from camera images and keys alone SMAL learns states, actions, "
-        "transitions and a reward; then the robot searches by itself from other starts.</p>"
+        "expert drives the robot to a victim; from camera images, keys and odometry SMAL learns a map of views, and "
+        "the paper's scheme states, actions, transitions and a reward; then the robot searches by itself from other "
+        "starts.</p>"
     )
     if plan.omitted:
         yield f"<p><b>This is the quick evaluation.</b> It leaves out: {'; '.join(map(escape, plan.omitted))}.</p>"
@@ -106,17 +107,17 @@ def _introduction(plan: Plan, units: Sequence[Unit], store: ResultStore) -> Iter
 def _summary(compared: Iterable[Comparison]) -> Iterator[str]:
     yield "<h2>In words</h2>"
     yield (
-        f"<p>SMAL at its defaults (l = {DEFAULT_LENGTH}) against each other method; “ahead” and “behind” only where "
-        "the 95 % interval of the difference of areas leaves out zero, or the exact sign test on the same seeds has p "
-        "below 0.05; with fewer than six searches it never has. Of so many comparisons one in twenty would come out so "
-        "by chance. All of it is computed from the results below.</p>"
+        f"<p>In searches SMAL, in recognition Eq. 9 (l = {DEFAULT_LENGTH}), against each other method; “ahead” and "
+        "“behind” only where the 95 % interval of the difference of areas leaves out zero, or the exact sign test on "
+        "the same seeds has p below 0.05; with fewer than six searches it never has. Of so many comparisons one in "
+        "twenty would come out so by chance. All of it is computed from the results below.</p>"
     )
     rows = [
         f'<tr><td class="text">{escape(one.world)}</td><td class="text">{escape(one.text)}</td>'
         f'<td class="text {one.verdict}">{_VERDICT[one.verdict]}</td></tr>'
         for one in compared
     ]
-    head = '<tr><th class="text">world</th><th class="text">result</th><th class="text">SMAL ahead?</th></tr>'
+    head = '<tr><th class="text">world</th><th class="text">result</th><th class="text">ahead?</th></tr>'
     yield f'<div class="scroll"><table>{head}{"".join(rows)}</table></div>'
 
 

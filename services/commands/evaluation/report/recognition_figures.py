@@ -18,7 +18,7 @@ from services.commands.evaluation.results import Finding
 
 
 def precision_recall(found: Sequence[Recognised], title: str) -> Figure:
-    """Draw SMAL at its default length against the single image and the peers, a panel for each degradation."""
+    """Draw Eq. 9 at its default length against the single image and the peers, a panel for each degradation."""
     shown = [one for one in found if one.recogniser.name != "smal" or one.recogniser.length in (1, DEFAULT_LENGTH)]
     shown.sort(key=lambda one: (one.recogniser.name != "smal", one.recogniser.length == 1))
 
@@ -33,7 +33,7 @@ def precision_recall(found: Sequence[Recognised], title: str) -> Figure:
 
 
 def precision_recall_by_length(found: Sequence[Recognised], title: str) -> Figure:
-    """Draw SMAL at every length, darker the longer, a panel for each degradation."""
+    """Draw Eq. 9 at every length, darker the longer, a panel for each degradation."""
     shown = [one for one in found if one.recogniser.name == "smal"]
     lengths = sorted({one.recogniser.length for one in shown})
     colours = mpl.colormaps["viridis_r"](np.linspace(0.12, 0.95, len(lengths)))
@@ -45,7 +45,7 @@ def precision_recall_by_length(found: Sequence[Recognised], title: str) -> Figur
 
 
 def _curves(shown: Sequence[Recognised], style: Callable[[Recogniser], dict[str, Any]], title: str) -> Figure:
-    """Draw curves in one panel for each degradation; a cross is where the novelty test of SMAL works."""
+    """Draw curves in one panel for each degradation."""
     degradations = list(dict.fromkeys(one.degradation for one in shown))
     figure = Figure(figsize=(5.2 * len(degradations), 5.4), layout="constrained")
     panels = np.atleast_1d(figure.subplots(1, len(degradations)))
@@ -53,16 +53,11 @@ def _curves(shown: Sequence[Recognised], style: Callable[[Recogniser], dict[str,
     floor = max(0.0, math.floor(10.0 * least - 2.0) / 10.0)
     for axes, degradation in zip(panels, degradations, strict=True):
         for one in (each for each in shown if each.degradation == degradation):
-            look = style(one.recogniser)
             # Steps, as the area counts them.
             recall = np.concatenate([[0.0], one.curve.recall])
             precision = np.concatenate([one.curve.precision[:1], one.curve.precision])
             label = f"{one.name}  (area {one.curve.auc:.3f})"
-            axes.step(recall[: precision.size], precision, where="pre", label=label, **look)
-            if one.operating is not None:
-                axes.plot(
-                    *one.operating, "X", color=look["color"], ms=11, mec="white", mew=1.0, zorder=6, clip_on=False
-                )
+            axes.step(recall[: precision.size], precision, where="pre", label=label, **style(one.recogniser))
         axes.set(
             xlim=(0, 1.015),
             ylim=(floor, 1.0 + 0.03 * (1.0 - floor)),
@@ -90,7 +85,7 @@ def area_by_length(found: Sequence[Recognised], title: str) -> Figure:
         low, high = np.array([one.auc_95 for one in each.values()]).T
         around = np.maximum([area - low, high - area], 0.0)
         axes.errorbar([lengths.index(length) for length in each], area, around, color=colour, marker="o", lw=2,
-                      capsize=4, label=f"SMAL, {seen(degradation)}")  # fmt: skip
+                      capsize=4, label=f"Eq. 9, {seen(degradation)}")  # fmt: skip
     axes.set_xticks(range(len(lengths)), [str(length) for length in lengths])
     axes.set(xlabel="sequence length l (frames)", ylabel="area under the curve", ylim=(None, 1.01), title=title)
     axes.legend(frameon=False, fontsize=9)

@@ -21,8 +21,8 @@ def recognition_section(found: Results, put: EmbeddedFigures) -> Iterator[str]:
     yield put(
         f"precision-recall-{name}",
         figures.precision_recall(found.recognised[0], f"State recognition, {name}"),
-        f"Precision over recall as the score's threshold falls, {_figure_of_the_paper(name)}. A cross is where SMAL's "
-        "own novelty test works, for whole windows. Closer to the top right is better.",
+        f"Precision over recall as the score's threshold falls, {_figure_of_the_paper(name)}. "
+        "Closer to the top right is better.",
     )
     if any(one.recogniser.name == "smal" for one in found.recognised[0]):
         yield from _lengths(found, put)
@@ -35,7 +35,7 @@ def _lengths(found: Results, put: EmbeddedFigures) -> Iterator[str]:
     yield put(
         f"precision-recall-lengths-{name}",
         figures.precision_recall_by_length(found.recognised[0], f"Sequence lengths, {name}"),
-        "The same for SMAL with sequences of l frames (the paper's figure of precision-recall curves in its parameter "
+        "The same for Eq. 9 with sequences of l frames (the paper's figure of precision-recall curves in its parameter "
         "analysis).",
     )
     yield put(
@@ -52,9 +52,9 @@ def _criterion(world: WorldPlan) -> str:
     return (
         "<p><b>One criterion for all methods:</b> an answer is right if the demonstrated frame that the method takes "
         f"the robot to be at was taken {escape(first.meaning)} of the robot's true pose"
-        f"{f' (beside it, stricter: {others})' if others else ''}. For SMAL that is the nearest demonstrated "
-        "occurrence of the state and phase that it recognises. The score is the weight of the best sequence (Eq. 8), "
-        "for each frame, whether or not the novelty test lets it pass; for the nearest frames the negative distance, "
+        f"{f' (beside it, stricter: {others})' if others else ''}. For Eq. 9 that is the frame of the "
+        "best sequence at which W places the robot. The score is the weight of that sequence, for each frame; for the "
+        "nearest frames the negative distance, "
         "for SeqSLAM the negative mean difference along its best trajectory. Recall counts all frames that have a "
         f"right answer among the demonstrations. Queries are one in {JUDGED_TICKS} frames of "
         f"{world.queries} held-out drive{'' if world.queries == 1 else 's'}, the same for all methods: those from "
@@ -79,14 +79,13 @@ def _table(found: Sequence[Recognised]) -> str:
             _interval(one.auc_95),
             f"{one.curve.recall_at_100_precision:.3f}",
             _interval(one.recall_95),
-            "-" if one.operating is None else f"{one.operating[1]:.3f} at {one.operating[0]:.3f}",
             f"{int(one.judgement.findable.sum())} of {one.judgement.score.size}",
             f"{one.auc_from_start:.3f}",
         ]
         for one in found
     ]
-    head = ["method", "view", "area", "95 %", "recall at 100 % precision", "95 %", "novelty test: precision at recall",
-            "frames with a right answer", "area from the start"]  # fmt: skip
+    head = ["method", "view", "area", "95 %", "recall at 100 % precision", "95 %", "frames with a right answer",
+            "area from the start"]  # fmt: skip
     return html.table(head, rows, left=2)
 
 

@@ -11,30 +11,35 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from services.commands.evaluation.degradation import Degrader, degradation_named
-from services.commands.evaluation.plan import DEFAULT_LENGTH, PEERS, SCHEMES
+from services.commands.evaluation.plan import DEFAULT_LENGTH, PEERS
 from services.commands.evaluation.report.figure_style import CYCLE, OURS, PEER_COLOURS, SINGLE, plain, seen
 from services.commands.evaluation.report.summary import PEERS_OF_DEFAULT, Success, controller_name, success_of
 from services.jpeg import decode_jpeg
 from services.simulator.world import load_world
 from services.simulator.world.map_view import draw_map
 
-_SCHEME: Final = {"paper": (SINGLE, "s"), "overlapping": ("#e09f3e", "^"), "smal": (OURS, "o")}
 #: Camera images beside an example route.
 VIEWS: Final = 6
 
 
 def success_by_length(found: Sequence[Success], title: str) -> Figure:
-    """Draw the success rate over l for every scheme, with Wilson's intervals, a panel for each degradation."""
-    mine = [one for one in found if one.controller in SCHEMES]
-    lengths = sorted({one.length for one in mine})
-    figure, panels = _panels(mine)
+    """Draw the success rate of the paper's scheme over l, with Wilson's intervals, a panel for each degradation.
+
+    That of SMAL, which has no l, is a level line.
+    """
+    paper = [one for one in found if one.controller == "paper"]
+    lengths = sorted({one.length for one in paper})
+    figure, panels = _panels(paper)
     for degradation, axes in panels.items():
-        for number, scheme in enumerate(SCHEMES.values()):
-            each = [one for one in mine if (one.controller, one.degradation) == (scheme.name, degradation)]
-            if each:
-                colour, marker = _SCHEME[scheme.name]
-                places = [lengths.index(one.length) + 0.09 * (number - 1) for one in each]
-                _rates(axes, places, each, {"color": colour, "marker": marker, "label": scheme.meaning})
+        each = [one for one in paper if one.degradation == degradation]
+        rate = np.array([one.rate for one in each])
+        low, high = np.array([one.wilson_95 for one in each]).T
+        axes.errorbar([lengths.index(one.length) for one in each], rate, [rate - low, high - rate], color=SINGLE,
+                      marker="s", lw=2, capsize=3, ms=6, elinewidth=1.2, label="the paper's scheme")  # fmt: skip
+        ours = success_of(found, "smal", DEFAULT_LENGTH, degradation)
+        if ours is not None:
+            axes.axhline(ours.rate, color=OURS, ls="--", lw=2, label="SMAL, which has no sequences")
+            axes.axhspan(*ours.wilson_95, color=OURS, alpha=0.08)
         axes.set_xticks(range(len(lengths)), [str(length) for length in lengths])
         axes.set(xlabel="sequence length l (frames)")
     return _titled(figure, title, "searches that found the victim")
@@ -61,17 +66,11 @@ def _titled(figure: Figure, title: str, share: str) -> Figure:
     return figure
 
 
-def _rates(axes: Axes, places: Sequence[float], each: Sequence[Success], look: dict[str, Any]) -> None:
-    rate = np.array([one.rate for one in each])
-    low, high = np.array([one.wilson_95 for one in each]).T
-    axes.errorbar(places, rate, [rate - low, high - rate], lw=2, capsize=3, ms=6, elinewidth=1.2, **look)
-
-
 def found_over_time(found: Sequence[Success], max_ticks: int, title: str) -> Figure:
     """Draw the share of searches that have found the victim by each frame, a panel for each degradation."""
     ways = {
         ("smal", DEFAULT_LENGTH): (OURS, "-"),
-        ("smal", 1): (SINGLE, "-"),
+        ("paper", 1): (SINGLE, "-"),
         ("paper", DEFAULT_LENGTH): (SINGLE, ":"),
         **{(peer, DEFAULT_LENGTH): (PEER_COLOURS[peer], "--") for peer in PEERS},
     }
@@ -88,7 +87,7 @@ def found_over_time(found: Sequence[Success], max_ticks: int, title: str) -> Fig
 
 
 def peers(found: Sequence[Success], title: str) -> Figure:
-    """Draw success rates of SMAL at its defaults and of its peers, with Wilson's intervals."""
+    """Draw success rates of SMAL and of its peers, with Wilson's intervals."""
     ways = [("smal", DEFAULT_LENGTH), *PEERS_OF_DEFAULT]
     shown = [way for way in ways if any((one.controller, one.length) == way for one in found)]
     degradations = list(dict.fromkeys(one.degradation for one in found if (one.controller, one.length) == ways[0]))

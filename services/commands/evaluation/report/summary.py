@@ -17,8 +17,8 @@ from smal.evaluation.precision_recall import PrecisionRecall, block_length, boot
 from smal.evaluation.success import wilson_interval
 
 Findings = Mapping[str, Finding]
-#: The peers of the method at its defaults, with the single image among them.
-PEERS_OF_DEFAULT: Final = (("smal", 1), *((peer, DEFAULT_LENGTH) for peer in PEERS))
+#: Whom the filter is compared with: the paper's scheme, by single images too, and the peers.
+PEERS_OF_DEFAULT: Final = (("paper", DEFAULT_LENGTH), ("paper", 1), *((peer, DEFAULT_LENGTH) for peer in PEERS))
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,8 +37,6 @@ class Recognised:
         The area over all judged frames, with those before the first whole window.
     areas
         The areas of the bootstrap's draws, which are paired between methods.
-    operating
-        (recall, precision) of the answers that the method's own novelty test lets pass; None if it has none.
     """
 
     recogniser: Recogniser
@@ -49,7 +47,6 @@ class Recognised:
     auc_from_start: float
     recall_95: tuple[float, float]
     areas: NDArray[np.float64]
-    operating: tuple[float, float] | None
 
     @property
     def name(self) -> str:
@@ -111,7 +108,7 @@ class Results:
 def recogniser_name(recogniser: Recogniser) -> str:
     """Name a recogniser for people."""
     if recogniser.name == "smal":
-        return "single image (l = 1)" if recogniser.length == 1 else f"SMAL, l = {recogniser.length}"
+        return "single image (l = 1)" if recogniser.length == 1 else f"Eq. 9, l = {recogniser.length}"
     if recogniser.name == "seqslam":
         return f"SeqSLAM, {recogniser.length} frames"
     return "nearest frame" if recogniser.length == 1 else f"nearest {recogniser.length} frames"
@@ -119,15 +116,15 @@ def recogniser_name(recogniser: Recogniser) -> str:
 
 def controller_name(controller: str, length: int) -> str:
     """Name a way to drive for people."""
-    if controller == "smal":
-        return "single image, same decisions" if length == 1 else f"SMAL, l = {length}"
-    names = {
+    if controller == "paper":
+        return f"the paper's scheme, l = {length}"
+    return {
+        "smal": "SMAL",
         "nearest-1": "imitating the nearest frame",
         "nearest-5": "imitating the nearest 5 frames",
-        "seqslam": "SeqSLAM, same policy",
+        "seqslam": "continuing from where SeqSLAM says",
         "cloning": "behaviour cloning",
-    }
-    return names.get(controller, f"{controller}, l = {length}")
+    }[controller]
 
 
 def results_of(world: WorldPlan, units: Sequence[Unit], findings: Findings) -> Results:
@@ -163,12 +160,6 @@ def _recognised(
     curve = PrecisionRecall.of(judgement)
     draws = bootstrap(judgement, block_of(world, judgement))
     intervals = intervals_of(draws)
-    operating = None
-    if recogniser.name == "smal":
-        known = _all(parts, "known").astype(bool)[late]
-        right = int((judgement.right & known).sum())
-        if known.any():
-            operating = (right / int(judgement.findable.sum()), right / int(known.sum()))
     return Recognised(
         recogniser,
         degradation,
@@ -178,7 +169,6 @@ def _recognised(
         PrecisionRecall.of(whole).auc,
         intervals.recall_at_100_precision,
         draws[:, 0],
-        operating,
     )
 
 
@@ -215,10 +205,6 @@ def successes(world: WorldPlan, units: Sequence[Unit], findings: Findings) -> li
         if unit.kind == "search" and unit.world == world.world:
             key = (unit.text("controller"), unit.number("length"), unit.text("degradation"))
             groups.setdefault(key, []).append(unit)
-    for degradation in world.searched.get("overlapping", ()):
-        if ("paper", 1, degradation) in groups:
-            # One run stands for both: with l = 1 a decision every l frames is one at every frame.
-            groups["overlapping", 1, degradation] = groups["paper", 1, degradation]
     order = [*SCHEMES, *PEERS]
     return [
         Success(

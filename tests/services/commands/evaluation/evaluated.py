@@ -2,29 +2,17 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import cv2
 import numpy as np
 
-from services.commands.evaluation.plan import JUDGED_TICKS, Criterion, Plan, Scheme, WorldPlan
+from services.commands.evaluation.plan import JUDGED_TICKS, Criterion, Plan, WorldPlan
 from services.commands.evaluation.results import ResultStore
 from services.commands.evaluation.search_experiment import route_file
 from services.commands.evaluation.units import Unit, units
 from services.commands.evaluation.workplace import replace_file
-
-
-@dataclass(frozen=True)
-class Every(Scheme):
-    """Decides at every so many frames."""
-
-    frames: int = 1
-
-    def stride(self, length: int) -> int:
-        return self.frames
-
 
 BOTH = ("clean", "occluded")
 SMALL = Plan(
@@ -32,7 +20,7 @@ SMALL = Plan(
     (
         WorldPlan(
             "yard", 2, 3, (Criterion(1.0, 25.0), Criterion(0.5, 15.0)), queries=1, lengths=(1, 5, 20), recognised=BOTH,
-            search_lengths=(1, 5, 20), searched={"paper": BOTH, "overlapping": BOTH, "smal": BOTH}, runs=8, peers=BOTH,
+            search_lengths=(1, 5, 20), searched={"paper": BOTH, "smal": BOTH}, runs=8, peers=BOTH,
             template_frames=100,
         ),
     ),
@@ -87,7 +75,6 @@ def recognition(unit: Unit) -> dict[str, Any]:
     return {
         "score": score.tolist(),
         "answered": answered.astype(int).tolist(),
-        "known": (answered & (score > 0.6)).astype(int).tolist(),
         "apart_m": np.where(answered, 0.1 + 5.0 * wrong, -1.0).tolist(),
         "right": [right.astype(int).tolist()] * 2,
         "findable": [[1] * QUERIES] * 2,

@@ -11,9 +11,10 @@ from schemas.base import ATOMS, Message
 from schemas.command import CommandApplied
 from schemas.episode import Episode, Purpose
 from schemas.image import Image
+from schemas.odometry import Odometry
 from schemas.pose import Pose
 from schemas.rpc import ResetRequest
-from services.commands.evaluation.demonstrations import demonstrate, drive, load_drives, save_drives
+from services.commands.evaluation.demonstrations import Drive, demonstrate, drive, load_drives, save_drives
 from services.commands.teaching.teacher import unusable
 from services.expert.driver import DRIVE_TICKS, RECOVERY_TICKS
 from services.expert.service import ExpertService
@@ -54,6 +55,8 @@ def recorded(simulation: Simulation, seed: int, purpose: Purpose) -> RecordedEpi
             command = expert.handle(observation)
         elif isinstance(message, CommandApplied):
             kept.applied[message.tick] = message
+        elif isinstance(message, Odometry):
+            kept.odometry[message.tick] = (message.x_m, message.y_m, message.heading_rad)
         elif isinstance(message, Episode) and message.event == "ended":
             kept.outcome, kept.end_tick = message.outcome, message.tick
         if command is not None:
@@ -80,6 +83,8 @@ def test_a_drive_teaches_what_its_recording_teaches(seed: int, purpose: Purpose,
     assert made.demonstration.successful == piece.at_goal
     assert made.demonstration.recovery == (purpose == "recovery")
     truth = [episode.poses[tick] for tick in piece.ticks.tolist()]
+    np.testing.assert_array_equal(made.demonstration.odometry, piece.odometry)
+    assert (made.demonstration.images is not None) == piece.at_goal
     np.testing.assert_array_equal(made.poses, [(pose.x_m, pose.y_m, pose.heading_rad) for pose in truth])
     assert made.thumbnails is not None
     assert len(made.thumbnails) == len(made.poses)
@@ -95,6 +100,13 @@ def test_a_whole_drive_that_does_not_see_the_victim_teaches_nothing_and_a_recove
     assert [one.demonstration.atoms[-1] == Atom.STOP for one in seeing[:2]] == [True, True]
 
 
+def pixels(one: Drive) -> np.ndarray:
+    """Return its images, of which a drive has some if it reached the goal."""
+    images = one.demonstration.images
+    assert (images is not None) == one.demonstration.successful
+    return np.stack(list(images)) if images is not None else np.zeros(0)
+
+
 @pytest.mark.parametrize("thumbnails", [True, False])
 def test_drives_survive_a_file(tmp_path: Path, thumbnails: bool) -> None:
     made = demonstrate(Simulation(YARD, StubCamera(1.0)), FEATURES, 1, 2, thumbnails=thumbnails)
@@ -102,6 +114,8 @@ def test_drives_survive_a_file(tmp_path: Path, thumbnails: bool) -> None:
     for before, after in zip(made, load_drives(tmp_path / "drives.npz", FEATURES), strict=True):
         np.testing.assert_array_equal(before.demonstration.features, after.demonstration.features)
         np.testing.assert_array_equal(before.demonstration.atoms, after.demonstration.atoms)
+        np.testing.assert_array_equal(before.demonstration.odometry, after.demonstration.odometry)
+        np.testing.assert_array_equal(pixels(before), pixels(after))
         np.testing.assert_array_equal(before.poses, after.poses)
         assert (after.thumbnails is not None) == thumbnails
         names = ("name", "successful", "recovery")

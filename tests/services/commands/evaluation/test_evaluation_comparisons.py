@@ -22,9 +22,9 @@ def test_words_follow_the_numbers(tmp_path: Path) -> None:
     assert verdicts["single image (l = 1)recognition, clean"] == "open"
     searches = compare_searches("yard", successes(WORLD, planned, store.findings))
     said = {one.text: one.verdict for one in searches}
-    (against,) = [text for text in said if "occluded" in text and "single image" in text]
+    (against,) = [text for text in said if "occluded" in text and "l = 1" in text]
     assert said[against] == "ahead"
-    assert "8 of 8 found by SMAL, l = 5 against 0 of 8" in against
+    assert "8 of 8 found by SMAL against 0 of 8 by the paper's scheme, l = 1, SMAL is ahead" in against
     assert "p = 0.0078" in against
     assert all(verdict == "open" for text, verdict in said.items() if "clean" in text)
 
@@ -34,17 +34,19 @@ def test_a_few_wins_are_no_proof() -> None:
         outcomes = {seed: "found" if seed < found else "timeout" for seed in range(8)}
         return Success(controller, length, "clean", outcomes, dict.fromkeys(range(8), 100))
 
-    (close,) = compare_searches("yard", [counted("smal", 5, 8), counted("smal", 1, 4)])
+    (close,) = compare_searches("yard", [counted("smal", 5, 8), counted("paper", 1, 4)])
     assert close.verdict == "open"
-    (lost,) = compare_searches("yard", [counted("smal", 5, 1), counted("smal", 1, 8)])
+    (lost,) = compare_searches("yard", [counted("smal", 5, 1), counted("paper", 1, 8)])
     assert lost.verdict == "behind"
     assert "SMAL is behind" in lost.text
 
 
 def lengths(**found: int) -> list[Success]:
-    """Return searches of the scheme smal with 10 runs for each length lN."""
+    """Return searches of the paper's scheme with 10 runs for each length lN."""
     return [
-        Success("smal", int(name[1:]), "poor", {seed: "found" if seed < count else "timeout" for seed in range(10)}, {})
+        Success(
+            "paper", int(name[1:]), "poor", {seed: "found" if seed < count else "timeout" for seed in range(10)}, {}
+        )
         for name, count in found.items()
     ]
 

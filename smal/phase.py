@@ -1,0 +1,49 @@
+"""The phase of a query: the frame of a template sequence at which its last frame is, as W tells it."""
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from smal.state_matching import Solution
+
+# Share of the largest weight of a block below which a weight is rounding.
+_NO_WEIGHT = 1e-9
+
+
+def phase(weights_block: NDArray[Any]) -> float:
+    """Template frame at which the last query frame is, from one block of W.
+
+    Row r of the block with weight on query frame i says that the query is r - i frames ahead of the template.
+    The weighted median of r - i (interpolated) is the shift between the two sequences. Query frames beyond the
+    template put their weight on its first or last row, which pulls a mean towards no shift, a median less.
+
+    Parameters
+    ----------
+    weights_block : array (l, q)
+        Rows of W of the matched sequence. Negative weights say where the query is not, and do not count.
+
+    Returns
+    -------
+    float
+        0 is the first frame of the template, q - 1 no shift, more than l - 1 beyond its end.
+    """
+    length, queries = weights_block.shape
+    present = np.maximum(weights_block, 0.0)
+    largest = present.max()
+    if largest == 0.0:
+        return float(queries - 1)
+    # Entry j is the weight of the shift j - (q - 1), that is of the phase j.
+    by_phase = np.array([np.trace(present / largest, -shift) for shift in range(1 - queries, length)])
+    phases = np.flatnonzero(by_phase > _NO_WEIGHT)
+    middles = np.cumsum(by_phase[phases]) - by_phase[phases] / 2.0
+    return float(np.interp(by_phase[phases].sum() / 2.0, middles, phases))
+
+
+def matched_phase(solution: Solution, state: int) -> float:
+    """`phase` of a solution with respect to one template sequence."""
+    length = solution.sequence_length
+    block = np.zeros((length, solution.shape[1]))
+    inside = solution.active // length == state
+    block[solution.active[inside] % length] = solution.active_weights[inside]
+    return phase(block)
