@@ -1,0 +1,71 @@
+"""A corridor drawn with a few products, and a small model of it: what tests of the map of views need.
+
+What is seen changes with the robot's pose as in any room, so that the map, the filter and the planner work as they do
+in a world of the simulator; a frame takes a millisecond.
+"""
+
+from __future__ import annotations
+
+import math
+from functools import cache
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+import smal
+from smal.action_space import Atom
+from smal.features import FeatureSettings
+from smal.learning import LearningSettings
+from smal.model import Model
+
+FEATURES: Final = FeatureSettings()
+LENGTH: Final = 3
+#: Of every frame, metres.
+STEP_M: Final = 0.2
+FRAMES: Final = 50
+HEIGHT, WIDTH = 48, 64
+#: Colours of left wall, right wall, floor and ceiling, half a metre a cell.
+_PAINT: Final = np.random.default_rng(5).uniform(0, 255, (4, 60, 12, 3)).astype(np.float32)
+Pose = tuple[float, float, float]
+
+
+def view(x_m: float, y_m: float = 0.0, heading_rad: float = 0.0) -> NDArray[np.uint8]:
+    """Return what a camera half a metre above the floor sees, 2 m from both walls; x is along the corridor."""
+    rows, columns = np.mgrid[0:HEIGHT, 0:WIDTH].astype(np.float32)
+    left, up = (WIDTH / 2 - 0.5 - columns) / (0.7 * WIDTH), (HEIGHT / 2 - 0.5 - rows) / (0.7 * WIDTH)
+    ray = np.array([math.cos(heading_rad) - math.sin(heading_rad) * left,
+                    math.sin(heading_rad) + math.cos(heading_rad) * left, up])  # fmt: skip
+    with np.errstate(divide="ignore"):
+        reach = np.stack([(2 - y_m) / ray[1], (-2 - y_m) / ray[1], -0.5 / ray[2], 2 / ray[2]])
+    reach[reach <= 0] = np.inf
+    surface, reach = reach.argmin(axis=0), np.minimum(reach.min(axis=0), 30.0)
+    x, y, z = x_m + reach * ray[0], y_m + reach * ray[1], reach * ray[2]
+    along, across = (x + 3) * 2, np.where(surface < 2, z + 0.5, y + 2) * 2
+    a, b = np.clip(along, 0, 58.99), np.clip(across, 0, 10.99)
+    i, j = a.astype(int), b.astype(int)
+    f, g = (a - i)[..., None], (b - j)[..., None]
+    near, far = ((1 - g) * _PAINT[surface, i + k, j] + g * _PAINT[surface, i + k, j + 1] for k in (0, 1))
+    fog = np.exp(-reach / 6)[..., None]
+    return np.asarray(fog * ((1 - f) * near + f * far) + (1 - fog) * 128, dtype=np.uint8)
+
+
+def poses(frames: int = FRAMES) -> list[Pose]:
+    """Return the taught way: straight along the middle."""
+    return [(STEP_M * k, 0.0, 0.0) for k in range(frames)]
+
+
+@cache
+def model(frames: int = FRAMES, odometry: bool = True) -> Model:
+    """Learn one straight drive, with a map of views."""
+    way = poses(frames)
+    taught = [view(*pose) for pose in way], [Atom.FORWARD] * (frames - 1) + [Atom.STOP]
+    drive = (*taught, np.array(way)) if odometry else taught
+    return smal.fit([drive], LearningSettings(FEATURES, LENGTH))
+
+
+def save_model(path: Path, frames: int = FRAMES) -> Path:
+    """Write `model`."""
+    model(frames).save(path)
+    return path
