@@ -1,4 +1,4 @@
-"""A corridor drawn with a few products, and a small model of it: what tests of the map of views need.
+"""A corridor drawn with a few products, and a model of it that is learned in a second: what tests of the map of views need.
 
 What is seen changes with the robot's pose as in any room, so that the map, the filter and the planner work as they do
 in a world of the simulator; a frame takes a millisecond.
@@ -14,17 +14,16 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-import smal
 from smal.action_space import Atom
 from smal.features import FeatureSettings
-from smal.learning import LearningSettings
+from smal.learning import LearningSettings, fit
 from smal.model import Model
 
-FEATURES: Final = FeatureSettings()
+FEATURES: Final = FeatureSettings(("thumbnail",), (1.0,))
 LENGTH: Final = 3
 #: Of every frame, metres.
 STEP_M: Final = 0.2
-FRAMES: Final = 50
+FRAMES: Final = 20
 HEIGHT, WIDTH = 48, 64
 #: Colours of left wall, right wall, floor and ceiling, half a metre a cell.
 _PAINT: Final = np.random.default_rng(5).uniform(0, 255, (4, 60, 12, 3)).astype(np.float32)
@@ -51,21 +50,20 @@ def view(x_m: float, y_m: float = 0.0, heading_rad: float = 0.0) -> NDArray[np.u
     return np.asarray(fog * ((1 - f) * near + f * far) + (1 - fog) * 128, dtype=np.uint8)
 
 
-def poses(frames: int = FRAMES) -> list[Pose]:
-    """Return the taught way: straight along the middle."""
-    return [(STEP_M * k, 0.0, 0.0) for k in range(frames)]
+def pose(frame: int) -> Pose:
+    """Return the taught pose of a frame; the way is straight along the middle."""
+    return STEP_M * min(frame, FRAMES - 1), 0.0, 0.0
 
 
 @cache
-def model(frames: int = FRAMES, odometry: bool = True) -> Model:
+def model(odometry: bool = True) -> Model:
     """Learn one straight drive, with a map of views."""
-    way = poses(frames)
-    taught = [view(*pose) for pose in way], [Atom.FORWARD] * (frames - 1) + [Atom.STOP]
-    drive = (*taught, np.array(way)) if odometry else taught
-    return smal.fit([drive], LearningSettings(FEATURES, LENGTH))
+    way = [pose(frame) for frame in range(FRAMES)]
+    taught = [view(*one) for one in way], [Atom.FORWARD] * (FRAMES - 1) + [Atom.STOP]
+    return fit([(*taught, np.array(way)) if odometry else taught], LearningSettings(FEATURES, LENGTH))
 
 
-def save_model(path: Path, frames: int = FRAMES) -> Path:
+def save_model(path: Path) -> Path:
     """Write `model`."""
-    model(frames).save(path)
+    model().save(path)
     return path
