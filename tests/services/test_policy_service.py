@@ -104,9 +104,13 @@ def test_it_stops_for_a_state_of_another_scheme(policy: PolicyService, model: Pa
         assert command.atom == "stop"
 
 
-def test_a_keyframe_that_the_map_does_not_have_stops_the_robot(policy: PolicyService, model: Path) -> None:
+def test_it_stops_for_a_place_that_its_model_does_not_have(policy: PolicyService, model: Path) -> None:
     """States come over the network: one that names the right model may still be wrong."""
-    (command,) = policy.handle(belief(0, model, keyframe=1_000_000))
-    assert isinstance(command, Command)
-    assert command.atom == "stop"
+    papers = PolicyService()
+    papers.load(LoadRequest(path=str(model), scheme="paper"))
+    beyond = state(0, model, status="recognized", state=1_000_000, phase=2.0)
+    for service, wrong in ((policy, belief(0, model, keyframe=1_000_000)), (papers, beyond)):
+        (command,) = service.handle(wrong)
+        assert isinstance(command, Command)
+        assert command.atom == "stop"
     assert made(policy.handle(belief(1, model)))[2] == "forward"
