@@ -67,13 +67,27 @@ def test_read_back_is_what_was_sent(tmp_path: Path) -> None:
     np.testing.assert_array_equal(piece.ticks, range(5))
     np.testing.assert_array_equal(piece.features, [features("drive-1", tick) for tick in range(5)])
     assert [ATOMS[atom] for atom in piece.atoms] == ["forward", "backward", "left", "right", "stop"]
+    assert piece.images is not None
+    for tick, one in enumerate(piece.images):
+        assert np.abs(decode_image(bytes(one)).astype(int) - pixels(tick)).max() <= 4
+    assert piece.odometry is not None
+    np.testing.assert_array_equal(piece.odometry, [(1.5 * tick, 0.1, 0.02) for tick in range(5)])
+
+
+@pytest.mark.parametrize(("lost", "kept"), [("camera/jpeg", "odometry"), ("odometry", "images")])
+def test_a_piece_has_images_and_odometry_of_all_its_frames_or_none(tmp_path: Path, lost: str, kept: str) -> None:
+    sent = [m for m in episode("e") if (m.topic_name, m.tick) != (lost, 2)]
+    (read,) = read_messages(tmp_path, sent).episodes
+    (piece,) = read.pieces()
+    assert piece.ticks.size == 5
+    assert [name for name in ("images", "odometry") if getattr(piece, name) is not None] == [kept]
 
 
 def test_images_stand_in_for_vectors_of_another_fingerprint(tmp_path: Path) -> None:
     sent = [m for m in episode("e", frames=3) if m.topic_name != "observation"]
     sent[2:2] = [observation("e", 0), observation("e", 1, fingerprint="00000000ffff")]
     (read,) = read_messages(tmp_path, sent).episodes
-    assert (sorted(read.features), sorted(read.images), read.frames) == ([0], [1, 2], 3)
+    assert (sorted(read.features), sorted(read.images), read.frames) == ([0], [0, 1, 2], 3)
     assert np.abs(decode_image(bytes(read.images[1])).astype(int) - pixels(1)).max() <= 4
     assert [piece.ticks.tolist() for piece in read.pieces()] == [[0]]
 
