@@ -13,6 +13,7 @@ from schemas.base import Message
 from schemas.compressed_image import CompressedImage
 from schemas.episode import Outcome, Purpose
 from schemas.observation import Observation
+from schemas.odometry import Odometry
 from services.commands.errors import JobError, UsageError
 from services.commands.learn import learn
 from services.commands.teaching.teacher import Teacher, find_recordings
@@ -23,31 +24,38 @@ from smal.action_space import Atom
 from smal.features import FeatureSettings, extract
 from smal.model import Model
 from smal.reward import RewardError
+from tests import corridor
 from tests.services.recorder.recorded_messages import applied, event, header
 from tests.services.recorder.test_recorder_files import leave, record
 
-FEATURES = FeatureSettings()
-#: A wall that the robot drives along; what it sees at a frame is where it is.
-WALL = np.repeat(np.repeat(np.random.default_rng(3).integers(0, 256, (6, 60, 3), dtype=np.uint8), 8, 0), 8, 1)
+FEATURES = corridor.FEATURES
 
 
 def view(position: int) -> np.ndarray:
-    return np.ascontiguousarray(WALL[:, 4 * position : 4 * position + 64])
+    return corridor.view(*odometry(position))
 
 
 def depth(position: int) -> np.ndarray:
-    """Return how far away things are where the robot is; the wall's bricks stick out."""
+    """Return how far away things are where the robot is; what is bright sticks out."""
     return (500 + 20 * view(position)[..., 0].astype(np.uint16)).astype(np.uint16)
+
+
+def odometry(position: int) -> tuple[float, float, float]:
+    return corridor.STEP_M * position, 0.0, 0.0
 
 
 def drive(name: str, first: int = 0, frames: int = 40, outcome: Outcome = "found", purpose: Purpose = "drive",
           fingerprint: str | None = None, features: FeatureSettings = FEATURES) -> list[Message]:  # fmt: skip
-    """Drive along the wall, two frames forward and one to the left, in turn."""
+    """Drive along the corridor, two frames forward and one to the left, in turn."""
     messages: list[Message] = [event(name, 0, "started", purpose=purpose)]
     for tick in range(frames):
         pixels = view(first + tick)
         cause = header(name, tick)
         messages.append(CompressedImage.after(cause, width=64, height=48, data=encode_jpeg(pixels)))
+        x_m, y_m, heading_rad = odometry(first + tick)
+        messages.append(
+            Odometry.after(cause, x_m=x_m, y_m=y_m, heading_rad=heading_rad, speed_m_s=2.0, turn_rate_rad_s=0.0)
+        )
         vector = Float32Array.from_numpy(extract(pixels, features, depth(first + tick)))
         named = fingerprint or features.fingerprint
         messages.append(Observation.after(cause, fingerprint=named, features=vector))
@@ -77,7 +85,7 @@ def teach(*paths: Path, features: FeatureSettings = FEATURES, **options: bool) -
 def test_a_model_with_shared_states_is_learned(
     drives: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    out, report = tmp_path / "models" / "wall.smal", tmp_path / "report.json"
+    out, report = tmp_path / "models" / "corridor.smal", tmp_path / "report.json"
     learn([drives], out, length=5, json_file=report)
     model = Model.load(out)
     assert (model.sequence_length, model.recovery) == (5, (False, False, False, True))
@@ -106,7 +114,7 @@ def test_features_of_another_version_are_computed_from_the_images(drives: Path) 
     teaching = teach(path).teaching
     (one,) = teaching.demonstrations
     assert teaching.remarks == [f"{path}: the features of 40 frames were computed from their images"]
-    cosines = [one.features[tick] @ extract(view(tick), FEATURES) / 2 for tick in range(40)]
+    cosines = [one.features[tick] @ extract(view(tick), FEATURES) for tick in range(40)]
     assert min(cosines) > 0.98
 
 
