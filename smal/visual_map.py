@@ -12,7 +12,7 @@ import math
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, fields
-from functools import cached_property
+from functools import cache, cached_property
 from typing import Any
 
 import numpy as np
@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from smal.action_space import Atom
 from smal.features import Centering, extract
 from smal.movement import atom_movements, dead_reckoning, wrapped
-from smal.virtual_views import Image, Scene, fit_scene, remapped
+from smal.virtual_views import Image, Maps, Scene, fit_scene, remapped
 
 #: Turns of the virtual views, degrees. Twenty taught pixels, the width of a cell of HOG, are about 5 degrees, within
 #: which a view turned stays alike; beyond 40 hardly anything of the taught image is left.
@@ -303,7 +303,9 @@ def _likelihood(
         far.append(cosines[distance > 4.0 * length])
     one, other = np.concatenate(near), np.concatenate(far)
     if not one.size:
-        raise ValueError("the demonstrations are too short to tell how alike views of one place are")
+        raise ValueError(
+            "the demonstrations are too short, or their frames too far apart, to tell how alike views of one place are"
+        )
     other = other if other.size else np.zeros(1)
     return {
         "kappa": 1.0 / max(float(one.std()), 1e-3),
@@ -334,16 +336,20 @@ def _make_views(
     progress: Callable[[int, int], None],
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     """Make the virtual views of keyframes, and the components in which they are kept."""
-    shape = images[int(keyframes[0])].shape[:2]
-    maps = [[scene.maps(shape, 0.0, left, math.radians(turn)) for turn in TURNS_DEG] for left in (-aside, 0.0, aside)]
+
+    @cache
+    def maps(shape: tuple[int, ...]) -> list[list[Maps]]:
+        return [
+            [scene.maps(shape, 0.0, left, math.radians(turn)) for turn in TURNS_DEG] for left in (-aside, 0.0, aside)
+        ]
 
     def views_of(frame: int) -> NDArray[np.float32]:
         image = images[frame]
-        return np.stack([np.stack([describe(remapped(image, one)) for one in row]) for row in maps])
+        return np.stack([np.stack([describe(remapped(image, one)) for one in row]) for row in maps(image.shape[:2])])
 
     # All views at once would take gigabytes for a long drive: components first, from a sample of keyframes.
     with ThreadPoolExecutor() as pool:
-        each = len(maps) * TURNS_DEG.size
+        each = 3 * TURNS_DEG.size
         sample = keyframes[np.unique(np.linspace(0, keyframes.size - 1, max(1, _SAMPLE // each)).astype(int))]
         basis = _components(
             np.concatenate(list(pool.map(views_of, sample.tolist()))).reshape(-1, len(describe(images[0])))
