@@ -30,10 +30,11 @@ _PAINT: Final = np.random.default_rng(5).uniform(0, 255, (4, 60, 12, 3)).astype(
 Pose = tuple[float, float, float]
 
 
-def view(x_m: float, y_m: float = 0.0, heading_rad: float = 0.0) -> NDArray[np.uint8]:
+def view(x_m: float, y_m: float = 0.0, heading_rad: float = 0.0, scale: int = 1) -> NDArray[np.uint8]:
     """Return what a camera half a metre above the floor sees, 2 m from both walls; x is along the corridor."""
-    rows, columns = np.mgrid[0:HEIGHT, 0:WIDTH].astype(np.float32)
-    left, up = (WIDTH / 2 - 0.5 - columns) / (0.7 * WIDTH), (HEIGHT / 2 - 0.5 - rows) / (0.7 * WIDTH)
+    height, width = scale * HEIGHT, scale * WIDTH
+    rows, columns = np.mgrid[0:height, 0:width].astype(np.float32)
+    left, up = ((size / 2 - 0.5 - at) / (0.7 * width) for size, at in ((width, columns), (height, rows)))
     ray = np.array([math.cos(heading_rad) - math.sin(heading_rad) * left,
                     math.sin(heading_rad) + math.cos(heading_rad) * left, up])  # fmt: skip
     with np.errstate(divide="ignore"):

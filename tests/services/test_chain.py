@@ -15,7 +15,6 @@ from schemas.base import Message
 from schemas.codec import decode
 from schemas.command import Command
 from schemas.observation import Observation
-from schemas.odometry import Odometry
 from schemas.rpc import LoadReply, LoadRequest
 from schemas.state import State
 from schemas.topics import Topic

@@ -80,7 +80,7 @@ def test_recognition_and_policy_have_their_model_from_the_start(
 @pytest.mark.parametrize(
     ("name", "flags", "line"),
     [
-        ("mapped", ("--stride", "2"), "stride 2: the filter decides at every frame; only the paper's scheme has a stride"),
+        ("mapped", ("--stride", "2"), "stride 2: the filter decides at every frame; only the paper"),
         ("mapped", ("--scheme", "paper", "--stride", "4"), f"stride must be 1 to the sequence length {LENGTH}, got 4"),
         ("corridor", (), "the model has no map of views: no drive to the goal that it was learned from has images"),
         ("unmeasured", (), "the model was learned from drives without odometry, which the filter needs here"),
