@@ -39,7 +39,7 @@ def decode_jpeg(data: bytes) -> NDArray[np.uint8]:
         When it is none, or larger than a camera's.
     """
     # Before OpenCV, which makes room for as many pixels as the header claims, up to 3 GB.
-    if not 0 < _claimed_pixels(data) <= MOST_PIXELS:
+    if not is_jpeg(data):
         raise ValueError("not a JPEG image of a size that a camera has")
     try:
         bgr = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR)
@@ -48,6 +48,11 @@ def decode_jpeg(data: bytes) -> NDArray[np.uint8]:
     if bgr is None:
         raise ValueError("not a JPEG image")
     return cast("NDArray[np.uint8]", cv2.cvtColor(bgr, cv2.COLOR_BGR2RGB))
+
+
+def is_jpeg(data: bytes) -> bool:
+    """Whether this begins as a compressed image of a size that a camera has; costs next to nothing."""
+    return 0 < _claimed_pixels(data) <= MOST_PIXELS
 
 
 def _claimed_pixels(data: bytes) -> int:

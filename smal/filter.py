@@ -297,17 +297,20 @@ class Filter:
                     particles.move(movement, noise, newness, self._rng)
             self._followed += abs(movement.ahead)
         self._waited_s += elapsed_s
-        self._odds[0] += self._tracked.update(cosines, newness, self._rng)
-        if self._scouts is None:
-            self._send_scouts(cosines)
-        else:
-            self._odds[1] += self._scouts.update(cosines, newness, self._rng)
+        self._weigh(self._tracked, cosines, newness)
         # A robot that stands still has no evidence to set against it.
         if newness > 0.0:
             self._leak(elapsed_s)
         if self._scouts is not None and self._scouts.evidence >= _TRIAL:
             self._merge()
         return self._belief()
+
+    def _weigh(self, tracked: _Particles, cosines: NDArray[np.float32], newness: float) -> None:
+        self._odds[0] += tracked.update(cosines, newness, self._rng)
+        if self._scouts is None:
+            self._send_scouts(cosines)
+        else:
+            self._odds[1] += self._scouts.update(cosines, newness, self._rng)
 
     def _newness(self, movement: Movement) -> float:
         """How much of a view is new: 1 where the robot is a keyframe's distance further."""

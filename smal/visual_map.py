@@ -317,7 +317,9 @@ def _likelihood(
         far.append(cosines[distance > 4.0 * length])
     one, other = np.concatenate(near), np.concatenate(far)
     if not one.size:
-        raise ValueError("the demonstrations are too short to tell how alike views of one place are")
+        raise ValueError(
+            "the demonstrations are too short, or their frames too far apart, to tell how alike views of one place are"
+        )
     other = other if other.size else np.zeros(1)
     return {
         "kappa": 1.0 / max(float(one.std()), 1e-3),

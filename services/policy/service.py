@@ -52,9 +52,7 @@ class PolicyService:
         if self._loaded is None or self._maker is None or state.status == "idle":
             return []
         decided = state.status in {"recognized", "unknown"}
-        if state.model != self._loaded.identity or (
-            decided and bool(state.places) != (self._loaded.scheme == "filter")
-        ):
+        if state.model != self._loaded.identity or (decided and not self._maker.understands(state)):
             return [self._refuse(state, self._loaded, self._maker)]
         if self._last is not None:
             last, answer = self._last
@@ -91,7 +89,11 @@ class _ByFilter:
 
     def __init__(self, loaded: LoadedModel) -> None:
         self._planner = Planner(loaded.model.mapped)
+        self._keyframes = len(loaded.model.mapped.keyframes)
         self.reset()
+
+    def understands(self, state: State) -> bool:
+        return bool(state.places) and all(place.keyframe < self._keyframes for place in state.places)
 
     def reset(self) -> None:
         self._planner.reset()
@@ -120,6 +122,10 @@ class _ByPaper:
 
     def __init__(self, loaded: LoadedModel) -> None:
         self._maker = DecisionMaker(loaded.model)
+        self._states = loaded.model.states
+
+    def understands(self, state: State) -> bool:
+        return not state.places and (state.state is None or state.state < self._states)
 
     def reset(self) -> None:
         self._maker.reset()

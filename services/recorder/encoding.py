@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from schemas.base import Message
 from schemas.compressed_image import CompressedImage
-from services.jpeg import decode_jpeg
+from services.jpeg import decode_jpeg, is_jpeg
 
 
 @dataclass(frozen=True)
@@ -70,11 +70,22 @@ def decode_image(payload: bytes) -> NDArray[np.uint8]:
     ValueError
         When the payload is no image.
     """
+    return decode_jpeg(_jpeg_of(payload))
+
+
+def is_image(payload: bytes) -> bool:
+    """Whether a recorded image begins as one; costs much less than to decode it."""
     try:
-        jpeg = foxglove.CompressedImage.FromString(payload).data
+        return is_jpeg(_jpeg_of(payload))
+    except ValueError:
+        return False
+
+
+def _jpeg_of(payload: bytes) -> bytes:
+    try:
+        return foxglove.CompressedImage.FromString(payload).data
     except ProtobufDecodeError:
         raise ValueError("not a foxglove.CompressedImage") from None
-    return decode_jpeg(jpeg)
 
 
 def _image_schema() -> bytes:

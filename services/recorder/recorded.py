@@ -86,8 +86,18 @@ class RecordedEpisode:
         return len(self.features.keys() | self.images.keys())
 
     def pieces(self) -> list[Piece]:
-        """Cut the episode wherever a frame's features, or what was done after it, are not known."""
-        known = sorted(tick for tick in self.features if tick in self.applied or self._is_goal(tick))
+        """Cut the episode wherever a frame's features, or what was done after it, are not known.
+
+        An image or a pose by the wheels that most frames have and one lacks was lost: that frame is a gap too.
+        """
+        usual = [
+            had for had in (self.images, self.odometry) if 2 * len(had.keys() & self.features) > len(self.features)
+        ]
+        known = sorted(
+            tick
+            for tick in self.features
+            if (tick in self.applied or self._is_goal(tick)) and all(tick in had for had in usual)
+        )
         ticks = np.array(known, dtype=np.int64)
         breaks = np.flatnonzero(np.diff(ticks) > 1) + 1
         return [self._piece(run) for run in np.split(ticks, breaks) if run.size]

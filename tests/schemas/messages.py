@@ -25,7 +25,7 @@ from schemas.observation import Observation
 from schemas.odometry import Odometry
 from schemas.overhead_image import Calibration, OverheadImage
 from schemas.pose import Pose
-from schemas.state import MAX_CANDIDATES, Candidate, State
+from schemas.state import MAX_PLACES, Place, State
 from schemas.topics import TOPICS
 from schemas.tracked_pose import TrackedPose
 
@@ -63,17 +63,15 @@ EXAMPLES: dict[type[Message], Message] = {
         **HEADER,
         status="recognized",
         model="0123456789abcdef",
-        state=7,
-        phase=2.5,
-        score=0.75,
-        total_weight=0.875,
-        residual=0.5,
-        agreement=0.625,
-        duality_gap=1e-6,
-        candidates=(Candidate(state=7, phase=2.5, weight=0.75), Candidate(state=3, phase=-0.5, weight=0.25)),
-        explained=0.375,
+        places=(
+            Place(keyframe=7, ahead_m=0.25, left_m=-0.125, turned_rad=0.5, weight=0.75),
+            Place(keyframe=3, ahead_m=-0.5, left_m=0.0, turned_rad=-0.25, weight=0.25),
+        ),
+        lost=0.125,
+        cosine=0.625,
+        tracked_m=12.5,
     ),
-    Action: Action(**HEADER, kind="action", state=7, atoms=("forward", "left", "stop")),
+    Action: Action(**HEADER, kind="follow", state=7, atoms=("forward",)),
     Command: Command(**HEADER, source="teleop", sequence=2, atom="forward", speed=0.5),
     CommandApplied: CommandApplied(
         **HEADER,
@@ -115,16 +113,26 @@ _images = _sizes.flatmap(
         }
     )
 )
-_candidates = st.builds(Candidate, state=st.integers(0, 1_000_000), phase=st.floats(-1e6, 1e6), weight=st.floats(0, 1))
+_lengths = st.floats(-1e6, 1e6)
+_beside = st.builds(
+    Place,
+    keyframe=st.integers(0, 1_000_000),
+    ahead_m=_lengths,
+    left_m=_lengths,
+    turned_rad=st.floats(-3.2, 3.2),
+    weight=st.floats(0, 1),
+)
 _state = st.fixed_dictionaries(
     {
         **_header,
+        "lost": st.floats(0, 1),
+        "cosine": st.floats(-1, 1),
+        "tracked_m": _large,
         "score": _large,
         "total_weight": _large,
         "residual": st.floats(0, 1),
         "agreement": st.floats(-1, 1),
         "duality_gap": _large,
-        "candidates": st.lists(_candidates, max_size=MAX_CANDIDATES).map(tuple),
     }
 )
 _checksums = st.from_regex(r"[0-9a-f]{8,64}", fullmatch=True)
@@ -135,6 +143,13 @@ _status = st.one_of(
             "model": _checksums,
             "state": st.integers(0, 1_000_000),
             "phase": st.floats(-1e6, 1e6),
+        }
+    ),
+    st.fixed_dictionaries(
+        {
+            "status": st.sampled_from(["recognized", "unknown"]),
+            "model": _checksums,
+            "places": st.lists(_beside, min_size=1, max_size=MAX_PLACES).map(tuple),
         }
     ),
     st.fixed_dictionaries({"status": st.sampled_from(["collecting", "unknown"]), "model": _checksums}),
@@ -221,7 +236,7 @@ _fields: dict[type[Message], st.SearchStrategy[dict[str, object]]] = {
     Action: st.fixed_dictionaries(
         {
             **_header,
-            "kind": st.sampled_from(["action", "goal", "dead_end", "coast", "look_around", "stop"]),
+            "kind": st.sampled_from(["follow", "action", "goal", "dead_end", "look_around", "guess", "stop"]),
             "state": st.none() | st.integers(0, 1_000_000),
             "atoms": st.lists(_atoms, max_size=30).map(tuple),
         }

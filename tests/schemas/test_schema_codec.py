@@ -19,7 +19,7 @@ from schemas.command import Command
 from schemas.episode import Episode
 from schemas.image import Image
 from schemas.observation import Observation
-from schemas.state import MAX_CANDIDATES, Candidate, State
+from schemas.state import MAX_PLACES, Place, State
 from tests.schemas.messages import CLASSES, EXAMPLES, any_message
 
 LARGEST = Image
@@ -87,9 +87,10 @@ LARGEST_OF_EACH = [
         EXAMPLES[Image],
         status="recognized",
         model="f" * 64,
-        state=1_000_000,
-        phase=0.1,
-        candidates=(Candidate(state=1_000_000, phase=0.1, weight=0.1),) * MAX_CANDIDATES,
+        places=(Place(keyframe=1_000_000, ahead_m=0.1, left_m=0.1, turned_rad=0.1, weight=0.1),) * MAX_PLACES,
+        lost=0.1,
+        cosine=0.1,
+        tracked_m=0.1,
     ),
     Action.after(EXAMPLES[Image], kind="look_around", state=1_000_000, atoms=("backward",) * 1000),
     Episode.after(

@@ -26,6 +26,8 @@ NUMBERS = [
     (cls, name) for cls in CLASSES for name, field in cls.model_fields.items() if field.annotation in (int, float)
 ]
 
+_PLACE = {"keyframe": 1, "ahead_m": 0.0, "left_m": 0.0, "turned_rad": 0.0, "weight": 0.5}
+
 
 def name_of(cls: type[Message]) -> str:
     return cls.__name__
@@ -140,15 +142,19 @@ def test_headers_out_of_range_are_refused(cls: type[Message], header: dict[str, 
         (Observation, {"features": {"dtype": "float32", "shape": (1,), "data": bytes.fromhex("0000c07f")}}),
         (Observation, {"features": {"dtype": "float32", "shape": (1,), "data": bytes.fromhex("0000807f")}}),
         (Observation, {"fingerprint": "xyz"}),
-        (State, {"status": "unknown"}),
-        (State, {"state": None}),
-        (State, {"phase": None}),
+        (State, {"status": "unknown", "state": 7, "phase": 2.5}),
+        (State, {"state": 7, "phase": 2.5}),
+        (State, {"places": ()}),
+        (State, {"places": (), "state": 7}),
+        (State, {"places": (), "phase": 2.5}),
         (State, {"model": None}),
         (State, {"model": "ABCDEF01"}),
-        (State, {"status": "idle", "state": None, "phase": None}),
+        (State, {"status": "idle"}),
         (State, {"score": -0.1}),
-        (State, {"candidates": ({"state": 1, "phase": 0.0, "weight": 0.5, "colour": "red"},)}),
-        (State, {"candidates": ({"state": 1, "phase": 0.0, "weight": 0.5},) * 65}),
+        (State, {"lost": 1.1}),
+        (State, {"places": (_PLACE | {"colour": "red"},)}),
+        (State, {"places": (_PLACE | {"turned_rad": 3.3},)}),
+        (State, {"places": (_PLACE,) * 65}),
         (Episode, {"outcome": None}),
         (Episode, {"event": "started"}),
         (Episode, {"world": ""}),

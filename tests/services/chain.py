@@ -16,10 +16,13 @@ from schemas.array import Float32Array
 from schemas.base import Message
 from schemas.image import Image
 from schemas.observation import Observation
+from schemas.odometry import Odometry
 from schemas.state import State
 from smal.action_space import Atom
 from smal.features import FeatureSettings, extract
 from smal.learning import Demonstration, LearningSettings, learn
+from tests import corridor
+from tests.corridor import Pose
 
 FEATURES = FeatureSettings()
 LENGTH = 3
@@ -48,6 +51,22 @@ def observation(tick: int, place: int | None = None, episode: str = "e") -> Obse
     )
 
 
+def seen(tick: int, pose: Pose | None = None, episode: str = "e") -> Observation:
+    """Return the observation at a pose in the corridor, by default where it was taught at that tick."""
+    vector = extract(corridor.view(*(pose or corridor.pose(tick))), corridor.FEATURES)
+    return Observation.after(
+        image(tick, 0, episode), fingerprint=corridor.FEATURES.fingerprint, features=Float32Array.from_numpy(vector)
+    )
+
+
+def wheels(tick: int, pose: Pose | None = None, episode: str = "e") -> Odometry:
+    """Return the odometry at a pose in the corridor, by default where it was taught at that tick."""
+    x_m, y_m, heading_rad = pose or corridor.pose(tick)
+    return Odometry.after(
+        image(tick, 0, episode), x_m=x_m, y_m=y_m, heading_rad=heading_rad, speed_m_s=2.0, turn_rate_rad_s=0.0
+    )
+
+
 def identity(model: Path) -> str:
     """Return what states say of the model that they come from: the beginning of its file's checksum."""
     return model.read_bytes()[-32:].hex()[:16]
@@ -61,7 +80,10 @@ def state(tick: int, model: Path | None, episode: str = "e", **fields: object) -
 
 
 def save_model(path: Path, frames: int = 18) -> Path:
-    """Learn a corridor of places 0, 1, 2, ... that is driven forward, with one turn at place 9."""
+    """Learn a corridor of places 0, 1, 2, ... that is driven forward, with one turn at place 9.
+
+    It has no images, and so no map of views: for the paper's scheme. ``tests.corridor`` has a model with one.
+    """
     vectors = np.stack([extract(picture(place), FEATURES) for place in range(frames)])
     atoms = np.full(frames, Atom.FORWARD, dtype=np.int8)
     atoms[9] = Atom.LEFT

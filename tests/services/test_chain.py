@@ -16,11 +16,24 @@ from schemas.codec import decode
 from schemas.command import Command
 from schemas.observation import Observation
 from schemas.rpc import LoadReply, LoadRequest
-from schemas.state import Candidate, State
+from schemas.state import State
 from schemas.topics import Topic
 from services.bus import Bus, RpcError
 from smal.features import extract
-from tests.services.chain import FEATURES, LENGTH, identity, image, observation, picture, process, save_model, state
+from tests import corridor
+from tests.services.chain import (
+    FEATURES,
+    LENGTH,
+    identity,
+    image,
+    observation,
+    picture,
+    process,
+    save_model,
+    seen,
+    state,
+    wheels,
+)
 from tests.services.waiting import eventually, introduce, malformed, ready, status_of
 
 M = TypeVar("M", bound=Message)
@@ -51,7 +64,7 @@ def model(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture
 def recognition(client: Bus, router_endpoint: str, model: Path) -> Iterator[None]:
-    with process("recognition", router_endpoint, "--model", str(model)):
+    with process("recognition", router_endpoint, "--model", str(model), "--scheme", "paper"):
         ready(client, "recognition")
         introduce(client, "recognition", observation(0, episode="hello"))
         yield
@@ -59,17 +72,18 @@ def recognition(client: Bus, router_endpoint: str, model: Path) -> Iterator[None
 
 @pytest.fixture
 def policy(client: Bus, router_endpoint: str, model: Path) -> Iterator[None]:
-    with process("policy", router_endpoint, "--model", str(model)):
+    with process("policy", router_endpoint, "--model", str(model), "--scheme", "paper"):
         ready(client, "policy")
         introduce(client, "policy", state(0, model, episode="hello", status="collecting"))
         yield
 
 
-def until_heard(client: Bus, message: Message, heard: dict[int, M]) -> None:
+def until_heard(client: Bus, message: Message, heard: dict[int, M], *others: Message) -> None:
     """Ask, in an episode of its own, until an answer is heard: a subscription takes a moment to become known."""
 
     def answered() -> bool:
-        client.publish(message)
+        for one in (message, *others):
+            client.publish(one)
         return message.tick in heard
 
     eventually(answered)
@@ -103,9 +117,7 @@ def test_recognition_knows_where_the_robot_is(client: Bus, listen: Listen[State]
     answer = heard[LENGTH - 1]
     # Sequence 2 holds the places 6, 7 and 8, and the last frame is its last.
     assert (answer.state, answer.phase) == (2, pytest.approx(LENGTH - 1, abs=0.5))
-    assert answer.candidates[0].state == 2
     assert answer.duality_gap < 1e-3
-    assert 0.5 < answer.explained < 1.0
     assert answer.model == identity(model)
 
 
@@ -144,7 +156,7 @@ def test_recognition_without_a_model_is_idle_and_refuses_a_bad_one(
         truncated.write_bytes(model.read_bytes()[:-7])
         with pytest.raises(RpcError, match="truncated"):
             client.call("recognition", "load", LoadRequest(path=str(truncated)), LoadReply)
-        reply = client.call("recognition", "load", LoadRequest(path=str(model)), LoadReply)
+        reply = client.call("recognition", "load", LoadRequest(path=str(model), scheme="paper"), LoadReply)
         assert reply.sequence_length == LENGTH
 
 
@@ -156,8 +168,7 @@ def test_policy_commands_every_frame_and_decides_when_a_state_is_known(
     actions = listen(topics.ACTION, Action)
     until_heard(client, state(99, model, episode="hello", status="collecting"), commands)
     malformed(client, "policy", topics.STATE)
-    belief = (Candidate(state=2, phase=2.0, weight=1.0),)
-    client.publish(state(0, model, status="recognized", state=2, phase=2.0, candidates=belief))
+    client.publish(state(0, model, status="recognized", state=2, phase=2.0))
     for tick in (1, 2, 3):
         client.publish(state(tick, model, status="collecting"))
     eventually(lambda: 3 in commands and 0 in actions)
@@ -185,23 +196,6 @@ def test_policy_answers_a_repeated_state_with_the_same_command(
 
 
 @pytest.mark.usefixtures("policy")
-@pytest.mark.parametrize(("explained", "turns"), [(1.0, False), (0.0, True)])
-def test_policy_makes_the_turn_to_come_where_it_knows_little_and_does_not_move_on(
-    client: Bus, listen: Listen[Message], model: Path, explained: float, turns: bool
-) -> None:
-    commands = listen(topics.COMMANDS["policy"], Command)
-    until_heard(client, state(99, model, episode="hello", status="collecting"), commands)
-    belief = (Candidate(state=2, phase=2.0, weight=1.0),)
-    for tick in range(20):
-        client.publish(
-            state(tick, model, status="recognized", state=2, phase=2.0, candidates=belief, explained=explained)
-        )
-        eventually(lambda tick=tick: tick in commands)  # type: ignore[misc]
-    made = {commands[tick].atom for tick in range(20)}
-    assert made == ({"forward", "left"} if turns else {"forward"})
-
-
-@pytest.mark.usefixtures("policy")
 def test_policy_is_silent_when_nobody_asks_and_looks_around_when_lost(
     client: Bus, listen: Listen[Message], model: Path
 ) -> None:
@@ -222,7 +216,7 @@ def test_robot_stands_while_recognition_and_policy_have_different_models(
     commands = listen(topics.COMMANDS["policy"], Command)
     actions = listen(topics.ACTION, Action)
     other = save_model(tmp_path / "longer.smal", frames=21)
-    with process("policy", router_endpoint, "--model", str(other)):
+    with process("policy", router_endpoint, "--model", str(other), "--scheme", "paper"):
         ready(client, "policy")
         introduce(client, "policy", state(0, other, episode="hello", status="collecting"))
         for tick in range(LENGTH):
@@ -233,10 +227,37 @@ def test_robot_stands_while_recognition_and_policy_have_different_models(
         status = status_of(client, "policy")
         assert status is not None
         assert status.detail["states_of_another_model"] == LENGTH
-        client.call("policy", "load", LoadRequest(path=str(model)), LoadReply)
+        client.call("policy", "load", LoadRequest(path=str(model), scheme="paper"), LoadReply)
         for tick in range(LENGTH, 2 * LENGTH):
             client.publish(observation(tick, place=3 + tick, episode="next"))
             eventually(lambda tick=tick: tick in commands)  # type: ignore[misc]
         # The last place was 8, and the corridor goes on forward to 9.
         eventually(lambda: 2 * LENGTH - 1 in actions)
         assert commands[2 * LENGTH - 1].atom == "forward"
+
+
+def test_a_belief_drives_the_robot(client: Bus, router_endpoint: str, listen: Listen[Message], tmp_path: Path) -> None:
+    """The default scheme; odometry comes after the observation of its frame, or before it."""
+    states = listen(topics.STATE, State)
+    actions = listen(topics.ACTION, Action)
+    commands = listen(topics.COMMANDS["policy"], Command)
+    mapped = corridor.save_model(tmp_path / "mapped.smal")
+    with (
+        process("recognition", router_endpoint, "--model", str(mapped)),
+        process("policy", router_endpoint, "--model", str(mapped)),
+    ):
+        for service, message in (("recognition", seen(0, episode="hello")), ("policy", state(0, None))):
+            ready(client, service)
+            introduce(client, service, message)
+        until_heard(client, wheels(99, episode="hello"), states, seen(99, episode="hello"))
+        malformed(client, "recognition", topics.ODOMETRY)
+        for tick in range(corridor.FRAMES):
+            both = [seen(tick), wheels(tick)]
+            for message in both if tick % 2 else reversed(both):
+                client.publish(message)
+            eventually(lambda tick=tick: tick in commands and tick in actions)  # type: ignore[misc]
+    assert {states[tick].status for tick in range(corridor.FRAMES)} == {"recognized"}
+    assert commands[5].atom == "forward"
+    assert actions[5].kind == "follow"
+    assert states[10].places[0].keyframe == actions[10].state
+    assert (actions[corridor.FRAMES - 1].kind, commands[corridor.FRAMES - 1].atom) == ("goal", "stop")

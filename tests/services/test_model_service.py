@@ -1,6 +1,8 @@
 """Recognition and policy hold a model: named, replaced only by one that is accepted, never mixed with another.
 
-Their handlers alone, without processes; those are in ``test_chain``.
+Their handlers alone, without processes; those are in ``test_chain``. What is held is the same in both schemes; here it
+is mostly the paper's, whose plans and windows are easy to see. ``test_recognition_service`` and ``test_policy_service``
+have the filter's.
 """
 
 from __future__ import annotations
@@ -16,6 +18,8 @@ from schemas.rpc import LoadReply, LoadRequest
 from services.policy.service import PolicyService
 from services.process import ServiceError, Throttle
 from services.recognition.service import RecognitionService
+from smal.model import Model
+from tests import corridor
 from tests.services.chain import LENGTH, identity, observation, save_model, state
 
 Service = PolicyService | RecognitionService
@@ -24,6 +28,9 @@ REFUSALS = {
     "missing": "none.smal: cannot be read",
     "truncated": "truncated.smal: truncated or altered",
     "stride": f"^stride must be 1 to the sequence length {LENGTH}, got {LENGTH + 1}$",
+    "stride of the filter": "^stride 2: the filter decides at every frame; only the paper's scheme has a stride$",
+    "no map": "^the model has no map of views: .*; learn it again, or use the scheme 'paper'$",
+    "no odometry": "^the model was learned from drives without odometry, which the filter needs here; record them with",
 }
 
 
@@ -41,27 +48,34 @@ def other(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def refused(request: pytest.FixtureRequest, tmp_path: Path, other: Path) -> tuple[LoadRequest, str]:
     """Give a request that must be refused, and what the refusal says."""
     name = request.param
-    path, stride = {
-        "missing": (tmp_path / "none.smal", None),
-        "truncated": (tmp_path / "truncated.smal", None),
-        "stride": (other, LENGTH + 1),
+    path, scheme, stride = {
+        "missing": (tmp_path / "none.smal", "paper", None),
+        "truncated": (tmp_path / "truncated.smal", "filter", None),
+        "stride": (other, "paper", LENGTH + 1),
+        "stride of the filter": (tmp_path / "mapped.smal", "filter", 2),
+        "no map": (other, "filter", None),
+        "no odometry": (tmp_path / "unmeasured.smal", "filter", None),
     }[name]
     if name == "truncated":
         path.write_bytes(other.read_bytes()[:-7])
-    return LoadRequest(path=str(path), stride=stride), REFUSALS[name]
+    if name == "stride of the filter":
+        corridor.save_model(path)
+    if name == "no odometry":
+        corridor.model(odometry=False).save(path)
+    return LoadRequest(path=str(path), scheme=scheme, stride=stride), REFUSALS[name]
 
 
 @pytest.fixture
 def policy(model: Path) -> PolicyService:
     service = PolicyService()
-    service.load(LoadRequest(path=str(model)))
+    service.load(LoadRequest(path=str(model), scheme="paper"))
     return service
 
 
 @pytest.fixture
 def recognition(model: Path) -> RecognitionService:
     service = RecognitionService()
-    service.load(LoadRequest(path=str(model)))
+    service.load(LoadRequest(path=str(model), scheme="paper"))
     return service
 
 
@@ -78,14 +92,27 @@ def decisions(answer: list[Message]) -> list[Message]:
 
 
 @pytest.mark.parametrize("cls", SERVICES)
-@pytest.mark.parametrize(("stride", "got"), [(None, 1), (2, 2), (LENGTH, LENGTH)])
+@pytest.mark.parametrize(("stride", "got"), [(None, LENGTH), (1, 1), (2, 2), (LENGTH, LENGTH)])
 def test_the_loaded_model_is_told(cls: type[Service], stride: int | None, got: int, model: Path) -> None:
     service = cls()
     assert service.detail() == {"model": None}
-    reply = service.load(LoadRequest(path=str(model), stride=stride))
-    assert reply == LoadReply(states=6, templates=18, sequence_length=LENGTH, stride=got)
+    reply = service.load(LoadRequest(path=str(model), scheme="paper", stride=stride))
+    assert reply == LoadReply(
+        states=6, templates=18, sequence_length=LENGTH, keyframes=0, scheme="paper", stride=got
+    )  # fmt: skip
     detail = service.detail()
-    assert (detail["model"], detail["checksum"], detail["stride"]) == (str(model), identity(model), got)
+    assert (detail["model"], detail["checksum"], detail["scheme"]) == (str(model), identity(model), "paper")
+
+
+@pytest.mark.parametrize("cls", SERVICES)
+@pytest.mark.parametrize("stride", [None, 1])
+def test_a_model_with_a_map_is_for_the_filter(cls: type[Service], stride: int | None, tmp_path: Path) -> None:
+    mapped, service = corridor.save_model(tmp_path / "mapped.smal"), cls()
+    reply = service.load(LoadRequest(path=str(mapped), stride=stride))
+    keyframes = len(Model.load(mapped).mapped.keyframes)
+    assert keyframes > 10
+    assert (reply.keyframes, reply.scheme, reply.stride) == (keyframes, "filter", 1)
+    assert service.detail()["scheme"] == "filter"
 
 
 @pytest.mark.parametrize("cls", SERVICES)
@@ -128,7 +155,7 @@ def test_recognition_keeps_its_window_after_a_refused_load(
 def test_states_name_the_model_that_they_are_of(recognition: RecognitionService, model: Path, other: Path) -> None:
     assert RecognitionService().handle(observation(0)).model is None
     assert recognition.handle(observation(0)).model == identity(model)
-    recognition.load(LoadRequest(path=str(other)))
+    recognition.load(LoadRequest(path=str(other), scheme="paper"))
     assert recognition.handle(observation(1)).model == identity(other)
     assert identity(model) != identity(other)
 
@@ -154,7 +181,7 @@ def test_policy_obeys_the_states_of_the_other_model_once_it_has_loaded_it(
 ) -> None:
     theirs = state(0, other, status="recognized", state=2, phase=2.0)
     assert atom(policy.handle(theirs)) == "stop"
-    policy.load(LoadRequest(path=str(other)))
+    policy.load(LoadRequest(path=str(other), scheme="paper"))
     assert policy.detail()["states_of_another_model"] == 0
     assert atom(policy.handle(theirs)) == "forward"
     assert atom(policy.handle(state(1, model, status="collecting"))) == "stop"

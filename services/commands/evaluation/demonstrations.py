@@ -103,7 +103,7 @@ def drive(
             atoms=np.array(atoms, dtype=np.int8),
             successful=outcome == "found",
             recovery=purpose == "recovery",
-            images=RecordedImages(jpegs[:frames], decode_jpeg) if outcome == "found" else None,
+            images=RecordedImages(jpegs[:frames], f"{purpose}-{seed}", decode_jpeg) if outcome == "found" else None,
             odometry=np.array(ways[:frames]),
         ),
         np.array(poses[:frames]),
@@ -209,15 +209,15 @@ def _drives(held: np.lib.npyio.NpzFile, meta: dict[str, list[object]]) -> Iterat
             held[f"atoms_{number}"],
             bool(successful),
             bool(recovery),
-            _images(held, number),
+            _images(held, number, str(name)),
             held[f"odometry_{number}"],
         )
         small = held[f"thumbnails_{number}"] if meta["thumbnails"] else None
         yield Drive(demonstration, held[f"poses_{number}"], small)
 
 
-def _images(held: np.lib.npyio.NpzFile, number: int) -> RecordedImages | None:
+def _images(held: np.lib.npyio.NpzFile, number: int, name: str) -> RecordedImages | None:
     if f"jpegs_{number}" not in held:
         return None
     jpegs = np.split(held[f"jpegs_{number}"], held[f"jpeg_ends_{number}"][:-1])
-    return RecordedImages([jpeg.tobytes() for jpeg in jpegs], decode_jpeg)
+    return RecordedImages([jpeg.tobytes() for jpeg in jpegs], name, decode_jpeg)

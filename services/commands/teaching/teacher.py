@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from schemas.base import ATOMS
 from services.commands.teaching.recorded_features import features_in
-from services.recorder.encoding import decode_image
+from services.recorder.encoding import decode_image, is_image
 from services.recorder.mcap_reader import RecordingError, read_recording
 from services.recorder.recorded import Piece, RecordedEpisode
 from smal.action_space import Atom
@@ -97,6 +97,9 @@ class Teacher:
         if reason is not None:
             self._remark(f"{path}: episode {episode.episode} is left out: {reason}")
             return
+        damaged = forget_damaged(episode)
+        if damaged:
+            self._remark(f"{path}: episode {episode.episode}: {damaged} damaged images are left out")
         if not episode.features and "depth" in self._features.needs:
             lack = f"it lacks the features {','.join(self._features.modalities)}, and no image has the depth for them"
             self._remark(f"{path}: episode {episode.episode} is left out: {lack}")
@@ -142,6 +145,14 @@ def take_out(episode: RecordedEpisode, held: FeatureSettings, wanted: FeatureSet
     """Keep of the recorded features the wanted ones; vectors of another size than they say are forgotten."""
     whole = {tick: vector for tick, vector in episode.features.items() if vector.shape == (held.size,)}
     episode.features = {tick: select(vector, held, wanted) for tick, vector in whole.items()}
+
+
+def forget_damaged(episode: RecordedEpisode) -> int:
+    """Forget images that are none; return how many."""
+    damaged = [tick for tick, payload in episode.images.items() if not is_image(bytes(payload))]
+    for tick in damaged:
+        del episode.images[tick]
+    return len(damaged)
 
 
 def complete(episode: RecordedEpisode, settings: FeatureSettings) -> int:
@@ -197,7 +208,7 @@ def _demonstration(episode: RecordedEpisode, piece: Piece, whole: bool) -> Demon
         atoms=_NUMBERS[piece.atoms],
         successful=piece.at_goal,
         recovery=episode.purpose == "recovery",
-        images=None if piece.images is None else RecordedImages(piece.images),
+        images=None if piece.images is None else RecordedImages(piece.images, episode.episode),
         odometry=piece.odometry,
         episode=episode.episode,
     )
@@ -207,16 +218,23 @@ class RecordedImages(Sequence[NDArray[np.uint8]]):
     """Images as they were recorded, decoded when they are wanted."""
 
     def __init__(
-        self, recorded: Sequence[bytes | memoryview], decode: Callable[[bytes], NDArray[np.uint8]] = decode_image
+        self,
+        recorded: Sequence[bytes | memoryview],
+        episode: str,
+        decode: Callable[[bytes], NDArray[np.uint8]] = decode_image,
     ) -> None:
         self.recorded = recorded
+        self._episode = episode
         self._decode = decode
 
     def __len__(self) -> int:
         return len(self.recorded)
 
     def __getitem__(self, index: Any) -> Any:  # noqa: ANN401 - a sequence is asked for numbers or slices
-        return self._decode(bytes(self.recorded[index]))
+        try:
+            return self._decode(bytes(self.recorded[index]))
+        except ValueError as error:
+            raise ValueError(f"an image of episode {self._episode} is damaged: {error}") from None
 
 
 def find_recordings(paths: Iterable[Path]) -> list[Path]:

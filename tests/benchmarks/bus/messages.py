@@ -14,7 +14,7 @@ from schemas.base import Message
 from schemas.command import Command, CommandApplied
 from schemas.image import Image
 from schemas.observation import Observation
-from schemas.state import Candidate, State
+from schemas.state import MAX_PLACES, Place, State
 from schemas.topics import Topic
 from smal.features import FeatureSettings
 
@@ -23,7 +23,6 @@ FRAME_LIMIT: Final = 1.3
 SMALL_LIMIT: Final = 3.0
 _SIZE: Final = (768, 1024, 3)
 _MODEL: Final = "0123456789abcdef"
-_CANDIDATES: Final = 8
 
 _rng = np.random.default_rng(1)
 _PIXELS: Final = _rng.integers(0, 256, _SIZE, dtype=np.uint8)
@@ -62,11 +61,12 @@ def _observation(cause: Message) -> Message:
 
 
 def _state(cause: Message) -> Message:
-    weight = 1.0 / _CANDIDATES
-    candidates = tuple(Candidate(state=k, phase=0.5 * k, weight=weight) for k in range(_CANDIDATES))
+    places = tuple(
+        Place(keyframe=k, ahead_m=0.1 * k, left_m=-0.1, turned_rad=0.05, weight=1.0 / MAX_PLACES)
+        for k in range(MAX_PLACES)
+    )
     return State.after(
-        cause, status="recognized", model=_MODEL, state=7, phase=2.5, score=0.3, total_weight=0.8, residual=0.4,
-        agreement=0.7, duality_gap=1e-5, candidates=candidates,
+        cause, status="recognized", model=_MODEL, places=places, lost=0.01, cosine=0.7, tracked_m=12.5
     )  # fmt: skip
 
 
@@ -84,7 +84,7 @@ def _applied(cause: Message) -> Message:
 CASES: Final = (
     Case("frame 1024x768", topics.CAMERA, FRAME_LIMIT, _frame),
     Case("observation", topics.OBSERVATION, SMALL_LIMIT, _observation),
-    Case("state, 8 candidates", topics.STATE, SMALL_LIMIT, _state),
+    Case(f"state, {MAX_PLACES} places", topics.STATE, SMALL_LIMIT, _state),
     Case("command", topics.COMMANDS["policy"], SMALL_LIMIT, _command),
     Case("command applied", topics.APPLIED, SMALL_LIMIT, _applied),
 )

@@ -15,6 +15,7 @@ from services.commands.errors import UsageError
 from services.commands.up import _chain_flags
 from services.commands.version import program_version
 from services.process import EXIT_FAILED, EXIT_USAGE
+from tests import corridor
 from tests.services.chain import FEATURES, LENGTH, save_model
 from tests.services.commands.conftest import ROOT, Smal
 
@@ -57,17 +58,46 @@ def test_recognition_and_policy_have_their_model_from_the_start(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    model = save_model(tmp_path / "corridor.smal")
-    assert _chain_flags(None, None) == ((), None)
-    assert _chain_flags(Path("corridor.smal"), 2) == (("--model", str(model), "--stride", "2"), FEATURES)
-    assert _chain_flags(Path("corridor.smal"), None) == (("--model", str(model)), FEATURES)
-    for path, stride, line in (
-        (None, 2, "needs --model"),
-        (tmp_path / "none", None, "No such file"),
-        (model, LENGTH + 1, "at most"),
+    model, mapped = save_model(tmp_path / "corridor.smal"), corridor.save_model(tmp_path / "mapped.smal")
+    paper = ("--model", str(model), "--scheme", "paper")
+    assert _chain_flags(None, "filter", None) == ((), None)
+    assert _chain_flags(Path("corridor.smal"), "paper", 2) == ((*paper, "--stride", "2"), FEATURES)
+    assert _chain_flags(Path("corridor.smal"), "paper", None) == (paper, FEATURES)
+    own = ("--model", str(mapped), "--scheme", "filter")
+    assert _chain_flags(Path("mapped.smal"), "filter", None) == (own, corridor.FEATURES)
+    for path, scheme, stride, line in (
+        (None, "paper", 2, "needs --model"),
+        (tmp_path / "none", "filter", None, "No such file"),
+        (model, "paper", LENGTH + 1, f"stride must be 1 to the sequence length {LENGTH}, got {LENGTH + 1}"),
+        (model, "filter", None, "the model has no map of views"),
+        (mapped, "filter", 2, "only the paper's scheme has a stride"),
     ):
         with pytest.raises(UsageError, match=line):
-            _chain_flags(path, stride)
+            _chain_flags(path, scheme, stride)
+
+
+@pytest.mark.parametrize("command", ["run", "up"])
+@pytest.mark.parametrize(
+    ("name", "flags", "line"),
+    [
+        ("mapped", ("--stride", "2"), "stride 2: the filter decides at every frame; only the paper"),
+        ("mapped", ("--scheme", "paper", "--stride", "4"), f"stride must be 1 to the sequence length {LENGTH}, got 4"),
+        ("corridor", (), "the model has no map of views: no drive to the goal that it was learned from has images"),
+        ("unmeasured", (), "the model was learned from drives without odometry, which the filter needs here"),
+        ("mapped", ("--scheme", "dream"), "'dream' is not one of 'filter', 'paper'"),
+    ],
+)
+def test_a_scheme_that_does_not_go_with_the_model_is_bad_use(
+    command: str, name: str, flags: tuple[str, ...], line: str, tmp_path: Path, smal: Smal
+) -> None:
+    save_model(tmp_path / "corridor.smal")
+    corridor.save_model(tmp_path / "mapped.smal")
+    corridor.model(odometry=False).save(tmp_path / "unmeasured.smal")
+    status, _, said = smal(command, "--world", "yard", "--model", str(tmp_path / f"{name}.smal"), *flags)
+    assert status == EXIT_USAGE
+    assert said.startswith("smal: ")
+    assert line in said
+    assert said.count("\n") == 1
 
 
 @pytest.mark.parametrize("name", sorted(cli.COMMANDS))

@@ -13,6 +13,7 @@ from schemas.base import Message
 from schemas.compressed_image import CompressedImage
 from schemas.episode import Outcome, Purpose
 from schemas.observation import Observation
+from schemas.odometry import Odometry
 from services.commands.errors import JobError, UsageError
 from services.commands.learn import learn
 from services.commands.teaching.teacher import Teacher, find_recordings
@@ -22,32 +23,40 @@ from services.recorder.mcap_writer import EpisodeWriter
 from smal.action_space import Atom
 from smal.features import FeatureSettings, extract
 from smal.model import Model
+from smal.novelty import WeightTest
 from smal.reward import RewardError
+from tests import corridor
 from tests.services.recorder.recorded_messages import applied, event, header
 from tests.services.recorder.test_recorder_files import leave, record
 
-FEATURES = FeatureSettings()
-#: A wall that the robot drives along; what it sees at a frame is where it is.
-WALL = np.repeat(np.repeat(np.random.default_rng(3).integers(0, 256, (6, 60, 3), dtype=np.uint8), 8, 0), 8, 1)
+FEATURES = corridor.FEATURES
 
 
 def view(position: int) -> np.ndarray:
-    return np.ascontiguousarray(WALL[:, 4 * position : 4 * position + 64])
+    return corridor.view(*odometry(position))
 
 
 def depth(position: int) -> np.ndarray:
-    """Return how far away things are where the robot is; the wall's bricks stick out."""
+    """Return how far away things are where the robot is; what is bright sticks out."""
     return (500 + 20 * view(position)[..., 0].astype(np.uint16)).astype(np.uint16)
+
+
+def odometry(position: int) -> tuple[float, float, float]:
+    return corridor.STEP_M * position, 0.0, 0.0
 
 
 def drive(name: str, first: int = 0, frames: int = 40, outcome: Outcome = "found", purpose: Purpose = "drive",
           fingerprint: str | None = None, features: FeatureSettings = FEATURES) -> list[Message]:  # fmt: skip
-    """Drive along the wall, two frames forward and one to the left, in turn."""
+    """Drive along the corridor, two frames forward and one to the left, in turn."""
     messages: list[Message] = [event(name, 0, "started", purpose=purpose)]
     for tick in range(frames):
         pixels = view(first + tick)
         cause = header(name, tick)
         messages.append(CompressedImage.after(cause, width=64, height=48, data=encode_jpeg(pixels)))
+        x_m, y_m, heading_rad = odometry(first + tick)
+        messages.append(
+            Odometry.after(cause, x_m=x_m, y_m=y_m, heading_rad=heading_rad, speed_m_s=2.0, turn_rate_rad_s=0.0)
+        )
         vector = Float32Array.from_numpy(extract(pixels, features, depth(first + tick)))
         named = fingerprint or features.fingerprint
         messages.append(Observation.after(cause, fingerprint=named, features=vector))
@@ -77,7 +86,7 @@ def teach(*paths: Path, features: FeatureSettings = FEATURES, **options: bool) -
 def test_a_model_with_shared_states_is_learned(
     drives: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    out, report = tmp_path / "models" / "wall.smal", tmp_path / "report.json"
+    out, report = tmp_path / "models" / "corridor.smal", tmp_path / "report.json"
     learn([drives], out, length=5, json_file=report)
     model = Model.load(out)
     assert (model.sequence_length, model.recovery) == (5, (False, False, False, True))
@@ -106,7 +115,7 @@ def test_features_of_another_version_are_computed_from_the_images(drives: Path) 
     teaching = teach(path).teaching
     (one,) = teaching.demonstrations
     assert teaching.remarks == [f"{path}: the features of 40 frames were computed from their images"]
-    cosines = [one.features[tick] @ extract(view(tick), FEATURES) / 2 for tick in range(40)]
+    cosines = [one.features[tick] @ extract(view(tick), FEATURES) for tick in range(40)]
     assert min(cosines) > 0.98
 
 
@@ -228,3 +237,72 @@ def test_the_papers_test_is_chosen_by_its_threshold(drives: Path, tmp_path: Path
     learn([drives], tmp_path / "model.smal", tau=0.4)
     model = Model.load(tmp_path / "model.smal")
     assert (model.novelty, model.novelty_parameters) == ("weight", {"tau": 0.4})
+
+
+def test_one_drive_gives_a_map_of_views_and_the_papers_scheme_none(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path, report = record(tmp_path, drive("drive-0")), tmp_path / "report.json"
+    learn([path], tmp_path / "mapped.smal", json_file=report)
+    visual_map = Model.load(tmp_path / "mapped.smal").mapped
+    assert visual_map.odometry
+    np.testing.assert_array_equal(visual_map.poses, [odometry(tick) for tick in range(40)])
+    keyframes = len(visual_map.keyframes)
+    assert json.loads(report.read_text())["keyframes"] == keyframes > 10
+    assert f"keyframes     {keyframes} of the map of views\n" in capsys.readouterr().out
+    learn([path], tmp_path / "paper.smal", scheme="paper")
+    model = Model.load(tmp_path / "paper.smal")
+    assert model.visual_map is None
+    assert (model.novelty, model.novelty_parameters) == ("weight", {"tau": WeightTest().tau})
+    assert "keyframes     none: no map of views\n" in capsys.readouterr().out
+
+
+def test_a_drive_with_a_lost_frame_is_one_way_of_the_map(tmp_path: Path) -> None:
+    path = record(tmp_path, [message for message in drive("e") if message.tick != 10])
+    learn([path], tmp_path / "model.smal")
+    model = Model.load(tmp_path / "model.smal")
+    assert model.names == ("e[0-9]", "e[11-39]")
+    assert set(model.mapped.drives.tolist()) == {0}
+    np.testing.assert_array_equal(model.mapped.poses, [odometry(tick) for tick in range(40) if tick != 10])
+
+
+@pytest.mark.parametrize("kind", [CompressedImage, Odometry])
+def test_a_frame_without_image_or_odometry_is_left_out_and_the_rest_is_one_way(
+    tmp_path: Path, kind: type[Message]
+) -> None:
+    lost = [m for m in drive("e") if not (isinstance(m, kind) and m.tick == 20)]
+    learn([record(tmp_path, lost)], tmp_path / "model.smal")
+    visual_map = Model.load(tmp_path / "model.smal").mapped
+    assert visual_map.odometry
+    np.testing.assert_array_equal(visual_map.poses, [odometry(tick) for tick in range(40) if tick != 20])
+
+
+def damaged(messages: list[Message], *ticks: int) -> list[Message]:
+    """Return the messages, images at some ticks cut off after their beginning."""
+    return [
+        m.model_copy(update={"data": m.data[:60]}) if isinstance(m, CompressedImage) and m.tick in ticks else m
+        for m in messages
+    ]
+
+
+def test_a_damaged_image_is_a_remark_and_the_rest_teaches(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = record(tmp_path, damaged(drive("e"), 7, 20))
+    learn([path], tmp_path / "model.smal")
+    assert f"smal: {path}: episode e: 2 damaged images are left out\n" in capsys.readouterr().err
+    model = Model.load(tmp_path / "model.smal")
+    np.testing.assert_array_equal(model.mapped.poses, [odometry(tick) for tick in range(40) if tick not in (7, 20)])
+
+
+def test_drives_with_cameras_of_different_sizes_make_one_map(tmp_path: Path) -> None:
+    large = [
+        CompressedImage.after(m, width=128, height=96, data=encode_jpeg(corridor.view(*odometry(m.tick), scale=2)))
+        if isinstance(m, CompressedImage)
+        else m
+        for m in drive("large")
+    ]
+    paths = [record(tmp_path, drive("small")), record(tmp_path, large)]
+    learn(paths, tmp_path / "model.smal")
+    views = Model.load(tmp_path / "model.smal").mapped.views
+    small, large_views = np.split(views, 2)
+    cosines = (small * large_views).sum(axis=-1) / np.linalg.norm(small, axis=-1) / np.linalg.norm(large_views, axis=-1)
+    assert cosines.min() > 0.7

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -13,10 +14,19 @@ from services.commands.learn import learn
 from services.commands.teaching.recorded_features import features_in, features_of_recordings
 from smal.features import FeatureSettings, extract
 from smal.model import Model
-from tests.services.commands.test_learn import FEATURES, depth, drive, teach, view
+from tests.services.commands.test_learn import depth, teach, view
+from tests.services.commands.test_learn import drive as drive_with
 from tests.services.recorder.test_recorder_files import leave, record
 
+FEATURES = FeatureSettings()
 ALL = FeatureSettings.of(("color", "hog", "depth"))
+drive = partial(drive_with, features=FEATURES)
+
+
+@pytest.fixture(autouse=True)
+def _without_map(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Leave out the map of views, which takes seconds with these features; ``test_learn`` has it."""
+    monkeypatch.setattr("smal.learning.learn_visual_map", lambda *_: None)
 
 
 @pytest.fixture

@@ -62,7 +62,7 @@ def test_list_as_markdown_is_the_table_of_the_readme(smal: Smal) -> None:
 def test_info_describes_a_topic_with_its_schema(smal: Smal, name: str) -> None:
     row = json.loads(smal("topic", "info", name, "--json", "--robot", "robo-2")[1])
     assert row["key"] == "smal/robo-2/state"
-    assert row["encoding"] == "application/vnd.msgpack;smal.State/3"
+    assert row["encoding"] == "application/vnd.msgpack;smal.State/4"
     assert row["schema"]["additionalProperties"] is False
     assert row["schema"]["properties"]["status"]["description"]
 

@@ -351,7 +351,7 @@ def test_a_leftover_does_not_take_the_name_of_a_recording(tmp_path: Path) -> Non
 class FullDisk(Sink):
     """A disk with room for ``room`` bytes; half of the write that does not fit is written."""
 
-    room = 24_000
+    room = 32_000
 
     def write(self, data: bytes) -> int:
         if self.tell() + len(data) > self.room:

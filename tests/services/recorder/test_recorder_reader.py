@@ -67,13 +67,31 @@ def test_read_back_is_what_was_sent(tmp_path: Path) -> None:
     np.testing.assert_array_equal(piece.ticks, range(5))
     np.testing.assert_array_equal(piece.features, [features("drive-1", tick) for tick in range(5)])
     assert [ATOMS[atom] for atom in piece.atoms] == ["forward", "backward", "left", "right", "stop"]
+    assert piece.images is not None
+    for tick, one in enumerate(piece.images):
+        assert np.abs(decode_image(bytes(one)).astype(int) - pixels(tick)).max() <= 4
+    assert piece.odometry is not None
+    np.testing.assert_array_equal(piece.odometry, [(1.5 * tick, 0.1, 0.02) for tick in range(5)])
+
+
+@pytest.mark.parametrize("lost", ["camera/jpeg", "odometry"])
+def test_a_lost_image_or_odometry_is_a_gap_unless_all_frames_lack_it(tmp_path: Path, lost: str) -> None:
+    for number, (ticks, pieces) in enumerate((((2,), [[0, 1], [3, 4]]), (range(5), [[0, 1, 2, 3, 4]]))):
+        folder = tmp_path / str(number)
+        folder.mkdir()
+        sent = [m for m in episode("e") if m.topic_name != lost or m.tick not in ticks]
+        (read,) = read_messages(folder, sent).episodes
+        assert [piece.ticks.tolist() for piece in read.pieces()] == pieces
+        for piece in read.pieces():
+            had = (piece.images is not None, piece.odometry is not None)
+            assert had == (number == 0 or lost == "odometry", number == 0 or lost == "camera/jpeg")
 
 
 def test_images_stand_in_for_vectors_of_another_fingerprint(tmp_path: Path) -> None:
     sent = [m for m in episode("e", frames=3) if m.topic_name != "observation"]
     sent[2:2] = [observation("e", 0), observation("e", 1, fingerprint="00000000ffff")]
     (read,) = read_messages(tmp_path, sent).episodes
-    assert (sorted(read.features), sorted(read.images), read.frames) == ([0], [1, 2], 3)
+    assert (sorted(read.features), sorted(read.images), read.frames) == ([0], [0, 1, 2], 3)
     assert np.abs(decode_image(bytes(read.images[1])).astype(int) - pixels(1)).max() <= 4
     assert [piece.ticks.tolist() for piece in read.pieces()] == [[0]]
 

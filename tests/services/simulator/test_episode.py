@@ -45,9 +45,13 @@ class Line:
         self.x, self.victim, self.wall, self.sight = 0.0, victim, wall, sight
         self.moves: list[tuple[Atom, float, float]] = []
 
-    def reset(self, seed: int, purpose: Purpose) -> PlanarPose:
-        self.x = 0.0
+    def reset(self, seed: int, purpose: Purpose, *, anywhere: bool = False) -> PlanarPose:
+        self.x = 30.0 if anywhere else 0.0
         self.moves.clear()
+        return self.pose
+
+    def carry_away(self) -> PlanarPose:
+        self.x = 70.0
         return self.pose
 
     def advance(self, atom: Atom, speed: float, duration_s: float) -> PlanarPose:
@@ -121,6 +125,18 @@ def begin(world: Line, **request: object) -> tuple[EpisodeRunner, Clock, list[Me
 
 def events(messages: list[Message]) -> list[tuple[str, str | None]]:
     return [(m.event, m.outcome) for m in messages if isinstance(m, Episode)]
+
+
+def test_an_episode_begins_anywhere_and_goes_on_elsewhere_where_that_is_asked_for() -> None:
+    where: dict[str, list[float]] = {}
+    for name, request in (("plain", {}), ("anywhere", {"start": "anywhere"}), ("kidnapped", {"kidnap_tick": 3})):
+        runner, _, messages = begin(Line(), **request)
+        for _ in range(5):
+            messages += answer(runner)
+        where[name] = [pose.x_m for pose in messages if isinstance(pose, Pose)]
+    assert where["plain"] == pytest.approx([0.0, 0.2, 0.4, 0.6, 0.8, 1.0])
+    assert where["anywhere"] == pytest.approx([30.0, 30.2, 30.4, 30.6, 30.8, 31.0])
+    assert where["kidnapped"] == pytest.approx([0.0, 0.2, 0.4, 70.0, 70.2, 70.4])
 
 
 def test_lockstep_waits_for_each_answer_and_moves_exactly_one_tick() -> None:

@@ -54,6 +54,47 @@ def test_seeds_and_purposes_differ() -> None:
     assert len(poses) == 15
 
 
+def test_a_run_that_begins_anywhere_begins_beside_the_way_and_repeats() -> None:
+    simulation, again = Simulation(YARD, StubCamera()), Simulation(YARD, StubCamera())
+    simulation.reset(0, "drive")
+    way = shapely.LineString(simulation.route())
+    starts = [simulation.reset(seed, "run", anywhere=True) for seed in range(30)]
+    assert starts == [again.reset(seed, "run", anywhere=True) for seed in range(30)]
+    assert all(way.distance(shapely.Point(start.x, start.y)) < 1.5 + 1.0 for start in starts)
+    along = [way.project(shapely.Point(start.x, start.y), normalized=True) for start in starts]
+    assert min(along) < 0.3
+    assert max(along) > 0.6
+    # Neither where runs usually start, nor where recovery drives do: those teach.
+    assert not set(starts) & {simulation.reset(seed, "run") for seed in range(30)}
+    assert not set(starts) & {simulation.reset(seed, "recovery") for seed in range(30)}
+
+
+@pytest.mark.parametrize("physical", [False, True])
+def test_a_robot_that_is_carried_away_does_not_know_it_by_its_wheels(physical: bool) -> None:
+    simulation, again = (
+        Simulation(YARD, StubCamera(), None if physical else KinematicBase(YARD.place, PERFECT)) for _ in range(2)
+    )
+    for one in (simulation, again):
+        one.reset(5, "run")
+        one.advance("forward", 1.0, 0.5)
+    before, wheels = simulation.pose, simulation.odometry()
+    carried = simulation.carry_away()
+    assert carried == simulation.pose == again.carry_away()
+    assert math.hypot(carried.x - before.x, carried.y - before.y) > 1.0
+    now = simulation.odometry()
+    assert (now.x_m, now.y_m, now.heading_rad) == (wheels.x_m, wheels.y_m, wheels.heading_rad)
+    for one in (simulation, again):
+        one.advance("forward", 1.0, 0.2)
+    assert simulation.pose == again.pose
+    by_wheels = simulation.odometry()
+    moved = math.hypot(by_wheels.x_m - wheels.x_m, by_wheels.y_m - wheels.y_m)
+    assert moved == pytest.approx(math.hypot(simulation.pose.x - carried.x, simulation.pose.y - carried.y), abs=0.1)
+    assert moved > 0.1
+    simulation.reset(5, "run")
+    simulation.advance("forward", 1.0, 0.5)
+    assert simulation.pose == before, "the next episode is as if nobody had been carried"
+
+
 @given(seed=st.integers(0, 500), atoms=st.lists(st.sampled_from(ATOMS), min_size=5, max_size=25))
 @settings(max_examples=60, deadline=None)
 def test_the_robot_never_enters_anything(seed: int, atoms: list[Atom]) -> None:

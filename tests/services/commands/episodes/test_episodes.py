@@ -11,15 +11,18 @@ import pytest
 from schemas.action import Action
 from schemas.base import Message
 from schemas.episode import Episode
-from schemas.rpc import EndRequest, ResetReply, ResetRequest
+from schemas.rpc import EndRequest, LoadReply, LoadRequest, ResetReply, ResetRequest
 from services.commands.episodes.client import EpisodeClient, EpisodeRecord, check_world_of
 from services.commands.errors import JobError, UsageError
 from services.commands.options import Camera, camera_of_own_stack
 from services.commands.run import CHAIN, _check_models, _run_all, summarise
 from services.commands.simulator_options import simulator_of_own_stack
 from services.commands.stack.processes import Access
-from services.process import Node
+from services.model_service import identity_of
+from services.process import EXIT_FAILED, Node, ServiceError
 from services.settings import ServiceSettings
+from tests import corridor
+from tests.services.commands.conftest import Smal
 from tests.services.conftest import RunNode
 
 REQUEST = ResetRequest(seed=3)
@@ -36,7 +39,7 @@ class FakeSimulator:
         node.serve("end", EndRequest, self.end)
 
     def reset(self, _request: ResetRequest) -> ResetReply:
-        decisions = (("action", 4), ("look_around", None), ("look_around", 5), ("stop", 5), ("look_around", None))
+        decisions = (("follow", 4), ("look_around", None), ("guess", 5), ("stop", 5), ("look_around", None))
         for tick, (kind, state) in enumerate(decisions):
             cause = CAUSE.model_copy(update={"tick": tick})
             self._node.publish(Action.after(cause, kind=kind, state=state, atoms=("left",)))
@@ -67,7 +70,7 @@ def test_decisions_without_a_state_and_before_the_end_are_counted(
         record = client.run(REQUEST, done=lambda: bool(client._record and len(client._record.decisions) == 5))
     finally:
         client.close()
-    assert list(record.decisions.values()) == ["action", "look_around", "look_around", "stop"]
+    assert list(record.decisions.values()) == ["follow", "look_around", "guess", "stop"]
     assert record.unknown == 1
     assert simulator.ended == ["e"]
 
@@ -120,6 +123,42 @@ def test_results_of_another_model_are_an_error(
             _check_models(client, "0123456789abcdef")
     finally:
         client.close()
+
+
+@pytest.mark.parametrize(
+    ("flags", "start", "kidnap_tick"),
+    [((), "start", None), (("--start", "anywhere"), "anywhere", None), (("--kidnap", "5"), "start", 5)],
+)
+def test_start_and_kidnap_reach_the_simulator(
+    flags: tuple[str, ...], start: str, kidnap_tick: int | None, settings: ServiceSettings, run_node: RunNode,
+    tmp_path: Path, smal: Smal,
+) -> None:  # fmt: skip
+    asked: list[ResetRequest] = []
+    loaded: list[LoadRequest] = []
+    path = corridor.save_model(tmp_path / "mapped.smal")
+    identity = identity_of(corridor.model())
+
+    def reset(request: ResetRequest) -> ResetReply:
+        asked.append(request)
+        raise ServiceError("enough seen")
+
+    def load(request: LoadRequest) -> LoadReply:
+        loaded.append(request)
+        return LoadReply(states=1, templates=1, sequence_length=1, keyframes=1, scheme="filter", stride=1)
+
+    fakes = {name: Node(name, settings) for name in ("simulator", "features", *CHAIN)}
+    fakes["simulator"].serve("reset", ResetRequest, reset)
+    fakes["features"].detail = lambda: {"fingerprint": corridor.FEATURES.fingerprint}
+    for name in CHAIN:
+        fakes[name].detail = lambda: {"checksum": identity}
+        fakes[name].serve("load", LoadRequest, load)
+    for node in fakes.values():
+        run_node(node)
+    status, _, said = smal("run", "--model", str(path), "--world", "yard", "--episodes", "1", *flags,
+                           "--connect", settings.router)  # fmt: skip
+    assert (status, said.splitlines()[-1]) == (EXIT_FAILED, "smal: simulator reset: enough seen")
+    assert [(one.start, one.kidnap_tick, one.purpose) for one in asked] == [(start, kidnap_tick, "run")]
+    assert [(one.scheme, one.stride) for one in loaded] == [("filter", None)] * 2
 
 
 def test_the_simulator_s_options_become_its_flags() -> None:

@@ -1,0 +1,70 @@
+"""A corridor drawn with a few products, and a model of it that is learned in a second, for tests of the map.
+
+What is seen changes with the robot's pose as in any room, so that the map, the filter and the planner work as they do
+in a world of the simulator; a frame takes a millisecond.
+"""
+
+from __future__ import annotations
+
+import math
+from functools import cache
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from smal.action_space import Atom
+from smal.features import FeatureSettings
+from smal.learning import LearningSettings, fit
+from smal.model import Model
+
+FEATURES: Final = FeatureSettings(("thumbnail",), (1.0,))
+LENGTH: Final = 3
+#: Of every frame, metres.
+STEP_M: Final = 0.2
+FRAMES: Final = 20
+HEIGHT, WIDTH = 48, 64
+#: Colours of left wall, right wall, floor and ceiling, half a metre a cell.
+_PAINT: Final = np.random.default_rng(5).uniform(0, 255, (4, 60, 12, 3)).astype(np.float32)
+Pose = tuple[float, float, float]
+
+
+def view(x_m: float, y_m: float = 0.0, heading_rad: float = 0.0, scale: int = 1) -> NDArray[np.uint8]:
+    """Return what a camera half a metre above the floor sees, 2 m from both walls; x is along the corridor."""
+    height, width = scale * HEIGHT, scale * WIDTH
+    rows, columns = np.mgrid[0:height, 0:width].astype(np.float32)
+    left, up = ((size / 2 - 0.5 - at) / (0.7 * width) for size, at in ((width, columns), (height, rows)))
+    ray = np.array([math.cos(heading_rad) - math.sin(heading_rad) * left,
+                    math.sin(heading_rad) + math.cos(heading_rad) * left, up])  # fmt: skip
+    with np.errstate(divide="ignore"):
+        reach = np.stack([(2 - y_m) / ray[1], (-2 - y_m) / ray[1], -0.5 / ray[2], 2 / ray[2]])
+    reach[reach <= 0] = np.inf
+    surface, reach = reach.argmin(axis=0), np.minimum(reach.min(axis=0), 30.0)
+    x, y, z = x_m + reach * ray[0], y_m + reach * ray[1], reach * ray[2]
+    along, across = (x + 3) * 2, np.where(surface < 2, z + 0.5, y + 2) * 2
+    a, b = np.clip(along, 0, 58.99), np.clip(across, 0, 10.99)
+    i, j = a.astype(int), b.astype(int)
+    f, g = (a - i)[..., None], (b - j)[..., None]
+    near, far = ((1 - g) * _PAINT[surface, i + k, j] + g * _PAINT[surface, i + k, j + 1] for k in (0, 1))
+    fog = np.exp(-reach / 6)[..., None]
+    return np.asarray(fog * ((1 - f) * near + f * far) + (1 - fog) * 128, dtype=np.uint8)
+
+
+def pose(frame: int) -> Pose:
+    """Return the taught pose of a frame; the way is straight along the middle."""
+    return STEP_M * min(frame, FRAMES - 1), 0.0, 0.0
+
+
+@cache
+def model(odometry: bool = True) -> Model:
+    """Learn one straight drive, with a map of views."""
+    way = [pose(frame) for frame in range(FRAMES)]
+    taught = [view(*one) for one in way], [Atom.FORWARD] * (FRAMES - 1) + [Atom.STOP]
+    return fit([(*taught, np.array(way)) if odometry else taught], LearningSettings(FEATURES, LENGTH))
+
+
+def save_model(path: Path) -> Path:
+    """Write `model`."""
+    model().save(path)
+    return path

@@ -1,0 +1,116 @@
+"""The policy by the filter, its handler alone: a belief in, an action and a command out."""
+
+from __future__ import annotations
+
+import itertools
+from pathlib import Path
+
+import pytest
+
+from schemas.action import Action
+from schemas.base import Message
+from schemas.command import Command
+from schemas.rpc import LoadRequest
+from schemas.state import Place, State
+from services.policy.service import PolicyService
+from tests import corridor
+from tests.services.chain import save_model, state
+
+
+@pytest.fixture(scope="module")
+def model(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return corridor.save_model(tmp_path_factory.mktemp("model") / "mapped.smal")
+
+
+@pytest.fixture
+def policy(model: Path) -> PolicyService:
+    service = PolicyService()
+    service.load(LoadRequest(path=str(model)))
+    return service
+
+
+def belief(tick: int, model: Path, keyframe: int = 5, turned_rad: float = 0.0, lost: float = 0.0,
+           episode: str = "e", left_m: float = 0.0) -> State:  # fmt: skip
+    place = Place(keyframe=keyframe, ahead_m=0.0, left_m=left_m, turned_rad=turned_rad, weight=1.0)
+    status = "unknown" if lost > 0.5 else "recognized"
+    return state(tick, model, episode, status=status, places=(place,), lost=lost, cosine=0.8, tracked_m=1.0 + tick)
+
+
+def made(answer: list[Message]) -> tuple[str, int | None, str]:
+    """Return kind and state of the decision, and the atom of the command, which are all that was said."""
+    action, command = answer
+    assert isinstance(action, Action)
+    assert isinstance(command, Command)
+    assert (action.atoms, command.source, command.tick) == ((command.atom,), "policy", action.tick)
+    return action.kind, action.state, command.atom
+
+
+@pytest.mark.parametrize(
+    ("where", "expected"),
+    [
+        ({}, ("follow", 5, "forward")),
+        ({"turned_rad": 0.5}, ("follow", 5, "right")),
+        ({"turned_rad": -0.5}, ("follow", 5, "left")),
+        ({"left_m": 1.0}, ("follow", 5, "right")),
+        ({"keyframe": -1}, ("goal", -1, "stop")),
+        ({"lost": 0.9}, ("look_around", None, "left")),
+    ],
+    ids=str,
+)
+def test_a_belief_becomes_an_action_and_a_command(
+    policy: PolicyService, model: Path, where: dict[str, float], expected: tuple[str, int | None, str]
+) -> None:
+    last = len(corridor.model().mapped.keyframes) - 1
+    if "keyframe" in where:
+        where, expected = {"keyframe": last}, (expected[0], last, expected[2])
+    assert made(policy.handle(belief(0, model, **where))) == expected
+
+
+def test_a_lost_robot_looks_all_round_and_then_guesses(policy: PolicyService, model: Path) -> None:
+    kinds = [made(policy.handle(belief(tick, model, lost=0.9)))[0] for tick in range(200)]
+    assert [kind for kind, _ in itertools.groupby(kinds)][:3] == ["look_around", "guess", "look_around"]
+
+
+def test_a_repeated_state_has_the_same_answer_and_turns_no_further(policy: PolicyService, model: Path) -> None:
+    answer = policy.handle(belief(0, model, lost=0.9))
+    assert all(policy.handle(belief(0, model, lost=0.9)) == answer for _ in range(500))
+    assert made(policy.handle(belief(1, model, lost=0.9)))[0] == "look_around"
+
+
+def test_a_new_episode_starts_afresh(policy: PolicyService, model: Path) -> None:
+    last = len(corridor.model().mapped.keyframes) - 1
+    assert made(policy.handle(belief(0, model, last)))[0] == "goal"
+    # It has arrived, and stays; the next episode begins.
+    assert made(policy.handle(belief(1, model)))[0] == "goal"
+    assert made(policy.handle(belief(0, model, episode="next"))) == ("follow", 5, "forward")
+
+
+def test_it_stops_for_a_state_of_another_model(policy: PolicyService, model: Path, tmp_path: Path) -> None:
+    other = save_model(tmp_path / "other.smal")
+    (command,) = policy.handle(belief(0, other))
+    assert isinstance(command, Command)
+    assert command.atom == "stop"
+    assert policy.detail()["states_of_another_model"] == 1
+    assert made(policy.handle(belief(1, model)))[2] == "forward"
+
+
+@pytest.mark.parametrize("fields", [{"status": "recognized", "state": 2, "phase": 2.0}, {"status": "unknown"}], ids=str)
+def test_it_stops_for_a_state_of_another_scheme(policy: PolicyService, model: Path, fields: dict[str, object]) -> None:
+    papers = PolicyService()
+    papers.load(LoadRequest(path=str(model), scheme="paper"))
+    for service, theirs in ((policy, state(0, model, **fields)), (papers, belief(0, model))):
+        (command,) = service.handle(theirs)
+        assert isinstance(command, Command)
+        assert command.atom == "stop"
+
+
+def test_it_stops_for_a_place_that_its_model_does_not_have(policy: PolicyService, model: Path) -> None:
+    """States come over the network: one that names the right model may still be wrong."""
+    papers = PolicyService()
+    papers.load(LoadRequest(path=str(model), scheme="paper"))
+    beyond = state(0, model, status="recognized", state=1_000_000, phase=2.0)
+    for service, wrong in ((policy, belief(0, model, keyframe=1_000_000)), (papers, beyond)):
+        (command,) = service.handle(wrong)
+        assert isinstance(command, Command)
+        assert command.atom == "stop"
+    assert made(policy.handle(belief(1, model)))[2] == "forward"

@@ -1,0 +1,157 @@
+"""Recognition by the filter, its handlers alone: which frames it answers, when, and with what it knows."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from schemas.array import Float32Array
+from schemas.rpc import LoadRequest
+from schemas.state import State
+from services.process import ServiceError
+from services.recognition.service import RecognitionService
+from smal.features import extract
+from tests import corridor
+from tests.services.chain import identity, observation, picture, save_model, seen, wheels
+
+
+@pytest.fixture(scope="module")
+def model(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return corridor.save_model(tmp_path_factory.mktemp("model") / "mapped.smal")
+
+
+@pytest.fixture
+def service(model: Path) -> RecognitionService:
+    made = RecognitionService()
+    made.load(LoadRequest(path=str(model)))
+    return made
+
+
+def at(service: RecognitionService, tick: int, pose: corridor.Pose | None = None, episode: str = "e") -> State:
+    """Give a frame and its odometry; return the state."""
+    assert service.see(wheels(tick, pose, episode)) is None
+    state = service.handle(seen(tick, pose, episode))
+    assert state is not None
+    return state
+
+
+def placed(state: State) -> tuple[float, float]:
+    """Return where along the corridor, and how far from its middle, a state says that the robot is."""
+    here = state.places[0]
+    keyframes = corridor.model().mapped.key_poses
+    return float(keyframes[here.keyframe, 0]) + here.ahead_m, here.left_m
+
+
+def test_a_state_is_a_belief_over_places(service: RecognitionService, model: Path) -> None:
+    for tick in range(8):
+        state = at(service, tick, (0.2 * tick, 0.1, 0.0))
+    assert (state.status, state.model, state.state, state.episode, state.tick) == (
+        "recognized", identity(model), None, "e", 7,
+    )  # fmt: skip
+    assert placed(state) == (pytest.approx(1.4, abs=0.1), pytest.approx(0.1, abs=0.1))
+    assert sum(place.weight for place in state.places) == pytest.approx(1.0)
+    assert state.lost < 0.1
+    assert state.cosine > 0.5
+    assert state.tracked_m == pytest.approx(1.4, abs=1e-6)
+
+
+def test_a_view_of_nowhere_is_unknown(service: RecognitionService) -> None:
+    for tick in range(8):
+        service.see(wheels(tick))
+        features = Float32Array.from_numpy(extract(picture(tick), corridor.FEATURES))
+        state = service.handle(seen(tick).model_copy(update={"features": features}))
+    assert state is not None
+    assert state.status == "unknown"
+    assert state.lost > 0.5
+    assert state.places
+
+
+def test_odometry_may_come_before_its_observation_or_after_it(service: RecognitionService, model: Path) -> None:
+    other = RecognitionService()
+    other.load(LoadRequest(path=str(model)))
+    for tick in range(5):
+        expected = at(service, tick)
+        assert other.handle(seen(tick)) is None
+        assert other.see(wheels(tick, episode="another")) is None
+        assert other.see(wheels(tick + 50)) is None
+        assert other.see(wheels(tick)) == expected
+
+
+def test_a_frame_that_is_sent_again_has_the_same_answer(service: RecognitionService) -> None:
+    for tick in range(3):
+        first = at(service, tick)
+        assert service.handle(seen(tick)) is first
+        assert service.see(wheels(tick)) is None
+        assert service.handle(seen(tick)) is first
+    # A view taken in twice would count as more evidence.
+    fresh = at(service, 3)
+    assert placed(fresh)[0] == pytest.approx(0.6, abs=0.1)
+
+
+def test_without_odometry_it_goes_on_when_the_frame_is_sent_again(service: RecognitionService) -> None:
+    for tick in range(3):
+        at(service, tick)
+    assert service.handle(seen(3)) is None
+    state = service.handle(seen(3))
+    assert state is not None
+    assert (state.tick, state.status) == (3, "recognized")
+    # The odometry that follows says how far the robot went in both frames.
+    later = at(service, 4)
+    assert later.tracked_m == pytest.approx(0.8)
+    assert placed(later)[0] == pytest.approx(0.8, abs=0.1)
+
+
+def test_frames_are_left_out_while_newer_ones_wait(service: RecognitionService) -> None:
+    at(service, 0)
+    service.behind = lambda: True
+    for tick in (1, 2, 3):
+        service.see(wheels(tick))
+        assert service.handle(seen(tick)) is None
+    service.behind = lambda: False
+    state = at(service, 4)
+    assert state.tracked_m == pytest.approx(0.8)
+    assert placed(state)[0] == pytest.approx(0.8, abs=0.1)
+
+
+def test_features_of_another_fingerprint_are_refused_in_one_line(service: RecognitionService) -> None:
+    before = at(service, 0)
+    for _ in range(2):
+        with pytest.raises(ServiceError, match=r"^observations have the features .*; learn the model again$"):
+            service.handle(observation(1))
+    assert service.handle(seen(0)) is before
+    assert at(service, 1).status == "recognized"
+
+
+def test_a_new_episode_starts_afresh(service: RecognitionService, model: Path) -> None:
+    other = RecognitionService()
+    other.load(LoadRequest(path=str(model)))
+    for tick in range(8):
+        at(service, tick, episode="first")
+    for tick in range(3):
+        state = at(service, tick, episode="second")
+        assert state == at(other, tick, episode="second")
+        assert state.tracked_m == pytest.approx(0.2 * tick)
+
+
+def test_an_observation_that_waits_is_forgotten_with_its_model(service: RecognitionService, model: Path) -> None:
+    assert service.handle(seen(0)) is None
+    service.load(LoadRequest(path=str(model)))
+    assert service.see(wheels(0)) is None
+
+
+def test_odometry_of_old_frames_is_forgotten(service: RecognitionService) -> None:
+    for tick in range(1000):
+        service.see(wheels(tick))
+    assert len(service._odometry) <= 100
+    assert service.handle(seen(999)) is not None
+
+
+def test_a_model_without_a_map_is_for_the_papers_scheme_alone(tmp_path: Path) -> None:
+    unmapped, service = save_model(tmp_path / "unmapped.smal"), RecognitionService()
+    with pytest.raises(ServiceError, match="no map of views") as refused:
+        service.load(LoadRequest(path=str(unmapped)))
+    assert "\n" not in str(refused.value)
+    assert service.load(LoadRequest(path=str(unmapped), scheme="paper")).keyframes == 0
+    # The paper's scheme needs no odometry.
+    assert [service.handle(observation(tick, place=6 + tick)) is None for tick in range(3)] == [False] * 3
