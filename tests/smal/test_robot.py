@@ -1,0 +1,54 @@
+"""The method in four lines: images in, atoms out, and where the robot is."""
+
+import math
+
+import pytest
+
+from smal import Atom, Robot
+from smal.learning import LearningSettings, fit
+from tests.corridor import FEATURES, FRAMES, LENGTH, STEP_M, Pose, model, pose, view
+
+
+def _drive(robot: Robot, start: Pose, odometry: bool, frames: int = 80) -> tuple[Pose, list[Atom]]:
+    """Let the robot drive through the corridor, turning 4.5 degrees an atom, until it says that it is done."""
+    (x, y, heading), made = start, []
+    while len(made) < frames and not (made and robot.done):
+        atom = robot.step(view(x, y, heading), (x, y, heading) if odometry else None)
+        made.append(atom)
+        ahead = STEP_M * (atom is Atom.FORWARD)
+        heading += math.radians(4.5) * ((atom is Atom.LEFT) - (atom is Atom.RIGHT))
+        x, y = x + ahead * math.cos(heading), y + ahead * math.sin(heading)
+    return (x, y, heading), made
+
+
+@pytest.mark.parametrize("odometry", [True, False])
+def test_it_reaches_the_end_of_the_taught_way_and_says_so(odometry: bool) -> None:
+    robot = Robot(model(odometry))
+    (x, y, _), _ = _drive(robot, (0.1, 0.3, 0.1), odometry)
+    assert robot.done
+    assert math.hypot(x - pose(FRAMES - 1)[0], y) < 0.6
+
+
+def test_it_says_where_it_is() -> None:
+    robot = Robot(model())
+    for frame in range(8):
+        robot.step(view(*pose(frame)), pose(frame))
+    assert not robot.lost
+    assert robot.where.drive == 0
+    assert abs(robot.where.frame * STEP_M + robot.where.ahead - pose(7)[0]) < 0.4
+    assert abs(robot.where.left) < 0.4
+
+
+def test_a_new_episode_is_like_the_first() -> None:
+    robot = Robot(model())
+    first = _drive(robot, (0.0, 0.2, 0.0), odometry=True)
+    robot.reset()
+    assert _drive(robot, (0.0, 0.2, 0.0), odometry=True) == first
+
+
+def test_a_model_without_a_map_is_refused_in_one_line() -> None:
+    taught = [view(*pose(frame)) for frame in range(FRAMES)], [Atom.FORWARD] * (FRAMES - 1) + [Atom.STOP]
+    bare = fit([taught], LearningSettings(FEATURES, LENGTH, map_views=False))
+    with pytest.raises(ValueError, match="no map of views") as refused:
+        Robot(bare)
+    assert "\n" not in str(refused.value)
