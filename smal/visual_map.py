@@ -36,6 +36,12 @@ _KEPT, _MOST_COMPONENTS = 0.9, 400
 #: Views from which components are computed.
 _SAMPLE = 2500
 
+#: What numbers of a map can be; kappa is bounded so that no likelihood overflows.
+_LONGEST = 1e6
+_NUMBERS: dict[str, Callable[[float], bool]] = dict.fromkeys(
+    ("aside", "correlation_length", "correlation_rad", "tick_s"), lambda one: 1e-6 <= one <= _LONGEST
+) | {"kappa": lambda one: 0.0 < one <= 300.0, "outlier_cosine": lambda one: -1.1 <= one <= 1.1}
+
 
 @dataclass(frozen=True, eq=False)
 class VisualMap:
@@ -91,21 +97,28 @@ class VisualMap:
     scene: NDArray[np.float64]
 
     def __post_init__(self) -> None:
-        frames, count = len(self.poses), len(self.keyframes)
-        wrong = [
-            name
-            for name, fits in {
-                "poses": self.poses.shape == (frames, 3) and bool(np.isfinite(self.poses).all()),
+        # Files are checked here too: what passes must not fail, or give a belief that is no number, while driving.
+        frames, count = len(np.atleast_1d(self.poses)), self.keyframes.size
+        whole = {"drives": self.drives, "keyframes": self.keyframes}
+        real = {name: getattr(self, name) for name in ("poses", "basis", "views", "movements", "scene")}
+        wrong = [name for name, array in whole.items() if array.ndim != 1 or array.dtype.kind != "i"]
+        wrong += [name for name, array in real.items() if array.dtype.kind != "f" or not np.isfinite(array).all()]
+        numbers = {name: getattr(self, name) for name in _NUMBERS}
+        wrong += [name for name, one in numbers.items() if type(one) not in (int, float) or not _NUMBERS[name](one)]
+        wrong += [] if type(self.odometry) is bool else ["odometry"]
+        if not wrong:
+            fit = {
+                "poses": self.poses.shape == (frames, 3) and bool((np.abs(self.poses) <= _LONGEST).all()),
                 "drives": self.drives.shape == (frames,) and bool((np.diff(self.drives) >= 0).all()),
-                "keyframes": count > 0 and int(self.keyframes.min()) >= 0 and int(self.keyframes.max()) < frames,
-                "views": self.views.shape == (count, 3, TURNS_DEG.size, self.basis.shape[1]),
+                "keyframes": count > 0 and self.keyframes[0] >= 0 and self.keyframes[-1] < frames,
+                "order of keyframes": bool((np.diff(self.keyframes) > 0).all()),
+                "basis": self.basis.ndim == 2,
+                "views": self.views.shape == (count, 3, TURNS_DEG.size, self.basis.shape[-1]),
+                "length of views": float(np.linalg.norm(self.views, axis=-1).max(initial=0.0)) < 1.01,
                 "movements": self.movements.shape == (len(Atom), 2),
                 "scene": self.scene.shape == (3,),
-            }.items()
-            if not fits
-        ]
-        lengths = ("aside", "correlation_length", "correlation_rad", "kappa", "tick_s")
-        wrong += [name for name in lengths if not (math.isfinite(getattr(self, name)) and getattr(self, name) > 0.0)]
+            }
+            wrong = [name for name, fits in fit.items() if not fits]
         if wrong:
             raise ValueError(f"the parts of the visual map do not fit together: {', '.join(wrong)}")
 
@@ -308,7 +321,7 @@ def _likelihood(
         )
     other = other if other.size else np.zeros(1)
     return {
-        "kappa": 1.0 / max(float(one.std()), 1e-3),
+        "kappa": 1.0 / max(float(one.std()), 1e-2),
         "outlier_cosine": (float(one.mean()) + float(other.mean())) / 2.0,
     }
 
