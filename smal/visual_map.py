@@ -105,7 +105,8 @@ class VisualMap:
         wrong += [name for name, array in real.items() if array.dtype.kind != "f" or not np.isfinite(array).all()]
         numbers = {name: getattr(self, name) for name in _NUMBERS}
         wrong += [name for name, one in numbers.items() if type(one) not in (int, float) or not _NUMBERS[name](one)]
-        wrong += [] if type(self.odometry) is bool else ["odometry"]
+        odometry: object = self.odometry
+        wrong += [] if isinstance(odometry, bool) else ["odometry"]
         if not wrong:
             fit = {
                 "poses": self.poses.shape == (frames, 3) and bool((np.abs(self.poses) <= _LONGEST).all()),
