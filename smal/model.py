@@ -101,6 +101,10 @@ class Model:
             "state_streams": [len(s) for s in self.state_streams] == [len(a) // l for a in self.atoms],
         }
         wrong = [name for name, fits in checks.items() if not fits]
+        if not wrong and self.visual_map is not None:
+            of_images = self.centering.of_images()
+            if of_images is None or len(self.visual_map.basis) != of_images.settings.size:
+                wrong.append("map")
         if wrong:
             raise ValueError(f"the parts of the model do not fit together: {', '.join(wrong)}")
         novelty_test(self.novelty, self.novelty_parameters)

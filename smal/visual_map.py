@@ -38,13 +38,19 @@ _KEPT, _MOST_COMPONENTS = 0.9, 400
 #: Views from which components are computed.
 _SAMPLE = 2500
 
+#: What numbers of a map can be; kappa is bounded so that no likelihood overflows.
+_LONGEST = 1e6
+_NUMBERS: dict[str, Callable[[float], bool]] = dict.fromkeys(
+    ("aside", "correlation_length", "correlation_rad", "tick_s"), lambda one: 1e-6 <= one <= _LONGEST
+) | {"kappa": lambda one: 0.0 < one <= 300.0, "outlier_cosine": lambda one: -1.1 <= one <= 1.1}
+
 
 #: Axes of the arrays of a map.
 _AXES = {"poses": 2, "drives": 1, "keyframes": 1, "basis": 2, "views": 4, "movements": 2, "scene": 1}
 
 
-def _finite(array: NDArray[Any], axes: int) -> bool:
-    return array.ndim == axes and bool(np.isfinite(array).all())
+def _sound(array: NDArray[Any], axes: int, kind: str) -> bool:
+    return array.ndim == axes and array.dtype.kind == kind and bool(np.isfinite(array).all())
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,25 +107,30 @@ class VisualMap:
     scene: NDArray[np.float64]
 
     def __post_init__(self) -> None:
-        wrong = [name for name, axes in _AXES.items() if not _finite(getattr(self, name), axes)]
+        # Files are checked here too: what passes must not fail, or give a belief that is no number, while driving.
+        arrays: dict[str, NDArray[Any]] = {name: getattr(self, name) for name in _AXES}
+        kinds = {name: "i" if name in ("drives", "keyframes") else "f" for name in _AXES}
+        wrong = [name for name, array in arrays.items() if not _sound(array, _AXES[name], kinds[name])]
+        numbers = {name: getattr(self, name) for name in _NUMBERS}
+        wrong += [name for name, one in numbers.items() if type(one) not in (int, float) or not _NUMBERS[name](one)]
+        odometry: object = self.odometry
+        wrong += [] if isinstance(odometry, bool) else ["odometry"]
         if not wrong:
             frames, count = len(self.poses), len(self.keyframes)
             ends = np.flatnonzero(np.diff(self.drives, prepend=-1, append=-1))
-            fitting = {
-                "poses": self.poses.shape == (frames, 3),
+            fit = {
+                "poses": self.poses.shape == (frames, 3) and bool((np.abs(self.poses) <= _LONGEST).all()),
                 "drives": self.drives.shape == (frames,) and bool((np.diff(self.drives, prepend=0) >= 0).all()),
                 "keyframes": count > 0
                 and bool((np.diff(self.keyframes, prepend=-1) > 0).all())
                 and int(self.keyframes[-1]) < frames
                 and bool(np.isin([*ends[:-1], *(ends[1:] - 1)], self.keyframes).all()),
                 "views": self.views.shape == (count, 3, TURNS_DEG.size, self.basis.shape[1]),
+                "length of views": float(np.linalg.norm(self.views, axis=-1).max(initial=0.0)) < 1.01,
                 "movements": self.movements.shape == (len(Atom), 2),
                 "scene": self.scene.shape == (3,),
-                "outlier_cosine": math.isfinite(self.outlier_cosine),
             }
-            wrong = [name for name, fits in fitting.items() if not fits]
-        lengths = ("aside", "correlation_length", "correlation_rad", "kappa", "tick_s")
-        wrong += [name for name in lengths if not (math.isfinite(getattr(self, name)) and getattr(self, name) > 0.0)]
+            wrong = [name for name, fits in fit.items() if not fits]
         if wrong:
             raise ValueError(f"the parts of the visual map do not fit together: {', '.join(wrong)}")
 
@@ -322,7 +333,7 @@ def _likelihood(
         )
     other = other if other.size else np.zeros(1)
     return {
-        "kappa": 1.0 / max(float(one.std()), 1e-3),
+        "kappa": 1.0 / max(float(one.std()), 1e-2),
         "outlier_cosine": (float(one.mean()) + float(other.mean())) / 2.0,
     }
 

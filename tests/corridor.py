@@ -1,4 +1,4 @@
-"""A corridor drawn with a few products, and a model of it that is learned in a second, for tests of the map.
+"""A corridor drawn with a few products, and a model of it that is learned in a second: for tests of the map of views.
 
 What is seen changes with the robot's pose as in any room, so that the map, the filter and the planner work as they do
 in a world of the simulator; a frame takes a millisecond.

@@ -13,6 +13,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Final
 
+import numpy as np
 import pytest
 
 from tests.fuzz.campaign import LONGEST_INPUT
@@ -90,3 +91,72 @@ def test_a_model_whose_header_says_nonsense_is_refused(changes: dict[str, Any]) 
         return meta | changes
 
     assert not cheaply(model.run, model.with_meta(model.seeds()[0], change))
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"kappa": -1.0},
+        {"kappa": None},
+        {"kappa": "x\n" * 3000},
+        {"aside": [1.0]},
+        {"aside": True},
+        {"correlation_length": 10**400},
+        {"outlier_cosine": None},
+        {"outlier_cosine": "high"},
+        {"odometry": 2},
+        {"odometry": "no"},
+        {"colour": "red"},
+        {"views": 3},
+    ],
+    ids=lambda changes: json.dumps(changes)[:40],
+)
+def test_a_map_whose_numbers_say_nonsense_is_refused(changes: dict[str, Any]) -> None:
+    def change(meta: dict[str, Any]) -> dict[str, Any]:
+        return meta | {"map": meta["map"] | changes}
+
+    assert not cheaply(model.run, model.with_meta(model.seeds()[-1], change))
+
+
+@pytest.mark.parametrize("instead", [{}, [], "map", 1, True, {"kappa": 1.0}], ids=json.dumps)
+def test_a_map_that_is_none_is_refused(instead: object) -> None:
+    assert not cheaply(model.run, model.with_meta(model.seeds()[-1], lambda meta: meta | {"map": instead}))
+
+
+@pytest.mark.parametrize(
+    ("name", "array"),
+    [
+        ("poses", np.zeros((2, 2))),
+        ("poses", np.full((2, 3), np.nan)),
+        ("poses", np.zeros(())),
+        ("drives", np.array([1, 0], np.int32)),
+        ("drives", np.array([0.0, 0.0])),
+        ("keyframes", np.array([0, 2], np.int32)),
+        ("keyframes", np.array([1, 0], np.int32)),
+        ("keyframes", np.array([0, -1], np.int32)),
+        ("keyframes", np.array([], np.int32)),
+        ("keyframes", np.array([0.0, 1.0])),
+        ("keyframes", np.array([[0], [1]], np.int32)),
+        ("basis", np.ones((5, 1), np.float32)),
+        ("basis", np.ones(3, np.float32)),
+        ("views", np.full((2, 3, 17, 1), np.inf, np.float32)),
+        ("views", np.ones((2, 3, 16, 1), np.float32)),
+        ("movements", np.full((5, 2), np.nan)),
+        ("scene", np.ones(2)),
+        ("more", np.ones(2)),
+    ],
+    ids=lambda value: value if isinstance(value, str) else f"{value.dtype}{value.shape}",
+)
+def test_a_map_whose_arrays_do_not_fit_is_refused(name: str, array: np.ndarray) -> None:
+    def change(arrays: dict[str, np.ndarray]) -> None:
+        arrays[f"map.{name}"] = array
+
+    assert not cheaply(model.run, model.with_arrays(model.seeds()[-1], change))
+
+
+@pytest.mark.parametrize("name", ["poses", "keyframes", "views", "scene"])
+def test_a_map_without_an_array_is_refused(name: str) -> None:
+    def change(arrays: dict[str, np.ndarray]) -> None:
+        del arrays[f"map.{name}"]
+
+    assert not cheaply(model.run, model.with_arrays(model.seeds()[-1], change))

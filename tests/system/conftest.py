@@ -32,12 +32,9 @@ def smal() -> Smal:
 
 @pytest.fixture(scope="session")
 def taught(smal: Smal, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Make recordings of a small world, and a model learned from them; return their folder."""
+    """Record one drive in a small world, and learn a model from it; return their folder."""
     folder = tmp_path_factory.mktemp("taught")
-    drives = smal(
-        "demonstrate", "--world", "yard", "--episodes", 6, "--recoveries", 24, "--seed", 1,
-        "--camera", "160x120", "--out", folder / "drives",
-    )  # fmt: skip
+    drives = smal("demonstrate", "--world", "yard", "--seed", 1, "--camera", "160x120", "--out", folder / "drives")
     assert drives.returncode == 0, drives.stderr
     learned = smal("learn", folder / "drives", "--out", folder / "model.smal", "--json", folder / "learned.json")
     assert learned.returncode == 0, learned.stderr

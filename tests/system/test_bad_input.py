@@ -11,6 +11,7 @@ import pytest
 
 from services.process import EXIT_FAILED, EXIT_USAGE
 from smal.model import FORMAT_VERSION
+from tests import corridor
 from tests.services.chain import save_model
 from tests.services.recorder.recorded_messages import episode, event
 from tests.services.recorder.test_recorder_files import record
@@ -94,7 +95,16 @@ def test_recording_without_an_episode(smal: Callable[..., object], tmp_path: Pat
 
 @pytest.fixture(scope="module")
 def model(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return save_model(tmp_path_factory.mktemp("model") / "corridor.smal")
+    return corridor.save_model(tmp_path_factory.mktemp("model") / "mapped.smal")
+
+
+@pytest.mark.parametrize("command", ["run", "up"])
+def test_model_that_does_not_go_with_the_scheme(
+    smal: Callable[..., object], model: Path, tmp_path: Path, command: str
+) -> None:
+    unmapped = save_model(tmp_path / "unmapped.smal")
+    expect_one_line(smal(command, "--model", unmapped), EXIT_USAGE, "unmapped.smal", "no map of views")
+    expect_one_line(smal(command, "--model", model, "--stride", 2), EXIT_USAGE, "stride 2", "paper's scheme")
 
 
 @pytest.mark.parametrize("command", ["run", "up"])
@@ -144,6 +154,9 @@ def test_settings_of_the_environment_are_checked(smal: Callable[..., object], tm
         ("demonstrate", "--seed", "-1"),
         ("demonstrate", "--camera", "160x120", "--connect", "tcp/127.0.0.1:9"),
         ("up", "--stride", "2"),
+        ("run", "--model", "x", "--scheme", "dream"),
+        ("run", "--model", "x", "--start", "nowhere"),
+        ("run", "--model", "x", "--kidnap", "0"),
         ("up", "--model", "none.smal"),
     ],
 )

@@ -9,6 +9,8 @@ from pathlib import Path
 import cv2
 import pytest
 
+from smal.model import Model
+
 pytestmark = [pytest.mark.rendering, pytest.mark.system, pytest.mark.timeout(1500)]
 
 
@@ -22,17 +24,20 @@ def run_json(smal: Callable[..., object], taught: Path, out: Path, *extra: objec
 
 
 def test_demonstrations_are_recorded_one_file_a_drive_and_drawn(taught: Path) -> None:
-    assert len(list((taught / "drives").glob("*.mcap"))) == 30
+    assert len(list((taught / "drives").glob("*.mcap"))) == 1
     assert not list((taught / "drives").glob("*.partial"))
     picture = cv2.imread(str(taught / "drives" / "drives.png"))
     assert picture is not None
     assert picture.std() > 10
 
 
-def test_demonstrations_share_states(taught: Path) -> None:
+def test_one_drive_gives_a_map_of_views(taught: Path) -> None:
     report = json.loads((taught / "learned.json").read_text())
-    assert report["shared_states"] >= 10
-    assert report["states"] < report["sequences"]
+    assert (report["recordings"], report["episodes"], report["remarks"]) == (1, 1, [])
+    assert report["keyframes"] >= 10
+    model = Model.load(taught / "model.smal")
+    assert model.mapped.odometry
+    assert len(model.mapped.keyframes) == report["keyframes"]
 
 
 def test_robot_finds_the_victim_by_itself_and_the_same_seed_gives_the_same_outcome(
@@ -40,7 +45,7 @@ def test_robot_finds_the_victim_by_itself_and_the_same_seed_gives_the_same_outco
 ) -> None:
     first = run_json(smal, taught, tmp_path / "first.json", "--report", tmp_path / "report")
     outcomes = [episode["outcome"] for episode in first["episodes"]]  # type: ignore[attr-defined]
-    assert outcomes.count("found") >= 2, first
+    assert outcomes.count("found") >= 3, first
     page = (tmp_path / "report" / "index.html").read_text()
     assert page.count("<img") >= 3
     assert "http" not in page.split("</style>")[1]
@@ -51,3 +56,16 @@ def test_robot_finds_the_victim_by_itself_and_the_same_seed_gives_the_same_outco
 def test_robot_finds_the_victim_in_real_time(smal: Callable[..., object], taught: Path, tmp_path: Path) -> None:
     result = run_json(smal, taught, tmp_path / "realtime.json", "--realtime")
     assert [e["outcome"] for e in result["episodes"]].count("found") >= 1, result  # type: ignore[attr-defined]
+
+
+def test_robot_finds_the_victim_from_anywhere_and_after_it_was_carried_away(
+    smal: Callable[..., object], taught: Path, tmp_path: Path
+) -> None:
+    result = run_json(smal, taught, tmp_path / "anywhere.json", "--start", "anywhere", "--kidnap", 30)
+    assert [e["outcome"] for e in result["episodes"]].count("found") >= 2, result  # type: ignore[attr-defined]
+
+
+def test_the_papers_scheme_runs(smal: Callable[..., object], taught: Path, tmp_path: Path) -> None:
+    result = run_json(smal, taught, tmp_path / "paper.json", "--scheme", "paper")
+    outcomes = {episode["outcome"] for episode in result["episodes"]}  # type: ignore[attr-defined]
+    assert outcomes <= {"found", "collision", "timeout"}

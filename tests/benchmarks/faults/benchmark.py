@@ -122,7 +122,7 @@ def main(arguments: list[str]) -> None:
     """Read the flags, run the matrix, print and write."""
     chosen = _parser().parse(arguments)
     if chosen.model is not None:
-        options.read_model(chosen.model, None)
+        options.read_model(chosen.model, "filter", None)
     with _folder(chosen.out) as folder:
         results = benchmark(_cells(chosen.cell, quick=chosen.quick), chosen.model, folder, chosen.out)
     if chosen.json is not None:

@@ -16,7 +16,7 @@ def taught_model(folder: Path) -> Path:
     if model.exists():
         return model
     try:
-        demonstrate(folder, 6, 24, WORLD, f"{CAMERA[0]}x{CAMERA[1]}")
+        demonstrate(folder, 1, 0, WORLD, f"{CAMERA[0]}x{CAMERA[1]}")
     except LeftOutError as error:
         raise JobError(str(error)) from None
     return learn(folder)

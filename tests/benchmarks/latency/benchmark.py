@@ -2,8 +2,8 @@
 
 The services features, recognition and policy run as processes on a router of their own. In place of the simulator a
 recorded drive is shown to them at 10 Hz, and what the policy answers goes through the actuator's gate. The time goes
-from before a frame is packed to the acceptance of its command; rendering is apart. A decision takes place every l
-frames, or more often with a shorter stride; at the other frames the plan is followed.
+from before a frame is packed to the acceptance of its command; rendering is apart. The filter decides at every frame;
+the paper's scheme every l frames, and follows its plan at the others.
 """
 
 from __future__ import annotations
@@ -15,11 +15,11 @@ from collections.abc import Sequence
 from contextlib import ExitStack, closing
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, get_args
 
 from tqdm import tqdm
 
-from schemas.rpc import LoadReply, LoadRequest
+from schemas.rpc import LoadReply, LoadRequest, Scheme
 from services.commands.errors import UsageError
 from services.commands.options import Camera, read_model
 from services.commands.stack.processes import Stack, StackPlan, free_endpoint
@@ -46,8 +46,8 @@ class Plan:
     ----------
     ticks : int
         Frames for each case.
-    strides : sequence of int
-        Frames from one decision to the next.
+    schemes : sequence of str
+        How recognition and policy work.
     cameras : sequence of Camera or None
         Sizes of the image; None is that of the recordings.
     episodes, recoveries : int
@@ -57,7 +57,7 @@ class Plan:
     """
 
     ticks: int = 1000
-    strides: Sequence[int] = (1, 5)
+    schemes: Sequence[Scheme] = ("filter", "paper")
     cameras: Sequence[Camera | None] = (None, Camera(1024, 768))
     episodes: int = 12
     recoveries: int = 60
@@ -67,15 +67,15 @@ class Plan:
 def benchmark(plan: Plan, model: Path, recordings: Path, logs: Path) -> dict[str, Any]:
     """Measure every case; return what the JSON file holds."""
     endpoint = free_endpoint()
-    total = plan.ticks * len(plan.strides) * len(plan.cameras)
+    total = plan.ticks * len(plan.schemes) * len(plan.cameras)
     with (
         Stack(StackPlan(SERVICES, _ROBOT, endpoint, logs=logs)) as stack,
         closing(Robot(ServiceSettings(robot=_ROBOT, router=endpoint), stages=plan.stages)) as robot,
         tqdm(total=total, desc="driving", unit="frame", dynamic_ncols=True) as bar,
     ):
         cases = []
-        for stride in plan.strides:
-            loaded = _load(robot, model, stride)
+        for scheme in plan.schemes:
+            loaded = _load(robot, model, scheme)
             for camera in plan.cameras:
                 stack.check()
                 cases.append(_measure(robot, loaded, recordings, camera, plan.ticks, bar))
@@ -83,9 +83,9 @@ def benchmark(plan: Plan, model: Path, recordings: Path, logs: Path) -> dict[str
     return results | {"targets": [judge(one) for one in cases]}
 
 
-def _load(robot: Robot, model: Path, stride: int) -> LoadReply:
+def _load(robot: Robot, model: Path, scheme: Scheme) -> LoadReply:
     """Have recognition and policy load the model; return what both have loaded."""
-    request, bus = LoadRequest(path=str(model.resolve()), stride=stride), robot.node.bus
+    request, bus = LoadRequest(path=str(model.resolve()), scheme=scheme), robot.node.bus
     bus.call("policy", "load", request, LoadReply, timeout_s=_LOADING_S)
     return bus.call("recognition", "load", request, LoadReply, timeout_s=_LOADING_S)
 
@@ -97,17 +97,17 @@ def _measure(
     answers: list[Answers] = []
     size = ""
     load = Load(processes_of(robot.node.bus, SERVICES))
-    for k, recorded in enumerate(drives(recordings)):
+    for k, (recorded, way) in enumerate(drives(recordings)):
         left = ticks - sum(one.ticks for one in answers)
         if left <= 0:
             break
         frames = resized(recorded[:left], camera)
         height, width, _ = frames[0].shape
         size = f"{width}x{height}"
-        bar.set_postfix_str(f"stride {loaded.stride}, {size}")
+        bar.set_postfix_str(f"{loaded.scheme}, {size}")
         with load.watched():
-            answers.append(robot.drive(f"bench-{loaded.stride}-{width}-{k}", frames, bar.update))
-    facts = {"camera": size, "templates": loaded.templates, "states": loaded.states, "stride": loaded.stride}
+            answers.append(robot.drive(f"bench-{loaded.scheme}-{width}-{k}", frames, way[:left], bar.update))
+    facts = {"camera": size} | loaded.model_dump(include={"scheme", "keyframes", "templates", "states", "stride"})
     return facts | figures_of(answers, loaded) | {"cores": load.cores()}
 
 
@@ -135,7 +135,7 @@ def _plan(flags: argparse.Namespace) -> Plan:
     shape = Plan(ticks=100, episodes=2, recoveries=2) if flags.quick else Plan()
     return Plan(
         flags.ticks or shape.ticks,
-        flags.stride or shape.strides,
+        flags.scheme or shape.schemes,
         [Camera.parse(size) for size in flags.camera] or shape.cameras,
         shape.episodes,
         shape.recoveries,
@@ -145,8 +145,8 @@ def _plan(flags: argparse.Namespace) -> Plan:
 
 def _check(model: Path, recordings: Path, plan: Plan) -> None:
     """Find out what is wrong with the files before services start."""
-    for stride in plan.strides:
-        read_model(model, stride)
+    for scheme in plan.schemes:
+        read_model(model, scheme, None)
     try:
         find_recordings([recordings])
     except OSError as error:
@@ -159,10 +159,10 @@ def _parser() -> Parser:
     parser.add_argument("--model", type=Path, metavar="FILE", help="made by smal learn")
     parser.add_argument("--recordings", type=Path, metavar="DIR", help="drives to show; without model and recordings "
                         "both are made, which takes minutes")  # fmt: skip
-    parser.add_argument("--stride", type=int, action="append", metavar="K", help="frames from one decision to the "
-                        "next; may be repeated [default: 1 and 5]")  # fmt: skip
+    parser.add_argument("--scheme", action="append", choices=get_args(Scheme), help="how recognition and policy work; "
+                        "may be repeated [default: both]")  # fmt: skip
     parser.add_argument("--camera", action="append", default=[], metavar="WIDTHxHEIGHT", help="size to which frames "
                         "are brought; may be repeated [default: their own, and 1024x768]")  # fmt: skip
-    parser.add_argument("--ticks", type=int, metavar="N", help="frames for each stride and camera")
+    parser.add_argument("--ticks", type=int, metavar="N", help="frames for each scheme and camera")
     parser.add_argument("--stages", action="store_true", help="tell how long each service takes")
     return parser

@@ -17,6 +17,8 @@ from services.recorder.mcap_reader import RecordingError, read_recording
 from tests.benchmarks.drives import demonstrate, learn
 
 Frames = list[NDArray[np.uint8]]
+#: Pose of each frame by the wheels: x, y in metres, heading in radians.
+Way = list[tuple[float, float, float]]
 
 
 def make(folder: Path, episodes: int, recoveries: int) -> Path:
@@ -31,8 +33,8 @@ def make(folder: Path, episodes: int, recoveries: int) -> Path:
     return learn(folder)
 
 
-def drives(folder: Path) -> Iterator[Frames]:
-    """Give the camera images of one whole drive after the other, (height, width, 3), over and over.
+def drives(folder: Path) -> Iterator[tuple[Frames, Way]]:
+    """Give the camera images of one whole drive after the other, (height, width, 3), and its way, over and over.
 
     Raises
     ------
@@ -44,20 +46,22 @@ def drives(folder: Path) -> Iterator[Frames]:
     while found:
         found = False
         for path in paths:
-            for frames in _drives_of(path):
+            for drive in _drives_of(path):
                 found = True
-                yield frames
-    raise JobError(f"{folder}: holds no drive with camera images")
+                yield drive
+    raise JobError(f"{folder}: holds no drive with camera images and odometry")
 
 
-def _drives_of(path: Path) -> Iterator[Frames]:
+def _drives_of(path: Path) -> Iterator[tuple[Frames, Way]]:
     try:
         episodes = read_recording(path).episodes
     except RecordingError as error:
         raise JobError(str(error)) from None
     for episode in episodes:
-        if episode.purpose != "recovery" and episode.images:
-            yield [decode_image(bytes(episode.images[tick])) for tick in sorted(episode.images)]
+        ticks = sorted(episode.images.keys() & episode.odometry.keys())
+        if episode.purpose != "recovery" and ticks:
+            images = [decode_image(bytes(episode.images[tick])) for tick in ticks]
+            yield images, [episode.odometry[tick] for tick in ticks]
 
 
 def resized(frames: Frames, camera: Camera | None) -> Frames:

@@ -1,4 +1,4 @@
-"""A robot that sees a recorded drive: frames in real time, the actuator's gate, and no wheels."""
+"""A robot that relives a recorded drive: frames and odometry in real time, the actuator's gate, and no wheels."""
 
 from __future__ import annotations
 
@@ -18,6 +18,7 @@ from schemas.command import Command, CommandApplied
 from schemas.episode import Episode, EventName, Outcome
 from schemas.image import Image
 from schemas.observation import Observation
+from schemas.odometry import Odometry
 from schemas.state import State
 from services.process import Node
 from services.settings import ServiceSettings
@@ -81,19 +82,25 @@ class Robot:
             self.node.subscribe(topics.OBSERVATION, self._on_stage, depth=256)
             self.node.subscribe(topics.STATE, self._on_stage, depth=256)
 
-    def drive(self, episode: str, frames: list[NDArray[np.uint8]], on_tick: Callable[[], object]) -> Answers:
+    def drive(
+        self,
+        episode: str,
+        frames: list[NDArray[np.uint8]],
+        way: list[tuple[float, float, float]],
+        on_tick: Callable[[], object],
+    ) -> Answers:
         """Show the frames, each at its time from the beginning on, and take the commands meanwhile."""
         self._answers, self._sent_s = Answers(), {}
         self._gate.begin(episode, "policy")
         self._step(episode, 0)
         self.node.publish(self._event("started"))
         start_s = time.monotonic() + _PREPARE_S
-        for tick, pixels in enumerate(frames):
+        for tick, (pixels, pose) in enumerate(zip(frames, way, strict=True)):
             due_s = start_s + tick * TICK_S
             self.node.spin(timeout_s=max(0.001, due_s - time.monotonic()))
             self._answers.late_s = max(self._answers.late_s, time.monotonic() - due_s)
             self._step(episode, tick)
-            self._show(tick, pixels)
+            self._show(tick, pixels, pose)
             on_tick()
         self.node.spin(timeout_s=_LAST_ANSWER_S)
         self.node.publish(self._event("ended", "aborted"))
@@ -101,10 +108,14 @@ class Robot:
         self._answers.refused.update(self._gate.refused)
         return self._answers
 
-    def _show(self, tick: int, pixels: NDArray[np.uint8]) -> None:
+    def _show(self, tick: int, pixels: NDArray[np.uint8], pose: tuple[float, float, float]) -> None:
         height, width, _ = pixels.shape
         now_s = self._sent_s[tick] = time.monotonic()
         self._gate.captured(tick, now_s)
+        x_m, y_m, heading_rad = pose
+        self.node.publish(
+            Odometry.after(self._header, x_m=x_m, y_m=y_m, heading_rad=heading_rad, speed_m_s=0.0, turn_rate_rad_s=0.0)
+        )
         self.node.publish(Image.after(self._header, width=width, height=height, data=pixels.tobytes()))
         applied = self._gate.applied(time.monotonic())
         self.node.publish(

@@ -12,42 +12,49 @@ import pytest
 
 from services.commands.errors import JobError, UsageError
 from services.commands.options import Camera
+from smal.features import FeatureSettings
+from tests import corridor
 from tests.benchmarks.latency import benchmark as latency
 from tests.benchmarks.latency.drives import drives, resized
 from tests.benchmarks.latency.load import Load
 from tests.benchmarks.latency.results import judge, summary
-from tests.services.chain import LENGTH, picture, save_model
+from tests.corridor import LENGTH
+from tests.services.chain import picture
 
 FRAMES = 12
 
 
 @pytest.fixture
-def corridor(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> tuple[Path, Path]:
+def taught(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> tuple[Path, Path]:
     """Give a model, and a folder of recordings of which only the name is real."""
 
-    def again(_folder: Path) -> Iterator[list[np.ndarray]]:
+    def again(_folder: Path) -> Iterator[tuple[list[np.ndarray], list[corridor.Pose]]]:
+        way = [corridor.pose(frame) for frame in range(FRAMES)]
         while True:
-            yield [picture(place) for place in range(FRAMES)]
+            yield [corridor.view(*pose) for pose in way], way
 
     monkeypatch.setattr(latency, "drives", again)
     (tmp_path / "drive.mcap").touch()
-    return save_model(tmp_path / "corridor.smal"), tmp_path
+    # The services of the benchmark make the usual features.
+    monkeypatch.setattr(corridor, "FEATURES", FeatureSettings())
+    corridor.model.__wrapped__().save(tmp_path / "corridor.smal")
+    return tmp_path / "corridor.smal", tmp_path
 
 
 @pytest.mark.system
-def test_every_frame_is_answered(corridor: tuple[Path, Path], capsys: pytest.CaptureFixture[str]) -> None:
-    model, recordings = corridor
+def test_every_frame_is_answered(taught: tuple[Path, Path], capsys: pytest.CaptureFixture[str]) -> None:
+    model, recordings = taught
     file = recordings / "results.json"
     latency.main(["--model", str(model), "--recordings", str(recordings), "--json", str(file), "--ticks", "18",
-                  "--camera", "64x48", "--camera", "96x72", "--stride", "1", "--stages"])  # fmt: skip
+                  "--camera", "64x48", "--scheme", "filter", "--scheme", "paper", "--stages"])  # fmt: skip
     results: dict[str, Any] = json.loads(file.read_text())
-    assert [(one["camera"], one["stride"]) for one in results["cases"]] == [("64x48", 1), ("96x72", 1)]
-    for one in results["cases"]:
+    assert [(one["camera"], one["scheme"]) for one in results["cases"]] == [("64x48", "filter"), ("64x48", "paper")]
+    # A drive of 12 frames and one of 6; the paper's scheme decides at every third frame. On a busy machine some
+    # decisions may be late.
+    for one, due in zip(results["cases"], (FRAMES + 6, (FRAMES + 6) // LENGTH), strict=True):
         assert one["templates"] > 0
         assert one["frames"]["count"] == 18
-        # A drive of 12 frames and one of 6, with a decision at every frame that completes a sequence. On a busy
-        # machine some may be late.
-        assert one["decisions"]["due"] == FRAMES + 6 - 2 * (LENGTH - 1)
+        assert one["decisions"]["due"] == due
         assert 1 <= one["decisions"]["count"] <= one["decisions"]["due"]
         assert one["frames"]["missing"] < 18
         assert one["stages"].keys() == {"observation", "state"}
@@ -58,7 +65,7 @@ def test_every_frame_is_answered(corridor: tuple[Path, Path], capsys: pytest.Cap
 def test_a_frame_without_a_command_took_for_ever() -> None:
     answered = summary([0.01] * 96 + [None] * 4)
     assert (answered["p95_ms"], answered["p99_ms"], answered["missing"]) == (10.0, None, 4)
-    case: dict[str, Any] = {"templates": 9000, "camera": "320x240", "stride": 1}
+    case: dict[str, Any] = {"templates": 9000, "keyframes": 500, "camera": "320x240", "scheme": "filter"}
     assert judge(case | {"decisions": answered})["verdict"] == "met"
     assert judge(case | {"decisions": summary([0.01, None])})["verdict"] == "not met"
     assert judge(case | {"decisions": summary([])})["verdict"] == "not met"

@@ -120,7 +120,7 @@ def main(arguments: list[str]) -> None:
     """Read the flags, drive, print and write."""
     chosen = _parser().parse(arguments)
     if chosen.model is not None:
-        options.read_model(chosen.model, None)
+        options.read_model(chosen.model, "filter", None)
     minutes = chosen.minutes or (_QUICK_MINUTES if chosen.quick else _MINUTES)
     with _folder(chosen.out) as folder:
         results = benchmark(minutes, chosen.model, folder)

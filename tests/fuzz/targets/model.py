@@ -7,13 +7,19 @@ import json
 import random
 import struct
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
+from smal import container
 from smal.features import FeatureSettings
+from smal.filter import Filter
 from smal.model import FORMAT_VERSION, Model, ModelError
+from smal.movement import Movement
+from smal.planning import Planner
 from smal.transitions import NO_ACTION, learn_transitions
+from smal.visual_map import TURNS_DEG, VisualMap
 from tests.fuzz.targets import check_line, scratch
 from tests.fuzz.trees import changed
 
@@ -24,8 +30,9 @@ _CHECKSUM_BYTES = 32
 def seeds() -> list[bytes]:
     path = scratch.folder() / "seed.smal"
     found = []
-    for novelty, parameters in (("weight", {"tau": 0.5}), ("agreement", {"max_residual": 0.75})):
-        smallest_model(novelty, parameters).save(path)
+    plain = [smallest_model(*test) for test in (("weight", {"tau": 0.5}), ("agreement", {"max_residual": 0.75}))]
+    for one in (*plain, replace(plain[0], visual_map=smallest_map(plain[0].feature_settings.size))):
+        one.save(path)
         found.append(path.read_bytes()[:-_CHECKSUM_BYTES])
     path.unlink()
     return found
@@ -61,6 +68,26 @@ def smallest_model(novelty: str, parameters: dict[str, float]) -> Model:
     )
 
 
+def smallest_map(features: int) -> VisualMap:
+    """Two keyframes a metre apart, and one component."""
+    return VisualMap(
+        poses=np.array([(0.0, 0.0, 0.0), (1.0, 0.0, 0.0)]),
+        drives=np.zeros(2, np.int32),
+        keyframes=np.array([0, 1], np.int32),
+        basis=np.eye(features, 1, dtype=np.float32),
+        views=np.ones((2, 3, TURNS_DEG.size, 1), np.float32),
+        aside=0.4,
+        correlation_length=1.0,
+        correlation_rad=0.2,
+        kappa=10.0,
+        outlier_cosine=0.3,
+        movements=np.array([(0.0, 0.0), (1.0, 0.0), (-1.0, 0.0), (0.0, 0.1), (0.0, -0.1)]),
+        tick_s=0.1,
+        odometry=True,
+        scene=np.ones(3),
+    )
+
+
 def run(data: bytes) -> bool:
     path = scratch.file_of(data + hashlib.sha256(data).digest(), "x.smal")
     try:
@@ -70,7 +97,20 @@ def run(data: bytes) -> bool:
         return False
     assert model.checksum == hashlib.sha256(data).hexdigest()
     assert model.templates.shape == (model.feature_settings.size, model.states * model.sequence_length)
+    if model.visual_map is not None:
+        follow(model)
     return True
+
+
+def follow(model: Model) -> None:
+    """Have the filter and the planner use the map: what was accepted must bear it."""
+    of_images = model.centering.of_images()
+    assert of_images is not None
+    views, planner = Filter(model.mapped, of_images), Planner(model.mapped)
+    for _ in range(2):
+        belief = views.observe(np.ones(of_images.settings.size, np.float32), Movement(0.5, 0.1))
+        assert 0.0 <= belief.lost <= 1.0
+        planner.decide(belief.summary(64))
 
 
 def mutate(data: bytes, rng: random.Random) -> bytes | None:
@@ -87,6 +127,15 @@ def mutate(data: bytes, rng: random.Random) -> bytes | None:
     if version != FORMAT_VERSION or rng.random() < 0.1:
         body = body[: rng.randrange(len(body) + 1)]
     return _FIXED.pack(magic, FORMAT_VERSION, len(text)) + text + body
+
+
+def with_arrays(data: bytes, change: Callable[[dict[str, np.ndarray]], None]) -> bytes:
+    """Return an input with other arrays, and a header that tells their types and shapes."""
+    path = scratch.file_of(data + hashlib.sha256(data).digest(), "x.smal")
+    meta, arrays, _ = container.read(path, FORMAT_VERSION)
+    change(arrays)
+    container.write(path, FORMAT_VERSION, meta, arrays)
+    return path.read_bytes()[:-_CHECKSUM_BYTES]
 
 
 def with_meta(data: bytes, change: Callable[[dict[str, Any]], dict[str, Any]]) -> bytes:
