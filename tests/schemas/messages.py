@@ -142,7 +142,6 @@ _status = st.one_of(
             "status": st.just("recognized"),
             "model": _checksums,
             "state": st.integers(0, 1_000_000),
-            "phase": st.floats(-1e6, 1e6),
         }
     ),
     st.fixed_dictionaries(

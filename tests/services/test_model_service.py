@@ -126,7 +126,7 @@ def test_without_a_model_a_refused_one_changes_nothing(cls: type[Service], refus
 def test_policy_goes_on_with_its_plan_after_a_refused_load(
     policy: PolicyService, refused: tuple[LoadRequest, str], model: Path
 ) -> None:
-    known = state(0, model, status="recognized", state=2, phase=2.0)
+    known = state(0, model, status="recognized", state=2)
     first = policy.handle(known)
     before = policy.detail()
     with pytest.raises(ServiceError, match=refused[1]):
@@ -160,11 +160,11 @@ def test_states_name_the_model_that_they_are_of(recognition: RecognitionService,
     assert identity(model) != identity(other)
 
 
-@pytest.mark.parametrize("fields", [{"status": "recognized", "state": 2, "phase": 2.0}, {"status": "unknown"}], ids=str)
+@pytest.mark.parametrize("fields", [{"status": "recognized", "state": 2}, {"status": "unknown"}], ids=str)
 def test_policy_stops_at_a_state_of_another_model_and_drops_its_plan(
     policy: PolicyService, fields: dict[str, object], model: Path, other: Path
 ) -> None:
-    known = state(0, model, status="recognized", state=2, phase=2.0)
+    known = state(0, model, status="recognized", state=2)
     assert decisions(policy.handle(known))
     for tick in (0, 1, 1):
         answer = policy.handle(state(tick, other, **fields))
@@ -172,14 +172,14 @@ def test_policy_stops_at_a_state_of_another_model_and_drops_its_plan(
     assert policy.detail()["states_of_another_model"] == 3
     # Without the state of the other model the robot would turn left here.
     assert atom(policy.handle(state(2, model, status="collecting"))) == "stop"
-    assert atom(policy.handle(state(3, model, status="recognized", state=2, phase=2.0))) == "forward"
+    assert atom(policy.handle(state(3, model, status="recognized", state=2))) == "forward"
     assert policy.detail()["states_of_another_model"] == 3
 
 
 def test_policy_obeys_the_states_of_the_other_model_once_it_has_loaded_it(
     policy: PolicyService, model: Path, other: Path
 ) -> None:
-    theirs = state(0, other, status="recognized", state=2, phase=2.0)
+    theirs = state(0, other, status="recognized", state=2)
     assert atom(policy.handle(theirs)) == "stop"
     policy.load(LoadRequest(path=str(other), scheme="paper"))
     assert policy.detail()["states_of_another_model"] == 0

@@ -94,7 +94,7 @@ def test_it_stops_for_a_state_of_another_model(policy: PolicyService, model: Pat
     assert made(policy.handle(belief(1, model)))[2] == "forward"
 
 
-@pytest.mark.parametrize("fields", [{"status": "recognized", "state": 2, "phase": 2.0}, {"status": "unknown"}], ids=str)
+@pytest.mark.parametrize("fields", [{"status": "recognized", "state": 2}, {"status": "unknown"}], ids=str)
 def test_it_stops_for_a_state_of_another_scheme(policy: PolicyService, model: Path, fields: dict[str, object]) -> None:
     papers = PolicyService()
     papers.load(LoadRequest(path=str(model), scheme="paper"))
@@ -108,7 +108,7 @@ def test_it_stops_for_a_place_that_its_model_does_not_have(policy: PolicyService
     """States come over the network: one that names the right model may still be wrong."""
     papers = PolicyService()
     papers.load(LoadRequest(path=str(model), scheme="paper"))
-    beyond = state(0, model, status="recognized", state=1_000_000, phase=2.0)
+    beyond = state(0, model, status="recognized", state=1_000_000)
     for service, wrong in ((policy, belief(0, model, keyframe=1_000_000)), (papers, beyond)):
         (command,) = service.handle(wrong)
         assert isinstance(command, Command)
