@@ -56,6 +56,14 @@ def pose(frame: int) -> Pose:
     return STEP_M * min(frame, FRAMES - 1), 0.0, 0.0
 
 
+def moved(here: Pose, atom: Atom) -> Pose:
+    """Return the pose after an atom: a step ahead, or a turn of 4.5 degrees."""
+    x_m, y_m, heading_rad = here
+    heading_rad += math.radians(4.5) * ((atom is Atom.LEFT) - (atom is Atom.RIGHT))
+    ahead_m = STEP_M * (atom is Atom.FORWARD)
+    return x_m + ahead_m * math.cos(heading_rad), y_m + ahead_m * math.sin(heading_rad), heading_rad
+
+
 @cache
 def model(odometry: bool = True) -> Model:
     """Learn one straight drive, with a map of views."""

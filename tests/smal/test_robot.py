@@ -6,19 +6,16 @@ import pytest
 
 from smal import Atom, Robot
 from smal.learning import LearningSettings, fit
-from tests.corridor import FEATURES, FRAMES, LENGTH, STEP_M, Pose, model, pose, view
+from tests.corridor import FEATURES, FRAMES, LENGTH, STEP_M, Pose, model, moved, pose, view
 
 
 def _drive(robot: Robot, start: Pose, odometry: bool, frames: int = 80) -> tuple[Pose, list[Atom]]:
     """Let the robot drive through the corridor, turning 4.5 degrees an atom, until it says that it is done."""
-    (x, y, heading), made = start, []
+    here, made = start, []
     while len(made) < frames and not (made and robot.done):
-        atom = robot.step(view(x, y, heading), (x, y, heading) if odometry else None)
-        made.append(atom)
-        ahead = STEP_M * (atom is Atom.FORWARD)
-        heading += math.radians(4.5) * ((atom is Atom.LEFT) - (atom is Atom.RIGHT))
-        x, y = x + ahead * math.cos(heading), y + ahead * math.sin(heading)
-    return (x, y, heading), made
+        made.append(robot.step(view(*here), here if odometry else None))
+        here = moved(here, made[-1])
+    return here, made
 
 
 @pytest.mark.parametrize("odometry", [True, False])
