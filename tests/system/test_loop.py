@@ -48,7 +48,8 @@ def test_robot_finds_the_victim_by_itself_and_the_same_seed_gives_the_same_outco
     assert outcomes.count("found") >= 3, first
     page = (tmp_path / "report" / "index.html").read_text()
     assert page.count("<img") >= 3
-    assert "http" not in page.split("</style>")[1]
+    # "http" alone is among the letters of a picture now and then.
+    assert "://" not in page.split("</style>")[1]
     second = run_json(smal, taught, tmp_path / "second.json")
     assert second["episodes"] == first["episodes"]
 
