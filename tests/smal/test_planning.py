@@ -10,7 +10,7 @@ from smal.action_space import Atom
 from smal.features import extract
 from smal.filter import Belief, Filter
 from smal.movement import STILL, Movement
-from smal.planning import GUESS_S, LOOK_DEG, Planner
+from smal.planning import GUESS_S, LOOK_ASIDE_DEG, LOOK_DEG, Planner
 from smal.visual_map import TURNS_DEG, VisualMap
 from tests.smal.synthetic_world import COLOR, SPEED, START, TURN_RAD_S, Room, drive, from_beside, usual_map
 
@@ -139,8 +139,11 @@ def test_it_looks_around_where_it_knows_no_direction_then_guesses_and_looks_agai
         counted = Counter(kinds[start : start + look + guess])
         assert counted["look_around"] == pytest.approx(look, abs=2)
         assert counted["guess"] == pytest.approx(guess, abs=2)
-    # It turns one way while it looks, and drives when it guesses.
-    assert len({decision.atom for decision in decisions[:look]}) == 1
+    # It looks to one side, turns round the other way, and drives when it guesses.
+    turns = [decision.atom for decision in decisions[:look]]
+    aside = turns.index(Atom.RIGHT if turns[0] is Atom.LEFT else Atom.LEFT)
+    assert aside == pytest.approx(LOOK_ASIDE_DEG / 4.5, abs=1)
+    assert len(set(turns[:aside])) == len(set(turns[aside:])) == 1
     assert decisions[0].atom in (Atom.LEFT, Atom.RIGHT)
     if lost:
         assert decisions[look + 2].atom is Atom.FORWARD
