@@ -26,7 +26,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from smal.features import Centering
-from smal.movement import STILL, Movement, wrapped
+from smal.movement import STILL, Movement, seen_from, wrapped
 from smal.visual_map import TURNS_DEG, VIEWS_A_LENGTH, VisualMap
 
 #: How often a robot is carried away, or a view of the way changes for good: once in so many seconds.
@@ -142,10 +142,7 @@ class _Particles:
 
     def offsets(self) -> NDArray[np.float64]:
         """Return poses as seen from their keyframes: ahead, left, turned (p, 3)."""
-        apart = self.poses - self._map.key_poses[self.keyframes]
-        cos, sin = np.cos(self._map.key_poses[self.keyframes, 2]), np.sin(self._map.key_poses[self.keyframes, 2])
-        x, y = apart[:, 0], apart[:, 1]
-        return np.stack([cos * x + sin * y, -sin * x + cos * y, wrapped(apart[:, 2])], axis=1)
+        return seen_from(self.poses, self._map.key_poses[self.keyframes])
 
     def update(self, cosines: NDArray[np.float32], newness: float, rng: np.random.Generator) -> float:
         """Weigh by a view, which is new to a degree of 0 to 1; return the logarithm of its probability here.

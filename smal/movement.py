@@ -42,6 +42,13 @@ def wrapped(angle_rad: NDArray[Any]) -> NDArray[Any]:
     return (angle_rad + np.pi) % (2.0 * np.pi) - np.pi
 
 
+def seen_from(poses: NDArray[np.float64], frames: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return poses (..., 3) as seen from others (..., 3): ahead, left, and turned left in [-pi, pi)."""
+    x, y, turned = np.moveaxis(poses - frames, -1, 0)
+    cos, sin = np.cos(frames[..., 2]), np.sin(frames[..., 2])
+    return np.stack([cos * x + sin * y, -sin * x + cos * y, wrapped(turned)], axis=-1)
+
+
 def atom_movements(poses: Sequence[NDArray[np.float64]], atoms: Sequence[NDArray[np.int8]]) -> NDArray[np.float64]:
     """Measure what each atom does between two frames.
 

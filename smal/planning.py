@@ -20,7 +20,7 @@ from scipy.sparse.csgraph import dijkstra
 
 from smal.action_space import Atom
 from smal.filter import Belief
-from smal.movement import wrapped
+from smal.movement import seen_from, wrapped
 from smal.stitches import Stitches, find_stitches
 from smal.visual_map import VisualMap
 
@@ -113,7 +113,7 @@ class Planner:
         for start in range(len(of)):
             here = start
             while (here, int(following[here])) in stitch:
-                offset[start] = _seen_from(offset[start], stitches.offsets[stitch[here, int(following[here])]])
+                offset[start] = _composed(offset[start], stitches.offsets[stitch[here, int(following[here])]])
                 here = int(following[here])
             keyframe[start] = here
         return keyframe, offset
@@ -166,23 +166,21 @@ class Planner:
         taught = self._map
         followed = self._keyframe[belief.keyframes]
         key = taught.keyframes[followed]
-        ahead, left, turned = _seen_from(belief.offsets, self._offset[belief.keyframes]).T
+        ahead, left, turned = _composed(belief.offsets, self._offset[belief.keyframes]).T
         along = taught.arc[key] + ahead
         start, end = self._start_frame[followed], self._end_frame[followed]
         # Another drive's frames, in axes of their own, come before and after.
         target = np.clip(np.searchsorted(taught.arc, along + self._ahead), start, end)
         # As seen from the keyframe.
-        apart = taught.poses[target] - taught.poses[key]
-        cos, sin = np.cos(taught.poses[key, 2]), np.sin(taught.poses[key, 2])
-        x = cos * apart[:, 0] + sin * apart[:, 1] - ahead
-        y = -sin * apart[:, 0] + cos * apart[:, 1] - left
+        aim_ahead, aim_left, aim_turned = seen_from(taught.poses[target], taught.poses[key]).T
+        x, y = aim_ahead - ahead, aim_left - left
         # Near its end a way has a heading, but no point ahead any more.
         near = np.hypot(x, y) < 0.3 * self._ahead
-        aim = np.where(near, apart[:, 2], np.arctan2(y, x))
+        aim = np.where(near, aim_turned, np.arctan2(y, x))
         return wrapped(aim - turned), taught.arc[end] - along
 
 
-def _seen_from(offsets: NDArray[np.float64], frame: NDArray[np.float64]) -> NDArray[np.float64]:
+def _composed(offsets: NDArray[np.float64], frame: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return offsets (..., 3) from a keyframe as seen from another, from which that keyframe has the offset `frame`."""
     ahead, left, turned = np.moveaxis(offsets, -1, 0)
     frame_ahead, frame_left, frame_turned = np.moveaxis(frame, -1, 0)
