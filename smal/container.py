@@ -111,6 +111,8 @@ def _arrays(table: list[tuple[str, str, list[int]]], body: memoryview) -> dict[s
     arrays: dict[str, NDArray[Any]] = {}
     at = 0
     for name, dtype, shape in table:
+        if not isinstance(name, str):
+            raise TypeError(f"the name of an array must be a string, got {name!r}")
         kind, count = _DTYPES[dtype], math.prod(shape)
         array = np.frombuffer(body, dtype=kind, count=count, offset=at) if count else np.empty(0, kind)
         # A copy, because the offset is not aligned, and products with unaligned arrays copy them every time.

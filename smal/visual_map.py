@@ -126,6 +126,7 @@ class VisualMap:
                 and int(self.keyframes[-1]) < frames
                 and bool(np.isin([*ends[:-1], *(ends[1:] - 1)], self.keyframes).all()),
                 "views": self.views.shape == (count, 3, TURNS_DEG.size, self.basis.shape[1]),
+                "length of components": float(np.linalg.norm(self.basis, axis=0).max(initial=0.0)) < 1.01,
                 "length of views": float(np.linalg.norm(self.views, axis=-1).max(initial=0.0)) < 1.01,
                 "movements": self.movements.shape == (len(Atom), 2),
                 "scene": self.scene.shape == (3,),
@@ -392,5 +393,5 @@ def _components(sample: NDArray[np.float32]) -> NDArray[np.float32]:
     values, vectors = np.maximum(values[::-1], 0.0), vectors[:, ::-1]
     share = np.cumsum(values) / max(float(values.sum()), 1e-12)
     count = min(int(np.searchsorted(share, _KEPT)) + 1, _MOST_COMPONENTS, int((values > 1e-6 * values[0]).sum()))
-    basis: NDArray[np.float32] = sample.T @ (vectors[:, :count] / np.sqrt(values[:count]))
-    return basis.astype(np.float32)
+    basis: NDArray[np.float32] = sample.T @ vectors[:, :count]
+    return (basis / np.linalg.norm(basis, axis=0)).astype(np.float32)

@@ -17,6 +17,7 @@ from smal.features.settings import FeatureSettings
 
 # A modality closer to the mean than this (unit-length vectors) is rounding noise: it has no direction.
 _NOISE = 1e-6
+_LARGEST = 1e6
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,8 +37,9 @@ class Centering:
     def __post_init__(self) -> None:
         if self.mean.shape != (self.settings.size,):
             raise ValueError(f"the mean must have the shape ({self.settings.size},), got {self.mean.shape}")
-        if not np.isfinite(self.mean).all():
-            raise ValueError("the mean of the features is not finite")
+        # Raw features are of unit length; beyond this bound, which a damaged file may pass, squares overflow.
+        if not (np.abs(self.mean) <= _LARGEST).all():
+            raise ValueError("the mean of the features is not finite, or too large")
 
     @classmethod
     def fit(cls, raw: NDArray[np.float32] | Sequence[NDArray[np.float32]], settings: FeatureSettings) -> Self:
