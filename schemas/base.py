@@ -37,8 +37,9 @@ class Strict(BaseModel):
 class Message(Strict):
     """A message on a topic: who, when, and the observation that it descends from."""
 
-    #: Version of this message's fields; a receiver refuses every other.
+    #: Version of this message's fields, and earlier ones that lack fields with defaults; a receiver refuses others.
     version: ClassVar[int] = 1
+    reads: ClassVar[tuple[int, ...]] = ()
     #: Most bytes that this message may take on the wire.
     max_bytes: ClassVar[int] = 64 * 1024
     #: Name of the topic, after ``smal/<robot>/``; a class with several topics overrides ``topic_name``.

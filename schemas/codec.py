@@ -32,9 +32,15 @@ def encoding_of(message: type[Message]) -> str:
     return ENCODING_PREFIX + message.schema_name()
 
 
+@cache
+def _readable(message: type[Message]) -> frozenset[str]:
+    names = (f"{message.schema_name().partition('/')[0]}/{version}" for version in (message.version, *message.reads))
+    return frozenset(ENCODING_PREFIX + name for name in names)
+
+
 def check_encoding(message: type[Message], encoding: str) -> None:
     """Raise DecodeError unless an encoding names a message class and its version."""
-    if encoding != encoding_of(message):
+    if encoding not in _readable(message):
         raise DecodeError(f"expected {encoding_of(message)}, got {encoding[:80]!r}")
 
 

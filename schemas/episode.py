@@ -13,10 +13,16 @@ EventName = Literal["started", "victim_found", "collision", "timed_out", "ended"
 Outcome = Literal["found", "collision", "timeout", "aborted"]
 
 
+#: Name of a place that drives lead to.
+GoalName = Annotated[str, Field(min_length=1, max_length=64, pattern=r"^[^\s\x00-\x1f\x7f][^\x00-\x1f\x7f]*$")]
+
+
 class Episode(Message):
     """Something that happened to the episode as a whole; ``started`` is its first message, ``ended`` its last."""
 
     topic: ClassVar[str] = "episode"
+    version: ClassVar[int] = 2
+    reads: ClassVar[tuple[int, ...]] = (1,)
 
     event: EventName
     """What happened."""
@@ -28,6 +34,8 @@ class Episode(Message):
     """Name of the world."""
     seed: Annotated[int, Field(ge=0, lt=2**63)]
     """Seed of start pose and actuation noise."""
+    goal: GoalName = "victim"
+    """Where a drive leads, by the name that it has for those who send the robot there."""
     outcome: Outcome | None = None
     """How it ended; given with ``ended`` only. ``found``: near the victim, with the victim in view, in the last frame
     (tick of this message); a drive that passed the victim and went on ends otherwise."""

@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 from pydantic import Field
 
 from schemas.base import EpisodeId, Strict
-from schemas.episode import Purpose
+from schemas.episode import GoalName, Purpose
 
 Mode = Literal["lockstep", "realtime"]
 #: About the world's start, or anywhere beside the way from there to the victim.
@@ -77,6 +77,8 @@ class ResetRequest(Strict):
     """Where a run begins; anywhere: up to 1.5 m beside the way (less indoors), turned by up to 40 degrees."""
     kidnap_tick: Annotated[int | None, Field(ge=1, le=1_000_000)] = None
     """Frame at which the robot is carried to another such place, without its wheels turning."""
+    goal: GoalName = "victim"
+    """Where the drive leads, for those who learn from it."""
     mode: Mode = "lockstep"
     """Whether time waits for commands."""
     max_ticks: Annotated[int, Field(ge=1, le=1_000_000)] = 3000
@@ -115,6 +117,8 @@ class LoadRequest(Strict):
     """Path of the model file, as the service sees it."""
     scheme: Scheme = "filter"
     """How the robot is to know where it is, and decide."""
+    goal: GoalName | None = None
+    """Where to go; may be left out where all that was learned from leads to one goal."""
     stride: Annotated[int | None, Field(ge=1, le=1000)] = None
     """Frames from one decision to the next in the paper's scheme; the model's sequence length if not given."""
 

@@ -10,11 +10,13 @@ from typing import Annotated, Final, Protocol, Self, TypeVar
 from pydantic import Field
 
 from schemas.base import Message
+from schemas.episode import GoalName
 from schemas.rpc import LoadReply, LoadRequest, Scheme
 from schemas.topics import Topic
 from services.process import Detail, Node, ServiceError, configure_logging, read_settings
 from services.settings import ServiceSettings
 from smal.model import Model, ModelError
+from smal.planning import chosen_goal
 
 #: So many hex digits of a model's checksum tell one model from another.
 _DIGITS: Final = 16
@@ -30,6 +32,8 @@ class ModelSettings(ServiceSettings):
     """`filter`, or `paper` for the paper's own recognition and execution."""
     stride: Annotated[int | None, Field(ge=1, le=1000)] = None
     """Frames from one decision to the next in the paper's scheme; the model's sequence length if not given."""
+    goal: GoalName | None = None
+    """Where to go, in a model with several goals."""
 
 
 def identity_of(model: Model) -> str:
@@ -37,8 +41,8 @@ def identity_of(model: Model) -> str:
     return model.checksum[:_DIGITS]
 
 
-def refused(model: Model, scheme: Scheme, stride: int | None) -> str | None:
-    """Say in one line why a model cannot be used by a scheme with a stride, or None."""
+def refused(model: Model, scheme: Scheme, stride: int | None, goal: str | None) -> str | None:
+    """Say in one line why a model cannot be used by a scheme with a stride to go to a goal, or None."""
     if scheme == "filter":
         if stride not in (None, 1):
             return f"stride {stride}: the filter decides at every frame; only the paper's scheme has a stride"
@@ -51,6 +55,12 @@ def refused(model: Model, scheme: Scheme, stride: int | None) -> str | None:
             return (
                 "the model was learned from drives without odometry, which the filter needs here; record them with it"
             )
+        try:
+            chosen_goal(model.visual_map.goals, goal)
+        except ValueError as error:
+            return str(error)
+    elif goal is not None:
+        return f"goal {goal!r}: the paper's scheme goes to the nearest goal, whatever its name"
     elif stride is not None and stride > model.sequence_length:
         return f"stride must be 1 to the sequence length {model.sequence_length}, got {stride}"
     return None
@@ -72,6 +82,8 @@ class LoadedModel:
         How to work with it.
     stride
         Frames from one decision to the next; 1 but for the paper's scheme.
+    goal
+        Where to go; None for the only goal.
     """
 
     model: Model
@@ -79,6 +91,7 @@ class LoadedModel:
     path: str
     scheme: Scheme
     stride: int
+    goal: str | None
 
     @classmethod
     def read(cls, request: LoadRequest) -> Self:
@@ -93,11 +106,11 @@ class LoadedModel:
             model = Model.load(Path(request.path))
         except ModelError as error:
             raise ServiceError(str(error)) from None
-        refusal = refused(model, request.scheme, request.stride)
+        refusal = refused(model, request.scheme, request.stride, request.goal)
         if refusal is not None:
             raise ServiceError(refusal)
         stride = 1 if request.scheme == "filter" else request.stride or model.sequence_length
-        return cls(model, identity_of(model), request.path, request.scheme, stride)
+        return cls(model, identity_of(model), request.path, request.scheme, stride, request.goal)
 
     def reply(self) -> LoadReply:
         """Tell who asked for it what was loaded."""
@@ -138,7 +151,9 @@ def serve_model(
     settings = read_settings(ModelSettings, name)
     configure_logging(settings.log_level)
     if settings.model is not None:
-        service.load(LoadRequest(path=str(settings.model), scheme=settings.scheme, stride=settings.stride))
+        service.load(
+            LoadRequest(path=str(settings.model), scheme=settings.scheme, stride=settings.stride, goal=settings.goal)
+        )
     with Node(name, settings) as node:
         node.stop_on_signals()
         node.detail = service.detail

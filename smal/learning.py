@@ -16,10 +16,14 @@ from smal.novelty import neighbour_agreement, novelty_test
 from smal.policy import check_discount, policy_iteration
 from smal.reward import learn_reward
 from smal.state_space import StateSpace, learn_state_space
+from smal.stitches import stitched
 from smal.template_store import TemplateStore
 from smal.transitions import Transitions, learn_transitions
 from smal.virtual_views import Image
 from smal.visual_map import ImageChain, VisualMap, learn_visual_map
+
+#: Where drives lead that do not say so.
+USUAL_GOAL = "victim"
 
 # Called with the stage, what is done of it and how much there is of it.
 StageProgress = Callable[[str, int, int], None]
@@ -47,6 +51,8 @@ class Demonstration:
         x, y and heading in radians of every frame by the wheels.
     episode : str
         Which drive it is a part of, where frames between parts were lost; its name if empty.
+    goal : str
+        Where it leads.
     """
 
     name: str
@@ -57,6 +63,7 @@ class Demonstration:
     images: Sequence[Image] | None = None
     odometry: NDArray[np.float64] | None = None
     episode: str = ""
+    goal: str = USUAL_GOAL
 
     def __post_init__(self) -> None:
         if self.features.ndim != 2 or self.atoms.shape != (self.features.shape[0],):
@@ -273,7 +280,7 @@ def _map_views(
             usable.append(whole)
     if not usable:
         return None
-    return learn_visual_map(
+    found = learn_visual_map(
         [ImageChain([part.images for part in parts if part.images is not None]) for parts in usable],
         [select(np.concatenate([part.features for part in parts]), centering.settings, of_images.settings)
          for parts in usable],
@@ -281,8 +288,10 @@ def _map_views(
         [_joined([part.odometry for part in parts]) for parts in usable],
         of_images,
         tick_s,
+        [parts[-1].goal for parts in usable],
         progress,
     )  # fmt: skip
+    return stitched(found)
 
 
 def _joined(parts: Sequence[NDArray[np.float64] | None]) -> NDArray[np.float64] | None:
@@ -294,6 +303,7 @@ def fit(
     drives: Sequence[tuple[Any, ...]],
     settings: LearningSettings | None = None,
     progress: StageProgress | None = None,
+    goals: Sequence[str] | None = None,
 ) -> Model:
     """Learn from images and what was done at each of them.
 
@@ -305,6 +315,8 @@ def fit(
     settings : LearningSettings, optional
     progress : callable, optional
         See `learn`.
+    goals : sequence of str, optional
+        Where each drive leads; all to one goal if not given.
 
     Examples
     --------
@@ -313,12 +325,13 @@ def fit(
     >>> atom = robot.step(image)  # doctest: +SKIP
     """
     settings = LearningSettings() if settings is None else settings
+    goals = [USUAL_GOAL] * len(drives) if goals is None else goals
     taught = []
-    for number, (images, atoms, *odometry) in enumerate(drives):
+    for number, ((images, atoms, *odometry), goal) in enumerate(zip(drives, goals, strict=True)):
         features = np.stack([extract(image, settings.features) for image in images])
         way = np.asarray(odometry[0], dtype=np.float64) if odometry else None
         made = np.asarray(atoms, dtype=np.int8)
-        taught.append(Demonstration(f"drive-{number}", features, made, images=images, odometry=way))
+        taught.append(Demonstration(f"drive-{number}", features, made, images=images, odometry=way, goal=goal))
     return learn(taught, settings, progress)[0]
 
 

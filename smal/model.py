@@ -239,7 +239,8 @@ def _visual_map(numbers: dict[str, Any] | None, arrays: dict[str, NDArray[Any]])
     if numbers is None:
         return None
     parts: dict[str, Any] = {name[4:]: array for name, array in arrays.items() if name.startswith("map.")}
-    return VisualMap(**numbers, **parts)
+    goals = tuple(numbers["goals"])
+    return VisualMap(**numbers | {"goals": goals}, **parts)
 
 
 def _check_numbers(meta: dict[str, Any]) -> None:

@@ -10,6 +10,7 @@ robot is lost, it turns to look.
 """
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -21,7 +22,6 @@ from scipy.sparse.csgraph import dijkstra
 from smal.action_space import Atom
 from smal.filter import Belief
 from smal.movement import seen_from, wrapped
-from smal.stitches import Stitches, find_stitches
 from smal.visual_map import VisualMap
 
 #: How far ahead on the taught way the robot aims, as time of driving: less follows noise, more cuts corners.
@@ -47,41 +47,59 @@ class Decision:
     ----------
     kind : str
         "follow": along the taught way; "look_around": turn, since the belief is too wide; "guess": drive all the same,
-        since looking has not helped; "goal": arrived, and stop.
+        since looking has not helped; "dead_end": stop, since no taught way leads from here to the goal; "goal":
+        arrived, and stop.
     atom : Atom
     heading_error_rad : float
         Mean direction to aim at less the heading.
     """
 
-    kind: Literal["follow", "look_around", "guess", "goal"]
+    kind: Literal["follow", "look_around", "guess", "dead_end", "goal"]
     atom: Atom
     heading_error_rad: float
 
 
-def cost_to_go(visual_map: VisualMap, stitches: Stitches) -> tuple[NDArray[np.float64], NDArray[np.intp]]:
-    """Return the time to the nearest goal from every keyframe (k,), and the keyframe to follow next (k,), -1 at goals.
+def chosen_goal(goals: Sequence[str], goal: str | None) -> str:
+    """Return the goal that is meant.
+
+    Raises
+    ------
+    ValueError
+        There is none of that name, or none is named where there are several.
+    """
+    known = sorted(set(goals))
+    if goal is None and len(known) > 1:
+        raise ValueError(f"the model has the goals {', '.join(known)}; name one of them")
+    if goal is not None and goal not in known:
+        raise ValueError(f"the model has no goal {goal!r}; it has {', '.join(known)}")
+    return known[0] if goal is None else goal
+
+
+def cost_to_go(visual_map: VisualMap, goal: str) -> tuple[NDArray[np.float64], NDArray[np.intp]]:
+    """Return the time to the goal from every keyframe (k,), and the keyframe to follow next (k,).
 
     The graph is deterministic and costs are positive, so that Dijkstra's algorithm is value iteration in the order in
-    which values become final. A goal is the end of a drive. Going over to another drive costs the time for the turn
-    and the way between the two, and `GO_OVER_S`.
+    which values become final. The goal is the end of each drive that leads there. Going over to another drive costs
+    the time for the turn and the way between the two, and `GO_OVER_S`. Where no way leads to the goal the time is
+    infinite; there, and at goals, nothing is next (-1).
     """
     count = len(visual_map.keyframes)
     of = visual_map.drives[visual_map.keyframes]
     on = np.flatnonzero(of[:-1] == of[1:])
     taken_s = np.diff(visual_map.keyframes)[on] * visual_map.tick_s
-    goals = np.flatnonzero(np.append(of[:-1] != of[1:], True))
+    goals = np.flatnonzero(np.append(of[:-1] != of[1:], True) & (visual_map.key_goals == goal))
+    source, target = visual_map.stitched.T
+    offsets = visual_map.stitch_offsets
     # From a node beyond all goals, against the way; 1e-9, since a sparse matrix has no edges of cost 0.
-    rows = np.concatenate([on + 1, stitches.target, np.full(goals.size, count)])
-    columns = np.concatenate([on, stitches.source, goals])
+    rows = np.concatenate([on + 1, target, np.full(goals.size, count)])
+    columns = np.concatenate([on, source, goals])
     turn_rad, ahead = (float(np.abs(column).max()) for column in visual_map.movements[:, ::-1].T)
-    apart = np.hypot(*stitches.offsets[:, :2].T) / max(ahead, 1e-9) + np.abs(stitches.offsets[:, 2]) / max(
-        turn_rad, 1e-9
-    )
+    apart = np.hypot(*offsets[:, :2].T) / max(ahead, 1e-9) + np.abs(offsets[:, 2]) / max(turn_rad, 1e-9)
     costs = np.concatenate([taken_s, GO_OVER_S + apart * visual_map.tick_s, np.full(goals.size, 1e-9)])
     graph = sparse.csr_array((costs, (rows, columns)), shape=(count + 1, count + 1))
     costs_to_go, previous = dijkstra(graph, indices=np.array([count]), return_predecessors=True)
     following = previous[0, :-1].astype(np.intp)
-    return costs_to_go[0, :-1], np.where(following == count, -1, following)
+    return costs_to_go[0, :-1], np.where((following == count) | (following < 0), -1, following)
 
 
 class Planner:
@@ -90,30 +108,37 @@ class Planner:
     Parameters
     ----------
     visual_map : VisualMap
+    goal : str, optional
+        Where to go; may be left out where all drives lead to one goal.
+
+    Raises
+    ------
+    ValueError
+        No drive leads to the goal, or none is named where there are several.
     """
 
-    def __init__(self, visual_map: VisualMap) -> None:
+    def __init__(self, visual_map: VisualMap, goal: str | None = None) -> None:
         self._map = visual_map
+        goal = chosen_goal(visual_map.goals, goal)
         # Turning begins where an atom of it makes the direction better, and ends where another one would not.
         self._turn_rad = abs(float(visual_map.movements[Atom.LEFT, 1])) or math.radians(5.0)
         self._ahead = LOOKAHEAD_S * visual_map.speed
         of = visual_map.drives[visual_map.keyframes]
         self._start_frame = np.searchsorted(visual_map.drives, of, side="left")
         self._end_frame = np.searchsorted(visual_map.drives, of, side="right") - 1
-        self._keyframe, self._offset = self._followed(find_stitches(visual_map), of)
+        self._to_go_s, following = cost_to_go(visual_map, goal)
+        self._keyframe, self._offset = self._followed(following)
+        self._leads = visual_map.key_goals[self._keyframe] == goal
         self.reset()
 
-    def _followed(self, stitches: Stitches, of: NDArray[np.int32]) -> tuple[NDArray[np.intp], NDArray[np.float64]]:
+    def _followed(self, following: NDArray[np.intp]) -> tuple[NDArray[np.intp], NDArray[np.float64]]:
         """Return for each keyframe the one whose drive is to be followed there, and its own offset from that one."""
-        _, following = cost_to_go(self._map, stitches)
-        keyframe, offset = np.arange(len(of)), np.zeros((len(of), 3))
-        stitch = {
-            pair: k for k, pair in enumerate(zip(stitches.source.tolist(), stitches.target.tolist(), strict=True))
-        }
-        for start in range(len(of)):
+        keyframe, offset = np.arange(len(following)), np.zeros((len(following), 3))
+        stitch = {(one, other): k for k, (one, other) in enumerate(self._map.stitched.tolist())}
+        for start in range(len(following)):
             here = start
             while (here, int(following[here])) in stitch:
-                offset[start] = _composed(offset[start], stitches.offsets[stitch[here, int(following[here])]])
+                offset[start] = _composed(offset[start], self._map.stitch_offsets[stitch[here, int(following[here])]])
                 here = int(following[here])
             keyframe[start] = here
         return keyframe, offset
@@ -125,33 +150,50 @@ class Planner:
         self._guessed_s = 0.0
         self.done = False
 
-    def decide(self, belief: Belief) -> Decision:
-        """Say what to do until the next frame."""
+    def decide(self, belief: Belief, elapsed_s: float | None = None) -> Decision:
+        """Say what to do until the next frame.
+
+        Parameters
+        ----------
+        belief : Belief
+        elapsed_s : float, optional
+            Time since the frame before; a taught tick if not given.
+        """
+        elapsed_s = self._map.tick_s if elapsed_s is None else elapsed_s
         directions, left_to_go = self._directions(belief)
-        mean = complex((belief.weights * np.exp(1j * directions)).sum())
+        # Places from which no way leads to the goal have no say.
+        with_way = belief.weights * np.isfinite(self._to_go_s[belief.keyframes])
+        mean = complex((with_way * np.exp(1j * directions)).sum()) / max(float(with_way.sum()), 1e-12)
         error = math.atan2(mean.imag, mean.real)
-        here = left_to_go < 0.5 * self._map.speed * self._map.tick_s
+        here = (left_to_go < 0.5 * self._map.speed * self._map.tick_s) & self._leads[belief.keyframes]
         arrived = float(belief.weights @ here) * (1.0 - belief.lost)
         # What a single view says may be another place: arrived is who was followed there.
         self.done = self.done or (arrived > _SURE and belief.tracked > self._map.correlation_length / 2.0)
         if self.done:
             return Decision("goal", Atom.STOP, error)
-        unsure = belief.lost > 0.5 or abs(mean) < math.cos(math.radians(WIDE_DEG))
-        if not unsure:
+        no_way, lost = float(with_way.sum()) < 0.5, belief.lost > 0.5
+        if not (no_way or lost or abs(mean) < math.cos(math.radians(WIDE_DEG))):
             self._looked_rad = self._guessed_s = 0.0
             return Decision("follow", self._steer(error), error)
         if self._looked_rad < math.radians(LOOK_DEG):
-            self._looked_rad += self._turn_rad
-            if self._turning is None:
-                self._turning = Atom.LEFT if error >= 0.0 else Atom.RIGHT
-            aside = math.radians(LOOK_ASIDE_DEG)
-            if self._looked_rad - self._turn_rad < aside <= self._looked_rad:
-                self._turning = Atom.RIGHT if self._turning is Atom.LEFT else Atom.LEFT
-            return Decision("look_around", self._turning, error)
-        self._guessed_s += self._map.tick_s
+            return Decision("look_around", self._look(error, elapsed_s), error)
+        if no_way and not lost:
+            self._turning = None
+            return Decision("dead_end", Atom.STOP, error)
+        self._guessed_s += elapsed_s
         if self._guessed_s >= GUESS_S:
             self._looked_rad = self._guessed_s = 0.0
         return Decision("guess", self._steer(error), error)
+
+    def _look(self, error: float, elapsed_s: float) -> Atom:
+        """Turn to the side of a direction, then to the other."""
+        before = self._looked_rad
+        self._looked_rad += self._turn_rad * elapsed_s / self._map.tick_s
+        if self._turning is None:
+            self._turning = Atom.LEFT if error >= 0.0 else Atom.RIGHT
+        if before < math.radians(LOOK_ASIDE_DEG) <= self._looked_rad:
+            self._turning = Atom.RIGHT if self._turning is Atom.LEFT else Atom.LEFT
+        return self._turning
 
     def _steer(self, error: float) -> Atom:
         """Turn on the spot while the direction is off by more than an atom of turning; drive otherwise."""

@@ -47,6 +47,8 @@ class Robot:
     ----------
     model : Model
         With a map of views.
+    goal : str, optional
+        Where to go; may be left out where all drives lead to one goal.
     seed : int
         Of the filter's noise.
 
@@ -59,19 +61,19 @@ class Robot:
     Raises
     ------
     ValueError
-        The model has no map of views.
+        The model has no map of views, or not this goal, or several and none is named.
     """
 
     belief: Belief
     decision: Decision
 
-    def __init__(self, model: Model, seed: int = 0) -> None:
+    def __init__(self, model: Model, goal: str | None = None, seed: int = 0) -> None:
         self._map = model.mapped
         of_images = model.centering.of_images()
         assert of_images is not None  # or there would be no map
         self._features = of_images.settings
         self._filter = Filter(self._map, of_images, seed)
-        self._planner = Planner(self._map)
+        self._planner = Planner(self._map, goal)
         self.reset()
 
     def reset(self) -> None:
@@ -109,7 +111,7 @@ class Robot:
         self._pose = odometry
         noise = BY_ATOMS if odometry is None else BY_ODOMETRY
         self.belief = self._filter.observe(extract(image, self._features), movement, elapsed_s, noise)
-        self.decision = self._planner.decide(self.belief)
+        self.decision = self._planner.decide(self.belief, elapsed_s)
         self._atom = self.decision.atom
         return self._atom
 

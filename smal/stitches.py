@@ -7,7 +7,7 @@ a whole correlation length. The virtual view that fits best tells how the one st
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,25 +20,8 @@ _AT_ONCE = 32
 _ADVANCE = 3
 
 
-@dataclass(frozen=True, eq=False)
-class Stitches:
-    """Pairs of keyframes that show one place.
-
-    Parameters
-    ----------
-    source, target : int arrays (s,)
-        Keyframes of different drives; sorted by source.
-    offsets : float64 array (s, 3)
-        Of the source as seen from the target: ahead, left, turned left in radians.
-    """
-
-    source: NDArray[np.intp]
-    target: NDArray[np.intp]
-    offsets: NDArray[np.float64]
-
-
-def find_stitches(visual_map: VisualMap) -> Stitches:
-    """Find the places that drives share; none where there is one drive."""
+def stitched(visual_map: VisualMap) -> VisualMap:
+    """Return a map with the places that its drives share; none where there is one drive."""
     drives = visual_map.drives[visual_map.keyframes]
     found: list[tuple[int, int, tuple[float, float, float]]] = []
     names = np.unique(drives)
@@ -48,10 +31,10 @@ def find_stitches(visual_map: VisualMap) -> Stitches:
             for other in names[names != one]:
                 found.extend(_chained(visual_map, best, drives, int(one), int(other)))
     found.sort(key=lambda stitch: stitch[:2])
-    return Stitches(
-        np.array([stitch[0] for stitch in found], dtype=np.intp),
-        np.array([stitch[1] for stitch in found], dtype=np.intp),
-        np.array([stitch[2] for stitch in found], dtype=np.float64).reshape(-1, 3),
+    return replace(
+        visual_map,
+        stitched=np.array([stitch[:2] for stitch in found], dtype=np.int32).reshape(-1, 2),
+        stitch_offsets=np.array([stitch[2] for stitch in found], dtype=np.float64).reshape(-1, 3),
     )
 
 

@@ -11,7 +11,7 @@ Views are kept as their principal components, which is what makes thousands of t
 import math
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields
 from functools import cache, cached_property
 from typing import Any
 
@@ -46,7 +46,15 @@ _NUMBERS: dict[str, Callable[[float], bool]] = dict.fromkeys(
 
 
 #: Axes of the arrays of a map.
-_AXES = {"poses": 2, "drives": 1, "keyframes": 1, "basis": 2, "views": 4, "movements": 2, "scene": 1}
+_AXES = {
+    "poses": 2, "drives": 1, "keyframes": 1, "basis": 2, "views": 4, "movements": 2, "scene": 1,
+    "stitched": 2, "stitch_offsets": 2,
+}  # fmt: skip
+_WHOLE = ("drives", "keyframes", "stitched")
+
+
+def _is_name(given: object) -> bool:
+    return isinstance(given, str) and given != ""
 
 
 def _sound(array: NDArray[Any], axes: int, kind: str) -> bool:
@@ -89,6 +97,12 @@ class VisualMap:
         Whether poses are of odometry, or the usual movements of atoms added up.
     scene : float64 array (3,)
         `smal.virtual_views.Scene`, for people.
+    goals : tuple of str
+        Where each drive leads.
+    stitched : int32 array (s, 2)
+        Pairs of keyframes of different drives that show one place (`smal.stitches`), ascending.
+    stitch_offsets : float64 array (s, 3)
+        Of the first one as seen from the second one: ahead, left, turned left in radians.
     """
 
     poses: NDArray[np.float64]
@@ -105,11 +119,14 @@ class VisualMap:
     tick_s: float
     odometry: bool
     scene: NDArray[np.float64]
+    goals: tuple[str, ...]
+    stitched: NDArray[np.int32] = field(default_factory=lambda: np.empty((0, 2), dtype=np.int32))
+    stitch_offsets: NDArray[np.float64] = field(default_factory=lambda: np.empty((0, 3)))
 
     def __post_init__(self) -> None:
         # Files are checked here too: what passes must not fail, or give a belief that is no number, while driving.
         arrays: dict[str, NDArray[Any]] = {name: getattr(self, name) for name in _AXES}
-        kinds = {name: "i" if name in ("drives", "keyframes") else "f" for name in _AXES}
+        kinds = {name: "i" if name in _WHOLE else "f" for name in _AXES}
         wrong = [name for name, array in arrays.items() if not _sound(array, _AXES[name], kinds[name])]
         numbers = {name: getattr(self, name) for name in _NUMBERS}
         wrong += [name for name, one in numbers.items() if type(one) not in (int, float) or not _NUMBERS[name](one)]
@@ -130,6 +147,11 @@ class VisualMap:
                 "length of views": float(np.linalg.norm(self.views, axis=-1).max(initial=0.0)) < 1.01,
                 "movements": self.movements.shape == (len(Atom), 2),
                 "scene": self.scene.shape == (3,),
+                "goals": len(self.goals) == int(self.drives.max(initial=-1)) + 1 and all(map(_is_name, self.goals)),
+                "stitched": self.stitched.shape == (len(self.stitched), 2)
+                and bool(((self.stitched >= 0) & (self.stitched < count)).all()),
+                "stitch_offsets": self.stitch_offsets.shape == (len(self.stitched), 3)
+                and bool((np.abs(self.stitch_offsets) <= _LONGEST).all()),
             }
             wrong = [name for name, fits in fit.items() if not fits]
         if wrong:
@@ -163,6 +185,11 @@ class VisualMap:
         steps = np.hypot(*np.diff(self.poses[:, :2], axis=0).T)
         return np.concatenate([[0.0], np.cumsum(np.where(np.diff(self.drives) == 0, steps, 0.0))])
 
+    @cached_property
+    def key_goals(self) -> NDArray[np.str_]:
+        """Where the drive of each keyframe leads, (k,)."""
+        return np.array(self.goals)[self.drives[self.keyframes]]
+
     @property
     def speed(self) -> float:
         """Nominal speed, a second; 0 if nobody drove ahead."""
@@ -187,6 +214,7 @@ def learn_visual_map(
     odometry: Sequence[NDArray[np.float64] | None],
     centering: Centering,
     tick_s: float,
+    goals: Sequence[str],
     progress: Callable[[int, int], None] = lambda _done, _total: None,
 ) -> VisualMap:
     """Make the map of demonstrations.
@@ -204,6 +232,8 @@ def learn_visual_map(
     centering : Centering
     tick_s : float
         Time between two frames.
+    goals : sequence of str
+        Where each demonstration leads.
     progress : callable
         Called with keyframes done and their number.
     """
@@ -226,6 +256,7 @@ def learn_visual_map(
     scene = fit_scene(every, poses, drives.astype(np.intp), length, describe)
     keyframes = _choose_keyframes(poses, drives, length)
     views, basis = _make_views(every, keyframes, scene, _ASIDE * length, describe, progress)
+    kappa, outlier_cosine = _likelihood(centred, poses, drives, length)
     return VisualMap(
         poses=poses,
         drives=drives,
@@ -239,7 +270,9 @@ def learn_visual_map(
         tick_s=tick_s,
         odometry=with_odometry,
         scene=np.array([scene.focal, scene.height, scene.distance]),
-        **_likelihood(centred, poses, drives, length),
+        goals=tuple(goals),
+        kappa=kappa,
+        outlier_cosine=outlier_cosine,
     )
 
 
@@ -316,8 +349,8 @@ def _correlation_turn(views: NDArray[np.float32], unrelated: float) -> float:
 
 def _likelihood(
     centred: NDArray[np.float32], poses: NDArray[np.float64], drives: NDArray[np.int32], length: float
-) -> dict[str, float]:
-    """Measure how the cosines of views of one place, and of unrelated places, are distributed.
+) -> tuple[float, float]:
+    """Measure how the cosines of views of one place, and of unrelated places, are distributed: kappa, and the middle.
 
     One place is what lies within the correlation length and a few degrees; unrelated is four times as far.
     """
@@ -333,10 +366,7 @@ def _likelihood(
             "the demonstrations are too short, or their frames too far apart, to tell how alike views of one place are"
         )
     other = other if other.size else np.zeros(1)
-    return {
-        "kappa": 1.0 / max(float(one.std()), 1e-2),
-        "outlier_cosine": (float(one.mean()) + float(other.mean())) / 2.0,
-    }
+    return 1.0 / max(float(one.std()), 1e-2), (float(one.mean()) + float(other.mean())) / 2.0
 
 
 def _choose_keyframes(poses: NDArray[np.float64], drives: NDArray[np.int32], length: float) -> NDArray[np.int32]:
@@ -393,5 +423,6 @@ def _components(sample: NDArray[np.float32]) -> NDArray[np.float32]:
     values, vectors = np.maximum(values[::-1], 0.0), vectors[:, ::-1]
     share = np.cumsum(values) / max(float(values.sum()), 1e-12)
     count = min(int(np.searchsorted(share, _KEPT)) + 1, _MOST_COMPONENTS, int((values > 1e-6 * values[0]).sum()))
-    basis: NDArray[np.float32] = sample.T @ vectors[:, :count]
-    return (basis / np.linalg.norm(basis, axis=0)).astype(np.float32)
+    basis = sample.T @ vectors[:, :count]
+    unit: NDArray[np.float32] = (basis / np.linalg.norm(basis, axis=0)).astype(np.float32)
+    return unit

@@ -30,6 +30,7 @@ def demonstrate(
         int, typer.Option(min=0, help="Short drives that begin off the route and come back, for the paper's scheme.")
     ] = 0,
     seed: options.Seed = 1,
+    goal: options.GoalOfDrives = "victim",
     out: Annotated[Path, typer.Option(help="Folder for the recordings, one MCAP file a drive.")] = Path("recordings"),
     camera: options.OwnCameraSize = None,
     shake: options.Shake = None,
@@ -49,7 +50,7 @@ def demonstrate(
     simulator = simulator_of_own_stack(world, camera, connect, shake=shake, base=base, variation=variation)
     features = features_of_own_stack(modalities, connect)
     name = options.check_world(world)
-    requests = list(_requests(episodes, recoveries, seed))
+    requests = list(_requests(episodes, recoveries, seed, options.check_goal(goal)))
     if not requests:
         raise UsageError("--episodes 0 --recoveries 0: nothing to demonstrate")
     outputs.make_folder(out, "--out")
@@ -60,11 +61,11 @@ def demonstrate(
     typer.echo(f"recorded {recorded} drives in {out}; next: smal learn {out} --out MODEL")
 
 
-def _requests(episodes: int, recoveries: int, seed: int) -> Iterator[ResetRequest]:
+def _requests(episodes: int, recoveries: int, seed: int, goal: str) -> Iterator[ResetRequest]:
     for k in range(episodes):
-        yield ResetRequest(seed=seed + k, purpose="drive", driver="expert", max_ticks=DRIVE_TICKS)
+        yield ResetRequest(seed=seed + k, purpose="drive", goal=goal, driver="expert", max_ticks=DRIVE_TICKS)
     for k in range(recoveries):
-        yield ResetRequest(seed=seed + k, purpose="recovery", driver="expert", max_ticks=RECOVERY_TICKS)
+        yield ResetRequest(seed=seed + k, purpose="recovery", goal=goal, driver="expert", max_ticks=RECOVERY_TICKS)
 
 
 def _record(requests: list[ResetRequest], access: Access, out: Path, world: str, name: str) -> int:

@@ -7,8 +7,10 @@ from pathlib import Path
 from typing import Annotated, Final, Self
 
 import typer
+from pydantic import ValidationError
 
-from schemas.rpc import Scheme
+from schemas.codec import describe
+from schemas.rpc import ResetRequest, Scheme
 from schemas.topics import check_robot_id
 from services.bus import DEFAULT_ROUTER
 from services.commands.errors import UsageError
@@ -54,6 +56,10 @@ SchemeOption = Annotated[
         "--scheme",
         help="filter: a belief over taught places, and steering along the way; paper: Eq. 7 to 9 and whole actions.",
     ),
+]
+Goal = Annotated[str | None, typer.Option(help="Where to go, in a model with several goals.")]
+GoalOfDrives = Annotated[
+    str, typer.Option(help="Name of the place that the drives lead to, for `smal run --goal` with what is learned.")
 ]
 Stride = Annotated[
     int | None,
@@ -113,6 +119,20 @@ def check_robot(robot: str) -> str:
         raise UsageError(f"--robot: {error}") from None
 
 
+def check_goal(goal: str) -> str:
+    """Return the name of a goal.
+
+    Raises
+    ------
+    UsageError
+        When it is empty, too long or has control characters.
+    """
+    try:
+        return ResetRequest(seed=0, goal=goal).goal
+    except ValidationError as error:
+        raise UsageError(f"--goal: {describe(error)}") from None
+
+
 def check_world(world: str) -> str:
     """Read a world, to say what is wrong with it before the processes start; return its name.
 
@@ -127,8 +147,8 @@ def check_world(world: str) -> str:
         raise UsageError(f"--world {world}: {error}") from None
 
 
-def read_model(path: Path, scheme: Scheme, stride: int | None) -> smal_model.Model:
-    """Read the model of ``--model``, for which ``--scheme`` and ``--stride`` must be right.
+def read_model(path: Path, scheme: Scheme, stride: int | None, goal: str | None) -> smal_model.Model:
+    """Read the model of ``--model``, for which ``--scheme``, ``--stride`` and ``--goal`` must be right.
 
     Raises
     ------
@@ -139,7 +159,7 @@ def read_model(path: Path, scheme: Scheme, stride: int | None) -> smal_model.Mod
         model = smal_model.Model.load(path)
     except smal_model.ModelError as error:
         raise UsageError(f"--model {error}") from None
-    refusal = refused(model, scheme, stride)
+    refusal = refused(model, scheme, stride, goal)
     if refusal is not None:
         raise UsageError(f"--model {path}, --scheme {scheme}: {refusal}")
     return model

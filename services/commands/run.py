@@ -38,6 +38,7 @@ def run(
     seed: options.Seed = 1,
     scheme: options.SchemeOption = "filter",
     stride: options.Stride = None,
+    goal: options.Goal = None,
     start: Annotated[
         Start, typer.Option(help="Where runs begin: about the world's start, or anywhere beside the way to the victim.")
     ] = "start",
@@ -64,7 +65,7 @@ def run(
     Example: smal run --model campus.smal --world campus --episodes 20 --seed 1 --json runs.json
     """
     mode: Mode = "realtime" if realtime else "lockstep"
-    loaded = options.read_model(model, scheme, stride)
+    loaded = options.read_model(model, scheme, stride, goal)
     identity = identity_of(loaded)
     simulator = simulator_of_own_stack(world, camera, connect, shake=shake, base=base, variation=variation)
     name = options.check_world(world)
@@ -83,16 +84,16 @@ def run(
             max_ticks=max_ticks,
             start=start,
             kidnap_tick=kidnap,
+            goal=goal or "victim",
         )
         for k in range(episodes)
     ]
+    load = LoadRequest(path=str(model.resolve()), scheme=scheme, stride=stride, goal=goal)
     records: list[EpisodeRecord] = []
     try:
         with (
             stack_for(connect, services, robot, own) as access,
-            _client(
-                access.settings, LoadRequest(path=str(model.resolve()), scheme=scheme, stride=stride), identity
-            ) as client,
+            _client(access.settings, load, identity) as client,
             recording(client.node.bus, record) if record else nullcontext(),
         ):
             _check_features(client, loaded.feature_settings)

@@ -10,7 +10,7 @@ from pydantic import ValidationError
 from schemas.codec import describe
 from services.bus import DEFAULT_ROUTER
 from services.commands.errors import UsageError
-from services.commands.options import DEFAULT_ROBOT, Robot, Router
+from services.commands.options import DEFAULT_ROBOT, GoalOfDrives, Robot, Router
 from services.teleop.config import TeleopSettings
 from services.teleop.session import run
 from services.teleop.terminal import NoTerminalError, require_terminal
@@ -20,6 +20,7 @@ def teleop(
     robot: Robot = DEFAULT_ROBOT,
     router: Router = DEFAULT_ROUTER,
     seed: Annotated[int | None, typer.Option(min=0, help="Seed of the first episode; random if not given.")] = None,
+    goal: GoalOfDrives = "victim",
 ) -> None:
     """Drive with the keyboard: arrows or w a s d, held; n begins an episode.
 
@@ -29,7 +30,7 @@ def teleop(
     """
     try:
         require_terminal()
-        settings = TeleopSettings(robot=robot, router=router, seed=seed)
+        settings = TeleopSettings(robot=robot, router=router, seed=seed, goal=goal)
     except NoTerminalError as error:
         raise UsageError(str(error)) from None
     except ValidationError as error:

@@ -31,6 +31,7 @@ def up(
     model: Annotated[Path | None, typer.Option(help="Model that recognition and policy load at the start.")] = None,
     scheme: options.SchemeOption = "filter",
     stride: options.Stride = None,
+    goal: options.Goal = None,
     recordings: Annotated[Path | None, typer.Option(help="Record every episode into this folder.")] = None,
     camera: options.CameraSize = "640x480",
     shake: options.Shake = None,
@@ -59,7 +60,7 @@ def up(
     options.check_robot(robot)
     if recordings is not None:
         outputs.make_folder(recordings, "--recordings")
-    chain, learned_on = _chain_flags(model, scheme, stride)
+    chain, learned_on = _chain_flags(model, scheme, stride, goal)
     features = features_for_model(modalities, learned_on)
     # Said here, in one line, before the processes start and one of them fails.
     Router(router).close()
@@ -96,15 +97,16 @@ def _http_addresses(first_port: int | None) -> dict[str, str]:
 
 
 def _chain_flags(
-    model: Path | None, scheme: Scheme, stride: int | None
+    model: Path | None, scheme: Scheme, stride: int | None, goal: str | None
 ) -> tuple[tuple[str, ...], FeatureSettings | None]:
     """Return the flags with which recognition and policy have their model from the start, and after every restart.
 
     And the features that it was learned on.
     """
     if model is None:
-        if stride is not None:
-            raise UsageError(f"--stride {stride}: needs --model")
+        for name, value in (("--stride", stride), ("--goal", goal)):
+            if value is not None:
+                raise UsageError(f"{name} {value}: needs --model")
         return (), None
-    features = options.read_model(model, scheme, stride).feature_settings
-    return flags(model=model.resolve(), scheme=scheme, stride=stride), features
+    features = options.read_model(model, scheme, stride, goal).feature_settings
+    return flags(model=model.resolve(), scheme=scheme, stride=stride, goal=goal), features

@@ -88,7 +88,7 @@ class _ByFilter:
     """Steers along the taught way by a belief over places."""
 
     def __init__(self, loaded: LoadedModel) -> None:
-        self._planner = Planner(loaded.model.mapped)
+        self._planner = Planner(loaded.model.mapped, loaded.goal)
         self._keyframes = len(loaded.model.mapped.keyframes)
         self.reset()
 
@@ -97,8 +97,11 @@ class _ByFilter:
 
     def reset(self) -> None:
         self._planner.reset()
+        self._stamp_ns: int | None = None
 
     def answer(self, state: State) -> list[Message]:
+        elapsed_s = None if self._stamp_ns is None else max(state.stamp_ns - self._stamp_ns, 0) / 1e9
+        self._stamp_ns = state.stamp_ns
         places = state.places
         belief = Belief(
             np.array([place.keyframe for place in places]),
@@ -108,7 +111,7 @@ class _ByFilter:
             state.cosine,
             state.tracked_m,
         )
-        decision = self._planner.decide(belief)
+        decision = self._planner.decide(belief, elapsed_s)
         atom = decision.atom.name.lower()
         known = places[0].keyframe if state.status == "recognized" else None
         return [

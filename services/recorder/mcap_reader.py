@@ -158,6 +158,7 @@ class _Reader:
     def _take_event(self, record: RecordedEpisode, event: Message) -> None:
         assert isinstance(event, Episode)  # noqa: S101 - by the table of topics
         record.world, record.seed, record.purpose, record.driver = event.world, event.seed, event.purpose, event.driver
+        record.goal = event.goal
         if event.event == "ended":
             record.outcome, record.end_tick = event.outcome, event.tick
 

@@ -199,6 +199,7 @@ def _description(started: Episode) -> dict[str, str]:
         "world": started.world,
         "seed": str(started.seed),
         "purpose": started.purpose,
+        "goal": started.goal,
         "driver": started.driver,
         "software": _software(),
         "recorded_utc": time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime()),

@@ -50,7 +50,7 @@ class RecordedEpisode:
 
     Attributes
     ----------
-    robot, episode, world, seed, purpose, driver
+    robot, episode, world, seed, purpose, goal, driver
         As in the episode's events.
     outcome, end_tick
         None if the end was not recorded.
@@ -71,6 +71,7 @@ class RecordedEpisode:
     world: str = ""
     seed: int = 0
     purpose: Purpose | None = None
+    goal: str = ""
     driver: Source | None = None
     outcome: Outcome | None = None
     end_tick: int | None = None

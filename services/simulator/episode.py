@@ -358,6 +358,7 @@ class EpisodeRunner:
             driver=run.request.driver,
             world=self._world.name,
             seed=run.request.seed,
+            goal=run.request.goal,
             outcome=outcome,
         )
 

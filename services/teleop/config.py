@@ -6,6 +6,7 @@ from typing import Annotated
 
 from pydantic import Field
 
+from schemas.episode import GoalName
 from services.settings import ServiceSettings
 from services.teleop.keys import FIRST_HOLD_S, REPEAT_HOLD_S
 
@@ -15,6 +16,8 @@ class TeleopSettings(ServiceSettings):
 
     seed: Annotated[int | None, Field(ge=0, lt=2**63 - 1_000_000)] = None
     """Seed of the first episode, the next ones count up; drawn at random if not given."""
+    goal: GoalName = "victim"
+    """Name of the place that the drives lead to."""
     first_hold_s: Annotated[float, Field(gt=0, le=2)] = FIRST_HOLD_S
     """How long the first press of a key counts as held; at least the keyboard's delay before it repeats."""
     repeat_hold_s: Annotated[float, Field(gt=0, le=2)] = REPEAT_HOLD_S

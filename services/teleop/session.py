@@ -68,6 +68,7 @@ class TeleopSession:
         self._service = TeleopService(KeyHold(clock, settings.first_hold_s, settings.repeat_hold_s), node.robot)
         self._status = Status(clock)
         self._seed = secrets.randbelow(2**31) if settings.seed is None else settings.seed
+        self._goal = settings.goal
         self._mine: str | None = None
         self._resetting: threading.Thread | None = None
         self._replies: SimpleQueue[ResetReply | RpcError] = SimpleQueue()
@@ -129,7 +130,12 @@ class TeleopSession:
             return
         # Only a person who looks at the robot may release an emergency stop.
         request = ResetRequest(
-            seed=self._seed, purpose="drive", driver="teleop", mode="realtime", release_emergency_stop=True
+            seed=self._seed,
+            purpose="drive",
+            goal=self._goal,
+            driver="teleop",
+            mode="realtime",
+            release_emergency_stop=True,
         )
         self._service.release_emergency_stop()
         self._seed += 1

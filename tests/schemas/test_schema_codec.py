@@ -219,3 +219,11 @@ def test_a_large_image_has_the_bytes_that_msgpack_gives(width: int, height: int)
     header = Message(robot="rescuebot", episode="e", tick=1, stamp_ns=2)
     image = Image.after(header, width=width, height=height, data=bytes(3 * width * height))
     assert encode(image) == msgpack.packb(image.model_dump())
+
+
+def test_an_episode_of_the_version_before_is_read_and_leads_to_the_victim() -> None:
+    event = EXAMPLES[Episode]
+    fields = {name: value for name, value in msgpack.unpackb(encode(event)).items() if name != "goal"}
+    before = encoding_of(Episode).replace("/2", "/1")
+    assert decode(Episode, msgpack.packb(fields), before) == event.model_copy(update={"goal": "victim"})
+    assert "expected" in refusal(Episode, encode(event), before.replace("/1", "/3"))

@@ -74,7 +74,7 @@ def identity(model: Path) -> str:
 
 def state(tick: int, model: Path | None, episode: str = "e", **fields: object) -> State:
     """Return a state of a model, or an idle one."""
-    header = Message(robot="rescuebot", episode=episode, tick=tick, stamp_ns=0)
+    header = Message(robot="rescuebot", episode=episode, tick=tick, stamp_ns=tick * 100_000_000)
     named = {"status": "idle"} if model is None else {"model": identity(model)}
     return State.after(header, **named, **fields)
 

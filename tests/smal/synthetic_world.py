@@ -152,7 +152,9 @@ def taught(
         changed.enter_context(patch("smal.visual_map._SAMPLE", 500))
         if scene is not None:
             changed.enter_context(patch("smal.visual_map.fit_scene", lambda *_: scene))
-        found = learn_visual_map(images, raw, [one.atoms for one in drives], ways, centering, 1.0 / rate_hz)
+        found = learn_visual_map(
+            images, raw, [one.atoms for one in drives], ways, centering, 1.0 / rate_hz, ["victim"] * len(ways)
+        )
     return found, centering
 
 

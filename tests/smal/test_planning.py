@@ -1,5 +1,6 @@
 """What the planner does with a belief: along the way, towards it, at its end, and when the belief is too wide."""
 
+import itertools
 import math
 from collections import Counter
 
@@ -10,14 +11,16 @@ from smal.action_space import Atom
 from smal.features import extract
 from smal.filter import Belief, Filter
 from smal.movement import STILL, Movement
-from smal.planning import GUESS_S, LOOK_ASIDE_DEG, LOOK_DEG, Planner
+from smal.planning import GO_OVER_S, GUESS_S, LOOK_ASIDE_DEG, LOOK_DEG, Planner, cost_to_go
 from smal.visual_map import TURNS_DEG, VisualMap
 from tests.smal.synthetic_world import COLOR, SPEED, START, TURN_RAD_S, Room, drive, from_beside, usual_map
 
 TICK = 0.1
+#: Pairs of keyframes, and how the first stands to the second.
+Stitches = tuple[tuple[tuple[int, int], tuple[float, float, float]], ...]
 
 
-def map_of(*lengths_m: float) -> VisualMap:
+def map_of(*lengths_m: float, goals: tuple[str, ...] | None = None, stitches: Stitches = ()) -> VisualMap:
     """Make a map of straight drives at 0.5 m/s and 10 Hz, a keyframe every 10 cm; each in other axes, without views."""
     ways = []
     for number, metres in enumerate(lengths_m):
@@ -32,7 +35,7 @@ def map_of(*lengths_m: float) -> VisualMap:
         poses=np.concatenate(ways),
         drives=drives,
         keyframes=keyframes,
-        basis=np.ones((4, 1), dtype=np.float32),
+        basis=np.eye(4, 1, dtype=np.float32),
         views=np.zeros((keyframes.size, 3, TURNS_DEG.size, 1), dtype=np.float32),
         aside=0.2,
         correlation_length=0.5,
@@ -43,6 +46,9 @@ def map_of(*lengths_m: float) -> VisualMap:
         tick_s=TICK,
         odometry=True,
         scene=np.array([0.7, 0.3, 5.0]),
+        goals=goals or ("victim",) * len(ways),
+        stitched=np.array([pair for pair, _ in stitches], dtype=np.int32).reshape(-1, 2),
+        stitch_offsets=np.array([offset for _, offset in stitches]).reshape(-1, 3),
     )
 
 
@@ -206,3 +212,114 @@ def test_filter_and_planner_drive_the_taught_way_to_its_end(left: float, turn_de
         movement, pose = Movement.between(pose, after), after
     assert planner.done
     assert math.hypot(*(pose - goal)[:2]) < 0.25
+
+
+def fork(goals: tuple[str, ...] = ("kitchen", "office"), left_m: float = 0.0) -> VisualMap:
+    """Two drives of 4 m and 6 m (keyframes 0 to 40, and 41 to 101) that share their second metre, both ways."""
+    shared = [(10 + k, 41 + 10 + k) for k in range(10)]
+    pairs = tuple(((one, other), (0.0, left_m, 0.0)) for one, other in shared)
+    back = tuple(((other, one), (0.0, -left_m, 0.0)) for one, other in shared)
+    return map_of(4.0, 6.0, goals=goals, stitches=tuple(sorted(pairs + back)))
+
+
+def test_the_cost_to_go_is_the_time_of_the_shortest_way() -> None:
+    two = fork()
+    kitchen, _ = cost_to_go(two, "kitchen")
+    office, _ = cost_to_go(two, "office")
+    # 10 cm a keyframe at 0.5 m/s; the stretch beyond the fork of the other drive leads nowhere.
+    assert kitchen[:41] == pytest.approx(0.2 * np.arange(40, -1, -1), abs=1e-6)
+    assert office[41:] == pytest.approx(0.2 * np.arange(60, -1, -1), abs=1e-6)
+    assert office[:20] == pytest.approx(0.2 * np.arange(60, 40, -1) + GO_OVER_S, abs=1e-6)
+    assert kitchen[41:61] == pytest.approx(0.2 * np.arange(40, 20, -1) + GO_OVER_S, abs=1e-6)
+    assert np.isinf(office[20:41]).all()
+    assert np.isinf(kitchen[61:]).all()
+
+
+def test_costs_to_go_satisfy_bellman_s_equation() -> None:
+    two = fork(left_m=0.3)
+    cost, following = cost_to_go(two, "office")
+    edges = {(k, k + 1): 0.2 for k in range(101) if k != 40}
+    # Going over takes the time to drive 0.3 m aside as well.
+    edges |= dict.fromkeys(map(tuple, two.stitched.tolist()), GO_OVER_S + 0.6)
+    for here in range(102):
+        onward = {there: step + cost[there] for (one, there), step in edges.items() if one == here}
+        if here == 101:
+            assert (cost[here], following[here]) == (pytest.approx(0.0, abs=1e-6), -1)
+        elif np.isfinite(cost[here]):
+            assert cost[here] == pytest.approx(min(onward.values()), abs=1e-6)
+            assert onward[int(following[here])] == pytest.approx(cost[here], abs=1e-6)
+        else:
+            assert all(np.isinf(value) for value in onward.values())
+            assert following[here] == -1
+
+
+@pytest.mark.parametrize(("start", "end"), [(0, 40), (41, 40), (61, 101)])
+def test_the_shorter_way_is_taken_as_long_as_there_is_one(start: int, end: int) -> None:
+    _, following = cost_to_go(fork(("victim", "victim")), "victim")
+    here = start
+    while following[here] >= 0:
+        here = int(following[here])
+    assert here == end
+
+
+@pytest.mark.parametrize(("goal", "end", "other_end"), [("kitchen", 40, 101), ("office", 101, 40)])
+def test_it_arrives_at_the_named_goal_only(goal: str, end: int, other_end: int) -> None:
+    planner = Planner(fork(), goal)
+    assert planner.decide(belief((other_end, 0.0, 0.0, 0.0))).kind != "goal"
+    assert not planner.done
+    assert planner.decide(belief((end, 0.0, 0.0, 0.0))).kind == "goal"
+
+
+def test_a_goal_is_reached_by_a_drive_that_was_never_made_in_one_piece() -> None:
+    planner = Planner(fork(left_m=0.3), "office")
+    before = planner.decide(belief((5, 0.0, 0.0, 0.0)))
+    assert (before.kind, before.atom) == ("follow", Atom.FORWARD)
+    # At the fork the office's drive is 0.3 m to the right.
+    assert planner.decide(belief((12, 0.0, 0.0, 0.0))).atom is Atom.RIGHT
+    assert planner.decide(belief((12, 0.0, -0.3, 0.0))).atom is Atom.FORWARD
+
+
+@pytest.mark.parametrize(("goal", "end", "said"), [
+    (None, 40, "the model has the goals kitchen, office; name one of them"),
+    ("cellar", 40, "the model has no goal 'cellar'; it has kitchen, office"),
+])  # fmt: skip
+def test_a_goal_that_is_unknown_or_not_said(goal: str | None, end: int, said: str) -> None:
+    with pytest.raises(ValueError, match=f"^{said}$"):
+        Planner(fork(), goal)
+    assert Planner(fork(("kitchen", "kitchen")), None).decide(belief((end, 0.0, 0.0, 0.0))).kind == "goal"
+
+
+def test_where_no_way_leads_to_the_goal_it_looks_round_and_then_stands() -> None:
+    planner = Planner(fork(), "office")
+    kinds = [planner.decide(belief((30, 0.0, 0.0, 0.0))) for _ in range(300)]
+    look = math.ceil(LOOK_DEG / 4.5)
+    assert [one.kind for one in kinds] == ["look_around"] * look + ["dead_end"] * (300 - look)
+    assert {one.atom for one in kinds[look:]} == {Atom.STOP}
+    # As soon as it believes otherwise it goes on.
+    assert planner.decide(belief((70, 0.0, 0.0, 0.0))).kind == "follow"
+
+
+def test_places_without_a_way_have_no_say() -> None:
+    planner = Planner(fork(), "office")
+    places = ((30, 0.0, 0.0, 60.0), (70, 0.0, 0.0, 0.0))
+    assert planner.decide(belief(*places, weights=(0.4, 0.6))).atom is Atom.FORWARD
+
+
+def test_a_fork_of_even_chances_is_not_left_right_left_right() -> None:
+    planner = Planner(STRAIGHT)
+    atoms = []
+    for k in range(60):
+        share = 0.52 if k % 2 else 0.48
+        places = ((10, 0.0, 0.0, 60.0), (10, 0.0, 0.0, -60.0))
+        atoms.append(planner.decide(belief(*places, weights=(share, 1.0 - share))).atom)
+    # It turns to look, to one side and then to the other.
+    assert sum(one is not other for one, other in itertools.pairwise(atoms)) == 1
+
+
+def test_time_counts_and_not_frames() -> None:
+    usual, fast = Planner(STRAIGHT), Planner(STRAIGHT)
+    lost = belief((10, 0.0, 0.0, 0.0), lost=0.9)
+    at_10_hz = [usual.decide(lost, 0.1).kind for _ in range(150)]
+    at_20_hz = [fast.decide(lost, 0.05).kind for _ in range(300)]
+    assert at_10_hz.index("guess") == pytest.approx(at_20_hz.index("guess") / 2.0, abs=1)
+    assert at_10_hz.count("guess") == pytest.approx(at_20_hz.count("guess") / 2.0, abs=2)

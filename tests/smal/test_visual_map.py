@@ -37,7 +37,7 @@ def of_two_drives() -> VisualMap:
 def learn(images: Sequence[Sequence[Image]], poses: Sequence[Any], atoms: Sequence[Any]) -> VisualMap:
     raw = [np.stack([extract(image, COLOR) for image in each]) for each in images]
     with patch("smal.visual_map._SAMPLE", 500):
-        return learn_visual_map(images, raw, atoms, poses, Centering.fit(raw, COLOR), 0.1)
+        return learn_visual_map(images, raw, atoms, poses, Centering.fit(raw, COLOR), 0.1, ["victim"] * len(raw))
 
 
 def test_the_ends_of_every_drive_are_keyframes() -> None:
@@ -162,6 +162,7 @@ def test_images_are_read_when_they_are_needed_and_let_go() -> None:
             [one.poses for one in drives],
             Centering.fit(raw, COLOR),
             0.025,
+            ["victim"] * 2,
             lambda *progress: done.append(progress),
         )
     frames = sum(len(one.poses) for one in drives)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Final
+from typing import Final, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,6 +28,10 @@ from services.settings import ServiceSettings
 SILENCE_S: Final = 60.0
 
 
+#: How a run ended; false_goal: the robot said that it was at the goal, and was not.
+RunOutcome = Outcome | Literal["false_goal"]
+
+
 @dataclass
 class EpisodeRecord:
     """What was seen of one episode.
@@ -42,6 +46,8 @@ class EpisodeRecord:
         How it ended.
     poses
         True poses, (x, y) metres, by tick.
+    arrived
+        Whether the robot said that it was at the goal.
     decisions
         Kind of every decision, by tick.
     unrecognised
@@ -54,9 +60,10 @@ class EpisodeRecord:
 
     request: ResetRequest
     ticks: int = 0
-    outcome: Outcome = "aborted"
+    outcome: RunOutcome = "aborted"
     route: tuple[tuple[float, float], ...] = ()
     poses: dict[int, tuple[float, float]] = field(default_factory=dict)
+    arrived: bool = False
     decisions: dict[int, str] = field(default_factory=dict)
     unrecognised: set[int] = field(default_factory=set)
     latencies_ms: dict[int, float] = field(default_factory=dict)
@@ -143,7 +150,7 @@ class EpisodeClient:
         on_begin
             Called with the simulator's reply, before any message of the episode is handled; may raise JobError.
         done
-            Ends the episode when it holds.
+            Ends the episode when it holds; the robot ends it as well, by saying that it is at the goal.
         on_tick
             Called with the tick, now and then, for a progress bar.
         check
@@ -166,13 +173,15 @@ class EpisodeClient:
             # Nobody will drive it.
             self._end(reply.episode)
             raise
-        while not self.node.spin(until=lambda: self._ended or done(), timeout_s=0.5):
+        while not self.node.spin(until=lambda: self._ended or record.arrived or done(), timeout_s=0.5):
             on_tick(record.ticks)
             check()
             if time.monotonic() - self._alive_s > SILENCE_S:
                 raise JobError(f"no sign of robot {self.node.robot} for {SILENCE_S:.0f} s; see the stack's logs")
         if not self._ended:
             self._end(reply.episode)
+        if record.arrived and record.outcome == "aborted":
+            record.outcome = "false_goal"
         on_tick(record.ticks)
         return record
 
@@ -210,6 +219,8 @@ class EpisodeClient:
     def _on_action(self, action: Action) -> None:
         if self._record is not None and action.episode == self._episode:
             self._record.decisions[action.tick] = action.kind
+            # In the paper's scheme the goal is a state like others, whose action is carried out.
+            self._record.arrived |= action.kind == "goal" and action.atoms == ("stop",)
             # Not the kind says so: the robot also looks around where the state is known but has no way on.
             if action.state is None:
                 self._record.unrecognised.add(action.tick)

@@ -16,7 +16,9 @@ from services.simulator.world.map_view import draw_map
 
 #: Half the side of what is shown, in sizes of what happened.
 _AROUND: Final = 1.5
-OUTCOME_COLOURS: Final = {"found": "#1a7f37", "collision": "#c62828", "timeout": "#b26a00", "aborted": "#666666"}
+OUTCOME_COLOURS: Final = {
+    "found": "#1a7f37", "collision": "#c62828", "timeout": "#b26a00", "false_goal": "#7b1fa2", "aborted": "#666666"
+}  # fmt: skip
 
 
 def draw_routes(world: str, records: Iterable[EpisodeRecord]) -> Figure:

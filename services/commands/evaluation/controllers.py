@@ -46,11 +46,14 @@ class Move:
         where none was due.
     recognised
         Whether that decision knew where the robot is.
+    arrived
+        Whether the robot says that it is at the goal, which ends the search.
     """
 
     atom: Atom
     decision: str | None = None
     recognised: bool = True
+    arrived: bool = False
 
 
 class Controller(Protocol):
@@ -120,7 +123,7 @@ class FilterController:
         # The policy hears of so many places and no more.
         belief = self._filter.observe(raw_features, movement, noise=noise).summary(MAX_PLACES)
         decision = self._planner.decide(belief)
-        return Move(decision.atom, decision.kind, belief.lost <= 0.5)
+        return Move(decision.atom, decision.kind, belief.lost <= 0.5, self._planner.done)
 
 
 class PaperController:

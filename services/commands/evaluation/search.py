@@ -14,7 +14,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from schemas.episode import Outcome
+from services.commands.episodes.client import RunOutcome
 from services.commands.evaluation.controllers import Controller
 from services.commands.evaluation.degradation import CLEAN, Degradation, Degrader
 from services.commands.evaluation.rules import advance, odometry_of, outcome_at
@@ -34,7 +34,7 @@ class Search:
     seed
         Of the episode.
     outcome
-        How it ended: "found", "collision" or "timeout".
+        How it ended: "found", "collision", "timeout", or "false_goal": the robot said that it was there, and was not.
     ticks
         Frames that passed; frame 0 is the start.
     decisions
@@ -50,7 +50,7 @@ class Search:
     """
 
     seed: int
-    outcome: Outcome
+    outcome: RunOutcome
     ticks: int
     decisions: dict[int, str]
     unrecognised: frozenset[int]
@@ -98,7 +98,7 @@ def search(
     decisions: dict[int, str] = {}
     unrecognised: set[int] = set()
     pictures: dict[int, NDArray[np.uint8]] = {}
-    outcome: Outcome | None = None
+    outcome: RunOutcome | None = None
     while outcome is None:
         tick = len(atoms)
         image = degrader.apply(tick, simulation.render())
@@ -110,6 +110,9 @@ def search(
             decisions[tick] = move.decision
             if not move.recognised:
                 unrecognised.add(tick)
+            if move.arrived:
+                outcome = "found" if simulation.victim_found() else "false_goal"
+                break
         advance(simulation, move.atom)
         atoms.append(move.atom)
         poses.append(simulation.pose)

@@ -211,6 +211,7 @@ def _demonstration(episode: RecordedEpisode, piece: Piece, whole: bool) -> Demon
         images=None if piece.images is None else RecordedImages(piece.images, episode.episode),
         odometry=piece.odometry,
         episode=episode.episode,
+        goal=episode.goal,
     )
 
 

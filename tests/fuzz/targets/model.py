@@ -82,6 +82,7 @@ def smallest_map(features: int) -> VisualMap:
         tick_s=0.1,
         odometry=True,
         scene=np.ones(3),
+        goals=("victim",),
     )
 
 

@@ -60,20 +60,25 @@ def test_recognition_and_policy_have_their_model_from_the_start(
     monkeypatch.chdir(tmp_path)
     model, mapped = save_model(tmp_path / "corridor.smal"), corridor.save_model(tmp_path / "mapped.smal")
     paper = ("--model", str(model), "--scheme", "paper")
-    assert _chain_flags(None, "filter", None) == ((), None)
-    assert _chain_flags(Path("corridor.smal"), "paper", 2) == ((*paper, "--stride", "2"), FEATURES)
-    assert _chain_flags(Path("corridor.smal"), "paper", None) == (paper, FEATURES)
+    assert _chain_flags(None, "filter", None, None) == ((), None)
+    assert _chain_flags(Path("corridor.smal"), "paper", 2, None) == ((*paper, "--stride", "2"), FEATURES)
+    assert _chain_flags(Path("corridor.smal"), "paper", None, None) == (paper, FEATURES)
     own = ("--model", str(mapped), "--scheme", "filter")
-    assert _chain_flags(Path("mapped.smal"), "filter", None) == (own, corridor.FEATURES)
-    for path, scheme, stride, line in (
-        (None, "paper", 2, "needs --model"),
-        (tmp_path / "none", "filter", None, "No such file"),
-        (model, "paper", LENGTH + 1, f"stride must be 1 to the sequence length {LENGTH}, got {LENGTH + 1}"),
-        (model, "filter", None, "the model has no map of views"),
-        (mapped, "filter", 2, "only the paper's scheme has a stride"),
+    assert _chain_flags(Path("mapped.smal"), "filter", None, None) == (own, corridor.FEATURES)
+    named = _chain_flags(Path("mapped.smal"), "filter", None, "victim")
+    assert named == ((*own, "--goal", "victim"), corridor.FEATURES)
+    for path, scheme, stride, goal, line in (
+        (None, "paper", 2, None, "--stride 2: needs --model"),
+        (None, "filter", None, "office", "--goal office: needs --model"),
+        (tmp_path / "none", "filter", None, None, "No such file"),
+        (mapped, "filter", None, "office", "the model has no goal 'office'; it has victim"),
+        (model, "paper", None, "victim", "goal 'victim': the paper's scheme goes to the nearest goal"),
+        (model, "paper", LENGTH + 1, None, f"stride must be 1 to the sequence length {LENGTH}, got {LENGTH + 1}"),
+        (model, "filter", None, None, "the model has no map of views"),
+        (mapped, "filter", 2, None, "only the paper's scheme has a stride"),
     ):
         with pytest.raises(UsageError, match=line):
-            _chain_flags(path, scheme, stride)
+            _chain_flags(path, scheme, stride, goal)
 
 
 @pytest.mark.parametrize("command", ["run", "up"])

@@ -26,7 +26,7 @@ drive = partial(drive_with, features=FEATURES)
 @pytest.fixture(autouse=True)
 def _without_map(monkeypatch: pytest.MonkeyPatch) -> None:
     """Leave out the map of views, which takes seconds with these features; ``test_learn`` has it."""
-    monkeypatch.setattr("smal.learning.learn_visual_map", lambda *_: None)
+    monkeypatch.setattr("smal.learning._map_views", lambda *_: None)
 
 
 @pytest.fixture

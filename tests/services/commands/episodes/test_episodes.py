@@ -10,9 +10,9 @@ import pytest
 
 from schemas.action import Action
 from schemas.base import Message
-from schemas.episode import Episode
+from schemas.episode import Episode, Outcome
 from schemas.rpc import EndRequest, LoadReply, LoadRequest, ResetReply, ResetRequest
-from services.commands.episodes.client import EpisodeClient, EpisodeRecord, check_world_of
+from services.commands.episodes.client import EpisodeClient, EpisodeRecord, RunOutcome, check_world_of
 from services.commands.errors import JobError, UsageError
 from services.commands.options import Camera, camera_of_own_stack
 from services.commands.run import CHAIN, _check_models, _run_all, summarise
@@ -32,6 +32,9 @@ CAUSE = Message(robot="rescuebot", episode="e", tick=0, stamp_ns=0)
 class FakeSimulator:
     """Begins an episode in the world "campus", with decisions of some kinds, and ends it at tick 4 when asked to."""
 
+    decisions = (("follow", 4), ("look_around", None), ("guess", 5), ("stop", 5), ("look_around", None))
+    outcome: Outcome = "found"
+
     def __init__(self, node: Node) -> None:
         self._node = node
         self.ended: list[str] = []
@@ -39,17 +42,19 @@ class FakeSimulator:
         node.serve("end", EndRequest, self.end)
 
     def reset(self, _request: ResetRequest) -> ResetReply:
-        decisions = (("follow", 4), ("look_around", None), ("guess", 5), ("stop", 5), ("look_around", None))
-        for tick, (kind, state) in enumerate(decisions):
+        for tick, (kind, state) in enumerate(self.decisions):
             cause = CAUSE.model_copy(update={"tick": tick})
-            self._node.publish(Action.after(cause, kind=kind, state=state, atoms=("left",)))
+            atom = "stop" if kind == "goal" else "left"
+            self._node.publish(Action.after(cause, kind=kind, state=state, atoms=(atom,)))
         return ResetReply(episode="e", world="campus", route=((0.0, 0.0), (1.0, 0.0)), speed_m_s=2.0, found_m=5.0)
 
     def end(self, request: EndRequest) -> None:
         self.ended.append(request.episode)
         last = CAUSE.model_copy(update={"tick": 4})
         self._node.publish(
-            Episode.after(last, event="ended", purpose="run", driver="policy", world="campus", seed=3, outcome="found")
+            Episode.after(
+                last, event="ended", purpose="run", driver="policy", world="campus", seed=3, outcome=self.outcome
+            )
         )
 
 
@@ -73,6 +78,20 @@ def test_decisions_without_a_state_and_before_the_end_are_counted(
     assert list(record.decisions.values()) == ["follow", "look_around", "guess", "stop"]
     assert record.unknown == 1
     assert simulator.ended == ["e"]
+
+
+@pytest.mark.parametrize(("truth", "outcome"), [("found", "found"), ("aborted", "false_goal")])
+def test_a_robot_that_says_that_it_has_arrived_is_judged(
+    truth: Outcome, outcome: RunOutcome, simulator: FakeSimulator, settings: ServiceSettings
+) -> None:
+    simulator.decisions, simulator.outcome = (("follow", 4), ("goal", 9)), truth
+    client = EpisodeClient("test", settings)
+    client.node.bus.wait_connected(5.0)
+    try:
+        record = client.run(REQUEST)
+    finally:
+        client.close()
+    assert (record.outcome, record.arrived, simulator.ended) == (outcome, True, ["e"])
 
 
 def test_another_world_than_asked_for_is_an_error_and_its_episode_is_ended(
