@@ -87,7 +87,8 @@ class Belief:
     cosine : float
         Mean cosine of the last view with the views of these places.
     tracked : float
-        Way that the robot was followed for since the belief was last taken over by scouts, in the map's unit.
+        Way that the robot was followed for since the belief was last taken over by scouts, in the map's unit; a turn
+        counts as the way that changes the view as much.
     """
 
     keyframes: NDArray[np.intp]
@@ -292,7 +293,7 @@ class Filter:
             for particles in (self._tracked, self._scouts):
                 if particles is not None:
                     particles.move(movement, noise, newness, self._rng)
-            self._followed += abs(movement.ahead)
+            self._followed += newness * self._map.correlation_length / VIEWS_A_LENGTH
         self._waited_s += elapsed_s
         self._weigh(self._tracked, cosines, newness)
         # A robot that stands still has no evidence to set against it.

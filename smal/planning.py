@@ -167,10 +167,13 @@ class Planner:
         error = math.atan2(mean.imag, mean.real)
         here = (left_to_go < 0.5 * self._map.speed * self._map.tick_s) & self._leads[belief.keyframes]
         arrived = float(belief.weights @ here) * (1.0 - belief.lost)
-        # What a single view says may be another place: arrived is who was followed there.
-        self.done = self.done or (arrived > _SURE and belief.tracked > self._map.correlation_length / 2.0)
+        # What a few views say may be another place: arrived is who was followed there, and if need be looks around.
+        confirmed = belief.tracked > self._map.correlation_length
+        self.done = self.done or (arrived > _SURE and confirmed)
         if self.done:
             return Decision("goal", Atom.STOP, error)
+        if arrived > _SURE:
+            return Decision("look_around", self._look(error, elapsed_s), error)
         no_way, lost = float(with_way.sum()) < 0.5, belief.lost > 0.5
         if not (no_way or lost or abs(mean) < math.cos(math.radians(WIDE_DEG))):
             self._looked_rad = self._guessed_s = 0.0
