@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -40,6 +41,73 @@ class Place:
     probability: float
 
 
+class Localiser:
+    """Follows a robot from frame to frame by its features, and by its odometry or what its atoms usually do.
+
+    Parameters
+    ----------
+    model : Model
+        With a map of views.
+    seed : int
+        Of the filter's noise.
+
+    Attributes
+    ----------
+    features : FeatureSettings
+        Of the map.
+
+    Raises
+    ------
+    ValueError
+        The model has no map of views.
+    """
+
+    def __init__(self, model: Model, seed: int = 0) -> None:
+        self._map = model.mapped
+        of_images = model.centering.of_images()
+        assert of_images is not None  # or there would be no map
+        self.features = of_images.settings
+        self._filter = Filter(self._map, of_images, seed)
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget everything, for a new episode."""
+        self._filter.reset()
+        self._pose: Sequence[float] | None = None
+
+    def observe(
+        self,
+        raw_features: NDArray[Any],
+        odometry: Sequence[float] | None = None,
+        atom: Atom | None = None,
+        elapsed_s: float | None = None,
+    ) -> Belief:
+        """Take one frame.
+
+        Parameters
+        ----------
+        raw_features : array (m,)
+            From `smal.features.extract`.
+        odometry : (x, y, heading in radians), optional
+            Pose by the wheels at the frame. A frame without it, and without an atom, says nothing of the movement: the
+            next pose does.
+        atom : Atom, optional
+            Made since the frame before; counts where there is no odometry.
+        elapsed_s : float, optional
+            Time since the frame before; a taught tick if not given.
+        """
+        movement, noise = STILL, BY_ATOMS
+        if odometry is not None and self._pose is not None:
+            movement, noise = Movement.between(self._pose, odometry), BY_ODOMETRY
+        elif odometry is None and atom is not None:
+            ticks = 1.0 if elapsed_s is None else elapsed_s / self._map.tick_s
+            ahead, turn = self._map.movements[atom] * ticks
+            movement = Movement(float(ahead), float(turn))
+        if odometry is not None or atom is not None:
+            self._pose = odometry
+        return self._filter.observe(raw_features, movement, elapsed_s, noise)
+
+
 class Robot:
     """Finds the goal: takes an image, gives the atom to make until the next one.
 
@@ -69,18 +137,14 @@ class Robot:
 
     def __init__(self, model: Model, goal: str | None = None, seed: int = 0) -> None:
         self._map = model.mapped
-        of_images = model.centering.of_images()
-        assert of_images is not None  # or there would be no map
-        self._features = of_images.settings
-        self._filter = Filter(self._map, of_images, seed)
+        self._localiser = Localiser(model, seed)
         self._planner = Planner(self._map, goal)
         self.reset()
 
     def reset(self) -> None:
         """Forget everything, for a new episode."""
-        self._filter.reset()
+        self._localiser.reset()
         self._planner.reset()
-        self._pose: Sequence[float] | None = None
         self._atom = Atom.STOP
 
     def step(
@@ -102,15 +166,8 @@ class Robot:
         Atom
             To make until the next image.
         """
-        elapsed_s = self._map.tick_s if elapsed_s is None else elapsed_s
-        if odometry is None or self._pose is None:
-            ahead, turn = self._map.movements[self._atom] * (elapsed_s / self._map.tick_s)
-            movement = Movement(float(ahead), float(turn)) if odometry is None else STILL
-        else:
-            movement = Movement.between(self._pose, odometry)
-        self._pose = odometry
-        noise = BY_ATOMS if odometry is None else BY_ODOMETRY
-        self.belief = self._filter.observe(extract(image, self._features), movement, elapsed_s, noise)
+        raw = extract(image, self._localiser.features)
+        self.belief = self._localiser.observe(raw, odometry, self._atom, elapsed_s)
         self.decision = self._planner.decide(self.belief, elapsed_s)
         self._atom = self.decision.atom
         return self._atom

@@ -183,9 +183,9 @@ class VisualMap:
     def outlier_of(self, cosines: NDArray[np.float32]) -> float:
         """Return the cosine from which on a frame shows a place rather than none of the map.
 
-        That is how alike it is to the places that look unlike the one that it is most alike to, and a standard
-        deviation more. So it adapts to what makes all cosines small: noise, darkness, another season. Where all places
-        look alike it is `outlier_cosine`.
+        That is how alike it is to the places that look unlike the one that it is most alike to. So it adapts to what
+        makes all cosines small: noise, darkness, another season; and a view that shows nothing says nothing. Where all
+        places look alike it is `outlier_cosine`.
 
         Parameters
         ----------
@@ -194,7 +194,7 @@ class VisualMap:
         """
         best = cosines.reshape(len(cosines), -1).max(axis=1)
         others = best[self.unlike[best.argmax()]]
-        return float(others.max()) + 1.0 / self.kappa if others.size else self.outlier_cosine
+        return float(others.max()) if others.size else self.outlier_cosine
 
     @cached_property
     def key_poses(self) -> NDArray[np.float64]:

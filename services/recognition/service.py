@@ -12,10 +12,9 @@ from schemas.state import MAX_PLACES, Place, State
 from services.model_service import LoadedModel
 from services.process import Detail, ServiceError
 from smal.features import select
-from smal.filter import BY_ATOMS, BY_ODOMETRY, Belief, Filter
-from smal.model import Model
-from smal.movement import STILL, Movement
+from smal.filter import Belief
 from smal.recognition import Recognizer
+from smal.robot import Localiser
 
 #: Odometry that is kept until the observation of its frame comes, frames.
 _KEPT: Final = 100
@@ -106,31 +105,21 @@ class RecognitionService:
 
 class _ByFilter:
     def __init__(self, loaded: LoadedModel) -> None:
-        model: Model = loaded.model
-        of_images = model.centering.of_images()
-        assert of_images is not None  # noqa: S101 - or there would be no map
-        self._held, self._wanted = model.feature_settings, of_images.settings
-        self._identity = loaded.identity
-        self._filter = Filter(model.mapped, of_images)
+        self._held, self._identity = loaded.model.feature_settings, loaded.identity
+        self._localiser = Localiser(loaded.model)
         self.reset()
 
     def reset(self) -> None:
-        self._filter.reset()
-        self._pose: Pose | None = None
+        self._localiser.reset()
         self._stamp_ns: int | None = None
 
     def observe(self, observation: Observation, odometry: Pose | None, *, behind: bool) -> State | None:
         if behind:
             return None
         elapsed_s = None if self._stamp_ns is None else max(observation.stamp_ns - self._stamp_ns, 0) / 1e9
-        if odometry is None or self._pose is None:
-            # Of a frame without odometry nothing is known; the next one's says how far the robot went in between.
-            movement, noise = STILL, BY_ATOMS
-        else:
-            movement, noise = Movement.between(self._pose, odometry), BY_ODOMETRY
-        raw = select(observation.features.to_numpy(), self._held, self._wanted)
-        belief = self._filter.observe(raw, movement, elapsed_s, noise)
-        self._pose, self._stamp_ns = odometry or self._pose, observation.stamp_ns
+        raw = select(observation.features.to_numpy(), self._held, self._localiser.features)
+        belief = self._localiser.observe(raw, odometry, elapsed_s=elapsed_s)
+        self._stamp_ns = observation.stamp_ns
         return self._state(observation, belief.summary(MAX_PLACES))
 
     def _state(self, observation: Observation, belief: Belief) -> State:

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final, Protocol
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -17,20 +18,30 @@ from smal.decision import DecisionMaker
 from smal.evaluation.baselines.behaviour_cloning import ClonedBehaviour
 from smal.evaluation.baselines.nearest_neighbour_imitation import NearestNeighbourImitation
 from smal.evaluation.baselines.seqslam_localisation import SeqSlamLocaliser
+from smal.evaluation.baselines.teach_and_repeat import TaughtDrive, TeachAndRepeat
 from smal.evaluation.baselines.thumbnails import thumbnail
 from smal.features import FeatureSettings
-from smal.filter import BY_ATOMS, BY_ODOMETRY, Filter
 from smal.model import Model
-from smal.movement import STILL, Movement
 from smal.place_recognition.seqslam import SeqSlamSettings
 from smal.planning import Planner
 from smal.recognition import Recognizer
+from smal.robot import Localiser
 
 #: The paper's trajectories of 10 frames. Its neighbourhood of 10 frames is too small for ten frames a second, in which
 #: neighbours hardly differ, and what is enhanced is noise: on drives of the indoor world the place was off by more than
 #: 2.5 m in one of ten frames, with 40 frames by 0.13 m. On the campus it collides whatever the settings: neighbourhoods
 #: of 10 to 160 frames, trajectories of 5 to 40, velocities of 0.5 to 2 (three searches each).
 SEQSLAM: Final = SeqSlamSettings(length=10, window=40)
+
+
+@dataclass(frozen=True)
+class Place:
+    """A pose as seen from a taught frame, counted over all drives: metres ahead and left, radians to the left."""
+
+    frame: int
+    ahead_m: float
+    left_m: float
+    turned_rad: float
 
 
 @dataclass(frozen=True)
@@ -48,12 +59,15 @@ class Move:
         Whether that decision knew where the robot is.
     arrived
         Whether the robot says that it is at the goal, which ends the search.
+    place
+        Where it most likely believes to be, if it says so.
     """
 
     atom: Atom
     decision: str | None = None
     recognised: bool = True
     arrived: bool = False
+    place: Place | None = None
 
 
 class Controller(Protocol):
@@ -94,36 +108,30 @@ class FilterController:
     """
 
     def __init__(self, model: Model) -> None:
-        of_images = model.centering.of_images()
-        assert of_images is not None  # noqa: S101 - or there would be no map
-        self._features = of_images.settings
-        self._filter, self._planner = Filter(model.mapped, of_images), Planner(model.mapped)
-        self.reset()
+        self._map = model.mapped
+        self._localiser, self._planner = Localiser(model), Planner(model.mapped)
 
     @property
     def features(self) -> FeatureSettings:
         """Those of the map."""
-        return self._features
+        return self._localiser.features
 
     def reset(self) -> None:
         """Forget the belief, and what was being done."""
-        self._filter.reset()
+        self._localiser.reset()
         self._planner.reset()
-        self._pose: Pose | None = None
 
     def act(
         self, tick: int, image: NDArray[np.uint8], raw_features: NDArray[np.float32] | None, odometry: Pose
     ) -> Move:
         """Decide at every frame."""
         assert raw_features is not None  # noqa: S101 - it asks for them
-        movement, noise = STILL, BY_ATOMS
-        if self._pose is not None:
-            movement, noise = Movement.between(self._pose, odometry), BY_ODOMETRY
-        self._pose = odometry
         # The policy hears of so many places and no more.
-        belief = self._filter.observe(raw_features, movement, noise=noise).summary(MAX_PLACES)
+        belief = self._localiser.observe(raw_features, odometry).summary(MAX_PLACES)
         decision = self._planner.decide(belief)
-        return Move(decision.atom, decision.kind, belief.lost <= 0.5, self._planner.done)
+        ahead, left, turned = belief.offsets[0].tolist()
+        place = Place(int(self._map.keyframes[belief.keyframes[0]]), ahead, left, turned)
+        return Move(decision.atom, decision.kind, belief.lost <= 0.5, self._planner.done, place)
 
 
 class PaperController:
@@ -194,6 +202,44 @@ class ImitationController:
         """Imitate the nearest frame."""
         assert raw_features is not None  # noqa: S101 - it asks for them
         return Move(self._imitation.act(raw_features))
+
+
+class TeachAndRepeatController:
+    """Teach and repeat (Dall'Osto et al. 2021): the place by the wheels, corrected by the shift of the image.
+
+    Parameters
+    ----------
+    drives
+        With images.
+    field_of_view_rad
+        Of the camera, horizontal.
+    """
+
+    features: FeatureSettings | None = None
+
+    def __init__(self, drives: Sequence[Drive], field_of_view_rad: float) -> None:
+        taught = []
+        for one in drives:
+            images, odometry = one.demonstration.images, one.demonstration.odometry
+            if images is None or odometry is None:
+                raise ValueError(f"demonstration {one.demonstration.name} has no images or no odometry")
+            grey = np.stack([_grey(image) for image in images])
+            taught.append(TaughtDrive(grey, odometry, one.demonstration.atoms, field_of_view_rad))
+        self._robot = TeachAndRepeat(taught)
+
+    def reset(self) -> None:
+        """Forget the episode."""
+        self._robot.reset()
+
+    def act(
+        self, tick: int, image: NDArray[np.uint8], raw_features: NDArray[np.float32] | None, odometry: Pose
+    ) -> Move:
+        """Repeat."""
+        return Move(self._robot.act(_grey(image), odometry))
+
+
+def _grey(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    return np.asarray(cv2.cvtColor(image, cv2.COLOR_RGB2GRAY), dtype=np.uint8)
 
 
 class CloningController:
