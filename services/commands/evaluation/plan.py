@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import hashlib
 import json
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass
+from pathlib import Path
 from typing import Final, Literal
 
+from schemas.rpc import Start
 from services.commands.evaluation.degradation import degradation_named
+from services.simulator.variation import variation_named
 from smal.learning import LearningSettings
 
 #: Sequences have this length by default; the filter has none.
@@ -31,8 +34,18 @@ class Criterion:
 
 #: Frames from one that is to be recognised to the next: ten frames a second show nearly the same.
 JUDGED_TICKS: Final = 4
-#: How SMAL decides: name, and one line for people.
-SCHEMES: Final = {"paper": "the paper: a decision every l frames", "smal": "default: the filter, at every frame"}
+#: Who searches, and how each decides, in a line for people. Peers have the same drives.
+CONTROLLERS: Final = {
+    "smal": "the filter and the planner, at every frame",
+    "teach-and-repeat": "wheels, corrected by the shift of the image (Dall'Osto et al. 2021)",
+    "paper": "the paper: a decision every l frames",
+    "nearest-1": "does what was done at the most alike frame",
+    "nearest-5": "the same, of five frames in a row",
+    "seqslam": "goes on from where SeqSLAM says that it is",
+    "cloning": "a network from image to key",
+}
+#: Light and season other than those of the drives.
+VARIATIONS: Final = ("dark", "overcast", "evening", "other-day")
 
 
 @dataclass(frozen=True)
@@ -54,8 +67,57 @@ PEER_RECOGNISERS: Final = (
     Recogniser("nearest", 5),
     *(Recogniser("seqslam", length) for length in (10, 20, 40)),
 )
-#: Peers that search, beside SMAL and the paper's scheme with l = 1; the number is that of frames, if it matters.
-PEERS: Final = ("nearest-1", "nearest-5", "seqslam", "cloning")
+
+
+@dataclass(frozen=True)
+class Trial:
+    """Searches that differ in their seed alone.
+
+    Attributes
+    ----------
+    controller
+        Who drives, of `CONTROLLERS`.
+    drives
+        That are taught; no recoveries.
+    runs
+        How many searches.
+    length
+        l, for the paper's scheme.
+    degradation
+        Of what the robot sees.
+    variation
+        Light and season in which it searches.
+    start
+        Where it begins: about the world's start, or anywhere beside the way.
+    kidnap_tick
+        Frame at which it is carried to another place beside the way; 0 for never.
+    """
+
+    controller: str
+    drives: int
+    runs: int
+    length: int = DEFAULT_LENGTH
+    degradation: str = "clean"
+    variation: str = "day"
+    start: Start = "start"
+    kidnap_tick: int = 0
+
+    def __post_init__(self) -> None:
+        degradation_named(self.degradation)
+        variation_named(self.variation)
+        if self.controller not in CONTROLLERS:
+            raise ValueError(f"unknown controller {self.controller!r}; known are {', '.join(CONTROLLERS)}")
+        if self.drives < 1 or self.runs < 1:
+            raise ValueError(f"a trial needs at least one drive and one run, got {self.drives} and {self.runs}")
+
+    @property
+    def condition(self) -> str:
+        """What is special about it, in a few words."""
+        said = [self.variation] if self.variation != "day" else []
+        said += [self.degradation] if self.degradation != "clean" else []
+        said += ["from anywhere"] if self.start == "anywhere" else []
+        said += ["kidnapped"] if self.kidnap_tick else []
+        return ", ".join(said) or "as taught"
 
 
 @dataclass(frozen=True)
@@ -66,55 +128,55 @@ class WorldPlan:
     ----------
     world
         Its name.
-    drives, recoveries
-        That are learned from.
     criteria
-        Of right recognition; the first one is that of the figures.
+        Of right recognition, and of a right belief; the first one is that of the figures.
+    drives
+        That recognition is learned from.
     queries
         Held-out drives whose frames are to be recognised, every `JUDGED_TICKS`.
     lengths
         l for precision and recall.
     recognised
         Degradations of the queries.
-    search_lengths
-        l of the success rates of the paper's scheme; none for no searches of it.
-    searched
-        For every scheme the degradations under which it searches.
-    runs
-        Searches of every driver, length and degradation.
-    peers
-        Degradations under which the peers search.
+    trials
+        Searches.
     template_frames
         At most so many template frames for Algorithm 2, whose time grows with their cube.
     """
 
     world: str
-    drives: int
-    recoveries: int
     criteria: tuple[Criterion, ...]
-    queries: int
-    lengths: tuple[int, ...]
-    recognised: tuple[str, ...]
-    search_lengths: tuple[int, ...] = ()
-    searched: dict[str, tuple[str, ...]] = field(default_factory=dict)
-    runs: int = 0
-    peers: tuple[str, ...] = ()
+    drives: int = 1
+    queries: int = 0
+    lengths: tuple[int, ...] = (DEFAULT_LENGTH,)
+    recognised: tuple[str, ...] = ()
+    trials: tuple[Trial, ...] = ()
     template_frames: int = 1000
 
     def __post_init__(self) -> None:
-        for name in {*self.recognised, *self.peers, *(each for names in self.searched.values() for each in names)}:
+        for name in self.recognised:
             degradation_named(name)
-        unknown = [name for name in self.searched if name not in SCHEMES]
-        if unknown:
-            raise ValueError(f"unknown scheme {unknown[0]!r}; known are {', '.join(SCHEMES)}")
         if self.drives < 1 or not self.criteria:
             raise ValueError(f"{self.world}: a plan needs at least one drive and one criterion")
 
     @property
-    def all_lengths(self) -> tuple[int, ...]:
-        """Lengths for which a model is learned."""
-        needed = {*self.lengths, *self.search_lengths, DEFAULT_LENGTH}
-        return tuple(sorted(needed | ({1} if self.peers else set())))
+    def title(self) -> str:
+        """Its name, also where the world is a file."""
+        return Path(self.world).stem
+
+    @property
+    def all_drives(self) -> int:
+        """How many drives are made."""
+        recognition = [self.drives] if self.queries else []
+        return max([*recognition, *(trial.drives for trial in self.trials)], default=0)
+
+    @property
+    def models(self) -> tuple[tuple[int, int], ...]:
+        """Numbers of drives, and lengths, for which a model is learned."""
+        needed = {(trial.drives, trial.length) for trial in self.trials if trial.controller in {"smal", "paper"}}
+        if self.queries:
+            needed |= {(self.drives, length) for length in (*self.lengths, DEFAULT_LENGTH)}
+        return tuple(sorted(needed))
 
     @property
     def first_judged_tick(self) -> int:
@@ -137,8 +199,8 @@ class Plan:
         "quick" or "full".
     worlds
         What is done in each.
-    max_ticks
-        Frames after which a search times out.
+    patience
+        A search times out after so many times the frames of the longest drive that was taught.
     camera
         Size of the image, pixels.
     omitted
@@ -147,55 +209,85 @@ class Plan:
 
     name: str
     worlds: tuple[WorldPlan, ...]
-    max_ticks: int = 3000
+    patience: float = 3.0
     camera: tuple[int, int] = (320, 240)
     omitted: tuple[str, ...] = ()
-
-    def teaching(self, world: WorldPlan) -> str:
-        """Return a fingerprint of what is learned from in a world."""
-        taught = [world.world, world.drives, world.recoveries, TEACHING_SEED, self.camera]
-        return hashlib.sha256(json.dumps(taught).encode()).hexdigest()[:12]
 
     @property
     def fingerprint(self) -> str:
         """Fingerprint of the whole plan, and of what all plans have in common."""
-        everything = [asdict(self), SCHEMES, [asdict(one) for one in PEER_RECOGNISERS], PEERS, JUDGED_TICKS]
+        everything = [asdict(self), CONTROLLERS, [asdict(one) for one in PEER_RECOGNISERS], JUDGED_TICKS]
         return hashlib.sha256(json.dumps(everything, sort_keys=True).encode()).hexdigest()[:12]
 
 
 _INDOOR: Final = (Criterion(0.35, 25.0), Criterion(0.2, 15.0))
-_CAMPUS: Final = (Criterion(3.0, 25.0), Criterion(1.5, 15.0))
-_LENGTHS: Final = (1, 5, 10, 20, 40)
+_OUTDOOR: Final = (Criterion(3.0, 25.0), Criterion(1.5, 15.0))
 #: All that a camera suffers at once: hidden frames, noise, shake.
 _BOTH: Final = ("clean", "poor")
+#: Frame at which robots are carried away: a good way from the start, and far from the goal.
+_KIDNAP: Final = 100
+
+
+def _conditions(controller: str, runs: int) -> tuple[Trial, ...]:
+    """Return searches after one drive, under every condition."""
+    return (
+        Trial(controller, 1, runs, start="anywhere"),
+        Trial(controller, 1, runs, kidnap_tick=_KIDNAP),
+        Trial(controller, 1, runs, degradation="poor"),
+        *(Trial(controller, 1, runs, variation=name) for name in VARIATIONS),
+    )
+
+
+def _trials(counts: tuple[int, ...], runs: int, others: int, lengths: tuple[int, ...]) -> tuple[Trial, ...]:
+    """Return searches of all controllers after each number of drives, of the best two under every condition too.
+
+    The paper's scheme has them after the most drives, over its lengths and with a poor camera as well; it and the peers
+    that imitate have `others` runs.
+    """
+    best = ("smal", "teach-and-repeat")
+    return tuple(dict.fromkeys([
+        *(Trial(name, drives, runs) for drives in counts for name in best),
+        *(Trial(name, drives, others) for drives in counts for name in CONTROLLERS if name not in best),
+        *(trial for name in best for trial in _conditions(name, runs)),
+        *(Trial("paper", max(counts), others, length, view) for length in lengths for view in _BOTH),
+    ]))  # fmt: skip
+
 
 FULL: Final = Plan(
     "full",
     tuple(
         WorldPlan(
-            world, drives, recoveries, criteria, queries=5, lengths=_LENGTHS, recognised=("clean", "occluded", "poor"),
-            search_lengths=_LENGTHS, searched=dict.fromkeys(SCHEMES, _BOTH), runs=10, peers=_BOTH, template_frames=3000,
+            world, criteria, drives=4, queries=3, lengths=(1, 5, 10, 20, 40), recognised=("clean", "occluded", "poor"),
+            trials=_trials((1, 2, 4, 12), 10, 5, (1, 5, 20)), template_frames=2000,
         )
-        for world, drives, recoveries, criteria in (("indoor", 12, 60, _INDOOR), ("campus", 6, 30, _CAMPUS))
+        for world, criteria in (("indoor", _INDOOR), ("campus", _OUTDOOR))
     ),
-    max_ticks=1500,
 )  # fmt: skip
 
 QUICK: Final = Plan(
     "quick",
     (
         WorldPlan(
-            "indoor", 6, 18, _INDOOR, queries=1, lengths=(1, 5, 20), recognised=_BOTH,
-            search_lengths=(1, 5, 20), searched=dict.fromkeys(SCHEMES, _BOTH), runs=3, peers=_BOTH,
+            "indoor", _INDOOR, drives=2, queries=1, lengths=(1, 5, 20), recognised=_BOTH,
+            trials=_trials((1, 2), 3, 3, (1, 5)),
         ),
-        WorldPlan("campus", 3, 0, _CAMPUS, queries=1, lengths=(1, 5, 20), recognised=_BOTH),
     ),
-    max_ticks=800,
     omitted=(
-        "lengths of 10 and 40 frames",
-        "searches on the campus",
-        "most of the runs (3 instead of 10) and of the drives, so that intervals are wide",
-        "searches longer than 800 frames",
+        "the campus",
+        "4 and 12 drives",
+        "lengths of 10 and 40 frames, and searches with 20",
+        "most of the runs (3 instead of 5 and 10), so that intervals are wide",
     ),
 )  # fmt: skip
 PLANS: Final = {plan.name: plan for plan in (QUICK, FULL)}
+
+
+def in_world(world: str, aside_m: float) -> Plan:
+    """Return the plan for a world of one's own: SMAL and teach and repeat after one drive, under every condition.
+
+    A belief is right within twice the distance at which searches begin beside the way.
+    """
+    best = ("smal", "teach-and-repeat")
+    trials = [one for name in best for one in (Trial(name, 1, 10), *_conditions(name, 10))]
+    criterion = Criterion(2.0 * aside_m, 25.0)
+    return Plan(f"in {world}", (WorldPlan(world, (criterion,), trials=tuple(trials)),))

@@ -89,7 +89,7 @@ def make_queries(workplace: Workplace, world: str, seed: int, degradations: tupl
 
 
 def recognise(
-    workplace: Workplace, world: str, teaching: str, recogniser: Recogniser, degradation: str, seed: int
+    workplace: Workplace, world: str, drives: int, recogniser: Recogniser, degradation: str, seed: int
 ) -> tuple[Matches, NDArray[np.float64]]:
     """Have a method recognise every `JUDGED_TICKS`-th frame of a held-out drive.
 
@@ -100,30 +100,30 @@ def recognise(
     poses : float64 array (q, 3)
         The true ones.
     """
-    matches, poses = _recognise_all(workplace, world, teaching, recogniser, degradation, seed)
+    matches, poses = _recognise_all(workplace, world, drives, recogniser, degradation, seed)
     judged = slice(JUDGED_TICKS - 1, None, JUDGED_TICKS)
     return Matches(matches.reference[judged], matches.score[judged]), poses[judged]
 
 
 def _recognise_all(
-    workplace: Workplace, world: str, teaching: str, recogniser: Recogniser, degradation: str, seed: int
+    workplace: Workplace, world: str, drives: int, recogniser: Recogniser, degradation: str, seed: int
 ) -> tuple[Matches, NDArray[np.float64]]:
     with np.load(workplace.folder / query_file(world, seed), allow_pickle=False) as held:
         poses = held["poses"]
         part = "thumbnails" if recogniser.name == "seqslam" else "features"
         views = held[f"{part}_{degradation}"]
     if recogniser.name == "smal":
-        model = workplace.model(world, teaching, recogniser.length)
-        if sum(map(len, model.atoms)) != len(workplace.poses(world, teaching)):
+        model = workplace.model(world, drives, recogniser.length)
+        if sum(map(len, model.atoms)) != len(workplace.poses(world, drives)):
             raise ValueError(f"the drives in {workplace.folder} are not those that the model was learned from")
         return recognise_states(model, views, JUDGED_TICKS), poses
-    drives = workplace.drives(world, teaching)
+    taught = workplace.drives(world, drives)
     if recogniser.name == "seqslam":
-        small = {one.demonstration.name: one.thumbnails for one in drives if one.thumbnails is not None}
+        small = {one.demonstration.name: one.thumbnails for one in taught if one.thumbnails is not None}
         localiser = SeqSlamLocaliser(small, tuple(small), replace(SEQSLAM, length=recogniser.length))
-        matches = _by_seqslam(localiser, [len(one.poses) for one in drives], views)
+        matches = _by_seqslam(localiser, [len(one.poses) for one in taught], views)
     else:
-        raw = [one.demonstration.features for one in drives]
+        raw = [one.demonstration.features for one in taught]
         centering = Centering.fit(raw, workplace.features)
         templates = [centering.apply(each) for each in raw]
         matches = Matches(*nearest_windows(templates, centering.apply(views), recogniser.length))

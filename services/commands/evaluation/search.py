@@ -14,8 +14,9 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from schemas.rpc import Start
 from services.commands.episodes.client import RunOutcome
-from services.commands.evaluation.controllers import Controller
+from services.commands.evaluation.controllers import Controller, Place
 from services.commands.evaluation.degradation import CLEAN, Degradation, Degrader
 from services.commands.evaluation.rules import advance, odometry_of, outcome_at
 from services.simulator.simulation import Simulation
@@ -45,6 +46,10 @@ class Search:
         (ticks + 1, 3) float64: x, y in metres, heading in radians.
     atoms
         (ticks,) int8, what was done from each frame to the next, `smal.action_space.Atom`.
+    places
+        Where the robot believed to be at every frame, for a controller that says so.
+    shortest_m
+        Of the way from the start to where the victim counts as found.
     pictures
         What the robot saw at chosen ticks, (height, width, 3) uint8 RGB.
     """
@@ -56,6 +61,8 @@ class Search:
     unrecognised: frozenset[int]
     poses: NDArray[np.float64]
     atoms: NDArray[np.int8]
+    shortest_m: float
+    places: tuple[Place | None, ...] = ()
     pictures: dict[int, NDArray[np.uint8]] = field(default_factory=dict)
 
     @property
@@ -70,6 +77,8 @@ def search(
     seed: int,
     *,
     degradation: Degradation = CLEAN,
+    start: Start = "start",
+    kidnap_tick: int = 0,
     max_ticks: int = MAX_TICKS,
     keep: Callable[[int], bool] = lambda _tick: False,
 ) -> Search:
@@ -85,18 +94,26 @@ def search(
         Of the start, the wheels and the shake, as in `smal run`; also of the degradation.
     degradation
         Of the images that the controller sees.
+    start
+        Where it begins, as in `smal run`.
+    kidnap_tick
+        Frame at which the robot is carried away; 0 for never.
     max_ticks
         Frames after which the search times out, at least 1.
     keep
         Of which ticks to keep the picture.
     """
     degrader = Degrader(degradation, seed)
-    simulation.reset(seed, "run")
+    simulation.reset(seed, "run", anywhere=start == "anywhere")
     controller.reset()
+    # The search ends where the victim counts as found.
+    way_m = float(np.hypot(*np.diff(simulation.route(), axis=0).T).sum())
+    shortest_m = max(way_m - simulation.found_m, 0.0)
     poses = [simulation.pose]
     atoms: list[int] = []
     decisions: dict[int, str] = {}
     unrecognised: set[int] = set()
+    places: list[Place | None] = []
     pictures: dict[int, NDArray[np.uint8]] = {}
     outcome: RunOutcome | None = None
     while outcome is None:
@@ -106,6 +123,7 @@ def search(
             pictures[tick] = image
         features = None if controller.features is None else extract(image, controller.features)
         move = controller.act(tick, image, features, odometry_of(simulation))
+        places.append(move.place)
         if move.decision is not None:
             decisions[tick] = move.decision
             if not move.recognised:
@@ -115,6 +133,8 @@ def search(
                 break
         advance(simulation, move.atom)
         atoms.append(move.atom)
+        if tick + 1 == kidnap_tick:
+            simulation.carry_away()
         poses.append(simulation.pose)
         outcome = outcome_at(simulation, tick + 1, "run", max_ticks)
     last = len(atoms)
@@ -128,5 +148,7 @@ def search(
         frozenset(unrecognised),
         np.array([[pose.x, pose.y, pose.heading] for pose in poses]),
         np.array(atoms, dtype=np.int8),
+        shortest_m,
+        tuple(places),
         pictures,
     )

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import KDTree
 
 from services.commands.evaluation.controllers import (
     CloningController,
@@ -15,12 +17,16 @@ from services.commands.evaluation.controllers import (
     FilterController,
     ImitationController,
     PaperController,
+    Place,
     SeqSlamController,
+    TeachAndRepeatController,
 )
 from services.commands.evaluation.degradation import degradation_named
+from services.commands.evaluation.plan import Criterion, Trial
 from services.commands.evaluation.search import Search, search
 from services.commands.evaluation.workplace import Workplace, replace_file
 from services.jpeg import encode_jpeg
+from services.simulator.drive import TICK_S
 from smal.evaluation.baselines.behaviour_cloning import ClonedBehaviour, CloningSettings, clone
 
 #: Frames from one kept picture of an example route to the next, and of one kept position of any way.
@@ -34,56 +40,60 @@ class Drivers:
 
     def __init__(self, workplace: Workplace) -> None:
         self._workplace = workplace
-        self.driver = lru_cache(maxsize=2)(self._driver)
+        self._made = lru_cache(maxsize=2)(self._make)
         self._cloned = lru_cache(maxsize=CLONES)(self._clone)
 
-    def of_search(self, world: str, teaching: str, name: str, length: int, seed: int) -> Controller:
+    def of_search(self, world: str, trial: Trial, seed: int) -> Controller:
         """Return who drives in a search; of cloning's networks another for every seed, in turn."""
-        if name == "cloning":
-            return CloningController(self._cloned(world, teaching, seed % CLONES))
-        return self.driver(world, teaching, name, length)
+        if trial.controller == "cloning":
+            return CloningController(self._cloned(world, trial.drives, seed % CLONES))
+        return self._made(world, trial.controller, trial.drives, trial.length)
 
-    def _driver(self, world: str, teaching: str, name: str, length: int) -> Controller:
-        if name.startswith("nearest-"):
-            return ImitationController(
-                self._workplace.drives(world, teaching), self._workplace.features, int(name.removeprefix("nearest-"))
-            )
+    def _make(self, world: str, name: str, drives: int, length: int) -> Controller:
+        if name in {"smal", "paper"}:
+            model = self._workplace.model(world, drives, length)
+            return FilterController(model) if name == "smal" else PaperController(model)
+        taught = self._workplace.drives(world, drives)
         if name == "seqslam":
-            return SeqSlamController(self._workplace.drives(world, teaching))
-        model = self._workplace.model(world, teaching, length)
-        return FilterController(model) if name == "smal" else PaperController(model)
+            return SeqSlamController(taught)
+        if name == "teach-and-repeat":
+            return TeachAndRepeatController(taught, self._workplace.field_of_view_rad)
+        return ImitationController(taught, self._workplace.features, int(name.removeprefix("nearest-")))
 
-    def _clone(self, world: str, teaching: str, seed: int) -> ClonedBehaviour:
-        drives = self._workplace.drives(world, teaching)
-        images = [one.thumbnails for one in drives if one.thumbnails is not None]
-        return clone(images, [one.demonstration.atoms for one in drives], CloningSettings(seed=seed))[0]
+    def _clone(self, world: str, drives: int, seed: int) -> ClonedBehaviour:
+        taught = self._workplace.drives(world, drives)
+        images = [one.thumbnails for one in taught if one.thumbnails is not None]
+        return clone(images, [one.demonstration.atoms for one in taught], CloningSettings(seed=seed))[0]
 
 
 def run_search(
     workplace: Workplace,
     drivers: Drivers,
-    *,
     world: str,
-    teaching: str,
-    controller: str,
-    length: int,
-    degradation: str,
+    trial: Trial,
     seed: int,
-    max_ticks: int,
+    criterion: Criterion,
+    patience: float,
 ) -> dict[str, Any]:
-    """Search once; of SMAL's with a clear view pictures are kept."""
-    how = degradation_named(degradation)
-    simulation = workplace.simulation(world, how.shake)
-    kept = (controller, degradation) == ("smal", "clean")
+    """Search once; of SMAL's after one drive and from the start, pictures are kept.
+
+    A belief is right that is as near to the truth as the criterion says; a search times out after `patience` times the
+    frames of the longest drive.
+    """
+    how = degradation_named(trial.degradation)
+    simulation = workplace.simulation(world, how.shake, trial.variation)
+    kept = (trial.controller, trial.drives, trial.condition) == ("smal", 1, "as taught")
     found = search(
         simulation,
-        drivers.of_search(world, teaching, controller, length, seed),
+        drivers.of_search(world, trial, seed),
         seed,
         degradation=how,
-        max_ticks=max_ticks,
+        start=trial.start,
+        kidnap_tick=trial.kidnap_tick,
+        max_ticks=round(patience * max(len(one.poses) for one in workplace.drives(world, trial.drives))),
         keep=(lambda tick: tick % PICTURE_TICKS == 0) if kept else lambda _tick: False,
     )
-    finding = _finding(found)
+    finding = _finding(found, workplace.poses(world, trial.drives), criterion, trial.kidnap_tick)
     if kept:
         name = route_file(world, seed)
         replace_file(workplace.folder / name, _route(found).items())
@@ -93,7 +103,7 @@ def run_search(
 
 def route_file(world: str, seed: int) -> str:
     """Name the file of an example route."""
-    return f"route-{world}-{seed}.npz"
+    return f"route-{Path(world).stem}-{seed}.npz"
 
 
 def read_route(path: Path) -> dict[str, NDArray[Any]]:
@@ -102,15 +112,55 @@ def read_route(path: Path) -> dict[str, NDArray[Any]]:
         return {name: held[name] for name in held.files}
 
 
-def _finding(found: Search) -> dict[str, Any]:
-    way = np.concatenate([found.poses[:-1:WAY_TICKS, :2], found.poses[-1:, :2]])
-    return {
+def _finding(found: Search, taught: NDArray[np.float64], criterion: Criterion, kidnap_tick: int) -> dict[str, Any]:
+    """Return what a search says, in numbers that JSON knows; `taught` are the true poses of all taught frames."""
+    positions = found.poses[:, :2]
+    aside_m = np.asarray(KDTree(taught[:, :2]).query(positions)[0], dtype=np.float64)
+    steps = np.hypot(*np.diff(positions, axis=0).T)
+    if 0 < kidnap_tick <= len(steps):
+        # It was carried, and did not drive.
+        steps[kidnap_tick - 1] = 0.0
+    said = {
         "outcome": found.outcome,
         "ticks": found.ticks,
         "decisions": len(found.decisions),
         "unknown": found.unknown,
-        "way": way.round(2).tolist(),
+        "shortest_m": round(found.shortest_m, 2),
+        "driven_m": round(float(steps.sum()), 2),
+        "aside_rms_m": round(float(np.sqrt(np.mean(aside_m**2))), 4),
+        "aside_max_m": round(float(aside_m.max()), 4),
+        "aside_m": aside_m[::WAY_TICKS].round(3).tolist(),
+        "way": np.concatenate([positions[:-1:WAY_TICKS], positions[-1:]]).round(2).tolist(),
     }
+    if any(place is not None for place in found.places):
+        right = np.array([_is_right(*pair, taught, criterion) for pair in zip(found.places, found.poses, strict=False)])
+        sure = ~np.isin(np.arange(right.size), list(found.unrecognised))
+        said["wrong_share"] = round(float((sure & ~right).mean()), 4)
+        if kidnap_tick:
+            said["right_after_s"] = _right_after_s((sure & right)[kidnap_tick:])
+    return said
+
+
+def _is_right(
+    place: Place | None, true: NDArray[np.float64], taught: NDArray[np.float64], criterion: Criterion
+) -> bool:
+    if place is None:
+        return False
+    x, y, heading = taught[place.frame]
+    cos, sin = np.cos(heading), np.sin(heading)
+    x, y = x + cos * place.ahead_m - sin * place.left_m, y + sin * place.ahead_m + cos * place.left_m
+    turned = abs(math.remainder(heading + place.turned_rad - true[2], math.tau))
+    near = math.hypot(x - true[0], y - true[1]) <= criterion.distance_m
+    return near and turned <= math.radians(criterion.angle_deg)
+
+
+def _right_after_s(right: NDArray[np.bool_]) -> float | None:
+    """Return the time after which the belief is right for a whole second, or to the end; None where it never is."""
+    second = round(1.0 / TICK_S)
+    for tick in range(right.size):
+        if right[tick : tick + second].all():
+            return round(tick * TICK_S, 1)
+    return None
 
 
 def _route(found: Search) -> dict[str, NDArray[Any]]:

@@ -9,9 +9,9 @@ from typing import Any
 
 import numpy as np
 
-from services.commands.evaluation.demonstrations import demonstrate, save_drives
+from services.commands.evaluation.demonstrations import drive, save_drives
 from services.commands.evaluation.objective_experiment import objectives
-from services.commands.evaluation.plan import DEFAULT_LENGTH, Plan, Recogniser
+from services.commands.evaluation.plan import DEFAULT_LENGTH, Plan, Recogniser, Trial
 from services.commands.evaluation.recognition_experiment import judged, make_queries, recognise
 from services.commands.evaluation.search_experiment import Drivers, run_search
 from services.commands.evaluation.units import Unit
@@ -49,23 +49,24 @@ class Work:
         return finding, time.process_time() - began_s
 
     def _teach(self, unit: Unit) -> dict[str, Any]:
-        simulation, features = self._place.simulation(unit.world, None), self._place.features
-        count, is_recovery = unit.number("count"), unit.text("purpose") == "recovery"
-        drives, recoveries = (0, count) if is_recovery else (count, 0)
-        kept = demonstrate(simulation, features, drives, recoveries, unit.number("seed"), thumbnails=True)
-        save_drives(self._place.folder / teach_file(unit), kept, features)
-        frames = sum(len(one.poses) for one in kept)
-        return {"drives": len(kept), "frames": frames, "files": [teach_file(unit)]}
+        simulation, features, seed = self._place.simulation(unit.world, None), self._place.features, unit.number("seed")
+        made = drive(simulation, features, seed, "drive", thumbnails=True)
+        if made is None:
+            raise ValueError(f"the expert's drive with seed {seed} in {unit.world} did not reach the victim")
+        name = teach_file(unit.world, seed)
+        save_drives(self._place.folder / name, [made], features)
+        return {"drives": 1, "frames": len(made.poses), "files": [name]}
 
     def _learn(self, unit: Unit) -> dict[str, Any]:
-        drives = self._place.drives(unit.world, unit.text("teaching"))
+        count = unit.number("drives")
+        drives = self._place.drives(unit.world, count)
         length = unit.number("length")
         # The paper's test for new states; and one map, which does not depend on l.
         settings = LearningSettings(
             features=self._place.features, sequence_length=length, novelty="weight", map_views=length == DEFAULT_LENGTH
         )
         model, report = learn([one.demonstration for one in drives], settings)
-        name = model_file(unit.world, unit.text("teaching"), length)
+        name = model_file(unit.world, count, length)
         model.save(self._place.folder / name)
         return {"frames": report.frames, "states": report.states, "shared": report.shared_states, "files": [name]}
 
@@ -75,27 +76,28 @@ class Work:
         return make_queries(self._place, unit.world, unit.number("seed"), degradations)
 
     def _recognise(self, unit: Unit) -> dict[str, Any]:
-        method, teaching = unit.text("method"), unit.text("teaching")
+        method, drives = unit.text("method"), unit.number("drives")
         recogniser = Recogniser(method, unit.number("length"))  # type: ignore[arg-type]  # of this plan
         degradation, seed = unit.text("degradation"), unit.number("seed")
-        matches, true = recognise(self._place, unit.world, teaching, recogniser, degradation, seed)
-        return judged(matches, self._place.poses(unit.world, teaching), true, self._worlds[unit.world].criteria)
+        matches, true = recognise(self._place, unit.world, drives, recogniser, degradation, seed)
+        return judged(matches, self._place.poses(unit.world, drives), true, self._worlds[unit.world].criteria)
 
     def _objective(self, unit: Unit) -> dict[str, Any]:
-        model = self._place.model(unit.world, unit.text("teaching"), unit.number("length"))
+        model = self._place.model(unit.world, unit.number("drives"), unit.number("length"))
         with np.load(self._place.folder / query_file(unit.world, unit.number("seed")), allow_pickle=False) as held:
             views = held["features_clean"]
         return objectives(model, views, unit.number("templates"))
 
     def _search(self, unit: Unit) -> dict[str, Any]:
-        return run_search(
-            self._place,
-            self._drivers,
-            world=unit.world,
-            teaching=unit.text("teaching"),
-            controller=unit.text("controller"),
-            length=unit.number("length"),
-            degradation=unit.text("degradation"),
-            seed=unit.number("seed"),
-            max_ticks=unit.number("max_ticks"),
+        trial = Trial(
+            unit.text("controller"),
+            unit.number("drives"),
+            1,
+            unit.number("length"),
+            unit.text("degradation"),
+            unit.text("variation"),
+            "anywhere" if unit["start"] == "anywhere" else "start",
+            unit.number("kidnap_tick"),
         )
+        (criterion, *_), patience = self._worlds[unit.world].criteria, float(unit["patience"])
+        return run_search(self._place, self._drivers, unit.world, trial, unit.number("seed"), criterion, patience)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable
 from functools import lru_cache
 from pathlib import Path
@@ -10,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from services.commands.evaluation.demonstrations import Drive, load_drives
-from services.commands.evaluation.units import Unit
+from services.commands.evaluation.plan import TEACHING_SEED
 from services.simulator.opening import open_simulation
 from services.simulator.sensors.camera import CameraSettings
 from services.simulator.simulation import Simulation
@@ -39,40 +40,39 @@ class Workplace:
         self.model = lru_cache(maxsize=2)(self._model)
         self.drives = lru_cache(maxsize=1)(self._drives)
 
-    def _simulation(self, world: str, shake: float | None) -> Simulation:
-        return open_simulation(world, self._camera, shake=shake)
+    @property
+    def field_of_view_rad(self) -> float:
+        """Of the camera, horizontal."""
+        return math.radians(self._camera.field_of_view_deg)
 
-    def _model(self, world: str, teaching: str, length: int) -> Model:
-        return Model.load(self.folder / model_file(world, teaching, length))
+    def _simulation(self, world: str, shake: float | None, variation: str = "day") -> Simulation:
+        return open_simulation(world, self._camera, shake=shake, variation=variation)
 
-    def _drives(self, world: str, teaching: str) -> tuple[Drive, ...]:
-        files = sorted(self.folder.glob(f"teach-{world}-{teaching}-*.npz"), key=_order)
+    def _model(self, world: str, drives: int, length: int) -> Model:
+        return Model.load(self.folder / model_file(world, drives, length))
+
+    def _drives(self, world: str, count: int) -> tuple[Drive, ...]:
+        files = [self.folder / teach_file(world, TEACHING_SEED + k) for k in range(count)]
         return tuple(one for path in files for one in load_drives(path, self.features))
 
-    def poses(self, world: str, teaching: str) -> NDArray[np.float64]:
+    def poses(self, world: str, drives: int) -> NDArray[np.float64]:
         """Return the true pose of every demonstrated frame, (n, 3)."""
-        return np.concatenate([one.poses for one in self.drives(world, teaching)])
+        return np.concatenate([one.poses for one in self.drives(world, drives)])
 
 
-def teach_file(unit: Unit) -> str:
-    """Name the file of the drives of a unit."""
-    return f"teach-{unit.world}-{unit['teaching']}-{unit['purpose']}-{unit['seed']}.npz"
+def teach_file(world: str, seed: int) -> str:
+    """Name the file of a drive."""
+    return f"teach-{Path(world).stem}-{seed}.npz"
 
 
-def _order(path: Path) -> tuple[bool, int]:
-    """Whole drives first, each kind by its seed, as `smal learn` would read them."""
-    purpose, seed = path.stem.split("-")[-2:]
-    return purpose != "drive", int(seed)
-
-
-def model_file(world: str, teaching: str, length: int) -> str:
+def model_file(world: str, drives: int, length: int) -> str:
     """Name the file of a model."""
-    return f"model-{world}-{teaching}-{length}.smal"
+    return f"model-{Path(world).stem}-{drives}-{length}.smal"
 
 
 def query_file(world: str, seed: int) -> str:
     """Name the file of a held-out drive."""
-    return f"queries-{world}-{seed}.npz"
+    return f"queries-{Path(world).stem}-{seed}.npz"
 
 
 def replace_file(path: Path, arrays: Iterable[tuple[str, NDArray[np.generic]]]) -> None:

@@ -3,21 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final, Literal
 
 import numpy as np
 from scipy.stats import binomtest
 
-from services.commands.evaluation.plan import DEFAULT_LENGTH
-from services.commands.evaluation.report.summary import (
-    PEERS_OF_DEFAULT,
-    Recognised,
-    Results,
-    Success,
-    controller_name,
-    success_of,
-)
+from services.commands.evaluation.plan import CONTROLLERS, DEFAULT_LENGTH, Trial
+from services.commands.evaluation.report.summary import Recognised, Results, Success, success_of
 
 _CERTAIN: Final = 0.05
 #: Frames from which on a sequence is a long one.
@@ -44,7 +37,7 @@ class Comparison:
 
 def comparisons(found: Results) -> list[Comparison]:
     """Return all that the report says of a world."""
-    name = found.world.world
+    name = found.world.title
     return [
         *compare_recognition(name, found.recognised[0]),
         *compare_searches(name, found.successes),
@@ -73,28 +66,28 @@ def compare_recognition(world: str, found: Sequence[Recognised]) -> list[Compari
 
 
 def compare_searches(world: str, found: Sequence[Success]) -> list[Comparison]:
-    """Compare success on the same seeds: SMAL against every peer, by the exact sign test."""
+    """Compare success on the same drives, seeds and conditions: SMAL against every other, by the exact sign test."""
     compared = []
     for ours in found:
-        if ours.controller != "smal":
+        if ours.trial.controller != "smal":
             continue
-        for controller, length in PEERS_OF_DEFAULT:
-            peer = success_of(found, controller, length, ours.degradation)
-            if peer is None:
+        for name in CONTROLLERS:
+            peer = success_of(found, replace(ours.trial, controller=name))
+            if peer is None or peer is ours:
                 continue
             verdict, chance = _sign_test(ours, peer)
+            drives = f"{ours.trial.drives} drive{'s' if ours.trial.drives > 1 else ''}"
             text = (
-                f"searches, {ours.degradation}: {ours.found} of {ours.runs} found by "
-                f"{controller_name(ours.controller, ours.length)} against {peer.found} of {peer.runs} by "
-                f"{controller_name(controller, length)}, {_said('SMAL', verdict)} (p = {chance:.2g})"
+                f"searches after {drives}, {ours.trial.condition}: {ours.found} of {ours.runs} found by {ours.name} "
+                f"against {peer.found} of {peer.runs} by {peer.name}, {_said('SMAL', verdict)} (p = {chance:.2g})"
             )
             compared.append(Comparison(world, verdict, text))
     return compared
 
 
 def _sign_test(ours: Success, peer: Success) -> tuple[Literal["ahead", "behind", "open"], float]:
-    seeds = ours.outcomes.keys() & peer.outcomes.keys()
-    pairs = [(ours.outcomes[seed] == "found", peer.outcomes[seed] == "found") for seed in seeds]
+    seeds = ours.findings.keys() & peer.findings.keys()
+    pairs = [tuple(one.findings[seed]["outcome"] == "found" for one in (ours, peer)) for seed in seeds]
     wins, losses = pairs.count((True, False)), pairs.count((False, True))
     if wins == losses:
         return "open", 1.0
@@ -111,15 +104,18 @@ def _said(ours: str, verdict: str) -> str:
 def long_sequences(world: str, found: Sequence[Success]) -> list[Comparison]:
     """Compare, for every degradation, the longest sequences of the paper's scheme with the best of the short ones."""
     said = []
-    paper = sorted((one for one in found if one.controller == "paper"), key=lambda one: one.length)
-    for degradation in dict.fromkeys(one.degradation for one in paper):
-        each = [one for one in paper if one.degradation == degradation]
-        short, long = ([one for one in each if (one.length >= _LONG) == is_long] for is_long in (False, True))
+    paper = [one for one in found if one.trial.controller == "paper"]
+    groups: dict[Trial, list[Success]] = {}
+    for one in paper:
+        groups.setdefault(replace(one.trial, length=1, runs=1), []).append(one)
+    for trial, group in groups.items():
+        each = sorted(group, key=lambda one: one.trial.length)
+        short, long = ([one for one in each if (one.trial.length >= _LONG) == is_long] for is_long in (False, True))
         if not short or not long:
             continue
         best = max(short, key=lambda one: one.rate)
-        counts = ", ".join(f"{one.found} of {one.runs} at l = {one.length}" for one in each)
-        text = f"lengths of the paper's scheme, {degradation}: {counts}; {_long_against_short(long, best)}"
+        counts = ", ".join(f"{one.found} of {one.runs} at l = {one.trial.length}" for one in each)
+        text = f"lengths of the paper's scheme, {trial.condition}: {counts}; {_long_against_short(long, best)}"
         said.append(Comparison(world, "counts", text))
     return said
 
@@ -127,9 +123,9 @@ def long_sequences(world: str, found: Sequence[Success]) -> list[Comparison]:
 def _long_against_short(long: Sequence[Success], best: Success) -> str:
     if not any(one.found for one in (*long, best)):
         return "no length finds the victim"
-    losing = [one.length for one in long if _sign_test(one, best)[0] == "behind"]
+    losing = [one.trial.length for one in long if _sign_test(one, best)[0] == "behind"]
     if losing:
-        return f"l = {', '.join(map(str, losing))} lose against l = {best.length}"
+        return f"l = {', '.join(map(str, losing))} lose against l = {best.trial.length}"
     if all(one.rate >= best.rate for one in long):
         return "long sequences are as good as the best short one"
-    return f"long sequences find it less often than l = {best.length}, which may be chance"
+    return f"long sequences find it less often than l = {best.trial.length}, which may be chance"

@@ -13,11 +13,19 @@ OURS, SINGLE = "#0b5fa5", "#d1495b"
 PEER_COLOURS: Final = {
     "nearest-1": "#8d99ae",
     "nearest-5": "#5c677d",
-    "seqslam": "#e09f3e",
-    "cloning": "#6a994e",
     "seqslam-10": "#f2cc8f",
     "seqslam-20": "#e09f3e",
     "seqslam-40": "#b5701a",
+}
+#: Of those who search.
+COLOURS: Final = {
+    "smal": OURS,
+    "teach-and-repeat": "#e09f3e",
+    "paper": SINGLE,
+    "nearest-1": "#8d99ae",
+    "nearest-5": "#5c677d",
+    "seqslam": "#b5701a",
+    "cloning": "#6a994e",
 }
 PALE: Final = "#9aa5b1"
 #: Of degradations, in their order.

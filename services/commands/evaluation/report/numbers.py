@@ -6,12 +6,13 @@ from collections.abc import Sequence
 from typing import Any
 
 from services.commands.evaluation.report.summary import Recognised, Results, Success
+from services.commands.evaluation.units import settings_of
 
 
 def as_json(found: Sequence[Results]) -> dict[str, Any]:
     """Return the numbers of all figures."""
     return {
-        one.world.world: {
+        one.world.title: {
             "recognition": [
                 _recognised_json(each, criterion.meaning)
                 for criterion, judged in zip(one.world.criteria, one.recognised, strict=True)
@@ -45,13 +46,17 @@ def _recognised_json(one: Recognised, criterion: str) -> dict[str, Any]:
 
 def _success_json(one: Success) -> dict[str, Any]:
     return {
-        "controller": one.controller,
-        "length": one.length,
-        "degradation": one.degradation,
+        **dict(settings_of(one.trial)),
+        "condition": one.trial.condition,
         "found": one.found,
         "runs": one.runs,
         "success_rate": one.rate,
         "wilson_95": list(one.wilson_95),
-        "median_ticks_found": one.median_ticks,
-        "outcomes": {str(seed): outcome for seed, outcome in one.outcomes.items()},
+        "spl": one.spl,
+        "aside_rms_m": one.aside_rms_m,
+        "aside_max_m": one.aside_max_m,
+        "interventions_per_km": one.interventions_per_km,
+        "wrong_share": one.wrong_share,
+        "right_within_3_s": one.right_within(3.0),
+        "outcomes": {str(seed): finding["outcome"] for seed, finding in one.findings.items()},
     }

@@ -12,7 +12,7 @@ from services.commands.evaluation.report.summary import Results
 
 def objective_section(found: Sequence[Results], put: EmbeddedFigures) -> Iterator[str]:
     """Write it as HTML, piece by piece; nothing where nobody measured it."""
-    each = {one.world.world: one.objective for one in found if one.objective is not None}
+    each = {one.world.title: one.objective for one in found if one.objective is not None}
     if not each:
         return
     yield "<h2>Objective value over iterations</h2>"

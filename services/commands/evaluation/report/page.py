@@ -64,11 +64,11 @@ def write_page(plan: Plan, units: Sequence[Unit], store: ResultStore) -> Path:
         )
     body += _summary(compared)
     for each in found:
-        body.append(f"<h2>{escape(each.world.world.capitalize())}</h2>")
+        body.append(f"<h2>{escape(each.world.title.capitalize())}</h2>")
         if each.recognised[0]:
             body += recognition_section(each, put)
         if each.successes:
-            body += search_section(each, plan.max_ticks, store, put, cloning=cloning)
+            body += search_section(each, store, put, cloning=cloning)
     body += [*objective_section(found, put), *_method(plan, units, store)]
     path = store.folder / "index.html"
     path.write_text(html.page(f"SMAL: evaluation in simulation ({plan.name})", "\n".join(body), 72), encoding="utf-8")
@@ -95,7 +95,7 @@ def _introduction(plan: Plan, units: Sequence[Unit], store: ResultStore) -> Iter
     queries = sum(int(store.findings[unit.key]["frames"]) for unit in units if unit.kind == "queries")
     yield html.tiles(
         {
-            "worlds": ", ".join(world.world for world in plan.worlds),
+            "worlds": ", ".join(world.title for world in plan.worlds),
             "searches": str(searches),
             "held-out frames": f"{queries:,}",
             "processor time": time,
@@ -128,21 +128,21 @@ def _method(plan: Plan, units: Sequence[Unit], store: ResultStore) -> Iterator[s
         f"<p>Simulated camera of {width}x{height} pixels, 10 frames a second, lockstep, driven wheels with mass. "
         f"Seeds: teaching {TEACHING_SEED} and following, held-out drives {QUERY_SEED} and following, searches "
         f"{RUN_SEED} and following (of another purpose, so that starts differ from those of teaching). A search ends "
-        f"with the victim found, a collision, or after {plan.max_ticks} frames ({MAX_TICKS} in smal run): a robot that "
-        f"is slow fails as one that is lost does. Teaching is never degraded. "
+        f"with the victim found, a collision, the robot's word that it has arrived, or after {plan.patience:g} times "
+        f"the frames of the longest taught drive ({MAX_TICKS} frames in smal run): a robot that is slow fails as one "
+        f"that is lost does. Teaching is never degraded. SPL is success weighted by path length (Anderson et al. "
+        f"2018); aside is the distance from the taught ways, by the truth; wrong and sure are frames at which the "
+        f"robot believes to be further from the truth than the first criterion allows, and not to be lost. "
         f"Features: colour and HOG, the default. Same seeds give the same results on one machine.</p>"
     )
     rows = []
     for world in plan.worlds:
         taught = [store.findings[unit.key] for unit in units if unit.kind == "teach" and unit.world == world.world]
-        learned = {unit.number("length"): store.findings[unit.key]
+        learned = {(unit.number("drives"), unit.number("length")): store.findings[unit.key]
                    for unit in units if unit.kind == "learn" and unit.world == world.world}  # fmt: skip
-        states = ", ".join(f"{one['states']} (l = {length})" for length, one in learned.items())
-        rows.append([
-            world.world, f"{world.drives} + {world.recoveries} recoveries", str(sum(one["drives"] for one in taught)),
-            f"{sum(one['frames'] for one in taught):,}", states,
-        ])  # fmt: skip
-    yield html.table(["world", "drives", "that teach", "frames", "states learned"], rows, left=1)
+        states = ", ".join(f"{one['states']} ({n} drives, l = {length})" for (n, length), one in learned.items())
+        rows.append([world.title, str(len(taught)), f"{sum(one['frames'] for one in taught):,}", states])
+    yield html.table(["world", "drives", "frames", "states learned"], rows, left=1)
     kinds = dict.fromkeys(unit.kind for unit in units)
     spent = {kind: _seconds([unit for unit in units if unit.kind == kind], store.findings) for kind in kinds}
     times = ", ".join(f"{kind} {seconds:.0f} s" for kind, seconds in spent.items())

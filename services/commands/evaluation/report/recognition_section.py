@@ -16,7 +16,7 @@ from services.commands.evaluation.report.summary import Recognised, Results
 def recognition_section(found: Results, put: EmbeddedFigures) -> Iterator[str]:
     """Write it as HTML, piece by piece."""
     world = found.world
-    name = world.world
+    name = world.title
     yield f"<h3>Recognising where the robot is</h3>{_criterion(world)}"
     yield put(
         f"precision-recall-{name}",
@@ -31,7 +31,7 @@ def recognition_section(found: Results, put: EmbeddedFigures) -> Iterator[str]:
 
 
 def _lengths(found: Results, put: EmbeddedFigures) -> Iterator[str]:
-    name = found.world.world
+    name = found.world.title
     yield put(
         f"precision-recall-lengths-{name}",
         figures.precision_recall_by_length(found.recognised[0], f"Sequence lengths, {name}"),

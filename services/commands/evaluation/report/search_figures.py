@@ -1,4 +1,4 @@
-"""Figures about searches: how often, and how soon, each way to drive finds the victim; and an example."""
+"""Figures about searches: how often, and how near the taught way, each driver finds the victim; and an example."""
 
 from __future__ import annotations
 
@@ -11,10 +11,12 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from services.commands.evaluation.degradation import Degrader, degradation_named
-from services.commands.evaluation.plan import DEFAULT_LENGTH, PEERS
-from services.commands.evaluation.report.figure_style import CYCLE, OURS, PEER_COLOURS, SINGLE, plain, seen
-from services.commands.evaluation.report.summary import PEERS_OF_DEFAULT, Success, controller_name, success_of
+from services.commands.evaluation.plan import CONTROLLERS, DEFAULT_LENGTH, Trial
+from services.commands.evaluation.report.figure_style import COLOURS, plain, seen
+from services.commands.evaluation.report.summary import Success, controller_name, success_of
+from services.commands.evaluation.search_experiment import WAY_TICKS
 from services.jpeg import decode_jpeg
+from services.simulator.drive import TICK_S
 from services.simulator.world import load_world
 from services.simulator.world.map_view import draw_map
 
@@ -22,95 +24,75 @@ from services.simulator.world.map_view import draw_map
 VIEWS: Final = 6
 
 
-def success_by_length(found: Sequence[Success], title: str) -> Figure:
-    """Draw the success rate of the paper's scheme over l, with Wilson's intervals, a panel for each degradation.
+def found_by_drives(found: Sequence[Success], title: str) -> Figure:
+    """Draw the share of searches that find the victim over the number of taught drives, for everybody."""
+    plain_ones = [one for one in found if one.trial.condition == "as taught"]
+    counts = sorted({one.trial.drives for one in plain_ones})
+    names = [name for name in CONTROLLERS if any(one.trial.controller == name for one in plain_ones)]
+    figure = Figure(figsize=(9.0, 4.6), layout="constrained")
+    axes = figure.add_subplot()
+    width = 0.84 / len(names)
+    for number, name in enumerate(names):
+        for place, drives in enumerate(counts):
+            one = success_of(plain_ones, Trial(name, drives, 1))
+            if one is None:
+                continue
+            at = place + (number - (len(names) - 1) / 2) * width
+            low, high = one.wilson_95
+            label = controller_name(name, one.trial.length) if place == 0 else None
+            axes.bar(at, one.rate, 0.9 * width, color=COLOURS[name], label=label)
+            axes.plot([at, at], [low, high], color="#333333", lw=1.0)
+            axes.text(at, 1.04, f"{one.found}/{one.runs}", ha="center", fontsize=7, color="#333333")
+    axes.set_xticks(range(len(counts)), [str(count) for count in counts])
+    axes.set(ylim=(0.0, 1.12), xlabel="taught drives", ylabel="searches that find the victim", title=title)
+    figure.legend(loc="outside lower center", ncols=4, frameon=False, fontsize=9)
+    plain(axes)
+    return figure
 
-    That of SMAL, which has no l, is a level line.
-    """
-    paper = [one for one in found if one.controller == "paper"]
-    lengths = sorted({one.length for one in paper})
-    figure, panels = _panels(paper)
-    for degradation, axes in panels.items():
-        each = [one for one in paper if one.degradation == degradation]
-        rate = np.array([one.rate for one in each])
-        low, high = np.array([one.wilson_95 for one in each]).T
-        axes.errorbar([lengths.index(one.length) for one in each], rate, [rate - low, high - rate], color=SINGLE,
-                      marker="s", lw=2, capsize=3, ms=6, elinewidth=1.2, label="the paper's scheme")  # fmt: skip
-        ours = success_of(found, "smal", DEFAULT_LENGTH, degradation)
-        if ours is not None:
-            axes.axhline(ours.rate, color=OURS, ls="--", lw=2, label="SMAL, which has no sequences")
-            axes.axhspan(*ours.wilson_95, color=OURS, alpha=0.08)
-        axes.set_xticks(range(len(lengths)), [str(length) for length in lengths])
-        axes.set(xlabel="sequence length l (frames)")
-    return _titled(figure, title, "searches that found the victim")
 
-
-def _panels(found: Sequence[Success]) -> tuple[Figure, dict[str, Axes]]:
-    """Make a panel of shares for each degradation."""
-    degradations = list(dict.fromkeys(one.degradation for one in found))
-    figure = Figure(figsize=(5.6 * len(degradations), 4.6), layout="constrained")
-    panels = np.atleast_1d(figure.subplots(1, len(degradations), sharey=True))
-    for axes, degradation in zip(panels, degradations, strict=True):
-        axes.set(ylim=(-0.03, 1.05), title=seen(degradation))
+def convergence(found: Sequence[Success], title: str) -> Figure:
+    """Draw the distance from the taught way over time, of searches that begin beside it."""
+    anywhere = [one for one in found if one.trial.condition == "from anywhere"]
+    figure = Figure(figsize=(9.0, 3.6), layout="constrained")
+    panels = np.atleast_1d(figure.subplots(1, len(anywhere), sharex=True, sharey=True))
+    for axes, one in zip(panels, anywhere, strict=True):
+        colour = COLOURS[one.trial.controller]
+        ways = [np.array(each["aside_m"]) for each in one.findings.values()]
+        for way in ways:
+            axes.plot(np.arange(way.size) * WAY_TICKS * TICK_S, way, color=colour, lw=0.8, alpha=0.5)
+        longest = max(way.size for way in ways)
+        going = [[way[k] for way in ways if way.size > k] for k in range(longest)]
+        shown = sum(2 * len(each) >= len(ways) for each in going)
+        medians = [np.median(each) for each in going[:shown]]
+        axes.plot(np.arange(shown) * WAY_TICKS * TICK_S, medians, color=colour, lw=2.6)
+        axes.set(title=one.name, xlabel="seconds", xlim=(0.0, 1.2 * shown * WAY_TICKS * TICK_S))
+        axes.set_ylim(bottom=0.0)
         plain(axes)
-    return figure, dict(zip(degradations, panels, strict=True))
-
-
-def _titled(figure: Figure, title: str, share: str) -> Figure:
-    """Say what the panels show, and of whom below."""
-    figure.axes[0].set_ylabel(share)
-    handles, labels = figure.axes[-1].get_legend_handles_labels()
-    columns = min(3, max(1, len(labels)))
-    figure.legend(handles, labels, loc="outside lower center", ncols=columns, frameon=False, fontsize=9)
+    panels[0].set_ylabel("from the taught way (m)")
     figure.suptitle(title)
     return figure
 
 
-def found_over_time(found: Sequence[Success], max_ticks: int, title: str) -> Figure:
-    """Draw the share of searches that have found the victim by each frame, a panel for each degradation."""
-    ways = {
-        ("smal", DEFAULT_LENGTH): (OURS, "-"),
-        ("paper", 1): (SINGLE, "-"),
-        ("paper", DEFAULT_LENGTH): (SINGLE, ":"),
-        **{(peer, DEFAULT_LENGTH): (PEER_COLOURS[peer], "--") for peer in PEERS},
-    }
-    figure, panels = _panels(found)
-    for degradation, axes in panels.items():
-        for way, (colour, line) in ways.items():
-            one = success_of(found, *way, degradation)
-            if one is not None:
-                ticks, share = [0, *one.found_ticks, max_ticks], np.arange(one.found + 1) / one.runs
-                axes.step(ticks, [*share, share[-1]], where="post", color=colour, ls=line, lw=2,
-                          label=controller_name(*way))  # fmt: skip
-        axes.set(xlim=(0, max_ticks), xlabel="frames since the start")
-    return _titled(figure, title, "searches that have found the victim")
-
-
-def peers(found: Sequence[Success], title: str) -> Figure:
-    """Draw success rates of SMAL and of its peers, with Wilson's intervals."""
-    ways = [("smal", DEFAULT_LENGTH), *PEERS_OF_DEFAULT]
-    shown = [way for way in ways if any((one.controller, one.length) == way for one in found)]
-    degradations = list(dict.fromkeys(one.degradation for one in found if (one.controller, one.length) == ways[0]))
-    figure = Figure(figsize=(8.4, 1.3 + 0.62 * len(shown)), layout="constrained")
-    axes = figure.add_subplot()
-    height = 0.8 / len(degradations)
-    for number, (degradation, colour) in enumerate(zip(degradations, CYCLE, strict=False)):
-        for row, way in enumerate(shown):
-            one = success_of(found, *way, degradation)
-            if one is None:
-                continue
-            place = row + (number - (len(degradations) - 1) / 2) * height
-            low, high = one.wilson_95
-            axes.barh(place, one.rate, 0.9 * height, color=colour, alpha=0.9 if way == ways[0] else 0.55,
-                      label=seen(degradation) if row == 0 else None)  # fmt: skip
-            axes.plot([low, high], [place, place], color="#333333", lw=1.2)
-            axes.text(1.02, place, f"{one.found}/{one.runs}", va="center", fontsize=8, color="#333333")
-    axes.set_yticks(range(len(shown)), [controller_name(*way) for way in shown])
-    axes.invert_yaxis()
-    axes.set(xlim=(0, 1.1), xlabel="searches that found the victim", title=title)
-    axes.set_xticks(np.linspace(0, 1, 6))
-    figure.legend(loc="outside lower center", ncols=3, frameon=False, fontsize=9)
-    plain(axes)
+def success_by_length(found: Sequence[Success], title: str) -> Figure:
+    """Draw the success rate of the paper's scheme over l, with Wilson's intervals, a panel for each degradation."""
+    every = [one for one in found if one.trial.controller == "paper"]
+    most = max(one.trial.drives for one in every if one.trial.length != DEFAULT_LENGTH)
+    paper = [one for one in every if one.trial.drives == most]
+    degradations = list(dict.fromkeys(one.trial.degradation for one in paper))
+    ticks = sorted({one.trial.length for one in paper})
+    figure = Figure(figsize=(5.6 * len(degradations), 4.2), layout="constrained")
+    panels = np.atleast_1d(figure.subplots(1, len(degradations), sharey=True))
+    for axes, degradation in zip(panels, degradations, strict=True):
+        each = sorted((one for one in paper if one.trial.degradation == degradation), key=lambda one: one.trial.length)
+        rate = np.array([one.rate for one in each])
+        low, high = np.array([one.wilson_95 for one in each]).T
+        axes.errorbar([ticks.index(one.trial.length) for one in each], rate, [rate - low, high - rate],
+                      color=COLOURS["paper"], marker="s", lw=2, capsize=3, ms=6, elinewidth=1.2)  # fmt: skip
+        axes.set_xticks(range(len(ticks)), [str(length) for length in ticks])
+        axes.set(ylim=(-0.03, 1.05), title=seen(degradation), xlabel=f"sequence length l (frames), {most} drives")
+        plain(axes)
+    panels[0].set_ylabel("searches that found the victim")
+    figure.suptitle(title)
     return figure
 
 

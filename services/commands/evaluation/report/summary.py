@@ -4,21 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields
-from typing import Any, Final
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from services.commands.evaluation.plan import DEFAULT_LENGTH, JUDGED_TICKS, PEERS, SCHEMES, Recogniser, WorldPlan
+from services.commands.evaluation.plan import JUDGED_TICKS, Recogniser, Trial, WorldPlan
 from services.commands.evaluation.results import Finding
-from services.commands.evaluation.units import Unit
+from services.commands.evaluation.units import Settings, Unit, settings_of
 from smal.evaluation.ground_truth import Judgement
 from smal.evaluation.precision_recall import PrecisionRecall, block_length, bootstrap, intervals_of
 from smal.evaluation.success import wilson_interval
 
 Findings = Mapping[str, Finding]
-#: Whom the filter is compared with: the paper's scheme, by single images too, and the peers.
-PEERS_OF_DEFAULT: Final = (("paper", DEFAULT_LENGTH), ("paper", 1), *((peer, DEFAULT_LENGTH) for peer in PEERS))
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,25 +52,31 @@ class Recognised:
         return recogniser_name(self.recogniser)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Success:
-    """How often one way to drive found the victim: outcomes by seed."""
+    """How well one trial's searches went: what was found out, by seed."""
 
-    controller: str
-    length: int
-    degradation: str
-    outcomes: Mapping[int, str]
-    ticks: Mapping[int, int]
+    trial: Trial
+    findings: Mapping[int, Finding]
+
+    @property
+    def name(self) -> str:
+        """Who drove, for people."""
+        return controller_name(self.trial.controller, self.trial.length)
 
     @property
     def found(self) -> int:
         """Number of searches that found the victim."""
-        return sum(outcome == "found" for outcome in self.outcomes.values())
+        return self.ended("found")
+
+    def ended(self, outcome: str) -> int:
+        """Return the number of searches that ended so."""
+        return sum(one["outcome"] == outcome for one in self.findings.values())
 
     @property
     def runs(self) -> int:
         """Number of searches."""
-        return len(self.outcomes)
+        return len(self.findings)
 
     @property
     def rate(self) -> float:
@@ -85,14 +89,45 @@ class Success:
         return wilson_interval(self.found, self.runs)
 
     @property
-    def found_ticks(self) -> list[int]:
-        """Frames until the victim was found, of the searches that found it, ascending."""
-        return sorted(self.ticks[seed] for seed, outcome in self.outcomes.items() if outcome == "found")
+    def spl(self) -> float | None:
+        """Success weighted by path length (Anderson et al. 2018); None where robots were carried, not driven."""
+        if self.trial.kidnap_tick:
+            return None
+        shares = [
+            (one["outcome"] == "found") * one["shortest_m"] / max(one["driven_m"], one["shortest_m"], 1e-9)
+            for one in self.findings.values()
+        ]
+        return float(np.mean(shares))
 
     @property
-    def median_ticks(self) -> float | None:
-        """Their median."""
-        return float(np.median(self.found_ticks)) if self.found else None
+    def aside_rms_m(self) -> float:
+        """Distance from the taught ways, root of the mean square over all frames of all searches, metres."""
+        frames = [one["ticks"] + 1 for one in self.findings.values()]
+        squares = [one["aside_rms_m"] ** 2 for one in self.findings.values()]
+        return float(np.sqrt(np.average(squares, weights=frames)))
+
+    @property
+    def aside_max_m(self) -> float:
+        """Largest distance from the taught ways, metres."""
+        return max(float(one["aside_max_m"]) for one in self.findings.values())
+
+    @property
+    def interventions_per_km(self) -> float:
+        """Searches in which a person would have had to step in, over the way that was driven."""
+        driven_m = sum(float(one["driven_m"]) for one in self.findings.values())
+        return 1000.0 * (self.runs - self.found) / max(driven_m, 1e-9)
+
+    @property
+    def wrong_share(self) -> float | None:
+        """Share of frames at which the robot believed to be elsewhere, and not to be lost; None if it says nothing."""
+        told = [one for one in self.findings.values() if "wrong_share" in one]
+        shares, frames = ([one[name] for one in told] for name in ("wrong_share", "ticks"))
+        return float(np.average(shares, weights=frames)) if told else None
+
+    def right_within(self, seconds: float) -> int | None:
+        """Return in how many searches the belief was right so soon after the robot was carried away."""
+        times = [one["right_after_s"] for one in self.findings.values() if "right_after_s" in one]
+        return sum(time is not None and time <= seconds for time in times) if times else None
 
 
 @dataclass(frozen=True)
@@ -115,11 +150,12 @@ def recogniser_name(recogniser: Recogniser) -> str:
 
 
 def controller_name(controller: str, length: int) -> str:
-    """Name a way to drive for people."""
+    """Name who searches for people."""
     if controller == "paper":
         return f"the paper's scheme, l = {length}"
     return {
         "smal": "SMAL",
+        "teach-and-repeat": "teach and repeat",
         "nearest-1": "imitating the nearest frame",
         "nearest-5": "imitating the nearest 5 frames",
         "seqslam": "continuing from where SeqSLAM says",
@@ -199,24 +235,16 @@ def block_of(world: WorldPlan, judgement: Judgement) -> int:
 
 
 def successes(world: WorldPlan, units: Sequence[Unit], findings: Findings) -> list[Success]:
-    """Count the searches of a world, by who drove and what the robot saw; schemes first, by length."""
-    groups: dict[tuple[str, int, str], list[Unit]] = {}
+    """Put together the searches of a world, by trial and in the order of the plan."""
+    groups: dict[Settings, dict[int, Finding]] = {}
     for unit in units:
         if unit.kind == "search" and unit.world == world.world:
-            key = (unit.text("controller"), unit.number("length"), unit.text("degradation"))
-            groups.setdefault(key, []).append(unit)
-    order = [*SCHEMES, *PEERS]
-    return [
-        Success(
-            *key,
-            {unit.number("seed"): str(findings[unit.key]["outcome"]) for unit in group},
-            {unit.number("seed"): int(findings[unit.key]["ticks"]) for unit in group},
-        )
-        for key, group in sorted(groups.items(), key=lambda one: (order.index(one[0][0]), one[0][1]))
-    ]
+            trial = tuple(one for one in unit.settings if one[0] not in {"camera", "patience", "seed"})
+            groups.setdefault(trial, {})[unit.number("seed")] = findings[unit.key]
+    each = ((trial, groups.get(settings_of(trial))) for trial in world.trials)
+    return [Success(trial, found) for trial, found in each if found]
 
 
-def success_of(found: Iterable[Success], controller: str, length: int, degradation: str) -> Success | None:
-    """Return one of the counts, if it was made."""
-    wanted = (controller, length, degradation)
-    return next((one for one in found if (one.controller, one.length, one.degradation) == wanted), None)
+def success_of(found: Iterable[Success], trial: Trial) -> Success | None:
+    """Return what came out of a trial, whatever its number of runs, if it was made."""
+    return next((one for one in found if settings_of(one.trial) == settings_of(trial)), None)
