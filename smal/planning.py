@@ -146,8 +146,7 @@ class Planner:
     def reset(self) -> None:
         """Forget what was being done, for a new episode."""
         self._turning: Atom | None = None
-        self._looked_rad = 0.0
-        self._guessed_s = 0.0
+        self._looked_rad = self._guessed_s = self._followed_m = 0.0
         self.done = False
 
     def decide(self, belief: Belief, elapsed_s: float | None = None) -> Decision:
@@ -176,8 +175,8 @@ class Planner:
             return Decision("look_around", self._look(error, elapsed_s), error)
         no_way, lost = float(with_way.sum()) < 0.5, belief.lost > 0.5
         if not (no_way or lost or abs(mean) < math.cos(math.radians(WIDE_DEG))):
-            self._looked_rad = self._guessed_s = 0.0
-            return Decision("follow", self._steer(error), error)
+            return Decision("follow", self._follow(error, elapsed_s), error)
+        self._followed_m = 0.0
         if self._looked_rad < math.radians(LOOK_DEG):
             return Decision("look_around", self._look(error, elapsed_s), error)
         if no_way and not lost:
@@ -187,6 +186,17 @@ class Planner:
         if self._guessed_s >= GUESS_S:
             self._looked_rad = self._guessed_s = 0.0
         return Decision("guess", self._steer(error), error)
+
+    def _follow(self, error: float, elapsed_s: float) -> Atom:
+        """Steer; after a correlation length of way it may look around again.
+
+        Not before: a place that a few views look like would have it turn to and fro for ever.
+        """
+        atom = self._steer(error)
+        self._followed_m += self._map.speed * elapsed_s if atom is Atom.FORWARD else 0.0
+        if self._followed_m > self._map.correlation_length:
+            self._looked_rad = self._guessed_s = 0.0
+        return atom
 
     def _look(self, error: float, elapsed_s: float) -> Atom:
         """Turn to the side of a direction, then to the other."""

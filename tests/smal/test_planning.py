@@ -159,7 +159,18 @@ def test_it_follows_again_when_it_knows_and_may_then_look_as_long_again() -> Non
     planner = Planner(STRAIGHT)
     for _ in range(3):
         assert [planner.decide(SPLIT).kind for _ in range(60)] == ["look_around"] * 60
-        assert planner.decide(belief((10, 0.0, 0.0, 0.0))).kind == "follow"
+        # A correlation length of half a metre at half a metre a second.
+        assert {planner.decide(belief((10, 0.0, 0.0, 0.0))).kind for _ in range(12)} == {"follow"}
+
+
+def test_a_place_that_it_only_seems_to_be_at_does_not_have_it_turn_to_and_fro() -> None:
+    planner = Planner(STRAIGHT)
+    kinds: list[str] = []
+    for _ in range(40):
+        kinds += [planner.decide(SPLIT).kind for _ in range(10)]
+        # It seems to know, and turns, without getting anywhere.
+        kinds += [planner.decide(belief((10, 0.0, 0.0, 60.0))).kind for _ in range(4)]
+    assert "guess" in kinds
 
 
 @pytest.mark.parametrize(("before", "after"), [(-60.0, 60.0), (60.0, -60.0)])
