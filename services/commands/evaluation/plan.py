@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Final, Literal
 
@@ -156,6 +156,8 @@ class WorldPlan:
     def __post_init__(self) -> None:
         for name in self.recognised:
             degradation_named(name)
+        if len({replace(trial, runs=1) for trial in self.trials}) < len(self.trials):
+            raise ValueError(f"{self.world}: a trial stands in the plan twice")
         if self.drives < 1 or not self.criteria:
             raise ValueError(f"{self.world}: a plan needs at least one drive and one criterion")
 

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import pytest
 
+from services.commands.evaluation.plan import Trial
 from services.commands.evaluation.report.comparisons import compare_recognition, compare_searches, long_sequences
 from services.commands.evaluation.report.summary import Success, recognised, successes
 from tests.services.commands.evaluation.evaluated import SMALL, finished
@@ -22,21 +23,24 @@ def test_words_follow_the_numbers(tmp_path: Path) -> None:
     assert verdicts["single image (l = 1)recognition, clean"] == "open"
     searches = compare_searches("yard", successes(WORLD, planned, store.findings))
     said = {one.text: one.verdict for one in searches}
-    (against,) = [text for text in said if "occluded" in text and "l = 1" in text]
+    (against,) = [text for text in said if "occluded" in text]
     assert said[against] == "ahead"
-    assert "8 of 8 found by SMAL against 0 of 8 by the paper's scheme, l = 1, SMAL is ahead" in against
-    assert "p = 0.0078" in against
-    assert all(verdict == "open" for text, verdict in said.items() if "clean" in text)
+    assert against.startswith(
+        "searches after 1 drive, occluded: 8 of 8 found by SMAL against 0 of 8 by teach and repeat"
+    )
+    assert "SMAL is ahead (p = 0.0078)" in against
+    assert all(verdict == "open" for text, verdict in said.items() if "as taught" in text)
+    assert sum("after 2 drives, as taught" in text for text in said) == 5
 
 
 def test_a_few_wins_are_no_proof() -> None:
-    def counted(controller: str, length: int, found: int) -> Success:
-        outcomes = {seed: "found" if seed < found else "timeout" for seed in range(8)}
-        return Success(controller, length, "clean", outcomes, dict.fromkeys(range(8), 100))
+    def counted(controller: str, found: int) -> Success:
+        ends = {seed: {"outcome": "found" if seed < found else "timeout"} for seed in range(8)}
+        return Success(Trial(controller, 1, 8), ends)
 
-    (close,) = compare_searches("yard", [counted("smal", 5, 8), counted("paper", 1, 4)])
+    (close,) = compare_searches("yard", [counted("smal", 8), counted("nearest-1", 4)])
     assert close.verdict == "open"
-    (lost,) = compare_searches("yard", [counted("smal", 5, 1), counted("paper", 1, 8)])
+    (lost,) = compare_searches("yard", [counted("smal", 1), counted("nearest-1", 8)])
     assert lost.verdict == "behind"
     assert "SMAL is behind" in lost.text
 
@@ -45,7 +49,8 @@ def lengths(**found: int) -> list[Success]:
     """Return searches of the paper's scheme with 10 runs for each length lN."""
     return [
         Success(
-            "paper", int(name[1:]), "poor", {seed: "found" if seed < count else "timeout" for seed in range(10)}, {}
+            Trial("paper", 2, 10, int(name[1:]), "poor"),
+            {seed: {"outcome": "found" if seed < count else "timeout"} for seed in range(10)},
         )
         for name, count in found.items()
     ]

@@ -13,12 +13,12 @@ import pytest
 
 from services.commands.evaluation.report.page import write_page
 from services.commands.evaluation.results import ResultStore
-from services.commands.evaluation.units import units
+from services.commands.evaluation.units import settings_of, units
 from tests.services.commands.evaluation.evaluated import SMALL, finished
 
 FIGURES = {
-    "precision-recall-yard", "precision-recall-lengths-yard", "area-lengths-yard", "success-yard", "peers-yard",
-    "route-yard", "objective", "time-yard",
+    "precision-recall-yard", "precision-recall-lengths-yard", "area-lengths-yard", "success-yard", "drives-yard",
+    "route-yard", "objective", "convergence-yard",
 }  # fmt: skip
 
 
@@ -69,7 +69,7 @@ def test_what_the_page_says_is_computed_from_the_results(page: Path) -> None:
     text = page.read_text(encoding="utf-8")
     for said in (
         "within 1 m and 25°", "within 0.5 m and 15°", "nearly everything", "35% of the frames occluded",
-        "8 of 8 found by SMAL against 0 of 8 by the paper&#x27;s scheme, l = 1, SMAL is ahead",
+        "8 of 8 found by SMAL against 0 of 8 by teach and repeat, SMAL is ahead",
         "Behaviour cloning was not run", "0% to 32%", "64x48 pixels",
     ):  # fmt: skip
         assert said in text, said
@@ -95,10 +95,11 @@ def test_a_page_of_what_is_done_so_far_shows_whole_series_only(share: float, tmp
     parser.feed(text)
     assert f"<b>Not all is done:</b> {len(store.findings)} of {len(planned)} units" in text
     numbers = json.loads((store.folder / "results.json").read_text())
-    shown = {(one["controller"], one["length"], one["degradation"]) for one in numbers["worlds"]["yard"]["searches"]}
+    names = [name for name, _ in settings_of(SMALL.worlds[0].trials[0])]
+    shown = {tuple(one[name] for name in names) for one in numbers["worlds"]["yard"]["searches"]}
     searches = [unit for unit in planned if unit.kind == "search"]
-    torn = {(one["controller"], one["length"], one["degradation"]) for one in searches if one.key not in store.findings}
-    every = {(one["controller"], one["length"], one["degradation"]) for one in searches}
+    torn = {tuple(one[name] for name in names) for one in searches if one.key not in store.findings}
+    every = {tuple(one[name] for name in names) for one in searches}
     assert shown == every - torn
 
 

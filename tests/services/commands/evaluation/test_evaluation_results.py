@@ -53,7 +53,7 @@ def test_a_folder_of_another_plan_is_refused(tmp_path: Path) -> None:
     with pytest.raises(UsageError, match=r"--out .*: holds results of the plan 'small' \(small, now full\)"):
         ResultStore(tmp_path, replace(SMALL, name="full"))
     with pytest.raises(UsageError, match="holds results with another plan fingerprint"):
-        ResultStore(tmp_path, replace(SMALL, max_ticks=7))
+        ResultStore(tmp_path, replace(SMALL, patience=1.5))
 
 
 def test_a_folder_of_another_version_is_refused(tmp_path: Path) -> None:

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from services.commands.evaluation.plan import SCHEMES, Recogniser
+from services.commands.evaluation.plan import Recogniser, Trial
 from services.commands.evaluation.report.summary import recognised, success_of, successes
 from smal.evaluation.success import wilson_interval
 from tests.services.commands.evaluation.evaluated import QUERIES, SMALL, finished
@@ -33,22 +33,28 @@ def test_areas(tmp_path: Path) -> None:
     assert found["nearest-1", "clean"].recogniser == Recogniser("nearest", 1)
 
 
-def test_schemes_come_first_and_by_length(tmp_path: Path) -> None:
+def test_searches_come_in_the_order_of_the_plan(tmp_path: Path) -> None:
     planned, store = finished(tmp_path)
-    found = [(one.controller, one.length) for one in successes(WORLD, planned, store.findings)]
-    schemes = [one for one in found if one[0] in SCHEMES]
-    assert found[: len(schemes)] == schemes
-    assert schemes == [("paper", length) for length in (1, 1, 5, 5, 20, 20)] + [("smal", 5)] * 2
+    found = [one.trial for one in successes(WORLD, planned, store.findings)]
+    assert found == [trial for trial in WORLD.trials if trial.controller != "cloning"]
 
 
 def test_counts_of_searches(tmp_path: Path) -> None:
     planned, store = finished(tmp_path)
     found = successes(WORLD, planned, store.findings)
-    blind = success_of(found, "paper", 1, "occluded")
+    blind = success_of(found, Trial("teach-and-repeat", 1, 1, degradation="occluded"))
     assert blind is not None
-    assert (blind.found, blind.runs, blind.median_ticks) == (0, 8, None)
-    ours = success_of(found, "smal", 5, "occluded")
+    assert (blind.found, blind.runs, blind.ended("collision"), blind.spl) == (0, 8, 8, 0.0)
+    # Eight searches of 100 m in which nothing was found.
+    assert blind.interventions_per_km == pytest.approx(10.0)
+    assert (blind.wrong_share, blind.right_within(3.0)) == (None, None)
+    ours = success_of(found, Trial("smal", 1, 1))
     assert ours is not None
-    assert (ours.found, ours.wilson_95) == (8, wilson_interval(8, 8))
-    assert ours.median_ticks == pytest.approx(154.5)
-    assert success_of(found, "smal", 7, "clean") is None
+    assert (ours.found, ours.wilson_95, ours.interventions_per_km) == (8, wilson_interval(8, 8), 0.0)
+    assert ours.spl == pytest.approx(0.8)
+    assert (ours.aside_rms_m, ours.aside_max_m) == (pytest.approx(0.5), 1.5)
+    assert ours.wrong_share == pytest.approx(0.02)
+    carried = success_of(found, Trial("smal", 1, 1, kidnap_tick=50))
+    assert carried is not None
+    assert (carried.right_within(3.0), carried.right_within(5.0), carried.spl) == (6, 7, None)
+    assert success_of(found, Trial("smal", 7, 1)) is None

@@ -11,12 +11,16 @@ import numpy as np
 import pytest
 
 from services.commands.evaluation import search_experiment
+from services.commands.evaluation.controllers import Move
+from services.commands.evaluation.controllers import Place as EvaluatedPlace
 from services.commands.evaluation.demonstrations import Drive, demonstrate
-from services.commands.evaluation.plan import PEERS, SCHEMES
+from services.commands.evaluation.plan import CONTROLLERS, Criterion, Trial
+from services.commands.evaluation.search import search
 from services.commands.evaluation.search_experiment import (
     CLONES,
     WAY_TICKS,
     Drivers,
+    _finding,
     read_route,
     route_file,
     run_search,
@@ -78,15 +82,23 @@ def model(drives: tuple[Drive, ...]) -> Model:
 @pytest.fixture
 def place(simulation: Simulation, drives: tuple[Drive, ...], model: Model, tmp_path: Path) -> Workplace:
     made = Workplace(tmp_path, (32, 24))
-    made.simulation = lambda world, shake: simulation  # type: ignore[method-assign]
-    made.drives = lambda world, teaching: drives  # type: ignore[method-assign]
-    made.model = lambda world, teaching, length: model  # type: ignore[method-assign]
+    made.simulation = lambda world, shake, variation: simulation  # type: ignore[method-assign]
+    made.drives = lambda world, count: drives  # type: ignore[method-assign]
+    made.model = lambda world, count, length: model  # type: ignore[method-assign]
     return made
 
 
-@pytest.mark.parametrize("controller", [*SCHEMES, *PEERS])
+#: So that searches time out after 30 frames.
+SOON, NEAR = 30, Criterion(1.0, 25.0)
+
+
+def patience(drives: tuple[Drive, ...]) -> float:
+    return SOON / max(len(one.poses) for one in drives)
+
+
+@pytest.mark.parametrize("controller", CONTROLLERS)
 def test_whoever_drives_the_finding_is_numbers(
-    controller: str, place: Workplace, monkeypatch: pytest.MonkeyPatch
+    controller: str, place: Workplace, drives: tuple[Drive, ...], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def clone(images: list[np.ndarray], atoms: list[np.ndarray], settings: CloningSettings) -> tuple[Forward, None]:
         assert settings.seed == 3 % CLONES
@@ -95,27 +107,64 @@ def test_whoever_drives_the_finding_is_numbers(
 
     monkeypatch.setattr(search_experiment, "clone", clone)
     drivers = Drivers(place)
-    found = run_search(
-        place, drivers, world="yard", teaching="t", controller=controller, length=5, degradation="clean", seed=3,
-        max_ticks=30,
-    )  # fmt: skip
+    found = run_search(place, drivers, "yard", Trial(controller, 1, 1), 3, NEAR, patience(drives))
     assert json.loads(json.dumps(found)) == found
     assert found["outcome"] in {"found", "collision", "timeout"}
     assert 1 <= found["ticks"] <= 30
     assert len(found["way"]) == -(-found["ticks"] // WAY_TICKS) + 1
+    assert 0.0 <= found["aside_rms_m"] <= found["aside_max_m"]
+    assert ("wrong_share" in found) == (controller == "smal")
     decides = {"paper": (found["ticks"] - 5) // 5 + 1, "cloning": 0, "nearest-1": 0, "nearest-5": 0}
     if controller in decides:
         assert found["decisions"] == decides[controller]
     assert ("files" in found) == (controller == "smal")
 
 
-def test_pictures_of_a_search_at_the_defaults_are_kept(place: Workplace) -> None:
-    asked = {"world": "yard", "teaching": "t", "controller": "smal", "length": 5, "seed": 1, "max_ticks": 25}
-    found = run_search(place, Drivers(place), degradation="clean", **asked)  # type: ignore[arg-type]
+def test_pictures_of_a_search_at_the_defaults_are_kept(place: Workplace, drives: tuple[Drive, ...]) -> None:
+    found = run_search(place, Drivers(place), "yard", Trial("smal", 1, 1), 1, NEAR, patience(drives))
     route = read_route(place.folder / route_file("yard", 1))
     assert found["files"] == [route_file("yard", 1)]
     assert route["poses"].shape == (found["ticks"] + 1, 3)
     assert route["ticks"].tolist() == list(range(0, found["ticks"] + 1, 10))
     assert all(f"picture_{tick}" in route for tick in route["ticks"])
-    degraded = run_search(place, Drivers(place), degradation="occluded", **asked)  # type: ignore[arg-type]
-    assert "files" not in degraded
+    for special in (Trial("smal", 1, 1, degradation="occluded"), Trial("smal", 1, 1, start="anywhere")):
+        assert "files" not in run_search(place, Drivers(place), "yard", special, 1, NEAR, patience(drives))
+
+
+def test_being_carried_away_is_no_driving_and_its_recovery_is_timed(
+    place: Workplace, drives: tuple[Drive, ...]
+) -> None:
+    carried = Trial("smal", 1, 1, kidnap_tick=10)
+    found = run_search(place, Drivers(place), "yard", carried, 1, NEAR, patience(drives))
+    way = np.array(found["way"])
+    assert np.hypot(*np.diff(way, axis=0).T).max() > 3.0
+    # At 2 m/s it cannot drive further in three seconds.
+    assert found["driven_m"] < 0.2 * SOON + 0.5
+    assert found["right_after_s"] is None or 0.0 <= found["right_after_s"] <= 2.0
+
+
+class Says:
+    """Stands still, and says where it is: nowhere for two frames, then wrong for two, then right."""
+
+    features = None
+
+    def __init__(self, right: Pose) -> None:
+        self._places = [None, None, EvaluatedPlace(0, 50.0, 0.0, 0.0), EvaluatedPlace(0, 50.0, 0.0, 0.0)]
+        self._right = EvaluatedPlace(0, 0.0, 0.0, right.heading)
+
+    def reset(self) -> None:
+        self._tick = 0
+
+    def act(self, tick: int, image: np.ndarray, raw: None, odometry: object) -> Move:
+        place = self._places[tick] if tick < len(self._places) else self._right
+        return Move(Atom.STOP, "look_around" if place is None else "follow", place is not None, place=place)
+
+
+def test_a_belief_is_held_against_the_truth(simulation: Simulation) -> None:
+    start = simulation.reset(5, "run")
+    taught = np.array([[start.x, start.y, 0.0]])
+    found = search(simulation, Says(start), 5, max_ticks=20)
+    said = _finding(found, taught, NEAR, 0)
+    assert said["wrong_share"] == pytest.approx(2 / 20)
+    assert (said["driven_m"], said["aside_max_m"]) == (pytest.approx(0.0, abs=0.01), pytest.approx(0.0, abs=0.01))
+    assert _finding(found, taught, NEAR, 1)["right_after_s"] == pytest.approx(0.3)
