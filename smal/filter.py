@@ -240,6 +240,8 @@ class Filter:
         self._map = visual_map
         self._centering = centering
         self._seed = seed
+        # Made here, and not while the first frame waits.
+        _ = visual_map.unlike, visual_map.neighbour_cosines
         self.reset()
 
     def reset(self) -> None:
@@ -321,19 +323,12 @@ class Filter:
         return _Particles(self._map, keyframes, poses)
 
     def _send_scouts(self, cosines: NDArray[np.float32], outlier: float) -> None:
-        """Draw particles from everywhere by one view; their odds are those of having been carried there."""
+        """Draw particles from everywhere by one view."""
         likelihood = _likelihood(self._map.kappa, cosines[:, 1] - outlier)
         keyframes, turns = np.divmod(_systematic(likelihood.ravel(), _PARTICLES, self._rng), TURNS_DEG.size)
         half = math.radians(float(TURNS_DEG[1] - TURNS_DEG[0])) / 2.0
         self._scouts = self._beside(keyframes, np.radians(TURNS_DEG[turns]), half)
-        if not np.isfinite(self._odds[1]) or self._odds[1] < math.log(_FIRST[1]) - 1e-9:
-            shares = _normalised(self._odds)
-            carried = shares[0] * min(self._waited_s / KIDNAP_S, 0.5)
-            back = _BACK * shares[2]
-            shares = np.array([shares[0] - carried, carried + back, shares[2] - back])
-            self._odds = np.log(np.maximum(shares, 1e-12))
         self._odds[1] += math.log(float(likelihood.mean()))
-        self._waited_s = 0.0
 
     def _leak(self, elapsed_s: float) -> None:
         """Let a little of what is known become lost."""
@@ -344,7 +339,10 @@ class Filter:
         self._odds = np.log(np.maximum(shares, 1e-12))
 
     def _merge(self) -> None:
-        """Give the scouts the part of the particles that they have earned, and send new ones."""
+        """Give the scouts the part of the particles that they have earned.
+
+        The odds of the next ones are those of having been carried away since, or being back beside the way.
+        """
         assert self._tracked is not None
         assert self._scouts is not None
         shares = _normalised(self._odds)
@@ -359,7 +357,10 @@ class Filter:
             )
             self._tracked.followed = np.concatenate([old.followed[kept], scouts.followed[taken]])
             self._tracked.cosine = scouts.cosine if 2 * new > _PARTICLES else old.cosine
-        self._odds = np.log(np.maximum([shares[0] + shares[1], 0.0, shares[2]], 1e-12))
+        tracked, lost = shares[0] + shares[1], shares[2]
+        carried, back = tracked * min(self._waited_s / KIDNAP_S, 0.5), _BACK * lost
+        self._odds = np.log(np.maximum([tracked - carried, carried + back, lost - back], 1e-12))
+        self._waited_s = 0.0
         self._scouts = None
 
     def _belief(self) -> Belief:

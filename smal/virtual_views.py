@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from smal.movement import wrapped
+from smal.movement import seen_from
 
 #: What a fit chooses from. Fields of view of cameras on robots, degrees; the height of the camera over the correlation
 #: length of views (`smal.visual_map`), and the distance of the scene over that height, both in steps of a half.
@@ -159,13 +159,11 @@ def _pairs(
     found: list[Pair] = []
     for frame in range(len(poses) - 1):
         ahead_of = np.flatnonzero(drives[frame + 1 : frame + 101] == drives[frame]) + frame + 1
-        apart = poses[ahead_of, :2] - poses[frame, :2]
-        turn = wrapped(poses[ahead_of, 2] - poses[frame, 2])
-        good = np.flatnonzero(wanted(np.hypot(*apart.T), np.abs(turn)))
+        steps = seen_from(poses[ahead_of], poses[frame])
+        good = np.flatnonzero(wanted(np.hypot(*steps[:, :2].T), np.abs(steps[:, 2])))
         if good.size:
-            cos, sin = math.cos(poses[frame, 2]), math.sin(poses[frame, 2])
-            x, y = apart[good[0]]
-            found.append((frame, int(ahead_of[good[0]]), cos * x + sin * y, -sin * x + cos * y, float(turn[good[0]])))
+            ahead, left, turn = steps[good[0]].tolist()
+            found.append((frame, int(ahead_of[good[0]]), ahead, left, turn))
     return [found[k] for k in np.unique(np.linspace(0, len(found) - 1, _PAIRS).astype(int))] if found else []
 
 

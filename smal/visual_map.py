@@ -172,12 +172,13 @@ class VisualMap:
 
     @cached_property
     def unlike(self) -> NDArray[np.bool_]:
-        """Which keyframes look unlike each other, however turned or from beside, (k, k)."""
+        """Which keyframes look unlike each other, however turned, (k, k)."""
         count, middle = len(self.keyframes), TURNS_DEG.size // 2
+        turned = np.ascontiguousarray(self.views[:, 1]).reshape(-1, self.views.shape[-1])
         best = np.empty((count, count), dtype=np.float32)
         for first in range(0, count, _AT_ONCE):
             views = self.views[first : first + _AT_ONCE, 1, middle]
-            best[:, first : first + _AT_ONCE] = (self.flat_views @ views.T).reshape(count, -1, len(views)).max(axis=1)
+            best[:, first : first + _AT_ONCE] = (turned @ views.T).reshape(count, -1, len(views)).max(axis=1)
         return np.maximum(best, best.T) < self.outlier_cosine
 
     def outlier_of(self, cosines: NDArray[np.float32]) -> float:
