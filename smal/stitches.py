@@ -71,11 +71,12 @@ def _best_of_each_drive(visual_map: VisualMap, drives: NDArray[np.int32], names:
 
 def _peak(values: NDArray[np.float32], at: int) -> float:
     """Return where the parabola through the largest value and its neighbours is highest."""
-    if not 0 < at < values.size - 1:
-        return float(at)
-    before, here, after = (float(values[at + k]) for k in (-1, 0, 1))
+    middle = min(max(at, 1), values.size - 2)
+    before, here, after = (float(values[middle + k]) for k in (-1, 0, 1))
     curve = before - 2.0 * here + after
-    return at + (0.5 * (before - after) / curve if curve < 0.0 else 0.0)
+    if curve >= 0.0:
+        return float(at)
+    return min(max(middle + 0.5 * (before - after) / curve, 0.0), values.size - 1.0)
 
 
 def _chained(

@@ -1,0 +1,82 @@
+"""Drives that share a stretch are joined there, and nowhere else; by the joints the robot goes where nobody drove."""
+
+import math
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+
+from smal.action_space import Atom
+from smal.features import Centering, extract
+from smal.filter import Filter
+from smal.movement import STILL, Movement, seen_from
+from smal.planning import Planner
+from smal.stitches import stitched
+from smal.visual_map import VisualMap
+from tests.smal.synthetic_world import (
+    COLOR,
+    SCENE,
+    SPEED,
+    START,
+    TURN_RAD_S,
+    Room,
+    drive,
+    from_beside,
+    taught,
+    usual_map,
+)
+
+#: Two drives that begin the same way, the second 12 cm to the left, and part after 2 m.
+LEFT = drive(START, ((2.0, 60.0), (1.5, 0.0)))
+RIGHT = drive((START[0], START[1] + 0.12, START[2]), ((2.0, -60.0), (1.5, 0.0)))
+TICK = 0.1
+
+
+@cache
+def two() -> tuple[VisualMap, Centering]:
+    found, centering = taught(Room(), LEFT, RIGHT, scene=SCENE)
+    return stitched(replace(found, goals=("left", "right"))), centering
+
+
+def test_one_drive_has_no_joints() -> None:
+    assert stitched(usual_map()[0]).stitched.shape == (0, 2)
+
+
+def test_drives_are_joined_where_they_share_the_way_and_both_ways() -> None:
+    found, _ = two()
+    first, second = found.key_poses[found.stitched[:, 0]], found.key_poses[found.stitched[:, 1]]
+    assert set(map(tuple, found.drives[found.keyframes[found.stitched]].tolist())) == {(0, 1), (1, 0)}
+    # Odometry is the truth here: pairs are near each other, and stand as their views say.
+    assert np.hypot(*(first - second)[:, :2].T).max() < 0.35
+    apart = seen_from(first, second) - found.stitch_offsets
+    assert np.median(np.abs(apart[:, 1])) < 0.06
+    assert np.degrees(np.abs(apart[:, 2])).max() < 6.0
+    shared = found.key_poses[found.drives[found.keyframes] == 0]
+    joined = np.unique(found.stitched[found.stitched[:, 0] < len(shared), 0])
+    assert (shared[joined, 0] < START[0] + 2.2).all()
+    assert joined.size > 0.5 * (shared[:, 0] < START[0] + 1.9).sum()
+
+
+def test_drives_in_different_rooms_are_not_joined() -> None:
+    there = drive((5.5, 8.0, math.pi), ((2.0, 40.0), (1.0, 0.0)))
+    assert stitched(taught(Room(), LEFT, there, scene=SCENE)[0]).stitched.shape == (0, 2)
+
+
+@pytest.mark.parametrize("goal", ["left", "right"])
+def test_each_goal_is_reached_from_the_start_of_the_other_drive(goal: str) -> None:
+    """The filter and the planner drive: from the start of one drive to the end of the other."""
+    visual_map, centering = two()
+    room = Room()
+    begin, finish = (RIGHT, LEFT) if goal == "left" else (LEFT, RIGHT)
+    found, planner = Filter(visual_map, centering), Planner(visual_map, goal)
+    pose, movement = np.array(begin.poses[0]), STILL
+    for _ in range(200):
+        atom = planner.decide(found.observe(extract(room.look(pose), COLOR), movement, TICK)).atom
+        if planner.done:
+            break
+        turn = {Atom.LEFT: TURN_RAD_S * TICK, Atom.RIGHT: -TURN_RAD_S * TICK}.get(atom, 0.0)
+        after = np.array(from_beside(tuple(pose), SPEED * TICK if atom is Atom.FORWARD else 0.0, 0.0, turn))
+        movement, pose = Movement.between(pose, after), after
+    assert planner.done
+    assert math.hypot(*(pose - finish.poses[-1])[:2]) < 0.3
