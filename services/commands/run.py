@@ -27,6 +27,8 @@ from smal.features import FeatureSettings
 
 #: Camera images kept of every run for the report, one in so many frames.
 FRAMES_APART = 20
+#: Frames after which a run times out, at least; and how many times those of the longest taught drive.
+MAX_TICKS, PATIENCE = 3000, 3
 #: The services that work with the model.
 CHAIN = ("recognition", "policy")
 
@@ -47,7 +49,14 @@ def run(
         typer.Option(min=1, metavar="TICK", help="Carry the robot to another place beside the way at this frame."),
     ] = None,
     realtime: Annotated[bool, typer.Option(help="Let the clock run, instead of waiting for every command.")] = False,
-    max_ticks: Annotated[int, typer.Option(min=1, help="Frames after which a run times out.")] = 3000,
+    max_ticks: Annotated[
+        int | None,
+        typer.Option(
+            min=1,
+            help="Frames after which a run times out. [default: three times those of the longest taught drive, "
+            f"at least {MAX_TICKS}]",
+        ),
+    ] = None,
     json_file: Annotated[Path | None, typer.Option("--json", help="Write the results as JSON.")] = None,
     report: Annotated[Path | None, typer.Option(help="Write a page of results, with pictures, to this folder.")] = None,
     record: Annotated[Path | None, typer.Option(help="Record the runs into this folder.")] = None,
@@ -81,7 +90,7 @@ def run(
             purpose="run",
             driver="policy",
             mode=mode,
-            max_ticks=max_ticks,
+            max_ticks=max_ticks or max(MAX_TICKS, PATIENCE * max(map(len, loaded.atoms))),
             start=start,
             kidnap_tick=kidnap,
             goal=goal or "victim",

@@ -13,8 +13,8 @@ from schemas.base import Atom
 
 #: A recovery drive is over after this many frames (8 s at 10 Hz).
 RECOVERY_TICKS: Final = 80
-#: Frames after which a full drive is given up.
-DRIVE_TICKS: Final = 4000
+#: Frames after which a full drive is given up: four times as many as 1 km takes at 2 m/s.
+DRIVE_TICKS: Final = 20_000
 #: How far ahead on the route the driver looks, as seconds of driving.
 LOOKAHEAD_S: Final = 1.25
 #: A person corrects the heading when it is off by this much, and then until it is this close, radians.
