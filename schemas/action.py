@@ -24,3 +24,5 @@ class Action(Message):
     """The keyframe, or in the paper's scheme the state, where the robot is; none where it is lost."""
     atoms: Annotated[tuple[Atom, ...], Field(max_length=1000)]
     """The planned atom movements, one a frame."""
+    arrived: bool = False
+    """Whether the robot says that it is at the goal and has nothing left to do; of the filter."""

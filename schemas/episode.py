@@ -13,8 +13,8 @@ EventName = Literal["started", "victim_found", "collision", "timed_out", "ended"
 Outcome = Literal["found", "collision", "timeout", "aborted"]
 
 
-#: Name of a place that drives lead to.
-GoalName = Annotated[str, Field(min_length=1, max_length=64, pattern=r"^[^\s\x00-\x1f\x7f][^\x00-\x1f\x7f]*$")]
+#: Name of a place that drives lead to: letters, digits, and what may stand between them.
+GoalName = Annotated[str, Field(pattern=r"^\w[\w .-]{0,63}$")]
 
 
 class Episode(Message):

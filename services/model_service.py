@@ -125,7 +125,13 @@ class LoadedModel:
 
     def detail(self) -> Detail:
         """Tell of the model in the service's status."""
-        return {"model": self.path, "checksum": self.identity, "states": self.model.states, "scheme": self.scheme}
+        return {
+            "model": self.path,
+            "checksum": self.identity,
+            "states": self.model.states,
+            "scheme": self.scheme,
+            "goal": self.goal,
+        }
 
 
 class ModelService(Protocol[M_contra]):

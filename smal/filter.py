@@ -212,8 +212,12 @@ def _likelihood(kappa: float, above: NDArray[Any], beyond: NDArray[Any] | float 
 
 
 def _norm(share: NDArray[np.float64], cosine: NDArray[Any]) -> NDArray[np.float64]:
-    """Return the length of a mixture of two unit vectors, of which the second has this share."""
-    length: NDArray[np.float64] = np.sqrt((1.0 - share) ** 2 + share**2 + 2.0 * share * (1.0 - share) * cosine)
+    """Return the length of a mixture of two unit vectors, of which the second has this share.
+
+    Views beside each other are never opposite; a damaged map must not divide by zero.
+    """
+    squared = (1.0 - share) ** 2 + share**2 + 2.0 * share * (1.0 - share) * np.maximum(cosine, -0.5)
+    length: NDArray[np.float64] = np.sqrt(squared)
     return length
 
 

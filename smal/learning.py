@@ -1,6 +1,7 @@
 """From demonstrations to a model: the map of views, then Algorithms 1, 3 and 4, the reward and the policy."""
 
 import math
+import re
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
@@ -20,7 +21,7 @@ from smal.stitches import stitched
 from smal.template_store import TemplateStore
 from smal.transitions import Transitions, learn_transitions
 from smal.virtual_views import Image
-from smal.visual_map import ImageChain, VisualMap, learn_visual_map
+from smal.visual_map import GOAL_NAME, ImageChain, VisualMap, learn_visual_map
 
 #: Where drives lead that do not say so.
 USUAL_GOAL = "victim"
@@ -74,6 +75,9 @@ class Demonstration:
         frames = len(self.atoms)
         if self.images is not None and len(self.images) != frames:
             raise ValueError(f"demonstration {self.name}: {len(self.images)} images for {frames} frames")
+        if re.fullmatch(GOAL_NAME, self.goal) is None:
+            said = f"{self.goal[:80]!r} is no name of a goal: up to 64 letters, digits, spaces, '.', '_' and '-'"
+            raise ValueError(f"demonstration {self.name}: {said}")
         if self.odometry is not None and self.odometry.shape != (frames, 3):
             raise ValueError(f"demonstration {self.name}: odometry {self.odometry.shape} for {frames} frames")
 

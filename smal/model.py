@@ -239,8 +239,9 @@ def _visual_map(numbers: dict[str, Any] | None, arrays: dict[str, NDArray[Any]])
     if numbers is None:
         return None
     parts: dict[str, Any] = {name[4:]: array for name, array in arrays.items() if name.startswith("map.")}
-    goals = tuple(numbers["goals"])
-    return VisualMap(**numbers | {"goals": goals}, **parts)
+    if not isinstance(numbers["goals"], list):
+        raise TypeError("the goals of the map must be a list")
+    return VisualMap(**numbers | {"goals": tuple(numbers["goals"])}, **parts)
 
 
 def _check_numbers(meta: dict[str, Any]) -> None:

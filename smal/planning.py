@@ -165,13 +165,15 @@ class Planner:
         mean = complex((with_way * np.exp(1j * directions)).sum()) / max(float(with_way.sum()), 1e-12)
         error = math.atan2(mean.imag, mean.real)
         here = (left_to_go < 0.5 * self._map.speed * self._map.tick_s) & self._leads[belief.keyframes]
+        # Beside or beyond the end by more than views change over, it is not at it.
+        here &= np.hypot(belief.offsets[:, 0], belief.offsets[:, 1]) < self._map.correlation_length
         arrived = float(belief.weights @ here) * (1.0 - belief.lost)
         # What a few views say may be another place: arrived is who was followed there, and if need be looks around.
         confirmed = belief.tracked > self._map.correlation_length
         self.done = self.done or (arrived > _SURE and confirmed)
         if self.done:
             return Decision("goal", Atom.STOP, error)
-        if arrived > _SURE:
+        if arrived > _SURE and self._looked_rad < math.radians(LOOK_DEG):
             return Decision("look_around", self._look(error, elapsed_s), error)
         no_way, lost = float(with_way.sum()) < 0.5, belief.lost > 0.5
         if not (no_way or lost or abs(mean) < math.cos(math.radians(WIDE_DEG))):

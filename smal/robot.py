@@ -99,13 +99,15 @@ class Localiser:
         movement, noise = STILL, BY_ATOMS
         if odometry is not None and self._pose is not None:
             movement, noise = Movement.between(self._pose, odometry), BY_ODOMETRY
-        elif odometry is None and atom is not None:
+        elif atom is not None:
             ticks = 1.0 if elapsed_s is None else elapsed_s / self._map.tick_s
             ahead, turn = self._map.movements[atom] * ticks
             movement = Movement(float(ahead), float(turn))
+        belief = self._filter.observe(raw_features, movement, elapsed_s, noise)
+        # Not before: a frame that is refused is not taken in.
         if odometry is not None or atom is not None:
             self._pose = odometry
-        return self._filter.observe(raw_features, movement, elapsed_s, noise)
+        return belief
 
 
 class Robot:

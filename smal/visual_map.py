@@ -9,6 +9,7 @@ Views are kept as their principal components, which is what makes thousands of t
 """
 
 import math
+import re
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, fields
@@ -23,6 +24,8 @@ from smal.features import Centering, extract
 from smal.movement import Movement, atom_movements, dead_reckoning, wrapped
 from smal.virtual_views import Image, Maps, Scene, fit_scene, remapped
 
+#: What names of goals are: letters, digits, and what may stand between them.
+GOAL_NAME = r"\w[\w .-]{0,63}"
 #: Turns of the virtual views, degrees. Twenty taught pixels, the width of a cell of HOG, are about 5 degrees, within
 #: which a view turned stays alike; beyond 40 hardly anything of the taught image is left.
 TURNS_DEG = np.arange(-40.0, 41.0, 5.0)
@@ -55,11 +58,18 @@ _AXES = {
 _WHOLE = ("drives", "keyframes", "stitched")
 
 
+def _is_orthonormal(basis: NDArray[np.float32]) -> bool:
+    # Huge numbers of a damaged file would only give a warning on the way to the same answer.
+    return bool((np.abs(basis) <= 1.01).all()) and bool(np.abs(basis.T @ basis - np.eye(basis.shape[1])).max() < 0.01)
+
+
 def _is_name(given: object) -> bool:
-    return isinstance(given, str) and given != ""
+    return isinstance(given, str) and re.fullmatch(GOAL_NAME, given) is not None
 
 
-def _sound(array: NDArray[Any], axes: int, kind: str) -> bool:
+def _sound(array: object, axes: int, kind: str) -> bool:
+    if not isinstance(array, np.ndarray):
+        return False
     return array.ndim == axes and array.dtype.kind == kind and bool(np.isfinite(array).all())
 
 
@@ -141,11 +151,11 @@ class VisualMap:
                 "poses": self.poses.shape == (frames, 3) and bool((np.abs(self.poses) <= _LONGEST).all()),
                 "drives": self.drives.shape == (frames,) and bool((np.diff(self.drives, prepend=0) >= 0).all()),
                 "keyframes": count > 0
+                and bool(((self.keyframes >= 0) & (self.keyframes < frames)).all())
                 and bool((np.diff(self.keyframes, prepend=-1) > 0).all())
-                and int(self.keyframes[-1]) < frames
                 and bool(np.isin([*ends[:-1], *(ends[1:] - 1)], self.keyframes).all()),
                 "views": self.views.shape == (count, 3, TURNS_DEG.size, self.basis.shape[1]),
-                "length of components": float(np.linalg.norm(self.basis, axis=0).max(initial=0.0)) < 1.01,
+                "components": self.basis.shape[1] > 0 and _is_orthonormal(self.basis),
                 "length of views": float(np.linalg.norm(self.views, axis=-1).max(initial=0.0)) < 1.01,
                 "movements": self.movements.shape == (len(Atom), 2),
                 "scene": self.scene.shape == (3,),
@@ -179,7 +189,9 @@ class VisualMap:
         for first in range(0, count, _AT_ONCE):
             views = self.views[first : first + _AT_ONCE, 1, middle]
             best[:, first : first + _AT_ONCE] = (turned @ views.T).reshape(count, -1, len(views)).max(axis=1)
-        return np.maximum(best, best.T) < self.outlier_cosine
+        unlike: NDArray[np.bool_] = np.maximum(best, best.T) < self.outlier_cosine
+        np.fill_diagonal(unlike, False)
+        return unlike
 
     def outlier_of(self, cosines: NDArray[np.float32]) -> float:
         """Return the cosine from which on a frame shows a place rather than none of the map.

@@ -61,7 +61,7 @@ def evaluate(
 def _plan_in(world: str) -> Plan:
     options.check_world(world)
     there = load_world(world)
-    return in_world(str(Path(world).resolve()) if Path(world).exists() else world, there.scale.aside_m)
+    return in_world(str(Path(world).resolve()) if Path(world).is_file() else world, there.scale.aside_m)
 
 
 def _can_clone() -> bool:

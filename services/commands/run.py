@@ -93,7 +93,7 @@ def run(
             max_ticks=max_ticks or max(MAX_TICKS, PATIENCE * max(map(len, loaded.atoms))),
             start=start,
             kidnap_tick=kidnap,
-            goal=goal or "victim",
+            goal=goal or (loaded.mapped.goals[0] if scheme == "filter" else "victim"),
         )
         for k in range(episodes)
     ]
@@ -107,7 +107,7 @@ def run(
         ):
             _check_features(client, loaded.feature_settings)
             for one in _run_all(client, requests, access, name):
-                _check_models(client, identity)
+                _check_models(client, identity, goal)
                 records.append(one)
     finally:
         # Also when a later run fails, or is interrupted: the finished ones have cost their time.
@@ -159,7 +159,7 @@ def _client(settings: ServiceSettings, request: LoadRequest, identity: str) -> I
         client.node.bus.wait_connected(5.0)
         for service in CHAIN:
             client.node.bus.call(service, "load", request, LoadReply, timeout_s=60.0)
-        _check_models(client, identity)
+        _check_models(client, identity, request.goal)
         yield client
     finally:
         client.close()
@@ -183,7 +183,7 @@ def _check_features(client: EpisodeClient, wanted: FeatureSettings) -> None:
         )
 
 
-def _check_models(client: EpisodeClient, identity: str) -> None:
+def _check_models(client: EpisodeClient, identity: str, goal: str | None) -> None:
     """Ask recognition and policy whether they work with the model whose results these are to be.
 
     Raises
@@ -192,12 +192,14 @@ def _check_models(client: EpisodeClient, identity: str) -> None:
         When one does not: the file was replaced, or the service was started again, with the model of its stack.
     """
     for service in CHAIN:
-        found = client.node.bus.call(service, "status", Nothing(), Status).detail.get("checksum")
-        if found != identity:
-            raise JobError(
-                f"{service} has model {found or 'none'}, not {identity} as --model; "
-                "it was started again, or loaded another file: run again"
-            )
+        detail = client.node.bus.call(service, "status", Nothing(), Status).detail
+        for name, wanted in (("model", identity), ("goal", goal)):
+            found = detail.get("checksum" if name == "model" else "goal")
+            if found != wanted:
+                raise JobError(
+                    f"{service} has {name} {found or 'none'}, not {wanted or 'none'} as --{name}; "
+                    "it was started again, or loaded another one: run again"
+                )
 
 
 def _run_all(

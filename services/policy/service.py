@@ -115,7 +115,7 @@ class _ByFilter:
         atom = decision.atom.name.lower()
         known = places[0].keyframe if state.status == "recognized" else None
         return [
-            Action.after(state, kind=decision.kind, state=known, atoms=(atom,)),
+            Action.after(state, kind=decision.kind, state=known, atoms=(atom,), arrived=self._planner.done),
             Command.after(state, source="policy", atom=atom),
         ]
 

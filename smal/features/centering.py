@@ -38,7 +38,7 @@ class Centering:
         if self.mean.shape != (self.settings.size,):
             raise ValueError(f"the mean must have the shape ({self.settings.size},), got {self.mean.shape}")
         # Raw features are of unit length; beyond this bound, which a damaged file may pass, squares overflow.
-        if not (np.abs(self.mean) <= _LARGEST).all():
+        if self.mean.dtype.kind != "f" or not (np.abs(self.mean) <= _LARGEST).all():
             raise ValueError("the mean of the features is not finite, or too large")
 
     @classmethod

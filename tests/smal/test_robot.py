@@ -5,7 +5,9 @@ import math
 import pytest
 
 from smal import Atom, Robot
+from smal.features import extract
 from smal.learning import LearningSettings, fit
+from smal.robot import Localiser
 from tests.corridor import FEATURES, FRAMES, LENGTH, STEP_M, Pose, model, moved, pose, view
 
 
@@ -49,3 +51,25 @@ def test_a_model_without_a_map_is_refused_in_one_line() -> None:
     with pytest.raises(ValueError, match="no map of views") as refused:
         Robot(bare)
     assert "\n" not in str(refused.value)
+
+
+def test_a_frame_that_is_refused_does_not_move_the_robot() -> None:
+    known = model()
+    one, other = Localiser(known), Localiser(known)
+    raw = extract(view(0.0), FEATURES)
+    one.observe(raw, (0.0, 0.0, 0.0))
+    other.observe(raw, (0.0, 0.0, 0.0))
+    with pytest.raises(ValueError, match="finite"):
+        one.observe(raw, (math.nan, 0.0, 0.0))
+    later = extract(view(0.2), FEATURES)
+    both = [each.observe(later, (0.2, 0.0, 0.0)).tracked for each in (one, other)]
+    assert both[0] == both[1] == pytest.approx(0.2, rel=0.05)
+
+
+def test_where_odometry_comes_with_every_second_frame_atoms_fill_the_gaps() -> None:
+    localiser = Localiser(model())
+    for frame in range(9):
+        place = pose(frame)
+        raw = extract(view(*place), FEATURES)
+        belief = localiser.observe(raw, place if frame % 2 == 0 else None, Atom.FORWARD)
+    assert belief.tracked == pytest.approx(8 * STEP_M, rel=0.1)

@@ -4,7 +4,7 @@ import math
 import threading
 import weakref
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import cache
 from typing import Any
@@ -15,6 +15,8 @@ import pytest
 
 from smal.action_space import Atom
 from smal.features import Centering, extract
+from smal.filter import Filter
+from smal.movement import Movement
 from smal.visual_map import TURNS_DEG, VisualMap, learn_visual_map
 from tests.smal.synthetic_world import COLOR, SCENE, START, Image, Room, drive, taught, usual_map
 
@@ -259,3 +261,35 @@ def test_the_content_makes_the_map_again() -> None:
     assert again.content()[0] == numbers
     for name, array in arrays.items():
         np.testing.assert_array_equal(getattr(again, name), array)
+
+
+@pytest.mark.parametrize(
+    ("name", "harm", "named"),
+    [
+        ("basis", lambda basis: np.repeat(basis[:, :1], basis.shape[1], axis=1), "components"),
+        ("basis", lambda basis: 1e30 * basis, "components"),
+        ("basis", lambda basis: basis[:, :0], "components"),
+        ("keyframes", lambda keys: np.where(np.arange(keys.size) == 1, -1, keys), "keyframes"),
+        ("keyframes", lambda keys: np.where(np.arange(keys.size) == 1, np.iinfo(keys.dtype).max, keys), "keyframes"),
+        ("scene", lambda _: [1.0, 1.0, 1.0], "scene"),
+        ("goals", lambda _: ("",), "goals"),
+        ("goals", lambda _: ("a\x1b[2J",), "goals"),
+        ("goals", lambda _: ("x" * 65,), "goals"),
+        ("goals", lambda _: ("victim", "victim"), "goals"),
+        ("stitched", lambda _: np.array([[0, 10**6]], dtype=np.int32), "stitched"),
+    ],
+)
+def test_a_damaged_map_is_refused(name: str, harm: Callable[[Any], Any], named: str) -> None:
+    found = usual_map()[0]
+    with pytest.raises(ValueError, match=f"do not fit together: .*{named}"):
+        replace(found, **{name: harm(getattr(found, name))})
+
+
+def test_views_that_are_opposite_do_not_make_a_belief_that_is_no_number() -> None:
+    found, centering = usual_map()
+    views = found.views.copy()
+    views[:, :, 1::2] *= -1.0
+    follower = Filter(replace(found, views=views), centering)
+    for pose in drive().poses[:5]:
+        belief = follower.observe(extract(ROOM.look(pose), COLOR), Movement(0.05, 0.3))
+        assert np.isfinite([belief.lost, belief.cosine, *belief.weights]).all()

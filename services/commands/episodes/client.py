@@ -219,8 +219,8 @@ class EpisodeClient:
     def _on_action(self, action: Action) -> None:
         if self._record is not None and action.episode == self._episode:
             self._record.decisions[action.tick] = action.kind
-            # In the paper's scheme the goal is a state like others, whose action is carried out.
-            self._record.arrived |= action.kind == "goal" and action.atoms == ("stop",)
+            # The policy speaks also where somebody else drives.
+            self._record.arrived |= action.arrived and self._record.request.driver == "policy"
             # Not the kind says so: the robot also looks around where the state is known but has no way on.
             if action.state is None:
                 self._record.unrecognised.add(action.tick)

@@ -292,4 +292,6 @@ def in_world(world: str, aside_m: float) -> Plan:
     best = ("smal", "teach-and-repeat")
     trials = [one for name in best for one in (Trial(name, 1, 10), *_conditions(name, 10))]
     criterion = Criterion(2.0 * aside_m, 25.0)
-    return Plan(f"in {world}", (WorldPlan(world, (criterion,), trials=tuple(trials)),))
+    # Another map under the same name is another plan.
+    content = hashlib.sha256(Path(world).read_bytes()).hexdigest()[:12] if Path(world).is_file() else ""
+    return Plan(f"in {world} {content}".rstrip(), (WorldPlan(world, (criterion,), trials=tuple(trials)),))

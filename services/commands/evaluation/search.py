@@ -22,7 +22,7 @@ from services.commands.evaluation.rules import advance, odometry_of, outcome_at
 from services.simulator.simulation import Simulation
 from smal.features import extract
 
-#: Frames after which a search times out, as in `smal run`.
+#: Frames after which a search times out, at least, in `smal run`.
 MAX_TICKS: Final = 3000
 
 

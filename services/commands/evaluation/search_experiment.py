@@ -136,7 +136,7 @@ def _finding(found: Search, taught: NDArray[np.float64], criterion: Criterion, k
         right = np.array([_is_right(*pair, taught, criterion) for pair in zip(found.places, found.poses, strict=False)])
         sure = ~np.isin(np.arange(right.size), list(found.unrecognised))
         said["wrong_share"] = round(float((sure & ~right).mean()), 4)
-        if kidnap_tick:
+        if 0 < kidnap_tick <= found.ticks:
             said["right_after_s"] = _right_after_s((sure & right)[kidnap_tick:])
     return said
 

@@ -42,7 +42,8 @@ def write_page(plan: Plan, units: Sequence[Unit], store: ResultStore) -> Path:
         Of the page.
     """
     planned, done = len(units), sum(unit.key in store.findings for unit in units)
-    cloning = any(unit.kind == "search" and unit["controller"] == "cloning" for unit in units)
+    asked = any(trial.controller == "cloning" for world in plan.worlds for trial in world.trials)
+    cloning = not asked or any(unit.kind == "search" and unit["controller"] == "cloning" for unit in units)
     units = whole_series(units, store.findings)
     found = [results_of(world, units, store.findings) for world in plan.worlds]
     compared = [one for each in found for one in comparisons(each)]
@@ -129,7 +130,7 @@ def _method(plan: Plan, units: Sequence[Unit], store: ResultStore) -> Iterator[s
         f"Seeds: teaching {TEACHING_SEED} and following, held-out drives {QUERY_SEED} and following, searches "
         f"{RUN_SEED} and following (of another purpose, so that starts differ from those of teaching). A search ends "
         f"with the victim found, a collision, the robot's word that it has arrived, or after {plan.patience:g} times "
-        f"the frames of the longest taught drive ({MAX_TICKS} frames in smal run): a robot that is slow fails as one "
+        f"the frames of the longest taught drive (in smal run at least {MAX_TICKS}): a robot that is slow fails as one "
         f"that is lost does. Teaching is never degraded. SPL is success weighted by path length (Anderson et al. "
         f"2018); aside is the distance from the taught ways, by the truth; wrong and sure are frames at which the "
         f"robot believes to be further from the truth than the first criterion allows, and not to be lost. "

@@ -22,12 +22,13 @@ def search_section(found: Results, store: ResultStore, put: EmbeddedFigures, *, 
     """Write it as HTML, piece by piece; `cloning` says whether behaviour cloning is a part of it."""
     name = found.world.title
     yield "<h3>Finding the victim</h3>"
-    yield put(
-        f"drives-{name}",
-        figures.found_by_drives(found.successes, f"Searches that find the victim, {name}"),
-        "The same drives and starts for all; no recoveries. Bars are Wilson's 95 % intervals. Starts were not used in "
-        f"teaching.{'' if cloning else _WITHOUT_CLONING}",
-    )
+    if any(one.trial.condition == "as taught" for one in found.successes):
+        yield put(
+            f"drives-{name}",
+            figures.found_by_drives(found.successes, f"Searches that find the victim, {name}"),
+            "The same drives and starts for all; no recoveries. Bars are Wilson's 95 % intervals. Starts were not used "
+            f"in teaching.{'' if cloning else _WITHOUT_CLONING}",
+        )
     if any(one.trial.start == "anywhere" for one in found.successes):
         yield put(
             f"convergence-{name}",
@@ -56,9 +57,9 @@ def _table(found: Sequence[Success]) -> Iterator[str]:
             one.trial.condition, str(one.trial.drives), one.name, f"{one.found} of {one.runs}",
             "{:.0%} to {:.0%}".format(*one.wilson_95), str(one.ended("collision")), str(one.ended("timeout")),
             str(one.ended("false_goal")), "-" if one.spl is None else f"{one.spl:.2f}", f"{one.aside_rms_m:.2f}",
-            f"{one.aside_max_m:.2f}", f"{one.interventions_per_km:.1f}",
+            f"{one.aside_max_m:.2f}", "-" if one.interventions_per_km is None else f"{one.interventions_per_km:.1f}",
             "-" if one.wrong_share is None else f"{one.wrong_share:.1%}",
-            "-" if soon is None else f"{soon} of {one.runs}",
+            "-" if soon is None else f"{soon[0]} of {soon[1]}",
         ])  # fmt: skip
     yield html.table(
         ["condition", "drives", "driver", "found", "95 %", "collisions", "out of time", "false goals", "SPL",

@@ -90,7 +90,10 @@ class Success:
 
     @property
     def spl(self) -> float | None:
-        """Success weighted by path length (Anderson et al. 2018); None where robots were carried, not driven."""
+        """Success weighted by path length (Anderson et al. 2018); None where robots were carried, not driven.
+
+        The way that counts as shortest is the expert's route along the lanes: who cuts its corners has 1.
+        """
         if self.trial.kidnap_tick:
             return None
         shares = [
@@ -112,10 +115,10 @@ class Success:
         return max(float(one["aside_max_m"]) for one in self.findings.values())
 
     @property
-    def interventions_per_km(self) -> float:
-        """Searches in which a person would have had to step in, over the way that was driven."""
+    def interventions_per_km(self) -> float | None:
+        """Searches in which a person would have had to step in, over the way that was driven; None without any way."""
         driven_m = sum(float(one["driven_m"]) for one in self.findings.values())
-        return 1000.0 * (self.runs - self.found) / max(driven_m, 1e-9)
+        return 1000.0 * (self.runs - self.found) / driven_m if driven_m > 1.0 else None
 
     @property
     def wrong_share(self) -> float | None:
@@ -124,10 +127,10 @@ class Success:
         shares, frames = ([one[name] for one in told] for name in ("wrong_share", "ticks"))
         return float(np.average(shares, weights=frames)) if told else None
 
-    def right_within(self, seconds: float) -> int | None:
-        """Return in how many searches the belief was right so soon after the robot was carried away."""
+    def right_within(self, seconds: float) -> tuple[int, int] | None:
+        """Return in how many searches the belief was right so soon after being carried away, and of how many."""
         times = [one["right_after_s"] for one in self.findings.values() if "right_after_s" in one]
-        return sum(time is not None and time <= seconds for time in times) if times else None
+        return (sum(time is not None and time <= seconds for time in times), len(times)) if times else None
 
 
 @dataclass(frozen=True)

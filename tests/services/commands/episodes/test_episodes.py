@@ -44,8 +44,7 @@ class FakeSimulator:
     def reset(self, _request: ResetRequest) -> ResetReply:
         for tick, (kind, state) in enumerate(self.decisions):
             cause = CAUSE.model_copy(update={"tick": tick})
-            atom = "stop" if kind == "goal" else "left"
-            self._node.publish(Action.after(cause, kind=kind, state=state, atoms=(atom,)))
+            self._node.publish(Action.after(cause, kind=kind, state=state, atoms=("left",), arrived=kind == "goal"))
         return ResetReply(episode="e", world="campus", route=((0.0, 0.0), (1.0, 0.0)), speed_m_s=2.0, found_m=5.0)
 
     def end(self, request: EndRequest) -> None:
@@ -94,6 +93,18 @@ def test_a_robot_that_says_that_it_has_arrived_is_judged(
     assert (record.outcome, record.arrived, simulator.ended) == (outcome, True, ["e"])
 
 
+def test_only_a_robot_that_drives_itself_arrives(simulator: FakeSimulator, settings: ServiceSettings) -> None:
+    simulator.decisions = (("goal", 9), ("goal", 9), ("follow", 4))
+    client = EpisodeClient("test", settings)
+    client.node.bus.wait_connected(5.0)
+    try:
+        request = ResetRequest(seed=3, purpose="drive", driver="expert")
+        record = client.run(request, done=lambda: bool(client._record and len(client._record.decisions) == 3))
+    finally:
+        client.close()
+    assert (record.outcome, record.arrived) == ("found", False)
+
+
 def test_another_world_than_asked_for_is_an_error_and_its_episode_is_ended(
     simulator: FakeSimulator, settings: ServiceSettings
 ) -> None:
@@ -136,10 +147,10 @@ def test_results_of_another_model_are_an_error(
     client = EpisodeClient("test", settings)
     client.node.bus.wait_connected(5.0)
     try:
-        _check_models(client, "0123456789abcdef")
+        _check_models(client, "0123456789abcdef", None)
         has[wrong] = others
         with pytest.raises(JobError, match=f"^{wrong} has model {others or 'none'}, not 0123456789abcdef"):
-            _check_models(client, "0123456789abcdef")
+            _check_models(client, "0123456789abcdef", None)
     finally:
         client.close()
 

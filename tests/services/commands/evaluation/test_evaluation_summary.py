@@ -56,5 +56,5 @@ def test_counts_of_searches(tmp_path: Path) -> None:
     assert ours.wrong_share == pytest.approx(0.02)
     carried = success_of(found, Trial("smal", 1, 1, kidnap_tick=50))
     assert carried is not None
-    assert (carried.right_within(3.0), carried.right_within(5.0), carried.spl) == (6, 7, None)
+    assert (carried.right_within(3.0), carried.right_within(5.0), carried.spl) == ((6, 8), (7, 8), None)
     assert success_of(found, Trial("smal", 7, 1)) is None
