@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from services.commands.evaluation import plan as plans
-from services.commands.evaluation.plan import Criterion, Plan, WorldPlan
+from services.commands.evaluation.plan import CONTROLLERS, Criterion, Plan, Trial, WorldPlan
 from services.commands.evaluation.units import units
 from tests.services.commands.conftest import ROOT, Smal
 from tests.services.waiting import eventually
@@ -21,12 +21,15 @@ TINY = Plan(
     "quick",
     (
         WorldPlan(
-            "yard", 2, 2, (Criterion(3.0, 25.0), Criterion(1.5, 15.0)), queries=1, lengths=(1, 5),
-            recognised=("clean", "occluded"), search_lengths=(1, 5), searched={"paper": ("clean",), "smal": ("clean",)},
-            runs=1, peers=("clean",), template_frames=50,
+            "yard", (Criterion(3.0, 25.0), Criterion(1.5, 15.0)), drives=2, queries=1, lengths=(1, 5),
+            recognised=("clean", "occluded"), template_frames=50,
+            trials=(
+                *(Trial(name, 2, 1) for name in CONTROLLERS if name != "cloning"), Trial("smal", 1, 1),
+                Trial("smal", 1, 1, kidnap_tick=5), Trial("paper", 2, 1, 1),
+            ),
         ),
     ),
-    max_ticks=60,
+    patience=0.3,
     camera=(80, 60),
 )  # fmt: skip
 # The command with the tiny plan in place of the quick one.
@@ -116,7 +119,7 @@ def test_there_is_nothing_to_report(tmp_path: Path, smal: Smal) -> None:
 
 def test_a_unit_that_fails_is_one_line_and_leaves_what_was_done(tmp_path: Path, smal: Smal) -> None:
     """No world of that name: the worker says so, and the command ends."""
-    nowhere = Plan("quick", (WorldPlan("nowhere", 1, 0, (Criterion(1.0, 25.0),), 0, (5,), ("clean",)),))
+    nowhere = Plan("quick", (WorldPlan("nowhere", (Criterion(1.0, 25.0),), trials=(Trial("smal", 1, 1),)),))
     plans_before = plans.PLANS["quick"]
     plans.PLANS["quick"] = nowhere
     try:
