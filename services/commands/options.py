@@ -147,7 +147,7 @@ def check_world(world: str) -> str:
         raise UsageError(f"--world {world}: {error}") from None
 
 
-def read_model(path: Path, scheme: Scheme, stride: int | None, goal: str | None) -> smal_model.Model:
+def read_model(path: Path, scheme: Scheme, stride: int | None = None, goal: str | None = None) -> smal_model.Model:
     """Read the model of ``--model``, for which ``--scheme``, ``--stride`` and ``--goal`` must be right.
 
     Raises

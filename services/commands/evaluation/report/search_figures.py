@@ -42,10 +42,10 @@ def found_by_drives(found: Sequence[Success], title: str) -> Figure:
             label = controller_name(name, one.trial.length) if place == 0 else None
             axes.bar(at, one.rate, 0.9 * width, color=COLOURS[name], label=label)
             axes.plot([at, at], [low, high], color="#333333", lw=1.0)
-            axes.text(at, 1.04, f"{one.found}/{one.runs}", ha="center", fontsize=7, color="#333333")
+            axes.text(at, 1.04, f"{one.found}/{one.runs}", ha="center", fontsize=6, color="#333333")
     axes.set_xticks(range(len(counts)), [str(count) for count in counts])
     axes.set(ylim=(0.0, 1.12), xlabel="taught drives", ylabel="searches that find the victim", title=title)
-    figure.legend(loc="outside lower center", ncols=4, frameon=False, fontsize=9)
+    figure.legend(loc="outside lower center", ncols=3, frameon=False, fontsize=9)
     plain(axes)
     return figure
 
@@ -66,8 +66,9 @@ def convergence(found: Sequence[Success], title: str) -> Figure:
         medians = [np.median(each) for each in going[:shown]]
         axes.plot(np.arange(shown) * WAY_TICKS * TICK_S, medians, color=colour, lw=2.6)
         axes.set(title=one.name, xlabel="seconds", xlim=(0.0, 1.2 * shown * WAY_TICKS * TICK_S))
-        axes.set_ylim(bottom=0.0)
         plain(axes)
+    # Of all panels, which share the axis: after the last one has its lines.
+    panels[0].set_ylim(bottom=0.0)
     panels[0].set_ylabel("from the taught way (m)")
     figure.suptitle(title)
     return figure
