@@ -21,11 +21,11 @@ TINY = Plan(
     "quick",
     (
         WorldPlan(
-            "yard", (Criterion(3.0, 25.0), Criterion(1.5, 15.0)), drives=2, queries=1, lengths=(1, 5),
+            "yard", (Criterion(3.0, 25.0), Criterion(1.5, 15.0)), drives=1, queries=1, lengths=(1, 5),
             recognised=("clean", "occluded"), template_frames=50,
             trials=(
-                *(Trial(name, 2, 1) for name in CONTROLLERS if name != "cloning"), Trial("smal", 1, 1),
-                Trial("smal", 1, 1, kidnap_tick=5), Trial("paper", 2, 1, 1),
+                *(Trial(name, 1, 1) for name in CONTROLLERS if name != "cloning"),
+                Trial("smal", 1, 1, kidnap_tick=5), Trial("nearest-1", 2, 1), Trial("paper", 1, 1, 1),
             ),
         ),
     ),
