@@ -225,8 +225,8 @@ def test_tag_across_the_border_is_seen_right_or_not_at_all(
     )  # fmt: skip
     image = photograph(Shot(camera, (300, 200), (x, y, heading), seed=seed), TAG)
     seen = seen_right_or_not_at_all(image, camera, (x, y, heading))
-    # The nearest corner of the black square is outside, or the whole card and three pixels more inside: with less, noise
-    # at the border hides one in fifty.
+    # The nearest corner of the black square is outside, or the whole card inside and three pixels more: with less,
+    # noise at the border hides one in fifty.
     nearest = 0.1 * (abs(math.cos(heading)) + abs(math.sin(heading)))
     assert not (seen and outside_m + nearest > 0.01)
     assert seen or outside_m > -0.2 - 3 * scale
