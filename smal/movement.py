@@ -49,6 +49,14 @@ def seen_from(poses: NDArray[np.float64], frames: NDArray[np.float64]) -> NDArra
     return np.stack([cos * x + sin * y, -sin * x + cos * y, wrapped(turned)], axis=-1)
 
 
+def placed(offsets: NDArray[np.float64], frames: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the poses (..., 3) that are seen so from others (..., 3), the opposite of `seen_from`; turns add up."""
+    ahead, left, turned = np.moveaxis(offsets, -1, 0)
+    x, y, heading = np.moveaxis(frames, -1, 0)
+    cos, sin = np.cos(heading), np.sin(heading)
+    return np.stack([x + cos * ahead - sin * left, y + sin * ahead + cos * left, turned + heading], axis=-1)
+
+
 def atom_movements(poses: Sequence[NDArray[np.float64]], atoms: Sequence[NDArray[np.int8]]) -> NDArray[np.float64]:
     """Measure what each atom does between two frames.
 

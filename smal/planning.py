@@ -21,7 +21,7 @@ from scipy.sparse.csgraph import dijkstra
 
 from smal.action_space import Atom
 from smal.filter import Belief
-from smal.movement import seen_from, wrapped
+from smal.movement import placed, seen_from, wrapped
 from smal.visual_map import VisualMap
 
 #: How far ahead on the taught way the robot aims, as time of driving: less follows noise, more cuts corners.
@@ -138,7 +138,7 @@ class Planner:
         for start in range(len(following)):
             here = start
             while (here, int(following[here])) in stitch:
-                offset[start] = _composed(offset[start], self._map.stitch_offsets[stitch[here, int(following[here])]])
+                offset[start] = placed(offset[start], self._map.stitch_offsets[stitch[here, int(following[here])]])
                 here = int(following[here])
             keyframe[start] = here
         return keyframe, offset
@@ -223,7 +223,7 @@ class Planner:
         taught = self._map
         followed = self._keyframe[belief.keyframes]
         key = taught.keyframes[followed]
-        ahead, left, turned = _composed(belief.offsets, self._offset[belief.keyframes]).T
+        ahead, left, turned = placed(belief.offsets, self._offset[belief.keyframes]).T
         along = taught.arc[key] + ahead
         start, end = self._start_frame[followed], self._end_frame[followed]
         # Another drive's frames, in axes of their own, come before and after.
@@ -235,13 +235,3 @@ class Planner:
         near = np.hypot(x, y) < 0.3 * self._ahead
         aim = np.where(near, aim_turned, np.arctan2(y, x))
         return wrapped(aim - turned), taught.arc[end] - along
-
-
-def _composed(offsets: NDArray[np.float64], frame: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return offsets (..., 3) from a keyframe as seen from another, from which that keyframe has the offset `frame`."""
-    ahead, left, turned = np.moveaxis(offsets, -1, 0)
-    frame_ahead, frame_left, frame_turned = np.moveaxis(frame, -1, 0)
-    cos, sin = np.cos(frame_turned), np.sin(frame_turned)
-    return np.stack(
-        [frame_ahead + cos * ahead - sin * left, frame_left + sin * ahead + cos * left, turned + frame_turned], axis=-1
-    )

@@ -15,7 +15,6 @@ from services.commands.evaluation.results import ResultStore
 from services.commands.evaluation.units import Unit, units
 from services.commands.evaluation.workers import do_all
 from services.commands.interrupts import interrupted_by_signals
-from services.simulator.world import load_world
 from smal.evaluation.baselines.behaviour_cloning import CloningUnavailableError, load_torch
 
 
@@ -32,7 +31,7 @@ def evaluate(
     """Run the paper's experiments in simulation, and write a page with their figures.
 
     OUT/index.html shows everything and needs nothing beside it; the figures lie in OUT/figures, the numbers in
-    OUT/results.json. The whole evaluation takes an hour and a half on two cores. It can be interrupted at any time: the
+    OUT/results.json. The whole evaluation takes about an hour on two cores. It can be interrupted at any time: the
     same command goes on where it was, and while it works another one with --report-only shows what there is so far.
     Behaviour cloning needs torch (pip install -e '.[cloning]').
 
@@ -59,8 +58,7 @@ def evaluate(
 
 
 def _plan_in(world: str) -> Plan:
-    options.check_world(world)
-    there = load_world(world)
+    there = options.read_world(world)
     return in_world(str(Path(world).resolve()) if Path(world).is_file() else world, there.scale.aside_m)
 
 

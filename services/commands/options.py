@@ -17,6 +17,7 @@ from services.commands.errors import UsageError
 from services.model_service import refused
 from services.simulator.variation import VARIATIONS
 from services.simulator.world import WorldError, load_world
+from services.simulator.world.place import World as LoadedWorld
 from smal import model as smal_model
 
 DEFAULT_ROBOT: Final = "rescuebot"
@@ -134,7 +135,12 @@ def check_goal(goal: str) -> str:
 
 
 def check_world(world: str) -> str:
-    """Read a world, to say what is wrong with it before the processes start; return its name.
+    """Read a world, to say what is wrong with it before the processes start; return its name; see `read_world`."""
+    return read_world(world).name
+
+
+def read_world(world: str) -> LoadedWorld:
+    """Read the world of ``--world``.
 
     Raises
     ------
@@ -142,7 +148,7 @@ def check_world(world: str) -> str:
         When there is no such world, or its file is no map.
     """
     try:
-        return load_world(world).name
+        return load_world(world)
     except WorldError as error:
         raise UsageError(f"--world {world}: {error}") from None
 

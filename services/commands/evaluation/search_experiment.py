@@ -28,6 +28,7 @@ from services.commands.evaluation.workplace import Workplace, replace_file
 from services.jpeg import encode_jpeg
 from services.simulator.drive import TICK_S
 from smal.evaluation.baselines.behaviour_cloning import ClonedBehaviour, CloningSettings, clone
+from smal.movement import placed, seen_from
 
 #: Frames from one kept picture of an example route to the next, and of one kept position of any way.
 PICTURE_TICKS, WAY_TICKS = 10, 5
@@ -146,12 +147,9 @@ def _is_right(
 ) -> bool:
     if place is None:
         return False
-    x, y, heading = taught[place.frame]
-    cos, sin = np.cos(heading), np.sin(heading)
-    x, y = x + cos * place.ahead_m - sin * place.left_m, y + sin * place.ahead_m + cos * place.left_m
-    turned = abs(math.remainder(heading + place.turned_rad - true[2], math.tau))
-    near = math.hypot(x - true[0], y - true[1]) <= criterion.distance_m
-    return near and turned <= math.radians(criterion.angle_deg)
+    believed = placed(np.array([place.ahead_m, place.left_m, place.turned_rad]), taught[place.frame])
+    x, y, turned = seen_from(believed, true)
+    return bool(np.hypot(x, y) <= criterion.distance_m and abs(turned) <= math.radians(criterion.angle_deg))
 
 
 def _right_after_s(right: NDArray[np.bool_]) -> float | None:

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from services.commands.evaluation.demonstrations import drive, save_drives
+from services.commands.evaluation.demonstrations import demonstrate, save_drives
 from services.commands.evaluation.objective_experiment import objectives
 from services.commands.evaluation.plan import DEFAULT_LENGTH, Plan, Recogniser, Trial
 from services.commands.evaluation.recognition_experiment import judged, make_queries, recognise
@@ -50,12 +50,12 @@ class Work:
 
     def _teach(self, unit: Unit) -> dict[str, Any]:
         simulation, features, seed = self._place.simulation(unit.world, None), self._place.features, unit.number("seed")
-        made = drive(simulation, features, seed, "drive", thumbnails=True)
-        if made is None:
+        made = demonstrate(simulation, features, 1, 0, seed, thumbnails=True)
+        if not made:
             raise ValueError(f"the expert's drive with seed {seed} in {unit.world} did not reach the victim")
         name = teach_file(unit.world, seed)
-        save_drives(self._place.folder / name, [made], features)
-        return {"drives": 1, "frames": len(made.poses), "files": [name]}
+        save_drives(self._place.folder / name, made, features)
+        return {"drives": 1, "frames": len(made[0].poses), "files": [name]}
 
     def _learn(self, unit: Unit) -> dict[str, Any]:
         count = unit.number("drives")

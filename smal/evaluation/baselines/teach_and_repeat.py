@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from smal.action_space import Atom
-from smal.movement import atom_movements
+from smal.movement import atom_movements, placed, seen_from
 
 #: Pixels of the images that are compared, and of the square within which each of their pixels is normalised.
 COLUMNS, ROWS, PATCH = 115, 44, 9
@@ -149,7 +149,7 @@ class TeachAndRepeat:
             # The last goal and mere turns have nothing ahead of them to aim at.
             turning, last = self._is_turn(route), self._index == len(route.poses) - 1
             ahead = 0.0 if turning or last else LOOKAHEAD * self._spacing
-            x, y, heading = _seen_from(here, _placed(self._goal, np.array([ahead, 0.0, 0.0])))
+            x, y, heading = seen_from(placed(np.array([ahead, 0.0, 0.0]), self._goal), here)
             distance = math.hypot(x, y)
             if distance >= LOOKAHEAD * self._spacing or abs(heading) >= TURNED_RAD:
                 arrived = distance < (LOOKAHEAD if turning else TURNING) * self._spacing
@@ -162,7 +162,7 @@ class TeachAndRepeat:
         """Pick the first frame, the last, and one after each spacing or turn."""
         keys = [0]
         for frame, pose in enumerate(drive.odometry):
-            x, y, heading = _seen_from(drive.odometry[keys[-1]], pose)
+            x, y, heading = seen_from(pose, drive.odometry[keys[-1]])
             if math.hypot(x, y) > self._spacing or abs(heading) > TURNED_RAD or frame == len(drive.odometry) - 1:
                 keys.append(frame)
         margin = ((0, 0), (COLUMNS // 2, COLUMNS // 2))
@@ -197,15 +197,15 @@ class TeachAndRepeat:
 
     def _is_turn(self, route: _Route) -> bool:
         """Whether the goal is where the last one was, turned."""
-        x, y, _ = _seen_from(route.poses[self._index - 1], route.poses[self._index])
+        x, y, _ = seen_from(route.poses[self._index], route.poses[self._index - 1])
         return math.hypot(x, y) < TURNING * self._spacing
 
     def _advance(self, route: _Route) -> None:
         """Make the next keyframe the goal, as far from the last as it was taught."""
         self._last, self._index = self._goal, self._index + 1
         if self._index < len(route.poses):
-            leg = _seen_from(route.poses[self._index - 1], route.poses[self._index])
-            self._goal = _placed(self._last, leg)
+            leg = seen_from(route.poses[self._index], route.poses[self._index - 1])
+            self._goal = placed(leg, self._last)
 
     def _correct(self, route: _Route, seen: NDArray[np.float32], here: NDArray[np.float64]) -> None:
         """Turn the goal about the robot, and draw it nearer or push it away, by what keyframes around look like."""
@@ -213,8 +213,8 @@ class TeachAndRepeat:
         nearby = route.images[self._index - 1 - reach : self._index + reach + 1]
         offs, correlations = np.array([self._match(seen, taught) for taught in nearby]).T
         # The fraction of the way from the last goal to this one that is behind the robot, by odometry and by images.
-        leg = _seen_from(self._last, self._goal)[:2]
-        done = float(leg @ _seen_from(self._last, here)[:2]) / max(float(leg @ leg), np.finfo(float).tiny)
+        leg = seen_from(self._goal, self._last)[:2]
+        done = float(leg @ seen_from(here, self._last)[:2]) / max(float(leg @ leg), np.finfo(float).tiny)
         turn = 0.0
         if 0.0 <= done <= 1.0 and correlations[reach : reach + 2].max() >= RECOGNISED:
             turn = TURN_GAIN * float((1.0 - done) * offs[reach] + done * offs[reach + 1])
@@ -223,13 +223,13 @@ class TeachAndRepeat:
         if weights.any():
             looks = float(weights @ np.arange(-reach, reach + 2)) / float(weights.sum())
             nearer = WAY_GAIN * (looks - done) * self._spacing
-        goal = _seen_from(here, self._goal)
+        goal = seen_from(self._goal, here)
         distance = math.hypot(goal[0], goal[1])
         if nearer >= distance:
             self._advance(route)
             return
         goal[:2] *= 1.0 - nearer / distance
-        self._goal = _placed(here + np.array([0.0, 0.0, turn]), goal)
+        self._goal = placed(goal, here + np.array([0.0, 0.0, turn]))
 
 
 def _is_image(image: NDArray[Any]) -> bool:
@@ -246,17 +246,3 @@ def _prepared(image: NDArray[np.uint8]) -> NDArray[np.float32]:
     # A deviation below one grey level is that of rounding.
     deviation = np.sqrt(np.maximum(cv2.blur(small * small, (PATCH, PATCH)) - mean * mean, 1.0))
     return np.clip((small - mean) / deviation, -1.0, 1.0).astype(np.float32)
-
-
-def _placed(frame: NDArray[np.float64], offset: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the pose (x, y, heading) that is at an offset, as seen from a pose."""
-    cos, sin = math.cos(frame[2]), math.sin(frame[2])
-    x, y, heading = offset
-    return np.array([frame[0] + cos * x - sin * y, frame[1] + sin * x + cos * y, frame[2] + heading])
-
-
-def _seen_from(frame: NDArray[np.float64], pose: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return where a pose is as seen from another: x ahead, y left, heading within [-pi, pi]."""
-    cos, sin = math.cos(frame[2]), math.sin(frame[2])
-    x, y, heading = pose - frame
-    return np.array([cos * x + sin * y, cos * y - sin * x, math.remainder(heading, math.tau)])
