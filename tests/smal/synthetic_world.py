@@ -13,7 +13,9 @@ from numpy.typing import NDArray
 
 from smal.action_space import Atom
 from smal.features import Centering, FeatureSettings, extract
-from smal.movement import Movement
+from smal.filter import Filter
+from smal.movement import STILL, Movement
+from smal.planning import Planner
 from smal.virtual_views import Scene
 from smal.visual_map import VisualMap, learn_visual_map
 
@@ -22,6 +24,8 @@ COLOR = FeatureSettings(("color",), (1.0,))
 FIELD_DEG = 75.0
 CAMERA_HEIGHT = 0.35
 SPEED, TURN_RAD_S = 0.5, math.radians(45.0)
+#: Between two frames, seconds.
+TICK = 0.1
 ROWS, COLUMNS = 72, 96
 #: A way through the room: metres ahead and degrees to the left, by turns.
 WAY = ((2.5, 90.0), (2.0, -90.0), (2.0, 0.0))
@@ -133,6 +137,19 @@ def from_beside(pose: Sequence[float], ahead: float, left: float, turn: float) -
     x, y, heading = pose
     cos, sin = math.cos(heading), math.sin(heading)
     return x + cos * ahead - sin * left, y + sin * ahead + cos * left, heading + turn
+
+
+def driven(found: Filter, planner: Planner, room: Room, start: Sequence[float], frames: int) -> Pose:
+    """Let the filter and the planner drive at 10 Hz until they say that they have arrived; return where that is."""
+    pose, movement = np.array(start), STILL
+    for _ in range(frames):
+        atom = planner.decide(found.observe(extract(room.look(pose), COLOR), movement, TICK)).atom
+        if planner.done:
+            break
+        turn = {Atom.LEFT: TURN_RAD_S * TICK, Atom.RIGHT: -TURN_RAD_S * TICK}.get(atom, 0.0)
+        after = np.array(from_beside(tuple(pose), SPEED * TICK if atom is Atom.FORWARD else 0.0, 0.0, turn))
+        movement, pose = Movement.between(pose, after), after
+    return pose
 
 
 def taught(

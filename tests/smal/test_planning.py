@@ -8,14 +8,19 @@ import numpy as np
 import pytest
 
 from smal.action_space import Atom
-from smal.features import extract
 from smal.filter import Belief, Filter
-from smal.movement import STILL, Movement
 from smal.planning import GO_OVER_S, GUESS_S, LOOK_ASIDE_DEG, LOOK_DEG, Planner, cost_to_go
 from smal.visual_map import TURNS_DEG, VisualMap
-from tests.smal.synthetic_world import COLOR, SPEED, START, TURN_RAD_S, Room, drive, from_beside, usual_map
+from tests.smal.synthetic_world import (
+    START,
+    TICK,
+    Room,
+    drive,
+    driven,
+    from_beside,
+    usual_map,
+)
 
-TICK = 0.1
 #: Pairs of keyframes, and how the first stands to the second.
 Stitches = tuple[tuple[tuple[int, int], tuple[float, float, float]], ...]
 
@@ -211,16 +216,9 @@ def test_it_arrives_at_the_end_of_either_drive() -> None:
 
 @pytest.mark.parametrize(("left", "turn_deg"), [(0.0, 0.0), (0.25, 15.0), (-0.25, -25.0)])
 def test_filter_and_planner_drive_the_taught_way_to_its_end(left: float, turn_deg: float) -> None:
-    room, goal = Room(), drive().poses[-1]
+    goal = drive().poses[-1]
     found, planner = Filter(*usual_map()), Planner(usual_map()[0])
-    pose, movement = np.array(from_beside(START, 0.0, left, math.radians(turn_deg))), STILL
-    for _ in range(260):
-        atom = planner.decide(found.observe(extract(room.look(pose), COLOR), movement, TICK)).atom
-        if planner.done:
-            break
-        turn = {Atom.LEFT: TURN_RAD_S * TICK, Atom.RIGHT: -TURN_RAD_S * TICK}.get(atom, 0.0)
-        after = np.array(from_beside(tuple(pose), SPEED * TICK if atom is Atom.FORWARD else 0.0, 0.0, turn))
-        movement, pose = Movement.between(pose, after), after
+    pose = driven(found, planner, Room(), from_beside(START, 0.0, left, math.radians(turn_deg)), 260)
     assert planner.done
     assert math.hypot(*(pose - goal)[:2]) < 0.25
 

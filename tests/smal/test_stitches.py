@@ -7,22 +7,18 @@ from functools import cache
 import numpy as np
 import pytest
 
-from smal.action_space import Atom
-from smal.features import Centering, extract
+from smal.features import Centering
 from smal.filter import Filter
-from smal.movement import STILL, Movement, seen_from
+from smal.movement import seen_from
 from smal.planning import Planner
 from smal.stitches import stitched
 from smal.visual_map import VisualMap
 from tests.smal.synthetic_world import (
-    COLOR,
     SCENE,
-    SPEED,
     START,
-    TURN_RAD_S,
     Room,
     drive,
-    from_beside,
+    driven,
     taught,
     usual_map,
 )
@@ -30,7 +26,6 @@ from tests.smal.synthetic_world import (
 #: Two drives that begin the same way, the second 12 cm to the left, and part after 2 m.
 LEFT = drive(START, ((2.0, 60.0), (1.5, 0.0)))
 RIGHT = drive((START[0], START[1] + 0.12, START[2]), ((2.0, -60.0), (1.5, 0.0)))
-TICK = 0.1
 
 
 @cache
@@ -67,16 +62,8 @@ def test_drives_in_different_rooms_are_not_joined() -> None:
 def test_each_goal_is_reached_from_the_start_of_the_other_drive(goal: str) -> None:
     """The filter and the planner drive: from the start of one drive to the end of the other."""
     visual_map, centering = two()
-    room = Room()
     begin, finish = (RIGHT, LEFT) if goal == "left" else (LEFT, RIGHT)
     found, planner = Filter(visual_map, centering), Planner(visual_map, goal)
-    pose, movement = np.array(begin.poses[0]), STILL
-    for _ in range(200):
-        atom = planner.decide(found.observe(extract(room.look(pose), COLOR), movement, TICK)).atom
-        if planner.done:
-            break
-        turn = {Atom.LEFT: TURN_RAD_S * TICK, Atom.RIGHT: -TURN_RAD_S * TICK}.get(atom, 0.0)
-        after = np.array(from_beside(tuple(pose), SPEED * TICK if atom is Atom.FORWARD else 0.0, 0.0, turn))
-        movement, pose = Movement.between(pose, after), after
+    pose = driven(found, planner, Room(), begin.poses[0], 200)
     assert planner.done
     assert math.hypot(*(pose - finish.poses[-1])[:2]) < 0.3
