@@ -9,6 +9,7 @@ from typing import Final
 
 from schemas.action import Action
 from schemas.base import ROBOT_ID_PATTERN, SOURCES, Message
+from schemas.camera_info import CameraInfo
 from schemas.command import Command, CommandApplied
 from schemas.compressed_image import CompressedImage
 from schemas.depth_image import DepthImage
@@ -80,6 +81,7 @@ class Topic:
 
 CAMERA: Final = Topic("camera/rgb", Image, 10, 1, False, "simulator")
 JPEG: Final = Topic("camera/jpeg", CompressedImage, 10, 8, True, "simulator")
+CAMERA_INFO: Final = Topic("camera/info", CameraInfo, None, 8, True, "simulator")
 DEPTH: Final = Topic("camera/depth", DepthImage, 10, 1, False, "simulator")
 OVERHEAD: Final = Topic("camera/overhead", OverheadImage, 10, 1, False, "simulator")
 ODOMETRY: Final = Topic("odometry", Odometry, 10, 8, True, "simulator")
@@ -108,7 +110,7 @@ EPISODE: Final = Topic("episode", Episode, None, 64, True, "simulator", reliable
 TOPICS: Final[dict[str, Topic]] = {
     topic.name: topic
     for topic in (
-        *(CAMERA, JPEG, DEPTH, OVERHEAD),
+        *(CAMERA, JPEG, CAMERA_INFO, DEPTH, OVERHEAD),
         *(ODOMETRY, IMU, POSE, TRACKED),
         *(OBSERVATION, STATE, ACTION),
         *(*COMMANDS.values(), APPLIED, EPISODE),

@@ -51,10 +51,6 @@ def refused(model: Model, scheme: Scheme, stride: int | None, goal: str | None) 
                 "the model has no map of views: no drive to the goal that it was learned from has images; "
                 "learn it again, or use the scheme 'paper'"
             )
-        if not model.visual_map.odometry:
-            return (
-                "the model was learned from drives without odometry, which the filter needs here; record them with it"
-            )
         try:
             chosen_goal(model.visual_map.goals, goal)
         except ValueError as error:

@@ -21,7 +21,7 @@ from smal.stitches import stitched
 from smal.template_store import TemplateStore
 from smal.transitions import Transitions, learn_transitions
 from smal.virtual_views import Image
-from smal.visual_map import GOAL_NAME, ImageChain, VisualMap, learn_visual_map
+from smal.visual_map import GOAL_NAME, ImageChain, MappedDrive, VisualMap, learn_visual_map
 
 #: Where drives lead that do not say so.
 USUAL_GOAL = "victim"
@@ -54,6 +54,8 @@ class Demonstration:
         Which drive it is a part of, where frames between parts were lost; its name if empty.
     goal : str
         Where it leads.
+    focal : float, optional
+        Focal length of the camera over the width of its image, above 0; estimated from the images if not given.
     """
 
     name: str
@@ -65,6 +67,7 @@ class Demonstration:
     odometry: NDArray[np.float64] | None = None
     episode: str = ""
     goal: str = USUAL_GOAL
+    focal: float | None = None
 
     def __post_init__(self) -> None:
         if self.features.ndim != 2 or self.atoms.shape != (self.features.shape[0],):
@@ -78,6 +81,10 @@ class Demonstration:
         if re.fullmatch(GOAL_NAME, self.goal) is None:
             said = f"{self.goal[:80]!r} is no name of a goal: up to 64 letters, digits, spaces, '.', '_' and '-'"
             raise ValueError(f"demonstration {self.name}: {said}")
+        if self.focal is not None and not (math.isfinite(self.focal) and self.focal > 0.0):
+            raise ValueError(
+                f"demonstration {self.name}: the focal length must be finite and positive, got {self.focal}"
+            )
         if self.odometry is not None and self.odometry.shape != (frames, 3):
             raise ValueError(f"demonstration {self.name}: odometry {self.odometry.shape} for {frames} frames")
 
@@ -284,18 +291,21 @@ def _map_views(
             usable.append(whole)
     if not usable:
         return None
-    found = learn_visual_map(
-        [ImageChain([part.images for part in parts if part.images is not None]) for parts in usable],
-        [select(np.concatenate([part.features for part in parts]), centering.settings, of_images.settings)
-         for parts in usable],
-        [np.concatenate([part.atoms for part in parts]) for parts in usable],
-        [_joined([part.odometry for part in parts]) for parts in usable],
-        of_images,
-        tick_s,
-        [parts[-1].goal for parts in usable],
-        progress,
-    )  # fmt: skip
-    return stitched(found)
+    return stitched(
+        learn_visual_map([_mapped(parts, centering, of_images) for parts in usable], of_images, tick_s, progress)
+    )
+
+
+def _mapped(parts: Sequence[Demonstration], centering: Centering, of_images: Centering) -> MappedDrive:
+    raw = np.concatenate([part.features for part in parts])
+    return MappedDrive(
+        ImageChain([part.images for part in parts if part.images is not None]),
+        select(raw, centering.settings, of_images.settings),
+        np.concatenate([part.atoms for part in parts]),
+        _joined([part.odometry for part in parts]),
+        parts[-1].goal,
+        parts[-1].focal,
+    )
 
 
 def _joined(parts: Sequence[NDArray[np.float64] | None]) -> NDArray[np.float64] | None:
@@ -308,6 +318,7 @@ def fit(
     settings: LearningSettings | None = None,
     progress: StageProgress | None = None,
     goals: Sequence[str] | None = None,
+    focal: float | None = None,
 ) -> Model:
     """Learn from images and what was done at each of them.
 
@@ -321,6 +332,8 @@ def fit(
         See `learn`.
     goals : sequence of str, optional
         Where each drive leads; all to one goal if not given.
+    focal : float, optional
+        Focal length of the camera over the width of its image; estimated from the images if not given.
 
     Examples
     --------
@@ -335,7 +348,9 @@ def fit(
         features = np.stack([extract(image, settings.features) for image in images])
         way = np.asarray(odometry[0], dtype=np.float64) if odometry else None
         made = np.asarray(atoms, dtype=np.int8)
-        taught.append(Demonstration(f"drive-{number}", features, made, images=images, odometry=way, goal=goal))
+        taught.append(
+            Demonstration(f"drive-{number}", features, made, images=images, odometry=way, goal=goal, focal=focal)
+        )
     return learn(taught, settings, progress)[0]
 
 

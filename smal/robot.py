@@ -79,7 +79,7 @@ class Localiser:
         self,
         raw_features: NDArray[Any],
         odometry: Sequence[float] | None = None,
-        atom: Atom | None = None,
+        atoms: Sequence[Atom] = (),
         elapsed_s: float | None = None,
     ) -> Belief:
         """Take one frame.
@@ -89,23 +89,24 @@ class Localiser:
         raw_features : array (m,)
             From `smal.features.extract`.
         odometry : (x, y, heading in radians), optional
-            Pose by the wheels at the frame. A frame without it, and without an atom, says nothing of the movement: the
-            next pose does.
-        atom : Atom, optional
-            Made since the frame before; counts where there is no odometry.
+            Pose by the wheels at the frame; does not count where the drives had none, since it has another unit than
+            the map. A frame without it, and without atoms, says nothing of the movement: the next pose does.
+        atoms : sequence of Atom
+            Made since the frame before, for equal parts of the time; they count where there is no odometry.
         elapsed_s : float, optional
             Time since the frame before; a taught tick if not given.
         """
         movement, noise = STILL, BY_ATOMS
+        odometry = odometry if self._map.odometry else None
         if odometry is not None and self._pose is not None:
             movement, noise = Movement.between(self._pose, odometry), BY_ODOMETRY
-        elif atom is not None:
-            ticks = 1.0 if elapsed_s is None else elapsed_s / self._map.tick_s
-            ahead, turn = self._map.movements[atom] * ticks
+        elif atoms:
+            ticks = len(atoms) if elapsed_s is None else elapsed_s / self._map.tick_s
+            ahead, turn = self._map.movements[list(atoms)].mean(axis=0) * ticks
             movement = Movement(float(ahead), float(turn))
         belief = self._filter.observe(raw_features, movement, elapsed_s, noise)
         # Not before: a frame that is refused is not taken in.
-        if odometry is not None or atom is not None:
+        if odometry is not None or atoms:
             self._pose = odometry
         return belief
 
@@ -169,7 +170,7 @@ class Robot:
             To make until the next image.
         """
         raw = extract(image, self._localiser.features)
-        self.belief = self._localiser.observe(raw, odometry, self._atom, elapsed_s)
+        self.belief = self._localiser.observe(raw, odometry, [self._atom], elapsed_s)
         self.decision = self._planner.decide(self.belief, elapsed_s)
         self._atom = self.decision.atom
         return self._atom

@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from smal.action_space import Atom
 from smal.movement import seen_from
 
 #: What a fit chooses from. Fields of view of cameras on robots, degrees; the height of the camera over the correlation
@@ -22,10 +23,11 @@ from smal.movement import seen_from
 _FIELDS_DEG = tuple(range(40, 125, 5))
 _HEIGHTS = tuple(0.1 * 1.5**k for k in range(7))
 _DISTANCES = tuple(3.0 * 2.0**k for k in range(6))
-#: Field of view that is assumed where no drive turns, degrees.
-_USUAL_FIELD_DEG = 70.0
 #: Pairs of views that a fit looks at, at most: more change nothing that is seen.
 _PAIRS = 24
+
+#: Turns from one view to another that a fit tries, degrees: those over which views overlap.
+_TURNS_DEG = tuple(np.geomspace(1.0, 40.0, 23).tolist())
 
 Image = NDArray[np.uint8]
 Maps = tuple[NDArray[Any], NDArray[Any]]
@@ -126,7 +128,7 @@ def fit_scene(
     -------
     Scene
     """
-    scene = Scene(focal or _focal_of(_USUAL_FIELD_DEG), correlation_length / 3.0, correlation_length * 4.0)
+    scene = Scene(focal or USUAL_FOCAL, correlation_length / 3.0, correlation_length * 4.0)
     if focal is None:
         turns = _pairs(
             poses, drives, lambda ahead, turn: (ahead < 0.02 * correlation_length) & (turn > math.radians(9))
@@ -140,8 +142,60 @@ def fit_scene(
     return _best(scene, near, images, steps, describe)
 
 
+def turn_of_views(
+    images: Sequence[Image],
+    atoms: Sequence[NDArray[np.int8]],
+    focal: float,
+    describe: Callable[[Image], NDArray[np.float32]],
+) -> float | None:
+    """Measure how far an atom of turning turns, by the turn under which views predict each other best.
+
+    First over single atoms, then, more exactly, over as many as turn about 15 degrees. With a wrong focal length the
+    turn is wrong by as much, so that virtual views of the two together fit all the same.
+
+    Parameters
+    ----------
+    images : sequence of uint8 arrays (height, width, 3)
+    atoms : sequence of int8 arrays
+        Made after the images, of each drive.
+    focal : float
+        Focal length over the image's width.
+    describe : callable
+        Centred features of an image, of unit length.
+
+    Returns
+    -------
+    float or None
+        Radians; None where no drive turns.
+    """
+    made = np.concatenate(atoms)
+    # After the last frame of a drive comes another one's first.
+    made[np.cumsum([len(one) for one in atoms]) - 1] = Atom.STOP
+    sign = (made == Atom.LEFT).astype(int) - (made == Atom.RIGHT).astype(int)
+    scene = Scene(focal, 1.0, 1e6)
+    found = None
+    for _ in range(2):
+        count = 1 if found is None else max(1, round(math.radians(15.0) / found))
+        same = np.abs(np.convolve(sign, np.ones(count, dtype=int), mode="valid")) == count
+        frames = np.flatnonzero(same)
+        frames = frames[np.unique(np.linspace(0, frames.size - 1, _PAIRS).astype(int))] if frames.size else frames
+        if not frames.size:
+            break
+        seen = [(images[k], describe(images[k + count]), sign[k]) for k in frames.tolist()]
+        scores = [
+            sum(float(y @ describe(scene.warp(image, turn_rad=side * math.radians(turn)))) for image, y, side in seen)
+            for turn in _TURNS_DEG
+        ]
+        found = math.radians(_TURNS_DEG[int(np.argmax(scores))]) / count
+    return found
+
+
 def _focal_of(field_deg: float) -> float:
     return 0.5 / math.tan(math.radians(field_deg) / 2.0)
+
+
+#: Focal length over the image's width that is assumed where no drive turns, of a field of view of 70 degrees.
+USUAL_FOCAL = _focal_of(70.0)
 
 
 Pair = tuple[int, int, float, float, float]

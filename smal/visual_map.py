@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from smal.action_space import Atom
 from smal.features import Centering, extract
 from smal.movement import Movement, atom_movements, dead_reckoning, wrapped
-from smal.virtual_views import Image, Maps, Scene, fit_scene, remapped
+from smal.virtual_views import USUAL_FOCAL, Image, Maps, Scene, fit_scene, remapped, turn_of_views
 
 #: What names of goals are: letters, digits, and what may stand between them.
 GOAL_NAME = r"\w[\w .-]{0,63}"
@@ -252,53 +252,72 @@ class VisualMap:
         return {name: value for name, value in each.items() if name not in arrays}, arrays
 
 
+@dataclass(frozen=True, eq=False)
+class MappedDrive:
+    """What the map needs of one demonstration.
+
+    Parameters
+    ----------
+    images : sequence of uint8 arrays (height, width, 3)
+    raw : float32 array (f, m)
+        Raw features of every image.
+    atoms : int8 array (f,)
+    odometry : float64 array (f, 3), optional
+        x, y and heading in radians by the wheels.
+    goal : str
+        Where it leads.
+    focal : float, optional
+        Focal length over the image's width, where it is known.
+    """
+
+    images: Sequence[Image]
+    raw: NDArray[np.float32]
+    atoms: NDArray[np.int8]
+    odometry: NDArray[np.float64] | None
+    goal: str
+    focal: float | None = None
+
+
 def learn_visual_map(
-    images: Sequence[Sequence[Image]],
-    raw: Sequence[NDArray[np.float32]],
-    atoms: Sequence[NDArray[np.int8]],
-    odometry: Sequence[NDArray[np.float64] | None],
+    taught: Sequence[MappedDrive],
     centering: Centering,
     tick_s: float,
-    goals: Sequence[str],
     progress: Callable[[int, int], None] = lambda _done, _total: None,
 ) -> VisualMap:
     """Make the map of demonstrations.
 
     Parameters
     ----------
-    images : sequence of sequences of uint8 arrays (height, width, 3)
-        Of every frame of each demonstration.
-    raw : sequence of float32 arrays (f_d, m)
-        Their raw features.
-    atoms : sequence of int8 arrays (f_d,)
-    odometry : sequence of float64 arrays (f_d, 3) or None
-        x, y and heading in radians by the wheels. If one is without, all go by the usual movements of atoms, in which
-        a forward atom is one unit long.
+    taught : sequence of MappedDrive
+        By one robot. If one is without odometry, all go by the usual movements of atoms: a forward atom is one unit
+        long, and an atom of turning turns as far as the views say (`turn_of_views`).
     centering : Centering
     tick_s : float
         Time between two frames.
-    goals : sequence of str
-        Where each demonstration leads.
     progress : callable
         Called with keyframes done and their number.
     """
+    atoms, odometry = [one.atoms for one in taught], [one.odometry for one in taught]
+    told = [one.focal for one in taught if one.focal is not None]
+    focal = float(np.median(told)) if told else None
+    every = ImageChain([one.images for one in taught])
+
+    def describe(image: Image) -> NDArray[np.float32]:
+        return centering.apply(extract(image, centering.settings))
+
     with_odometry = all(one is not None for one in odometry)
     if with_odometry:
         ways = [np.asarray(one, dtype=np.float64) for one in odometry if one is not None]
         movements = atom_movements(ways, atoms)
     else:
-        movements = _UNIT_MOVEMENTS
+        focal = USUAL_FOCAL if focal is None else focal
+        movements = _unit_movements(turn_of_views(every, atoms, focal, describe) or USUAL_TURN_RAD_S * tick_s)
         ways = [dead_reckoning(one, movements) for one in atoms]
     poses = np.concatenate(ways)
     drives = np.repeat(np.arange(len(ways), dtype=np.int32), [len(way) for way in ways])
-    centred = np.concatenate([centering.apply(one) for one in raw])
+    centred = np.concatenate([centering.apply(one.raw) for one in taught])
     length, unrelated = _correlation_length(centred, poses, drives)
-
-    def describe(image: Image) -> NDArray[np.float32]:
-        return centering.apply(extract(image, centering.settings))
-
-    every = ImageChain(images)
-    scene = fit_scene(every, poses, drives.astype(np.intp), length, describe)
+    scene = fit_scene(every, poses, drives.astype(np.intp), length, describe, focal)
     keyframes = _choose_keyframes(poses, drives, length)
     views, basis = _make_views(every, keyframes, scene, _ASIDE * length, describe, progress)
     kappa, outlier_cosine = _likelihood(centred, poses, drives, length)
@@ -315,7 +334,7 @@ def learn_visual_map(
         tick_s=tick_s,
         odometry=with_odometry,
         scene=np.array([scene.focal, scene.height, scene.distance]),
-        goals=tuple(goals),
+        goals=tuple(one.goal for one in taught),
         kappa=kappa,
         outlier_cosine=outlier_cosine,
     )
@@ -336,8 +355,13 @@ class ImageChain(Sequence[Image]):
         return self._parts[part][int(index) - (int(self._ends[part - 1]) if part else 0)]
 
 
-#: Without odometry: a forward atom is the unit, and turns are those of our robots, 45 degrees a second at 10 Hz.
-_UNIT_MOVEMENTS = np.array([[0.0, 0.0], [1.0, 0.0], [-1.0, 0.0], [0.0, math.pi / 40.0], [0.0, -math.pi / 40.0]])
+#: How fast robots turn, where no drive turns and nothing else tells.
+USUAL_TURN_RAD_S = math.radians(45.0)
+
+
+def _unit_movements(turn_rad: float) -> NDArray[np.float64]:
+    """Return the movements of atoms, (5, 2), in units of a forward one."""
+    return np.array([[0.0, 0.0], [1.0, 0.0], [-1.0, 0.0], [0.0, turn_rad], [0.0, -turn_rad]])
 
 
 def _apart(poses: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

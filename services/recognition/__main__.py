@@ -15,6 +15,7 @@ def serve() -> None:
     def wire(node: Node) -> None:
         service.behind = lambda: node.waits(topics.OBSERVATION)
         node.subscribe(topics.ODOMETRY, service.see)
+        node.subscribe(topics.APPLIED, service.see_applied)
 
     serve_model("recognition", service, topics.OBSERVATION, wire)
 

@@ -2,21 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import Final
+from collections.abc import Callable, Sequence
+from typing import Any, Final
 
+from schemas.command import CommandApplied
 from schemas.observation import Observation
 from schemas.odometry import Odometry
 from schemas.rpc import LoadReply, LoadRequest
 from schemas.state import MAX_PLACES, Place, State
 from services.model_service import LoadedModel
 from services.process import Detail, ServiceError
+from smal.action_space import Atom
 from smal.features import select
 from smal.filter import Belief
 from smal.recognition import Recognizer
 from smal.robot import Localiser
 
-#: Odometry that is kept until the observation of its frame comes, frames.
+#: Odometry and commands that are kept until the observation of their frame comes, frames.
 _KEPT: Final = 100
 Pose = tuple[float, float, float]
 
@@ -26,6 +28,7 @@ class RecognitionService:
 
     A frame that another one already waits behind is left out by the filter, which goes by the odometry of the next, and
     only taken in by the paper's scheme: answering it would make the newest answer later. In lockstep there is none.
+    A model that was taught without odometry has the filter go by what the actuator did instead.
     """
 
     def __init__(self) -> None:
@@ -35,6 +38,7 @@ class RecognitionService:
         self._localiser: _ByFilter | _ByPaper | None = None
         self._last: State | None = None
         self._odometry: dict[tuple[str, int], Pose] = {}
+        self._applied: dict[tuple[str, int], CommandApplied] = {}
         self._waiting: Observation | None = None
 
     def load(self, request: LoadRequest) -> LoadReply:
@@ -53,12 +57,26 @@ class RecognitionService:
     def see(self, odometry: Odometry) -> State | None:
         """Take the odometry of a frame, which may come before or after its observation."""
         self._odometry[odometry.episode, odometry.tick] = (odometry.x_m, odometry.y_m, odometry.heading_rad)
-        while len(self._odometry) > _KEPT:
-            del self._odometry[next(iter(self._odometry))]
+        _forget(self._odometry)
         waiting = self._waiting
         if waiting is None or (waiting.episode, waiting.tick) != (odometry.episode, odometry.tick):
             return None
         return self._answer(waiting)
+
+    def see_applied(self, applied: CommandApplied) -> None:
+        """Take what the actuator does from a frame on; of several in one frame the last moves the robot to the next."""
+        last = self._applied.get((applied.episode, applied.tick))
+        if last is None or applied.sequence > last.sequence:
+            self._applied[applied.episode, applied.tick] = applied
+        _forget(self._applied)
+
+    def _atoms(self, episode: str, since: int, until: int) -> list[Atom]:
+        """Return what the actuator did between two frames; where that is not known, what it did before."""
+        atoms = [Atom.STOP]
+        for tick in range(since, until):
+            applied = self._applied.get((episode, tick))
+            atoms.append(atoms[-1] if applied is None else Atom[applied.atom.upper()])
+        return atoms[1:]
 
     def handle(self, observation: Observation) -> State | None:
         """Return the state at one frame; ``collecting`` where no decision is due, None where its odometry is to come.
@@ -81,7 +99,7 @@ class RecognitionService:
             return last
         again = waiting is not None and (waiting.episode, waiting.tick) == (observation.episode, observation.tick)
         known = (observation.episode, observation.tick) in self._odometry
-        if isinstance(self._localiser, _ByFilter) and not known and not again:
+        if self._localiser.by_odometry and not known and not again:
             self._waiting = observation
             return None
         return self._answer(observation)
@@ -91,8 +109,10 @@ class RecognitionService:
         self._waiting = None
         if self._last is None or self._last.episode != observation.episode:
             self._localiser.reset()
+        since = self._last.tick if self._last is not None and self._last.episode == observation.episode else 0
+        atoms = [] if self._localiser.by_odometry else self._atoms(observation.episode, since, observation.tick)
         odometry = self._odometry.get((observation.episode, observation.tick))
-        found = self._localiser.observe(observation, odometry, behind=self.behind())
+        found = self._localiser.observe(observation, odometry, atoms, behind=self.behind())
         self._last = found or self._last
         return found
 
@@ -103,22 +123,31 @@ class RecognitionService:
         return {"model": None} if loaded is None else loaded.detail()
 
 
+def _forget(kept: dict[tuple[str, int], Any]) -> None:
+    """Forget the oldest of what is kept by frame."""
+    while len(kept) > _KEPT:
+        del kept[next(iter(kept))]
+
+
 class _ByFilter:
     def __init__(self, loaded: LoadedModel) -> None:
         self._held, self._identity = loaded.model.feature_settings, loaded.identity
         self._localiser = Localiser(loaded.model)
+        self.by_odometry = loaded.model.mapped.odometry
         self.reset()
 
     def reset(self) -> None:
         self._localiser.reset()
         self._stamp_ns: int | None = None
 
-    def observe(self, observation: Observation, odometry: Pose | None, *, behind: bool) -> State | None:
+    def observe(
+        self, observation: Observation, odometry: Pose | None, atoms: Sequence[Atom], *, behind: bool
+    ) -> State | None:
         if behind:
             return None
         elapsed_s = None if self._stamp_ns is None else max(observation.stamp_ns - self._stamp_ns, 0) / 1e9
         raw = select(observation.features.to_numpy(), self._held, self._localiser.features)
-        belief = self._localiser.observe(raw, odometry, elapsed_s=elapsed_s)
+        belief = self._localiser.observe(raw, odometry, atoms, elapsed_s)
         self._stamp_ns = observation.stamp_ns
         return self._state(observation, belief.summary(MAX_PLACES))
 
@@ -140,6 +169,8 @@ class _ByFilter:
 
 
 class _ByPaper:
+    by_odometry = False
+
     def __init__(self, loaded: LoadedModel) -> None:
         self._loaded = loaded
         self._recognizer = Recognizer(loaded.model)
@@ -147,7 +178,9 @@ class _ByPaper:
     def reset(self) -> None:
         self._recognizer.reset()
 
-    def observe(self, observation: Observation, _odometry: Pose | None, *, behind: bool) -> State:
+    def observe(
+        self, observation: Observation, _odometry: Pose | None, _atoms: Sequence[Atom], *, behind: bool
+    ) -> State:
         # The first decision is due with the first whole window, the others follow at equal distances.
         first = self._loaded.model.sequence_length - 1
         due = (observation.tick - first) % self._loaded.stride == 0 and not behind

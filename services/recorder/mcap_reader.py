@@ -18,12 +18,13 @@ from mcap.records import Channel
 from pydantic import ValidationError
 
 from schemas.base import Message
+from schemas.camera_info import CameraInfo
 from schemas.command import CommandApplied
 from schemas.episode import Episode
 from schemas.observation import Observation
 from schemas.odometry import Odometry
 from schemas.pose import Pose
-from schemas.topics import APPLIED, CAMERA, EPISODE, JPEG, OBSERVATION, ODOMETRY, POSE, Topic, topic_of
+from schemas.topics import APPLIED, CAMERA, CAMERA_INFO, EPISODE, JPEG, OBSERVATION, ODOMETRY, POSE, Topic, topic_of
 from services.recorder.recorded import RecordedEpisode
 from services.recorder.records import MAGIC, fields, flat_records, message_header, message_payload, view_of
 from services.recorder.sink import PARTIAL_SUFFIX, is_being_recorded
@@ -118,6 +119,7 @@ class _Reader:
             APPLIED.name: self._take_applied,
             POSE.name: self._take_pose,
             ODOMETRY.name: self._take_odometry,
+            CAMERA_INFO.name: self._take_camera_info,
         }
 
     def take(self, opcode: int, body: memoryview) -> None:
@@ -181,3 +183,7 @@ class _Reader:
     def _take_odometry(self, record: RecordedEpisode, odometry: Message) -> None:
         assert isinstance(odometry, Odometry)  # noqa: S101 - by the table of topics
         record.odometry.setdefault(odometry.tick, (odometry.x_m, odometry.y_m, odometry.heading_rad))
+
+    def _take_camera_info(self, record: RecordedEpisode, info: Message) -> None:
+        assert isinstance(info, CameraInfo)  # noqa: S101 - by the table of topics
+        record.focal = info.focal_px / info.width

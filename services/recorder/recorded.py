@@ -62,6 +62,8 @@ class RecordedEpisode:
         Pose by the wheels: x, y in metres and heading in radians.
     applied
         What the actuator did from this tick to the next.
+    focal
+        Focal length of the camera over the width of its image; None if it was not recorded.
     poses
         True poses, for plots; learning must not use them.
     """
@@ -79,6 +81,7 @@ class RecordedEpisode:
     images: dict[int, memoryview] = field(default_factory=dict)
     odometry: dict[int, tuple[float, float, float]] = field(default_factory=dict)
     applied: dict[int, CommandApplied] = field(default_factory=dict)
+    focal: float | None = None
     poses: dict[int, Pose] = field(default_factory=dict)
 
     @property

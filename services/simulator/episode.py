@@ -28,7 +28,13 @@ from services.simulator.drive import TICK_S
 from services.simulator.gate import Applied, CommandGate
 from services.simulator.outcome import outcome_of
 from services.simulator.sensors import ImuReading, OdometryReading
-from services.simulator.sensors.messages import depth_message, imu_message, odometry_message, overhead_message
+from services.simulator.sensors.messages import (
+    camera_info,
+    depth_message,
+    imu_message,
+    odometry_message,
+    overhead_message,
+)
 from services.simulator.world.place import OverheadMount
 from services.simulator.world.place import Pose as PlanarPose
 
@@ -68,6 +74,10 @@ class World(Protocol):
 
     def render(self) -> NDArray[np.uint8]:
         """Return the camera image, (height, width, 3)."""
+
+    @property
+    def focal_px(self) -> float:
+        """Focal length of the camera in pixels."""
 
     def depth_m(self) -> NDArray[np.float32]:
         """Return the distance of each pixel along the camera's axis, (height, width) metres or `inf`."""
@@ -312,6 +322,8 @@ class EpisodeRunner:
         run.sent_s = self._clock()
         run.ready_s = {tick: at for tick, at in run.ready_s.items() if tick > run.tick - READY_KEPT}
         run.ready_s[run.tick] = run.sent_s
+        if run.tick == 0:
+            yield camera_info(header, image, self._world.focal_px)
         yield odometry_message(header, self._world.odometry())
         yield imu_message(header, self._world.imu())
         yield from run.frame

@@ -70,6 +70,11 @@ class Simulation:
         self._sensors = Sensors(world.robot.drive, shake or ShakeSettings(world.place.shake))
         self.reset(0, "drive")
 
+    @property
+    def focal_px(self) -> float:
+        """Focal length of the robot's camera in pixels."""
+        return self._camera.focal_px
+
     def reset(self, seed: int, purpose: Purpose, *, anywhere: bool = False) -> Pose:
         """Begin an episode; the same seed and purpose give the same start, wheel errors, sensor noise and shake.
 

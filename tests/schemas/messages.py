@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 from schemas.action import Action
 from schemas.array import Float32Array
 from schemas.base import ATOMS, MAX_TICK, SOURCES, Message
+from schemas.camera_info import CameraInfo
 from schemas.codec import encode, encoding_of
 from schemas.command import Command, CommandApplied
 from schemas.compressed_image import CompressedImage
@@ -35,6 +36,7 @@ HEADER = {"robot": "rescuebot", "episode": "drive-7-18c0-1", "tick": 300, "stamp
 EXAMPLES: dict[type[Message], Message] = {
     Image: Image(**HEADER, width=2, height=1, data=bytes(range(6))),
     CompressedImage: CompressedImage(**HEADER, width=2, height=1, data=b"\xff\xd8\xff\xd9"),
+    CameraInfo: CameraInfo(**HEADER, width=640, height=480, focal_px=500.5, centre_x_px=320.0, centre_y_px=239.5),
     DepthImage: DepthImage(**HEADER, width=2, height=1, data=bytes(range(4))),
     OverheadImage: OverheadImage(
         **HEADER,
@@ -197,6 +199,16 @@ _tracked = st.one_of(
 
 _fields: dict[type[Message], st.SearchStrategy[dict[str, object]]] = {
     Image: _images,
+    CameraInfo: st.fixed_dictionaries(
+        {
+            **_header,
+            "width": st.integers(1, 4096),
+            "height": st.integers(1, 3072),
+            "focal_px": st.floats(1.0, 1e5),
+            "centre_x_px": st.floats(0.0, 4096.0),
+            "centre_y_px": st.floats(0.0, 3072.0),
+        }
+    ),
     CompressedImage: st.fixed_dictionaries(
         {**_header, "width": st.integers(1, 4096), "height": st.integers(1, 3072), "data": st.binary(min_size=4)}
     ),

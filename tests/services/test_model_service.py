@@ -30,7 +30,6 @@ REFUSALS = {
     "stride": f"^stride must be 1 to the sequence length {LENGTH}, got {LENGTH + 1}$",
     "stride of the filter": "^stride 2: the filter decides at every frame; only the paper's scheme has a stride$",
     "no map": "^the model has no map of views: .*; learn it again, or use the scheme 'paper'$",
-    "no odometry": "^the model was learned from drives without odometry, which the filter needs here; record them with",
 }
 
 
@@ -54,14 +53,11 @@ def refused(request: pytest.FixtureRequest, tmp_path: Path, other: Path) -> tupl
         "stride": (other, "paper", LENGTH + 1),
         "stride of the filter": (tmp_path / "mapped.smal", "filter", 2),
         "no map": (other, "filter", None),
-        "no odometry": (tmp_path / "unmeasured.smal", "filter", None),
     }[name]
     if name == "truncated":
         path.write_bytes(other.read_bytes()[:-7])
     if name == "stride of the filter":
         corridor.save_model(path)
-    if name == "no odometry":
-        corridor.model(odometry=False).save(path)
     return LoadRequest(path=str(path), scheme=scheme, stride=stride), REFUSALS[name]
 
 

@@ -14,6 +14,7 @@ from services.recognition.service import RecognitionService
 from smal.features import extract
 from tests import corridor
 from tests.services.chain import identity, observation, picture, save_model, seen, wheels
+from tests.services.recorder.recorded_messages import applied
 
 
 @pytest.fixture(scope="module")
@@ -100,6 +101,30 @@ def test_without_odometry_it_goes_on_when_the_frame_is_sent_again(service: Recog
     later = at(service, 4)
     assert later.tracked_m == pytest.approx(0.8, rel=0.02)
     assert placed(later)[0] == pytest.approx(0.8, abs=0.1)
+
+
+def test_taught_without_odometry_it_goes_by_what_the_actuator_did(tmp_path: Path) -> None:
+    path = tmp_path / "unmeasured.smal"
+    corridor.model(odometry=False).save(path)
+    service = RecognitionService()
+    service.load(LoadRequest(path=str(path)))
+    for tick in range(9):
+        # Two commands in one frame: the last one counts. Odometry is in metres, and does not.
+        for sequence, atom in ((1, "forward"), (0, "stop")):
+            service.see_applied(applied("e", tick, sequence, atom))
+        service.see(wheels(tick, (7.0 * tick, 0.0, 0.0)))
+        if tick in (3, 4):
+            service.behind = lambda: True
+        state = service.handle(seen(tick).model_copy(update={"stamp_ns": tick * 100_000_000}))
+        assert (state is None) == (tick in (3, 4))
+        service.behind = lambda: False
+    assert state is not None
+    # In the unit of such a map, one atom ahead.
+    assert state.tracked_m == pytest.approx(8.0, rel=0.05)
+    here = state.places[0]
+    assert corridor.model(odometry=False).mapped.key_poses[here.keyframe, 0] + here.ahead_m == pytest.approx(
+        8.0, abs=0.7
+    )
 
 
 def test_frames_are_left_out_while_newer_ones_wait(service: RecognitionService) -> None:

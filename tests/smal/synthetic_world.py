@@ -17,7 +17,7 @@ from smal.filter import Filter
 from smal.movement import STILL, Movement
 from smal.planning import Planner
 from smal.virtual_views import Scene
-from smal.visual_map import VisualMap, learn_visual_map
+from smal.visual_map import MappedDrive, VisualMap, learn_visual_map
 
 #: What describes frames: HOG as well takes ten times as long.
 COLOR = FeatureSettings(("color",), (1.0,))
@@ -164,13 +164,17 @@ def taught(
     images = [[room.look(pose) for pose in one.poses] for one in drives]
     raw = [np.stack([extract(image, settings) for image in each]) for each in images]
     centering = Centering.fit(raw, settings)
-    ways = [one.poses if odometry else None for one in drives]
     with ExitStack() as changed:
         changed.enter_context(patch("smal.visual_map._SAMPLE", 500))
         if scene is not None:
             changed.enter_context(patch("smal.visual_map.fit_scene", lambda *_: scene))
         found = learn_visual_map(
-            images, raw, [one.atoms for one in drives], ways, centering, 1.0 / rate_hz, ["victim"] * len(ways)
+            [
+                MappedDrive(seen, features, one.atoms, one.poses if odometry else None, "victim")
+                for seen, features, one in zip(images, raw, drives, strict=True)
+            ],
+            centering,
+            1.0 / rate_hz,
         )
     return found, centering
 

@@ -71,5 +71,5 @@ def test_where_odometry_comes_with_every_second_frame_atoms_fill_the_gaps() -> N
     for frame in range(9):
         place = pose(frame)
         raw = extract(view(*place), FEATURES)
-        belief = localiser.observe(raw, place if frame % 2 == 0 else None, Atom.FORWARD)
+        belief = localiser.observe(raw, place if frame % 2 == 0 else None, [Atom.FORWARD])
     assert belief.tracked == pytest.approx(8 * STEP_M, rel=0.1)

@@ -8,8 +8,18 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from smal.features import Centering, extract
-from smal.virtual_views import Image, Scene, fit_scene
-from tests.smal.synthetic_world import CAMERA_HEIGHT, COLOR, FIELD_DEG, SCENE, Drive, Room, drive, from_beside
+from smal.virtual_views import Image, Scene, fit_scene, turn_of_views
+from tests.smal.synthetic_world import (
+    CAMERA_HEIGHT,
+    COLOR,
+    FIELD_DEG,
+    SCENE,
+    TURN_RAD_S,
+    Drive,
+    Room,
+    drive,
+    from_beside,
+)
 
 ROWS, COLUMNS = 144, 192
 #: In the middle of a room, whose walls are then all about as far away.
@@ -98,6 +108,24 @@ def test_a_drive_without_turns_assumes_a_usual_camera_and_a_known_one_is_kept() 
     found = fitted(Room(), straight, SCENE.focal)
     assert found.focal == SCENE.focal
     assert found.height == pytest.approx(CAMERA_HEIGHT, rel=0.25)
+
+
+@pytest.mark.parametrize(("speed", "rate_hz"), [(1.0, 10.0), (2.0, 10.0), (1.0, 5.0), (0.5, 20.0)])
+def test_views_tell_how_far_an_atom_turns(speed: float, rate_hz: float) -> None:
+    one = drive(speed=speed, rate_hz=rate_hz)
+    images = [Room().look(pose) for pose in one.poses]
+    centering = Centering.fit([np.stack([extract(image, COLOR) for image in images])], COLOR)
+    # The second drive's last frame does not turn into the first one's.
+    found = turn_of_views(
+        images * 2, [one.atoms] * 2, SCENE.focal, lambda image: centering.apply(extract(image, COLOR))
+    )
+    assert found == pytest.approx(TURN_RAD_S * speed / rate_hz, rel=0.15)
+
+
+def test_without_turns_views_do_not_tell() -> None:
+    straight = drive(way=((1.0, 0.0),))
+    images = [Room().look(pose) for pose in straight.poses]
+    assert turn_of_views(images, [straight.atoms], SCENE.focal, lambda image: extract(image, COLOR)) is None
 
 
 def test_a_single_frame_has_a_scene_too() -> None:

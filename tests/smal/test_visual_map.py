@@ -17,7 +17,7 @@ from smal.action_space import Atom
 from smal.features import Centering, extract
 from smal.filter import Filter
 from smal.movement import Movement
-from smal.visual_map import TURNS_DEG, VisualMap, learn_visual_map
+from smal.visual_map import TURNS_DEG, MappedDrive, VisualMap, learn_visual_map
 from tests.smal.synthetic_world import COLOR, SCENE, START, Image, Room, drive, taught, usual_map
 
 ROOM = Room()
@@ -39,7 +39,11 @@ def of_two_drives() -> VisualMap:
 def learn(images: Sequence[Sequence[Image]], poses: Sequence[Any], atoms: Sequence[Any]) -> VisualMap:
     raw = [np.stack([extract(image, COLOR) for image in each]) for each in images]
     with patch("smal.visual_map._SAMPLE", 500):
-        return learn_visual_map(images, raw, atoms, poses, Centering.fit(raw, COLOR), 0.1, ["victim"] * len(raw))
+        drives = [
+            MappedDrive(*one, "victim")
+            for one in zip(images, raw, [np.asarray(each, dtype=np.int8) for each in atoms], poses, strict=True)
+        ]
+        return learn_visual_map(drives, Centering.fit(raw, COLOR), 0.1)
 
 
 def test_the_ends_of_every_drive_are_keyframes() -> None:
@@ -158,13 +162,12 @@ def test_images_are_read_when_they_are_needed_and_let_go() -> None:
     done: list[tuple[int, int]] = []
     with patch("smal.visual_map._SAMPLE", 500):
         found = learn_visual_map(
-            readers,
-            raw,
-            [one.atoms for one in drives],
-            [one.poses for one in drives],
+            [
+                MappedDrive(reader, features, one.atoms, one.poses, "victim")
+                for reader, features, one in zip(readers, raw, drives, strict=True)
+            ],
             Centering.fit(raw, COLOR),
             0.025,
-            ["victim"] * 2,
             lambda *progress: done.append(progress),
         )
     frames = sum(len(one.poses) for one in drives)

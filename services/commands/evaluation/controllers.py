@@ -110,6 +110,7 @@ class FilterController:
     def __init__(self, model: Model) -> None:
         self._map = model.mapped
         self._localiser, self._planner = Localiser(model), Planner(model.mapped)
+        self.reset()
 
     @property
     def features(self) -> FeatureSettings:
@@ -120,6 +121,7 @@ class FilterController:
         """Forget the belief, and what was being done."""
         self._localiser.reset()
         self._planner.reset()
+        self._made = [Atom.STOP]
 
     def act(
         self, tick: int, image: NDArray[np.uint8], raw_features: NDArray[np.float32] | None, odometry: Pose
@@ -127,8 +129,9 @@ class FilterController:
         """Decide at every frame."""
         assert raw_features is not None  # noqa: S101 - it asks for them
         # The policy hears of so many places and no more.
-        belief = self._localiser.observe(raw_features, odometry).summary(MAX_PLACES)
+        belief = self._localiser.observe(raw_features, odometry, self._made).summary(MAX_PLACES)
         decision = self._planner.decide(belief)
+        self._made = [decision.atom]
         ahead, left, turned = belief.offsets[0].tolist()
         place = Place(int(self._map.keyframes[belief.keyframes[0]]), ahead, left, turned)
         return Move(decision.atom, decision.kind, belief.lost <= 0.5, self._planner.done, place)

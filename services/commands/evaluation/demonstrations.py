@@ -105,6 +105,7 @@ def drive(
             recovery=purpose == "recovery",
             images=RecordedImages(jpegs[:frames], f"{purpose}-{seed}", decode_jpeg) if outcome == "found" else None,
             odometry=np.array(ways[:frames]),
+            focal=simulation.focal_px / image.shape[1],
         ),
         np.array(poses[:frames]),
         np.stack(small[:frames]) if thumbnails else None,
@@ -163,6 +164,7 @@ def save_drives(path: Path, drives: Sequence[Drive], features: FeatureSettings) 
         "names": [one.demonstration.name for one in drives],
         "successful": [one.demonstration.successful for one in drives],
         "recovery": [one.demonstration.recovery for one in drives],
+        "focal": [one.demonstration.focal for one in drives],
         "thumbnails": all(one.thumbnails is not None for one in drives),
     }
     arrays: dict[str, Any] = {"meta": np.frombuffer(json.dumps(meta).encode(), dtype=np.uint8)}
@@ -200,9 +202,9 @@ def load_drives(path: Path, features: FeatureSettings) -> list[Drive]:
         raise ValueError(f"{path}: no drives can be read from it: {text}") from None
 
 
-def _drives(held: np.lib.npyio.NpzFile, meta: dict[str, list[object]]) -> Iterator[Drive]:
-    rows = zip(meta["names"], meta["successful"], meta["recovery"], strict=True)
-    for number, (name, successful, recovery) in enumerate(rows):
+def _drives(held: np.lib.npyio.NpzFile, meta: dict[str, list[Any]]) -> Iterator[Drive]:
+    rows = zip(meta["names"], meta["successful"], meta["recovery"], meta["focal"], strict=True)
+    for number, (name, successful, recovery, focal) in enumerate(rows):
         demonstration = Demonstration(
             str(name),
             held[f"features_{number}"],
@@ -211,6 +213,7 @@ def _drives(held: np.lib.npyio.NpzFile, meta: dict[str, list[object]]) -> Iterat
             bool(recovery),
             _images(held, number, str(name)),
             held[f"odometry_{number}"],
+            focal=focal,
         )
         small = held[f"thumbnails_{number}"] if meta["thumbnails"] else None
         yield Drive(demonstration, held[f"poses_{number}"], small)

@@ -212,6 +212,7 @@ def _demonstration(episode: RecordedEpisode, piece: Piece, whole: bool) -> Demon
         odometry=piece.odometry,
         episode=episode.episode,
         goal=episode.goal,
+        focal=episode.focal,
     )
 
 

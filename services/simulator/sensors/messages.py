@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
+from schemas.camera_info import CameraInfo
 from schemas.depth_image import DepthImage
 from schemas.imu import Imu, ImuSample
 from schemas.odometry import Odometry
@@ -29,6 +30,14 @@ MOST_ROWS: Final = 240
 FARTHEST_M: Final = 65.0
 # Digits after the point: a micrometre and a microradian, far below every noise, and a third of the bytes in recordings.
 _DIGITS: Final = 6
+
+
+def camera_info(header: Message, image: NDArray[np.uint8], focal_px: float) -> CameraInfo:
+    """Make the message of how the camera of an image (height, width, 3) sees."""
+    height, width, _ = image.shape
+    return CameraInfo.after(
+        header, width=width, height=height, focal_px=focal_px, centre_x_px=width / 2, centre_y_px=height / 2
+    )
 
 
 def depth_message(header: Message, depth_m: NDArray[np.float32]) -> DepthImage:

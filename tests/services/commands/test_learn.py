@@ -10,6 +10,7 @@ import pytest
 
 from schemas.array import Float32Array
 from schemas.base import Message
+from schemas.camera_info import CameraInfo
 from schemas.compressed_image import CompressedImage
 from schemas.episode import Outcome, Purpose
 from schemas.observation import Observation
@@ -25,6 +26,7 @@ from smal.features import FeatureSettings, extract
 from smal.model import Model
 from smal.novelty import WeightTest
 from smal.reward import RewardError
+from smal.virtual_views import USUAL_FOCAL
 from tests import corridor
 from tests.services.recorder.recorded_messages import applied, event, header
 from tests.services.recorder.test_recorder_files import leave, record
@@ -275,6 +277,18 @@ def test_a_frame_without_image_or_odometry_is_left_out_and_the_rest_is_one_way(
     visual_map = Model.load(tmp_path / "model.smal").mapped
     assert visual_map.odometry
     np.testing.assert_array_equal(visual_map.poses, [odometry(tick) for tick in range(40) if tick != 20])
+
+
+def test_the_camera_of_a_recording_is_that_of_the_map(tmp_path: Path) -> None:
+    info = CameraInfo.after(header("e", 0), width=640, height=480, focal_px=450.0, centre_x_px=320.0, centre_y_px=240.0)
+    for name, messages, focal in (
+        ("estimated", drive("e"), USUAL_FOCAL),
+        ("told", [*drive("e")[:1], info, *drive("e")[1:]], pytest.approx(450.0 / 640.0)),
+    ):
+        (tmp_path / name).mkdir()
+        learn([record(tmp_path / name, messages)], tmp_path / "model.smal")
+        # A straight drive does not tell its camera: a usual one is assumed.
+        assert Model.load(tmp_path / "model.smal").mapped.scene[0] == focal
 
 
 def damaged(messages: list[Message], *ticks: int) -> list[Message]:

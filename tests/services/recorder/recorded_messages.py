@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from schemas.action import Action
 from schemas.array import Float32Array
 from schemas.base import ATOMS, SOURCES, Message
+from schemas.camera_info import CameraInfo
 from schemas.command import Command, CommandApplied
 from schemas.compressed_image import CompressedImage
 from schemas.episode import Episode, EventName, Outcome, Purpose
@@ -23,7 +24,7 @@ from services.jpeg import encode_jpeg
 
 FINGERPRINT = "0123456789ab"
 MODEL = "fedcba9876543210"
-WIDTH, HEIGHT, FEATURES = 64, 48, 16
+WIDTH, HEIGHT, FOCAL_PX, FEATURES = 64, 48, 40.0, 16
 START_NS = 1_700_000_000_000_000_000
 
 
@@ -92,6 +93,9 @@ def frame(episode: str, tick: int) -> list[Message]:
         TrackedPose.after(cause, visible=True, x_m=1.5 * tick, y_m=-2.0, heading_rad=0.5, error_px=0.25),
         Odometry.after(cause, x_m=1.5 * tick, y_m=0.1, heading_rad=0.02, speed_m_s=2.0, turn_rate_rad_s=0.1),
         imu(episode, tick),
+        CameraInfo.after(
+            cause, width=WIDTH, height=HEIGHT, focal_px=FOCAL_PX, centre_x_px=WIDTH / 2, centre_y_px=HEIGHT / 2
+        ),
         image(episode, tick),
         observation(episode, tick),
         State.after(cause, status="unknown", model=MODEL, score=0.25, residual=0.75),

@@ -12,6 +12,7 @@ import pytest
 from numpy.typing import NDArray
 
 from schemas.base import Atom, Message, Source
+from schemas.camera_info import CameraInfo
 from schemas.command import Command, CommandApplied
 from schemas.compressed_image import CompressedImage
 from schemas.depth_image import DepthImage
@@ -39,6 +40,7 @@ class Line:
     """A world of one dimension: a victim at ``victim`` and a wall at ``wall`` on a line."""
 
     name = "line"
+    focal_px = 20.0
     speed_m_s, found_m = 2.0, 5.0
 
     def __init__(self, victim: float = 1e9, wall: float = 1e9, sight: float = 1e9) -> None:
@@ -142,7 +144,9 @@ def test_an_episode_begins_anywhere_and_goes_on_elsewhere_where_that_is_asked_fo
 def test_lockstep_waits_for_each_answer_and_moves_exactly_one_tick() -> None:
     world = Line()
     runner, clock, messages = begin(world)
-    assert [type(m) for m in messages] == [Episode, Odometry, Imu, Pose, Image, CompressedImage]
+    assert [type(m) for m in messages] == [Episode, CameraInfo, Odometry, Imu, Pose, Image, CompressedImage]
+    (info,) = (m for m in messages if isinstance(m, CameraInfo))
+    assert (info.width, info.height, info.focal_px, info.centre_x_px, info.centre_y_px) == (32, 24, 20.0, 16.0, 12.0)
     clock.now_s += RESEND_S / 2
     assert not list(runner.poll())
     messages = answer(runner)
@@ -166,7 +170,7 @@ def test_lockstep_ignores_answers_to_other_frames() -> None:
 def test_lockstep_sends_a_lost_frame_again_and_then_gives_up() -> None:
     runner, clock, first = begin(Line())
     clock.now_s += RESEND_S + 0.1
-    assert list(runner.poll()) == first[3:5], "not what is recorded: its sender keeps it for whoever missed it"
+    assert list(runner.poll()) == first[4:6], "not what is recorded: its sender keeps it for whoever missed it"
     clock.now_s += 0.1
     assert not list(runner.poll())
     clock.now_s += GIVE_UP_S

@@ -1,0 +1,26 @@
+"""How the robot's camera sees."""
+
+from __future__ import annotations
+
+from typing import Annotated, ClassVar
+
+from pydantic import Field
+
+from schemas.base import Message
+
+
+class CameraInfo(Message):
+    """Calibration of the robot's camera, a pinhole: once an episode, with its first frame."""
+
+    topic: ClassVar[str] = "camera/info"
+
+    width: Annotated[int, Field(ge=1, le=4096)]
+    """Columns of the image that it is for; for another size it scales."""
+    height: Annotated[int, Field(ge=1, le=3072)]
+    """Rows of that image."""
+    focal_px: Annotated[float, Field(ge=1.0, le=1e5)]
+    """Focal length in pixels."""
+    centre_x_px: Annotated[float, Field(ge=0.0, le=4096.0)]
+    """Column of the optical axis, from the left edge of the image."""
+    centre_y_px: Annotated[float, Field(ge=0.0, le=3072.0)]
+    """Row of the optical axis, from the top edge of the image."""
