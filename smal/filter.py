@@ -26,7 +26,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from smal.features import Centering
-from smal.movement import STILL, Movement, seen_from, wrapped
+from smal.movement import BY_ODOMETRY, STILL, MotionNoise, Movement, seen_from, wrapped
 from smal.visual_map import TURNS_DEG, VIEWS_A_LENGTH, VisualMap
 
 #: How often a robot is carried away, or a view of the way changes for good: once in so many seconds.
@@ -43,31 +43,6 @@ _FIRST_TURN_DEG = 30.0
 _PARTICLES = 1000
 #: Keyframes to both sides among which a particle that moved finds the nearest.
 _REACH = np.arange(-6, 7)
-
-
-@dataclass(frozen=True)
-class MotionNoise:
-    """How far the robot's movement differs from what it is said to be, standard deviations.
-
-    Parameters
-    ----------
-    ahead, turn : float
-        Relative errors of the way ahead and of a turn.
-    drift_rad : float
-        Of the heading, for every correlation length of way; it grows with the square root of the way.
-    jitter_rad : float
-        Of the heading at every new view, for what shakes.
-    """
-
-    ahead: float
-    turn: float
-    drift_rad: float
-    jitter_rad: float
-
-
-#: Wheels that slip a little; and atoms, of which only the usual movement is known.
-BY_ODOMETRY = MotionNoise(0.05, 0.03, math.radians(1.5), math.radians(0.3))
-BY_ATOMS = MotionNoise(0.1, 0.1, math.radians(5.0), math.radians(0.3))
 
 
 @dataclass(frozen=True, eq=False)

@@ -37,6 +37,31 @@ class Movement:
 STILL = Movement(0.0, 0.0)
 
 
+@dataclass(frozen=True)
+class MotionNoise:
+    """How far the robot's movement differs from what it is said to be, standard deviations.
+
+    Parameters
+    ----------
+    ahead, turn : float
+        Relative errors of the way ahead and of a turn.
+    drift_rad : float
+        Of the heading, for every correlation length of way; it grows with the square root of the way.
+    jitter_rad : float
+        Of the heading at every new view, for what shakes.
+    """
+
+    ahead: float
+    turn: float
+    drift_rad: float
+    jitter_rad: float
+
+
+#: Wheels that slip a little; and atoms, of which only the usual movement is known.
+BY_ODOMETRY = MotionNoise(0.05, 0.03, math.radians(1.5), math.radians(0.3))
+BY_ATOMS = MotionNoise(0.1, 0.1, math.radians(5.0), math.radians(0.3))
+
+
 def wrapped(angle_rad: NDArray[Any]) -> NDArray[Any]:
     """Bring angles into [-pi, pi)."""
     return (angle_rad + np.pi) % (2.0 * np.pi) - np.pi

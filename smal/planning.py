@@ -80,8 +80,9 @@ def cost_to_go(visual_map: VisualMap, goal: str) -> tuple[NDArray[np.float64], N
 
     The graph is deterministic and costs are positive, so that Dijkstra's algorithm is value iteration in the order in
     which values become final. The goal is the end of each drive that leads there. Going over to another drive costs
-    the time for the turn and the way between the two, and `GO_OVER_S`. Where no way leads to the goal the time is
-    infinite; there, and at goals, nothing is next (-1).
+    the time for the turn and the way between the two, and `GO_OVER_S`. Who has to go over does so where the drives
+    first share a place, and not at the last one before they part, where a robot between two keyframes would hear both.
+    Where no way leads to the goal the time is infinite; there, and at goals, nothing is next (-1).
     """
     count = len(visual_map.keyframes)
     of = visual_map.drives[visual_map.keyframes]
@@ -99,7 +100,16 @@ def cost_to_go(visual_map: VisualMap, goal: str) -> tuple[NDArray[np.float64], N
     graph = sparse.csr_array((costs, (rows, columns)), shape=(count + 1, count + 1))
     costs_to_go, previous = dijkstra(graph, indices=np.array([count]), return_predecessors=True)
     following = previous[0, :-1].astype(np.intp)
-    return costs_to_go[0, :-1], np.where((following == count) | (following < 0), -1, following)
+    following = np.where((following == count) | (following < 0), -1, following)
+    goes_over_to = of.copy()
+    for here in np.argsort(costs_to_go[0, :-1]):
+        then = following[here]
+        if then >= 0:
+            goes_over_to[here] = of[then] if of[then] != of[here] else goes_over_to[then]
+    for one, other in visual_map.stitched:
+        if goes_over_to[one] == of[other] and goes_over_to[other] != of[one]:
+            following[one] = other
+    return costs_to_go[0, :-1], following
 
 
 class Planner:

@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 
 from smal.action_space import Atom
 from smal.features import extract
-from smal.filter import BY_ATOMS, BY_ODOMETRY, Belief, Filter
+from smal.filter import Belief, Filter
 from smal.model import Model
-from smal.movement import STILL, Movement
+from smal.movement import BY_ATOMS, BY_ODOMETRY, STILL, Movement
 from smal.planning import Decision, Planner
 
 

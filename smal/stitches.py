@@ -3,7 +3,12 @@
 The paper shares states between demonstrations where sequences of frames are alike (Algorithm 1); without that its graph
 is a set of chains, on which no decision can be taken. We share places: two keyframes of different drives are one place
 where each is the other's likeliest view, more alike than unrelated places, and so are their neighbours, in order, for
-a whole correlation length. The virtual view that fits best tells how the one stands to the other.
+a whole correlation length. The virtual view that fits best tells how the one stands to the other, as exactly as virtual
+views are dense; by the wheels what all pairs about a place tell becomes one.
+
+Two corners of a town may look alike for longer than that. So the wheels have to allow it: once two drives share their
+longest stretch, it is known how their axes lie to each other, and from there both drives must lead to whatever else
+they share, as far as their odometry can be trusted.
 """
 
 import math
@@ -12,24 +17,32 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from smal.movement import BY_ATOMS, BY_ODOMETRY, placed, seen_from, wrapped
 from smal.visual_map import TURNS_DEG, VIEWS_A_LENGTH, VisualMap
 
 #: Keyframes whose views are compared at once, which bounds the memory.
 _AT_ONCE = 32
 #: Keyframes that one drive may go on by while the other goes on by one: drives stop, and turn elsewhere.
 _ADVANCE = 3
+#: Standard deviations of odometry that are believed.
+_TRUSTED = 3.0
+
+
+#: A keyframe, one of another drive, and where a robot at the first is as seen from the second: ahead, left, turned.
+_Stitch = tuple[int, int, tuple[float, float, float]]
 
 
 def stitched(visual_map: VisualMap) -> VisualMap:
     """Return a map with the places that its drives share; none where there is one drive."""
     drives = visual_map.drives[visual_map.keyframes]
-    found: list[tuple[int, int, tuple[float, float, float]]] = []
+    found: list[_Stitch] = []
     names = np.unique(drives)
     if names.size > 1:
         best = _best_of_each_drive(visual_map, drives, names)
         for one in names:
             for other in names[names != one]:
-                found.extend(_chained(visual_map, best, drives, int(one), int(other)))
+                runs = _chained(visual_map, best, drives, int(one), int(other))
+                found.extend(_joined(visual_map, drives, _reachable(visual_map, runs)))
     found.sort(key=lambda stitch: stitch[:2])
     return replace(
         visual_map,
@@ -81,8 +94,8 @@ def _peak(values: NDArray[np.float32], at: int) -> float:
 
 def _chained(
     visual_map: VisualMap, best: _Best, drives: NDArray[np.int32], one: int, other: int
-) -> list[tuple[int, int, tuple[float, float, float]]]:
-    """Return the mutual pairs of two drives that go on in order for a correlation length."""
+) -> list[list[_Stitch]]:
+    """Return the runs of mutual pairs of two drives that go on in order for a correlation length."""
     here = np.flatnonzero(drives == one)
     there = best.keyframe[here, other]
     back = np.where(there >= 0, best.keyframe[np.maximum(there, 0), one], -1)
@@ -90,8 +103,75 @@ def _chained(
     goes_on = mutual[:-1] & mutual[1:] & (np.diff(there) >= 0) & (np.diff(there) <= _ADVANCE)
     breaks = np.flatnonzero(~goes_on) + 1
     runs = np.split(np.arange(here.size), breaks)
-    kept = [k for run in runs if run.size > VIEWS_A_LENGTH for k in run]
     return [
-        (int(here[k]), int(there[k]), (0.0, float(best.left[here[k], other]), float(best.turned[here[k], other])))
-        for k in kept
+        [
+            (int(here[k]), int(there[k]), (0.0, float(best.left[here[k], other]), float(best.turned[here[k], other])))
+            for k in run
+        ]
+        for run in runs
+        if run.size > VIEWS_A_LENGTH
     ]
+
+
+def _reachable(visual_map: VisualMap, runs: list[list[_Stitch]]) -> list[_Stitch]:
+    """Return the stitches of those runs to which both drives lead from the longest one, as the wheels tell."""
+    kept: list[list[_Stitch]] = []
+    for run in sorted(runs, key=len, reverse=True):
+        pairs = [(there, here) for other in kept for there in (other[0], other[-1]) for here in (run[0], run[-1])]
+        apart = [_off(visual_map, *pair) for pair in pairs]
+        # From the nearest stretch, where the least of drifting has happened.
+        if not apart or min(apart)[1] < _TRUSTED:
+            kept.append(run)
+    return [stitch for run in kept for stitch in run]
+
+
+def _joined(visual_map: VisualMap, drives: NDArray[np.int32], stitches: list[_Stitch]) -> list[_Stitch]:
+    """Return stitches for all keyframes of a stretch that two drives share, from those that were found there.
+
+    Within a correlation length before and after each, the axes of the one drive are turned and moved against those of
+    the other as the mean of the stitches says. With each stitch by itself the way that is to be followed would jump
+    from one keyframe to the next, and the robot turn to and fro.
+    """
+    if not stitches:
+        return []
+    poses, arc = visual_map.key_poses, visual_map.arc[visual_map.keyframes]
+    here, there = (np.array([stitch[k] for stitch in stitches]) for k in (0, 1))
+    robot = placed(np.array([stitch[2] for stitch in stitches]), poses[there])
+    others = np.flatnonzero(drives == drives[there[0]])
+    joined: list[_Stitch] = []
+    for k in range(int(here.min()), int(here.max()) + 1):
+        near = np.abs(arc[here] - arc[k]) < visual_map.correlation_length
+        if not ((here[near] <= k).any() and (here[near] >= k).any()):
+            continue
+        turns = robot[near, 2] - poses[here[near], 2]
+        turn = turns[0] + np.mean(wrapped(turns - turns[0]))
+        # A rigid movement of the axes: where their origin goes, by each stitch.
+        frame = np.array([*poses[k, :2], 0.0])
+        moved = placed(seen_from(poses[here[near]], frame), np.array([0.0, 0.0, turn]))
+        pose = np.append(np.mean(robot[near, :2] - moved[:, :2], axis=0), poses[k, 2] + turn)
+        beside = others[(others >= there[near].min()) & (others <= there[near].max())]
+        nearest = int(beside[np.hypot(*(poses[beside] - pose)[:, :2].T).argmin()])
+        ahead, left, turned = seen_from(pose, poses[nearest]).tolist()
+        joined.append((k, nearest, (ahead, left, turned)))
+    return joined
+
+
+def _off(visual_map: VisualMap, one: _Stitch, other: _Stitch) -> tuple[float, float]:
+    """Return the way between two stitches, and by how many standard deviations of odometry the drives disagree."""
+    noise = BY_ODOMETRY if visual_map.odometry else BY_ATOMS
+    poses, length = visual_map.key_poses, visual_map.correlation_length
+    here, there = (placed(np.array(stitch[2]), poses[stitch[1]]) for stitch in (one, other))
+    by_one = seen_from(poses[other[0]], poses[one[0]])
+    by_other = seen_from(there, here)
+    off, turned = by_other[:2] - by_one[:2], float(wrapped(by_other[2:] - by_one[2:])[0])
+    way, turns = 0.0, 0.0
+    for first, last in (sorted((one[0], other[0])), sorted((one[1], other[1]))):
+        steps = poses[first : last + 1]
+        way += float(np.hypot(*np.diff(steps[:, :2], axis=0).T).sum())
+        turns += float(np.abs(wrapped(np.diff(steps[:, 2]))).sum())
+    # A single stitch is as exact as virtual views are dense, and along the way as views tell places apart.
+    heading = math.sqrt(
+        noise.drift_rad**2 * way / length + (noise.turn * turns) ** 2 + math.radians(TURNS_DEG[1] - TURNS_DEG[0]) ** 2
+    )
+    distance = math.hypot(noise.ahead * way, heading * float(np.hypot(*by_one[:2])), length)
+    return way, max(float(np.hypot(*off)) / distance, abs(turned) / heading)

@@ -15,7 +15,7 @@ from services.simulator.world.varying import vary
 
 if TYPE_CHECKING:
     from services.simulator.base import Base
-    from services.simulator.world.place import Place
+    from services.simulator.world.place import Place, Pose
 
 BaseKind = Literal["physics", "kinematic"]
 
@@ -27,6 +27,7 @@ def open_simulation(
     base: BaseKind = "physics",
     shake: float | None = None,
     variation: str = "day",
+    task: tuple[Pose, Pose] | None = None,
 ) -> Simulation:
     """Load a world, and put its robot into it.
 
@@ -42,6 +43,8 @@ def open_simulation(
         Strength of the camera's shake; None for as much as is usual in that world.
     variation
         A name in `VARIATIONS`.
+    task
+        Start, and where the victim lies; those of the world if not given.
 
     Raises
     ------
@@ -53,7 +56,10 @@ def open_simulation(
         The variation is unknown.
     """
     conditions = variation_named(variation)
-    there = vary(load_world(world), facade_seed=conditions.facade_seed, clutter_seed=conditions.clutter_seed)
+    there = load_world(world)
+    if task is not None:
+        there = replace(there, start=task[0], victim=task[1])
+    there = vary(there, facade_seed=conditions.facade_seed, clutter_seed=conditions.clutter_seed)
     return Simulation(
         there,
         replace(camera, light=conditions.light),

@@ -105,11 +105,13 @@ class FilterController:
     ----------
     model
         With a map of views.
+    goal
+        Where to go, in a model with several goals.
     """
 
-    def __init__(self, model: Model) -> None:
+    def __init__(self, model: Model, goal: str | None = None) -> None:
         self._map = model.mapped
-        self._localiser, self._planner = Localiser(model), Planner(model.mapped)
+        self._localiser, self._planner = Localiser(model), Planner(model.mapped, goal)
         self.reset()
 
     @property

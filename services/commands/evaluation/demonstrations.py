@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 from zipfile import BadZipFile
@@ -18,6 +18,8 @@ from services.commands.teaching.teacher import RecordedImages
 from services.expert.driver import DRIVE_TICKS, RECOVERY_TICKS, RouteDriver
 from services.jpeg import decode_jpeg, encode_jpeg
 from services.simulator.simulation import Simulation
+from services.simulator.world.place import Pose as Spot
+from services.simulator.world.route import plan_route
 from smal.action_space import Atom
 from smal.container import replacing
 from smal.evaluation.baselines.thumbnails import thumbnail
@@ -46,7 +48,13 @@ class Drive:
 
 
 def drive(
-    simulation: Simulation, features: FeatureSettings, seed: int, purpose: Purpose, *, thumbnails: bool = False
+    simulation: Simulation,
+    features: FeatureSettings,
+    seed: int,
+    purpose: Purpose,
+    *,
+    thumbnails: bool = False,
+    via: Sequence[tuple[float, float]] = (),
 ) -> Drive | None:
     """Have the expert drive once.
 
@@ -60,6 +68,8 @@ def drive(
         As in `smal demonstrate`: "drive" for a whole one, "recovery" for a short one that begins off the route.
     thumbnails
         Whether to keep small images.
+    via
+        Places that it leads by way of, metres, in order.
 
     Returns
     -------
@@ -67,7 +77,7 @@ def drive(
         None for what `smal learn` leaves out: a collision, or a whole drive that did not reach the victim.
     """
     simulation.reset(seed, purpose)
-    expert = expert_of(simulation)
+    expert = expert_of(simulation, via)
     max_ticks = RECOVERY_TICKS if purpose == "recovery" else DRIVE_TICKS
     views, small, poses, jpegs = [], [], [], []
     ways: list[Pose] = []
@@ -112,9 +122,13 @@ def drive(
     )
 
 
-def expert_of(simulation: Simulation) -> RouteDriver:
-    """Return who drives from where the robot is to the victim."""
-    route = [(float(x), float(y)) for x, y in simulation.route()]
+def expert_of(simulation: Simulation, via: Sequence[tuple[float, float]] = ()) -> RouteDriver:
+    """Return who drives from where the robot is to the victim, by way of some places."""
+    here, world, route = (simulation.pose.x, simulation.pose.y), simulation.world, []
+    for place in via:
+        route += plan_route(replace(world, victim=Spot(*place, 0.0)), here).tolist()[:-1]
+        here = place
+    route += plan_route(world, here).tolist()
     return RouteDriver(route, simulation.speed_m_s, simulation.found_m)
 
 

@@ -120,6 +120,20 @@ class Trial:
         return ", ".join(said) or "as taught"
 
 
+#: Tasks of `errands`, each with a line for people.
+Errand = Literal[
+    "shorter way", "fork, to the left", "fork, to the right", "joined, northwards", "joined, southwards", "nobody there"
+]
+ERRANDS: Final[dict[Errand, str]] = {
+    "shorter way": "taught a detour, then a shorter way; sent where both lead",
+    "fork, to the left": "taught two ways that part; sent to the end of the one",
+    "fork, to the right": "the same, sent to the end of the other",
+    "joined, northwards": "taught two ways that share a stretch; sent from the begin of one to the end of the other",
+    "joined, southwards": "the same, the other way round",
+    "nobody there": "the person lies elsewhere now: it has to say that it has arrived, and be wrong",
+}
+
+
 @dataclass(frozen=True)
 class WorldPlan:
     """What is done in one world.
@@ -140,6 +154,8 @@ class WorldPlan:
         Degradations of the queries.
     trials
         Searches.
+    errands
+        What several drives together make possible, each `RUNS` times.
     template_frames
         At most so many template frames for Algorithm 2, whose time grows with their cube.
     """
@@ -151,6 +167,7 @@ class WorldPlan:
     lengths: tuple[int, ...] = (DEFAULT_LENGTH,)
     recognised: tuple[str, ...] = ()
     trials: tuple[Trial, ...] = ()
+    errands: tuple[Errand, ...] = ()
     template_frames: int = 1000
 
     def __post_init__(self) -> None:
@@ -240,6 +257,10 @@ def _conditions(controller: str, runs: int) -> tuple[Trial, ...]:
     )
 
 
+#: How often the searches of SMAL and its best peer, and errands, are done.
+RUNS: Final = 10
+
+
 def _trials(counts: tuple[int, ...], runs: int, others: int, lengths: tuple[int, ...]) -> tuple[Trial, ...]:
     """Return searches of all controllers after each number of drives, of the best two under every condition too.
 
@@ -257,12 +278,22 @@ def _trials(counts: tuple[int, ...], runs: int, others: int, lengths: tuple[int,
 
 FULL: Final = Plan(
     "full",
-    tuple(
+    (
+        *(
+            WorldPlan(
+                world, criteria, drives=4, queries=3, lengths=(1, 5, 10, 20, 40),
+                recognised=("clean", "occluded", "poor"), trials=_trials((1, 2, 4, 12), RUNS, 5, (1, 5, 20)),
+                template_frames=2000,
+            )
+            for world, criteria in (("indoor", _INDOOR), ("campus", _OUTDOOR))
+        ),
+        # A street of houses that look the same, and streets to choose from.
         WorldPlan(
-            world, criteria, drives=4, queries=3, lengths=(1, 5, 10, 20, 40), recognised=("clean", "occluded", "poor"),
-            trials=_trials((1, 2, 4, 12), 10, 5, (1, 5, 20)), template_frames=2000,
-        )
-        for world, criteria in (("indoor", _INDOOR), ("campus", _OUTDOOR))
+            "terrace", _OUTDOOR, errands=tuple(ERRANDS),
+            trials=tuple(one for name in ("smal", "teach-and-repeat") for one in (
+                Trial(name, 1, RUNS), Trial(name, 1, RUNS, start="anywhere"), Trial(name, 1, RUNS, kidnap_tick=_KIDNAP)
+            )),
+        ),
     ),
 )  # fmt: skip
 
@@ -275,7 +306,7 @@ QUICK: Final = Plan(
         ),
     ),
     omitted=(
-        "the campus",
+        "the campus, and the terrace with its errands",
         "4 and 12 drives",
         "lengths of 10 and 40 frames, and searches with 20",
         "most of the runs (3 instead of 5 and 10), so that intervals are wide",
@@ -290,7 +321,7 @@ def in_world(world: str, aside_m: float) -> Plan:
     A belief is right within twice the distance at which searches begin beside the way.
     """
     best = ("smal", "teach-and-repeat")
-    trials = [one for name in best for one in (Trial(name, 1, 10), *_conditions(name, 10))]
+    trials = [one for name in best for one in (Trial(name, 1, RUNS), *_conditions(name, RUNS))]
     criterion = Criterion(2.0 * aside_m, 25.0)
     # Another map under the same name is another plan.
     content = hashlib.sha256(Path(world).read_bytes()).hexdigest()[:12] if Path(world).is_file() else ""

@@ -52,6 +52,8 @@ class Search:
         Of the way from the start to where the victim counts as found.
     pictures
         What the robot saw at chosen ticks, (height, width, 3) uint8 RGB.
+    kidnap_tick
+        Frame at which it was carried away; 0 for never.
     """
 
     seed: int
@@ -64,6 +66,16 @@ class Search:
     shortest_m: float
     places: tuple[Place | None, ...] = ()
     pictures: dict[int, NDArray[np.uint8]] = field(default_factory=dict)
+
+    kidnap_tick: int = 0
+
+    @property
+    def driven_m(self) -> float:
+        """Way driven; being carried is none."""
+        steps = np.hypot(*np.diff(self.poses[:, :2], axis=0).T)
+        if 0 < self.kidnap_tick <= len(steps):
+            steps[self.kidnap_tick - 1] = 0.0
+        return float(steps.sum())
 
     @property
     def unknown(self) -> int:
@@ -151,4 +163,5 @@ def search(
         shortest_m,
         tuple(places),
         pictures,
+        kidnap_tick,
     )

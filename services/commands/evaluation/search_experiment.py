@@ -94,7 +94,7 @@ def run_search(
         max_ticks=round(patience * max(len(one.poses) for one in workplace.drives(world, trial.drives))),
         keep=(lambda tick: tick % PICTURE_TICKS == 0) if kept else lambda _tick: False,
     )
-    finding = _finding(found, workplace.poses(world, trial.drives), criterion, trial.kidnap_tick)
+    finding = _finding(found, workplace.poses(world, trial.drives), criterion)
     if kept:
         name = route_file(world, seed)
         replace_file(workplace.folder / name, _route(found).items())
@@ -113,21 +113,17 @@ def read_route(path: Path) -> dict[str, NDArray[Any]]:
         return {name: held[name] for name in held.files}
 
 
-def _finding(found: Search, taught: NDArray[np.float64], criterion: Criterion, kidnap_tick: int) -> dict[str, Any]:
+def _finding(found: Search, taught: NDArray[np.float64], criterion: Criterion) -> dict[str, Any]:
     """Return what a search says, in numbers that JSON knows; `taught` are the true poses of all taught frames."""
     positions = found.poses[:, :2]
     aside_m = np.asarray(KDTree(taught[:, :2]).query(positions)[0], dtype=np.float64)
-    steps = np.hypot(*np.diff(positions, axis=0).T)
-    if 0 < kidnap_tick <= len(steps):
-        # It was carried, and did not drive.
-        steps[kidnap_tick - 1] = 0.0
     said = {
         "outcome": found.outcome,
         "ticks": found.ticks,
         "decisions": len(found.decisions),
         "unknown": found.unknown,
         "shortest_m": round(found.shortest_m, 2),
-        "driven_m": round(float(steps.sum()), 2),
+        "driven_m": round(found.driven_m, 2),
         "aside_rms_m": round(float(np.sqrt(np.mean(aside_m**2))), 4),
         "aside_max_m": round(float(aside_m.max()), 4),
         "aside_m": aside_m[::WAY_TICKS].round(3).tolist(),
@@ -137,8 +133,8 @@ def _finding(found: Search, taught: NDArray[np.float64], criterion: Criterion, k
         right = np.array([_is_right(*pair, taught, criterion) for pair in zip(found.places, found.poses, strict=False)])
         sure = ~np.isin(np.arange(right.size), list(found.unrecognised))
         said["wrong_share"] = round(float((sure & ~right).mean()), 4)
-        if 0 < kidnap_tick <= found.ticks:
-            said["right_after_s"] = _right_after_s((sure & right)[kidnap_tick:])
+        if 0 < found.kidnap_tick <= found.ticks:
+            said["right_after_s"] = _right_after_s((sure & right)[found.kidnap_tick :])
     return said
 
 

@@ -11,6 +11,7 @@ from services.commands.evaluation.plan import (
     JUDGED_TICKS,
     QUERY_SEED,
     RUN_SEED,
+    RUNS,
     TEACHING_SEED,
     Plan,
     Recogniser,
@@ -19,7 +20,7 @@ from services.commands.evaluation.plan import (
 )
 
 Settings = tuple[tuple[str, str | int], ...]
-Kind = Literal["teach", "learn", "queries", "recognise", "objective", "search"]
+Kind = Literal["teach", "learn", "queries", "recognise", "objective", "search", "errand"]
 
 
 @dataclass(frozen=True)
@@ -90,6 +91,10 @@ class _Costs:
             return 1.0
         return 2.5 + self.drive_frames / JUDGED_TICKS * (0.02 + self.match_s(recogniser.length, drives))
 
+    def errand_s(self) -> float:
+        """Return what an errand costs: two drives, learned and followed."""
+        return 2.0 * self.drive_s + self.learn_s(2, DEFAULT_LENGTH) + RUNS * self.drive_frames * (self.frame_s + 4e-3)
+
     def search_s(self, trial: Trial, patience: float) -> float:
         """Return what a search costs."""
         lost = trial.controller not in {"smal", "teach-and-repeat"}
@@ -106,7 +111,7 @@ def units(plan: Plan, *, cloning: bool) -> list[Unit]:
     cloning
         Whether behaviour cloning can run on this machine.
     """
-    return [unit for world in plan.worlds for unit in _of_world(plan, world, cloning)]
+    return [unit for world in plan.worlds for unit in (*_of_world(plan, world, cloning), *_errands(plan, world))]
 
 
 def whole_series(units: Sequence[Unit], done: Container[str]) -> list[Unit]:
@@ -167,6 +172,13 @@ def _of_world(plan: Plan, world: WorldPlan, cloning: bool) -> Iterator[Unit]:
             tried: Settings = (camera, *settings_of(trial), ("patience", str(plan.patience)), ("seed", RUN_SEED + k))
             cost_s = costs.search_s(trial, plan.patience)
             yield Unit("search", world.world, tried, needed(trial.drives, model), cost_s)
+
+
+def _errands(plan: Plan, world: WorldPlan) -> Iterator[Unit]:
+    camera = ("camera", "x".join(map(str, plan.camera)))
+    for errand in world.errands:
+        settings = (camera, ("errand", errand), ("runs", RUNS))
+        yield Unit("errand", world.world, settings, (), _Costs(world).errand_s())
 
 
 def settings_of(trial: Trial) -> Settings:

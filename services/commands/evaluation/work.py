@@ -10,8 +10,9 @@ from typing import Any
 import numpy as np
 
 from services.commands.evaluation.demonstrations import demonstrate, save_drives
+from services.commands.evaluation.errands import run_errand
 from services.commands.evaluation.objective_experiment import objectives
-from services.commands.evaluation.plan import DEFAULT_LENGTH, Plan, Recogniser, Trial
+from services.commands.evaluation.plan import DEFAULT_LENGTH, ERRANDS, RUN_SEED, Plan, Recogniser, Trial
 from services.commands.evaluation.recognition_experiment import judged, make_queries, recognise
 from services.commands.evaluation.search_experiment import Drivers, run_search
 from services.commands.evaluation.units import Unit
@@ -43,6 +44,7 @@ class Work:
             "recognise": self._recognise,
             "objective": self._objective,
             "search": self._search,
+            "errand": self._errand,
         }
         began_s = time.process_time()
         finding = kinds[unit.kind](unit)
@@ -87,6 +89,10 @@ class Work:
         with np.load(self._place.folder / query_file(unit.world, unit.number("seed")), allow_pickle=False) as held:
             views = held["features_clean"]
         return objectives(model, views, unit.number("templates"))
+
+    def _errand(self, unit: Unit) -> dict[str, Any]:
+        (errand,) = (one for one in ERRANDS if one == unit["errand"])
+        return run_errand(self._place, unit.world, errand, range(RUN_SEED, RUN_SEED + unit.number("runs")))
 
     def _search(self, unit: Unit) -> dict[str, Any]:
         trial = Trial(

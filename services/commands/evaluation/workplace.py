@@ -15,6 +15,7 @@ from services.commands.evaluation.plan import TEACHING_SEED
 from services.simulator.opening import open_simulation
 from services.simulator.sensors.camera import CameraSettings
 from services.simulator.simulation import Simulation
+from services.simulator.world.place import Pose
 from smal.container import replacing
 from smal.features import FeatureSettings
 from smal.model import Model
@@ -47,6 +48,10 @@ class Workplace:
 
     def _simulation(self, world: str, shake: float | None, variation: str = "day") -> Simulation:
         return open_simulation(world, self._camera, shake=shake, variation=variation)
+
+    def task(self, world: str, start: Pose, victim: Pose) -> Simulation:
+        """Open a world with another task than its own."""
+        return open_simulation(world, self._camera, task=(start, victim))
 
     def _model(self, world: str, drives: int, length: int) -> Model:
         return Model.load(self.folder / model_file(world, drives, length))

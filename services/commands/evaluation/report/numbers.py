@@ -19,6 +19,10 @@ def as_json(found: Sequence[Results]) -> dict[str, Any]:
                 for each in judged
             ],
             "searches": [_success_json(each) for each in one.successes],
+            "errands": {
+                name: {key: value for key, value in each.items() if key != "cpu_s"}
+                for name, each in one.errands.items()
+            },
             "objective": one.objective and {name: value for name, value in one.objective.items() if name != "cpu_s"},
         }
         for one in found

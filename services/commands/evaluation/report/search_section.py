@@ -6,12 +6,13 @@ from collections.abc import Iterator, Sequence
 from typing import Final
 
 from services.commands import html
-from services.commands.evaluation.plan import CONTROLLERS
+from services.commands.evaluation.plan import CONTROLLERS, ERRANDS
 from services.commands.evaluation.report import search_figures as figures
 from services.commands.evaluation.report.embedding import EmbeddedFigures
 from services.commands.evaluation.report.summary import Results, Success
 from services.commands.evaluation.results import ResultStore
 from services.commands.evaluation.search_experiment import read_route, route_file
+from smal.evaluation.success import wilson_interval
 
 _WITHOUT_CLONING: Final = " <b>Behaviour cloning was not run</b>: torch is not installed (pip install -e '.[cloning]')."
 #: Within which a kidnapped robot should know where it is.
@@ -44,6 +45,8 @@ def search_section(found: Results, store: ResultStore, put: EmbeddedFigures, *, 
             "success rates in its parameter analysis). With l = 1 it is the single image.",
         )
     yield from _table(found.successes)
+    if found.errands:
+        yield from _errands(found)
     yield from _example(found, store, put)
 
 
@@ -67,6 +70,22 @@ def _table(found: Sequence[Success]) -> Iterator[str]:
         rows, left=3,
     )  # fmt: skip
     yield "<p>" + "; ".join(f"{name}: {how}" for name, how in CONTROLLERS.items()) + ".</p>"
+
+
+def _errands(found: Results) -> Iterator[str]:
+    """Tell how errands went."""
+    rows = []
+    for name, one in found.errands.items():
+        right = sum(outcome == one["right"] for outcome in one["outcomes"])
+        driven, shortest = (sum(one[key]) / len(one[key]) for key in ("driven_m", "shortest_m"))
+        rows.append([
+            name, ERRANDS[name], f"{right} of {len(one['outcomes'])}", "{:.0%} to {:.0%}".format(
+                *wilson_interval(right, len(one["outcomes"]))
+            ), f"{driven:.0f}", "-" if one["right"] == "false_goal" else f"{shortest:.0f}",
+        ])  # fmt: skip
+    yield "<h3>Errands</h3>"
+    yield "<p>What several drives together make possible: SMAL, each drive taught once, from untaught starts.</p>"
+    yield html.table(["errand", "what", "right", "95 %", "driven m, mean", "shortest m, mean"], rows, left=2)
 
 
 def _example(found: Results, store: ResultStore, put: EmbeddedFigures) -> Iterator[str]:

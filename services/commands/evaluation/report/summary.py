@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from services.commands.evaluation.plan import JUDGED_TICKS, Recogniser, Trial, WorldPlan
+from services.commands.evaluation.plan import JUDGED_TICKS, Errand, Recogniser, Trial, WorldPlan
 from services.commands.evaluation.results import Finding
 from services.commands.evaluation.units import Settings, Unit, settings_of
 from smal.evaluation.ground_truth import Judgement
@@ -135,12 +135,13 @@ class Success:
 
 @dataclass(frozen=True)
 class Results:
-    """What the report shows of one world: who recognised, by each criterion; who searched; the objective."""
+    """What the report shows of one world: who recognised, by each criterion; who searched; errands; the objective."""
 
     world: WorldPlan
     recognised: list[list[Recognised]]
     successes: list[Success]
     objective: Finding | None
+    errands: Mapping[Errand, Finding]
 
 
 def recogniser_name(recogniser: Recogniser) -> str:
@@ -170,7 +171,13 @@ def results_of(world: WorldPlan, units: Sequence[Unit], findings: Findings) -> R
     """Put together what was found out in a world."""
     objective = [findings[unit.key] for unit in units if unit.kind == "objective" and unit.world == world.world]
     judged = [recognised(world, units, findings, number) for number in range(len(world.criteria))]
-    return Results(world, judged, successes(world, units, findings), objective[0] if objective else None)
+    errands = {
+        errand: findings[unit.key]
+        for errand in world.errands
+        for unit in units
+        if (unit.kind, unit.world) == ("errand", world.world) and unit["errand"] == errand
+    }
+    return Results(world, judged, successes(world, units, findings), objective[0] if objective else None, errands)
 
 
 def recognised(world: WorldPlan, units: Sequence[Unit], findings: Findings, criterion: int = 0) -> list[Recognised]:

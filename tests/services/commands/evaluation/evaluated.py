@@ -20,7 +20,7 @@ SMALL = Plan(
     (
         WorldPlan(
             "yard", (Criterion(1.0, 25.0), Criterion(0.5, 15.0)), drives=2, queries=1, lengths=(1, 5, 20),
-            recognised=BOTH, template_frames=100,
+            recognised=BOTH, template_frames=100, errands=("shorter way", "nobody there"),
             trials=(
                 *(Trial(name, drives, 8) for drives in (1, 2) for name in CONTROLLERS),
                 *(Trial("paper", 2, 8, length) for length in (1, 20)),
@@ -70,6 +70,10 @@ def finding(unit: Unit) -> dict[str, Any]:
                 # One does not know where it is for 5 s, and one never does again.
                 found["right_after_s"] = {1: 5.0, 2: None}.get(unit.number("seed"), 0.5)
         return found
+    if unit.kind == "errand":
+        right = "false_goal" if unit["errand"] == "nobody there" else "found"
+        return {"right": right, "outcomes": [right] * 9 + ["timeout"], "driven_m": [120.0] * 10,
+                "shortest_m": [110.0] * 10}  # fmt: skip
     if unit.kind == "objective":
         points = [(3, 2.0, 0.1), (6, 1.7, 1e-2), (9, 1.68, 1e-5)]
         ours = [{"iterations": k, "objective": value, "duality_gap": gap} for k, value, gap in points]

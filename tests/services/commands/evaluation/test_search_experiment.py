@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
@@ -164,7 +165,7 @@ def test_a_belief_is_held_against_the_truth(simulation: Simulation) -> None:
     start = simulation.reset(5, "run")
     taught = np.array([[start.x, start.y, 0.0]])
     found = search(simulation, Says(start), 5, max_ticks=20)
-    said = _finding(found, taught, NEAR, 0)
+    said = _finding(found, taught, NEAR)
     assert said["wrong_share"] == pytest.approx(2 / 20)
     assert (said["driven_m"], said["aside_max_m"]) == (pytest.approx(0.0, abs=0.01), pytest.approx(0.0, abs=0.01))
-    assert _finding(found, taught, NEAR, 1)["right_after_s"] == pytest.approx(0.3)
+    assert _finding(replace(found, kidnap_tick=1), taught, NEAR)["right_after_s"] == pytest.approx(0.3)
