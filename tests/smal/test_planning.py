@@ -244,6 +244,13 @@ def test_the_cost_to_go_is_the_time_of_the_shortest_way() -> None:
     assert np.isinf(kitchen[61:]).all()
 
 
+def test_who_has_to_go_over_does_so_as_soon_as_the_drives_meet() -> None:
+    """At the last shared place the robot is between keyframes of which the one goes on where the drives part."""
+    _, following = cost_to_go(fork(), "office")
+    assert following[:10].tolist() == list(range(1, 11))
+    assert following[10:20].tolist() == list(range(51, 61))
+
+
 def test_costs_to_go_satisfy_bellman_s_equation() -> None:
     two = fork(left_m=0.3)
     cost, following = cost_to_go(two, "office")
