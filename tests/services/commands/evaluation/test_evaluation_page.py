@@ -70,7 +70,7 @@ def test_what_the_page_says_is_computed_from_the_results(page: Path) -> None:
     for said in (
         "within 1 m and 25°", "within 0.5 m and 15°", "nearly everything", "35% of the frames occluded",
         "8 of 8 found by SMAL against 0 of 8 by teach and repeat, SMAL is ahead",
-        "taught a detour, then a shorter way", "<td>9 of 10</td>",
+        "taught a detour, then a shorter way", "<td>9 of 10</td>", "<td>190, 130</td>",
         "Behaviour cloning was not run", "0% to 32%", "64x48 pixels",
     ):  # fmt: skip
         assert said in text, said
