@@ -317,6 +317,9 @@ def learn_visual_map(
     drives = np.repeat(np.arange(len(ways), dtype=np.int32), [len(way) for way in ways])
     centred = np.concatenate([centering.apply(one.raw) for one in taught])
     length, unrelated = _correlation_length(centred, poses, drives)
+    if not centred.any():
+        raise ValueError("all images of the demonstrations look the same")
+    length = max(length, _SHORTEST_S * float(movements[Atom.FORWARD, 0]) / tick_s)
     scene = fit_scene(every, poses, drives.astype(np.intp), length, describe, focal)
     keyframes = _choose_keyframes(poses, drives, length)
     views, basis = _make_views(every, keyframes, scene, _ASIDE * length, describe, progress)
@@ -355,6 +358,10 @@ class ImageChain(Sequence[Image]):
         return self._parts[part][int(index) - (int(self._ends[part - 1]) if part else 0)]
 
 
+#: Shortest correlation length, as time of driving. In a street of houses that look the same fine details alone tell
+#: places apart, and from beside the way they are not seen as they were taught: the robot would be lost there at once.
+#: For turns it is the step of virtual views.
+_SHORTEST_S = 1.0
 #: How fast robots turn, where no drive turns and nothing else tells.
 USUAL_TURN_RAD_S = math.radians(45.0)
 
@@ -413,7 +420,8 @@ def _correlation_turn(views: NDArray[np.float32], unrelated: float) -> float:
     mean = np.einsum("kr,ktr->t", views[:, 1, middle], views[:, 1]) / len(views)
     mean = (mean[middle:] + mean[middle::-1]) / 2.0
     half = (float(mean[0]) + unrelated) / 2.0
-    return math.radians(float(np.interp(-half, -np.minimum.accumulate(mean), TURNS_DEG[middle:])))
+    turn_deg = float(np.interp(-half, -np.minimum.accumulate(mean), TURNS_DEG[middle:]))
+    return math.radians(max(turn_deg, float(TURNS_DEG[1] - TURNS_DEG[0])))
 
 
 def _likelihood(

@@ -212,7 +212,7 @@ def test_a_drive_of_hardly_any_frames_is_refused(frames: int) -> None:
 
 def test_a_camera_that_sees_nothing_is_refused() -> None:
     one = drive(way=((1.0, 0.0),))
-    with pytest.raises(ValueError, match="demonstrations"):
+    with pytest.raises(ValueError, match="all images of the demonstrations look the same"):
         learn([[np.full((72, 96, 3), 40, dtype=np.uint8)] * len(one.poses)], [one.poses], [one.atoms])
 
 
@@ -296,3 +296,16 @@ def test_views_that_are_opposite_do_not_make_a_belief_that_is_no_number() -> Non
     for pose in drive().poses[:5]:
         belief = follower.observe(extract(ROOM.look(pose), COLOR), Movement(0.05, 0.3))
         assert np.isfinite([belief.lost, belief.cosine, *belief.weights]).all()
+
+
+def test_where_fine_details_alone_tell_places_apart_the_map_is_no_finer_than_a_second_of_driving() -> None:
+    """Noise that is another one in every frame: nothing is alike, however near."""
+    one = drive(way=((2.0, 40.0), (2.0, 0.0)), rate_hz=5.0)
+    noise = np.random.default_rng(3)
+    images = [np.clip(ROOM.look(pose) // 8 + noise.integers(0, 224, (72, 96, 3)), 0, 255).astype(np.uint8)
+              for pose in one.poses]  # fmt: skip
+    with patch("smal.visual_map.fit_scene", lambda *_: SCENE):
+        found = learn([images], [one.poses], [one.atoms])
+    # At half a metre a second, told as ten frames a second: the floor goes by the taught speed.
+    assert found.correlation_length == pytest.approx(found.speed)
+    assert math.degrees(found.correlation_rad) == pytest.approx(TURNS_DEG[1] - TURNS_DEG[0])
