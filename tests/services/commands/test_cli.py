@@ -88,7 +88,6 @@ def test_recognition_and_policy_have_their_model_from_the_start(
         ("mapped", ("--stride", "2"), "stride 2: the filter decides at every frame; only the paper"),
         ("mapped", ("--scheme", "paper", "--stride", "4"), f"stride must be 1 to the sequence length {LENGTH}, got 4"),
         ("corridor", (), "the model has no map of views: no drive to the goal that it was learned from has images"),
-        ("unmeasured", (), "the model was learned from drives without odometry, which the filter needs here"),
         ("mapped", ("--scheme", "dream"), "'dream' is not one of 'filter', 'paper'"),
     ],
 )
@@ -97,7 +96,6 @@ def test_a_scheme_that_does_not_go_with_the_model_is_bad_use(
 ) -> None:
     save_model(tmp_path / "corridor.smal")
     corridor.save_model(tmp_path / "mapped.smal")
-    corridor.model(odometry=False).save(tmp_path / "unmeasured.smal")
     status, _, said = smal(command, "--world", "yard", "--model", str(tmp_path / f"{name}.smal"), *flags)
     assert status == EXIT_USAGE
     assert said.startswith("smal: ")
