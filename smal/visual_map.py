@@ -45,9 +45,11 @@ _SAMPLE = 2500
 
 #: What numbers of a map can be; kappa is bounded so that no likelihood overflows.
 _LONGEST = 1e6
-_NUMBERS: dict[str, Callable[[float], bool]] = dict.fromkeys(
-    ("aside", "correlation_length", "correlation_rad", "tick_s"), lambda one: 1e-6 <= one <= _LONGEST
-) | {"kappa": lambda one: 0.0 < one <= 300.0, "outlier_cosine": lambda one: -1.1 <= one <= 1.1}
+_NUMBERS: dict[str, Callable[[float], bool]] = {
+    **dict.fromkeys(("aside", "correlation_length", "correlation_rad", "tick_s"), lambda one: 1e-6 <= one <= _LONGEST),
+    **dict.fromkeys(("outlier_cosine", "alike_cosine"), lambda one: -1.1 <= one <= 1.1),
+    "kappa": lambda one: 0.0 < one <= 300.0,
+}
 
 
 #: Axes of the arrays of a map.
@@ -101,6 +103,8 @@ class VisualMap:
         less likely where its cosine is that much smaller.
     outlier_cosine : float
         Cosine that views of one place and of unrelated places are equally likely to have.
+    alike_cosine : float
+        Cosine that most views of one place exceed: their mean less one standard deviation.
     movements : float64 array (5, 2)
         What each atom does between two frames (`smal.movement.atom_movements`).
     tick_s : float
@@ -127,6 +131,7 @@ class VisualMap:
     correlation_rad: float
     kappa: float
     outlier_cosine: float
+    alike_cosine: float
     movements: NDArray[np.float64]
     tick_s: float
     odometry: bool
@@ -198,7 +203,8 @@ class VisualMap:
 
         That is how alike it is to the places that look unlike the one that it is most alike to. So it adapts to what
         makes all cosines small: noise, darkness, another season; and a view that shows nothing says nothing. Where all
-        places look alike it is `outlier_cosine`.
+        places look alike it is `outlier_cosine`. It is at most `alike_cosine`: in a street of houses that look the
+        same, fine details alone tell places apart, and other houses must not make a robot lost that is on the way.
 
         Parameters
         ----------
@@ -207,7 +213,7 @@ class VisualMap:
         """
         best = cosines.reshape(len(cosines), -1).max(axis=1)
         others = best[self.unlike[best.argmax()]]
-        return float(others.max()) if others.size else self.outlier_cosine
+        return min(float(others.max()), self.alike_cosine) if others.size else self.outlier_cosine
 
     @cached_property
     def key_poses(self) -> NDArray[np.float64]:
@@ -319,11 +325,10 @@ def learn_visual_map(
     length, unrelated = _correlation_length(centred, poses, drives)
     if not centred.any():
         raise ValueError("all images of the demonstrations look the same")
-    length = max(length, _SHORTEST_S * float(movements[Atom.FORWARD, 0]) / tick_s)
     scene = fit_scene(every, poses, drives.astype(np.intp), length, describe, focal)
     keyframes = _choose_keyframes(poses, drives, length)
     views, basis = _make_views(every, keyframes, scene, _ASIDE * length, describe, progress)
-    kappa, outlier_cosine = _likelihood(centred, poses, drives, length)
+    kappa, outlier_cosine, alike_cosine = _likelihood(centred, poses, drives, length)
     return VisualMap(
         poses=poses,
         drives=drives,
@@ -340,6 +345,7 @@ def learn_visual_map(
         goals=tuple(one.goal for one in taught),
         kappa=kappa,
         outlier_cosine=outlier_cosine,
+        alike_cosine=alike_cosine,
     )
 
 
@@ -358,10 +364,6 @@ class ImageChain(Sequence[Image]):
         return self._parts[part][int(index) - (int(self._ends[part - 1]) if part else 0)]
 
 
-#: Shortest correlation length, as time of driving. In a street of houses that look the same fine details alone tell
-#: places apart, and from beside the way they are not seen as they were taught: the robot would be lost there at once.
-#: For turns it is the step of virtual views.
-_SHORTEST_S = 1.0
 #: How fast robots turn, where no drive turns and nothing else tells.
 USUAL_TURN_RAD_S = math.radians(45.0)
 
@@ -415,7 +417,7 @@ def _correlation_length(
 
 
 def _correlation_turn(views: NDArray[np.float32], unrelated: float) -> float:
-    """Measure the turn after which a view is half as alike as it can be, radians."""
+    """Measure the turn after which a view is half as alike as it can be, radians: at least the step of the views."""
     middle = TURNS_DEG.size // 2
     mean = np.einsum("kr,ktr->t", views[:, 1, middle], views[:, 1]) / len(views)
     mean = (mean[middle:] + mean[middle::-1]) / 2.0
@@ -426,8 +428,10 @@ def _correlation_turn(views: NDArray[np.float32], unrelated: float) -> float:
 
 def _likelihood(
     centred: NDArray[np.float32], poses: NDArray[np.float64], drives: NDArray[np.int32], length: float
-) -> tuple[float, float]:
-    """Measure how the cosines of views of one place, and of unrelated places, are distributed: kappa, and the middle.
+) -> tuple[float, float, float]:
+    """Measure how the cosines of views of one place, and of unrelated places, are distributed.
+
+    Return kappa, the cosine in the middle between both, and the one that most views of one place exceed.
 
     One place is what lies within the correlation length and a few degrees; unrelated is four times as far.
     """
@@ -443,7 +447,8 @@ def _likelihood(
             "the demonstrations are too short, or their frames too far apart, to tell how alike views of one place are"
         )
     other = other if other.size else np.zeros(1)
-    return 1.0 / max(float(one.std()), 1e-2), (float(one.mean()) + float(other.mean())) / 2.0
+    mean, deviation = float(one.mean()), max(float(one.std()), 1e-2)
+    return 1.0 / deviation, (mean + float(other.mean())) / 2.0, mean - deviation
 
 
 def _choose_keyframes(poses: NDArray[np.float64], drives: NDArray[np.int32], length: float) -> NDArray[np.int32]:

@@ -104,6 +104,7 @@ def test_a_model_whose_header_says_nonsense_is_refused(changes: dict[str, Any]) 
         {"correlation_length": 10**400},
         {"outlier_cosine": None},
         {"outlier_cosine": "high"},
+        {"alike_cosine": None},
         {"odometry": 2},
         {"odometry": "no"},
         {"colour": "red"},

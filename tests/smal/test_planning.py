@@ -47,6 +47,7 @@ def map_of(*lengths_m: float, goals: tuple[str, ...] | None = None, stitches: St
         correlation_rad=0.2,
         kappa=6.0,
         outlier_cosine=0.2,
+        alike_cosine=0.5,
         movements=np.array([[0, 0], [0.05, 0], [-0.05, 0], [0, math.radians(4.5)], [0, -math.radians(4.5)]]),
         tick_s=TICK,
         odometry=True,

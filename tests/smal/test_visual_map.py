@@ -243,6 +243,7 @@ def nan_of(array: np.ndarray) -> np.ndarray:
         ("correlation_rad", lambda _: math.inf),
         ("kappa", lambda _: math.nan),
         ("outlier_cosine", lambda _: math.nan),
+        ("alike_cosine", lambda _: 2.0),
         ("movements", lambda one: one.movements[:3]),
         ("movements", lambda one: nan_of(one.movements)),
         ("tick_s", lambda _: 0.0),
@@ -298,14 +299,16 @@ def test_views_that_are_opposite_do_not_make_a_belief_that_is_no_number() -> Non
         assert np.isfinite([belief.lost, belief.cosine, *belief.weights]).all()
 
 
-def test_where_fine_details_alone_tell_places_apart_the_map_is_no_finer_than_a_second_of_driving() -> None:
-    """Noise that is another one in every frame: nothing is alike, however near."""
-    one = drive(way=((2.0, 40.0), (2.0, 0.0)), rate_hz=5.0)
-    noise = np.random.default_rng(3)
-    images = [np.clip(ROOM.look(pose) // 8 + noise.integers(0, 224, (72, 96, 3)), 0, 255).astype(np.uint8)
-              for pose in one.poses]  # fmt: skip
-    with patch("smal.visual_map.fit_scene", lambda *_: SCENE):
-        found = learn([images], [one.poses], [one.atoms])
-    # At half a metre a second, told as ten frames a second: the floor goes by the taught speed.
-    assert found.correlation_length == pytest.approx(found.speed)
-    assert math.degrees(found.correlation_rad) == pytest.approx(TURNS_DEG[1] - TURNS_DEG[0])
+def test_an_outlier_is_at_most_as_alike_as_most_views_of_one_place_are() -> None:
+    """Other houses like the one in view do not make the robot lost; where all is dark, less is enough."""
+    found, _ = usual_map()
+    cosines = np.zeros((len(found.keyframes), 3, TURNS_DEG.size), dtype=np.float32)
+    here = int(found.unlike.any(axis=1).argmax())
+    others = np.flatnonzero(found.unlike[here])
+    cosines[here] = 0.99
+    for alike, outlier in ((0.1, 0.1), (0.98, found.alike_cosine)):
+        cosines[others] = alike
+        assert found.outlier_of(cosines) == pytest.approx(outlier)
+    assert found.outlier_cosine < found.alike_cosine < 0.98
+    # A robot that sees nothing of the map is as much an outlier there as anywhere.
+    assert found.outlier_of(np.zeros_like(cosines)) <= 0.0

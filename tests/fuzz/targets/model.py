@@ -78,6 +78,7 @@ def smallest_map(features: int) -> VisualMap:
         correlation_rad=0.2,
         kappa=10.0,
         outlier_cosine=0.3,
+        alike_cosine=0.5,
         movements=np.array([(0.0, 0.0), (1.0, 0.0), (-1.0, 0.0), (0.0, 0.1), (0.0, -0.1)]),
         tick_s=0.1,
         odometry=True,
