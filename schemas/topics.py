@@ -1,4 +1,7 @@
-"""The one table of topics: recorder, health checks, ``smal topic`` and the README are derived from it."""
+"""The one table of topics: recorder, health checks, ``smal topic`` and the README are derived from it.
+
+Who publishes a topic, and who takes it, stands in the table of services.
+"""
 
 from __future__ import annotations
 
@@ -48,8 +51,6 @@ class Topic:
         Express, with real-time priority, in a session of its own.
     reliable
         Whether the sender waits rather than drops when the network is full.
-    producer
-        The service or services that publish it.
     """
 
     name: str
@@ -57,7 +58,6 @@ class Topic:
     rate_hz: float | None
     queue: int
     recorded: bool
-    producer: str
     urgent: bool = False
     reliable: bool = False
 
@@ -79,33 +79,31 @@ class Topic:
         return (self.message.__doc__ or "").strip().splitlines()[0]
 
 
-CAMERA: Final = Topic("camera/rgb", Image, 10, 1, False, "simulator")
-JPEG: Final = Topic("camera/jpeg", CompressedImage, 10, 8, True, "simulator")
-CAMERA_INFO: Final = Topic("camera/info", CameraInfo, None, 8, True, "simulator")
-DEPTH: Final = Topic("camera/depth", DepthImage, 10, 1, False, "simulator")
-OVERHEAD: Final = Topic("camera/overhead", OverheadImage, 10, 1, False, "simulator")
-ODOMETRY: Final = Topic("odometry", Odometry, 10, 8, True, "simulator")
-IMU: Final = Topic("imu", Imu, 10, 8, True, "simulator")
-POSE: Final = Topic("pose/truth", Pose, 10, 8, True, "simulator")
-TRACKED: Final = Topic("pose/tracked", TrackedPose, 10, 8, True, "tracker")
-OBSERVATION: Final = Topic("observation", Observation, 10, 8, True, "features")
-STATE: Final = Topic("state", State, 10, 8, True, "recognition")
-ACTION: Final = Topic("action", Action, None, 8, True, "policy")
+CAMERA: Final = Topic("camera/rgb", Image, 10, 1, False)
+JPEG: Final = Topic("camera/jpeg", CompressedImage, 10, 8, True)
+CAMERA_INFO: Final = Topic("camera/info", CameraInfo, None, 8, True)
+DEPTH: Final = Topic("camera/depth", DepthImage, 10, 1, False)
+OVERHEAD: Final = Topic("camera/overhead", OverheadImage, 10, 1, False)
+ODOMETRY: Final = Topic("odometry", Odometry, 10, 8, True)
+IMU: Final = Topic("imu", Imu, 10, 8, True)
+POSE: Final = Topic("pose/truth", Pose, 10, 8, True)
+TRACKED: Final = Topic("pose/tracked", TrackedPose, 10, 8, True)
+OBSERVATION: Final = Topic("observation", Observation, 10, 8, True)
+STATE: Final = Topic("state", State, 10, 8, True)
+ACTION: Final = Topic("action", Action, None, 8, True)
 COMMANDS: Final = {
     source: Topic(
         f"command/{source}",
         Command,
-        # An emergency stop is an event, and teleoperation is where its key is.
         rate_hz=None if source == "emergency_stop" else 10,
         queue=8,
         recorded=True,
-        producer="teleop" if source == "emergency_stop" else source,
         urgent=True,
     )
     for source in SOURCES
 }
-APPLIED: Final = Topic("command/applied", CommandApplied, 10, 8, True, "simulator", urgent=True)
-EPISODE: Final = Topic("episode", Episode, None, 64, True, "simulator", reliable=True)
+APPLIED: Final = Topic("command/applied", CommandApplied, 10, 8, True, urgent=True)
+EPISODE: Final = Topic("episode", Episode, None, 64, True, reliable=True)
 
 TOPICS: Final[dict[str, Topic]] = {
     topic.name: topic

@@ -12,7 +12,7 @@ import pytest
 from typer.testing import CliRunner
 
 import smal
-from services.cli import app
+from services.cli.main import app
 from smal import Atom
 from tests import corridor
 
@@ -25,6 +25,13 @@ def test_topic_table_is_the_generated_one() -> None:
     assert result.exit_code == 0
     shown = README.split("<!-- topics -->")[1].split("<!-- /topics -->")[0]
     assert shown.strip() == result.stdout.strip()
+
+
+def test_the_picture_of_services_and_topics_is_the_generated_one() -> None:
+    result = CliRunner().invoke(app, ["topic", "graph"])
+    assert result.exit_code == 0
+    shown = README.split("<!-- graph -->\n```mermaid\n")[1].split("```\n<!-- /graph -->")[0]
+    assert shown == result.stdout
 
 
 def test_every_path_that_it_names_exists() -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pydantic import field_validator
 
-from services.settings import ServiceSettings
+from services.kit.settings import ServiceSettings
 from smal.features import FeatureSettings
 
 

@@ -9,7 +9,7 @@ from schemas.array import Float32Array
 from schemas.depth_image import DepthImage
 from schemas.image import Image
 from schemas.observation import Observation
-from services.process import Detail, Throttle
+from services.kit.node import Detail, Throttle
 from smal.features import FeatureSettings, extract
 
 _log = logging.getLogger("features")

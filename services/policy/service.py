@@ -11,8 +11,8 @@ from schemas.base import Message
 from schemas.command import Command
 from schemas.rpc import LoadReply, LoadRequest
 from schemas.state import State
-from services.model_service import LoadedModel
-from services.process import Detail, Throttle
+from services.kit.model_service import LoadedModel
+from services.kit.node import Detail, Throttle
 from smal.decision import DecisionMaker
 from smal.filter import Belief
 from smal.planning import Planner

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from schemas import topics
-from services.model_service import serve_model
-from services.process import Node, run_service
+from services.kit.model_service import serve_model
+from services.kit.node import Node, run_service
 from services.recognition.service import RecognitionService
 
 

@@ -10,8 +10,8 @@ from schemas.observation import Observation
 from schemas.odometry import Odometry
 from schemas.rpc import LoadReply, LoadRequest
 from schemas.state import MAX_PLACES, Place, State
-from services.model_service import LoadedModel
-from services.process import Detail, ServiceError
+from services.kit.model_service import LoadedModel
+from services.kit.node import Detail, ServiceError
 from smal.action_space import Atom
 from smal.features import select
 from smal.filter import Belief

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from services.process import Node, configure_logging, read_settings, run_service
+from services.kit.node import Node, configure_logging, read_settings, run_service
 from services.recorder.config import RecorderSettings
 from services.recorder.service import RecorderService
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from services.settings import ServiceSettings
+from services.kit.settings import ServiceSettings
 
 
 class RecorderSettings(ServiceSettings):

@@ -13,10 +13,10 @@ from schemas.base import Message
 from schemas.episode import Episode
 from schemas.rpc import Nothing, RecordReply, RecordRequest
 from schemas.topics import TOPICS
-from services.process import Detail, Node, ServiceError
-from services.recorder.mcap_writer import EpisodeWriter
-from services.recorder.recovery import RecoveryError, leftovers, recover
-from services.recorder.sink import PARTIAL_SUFFIX
+from services.kit.node import Detail, Node, ServiceError
+from services.recordings.recovery import RecoveryError, leftovers, recover
+from services.recordings.sink import PARTIAL_SUFFIX
+from services.recordings.writer import EpisodeWriter
 
 #: Messages that wait while the disk is slow, as a multiple of what is replayed at once after an outage.
 QUEUE_FACTOR: Final = 2

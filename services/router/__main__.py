@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from services.bus import Router
-from services.process import Node, configure_logging, read_settings, run_service
+from services.kit.bus import Router
+from services.kit.node import Node, configure_logging, read_settings, run_service
 from services.router.config import RouterSettings
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from services.settings import ServiceSettings
+from services.kit.settings import ServiceSettings
 
 
 class RouterSettings(ServiceSettings):

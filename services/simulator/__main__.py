@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 
-from services.process import Node, ServiceError, configure_logging, read_settings, run_service
+from services.kit.node import Node, ServiceError, configure_logging, read_settings, run_service
 from services.simulator.config import SimulatorSettings
 from services.simulator.episode import EpisodeRunner
 from services.simulator.opening import open_simulation

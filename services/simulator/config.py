@@ -6,7 +6,7 @@ from typing import Annotated
 
 from pydantic import Field, field_validator
 
-from services.settings import ServiceSettings
+from services.kit.settings import ServiceSettings
 from services.simulator.opening import BaseKind
 from services.simulator.variation import variation_named
 

@@ -22,11 +22,11 @@ from schemas.image import Image
 from schemas.pose import Pose
 from schemas.rpc import ResetReply, ResetRequest
 from schemas.topics import DEPTH, OVERHEAD, Topic
-from services.jpeg import encode_jpeg
+from services.kit.jpeg import encode_jpeg
+from services.robot.gate import Applied, CommandGate
+from services.robot.outcome import outcome_of
 from services.simulator.base import STEP_S
 from services.simulator.drive import TICK_S
-from services.simulator.gate import Applied, CommandGate
-from services.simulator.outcome import outcome_of
 from services.simulator.sensors import ImuReading, OdometryReading
 from services.simulator.sensors.messages import (
     camera_info,

@@ -10,7 +10,7 @@ from schemas.command import Command, CommandApplied
 from schemas.episode import Episode
 from schemas.rpc import EndRequest, ResetReply, ResetRequest
 from schemas.topics import COMMANDS
-from services.process import Detail, Node, ServiceError
+from services.kit.node import Detail, Node, ServiceError
 from services.simulator.base import STEP_S
 from services.simulator.episode import EpisodeRunner
 

@@ -7,7 +7,7 @@ from typing import Annotated
 from pydantic import Field
 
 from schemas.episode import GoalName
-from services.settings import ServiceSettings
+from services.kit.settings import ServiceSettings
 from services.teleop.keys import FIRST_HOLD_S, REPEAT_HOLD_S
 
 

@@ -13,8 +13,8 @@ from schemas import topics
 from schemas.command import CommandApplied
 from schemas.episode import Episode
 from schemas.rpc import EndRequest, Nothing, ResetReply, ResetRequest
-from services.bus import RpcError
-from services.process import Node
+from services.kit.bus import RpcError
+from services.kit.node import Node
 from services.teleop.config import TeleopSettings
 from services.teleop.keys import Key, KeyHold, KeyParser
 from services.teleop.service import TeleopService

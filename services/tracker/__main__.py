@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from schemas import topics
-from services.process import Node, configure_logging, read_settings, run_service
+from services.kit.node import Node, configure_logging, read_settings, run_service
 from services.tracker.config import TrackerSettings
 from services.tracker.service import TrackerService
 from smal.tracking.tag_tracking import Tag

@@ -6,7 +6,7 @@ from typing import Annotated
 
 from pydantic import Field
 
-from services.settings import ServiceSettings
+from services.kit.settings import ServiceSettings
 
 
 class TrackerSettings(ServiceSettings):

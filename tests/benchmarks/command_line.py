@@ -8,10 +8,10 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import NoReturn
 
-from services.commands import outputs
-from services.commands.errors import JobError, UsageError, describe_os_error
-from services.commands.interrupts import interrupted_by_signals
-from services.process import EXIT_FAILED, EXIT_USAGE
+from services.cli import outputs
+from services.cli.interrupts import interrupted_by_signals
+from services.kit.errors import JobError, UsageError, describe_os_error
+from services.kit.node import EXIT_FAILED, EXIT_USAGE
 
 
 class Parser(argparse.ArgumentParser):

@@ -9,11 +9,11 @@ import sys
 from pathlib import Path
 from typing import Final
 
-from services.commands.errors import JobError
-from services.commands.stack.child import tied
+from services.cli.stack.child import tied
+from services.kit.errors import JobError
 from tests.benchmarks.results import LeftOutError
 
-_SMAL: Final = "from services.cli import main; main()"
+_SMAL: Final = "from services.cli.main import main; main()"
 _STOP_TIMEOUT_S: Final = 9.0
 
 

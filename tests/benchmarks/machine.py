@@ -12,7 +12,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from services.commands.bench import THREADS
+from services.cli.bench import THREADS
 from tests.benchmarks.results import Record
 
 _PROCESS: Final = Path("/proc/self")

@@ -24,7 +24,6 @@ def test_rows_are_complete(topic: Topic) -> None:
     assert topic.meaning.endswith(".")
     assert topic.queue >= 1
     assert topic.rate_hz is None or topic.rate_hz > 0
-    assert topic.producer
 
 
 def test_commands_and_heartbeat_go_before_everything_else() -> None:

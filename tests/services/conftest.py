@@ -11,9 +11,9 @@ from collections.abc import Callable, Iterator
 
 import pytest
 
-from services.bus import Bus, Router
-from services.process import Node
-from services.settings import ServiceSettings
+from services.kit.bus import Bus, Router
+from services.kit.node import Node
+from services.kit.settings import ServiceSettings
 
 RunNode = Callable[[Node], Node]
 

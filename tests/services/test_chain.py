@@ -18,7 +18,7 @@ from schemas.observation import Observation
 from schemas.rpc import LoadReply, LoadRequest
 from schemas.state import State
 from schemas.topics import Topic
-from services.bus import Bus, RpcError
+from services.kit.bus import Bus, RpcError
 from smal.features import extract
 from tests import corridor
 from tests.services.chain import (

@@ -15,9 +15,9 @@ from schemas.codec import decode
 from schemas.depth_image import DepthImage
 from schemas.image import Image
 from schemas.observation import Observation
-from services.bus import Bus
 from services.features.service import FeaturesService
-from services.process import Detail
+from services.kit.bus import Bus
+from services.kit.node import Detail
 from smal.features import FeatureSettings, extract
 from tests.services.chain import image, picture, process
 from tests.services.waiting import eventually, introduce, malformed, ready, status_of

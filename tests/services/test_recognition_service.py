@@ -9,12 +9,12 @@ import pytest
 from schemas.array import Float32Array
 from schemas.rpc import LoadRequest
 from schemas.state import State
-from services.process import ServiceError
+from services.kit.node import ServiceError
 from services.recognition.service import RecognitionService
 from smal.features import extract
 from tests import corridor
 from tests.services.chain import identity, observation, picture, save_model, seen, wheels
-from tests.services.recorder.recorded_messages import applied
+from tests.services.recordings.recorded_messages import applied
 
 
 @pytest.fixture(scope="module")

@@ -12,7 +12,7 @@ from schemas.base import Message
 from schemas.codec import encoding_of
 from schemas.rpc import Nothing, Status
 from schemas.topics import Topic
-from services.bus import Bus, RpcError
+from services.kit.bus import Bus, RpcError
 
 T = TypeVar("T")
 

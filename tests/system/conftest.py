@@ -19,7 +19,7 @@ def smal() -> Smal:
 
     def run(*arguments: object, timeout_s: float = 500, **environment: str) -> subprocess.CompletedProcess[str]:
         return subprocess.run(
-            [sys.executable, "-c", "from services.cli import main; main()", *map(str, arguments)],
+            [sys.executable, "-c", "from services.cli.main import main; main()", *map(str, arguments)],
             capture_output=True,
             text=True,
             timeout=timeout_s,

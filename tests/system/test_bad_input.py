@@ -9,12 +9,12 @@ from pathlib import Path
 
 import pytest
 
-from services.process import EXIT_FAILED, EXIT_USAGE
+from services.kit.node import EXIT_FAILED, EXIT_USAGE
 from smal.model import FORMAT_VERSION
 from tests import corridor
 from tests.services.chain import save_model
-from tests.services.recorder.recorded_messages import episode, event
-from tests.services.recorder.test_recorder_files import record
+from tests.services.recordings.recorded_messages import episode, event
+from tests.services.recordings.test_recorder_files import record
 
 pytestmark = pytest.mark.system
 

@@ -10,6 +10,8 @@ from pathlib import Path
 
 import pytest
 
+from schemas.rpc import Nothing, Status
+from services.table import SERVICES, stack_services
 from tests.benchmarks.faults.cells import MATRIX
 from tests.benchmarks.faults.rig import Rig, RigPlan, rig_for
 from tests.benchmarks.faults.run import run_cell
@@ -35,3 +37,13 @@ def test_the_robot_stands_the_stack_recovers_and_the_recording_is_whole(rig: Rig
     assert (outcome.restart_s is not None) == (CELLS[name].watched is not None), outcome
     assert set(outcome.not_met) <= BUSY, str(outcome.record())  # pytest would shorten anything else
     assert outcome.recorded > 100
+
+
+@pytest.mark.parametrize("name", stack_services())
+def test_every_service_takes_and_gives_what_the_table_of_services_says(rig: Rig, name: str) -> None:
+    status, row = rig.bus.call(name, "status", Nothing(), Status), SERVICES[name]
+    # The features take depth images where their modalities need them.
+    may_take = {topic.name for topic in row.takes}
+    assert may_take - {"camera/depth"} <= {one for one in status.waiting if not one.startswith("rpc/")} <= may_take
+    assert set(status.published) <= {topic.name for topic in row.gives}
+    assert bool(status.published) == bool(row.gives and name != "tracker")  # the yard has no camera above it

@@ -12,10 +12,10 @@ from schemas import topics
 from schemas.pose import Pose
 from schemas.rpc import ResetRequest
 from schemas.tracked_pose import TrackedPose
-from services.commands.episodes.client import EpisodeClient
-from services.commands.options import Camera
-from services.commands.simulator_options import SimulatorOptions
-from services.commands.stack.processes import stack_for
+from services.cli.episodes.client import EpisodeClient
+from services.cli.options import Camera
+from services.cli.simulator_options import SimulatorOptions
+from services.cli.stack.processes import stack_for
 from services.expert.service import ExpertService
 
 pytestmark = [pytest.mark.rendering, pytest.mark.system]

@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 from tqdm import tqdm
 
-from services.commands.stack.processes import Stack, StackPlan, free_endpoint
+from services.cli.stack.processes import Stack, StackPlan, free_endpoint
 from tests.benchmarks.bus.messages import CASES, Case
 from tests.benchmarks.bus.receiver import CALLBACK
 from tests.benchmarks.bus.sender import Send, Senders, Wire, receiver

@@ -15,9 +15,9 @@ import zenoh
 
 from schemas.codec import decode
 from schemas.topics import Topic
-from services.bus import Bus
-from services.process import Node
-from services.settings import ServiceSettings
+from services.kit.bus import Bus
+from services.kit.node import Node
+from services.kit.settings import ServiceSettings
 from tests.benchmarks.bus.messages import CASES
 
 #: Robots, so that the ways to receive stay apart: in the callback of a ``Bus``, or as a service does, by a ``Node``.

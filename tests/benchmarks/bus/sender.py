@@ -14,10 +14,10 @@ from typing import Final
 
 from schemas.base import Message
 from schemas.codec import encode
-from services.bus import Bus
-from services.commands.bench import FOLDER
-from services.commands.errors import JobError
-from services.commands.stack.child import tied
+from services.cli.bench import FOLDER
+from services.cli.stack.child import tied
+from services.kit.bus import Bus
+from services.kit.errors import JobError
 from tests.benchmarks.bus.messages import Case
 from tests.benchmarks.bus.receiver import ARRIVAL, CALLBACK, NODE, beside
 

@@ -22,8 +22,8 @@ from typing import Any, Final
 
 from tqdm import tqdm
 
-from services.commands import options
-from services.commands.errors import JobError, UsageError
+from services.cli import options
+from services.kit.errors import JobError, UsageError
 from tests.benchmarks.command_line import Parser
 from tests.benchmarks.faults.cells import LINKED, MATRIX, QUICK, Bench, Cell
 from tests.benchmarks.faults.harm import FAKETIME, clock_environment

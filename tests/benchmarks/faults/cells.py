@@ -9,7 +9,7 @@ from functools import partial
 from typing import Final, Literal
 
 from schemas.topics import KEPT_S
-from services.commands.stack.processes import SERVICES
+from services.table import stack_services
 from tests.benchmarks.faults import harm
 from tests.benchmarks.faults.judge import Window
 from tests.benchmarks.faults.rig import Rig
@@ -101,7 +101,7 @@ def _kills() -> list[Cell]:
     limits = Limits(recovery_s=_RESTARTED_S, lost_ticks=1)
     return [
         Cell(f"kill -9 {service}", partial(harm.kill, service=service), limits, watched=service)
-        for service in SERVICES
+        for service in stack_services()
         if service != "router"
     ]
 
@@ -109,7 +109,7 @@ def _kills() -> list[Cell]:
 def _freezes() -> list[Cell]:
     return [
         Cell(f"freeze {service} {seconds:.0f} s", partial(harm.freeze, service=service, seconds=seconds))
-        for service in SERVICES
+        for service in stack_services()
         for seconds in _FREEZES_S
     ]
 

@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any, Final
 
-from services.commands.errors import JobError
+from services.kit.errors import JobError
 
 _STARTING_S: Final = 30.0
 _STOPPING_S: Final = 2.0

@@ -12,9 +12,9 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Final
 
-from services.bus import host_and_port
-from services.commands.errors import JobError
-from services.recorder.sink import PARTIAL_SUFFIX
+from services.kit.bus import host_and_port
+from services.kit.errors import JobError
+from services.recordings.sink import PARTIAL_SUFFIX
 from tests.benchmarks.faults.judge import Window
 from tests.benchmarks.faults.rig import Rig
 from tests.benchmarks.faults.slow import slow_consumer

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from services.commands.errors import JobError
+from services.kit.errors import JobError
 from tests.benchmarks.drives import demonstrate, learn
 from tests.benchmarks.faults.rig import CAMERA, WORLD
 from tests.benchmarks.results import LeftOutError

@@ -20,7 +20,7 @@ from typing import Final
 
 from schemas.codec import DecodeError, decode
 from schemas.topics import TOPICS, Topic
-from services.bus import Bus
+from services.kit.bus import Bus
 from tests.benchmarks.faults.child import child
 from tests.benchmarks.faults.log import entry_of
 

@@ -13,7 +13,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from multiprocessing.connection import Connection
 
-from services.bus import host_and_port
+from services.kit.bus import host_and_port
 from tests.benchmarks.faults.child import child
 
 

@@ -16,8 +16,8 @@ from mcap.records import Channel, Message, Metadata
 from mcap.stream_reader import StreamReader
 
 from schemas.topics import APPLIED, EPISODE, JPEG, POSE, TOPICS, topic_of
-from services.recorder.mcap_writer import GAPS_METADATA
-from services.recorder.sink import PARTIAL_SUFFIX
+from services.recordings.sink import PARTIAL_SUFFIX
+from services.recordings.writer import GAPS_METADATA
 from tests.benchmarks.faults.log import Order, order_of
 from tests.benchmarks.faults.track import Track
 

@@ -12,10 +12,11 @@ from typing import Final
 
 from schemas.rpc import EndRequest, Nothing, RecordReply, ResetReply, ResetRequest, Status
 from schemas.topics import EPISODE
-from services.bus import Bus, RpcError
-from services.commands.errors import JobError
-from services.commands.stack.processes import SERVICES, Stack, StackPlan, flags, free_endpoint
-from services.commands.up import WATCH_S
+from services.cli.stack.processes import Stack, StackPlan, flags, free_endpoint
+from services.cli.up import WATCH_S
+from services.kit.bus import Bus, RpcError
+from services.kit.errors import JobError
+from services.table import stack_services
 from tests.benchmarks.faults.judge import moving
 from tests.benchmarks.faults.log import Entry, Tail
 from tests.benchmarks.faults.observer import observing
@@ -69,7 +70,7 @@ class RigPlan:
             "policy": chain,
             "recorder": flags(recordings=self.recordings.resolve()),
         }
-        return {name: own.get(name, ()) + flags(router=links.get(name)) for name in SERVICES}
+        return {name: own.get(name, ()) + flags(router=links.get(name)) for name in stack_services()}
 
 
 class Rig:
@@ -222,7 +223,7 @@ class Rig:
 
     def all_ready(self) -> bool:
         """Whether all services are ready."""
-        return all(self.ready(service) for service in SERVICES)
+        return all(self.ready(service) for service in stack_services())
 
     def log_of(self, service: str) -> str:
         """Return what a service has logged."""
@@ -237,7 +238,7 @@ def rig_for(plan: RigPlan) -> Iterator[Rig]:
     with ExitStack() as stacked:
         links = {service: stacked.enter_context(link(endpoint)) for service in plan.linked}
         service_flags = plan.service_flags({service: address for service, (address, _) in links.items()})
-        stack = Stack(StackPlan(SERVICES, ROBOT, endpoint, service_flags, plan.folder / "logs"))
+        stack = Stack(StackPlan(stack_services(), ROBOT, endpoint, service_flags, plan.folder / "logs"))
         with _environment(plan.environment):
             stacked.enter_context(stack)
         stacked.enter_context(observing(ROBOT, endpoint, plan.log))

@@ -11,7 +11,7 @@ from contextlib import contextmanager
 from multiprocessing.connection import Connection
 
 from schemas.topics import ROOT
-from services.bus import Bus
+from services.kit.bus import Bus
 from tests.benchmarks.faults.child import child
 
 

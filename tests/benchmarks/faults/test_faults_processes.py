@@ -12,9 +12,9 @@ import pytest
 
 from schemas.rpc import Nothing, Status
 from schemas.topics import POSE
-from services.bus import Bus, RpcError
-from services.commands.errors import UsageError
-from services.commands.stack.processes import Stack, StackPlan, free_endpoint
+from services.cli.stack.processes import Stack, StackPlan, free_endpoint
+from services.kit.bus import Bus, RpcError
+from services.kit.errors import UsageError
 from tests.benchmarks.faults import benchmark as faults
 from tests.benchmarks.faults.log import read_log
 from tests.benchmarks.faults.observer import observing

@@ -20,11 +20,11 @@ from typing import Any, Final, get_args
 from tqdm import tqdm
 
 from schemas.rpc import LoadReply, LoadRequest, Scheme
-from services.commands.errors import UsageError
-from services.commands.options import Camera, read_model
-from services.commands.stack.processes import Stack, StackPlan, free_endpoint
-from services.commands.teaching.teacher import find_recordings
-from services.settings import ServiceSettings
+from services.cli.options import Camera, read_model
+from services.cli.stack.processes import Stack, StackPlan, free_endpoint
+from services.kit.errors import UsageError
+from services.kit.settings import ServiceSettings
+from services.recordings.dataset import find_recordings
 from tests.benchmarks.command_line import Parser
 from tests.benchmarks.latency.drives import drives, make, resized
 from tests.benchmarks.latency.load import Load, processes_of

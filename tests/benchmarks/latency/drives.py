@@ -9,11 +9,11 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from services.commands.errors import JobError
-from services.commands.options import Camera
-from services.commands.teaching.teacher import find_recordings
-from services.recorder.encoding import decode_image
-from services.recorder.mcap_reader import RecordingError, read_recording
+from services.cli.options import Camera
+from services.kit.errors import JobError
+from services.recordings.dataset import find_recordings
+from services.recordings.encoding import decode_image
+from services.recordings.reader import RecordingError, read_recording
 from tests.benchmarks.drives import demonstrate, learn
 
 Frames = list[NDArray[np.uint8]]

@@ -10,7 +10,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from schemas.rpc import Nothing, Status
-from services.bus import Bus
+from services.kit.bus import Bus
 
 
 class Load:

@@ -20,10 +20,10 @@ from schemas.image import Image
 from schemas.observation import Observation
 from schemas.odometry import Odometry
 from schemas.state import State
-from services.process import Node
-from services.settings import ServiceSettings
+from services.kit.node import Node
+from services.kit.settings import ServiceSettings
+from services.robot.gate import CommandGate
 from services.simulator.drive import TICK_S
-from services.simulator.gate import CommandGate
 
 #: Longer than any command stays fresh.
 _LAST_ANSWER_S: Final = 1.0

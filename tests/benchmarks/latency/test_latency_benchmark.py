@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from services.commands.errors import JobError, UsageError
-from services.commands.options import Camera
+from services.cli.options import Camera
+from services.kit.errors import JobError, UsageError
 from smal.features import FeatureSettings
 from tests import corridor
 from tests.benchmarks.latency import benchmark as latency

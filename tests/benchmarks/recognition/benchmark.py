@@ -16,8 +16,8 @@ from typing import Any, Final
 
 from tqdm import tqdm
 
-from services.commands.errors import UsageError
-from services.commands.teaching.teacher import find_recordings
+from services.kit.errors import UsageError
+from services.recordings.dataset import find_recordings
 from tests.benchmarks.command_line import Parser
 from tests.benchmarks.machine import machine
 from tests.benchmarks.recognition.algorithm2 import from_one_solve, whole_run

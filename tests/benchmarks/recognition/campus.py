@@ -6,7 +6,7 @@ import tempfile
 from pathlib import Path
 from typing import Final
 
-from services.commands.teaching.teacher import Teacher, find_recordings
+from services.recordings.dataset import Teacher, find_recordings
 from smal.features import Centering, FeatureSettings
 from tests.benchmarks.drives import demonstrate
 from tests.benchmarks.recognition.datasets import Recorded

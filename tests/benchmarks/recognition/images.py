@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 from tqdm import tqdm
 
-from services.commands.errors import UsageError
+from services.kit.errors import UsageError
 from smal.features import Centering, FeatureSettings, extract
 from tests.benchmarks.recognition.datasets import Frames, Recorded
 from tests.benchmarks.results import LeftOutError

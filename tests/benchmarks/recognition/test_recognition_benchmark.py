@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 import pytest
 
-from services.commands.errors import UsageError
+from services.kit.errors import UsageError
 from tests.benchmarks.recognition import benchmark as recognition
 from tests.benchmarks.recognition.datasets import Recorded, Synthetic
 from tests.benchmarks.recognition.images import ImageFolder

@@ -29,7 +29,7 @@ import shapely
 from numpy.typing import NDArray
 from tqdm import tqdm
 
-from services.commands.errors import JobError, UsageError
+from services.kit.errors import JobError, UsageError
 from services.simulator.scene.rendering import SceneCamera
 from services.simulator.scene.vulkan import RenderingUnavailableError
 from services.simulator.sensors.camera import CameraSettings

@@ -18,9 +18,9 @@ from typing import Any, Final
 
 from tqdm import tqdm
 
-from services.commands import options
-from services.commands.errors import JobError
-from services.commands.stack.processes import SERVICES
+from services.cli import options
+from services.kit.errors import JobError
+from services.table import stack_services
 from tests.benchmarks.command_line import Parser
 from tests.benchmarks.faults.model import taught_model
 from tests.benchmarks.faults.picture import draw_growth
@@ -47,7 +47,7 @@ def benchmark(minutes: float, model: Path | None, folder: Path) -> dict[str, Any
         rig.start_moving()
         rig.driven = True
         samples = list(_samples(rig, minutes * 60.0, folder / "samples.jsonl"))
-        messages = [_messages(rig, service) for service in SERVICES]
+        messages = [_messages(rig, service) for service in stack_services()]
         episodes = rig.begun
         rig.finish_episode()
     services = judge(samples)
@@ -76,7 +76,7 @@ def _samples(rig: Rig, seconds: float, log: Path) -> Iterator[Sample]:
         due_s = 0.0
         while due_s <= seconds:
             rig.hold(max(0.0, began_s + due_s - time.monotonic()))
-            for service in SERVICES:
+            for service in stack_services():
                 with suppress(OSError, JobError):  # it has died, and is started again
                     one = sample(time.monotonic() - began_s, service, rig.pid(service))
                     file.write(json.dumps(vars(one)) + "\n")

@@ -7,7 +7,7 @@ import os
 import numpy as np
 import pytest
 
-from services.commands.errors import UsageError
+from services.kit.errors import UsageError
 from tests.benchmarks.soak import benchmark as soak
 from tests.benchmarks.soak.growth import Sample, judge, sample
 

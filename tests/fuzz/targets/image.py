@@ -7,7 +7,7 @@ import random
 from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
 from google.protobuf.message import DecodeError
 
-from services.recorder.encoding import decode_image
+from services.recordings.encoding import decode_image
 from tests.fuzz.targets import check_line, mcap_bytes
 
 #: Where a JPEG says how large it is: after the marker of its frame, the length of that and the bits of a sample.

@@ -17,9 +17,9 @@ from mcap.opcode import Opcode
 from mcap.writer import CompressionType, Writer
 
 from schemas.base import Message
-from services.recorder.records import MAGIC
+from services.recordings.records import MAGIC
 from tests.fuzz.trees import changed_json
-from tests.services.recorder.recorded_messages import applied, event, observation
+from tests.services.recordings.recorded_messages import applied, event, observation
 
 _FRAME: Final = struct.Struct("<BQ")
 _CHUNK: Final = struct.Struct("<QQQI")

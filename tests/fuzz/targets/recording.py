@@ -6,9 +6,9 @@ import random
 
 from mcap.writer import CompressionType
 
-from services.recorder.mcap_reader import RecordingError, read_recording
+from services.recordings.reader import RecordingError, read_recording
 from tests.fuzz.targets import check_line, mcap_bytes, scratch
-from tests.services.recorder.recorded_messages import FEATURES, FINGERPRINT
+from tests.services.recordings.recorded_messages import FEATURES, FINGERPRINT
 
 
 def seeds() -> list[bytes]:

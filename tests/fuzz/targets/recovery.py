@@ -6,9 +6,9 @@ import random
 
 from mcap.reader import make_reader
 
-from services.recorder.mcap_reader import RecordingError, read_recording
-from services.recorder.records import MAGIC
-from services.recorder.recovery import Recovered, recover
+from services.recordings.reader import RecordingError, read_recording
+from services.recordings.records import MAGIC
+from services.recordings.recovery import Recovered, recover
 from tests.fuzz.targets import check_line, mcap_bytes, scratch
 
 

@@ -7,8 +7,8 @@ import random
 from mcap.reader import make_reader
 
 from schemas.episode import Episode
-from services.recorder.mcap_writer import EpisodeWriter
-from services.recorder.recovery import RecoveryError
+from services.recordings.recovery import RecoveryError
+from services.recordings.writer import EpisodeWriter
 from tests.fuzz.targets import check_line, mcap_bytes, scratch
 from tests.fuzz.targets.recovery import seeds as recovery_seeds
 

@@ -6,7 +6,7 @@ import json
 import random
 
 from schemas.codec import encode, encoding_of
-from services.commands.listening.samples import Sample
+from services.cli.listening.samples import Sample
 from tests.fuzz.targets import check_line
 from tests.fuzz.targets.messages import changed_msgpack
 from tests.schemas.messages import EXAMPLES

@@ -11,10 +11,10 @@ from mcap.writer import CompressionType, Writer
 
 from schemas.base import ATOMS, Message
 from schemas.topics import JPEG
-from services.recorder.encoding import decode_image
-from services.recorder.mcap_reader import Recording, RecordingError, read_recording
-from services.recorder.mcap_writer import EpisodeWriter
-from tests.services.recorder.recorded_messages import (
+from services.recordings.encoding import decode_image
+from services.recordings.reader import Recording, RecordingError, read_recording
+from services.recordings.writer import EpisodeWriter
+from tests.services.recordings.recorded_messages import (
     FINGERPRINT,
     applied,
     command,
@@ -26,7 +26,7 @@ from tests.services.recorder.recorded_messages import (
     observation,
     pixels,
 )
-from tests.services.recorder.test_recorder_files import leave, record
+from tests.services.recordings.test_recorder_files import leave, record
 
 
 def read_messages(folder: Path, messages: list[Message]) -> Recording:

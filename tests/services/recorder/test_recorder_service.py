@@ -20,15 +20,15 @@ from schemas.codec import encoding_of
 from schemas.pose import Pose
 from schemas.rpc import Nothing, RecordReply, RecordRequest
 from schemas.topics import JPEG, TOPICS
-from services.bus import Bus, Router, RpcError
-from services.process import Node, ServiceError
-from services.recorder.encoding import payload_of
-from services.recorder.mcap_reader import read_recording
+from services.kit.bus import Bus, Router, RpcError
+from services.kit.node import Node, ServiceError
+from services.kit.settings import ServiceSettings
 from services.recorder.service import GRACE_S, RESUME_S, RecorderService
-from services.recorder.sink import partial_of
-from services.settings import ServiceSettings
-from tests.services.recorder.recorded_messages import FINGERPRINT, applied, episode, event, frame, header, observation
-from tests.services.recorder.test_recorder_files import FullDisk, leave, read_all
+from services.recordings.encoding import payload_of
+from services.recordings.reader import read_recording
+from services.recordings.sink import partial_of
+from tests.services.recordings.recorded_messages import FINGERPRINT, applied, episode, event, frame, header, observation
+from tests.services.recordings.test_recorder_files import FullDisk, leave, read_all
 from tests.services.waiting import eventually, introduce, ready, status_of
 
 RunNode = Callable[[Node], Node]
@@ -197,7 +197,7 @@ def test_a_folder_that_cannot_be_is_refused_in_one_line(
 def test_a_full_disk_ends_the_file_and_not_the_recorder(
     recorder: RecorderService, client: Bus, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("services.recorder.mcap_writer.Sink", FullDisk)
+    monkeypatch.setattr("services.recordings.writer.Sink", FullDisk)
     sent = list(episode("full", frames=40))
     send(client, sent)
     eventually(lambda: sealed(client, 1))
@@ -222,8 +222,8 @@ def test_a_file_that_could_not_be_finished_is_when_there_is_room(
     def full(*_: object) -> None:
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
-    monkeypatch.setattr("services.recorder.sink.write_all", full)
-    monkeypatch.setattr("services.recorder.recovery.write_all", full)
+    monkeypatch.setattr("services.recordings.sink.write_all", full)
+    monkeypatch.setattr("services.recordings.recovery.write_all", full)
     publish(client, list(episode("full"))[-1:])
     eventually(lambda: sealed(client, 1))
     assert partial_of(tmp_path / "full.mcap").exists()

@@ -24,11 +24,11 @@ from schemas.overhead_image import OverheadImage
 from schemas.pose import Pose
 from schemas.rpc import ResetRequest
 from schemas.topics import DEPTH, OVERHEAD, Topic
-from services.process import Node, ServiceError
+from services.kit.node import Node, ServiceError
+from services.robot.gate import MAX_AGE_S, Refusal
 from services.simulator.base import STEP_S
 from services.simulator.drive import TICK_S
 from services.simulator.episode import GIVE_UP_S, RESEND_S, EpisodeRunner
-from services.simulator.gate import MAX_AGE_S, Refusal
 from services.simulator.sensors import ImuReading, OdometryReading
 from services.simulator.sensors.messages import FARTHEST_M, depth_message
 from services.simulator.service import LATCHED, SimulatorService

@@ -12,7 +12,7 @@ from typing import Final
 import pytest
 
 ROOT: Final = Path(__file__).parents[3]
-GATE: Final = "services/simulator/gate.py"
+GATE: Final = "services/robot/gate.py"
 TESTS: Final = Path(__file__).with_name("test_gate.py")
 _NEVER_ASSIGNED = "nothing assigns to an accepted command, and nobody outside the gate has one"
 _FIRST_OF_ALL = "of the names of the sources emergency_stop is the first in the alphabet"

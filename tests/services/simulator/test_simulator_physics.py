@@ -16,9 +16,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from schemas.base import ATOMS, Atom
+from services.robot.gate import MAX_AGE_S
 from services.simulator.base import STEP_S, Base, KinematicBase, Motion
 from services.simulator.drive import TICK_S, WheelSpeeds, move
-from services.simulator.gate import MAX_AGE_S
 from services.simulator.physics import engine
 from services.simulator.physics.articulation import TYRE_FRICTION
 from services.simulator.physics.collision_shapes import hull, upright_sides

@@ -21,7 +21,7 @@ from schemas.imu import Imu
 from schemas.odometry import Odometry
 from schemas.pose import Pose
 from schemas.rpc import EndRequest, Nothing, ResetReply, ResetRequest
-from services.bus import Bus, RpcError, Take
+from services.kit.bus import Bus, RpcError, Take
 from tests.services.chain import process
 from tests.services.waiting import eventually, malformed, ready, status_of
 

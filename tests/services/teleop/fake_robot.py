@@ -7,8 +7,8 @@ from schemas.base import Message
 from schemas.command import Command, CommandApplied
 from schemas.episode import Episode
 from schemas.rpc import EndRequest, ResetReply, ResetRequest
-from services.process import Node, ServiceError
-from services.settings import ServiceSettings
+from services.kit.node import Node, ServiceError
+from services.kit.settings import ServiceSettings
 
 BEAT_S = 0.05
 

@@ -14,7 +14,7 @@ from pathlib import Path
 
 import pytest
 
-from services.settings import ServiceSettings
+from services.kit.settings import ServiceSettings
 from tests.services.conftest import RunNode
 from tests.services.teleop.fake_robot import FakeRobot
 from tests.services.waiting import eventually
@@ -202,10 +202,12 @@ def test_no_router_is_one_line_and_leaves_the_terminal_alone(free_endpoint: str)
         console.close()
 
 
-@pytest.mark.parametrize("command", ["services.teleop", "services.cli"])
+@pytest.mark.parametrize("command", ["services.teleop", "services.cli.main"])
 def test_without_a_terminal(command: str) -> None:
-    run = "main()" if command == "services.cli" else "0"
-    arguments = ["-m", "services.teleop"] if run == "0" else ["-c", f"from services.cli import main; {run}", "teleop"]
+    run = "main()" if command == "services.cli.main" else "0"
+    arguments = (
+        ["-m", "services.teleop"] if run == "0" else ["-c", f"from services.cli.main import main; {run}", "teleop"]
+    )
     done = subprocess.run(
         [sys.executable, *arguments],
         cwd=ROOT, stdin=subprocess.DEVNULL, capture_output=True, text=True, check=False, timeout=60,

@@ -12,9 +12,9 @@ from schemas import topics
 from schemas.codec import decode
 from schemas.overhead_image import Calibration, OverheadImage
 from schemas.tracked_pose import TrackedPose
-from services.bus import Bus
-from services.process import Node, ServiceError
-from services.settings import ServiceSettings
+from services.kit.bus import Bus
+from services.kit.node import Node, ServiceError
+from services.kit.settings import ServiceSettings
 from services.simulator.robots import TURTLEBOT
 from services.tracker.config import TrackerSettings
 from services.tracker.service import TrackerService

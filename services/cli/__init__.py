@@ -1,0 +1,1 @@
+"""The ``smal`` command, one file a verb."""

@@ -1,0 +1,148 @@
+"""The checks of ``smal doctor``: each tries the real thing and says what it found."""
+
+from __future__ import annotations
+
+import shutil
+import signal
+import socket
+import statistics
+import subprocess
+import sys
+import threading
+import time
+from contextlib import ExitStack, closing
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+from pydantic import ValidationError
+
+from schemas import topics
+from schemas.base import Strict
+from schemas.command import Command
+from schemas.rpc import Nothing, Status
+from services.cli.stack.processes import free_endpoint
+from services.kit.bus import DEFAULT_ROUTER, Bus, BusError, Router, RpcError, host_and_port
+from services.table import stack_services
+
+PYTHONS: Final = ((3, 11), (3, 13))
+#: Recordings of a full set of drives, with room for the reports.
+DISK_GB: Final = 2.0
+RENDER_TIMEOUT_S: Final = 120.0
+MESSAGE_TIMEOUT_S: Final = 5.0
+MESSAGES: Final = 21
+
+
+@dataclass(frozen=True)
+class Check:
+    """What one check found; ``text`` says in a problem what to do as well."""
+
+    name: str
+    ok: bool
+    text: str
+
+
+class _ProbeAnswer(Strict):
+    error: str | None = None
+    driver: str = ""
+    software: bool = True
+    seconds: float = 0.0
+
+
+def check_python(version: tuple[int, int] = sys.version_info[:2]) -> Check:
+    """Look at the version of Python."""
+    found = ".".join(map(str, version))
+    if PYTHONS[0] <= version <= PYTHONS[1]:
+        return Check("python", True, f"Python {found}")
+    return Check("python", False, f"Python {found}; use 3.11, 3.12 or 3.13: python3.13 -m venv .venv")
+
+
+def check_rendering(command: tuple[str, ...] = (sys.executable, "-m", "services.simulator.scene.probe")) -> Check:
+    """Render a tiny frame in a process of its own, which a broken driver may crash."""
+    try:
+        done = subprocess.run(command, capture_output=True, text=True, timeout=RENDER_TIMEOUT_S, check=False)  # noqa: S603
+    except subprocess.TimeoutExpired:
+        return Check("rendering", False, f"no frame within {RENDER_TIMEOUT_S:.0f} s; try another Vulkan driver")
+    if done.returncode < 0:
+        name = signal.Signals(-done.returncode).name
+        return Check(
+            "rendering", False, f"the Vulkan driver crashed ({name}); update it, or install Mesa 24.3 or newer"
+        )
+    try:
+        answer = _ProbeAnswer.model_validate_json((done.stdout.strip().splitlines() or [""])[-1])
+    except ValidationError:
+        reason = (done.stderr.strip().splitlines() or ["it said nothing"])[-1]
+        return Check("rendering", False, f"the renderer failed: {reason}; install with deploy/setup.sh")
+    if answer.error is not None:
+        return Check("rendering", False, answer.error)
+    kind = "software, on the CPU" if answer.software else "GPU"
+    return Check("rendering", True, f"{answer.driver} ({kind}); first frame after {answer.seconds} s")
+
+
+def check_zenoh() -> Check:
+    """Send messages from one client to another, through a router of this check's own."""
+    endpoint = free_endpoint()
+    try:
+        with ExitStack() as stack:
+            stack.enter_context(closing(Router(endpoint)))
+            sender, receiver = (stack.enter_context(closing(Bus("doctor", endpoint))) for _ in range(2))
+            arrived = threading.Event()
+            receiver.subscribe(topics.COMMANDS["teleop"], lambda *_sample: arrived.set())
+            times_s = [_time_message(sender, arrived, sequence) for sequence in range(MESSAGES)]
+    except BusError as error:
+        return Check("zenoh", False, str(error))
+    except TimeoutError:
+        return Check("zenoh", False, f"no message within {MESSAGE_TIMEOUT_S:.0f} s; does a firewall block 127.0.0.1?")
+    return Check("zenoh", True, f"a message through a router takes {1e3 * statistics.median(times_s[1:]):.2f} ms")
+
+
+def _time_message(sender: Bus, arrived: threading.Event, sequence: int) -> float:
+    """Return the time from sending to arrival; the first message is repeated until the subscription is known."""
+    arrived.clear()
+    deadline = time.monotonic() + MESSAGE_TIMEOUT_S
+    while time.monotonic() < deadline:
+        begin_s = time.monotonic()
+        sender.publish(Command(robot="doctor", episode="doctor", tick=0, stamp_ns=0, source="teleop",
+                               sequence=sequence, atom="stop"))  # fmt: skip
+        if arrived.wait(0.05):
+            return time.monotonic() - begin_s
+    raise TimeoutError
+
+
+def check_port(endpoint: str = DEFAULT_ROUTER, robot: str = "rescuebot") -> Check:
+    """Look who listens on the router's port: nobody, a running stack, or somebody else."""
+    try:
+        host, port = host_and_port(endpoint)
+        socket.create_connection((host, port), 1.0).close()
+    except ConnectionRefusedError:
+        return Check("port", True, f"{endpoint} is free")
+    except BusError as error:
+        return Check("port", False, str(error))
+    except OSError as error:
+        return Check("port", False, f"{endpoint}: {error}; give another with --router or SMAL_ROUTER")
+    elsewhere = f"stop it (ss -ltnp 'sport = :{port}' names it), or set SMAL_ROUTER to another port"
+    try:
+        with closing(Bus(robot, endpoint, patience_s=1.0)) as bus:
+            running = [service for service in stack_services() if _runs(bus, service)]
+    except BusError:
+        return Check("port", False, f"{endpoint} is used by something that is no Zenoh router; {elsewhere}")
+    if not running:
+        return Check("port", False, f"{endpoint} is used by a Zenoh router without services of {robot}; {elsewhere}")
+    return Check("port", True, f"{endpoint} is used by the running stack of {robot}: {', '.join(running)}")
+
+
+def _runs(bus: Bus, service: str) -> bool:
+    try:
+        bus.call(service, "status", Nothing(), Status, timeout_s=2.0)
+    except RpcError:
+        return False
+    return True
+
+
+def check_disk(folder: Path | None = None, needed_gb: float = DISK_GB) -> Check:
+    """Look how much room is left for recordings."""
+    folder = (folder or Path()).resolve()
+    free_gb = shutil.disk_usage(folder).free / 1e9
+    if free_gb >= needed_gb:
+        return Check("disk", True, f"{free_gb:.0f} GB free in {folder}")
+    return Check("disk", False, f"{free_gb:.1f} GB free in {folder}; make room for {needed_gb:.0f} GB of recordings")

@@ -1,0 +1,223 @@
+"""A client that has episodes run and keeps what a report needs of them."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from schemas import topics
+from schemas.action import Action
+from schemas.base import Message
+from schemas.command import CommandApplied
+from schemas.compressed_image import CompressedImage
+from schemas.episode import Episode
+from schemas.pose import Pose
+from schemas.rpc import EndRequest, Nothing, ResetReply, ResetRequest
+from services.kit.bus import RpcError
+from services.kit.errors import JobError
+from services.kit.jpeg import decode_jpeg
+from services.kit.node import Node
+from services.kit.settings import ServiceSettings
+from services.robot.outcome import RunOutcome
+
+#: Seconds without any sign of the robot after which an episode is given up.
+SILENCE_S: Final = 60.0
+
+
+@dataclass
+class EpisodeRecord:
+    """What was seen of one episode.
+
+    Attributes
+    ----------
+    request
+        How it was asked for.
+    ticks
+        Frames that passed.
+    outcome
+        How it ended.
+    poses
+        True poses, (x, y) metres, by tick.
+    arrived
+        Whether the robot said that it was at the goal.
+    decisions
+        Kind of every decision, by tick.
+    unrecognised
+        Ticks of the decisions that were taken without a recognised state.
+    latencies_ms
+        From a frame's readiness to the acceptance of its command, by tick.
+    frames
+        Some camera images of the way, by tick.
+    """
+
+    request: ResetRequest
+    ticks: int = 0
+    outcome: RunOutcome = "aborted"
+    route: tuple[tuple[float, float], ...] = ()
+    poses: dict[int, tuple[float, float]] = field(default_factory=dict)
+    arrived: bool = False
+    decisions: dict[int, str] = field(default_factory=dict)
+    unrecognised: set[int] = field(default_factory=set)
+    latencies_ms: dict[int, float] = field(default_factory=dict)
+    frames: dict[int, NDArray[np.uint8]] = field(default_factory=dict)
+
+    @property
+    def unknown(self) -> int:
+        """Decisions that were taken without a recognised state."""
+        return len(self.unrecognised)
+
+    @property
+    def decision_latencies_ms(self) -> list[float]:
+        """Latencies of the frames at which a decision was taken."""
+        return [ms for tick, ms in self.latencies_ms.items() if tick in self.decisions]
+
+
+def check_world_of(reply: ResetReply, wanted: str) -> None:
+    """Compare the world of the stack with the one that was asked for.
+
+    Raises
+    ------
+    JobError
+        When they differ: the results would be those of another world.
+    """
+    if reply.world != wanted:
+        raise JobError(f"the stack runs {reply.world}, not {wanted}; start it with --world {wanted}")
+
+
+class EpisodeClient:
+    """Runs one episode after another on a stack.
+
+    Parameters
+    ----------
+    name
+        Name of this client on the bus.
+    settings
+        Robot and router.
+    """
+
+    def __init__(self, name: str, settings: ServiceSettings) -> None:
+        self.node = Node(name, settings)
+        self._episode = ""
+        self._record: EpisodeRecord | None = None
+        self._ended = False
+        self._alive_s = 0.0
+        # Replayed: a busy machine may lose its connection for a moment, and an end that is not heard is waited for.
+        self.node.subscribe(topics.EPISODE, self._on_event, replay=True)
+        self.node.subscribe(topics.APPLIED, self._on_applied, depth=256)
+        self.node.subscribe(topics.ACTION, self._on_action, depth=256)
+
+    def watch_poses(self, handler: Callable[[Pose], Message | None] = lambda _pose: None) -> None:
+        """Keep the true poses; ``handler`` sees each as well, and may answer."""
+
+        def on_pose(pose: Pose) -> Message | None:
+            if self._record is not None and pose.episode == self._episode:
+                self._record.poses[pose.tick] = (pose.x_m, pose.y_m)
+            return handler(pose)
+
+        self.node.subscribe(topics.POSE, on_pose, depth=256)
+
+    def watch_frames(self, every: int) -> None:
+        """Keep each ``every``-th camera image."""
+
+        def on_image(image: CompressedImage) -> None:
+            if self._record is not None and image.episode == self._episode and image.tick % every == 0:
+                self._record.frames[image.tick] = decode_jpeg(image.data)
+
+        self.node.subscribe(topics.JPEG, on_image, depth=4)
+
+    def run(
+        self,
+        request: ResetRequest,
+        on_begin: Callable[[ResetReply], None] = lambda _reply: None,
+        done: Callable[[], bool] = lambda: False,
+        on_tick: Callable[[int], None] = lambda _tick: None,
+        check: Callable[[], None] = lambda: None,
+    ) -> EpisodeRecord:
+        """Run one episode to its end.
+
+        Parameters
+        ----------
+        request
+            Seed, purpose, driver, mode.
+        on_begin
+            Called with the simulator's reply, before any message of the episode is handled; may raise JobError.
+        done
+            Ends the episode when it holds; the robot ends it as well, by saying that it is at the goal.
+        on_tick
+            Called with the tick, now and then, for a progress bar.
+        check
+            Raises when the stack can no longer work.
+
+        Raises
+        ------
+        JobError
+            When the robot falls silent.
+        """
+        self._record = record = EpisodeRecord(request)
+        self._ended = False
+        # Rendering may be compiling its pipelines: the first reset takes seconds.
+        reply = self.node.bus.call("simulator", "reset", request, ResetReply, timeout_s=60.0)
+        self._episode, record.route = reply.episode, reply.route
+        self._alive_s = time.monotonic()
+        try:
+            on_begin(reply)
+        except JobError:
+            # Nobody will drive it.
+            self._end(reply.episode)
+            raise
+        while not self.node.spin(until=lambda: self._ended or record.arrived or done(), timeout_s=0.5):
+            on_tick(record.ticks)
+            check()
+            if time.monotonic() - self._alive_s > SILENCE_S:
+                raise JobError(f"no sign of robot {self.node.robot} for {SILENCE_S:.0f} s; see the stack's logs")
+        if not self._ended:
+            self._end(reply.episode)
+        if record.arrived and record.outcome == "aborted":
+            record.outcome = "false_goal"
+        on_tick(record.ticks)
+        return record
+
+    def _end(self, episode: str) -> None:
+        refusal: RpcError | None = None
+        try:
+            self.node.bus.call("simulator", "end", EndRequest(episode=episode), Nothing)
+        except RpcError as error:
+            # It may have ended by itself in the meantime; then its last message is on the way.
+            refusal = error
+        if not self.node.spin(until=lambda: self._ended, timeout_s=10.0):
+            raise refusal or JobError(f"episode {episode} did not end")
+
+    def close(self) -> None:
+        """Leave the bus."""
+        self.node.close()
+
+    def _on_event(self, event: Episode) -> None:
+        if self._record is not None and event.episode == self._episode and event.event == "ended":
+            record = self._record
+            record.ticks, record.outcome = event.tick, event.outcome or "aborted"
+            # What is decided about the last frame moves nothing any more, and may or may not have arrived by now.
+            record.decisions = {tick: kind for tick, kind in record.decisions.items() if tick < event.tick}
+            record.unrecognised = {tick for tick in record.unrecognised if tick < event.tick}
+            self._ended = True
+
+    def _on_applied(self, applied: CommandApplied) -> None:
+        if self._record is None or applied.episode != self._episode:
+            return
+        self._alive_s = time.monotonic()
+        self._record.ticks = max(self._record.ticks, applied.tick)
+        if applied.latency_ns is not None and applied.answered_tick is not None:
+            self._record.latencies_ms.setdefault(applied.answered_tick, applied.latency_ns / 1e6)
+
+    def _on_action(self, action: Action) -> None:
+        if self._record is not None and action.episode == self._episode:
+            self._record.decisions[action.tick] = action.kind
+            # The policy speaks also where somebody else drives.
+            self._record.arrived |= action.arrived and self._record.request.driver == "policy"
+            # Not the kind says so: the robot also looks around where the state is known but has no way on.
+            if action.state is None:
+                self._record.unrecognised.add(action.tick)

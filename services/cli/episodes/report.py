@@ -1,0 +1,103 @@
+"""The page of results of ``smal run``: one HTML file that needs nothing beside it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Final
+
+import cv2
+import numpy as np
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+
+from services.cli.episodes.client import EpisodeRecord
+from services.cli.episodes.route_map import OUTCOME_COLOURS, draw_routes
+from services.experiments.html import image, page, png, source, tiles
+from smal.model import Model
+
+#: Camera images shown of the example run.
+STRIP: Final = 6
+
+
+def write_report(
+    folder: Path, world: str, model: Model, records: list[EpisodeRecord], summary: Mapping[str, object]
+) -> Path:
+    """Write ``index.html`` into a folder and return its path."""
+    folder.mkdir(parents=True, exist_ok=True)
+    shown = next((record for record in records if record.outcome == "found"), records[0])
+    parts = [
+        _tiles(model, records, summary),
+        "<h2>Where the robot went</h2>",
+        _picture(draw_routes(world, records), "routes on the map"),
+        f"<h2>What it saw on the run with seed {shown.request.seed}</h2>",
+        _strip(shown),
+        "<h2>How long a decision takes</h2>",
+        _picture(_latencies(records), "decision latency"),
+        "<h2>Every run</h2>",
+        _table(records),
+    ]
+    path = folder / "index.html"
+    path.write_text(page(f"SMAL: {world}, {len(records)} runs", "\n".join(parts)), encoding="utf-8")
+    return path
+
+
+def _tiles(model: Model, records: list[EpisodeRecord], summary: Mapping[str, object]) -> str:
+    found = sum(record.outcome == "found" for record in records)
+    low, high = np.array(summary["wilson_95"])
+    latency = summary["decision_latency_ms"]
+    assert isinstance(latency, dict)  # noqa: S101 - made by run.summarise
+    p50, p95 = (f"{latency[key]:.0f} ms" if latency[key] is not None else "none taken" for key in ("p50", "p95"))
+    values = {
+        "victim found": f"{found} of {len(records)}",
+        "95 % interval": f"{low:.0%} to {high:.0%}",
+        "states": str(model.states),
+        "shared by demonstrations": str(model.shared_states),
+        "actions": str(len(model.actions)),
+        "decision, median": p50,
+        "decision, 95 %": p95,
+    }
+    return tiles(values)
+
+
+def _latencies(records: Iterable[EpisodeRecord]) -> Figure:
+    figure = Figure(figsize=(9, 2.6), layout="constrained")
+    axes = figure.add_subplot()
+    values = [ms for record in records for ms in record.decision_latencies_ms]
+    axes.hist(values, bins=50, color="#1f5fa8")
+    axes.set(xlabel="from the last frame's readiness to its command at the actuator (ms)", ylabel="decisions")
+    return figure
+
+
+def _strip(record: EpisodeRecord) -> str:
+    ticks = sorted(record.frames)
+    if not ticks:
+        return "<p>No camera image was kept.</p>"
+    chosen = [ticks[i] for i in np.linspace(0, len(ticks) - 1, min(STRIP, len(ticks))).astype(int)]
+    figures = (
+        f'<figure><img src="{_jpeg(record.frames[tick])}" alt="camera"><figcaption>frame {tick}</figcaption></figure>'
+        for tick in chosen
+    )
+    return f'<div class="strip">{"".join(figures)}</div>'
+
+
+def _table(records: Iterable[EpisodeRecord]) -> str:
+    rows = "".join(
+        f"<tr><td>{r.request.seed}</td>"
+        f'<td style="color:{OUTCOME_COLOURS[r.outcome]}">{r.outcome}</td>'
+        f"<td>{r.ticks}</td><td>{len(r.decisions)}</td><td>{r.unknown}</td></tr>"
+        for r in records
+    )
+    head = "".join(f"<th>{name}</th>" for name in ("seed", "outcome", "frames", "decisions", "state unknown"))
+    return f"<table><tr>{head}</tr>{rows}</table>"
+
+
+def _picture(figure: Figure, alt: str) -> str:
+    return image(png(figure), alt)
+
+
+def _jpeg(view: NDArray[np.uint8]) -> str:
+    height, width, _ = view.shape
+    small = cv2.resize(view, (320, round(320 * height / width)), interpolation=cv2.INTER_AREA)
+    _, data = cv2.imencode(".jpg", cv2.cvtColor(small, cv2.COLOR_RGB2BGR))
+    return source(data.tobytes(), "jpeg")

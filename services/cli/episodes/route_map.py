@@ -1,0 +1,54 @@
+"""The ways of a robot, drawn on the map of its world."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import Final
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+
+from services.cli.episodes.client import EpisodeRecord
+from services.simulator.world import load_world
+from services.simulator.world.map_view import draw_map
+
+#: Half the side of what is shown, in sizes of what happened.
+_AROUND: Final = 1.5
+OUTCOME_COLOURS: Final = {
+    "found": "#1a7f37", "collision": "#c62828", "timeout": "#b26a00", "false_goal": "#7b1fa2", "aborted": "#666666"
+}  # fmt: skip
+
+
+def draw_routes(world: str, records: Iterable[EpisodeRecord]) -> Figure:
+    """Return the map of a world with the way of every episode, coloured by how it ended."""
+    figure = Figure(figsize=(9, 9), layout="constrained")
+    axes = figure.add_subplot()
+    there = load_world(world)
+    draw_map(there, axes)
+    seen = [np.array([(there.start.x, there.start.y), (there.victim.x, there.victim.y)])]
+    labelled: set[str] = set()
+    for record in records:
+        if not record.poses:
+            continue
+        xy = np.array([record.poses[tick] for tick in sorted(record.poses)])
+        seen.append(xy)
+        label = None if record.outcome in labelled else record.outcome
+        labelled.add(record.outcome)
+        axes.plot(*xy.T, color=OUTCOME_COLOURS[record.outcome], lw=1.6, alpha=0.75, label=label, zorder=3)
+        axes.plot(*xy[-1], "x", color=OUTCOME_COLOURS[record.outcome], ms=6, zorder=3)
+    _look_at(axes, np.concatenate(seen), there.place.bounds)
+    # Beside the map, where it hides nothing.
+    figure.legend(loc="outside lower center", ncols=6)
+    return figure
+
+
+def _look_at(axes: Axes, points: NDArray[np.float64], bounds: tuple[float, float, float, float]) -> None:
+    """Show the part of a map where something happened, and about as much around it; a small map whole."""
+    low, high = points.min(axis=0), points.max(axis=0)
+    half_m = _AROUND * float((high - low).max())
+    middle = (low + high) / 2
+    x_min, y_min, x_max, y_max = bounds
+    axes.set_xlim(max(x_min, middle[0] - half_m), min(x_max, middle[0] + half_m))
+    axes.set_ylim(max(y_min, middle[1] - half_m), min(y_max, middle[1] + half_m))

@@ -1,0 +1,89 @@
+"""``smal evaluate``: the paper's experiments in simulation, as a page of results."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+from tqdm import tqdm
+
+from services.cli import options, outputs
+from services.cli.interrupts import interrupted_by_signals
+from services.experiments.evaluation.plan import PLANS, Plan, in_world
+from services.experiments.evaluation.results import ResultStore
+from services.experiments.evaluation.units import Unit, units
+from services.experiments.evaluation.workers import do_all
+from services.kit.errors import UsageError
+from smal.evaluation.baselines.behaviour_cloning import CloningUnavailableError, load_torch
+
+
+def evaluate(
+    out: Annotated[Path, typer.Option(help="Folder for the results; where it has some already, it goes on.")],
+    quick: Annotated[bool, typer.Option(help="In some minutes: fewer drives, lengths and runs.")] = False,
+    world: Annotated[
+        str | None,
+        typer.Option(help="In this world instead, for example an imported map: SMAL and teach and repeat, one drive."),
+    ] = None,
+    workers: Annotated[int, typer.Option(min=1, max=64, help="Processes at work, one core each.")] = 2,
+    report_only: Annotated[bool, typer.Option("--report-only", help="Only write the page of what is done.")] = False,
+) -> None:
+    """Run the paper's experiments in simulation, and write a page with their figures.
+
+    OUT/index.html shows everything and needs nothing beside it; the figures lie in OUT/figures, the numbers in
+    OUT/results.json. The whole evaluation takes about an hour on two cores. It can be interrupted at any time: the
+    same command goes on where it was, and while it works another one with --report-only shows what there is so far.
+    Behaviour cloning needs torch (pip install -e '.[cloning]').
+
+    Example: smal evaluate --out evaluation --quick
+    """
+    if report_only and not out.is_dir():
+        raise UsageError(f"--out {out}: there is no such folder, and so nothing to report")
+    outputs.make_folder(out, "--out")
+    if quick and world is not None:
+        raise UsageError("--quick: an evaluation of one's own world (--world) has one size")
+    plan = PLANS["quick" if quick else "full"] if world is None else _plan_in(world)
+    store = ResultStore(out, plan)
+    # What was cloned elsewhere, or before torch was removed, is shown all the same.
+    cloned = any("/controller=cloning/" in key for key in store.findings)
+    planned = units(plan, cloning=_can_clone() or cloned)
+    with interrupted_by_signals():
+        if not report_only:
+            store.forget_missing(planned)
+            _work(plan, planned, store, workers)
+        from services.experiments.evaluation.report.page import write_page  # noqa: PLC0415 - loads matplotlib
+
+        page = write_page(plan, planned, store)
+    typer.echo(f"results: {page}")
+
+
+def _plan_in(world: str) -> Plan:
+    there = options.read_world(world)
+    return in_world(str(Path(world).resolve()) if Path(world).is_file() else world, there.scale.aside_m)
+
+
+def _can_clone() -> bool:
+    try:
+        load_torch()
+    except CloningUnavailableError as error:
+        typer.echo(f"note: {error}; the report says that it was left out", err=True)
+        return False
+    return True
+
+
+def _work(plan: Plan, planned: list[Unit], store: ResultStore, workers: int) -> None:
+    """Do what is left to do, with one bar over all of it that counts expected seconds."""
+    done = {unit.key for unit in planned if unit.key in store.findings}
+    total = sum(unit.seconds for unit in planned)
+    before = sum(unit.seconds for unit in planned if unit.key in done)
+    shape = "{desc}: {percentage:3.0f}%|{bar}| {elapsed}<{remaining}{postfix}"
+    with tqdm(total=total, initial=before, desc="evaluating", bar_format=shape, dynamic_ncols=True) as bar:
+
+        def finish(unit: Unit, finding: dict[str, Any], seconds: float) -> None:
+            store.add(unit, finding, seconds)
+            doing = f"{len(store.findings)} of {len(planned)} units, {unit.kind} {unit.world}"
+            bar.set_postfix_str(doing, refresh=False)
+            bar.update(min(unit.seconds, total - bar.n))  # not beyond by rounding
+
+        if len(done) < len(planned):
+            do_all(plan, planned, done, store.work, workers, finish)

@@ -1,0 +1,151 @@
+"""The ``smal`` command.
+
+Every error that a user can cause is one line on standard error: exit status 2 for bad use, 1 for a failed job.
+"""
+
+from __future__ import annotations
+
+import sys
+from importlib import import_module
+from typing import TYPE_CHECKING, Annotated, Any, Final, cast
+
+import typer
+from typer.core import TyperCommand, TyperGroup
+
+from services.kit.errors import JobError, UsageError, describe_os_error
+from services.kit.version import program_version
+
+if TYPE_CHECKING:
+    from pydantic import ValidationError
+
+_EXIT_FAILED, _EXIT_USAGE, _EXIT_INTERRUPTED = 1, 2, 130
+#: Where each command is, and what it does. Modules are loaded when a command runs: all of them take seconds.
+COMMANDS: Final = {
+    "doctor": ("services.cli.doctor:doctor", "Check that this machine has what it takes."),
+    "up": ("services.cli.up:up", "Start the whole stack and keep it running."),
+    "demonstrate": ("services.cli.demonstrate:demonstrate", "Let the scripted expert show the search."),
+    "teleop": ("services.cli.teleop:teleop", "Drive with the keyboard."),
+    "learn": ("services.cli.learn:learn", "Learn a model from recorded drives."),
+    "run": ("services.cli.run:run", "Let the robot find the victim by itself."),
+    "evaluate": ("services.cli.evaluate:evaluate", "Run the paper's experiments in simulation."),
+    "match": ("services.cli.match:match", "Match the places of two image folders."),
+    "tune": ("services.cli.tune:tune", "Choose settings for matching and learning."),
+    "topic": ("services.cli.topic:app", "List the topics; listen to them."),
+    "world": ("services.cli.world:app", "Make worlds out of maps; draw them."),
+    "bench": ("services.cli.bench:bench", "Run a benchmark of the project."),
+}
+_CONTEXTS: Final = {"bench": {"allow_extra_args": True, "ignore_unknown_options": True}}
+_STYLE: Final[dict[str, Any]] = {
+    "no_args_is_help": True,
+    "add_completion": False,
+    "rich_markup_mode": None,
+    "pretty_exceptions_enable": False,
+}
+
+
+class _LazyGroup(TyperGroup):
+    """Loads a command when it is asked for."""
+
+    def list_commands(self, ctx: typer.Context) -> list[str]:  # type: ignore[override]  # typer hides the class
+        """Name all, also those that are not loaded."""
+        return list(COMMANDS)
+
+    def get_command(  # type: ignore[override]
+        self, ctx: typer.Context, cmd_name: str
+    ) -> TyperGroup | TyperCommand | None:
+        """Load one."""
+        return _load(cmd_name) if cmd_name in COMMANDS else None
+
+    def resolve_command(  # type: ignore[override]
+        self, ctx: typer.Context, args: list[str]
+    ) -> tuple[str | None, TyperGroup | TyperCommand | None, list[str]]:
+        """Load one; for a name that is none suggest others, for which they need not be loaded."""
+        self.commands = dict.fromkeys(COMMANDS)  # type: ignore[assignment]
+        return super().resolve_command(ctx, args)  # type: ignore[return-value]
+
+    def format_commands(self, ctx: typer.Context, formatter: Any) -> None:  # type: ignore[override]  # noqa: ANN401
+        """List all without loading any."""
+        with formatter.section("Commands"):
+            formatter.write_dl([(name, summary) for name, (_, summary) in COMMANDS.items()])
+
+
+def _load(name: str) -> TyperGroup | TyperCommand:
+    module, _, attribute = COMMANDS[name][0].partition(":")
+    found = getattr(import_module(module), attribute)
+    if not isinstance(found, typer.Typer):
+        alone = typer.Typer(**_STYLE | {"no_args_is_help": False})
+        alone.command(name, context_settings=_CONTEXTS.get(name))(found)
+        found = alone
+    command = cast("TyperGroup | TyperCommand", typer.main.get_command(found))
+    command.name = name
+    return command
+
+
+app = typer.Typer(name="smal", cls=_LazyGroup, **_STYLE)
+
+
+def _version(wanted: bool) -> None:
+    if wanted:
+        typer.echo(f"smal {program_version()}")
+        raise typer.Exit
+
+
+@app.callback()
+def smal(
+    version: Annotated[
+        bool, typer.Option("--version", callback=_version, is_eager=True, help="Show the version and exit.")
+    ] = False,
+) -> None:
+    """Teach a robot to find a victim by driving it there; match places.
+
+    Example: smal doctor
+    """
+
+
+def main() -> None:
+    """Run the command line and exit."""
+    try:
+        status = app(prog_name="smal", standalone_mode=False)
+        if status == _EXIT_INTERRUPTED:
+            raise KeyboardInterrupt
+    except typer.TyperException as error:
+        status = _say(error.format_message(), error.exit_code)
+    except UsageError as error:
+        status = _say(str(error), _EXIT_USAGE)
+    except JobError as error:
+        status = _say(str(error), _EXIT_FAILED)
+    except OSError as error:
+        status = _say(describe_os_error(error), _EXIT_FAILED)
+    except (KeyboardInterrupt, typer.Abort):
+        status = _say("interrupted", _EXIT_INTERRUPTED)
+    except _errors_of_services() as error:
+        status = _say(str(error), _EXIT_FAILED)
+    except _errors_of_messages() as error:
+        status = _say(_described(error), _EXIT_USAGE)
+    sys.exit(status if isinstance(status, int) else 0)
+
+
+# Python asks for these where something was raised that is none of the above: until then nothing need be loaded.
+def _errors_of_services() -> tuple[type[Exception], ...]:
+    from services.kit.bus import BusError, RpcError  # noqa: PLC0415
+    from services.kit.node import ServiceError  # noqa: PLC0415
+
+    return ServiceError, BusError, RpcError
+
+
+def _errors_of_messages() -> type[ValueError]:
+    from pydantic import ValidationError  # noqa: PLC0415
+
+    return ValidationError
+
+
+def _described(error: ValueError) -> str:
+    from schemas.codec import describe  # noqa: PLC0415
+
+    return describe(cast("ValidationError", error))
+
+
+def _say(message: str, status: int) -> int:
+    # Called without arguments, a group of commands answers with its help.
+    sys.stderr.write(f"{message}\n" if message.startswith("Usage: ") else f"smal: {message}\n")
+    return status

@@ -1,0 +1,262 @@
+"""``smal match``: which frame of one image folder shows the place of each frame of another."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Annotated, Final, NoReturn
+
+import typer
+from tqdm import tqdm
+
+from services.cli import outputs
+from services.cli.match_settings import choose
+from services.experiments.matching.image_folder import (
+    ImageFolder,
+    describe_frames,
+    list_folder,
+    read_truth_of,
+    say_skipped,
+)
+from services.experiments.matching.report import Quality, Result, Traverses, as_json, as_text, described_by
+from services.kit.errors import JobError, UsageError
+from smal.evaluation.ground_truth import IntervalTruth, judge
+from smal.evaluation.precision_recall import PrecisionRecall, block_length, bootstrap_intervals
+from smal.features import MODALITY_NAMES, FeatureSettings
+from smal.place_recognition import Matches
+from smal.place_recognition.methods import METHODS, MatchSettings, Method
+
+_PLOT_FORMATS: Final = (".png", ".svg", ".pdf")
+_METHODS: Final = "; ".join(f"{name}: {method.meaning}" for name, method in METHODS.items())
+
+
+def _defaults(of: Callable[[Method], object]) -> str:
+    """Say in one bracket what every method does unless told otherwise; those that have nothing are left out."""
+    names: dict[str, list[str]] = {}
+    for name, method in METHODS.items():
+        if of(method) is not None:
+            names.setdefault(str(of(method)), []).append(name)
+    said = "; ".join(f"{value} ({', '.join(those)})" for value, those in names.items())
+    return f"[default: {said}]"
+
+
+_DEFAULT_LENGTHS: Final = _defaults(lambda method: method.length)
+_DEFAULT_PENALTIES: Final = _defaults(lambda method: method.penalty)
+_DEFAULT_MODALITIES: Final = _defaults(lambda method: ",".join(method.features.modalities))
+
+
+def match(
+    reference_dir: Annotated[
+        Path, typer.Argument(metavar="REFERENCE_DIR", help="Folder with the images of the traverse that is known.")
+    ],
+    query_dir: Annotated[
+        Path, typer.Argument(metavar="QUERY_DIR", help="Folder with the images of the traverse to be recognised.")
+    ],
+    method: Annotated[str, typer.Option(metavar="NAME", help=f"How places are recognised. {_METHODS}.")] = "smal",
+    length: Annotated[
+        int | None, typer.Option(min=1, help=f"Frames of a window, l. {_DEFAULT_LENGTHS}", show_default=False)
+    ] = None,
+    modalities: Annotated[
+        str | None,
+        typer.Option(
+            metavar="NAMES",
+            help=f"Feature modalities, separated by commas, out of {', '.join(MODALITY_NAMES)}. {_DEFAULT_MODALITIES}",
+        ),
+    ] = None,
+    weights: Annotated[
+        str | None,
+        typer.Option(
+            metavar="NUMBERS",
+            help="How much each modality counts: as many, separated by commas, in their order. [default: all the same]",
+        ),
+    ] = None,
+    penalty: Annotated[
+        float | None,
+        typer.Option(
+            help="Weight of the regularisation, above 0 and below 1 (smal and image: as a share of the one for which "
+            f"nothing matches; paper: a in lambda1 = lambda2 = a sqrt(l)). {_DEFAULT_PENALTIES}",
+            show_default=False,
+        ),
+    ] = None,
+    tau: Annotated[
+        float | None,
+        typer.Option(
+            help="Leave out matches with a score of at most this; --truth then judges what is left. [default: keep all]"
+        ),
+    ] = None,
+    reference_depth: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="DIR",
+            help="For the modality depth: 16-bit images in millimetres, one for each image of REFERENCE_DIR, in the "
+            "same order.",
+        ),
+    ] = None,
+    query_depth: Annotated[
+        Path | None, typer.Option(metavar="DIR", help="The same for the images of QUERY_DIR.")
+    ] = None,
+    truth: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="CSV",
+            help="What is right: a file with the columns query, reference_first, reference_last, one row a query, "
+            "frames counted from 0, the last included (7,20,24). A query that no reference shows has the row 7,, and "
+            "one without a row is not judged. Adds the area under the precision-recall curve (AUC) and the recall at "
+            "100 % precision.",
+        ),
+    ] = None,
+    json_file: Annotated[Path | None, typer.Option("--json", metavar="FILE", help="Write the matches as JSON.")] = None,
+    plot: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE", help="Draw the matches, as PNG, SVG or PDF; with --truth also precision and recall."
+        ),
+    ] = None,
+) -> None:
+    """Find for every image of one folder the image of another that was taken at the same place.
+
+    Frames are a folder's images in natural order (img2 before img10), counted from 0. Any format and size that OpenCV
+    reads will do, grey or with 16 bits as well. An image that cannot be read is skipped and keeps its number.
+
+    Every query frame gets a match as soon as a window of --length frames ends there: the first ones get none. Scores
+    are at least 0, or at least -1 with nearest; a higher one is a surer match, comparable within one run only.
+
+    What all images of a folder have in common, as its light, is taken away (but by paper): matching is not causal, and
+    the more queries there are, the better it works.
+
+    The JSON has "method", "length", "tau", "modalities", "weights", "penalty"; the folders' paths as "references" and
+    "queries" and the names of their frames, read or not; "matches", one for each query frame: {"query", "reference",
+    "score"}, reference null and score 0 where there is none; and with --truth "auc", "recall_at_100_precision", both
+    with 95 % intervals, and how many queries were "judged" and "to_find".
+
+    Example: smal match summer winter --length 10 --truth truth.csv --json matches.json --plot matches.png
+    """
+    chosen, settings = choose(method, length, modalities, weights, penalty)
+    features = settings.features
+    if tau is not None and not math.isfinite(tau):
+        raise UsageError(f"--tau {tau}: must be finite")
+    folders = (reference_dir, query_dir, reference_depth, query_depth)
+    _check_outputs(json_file, plot, [] if truth is None else [truth], [one for one in folders if one is not None])
+    references, queries = list_folder(reference_dir, "REFERENCE_DIR"), list_folder(query_dir, "QUERY_DIR")
+    depths = _depths(features, references, queries, reference_depth, query_depth)
+    expected = None if truth is None else read_truth_of(truth, queries, references)
+    began_s = time.perf_counter()
+    traverses = Traverses(
+        references,
+        queries,
+        describe_frames(references, features, depths[0], "reading references"),
+        describe_frames(queries, features, depths[1], "reading queries"),
+    )
+    read_s = time.perf_counter()
+    _check_windows(traverses, settings.length)
+    found = traverses.in_folders(_match(chosen, traverses, settings))
+    matches = found if tau is None else found.above(tau)
+    seconds = {"reading": read_s - began_s, "matching": time.perf_counter() - read_s}
+    quality = None if expected is None else _quality(matches, expected, settings.length)
+    unsure = int(found.matched.sum() - matches.matched.sum())
+    result = Result(method, settings, tau, traverses, matches, unsure, quality, seconds)
+    written: list[Path] = []
+    try:
+        if json_file is not None:
+            outputs.write_json(json_file, "--json", as_json(result))
+            written.append(json_file)
+        if plot is not None:
+            _draw(plot, result, expected)
+            written.append(plot)
+    finally:
+        # Also where a file cannot be written: the figures have cost their time.
+        for line in as_text(result, written):
+            typer.echo(line)
+
+
+def _check_outputs(json_file: Path | None, plot: Path | None, read: list[Path], folders: list[Path]) -> None:
+    for path, option in ((json_file, "--json"), (plot, "--plot")):
+        outputs.check_file(path, option, read, folders)
+    if plot is None:
+        return
+    if plot.suffix.lower() not in _PLOT_FORMATS:
+        raise UsageError(f"--plot {plot}: the name of a picture ends in {', '.join(_PLOT_FORMATS)}")
+    if json_file is not None and json_file.resolve() == plot.resolve():
+        raise UsageError(f"--plot {plot}: is also the file of --json; give another name")
+
+
+def _depths(
+    features: FeatureSettings,
+    references: ImageFolder,
+    queries: ImageFolder,
+    reference_depth: Path | None,
+    query_depth: Path | None,
+) -> tuple[ImageFolder | None, ImageFolder | None]:
+    """List the depth folders, both or none, as the features need them."""
+    named = (("--reference-depth", reference_depth, references), ("--query-depth", query_depth, queries))
+    needed = "depth" in features.needs
+    for option, path, _ in named:
+        if needed and path is None:
+            raise UsageError(f"{option}: missing; the modality depth needs --reference-depth and --query-depth")
+        if not needed and path is not None:
+            raise UsageError(f"{option} {path}: no modality uses depth; ask for it with --modalities, as in hog,depth")
+    both = [_depth_folder(option, path, colour) for option, path, colour in named if path is not None]
+    return (both[0], both[1]) if both else (None, None)
+
+
+def _depth_folder(option: str, path: Path, colour: ImageFolder) -> ImageFolder:
+    folder = list_folder(path, option)
+    if len(folder.frames) != len(colour.frames):
+        raise UsageError(
+            f"{option} {path}: has {len(folder.frames)} images, and {colour.path} has {len(colour.frames)}; "
+            "every image needs its depth"
+        )
+    return folder
+
+
+def _check_windows(traverses: Traverses, length: int) -> None:
+    """Name what was skipped; without a whole window of both there is nothing to match."""
+    pairs = ((traverses.references, traverses.reference_frames), (traverses.queries, traverses.query_frames))
+    for folder, described in pairs:
+        say_skipped(folder, described)
+    for folder, described in pairs:
+        if described.numbers.size < length:
+            frames = "1 image is" if described.numbers.size == 1 else f"{described.numbers.size} images are"
+            raise JobError(f"{folder.path}: {frames} too few for a window of {length}; choose a shorter --length")
+
+
+def _match(method: Method, traverses: Traverses, settings: MatchSettings) -> Matches:
+    references, queries = traverses.reference_frames.features, traverses.query_frames.features
+    with tqdm(total=len(queries), desc="matching", unit="frame", dynamic_ncols=True, disable=None) as bar:
+        try:
+            return method.match(references, queries, settings, lambda done: _advance(bar, done))
+        except ValueError as error:
+            raise JobError(f"cannot match these folders: {error}") from None
+        except MemoryError:
+            raise JobError(
+                f"matching {len(queries)} and {len(references)} frames takes more memory than there is"
+            ) from None
+
+
+def _advance(bar: tqdm[NoReturn], done: int) -> None:
+    bar.update(done - bar.n)
+
+
+def _quality(matches: Matches, truth: IntervalTruth, length: int) -> Quality:
+    judgement = judge(matches, truth)
+    judged, to_find = int(truth.judged.sum()), int(truth.findable.sum())
+    intervals = bootstrap_intervals(judgement, block_length(judged, length))
+    return Quality(PrecisionRecall.of(judgement), intervals, judged, to_find)
+
+
+def _draw(plot: Path, result: Result, truth: IntervalTruth | None) -> None:
+    from services.experiments.matching.pictures import draw_matches  # noqa: PLC0415 - matplotlib takes a second to import
+
+    folders = result.traverses
+    figure = draw_matches(
+        result.matches,
+        len(folders.references.frames),
+        truth,
+        None if result.quality is None else result.quality.curve,
+        f"{result.name}, l = {result.settings.length}, {described_by(result.settings.features)}"
+        + ("" if result.tau is None else f", scores above {result.tau:g}"),
+    )
+    with outputs.writing(plot, "--plot") as file:
+        figure.savefig(file, dpi=150, format=plot.suffix[1:].lower())

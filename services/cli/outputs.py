@@ -1,0 +1,86 @@
+"""Where commands write their results: checked before the work begins, written whole or not at all."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import IO
+
+from services.kit.errors import JobError, UsageError
+from smal.container import replacing
+
+
+def make_folder(path: Path, option: str) -> None:
+    """Make the folder for results before the work begins whose results would be lost without it.
+
+    Raises
+    ------
+    UsageError
+        When nothing can be written there.
+    """
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+    except FileExistsError:
+        raise UsageError(f"{option} {path}: is a file, not a folder") from None
+    except OSError as error:
+        raise UsageError(f"{option} {path}: {error.strerror}") from None
+    if not os.access(path, os.W_OK):
+        raise UsageError(f"{option} {path}: cannot be written to")
+
+
+def check_file(path: Path | None, option: str, read: Iterable[str | Path] = (), folders: Iterable[Path] = ()) -> None:
+    """Check, before the work begins, that a file of results can be written, if one is wanted.
+
+    Parameters
+    ----------
+    path, option
+        The file, and what names it.
+    read
+        Files that the command reads, which results must not replace.
+    folders
+        Folders whose files the command reads: results must not lie among them.
+
+    Raises
+    ------
+    UsageError
+        When it cannot.
+    """
+    if path is None:
+        return
+    if path.is_dir():
+        raise UsageError(f"{option} {path}: is a folder; give the name of a file")
+    if path.exists() and not path.is_file():
+        raise UsageError(f"{option} {path}: is no regular file, and would be replaced by one; give another name")
+    if not path.parent.is_dir():
+        raise UsageError(f"{option} {path}: no folder {path.parent}")
+    if not os.access(path if path.exists() else path.parent, os.W_OK):
+        raise UsageError(f"{option} {path}: cannot be written")
+    if path.exists() and any(path.samefile(one) for one in read if Path(one).exists()):
+        raise UsageError(f"{option} {path}: is a file that this command reads; give another name")
+    if any(path.resolve().parent == folder.resolve() for folder in folders):
+        raise UsageError(f"{option} {path}: would lie among the files that this command reads; choose another folder")
+
+
+@contextmanager
+def writing(path: Path, option: str) -> Iterator[IO[bytes]]:
+    """Write a file so that there is never a half-written one under its name.
+
+    Raises
+    ------
+    JobError
+        When the system refuses.
+    """
+    try:
+        with replacing(path) as file:
+            yield file
+    except OSError as error:
+        raise JobError(f"{option} {path}: cannot be written: {error.strerror or error}") from None
+
+
+def write_json(path: Path, option: str, content: object) -> None:
+    """Write results as JSON, as `writing` does."""
+    with writing(path, option) as file:
+        file.write((json.dumps(content, indent=2) + "\n").encode())

@@ -1,0 +1,226 @@
+"""``smal run``: the robot searches by itself with a learned model."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager, nullcontext
+from functools import partial
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+import typer
+from tqdm import tqdm
+
+from schemas.rpc import LoadReply, LoadRequest, Mode, Nothing, ResetRequest, Start, Status
+from services.cli import options, outputs
+from services.cli.episodes.client import EpisodeClient, EpisodeRecord, check_world_of
+from services.cli.episodes.recording import recording
+from services.cli.feature_options import feature_flags
+from services.cli.simulator_options import simulator_of_own_stack
+from services.cli.stack.processes import Access, stack_for
+from services.kit.errors import JobError
+from services.kit.model_service import identity_of
+from services.kit.settings import ServiceSettings
+from smal.evaluation.success import wilson_interval
+from smal.features import FeatureSettings
+
+#: Camera images kept of every run for the report, one in so many frames.
+FRAMES_APART = 20
+#: Frames after which a run times out, at least; and how many times those of the longest taught drive.
+MAX_TICKS, PATIENCE = 3000, 3
+#: The services that work with the model.
+CHAIN = ("recognition", "policy")
+
+
+def run(
+    model: options.Model,
+    world: options.World = "campus",
+    episodes: Annotated[int, typer.Option(min=1, help="Runs.")] = 20,
+    seed: options.Seed = 1,
+    scheme: options.SchemeOption = "filter",
+    stride: options.Stride = None,
+    goal: options.Goal = None,
+    start: Annotated[
+        Start, typer.Option(help="Where runs begin: about the world's start, or anywhere beside the way to the victim.")
+    ] = "start",
+    kidnap: Annotated[
+        int | None,
+        typer.Option(min=1, metavar="TICK", help="Carry the robot to another place beside the way at this frame."),
+    ] = None,
+    realtime: Annotated[bool, typer.Option(help="Let the clock run, instead of waiting for every command.")] = False,
+    max_ticks: Annotated[
+        int | None,
+        typer.Option(
+            min=1,
+            help="Frames after which a run times out. [default: three times those of the longest taught drive, "
+            f"at least {MAX_TICKS}]",
+        ),
+    ] = None,
+    json_file: Annotated[Path | None, typer.Option("--json", help="Write the results as JSON.")] = None,
+    report: Annotated[Path | None, typer.Option(help="Write a page of results, with pictures, to this folder.")] = None,
+    record: Annotated[Path | None, typer.Option(help="Record the runs into this folder.")] = None,
+    camera: options.OwnCameraSize = None,
+    shake: options.Shake = None,
+    base: options.Base = None,
+    variation: options.Variation = None,
+    connect: options.Connect = None,
+    robot: options.Robot = options.DEFAULT_ROBOT,
+) -> None:
+    """Let the robot find the victim by itself, and count how often it does.
+
+    The starts differ from those of demonstrations with the same seed. Without --connect a stack of its own is started.
+
+    Example: smal run --model campus.smal --world campus --episodes 20 --seed 1 --json runs.json
+    """
+    mode: Mode = "realtime" if realtime else "lockstep"
+    loaded = options.read_model(model, scheme, stride, goal)
+    identity = identity_of(loaded)
+    simulator = simulator_of_own_stack(world, camera, connect, shake=shake, base=base, variation=variation)
+    name = options.check_world(world)
+    outputs.check_file(json_file, "--json", (world, model))
+    for folder, option in ((report, "--report"), (record, "--record")):
+        if folder is not None:
+            outputs.make_folder(folder, option)
+    services = ("router", "simulator", "features", "recognition", "policy", *(["recorder"] if record else []))
+    own = {"simulator": simulator.flags(), "features": feature_flags(loaded.feature_settings)}
+    requests = [
+        ResetRequest(
+            seed=seed + k,
+            purpose="run",
+            driver="policy",
+            mode=mode,
+            max_ticks=max_ticks or max(MAX_TICKS, PATIENCE * max(map(len, loaded.atoms))),
+            start=start,
+            kidnap_tick=kidnap,
+            goal=goal or (loaded.mapped.goals[0] if scheme == "filter" else "victim"),
+        )
+        for k in range(episodes)
+    ]
+    load = LoadRequest(path=str(model.resolve()), scheme=scheme, stride=stride, goal=goal)
+    records: list[EpisodeRecord] = []
+    try:
+        with (
+            stack_for(connect, services, robot, own) as access,
+            _client(access.settings, load, identity) as client,
+            recording(client.node.bus, record) if record else nullcontext(),
+        ):
+            _check_features(client, loaded.feature_settings)
+            for one in _run_all(client, requests, access, name):
+                _check_models(client, identity, goal)
+                records.append(one)
+    finally:
+        # Also when a later run fails, or is interrupted: the finished ones have cost their time.
+        if json_file is not None and records:
+            outputs.write_json(json_file, "--json", summarise(world, records))
+    summary = summarise(world, records)
+    if report is not None:
+        from services.cli.episodes.report import write_report  # noqa: PLC0415 - matplotlib takes a second to import
+
+        typer.echo(f"results: {write_report(report, world, loaded, records, summary)}")
+    found = sum(r.outcome == "found" for r in records)
+    low, high = wilson_interval(found, len(records))
+    typer.echo(f"found the victim in {found} of {len(records)} runs (95 % interval {low:.2f} to {high:.2f})")
+
+
+def summarise(world: str, records: list[EpisodeRecord]) -> dict[str, object]:
+    """Return the results as ``--json`` writes them."""
+    found = sum(record.outcome == "found" for record in records)
+    latencies = [ms for record in records for ms in record.decision_latencies_ms]
+    p50, p95 = np.percentile(latencies, [50, 95]) if latencies else (None, None)
+    return {
+        "world": world,
+        "episodes": [
+            {
+                "seed": record.request.seed,
+                "outcome": record.outcome,
+                "ticks": record.ticks,
+                "decisions": len(record.decisions),
+                "unknown": record.unknown,
+            }
+            for record in records
+        ],
+        "success_rate": found / len(records),
+        "wilson_95": list(wilson_interval(found, len(records))),
+        "decision_latency_ms": {
+            "p50": None if p50 is None else round(float(p50), 3),
+            "p95": None if p95 is None else round(float(p95), 3),
+        },
+    }
+
+
+@contextmanager
+def _client(settings: ServiceSettings, request: LoadRequest, identity: str) -> Iterator[EpisodeClient]:
+    """Connect, and have recognition and policy load the model."""
+    client = EpisodeClient("run", settings)
+    try:
+        client.watch_poses()
+        client.watch_frames(FRAMES_APART)
+        client.node.bus.wait_connected(5.0)
+        for service in CHAIN:
+            client.node.bus.call(service, "load", request, LoadReply, timeout_s=60.0)
+        _check_models(client, identity, request.goal)
+        yield client
+    finally:
+        client.close()
+
+
+def _check_features(client: EpisodeClient, wanted: FeatureSettings) -> None:
+    """Ask the features service whether it makes what the model was learned on.
+
+    Raises
+    ------
+    JobError
+        When it does not: recognition would refuse every frame.
+    """
+    detail = client.node.bus.call("features", "status", Nothing(), Status).detail
+    if detail.get("fingerprint") != wanted.fingerprint:
+        names = ",".join(wanted.modalities)
+        made = str(detail.get("modalities")).replace(" ", ",")
+        raise JobError(
+            f"the model was learned on the features {names}, and the stack makes {made}; "
+            f"start it with `smal up --modalities {names}`"
+        )
+
+
+def _check_models(client: EpisodeClient, identity: str, goal: str | None) -> None:
+    """Ask recognition and policy whether they work with the model whose results these are to be.
+
+    Raises
+    ------
+    JobError
+        When one does not: the file was replaced, or the service was started again, with the model of its stack.
+    """
+    for service in CHAIN:
+        detail = client.node.bus.call(service, "status", Nothing(), Status).detail
+        for name, wanted in (("model", identity), ("goal", goal)):
+            found = detail.get("checksum" if name == "model" else "goal")
+            if found != wanted:
+                raise JobError(
+                    f"{service} has {name} {found or 'none'}, not {wanted or 'none'} as --{name}; "
+                    "it was started again, or loaded another one: run again"
+                )
+
+
+def _run_all(
+    client: EpisodeClient, requests: list[ResetRequest], access: Access, world: str
+) -> Iterator[EpisodeRecord]:
+    """Give every run as it ends; one that was aborted is an error, since it says nothing of the model."""
+    outcomes: list[str] = []
+    with tqdm(requests, desc="running", unit="run", dynamic_ncols=True) as bar:
+
+        def show(tick: int) -> None:
+            bar.set_postfix_str(f"{outcomes.count('found')} of {len(outcomes)} found, frame {tick}")
+
+        for request in bar:
+            record = client.run(
+                request, on_begin=partial(check_world_of, wanted=world), on_tick=show, check=access.check
+            )
+            if record.outcome == "aborted":
+                where = f" ({access.logs})" if access.logs else ""
+                raise JobError(
+                    f"run with seed {request.seed}: no command came; see the logs of recognition and policy{where}"
+                )
+            outcomes.append(record.outcome)
+            show(record.ticks)
+            yield record

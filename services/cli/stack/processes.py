@@ -1,0 +1,239 @@
+"""The processes of a stack on this machine: started together, watched, and stopped together."""
+
+from __future__ import annotations
+
+import logging
+import os
+import signal
+import socket
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import closing, contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from types import TracebackType
+from typing import Final, Self
+
+from schemas.rpc import Nothing, Status
+from services.cli.interrupts import interrupted_by_signals
+from services.cli.options import check_robot
+from services.cli.stack.backoff import Backoff
+from services.cli.stack.child import tied
+from services.kit.bus import Bus, BusError, RpcError
+from services.kit.errors import JobError
+from services.kit.settings import ServiceSettings
+from services.table import SERVICES
+
+#: The first frame of a software renderer compiles its pipelines; on a busy machine that has taken 20 s.
+READY_TIMEOUT_S: Final = 60.0
+STOP_TIMEOUT_S: Final = 5.0
+_log = logging.getLogger("stack")
+
+
+def free_endpoint() -> str:
+    """Return a router address on this machine whose port nobody uses."""
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return f"tcp/127.0.0.1:{probe.getsockname()[1]}"
+
+
+@dataclass(frozen=True)
+class StackPlan:
+    """What to start.
+
+    Attributes
+    ----------
+    services
+        Names out of `services.table`, the router first.
+    robot, endpoint
+        Robot id, and the address of the stack's own router.
+    flags
+        Command line flags of single services.
+    logs
+        Folder for one log file a service; None lets them write to this terminal.
+    """
+
+    services: tuple[str, ...]
+    robot: str
+    endpoint: str
+    flags: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    logs: Path | None = None
+
+
+class Stack:
+    """Several services as child processes; a context manager that leaves none behind."""
+
+    def __init__(self, plan: StackPlan) -> None:
+        self.plan = plan
+        self._children: dict[str, subprocess.Popen[bytes]] = {}
+        self._backoffs: dict[str, Backoff] = {}
+        self._logs = plan.logs
+
+    def __enter__(self) -> Self:
+        try:
+            router, *others = self.plan.services
+            deadline_s = time.monotonic() + READY_TIMEOUT_S
+            self._start(router)
+            # The others would each give up on a router that takes longer than their patience.
+            with closing(self._reach_router(deadline_s)) as bus:
+                for service in others:
+                    self._start(service)
+                self._wait_ready(bus, deadline_s)
+        except BaseException:
+            self.stop()
+            raise
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.stop()
+
+    def check(self) -> None:
+        """Raise JobError, with the last line of its log, if a service has ended."""
+        for service, child in self._children.items():
+            if child.poll() is not None:
+                raise JobError(self._epitaph(service, child))
+
+    def restart_dead(self) -> list[str]:
+        """Start again the services that have ended, one that keeps dying less and less often.
+
+        Returns
+        -------
+        list of str
+            Those that were started now.
+        """
+        dead = {service: child for service, child in self._children.items() if child.poll() is not None}
+        for service, child in dead.items():
+            backoff = self._backoffs[service]
+            if not backoff.mourned:
+                wait_s = backoff.wait_s()
+                when = f"in {wait_s:.1f} s" if wait_s else "now"
+                _log.warning("%s; it is started again %s", self._epitaph(service, child), when)
+        due = [service for service in dead if self._backoffs[service].wait_s() <= 0.0]
+        for service in due:
+            self._start(service)
+        return due
+
+    def stop(self) -> None:
+        """Ask every service to stop, router last, and end those that do not within five seconds."""
+        router_last = sorted(self._children, key=lambda service: service == "router")
+        for group in ([s for s in router_last if s != "router"], [s for s in router_last if s == "router"]):
+            for service in group:
+                self._children[service].send_signal(signal.SIGTERM)
+            deadline = time.monotonic() + STOP_TIMEOUT_S
+            for service in group:
+                _end(self._children[service], deadline)
+        self._children.clear()
+
+    def _start(self, service: str) -> None:
+        environment = os.environ | {"SMAL_ROBOT": self.plan.robot, "SMAL_ROUTER": self.plan.endpoint}
+        # The solves are small: a second BLAS thread only takes the other service's core.
+        environment.setdefault("OPENBLAS_NUM_THREADS", "1")
+        # In a session of its own, so that Ctrl-C reaches this process alone; `tied` ends it with this one.
+        command = tied(sys.executable, *SERVICES[service].command, *self.plan.flags.get(service, ()))
+        self._backoffs.setdefault(service, Backoff()).begin()
+        if self._logs is None:
+            self._children[service] = subprocess.Popen(command, env=environment, start_new_session=True)  # noqa: S603
+            return
+        self._logs.mkdir(parents=True, exist_ok=True)
+        with self._log(service).open("ab") as log:
+            self._children[service] = subprocess.Popen(  # noqa: S603
+                command, env=environment, stdout=log, stderr=log, start_new_session=True
+            )
+
+    def _reach_router(self, deadline_s: float) -> Bus:
+        """Connect to the router; notice at once when it could not start."""
+        while True:
+            self.check()
+            try:
+                return Bus(self.plan.robot, self.plan.endpoint, patience_s=0.0)
+            except BusError:
+                if time.monotonic() > deadline_s:
+                    raise JobError(f"not ready after {READY_TIMEOUT_S:.0f} s: router") from None
+
+    def _wait_ready(self, bus: Bus, deadline_s: float) -> None:
+        waiting = set(self.plan.services)
+        while waiting:
+            self.check()
+            waiting -= {service for service in waiting if _ready(bus, service)}
+            if waiting and time.monotonic() > deadline_s:
+                raise JobError(f"not ready after {READY_TIMEOUT_S:.0f} s: {', '.join(sorted(waiting))}")
+            if waiting:
+                time.sleep(0.05)
+
+    def _log(self, service: str) -> Path:
+        assert self._logs is not None  # noqa: S101 - only asked where logs go to files
+        return self._logs / f"{service}.log"
+
+    def _epitaph(self, service: str, child: subprocess.Popen[bytes]) -> str:
+        if child.returncode < 0:
+            return f"{service} was killed by {signal.Signals(-child.returncode).name}"
+        if self._logs is None:
+            return f"{service} ended with status {child.returncode}"
+        lines = self._log(service).read_text(errors="replace").strip().splitlines()
+        last = lines[-1].split(f" {service}: ", 1)[-1] if lines else f"it ended with status {child.returncode}"
+        return f"{service}: {last}"
+
+
+def _ready(bus: Bus, service: str) -> bool:
+    try:
+        return bus.call(service, "status", Nothing(), Status, timeout_s=1.0).state == "ready"
+    except RpcError:
+        return False
+
+
+def _end(child: subprocess.Popen[bytes], deadline: float) -> None:
+    try:
+        child.wait(max(0.1, deadline - time.monotonic()))
+    except subprocess.TimeoutExpired:
+        child.kill()
+        child.wait()
+
+
+def flags(**values: object) -> tuple[str, ...]:
+    """Turn keyword arguments into flags; None leaves one out."""
+    pairs: Iterable[tuple[str, object]] = ((k, v) for k, v in values.items() if v is not None)
+    return tuple(part for key, value in pairs for part in (f"--{key.replace('_', '-')}", str(value)))
+
+
+@dataclass(frozen=True)
+class Access:
+    """A stack that can be used.
+
+    Attributes
+    ----------
+    settings
+        How to reach it.
+    check
+        Raises JobError when one of its processes has ended.
+    logs
+        Folder of its services' logs; None for a stack that was running before.
+    """
+
+    settings: ServiceSettings
+    check: Callable[[], None]
+    logs: Path | None
+
+
+@contextmanager
+def stack_for(
+    connect: str | None,
+    services: tuple[str, ...],
+    robot: str,
+    service_flags: Mapping[str, tuple[str, ...]],
+    logs: Path | None = None,
+) -> Iterator[Access]:
+    """Use the running stack at ``connect``, or start one for as long as the context lasts."""
+    endpoint = free_endpoint() if connect is None else connect
+    settings = ServiceSettings(robot=check_robot(robot), router=endpoint)
+    with interrupted_by_signals():
+        if connect is not None:
+            yield Access(settings, lambda: None, None)
+            return
+        logs = logs or Path(tempfile.mkdtemp(prefix="smal-logs-"))
+        with Stack(StackPlan(services, robot, endpoint, service_flags, logs)) as stack:
+            yield Access(settings, stack.check, logs)

@@ -1,0 +1,118 @@
+"""``smal topic``: what can be heard on the bus, and what is heard."""
+
+from __future__ import annotations
+
+import json
+from difflib import get_close_matches
+from typing import Annotated
+
+import typer
+
+from schemas.codec import encoding_of
+from schemas.topics import TOPICS, Topic, topic_of
+from services.cli.listening.commands import bw, echo, hz, say
+from services.cli.listening.latency_command import latency
+from services.cli.options import DEFAULT_ROBOT, Json, Robot, check_robot
+from services.kit.errors import UsageError
+from services.kit.tables import table
+from services.table import givers, graph, takers
+
+app = typer.Typer(
+    help="List the topics; listen to them.\n\nExample: smal topic echo state --count 5",
+    no_args_is_help=True,
+    add_completion=False,
+    rich_markup_mode=None,
+    pretty_exceptions_enable=False,
+)
+
+
+@app.command("list")
+def list_topics(
+    as_json: Json = False,
+    as_markdown: Annotated[bool, typer.Option("--markdown", help="Print a Markdown table.")] = False,
+) -> None:
+    """List every topic; needs no running stack.
+
+    Example: smal topic list --json
+    """
+    rows = [_row(topic) for topic in TOPICS.values()]
+    if as_json:
+        say(json.dumps(rows, indent=2))
+    elif as_markdown:
+        say(markdown_table())
+    else:
+        headings = ["topic", "message", "Hz", "from", "to", "meaning"]
+        for line in table([headings, *map(_cells, TOPICS.values())], left=len(headings)):
+            say(line.replace("``", ""))
+
+
+@app.command("info")
+def info(
+    name: Annotated[str, typer.Argument(help="Topic, for example state.")],
+    robot: Robot = DEFAULT_ROBOT,
+    as_json: Json = False,
+) -> None:
+    """Describe one topic; needs no running stack.
+
+    The JSON Schema of its messages is part of it.
+
+    Example: smal topic info command/teleop
+    """
+    topic = TOPICS.get(name) or topic_of(name)
+    if topic is None:
+        near = get_close_matches(name, TOPICS, n=1) or ["smal topic list"]
+        raise UsageError(f"no topic {name!r}; did you mean: {near[0]}?")
+    row = _row(topic) | {
+        "key": topic.key(check_robot(robot)),
+        "encoding": encoding_of(topic.message),
+        "most_bytes": topic.message.max_bytes,
+        "queue": topic.queue,
+        "recorded": topic.recorded,
+    }
+    schema = topic.message.model_json_schema()
+    if as_json:
+        say(json.dumps(row | {"schema": schema}, indent=2))
+        return
+    for label, value in row.items():
+        say(f"{label:10}  {', '.join(value) if isinstance(value, tuple) else value}")
+    say(json.dumps(schema, indent=2))
+
+
+@app.command("graph")
+def draw_graph() -> None:
+    """Draw services and topics as a Mermaid flowchart; needs no running stack.
+
+    Example: smal topic graph > graph.mmd
+    """
+    say(graph())
+
+
+app.command("echo")(echo)
+app.command("hz")(hz)
+app.command("bw")(bw)
+app.command("latency")(latency)
+
+
+def markdown_table() -> str:
+    """Return the table of topics as Markdown, as the README shows it."""
+    rows = [f"| `{name}` | `{message}` | {rate} | {giver} | {takers} | {meaning} |"
+            for name, message, rate, giver, takers, meaning in map(_cells, TOPICS.values())]  # fmt: skip
+    headings = ["| topic | message | Hz | from | to | meaning |", "|---|---|---|---|---|---|"]
+    return "\n".join([*headings, *rows]).replace("``", "`")
+
+
+def _row(topic: Topic) -> dict[str, object]:
+    return {
+        "name": topic.name,
+        "message": topic.message.schema_name(),
+        "rate_hz": topic.rate_hz,
+        "from": givers(topic),
+        "to": takers(topic),
+        "meaning": topic.meaning,
+    }
+
+
+def _cells(topic: Topic) -> list[str]:
+    rate = "event" if topic.rate_hz is None else f"{topic.rate_hz:g}"
+    ends = (", ".join(names) for names in (givers(topic), takers(topic)))
+    return [topic.name, topic.message.schema_name(), rate, *ends, topic.meaning]

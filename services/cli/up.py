@@ -1,0 +1,114 @@
+"""``smal up``: the whole stack on this machine, without Docker."""
+
+from __future__ import annotations
+
+import logging
+import time
+from contextlib import suppress
+from pathlib import Path
+from typing import Annotated, Final
+
+import typer
+
+from schemas.rpc import Scheme
+from services.cli import options, outputs
+from services.cli.feature_options import ModalitiesOrOfModel, feature_flags, features_for_model
+from services.cli.interrupts import interrupted_by_signals
+from services.cli.options import Camera
+from services.cli.simulator_options import SimulatorOptions
+from services.cli.stack.processes import Stack, StackPlan, flags
+from services.kit.bus import DEFAULT_ROUTER, Router
+from services.kit.errors import UsageError
+from services.kit.node import configure_logging
+from services.table import stack_services
+from smal.features import FeatureSettings
+
+#: How often dead services are looked for, seconds.
+WATCH_S: Final = 0.5
+
+
+def up(
+    world: options.World = "campus",
+    model: Annotated[Path | None, typer.Option(help="Model that recognition and policy load at the start.")] = None,
+    scheme: options.SchemeOption = "filter",
+    stride: options.Stride = None,
+    goal: options.Goal = None,
+    recordings: Annotated[Path | None, typer.Option(help="Record every episode into this folder.")] = None,
+    camera: options.CameraSize = "640x480",
+    shake: options.Shake = None,
+    base: options.Base = None,
+    variation: options.Variation = None,
+    modalities: ModalitiesOrOfModel = None,
+    metrics_port: Annotated[
+        int | None,
+        typer.Option(min=1, max=65000, help="First of the ports for health and metrics over HTTP, one a service."),
+    ] = None,
+    robot: options.Robot = options.DEFAULT_ROBOT,
+    router: options.Router = DEFAULT_ROUTER,
+) -> None:
+    """Start the services, from the router to the recorder, and keep them running.
+
+    A service that ends is started again, one that keeps ending less and less often. Ctrl-C ends everything cleanly.
+    Other terminals then use the stack: smal teleop, smal topic hz, smal run --connect.
+
+    With --metrics-port 9100 the router tells its health on http://127.0.0.1:9100/healthz and what Prometheus wants on
+    /metrics, the simulator on 9101, and so on.
+
+    Example: smal up --world campus --model campus.smal
+    """
+    simulator = SimulatorOptions(world, Camera.parse(camera), shake=shake, base=base, variation=variation)
+    options.check_world(world)
+    options.check_robot(robot)
+    if recordings is not None:
+        outputs.make_folder(recordings, "--recordings")
+    chain, learned_on = _chain_flags(model, scheme, stride, goal)
+    features = features_for_model(modalities, learned_on)
+    # Said here, in one line, before the processes start and one of them fails.
+    Router(router).close()
+    configure_logging("info")
+    log = logging.getLogger("up")
+    own = {
+        "simulator": simulator.flags(),
+        "features": feature_flags(features),
+        "recognition": chain,
+        "policy": chain,
+        "recorder": flags(recordings=recordings),
+    }
+    services = stack_services()
+    addresses = _http_addresses(services, metrics_port)
+    plan = StackPlan(
+        services, robot, router, {name: own.get(name, ()) + flags(http=addresses.get(name)) for name in services}
+    )
+    with interrupted_by_signals(), Stack(plan) as stack:
+        log.info("ready: robot %s in %s on %s; Ctrl-C stops", robot, world, router)
+        if addresses:
+            where = ", ".join(f"{name} {address.rpartition(':')[2]}" for name, address in addresses.items())
+            log.info("GET /healthz and /metrics on 127.0.0.1: %s", where)
+        with suppress(KeyboardInterrupt):
+            while True:
+                time.sleep(WATCH_S)
+                stack.restart_dead()
+    log.info("stopped")
+
+
+def _http_addresses(services: tuple[str, ...], first_port: int | None) -> dict[str, str]:
+    """Return where each service tells its health and metrics; for this machine only."""
+    if first_port is None:
+        return {}
+    return {name: f"127.0.0.1:{first_port + k}" for k, name in enumerate(services)}
+
+
+def _chain_flags(
+    model: Path | None, scheme: Scheme, stride: int | None, goal: str | None
+) -> tuple[tuple[str, ...], FeatureSettings | None]:
+    """Return the flags with which recognition and policy have their model from the start, and after every restart.
+
+    And the features that it was learned on.
+    """
+    if model is None:
+        for name, value in (("--stride", stride), ("--goal", goal)):
+            if value is not None:
+                raise UsageError(f"{name} {value}: needs --model")
+        return (), None
+    features = options.read_model(model, scheme, stride, goal).feature_settings
+    return flags(model=model.resolve(), scheme=scheme, stride=stride, goal=goal), features

@@ -1,1 +1,0 @@
-"""From recordings to what `smal learn` learns from."""

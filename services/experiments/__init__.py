@@ -1,0 +1,1 @@
+"""What is measured with the method: evaluation, tuning, matching of image folders."""

@@ -1,0 +1,91 @@
+"""Errands: what several drives together make possible, in a world that has streets to choose from.
+
+A detour and a shorter way, a fork, drives that share a stretch and are joined, a goal that is no longer there. Only
+what was learned can decide: in each, doing what the expert did most often, or last, is wrong.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import Any, Final
+
+import numpy as np
+
+from services.experiments.evaluation.controllers import FilterController
+from services.experiments.evaluation.demonstrations import drive
+from services.experiments.evaluation.plan import TEACHING_SEED, Errand
+from services.experiments.evaluation.search import search
+from services.experiments.evaluation.workplace import Workplace
+from services.simulator.world.place import Pose
+from smal.learning import learn
+
+_NORTHWARDS, _SOUTHWARDS = math.pi / 2.0, -math.pi / 2.0
+
+
+@dataclass(frozen=True)
+class Taught:
+    """One drive: where it begins, where the person lies, what that place is called, and by way of where it leads."""
+
+    start: Pose
+    victim: Pose
+    goal: str
+    via: tuple[tuple[float, float], ...] = ()
+
+
+@dataclass(frozen=True)
+class Task:
+    """What is taught, and what is then asked for; ``right`` is how a search should end."""
+
+    taught: tuple[Taught, ...]
+    start: Pose
+    goal: str
+    victim: Pose
+    right: str = "found"
+
+
+# Of the world terrace, metres east and north. Two corners of its quarter where drives begin, and one in between.
+_WEST = Pose(3.0, 0.0, 0.0)
+_SOUTH_WEST, _NORTH_WEST = Pose(0.0, -44.0, _NORTHWARDS), Pose(0.0, 44.0, _SOUTHWARDS)
+_NORTH, _SOUTH = Pose(86.0, 53.6, 0.0), Pose(86.0, -53.6, 0.0)
+_TO_NORTH, _TO_SOUTH = Taught(_WEST, _NORTH, "north"), Taught(_WEST, _SOUTH, "south")
+_JOINED = (Taught(_SOUTH_WEST, _NORTH, "north"), Taught(_NORTH_WEST, _SOUTH, "south"))
+#: By way of the far corner of the quarter.
+_DETOUR = replace(_TO_NORTH, via=((119.0, 0.0), (119.0, 49.0)))
+
+TASKS: Final[dict[Errand, Task]] = {
+    "shorter way": Task((_DETOUR, _TO_NORTH), _WEST, "north", _NORTH),
+    "fork, to the left": Task((_TO_NORTH, _TO_SOUTH), _WEST, "north", _NORTH),
+    "fork, to the right": Task((_TO_NORTH, _TO_SOUTH), _WEST, "south", _SOUTH),
+    "joined, northwards": Task(_JOINED, _NORTH_WEST, "north", _NORTH),
+    "joined, southwards": Task(_JOINED, _SOUTH_WEST, "south", _SOUTH),
+    "nobody there": Task((_TO_NORTH,), _WEST, "north", _SOUTH, "false_goal"),
+}
+
+
+def run_errand(workplace: Workplace, world: str, errand: Errand, seeds: range) -> dict[str, Any]:
+    """Teach one errand, and do it with each seed.
+
+    Returns
+    -------
+    How it ended with each seed, and the way driven, metres; of each taught drive its way.
+    """
+    task = TASKS[errand]
+    demonstrations, taught_m = [], []
+    for number, one in enumerate(task.taught):
+        simulation = workplace.task(world, one.start, one.victim)
+        made = drive(simulation, workplace.features, TEACHING_SEED + number, "drive", via=one.via)
+        if made is None:
+            raise ValueError(f"{errand}: the expert's drive {number} in {world} did not reach the victim")
+        taught_m.append(round(float(np.hypot(*np.diff(made.poses[:, :2], axis=0).T).sum()), 2))
+        demonstrations.append(replace(made.demonstration, name=f"{errand} {number}", goal=one.goal))
+    model, _ = learn(demonstrations)
+    simulation, controller = workplace.task(world, task.start, task.victim), FilterController(model, task.goal)
+    patience = 3 * max(len(one.atoms) for one in demonstrations)
+    found = [search(simulation, controller, seed, max_ticks=patience) for seed in seeds]
+    return {
+        "right": task.right,
+        "outcomes": [one.outcome for one in found],
+        "driven_m": [round(one.driven_m, 2) for one in found],
+        "taught_m": taught_m,
+    }

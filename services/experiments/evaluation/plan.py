@@ -1,0 +1,328 @@
+"""What an evaluation runs, as data: `QUICK` and `FULL`."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Final, Literal
+
+from schemas.rpc import Start
+from services.experiments.evaluation.degradation import degradation_named
+from services.simulator.variation import variation_named
+from smal.learning import LearningSettings
+
+#: Sequences have this length by default; the filter has none.
+DEFAULT_LENGTH: Final = LearningSettings().sequence_length
+#: Seeds of what is learned from begin here, as in the README; those of what is recognised beyond all of them.
+TEACHING_SEED, QUERY_SEED, RUN_SEED = 1, 1000, 1
+
+
+@dataclass(frozen=True)
+class Criterion:
+    """When a place is recognised: the demonstrated frame that was taken for it was taken so near to the true pose."""
+
+    distance_m: float
+    angle_deg: float
+
+    @property
+    def meaning(self) -> str:
+        """A few words for people."""
+        return f"within {self.distance_m:g} m and {self.angle_deg:g}°"
+
+
+#: Frames from one that is to be recognised to the next: ten frames a second show nearly the same.
+JUDGED_TICKS: Final = 4
+#: Who searches, and how each decides, in a line for people. Peers have the same drives.
+CONTROLLERS: Final = {
+    "smal": "the filter and the planner, at every frame",
+    "teach-and-repeat": "wheels, corrected by the shift of the image (Dall'Osto et al. 2021)",
+    "paper": "the paper: a decision every l frames",
+    "nearest-1": "does what was done at the most alike frame",
+    "nearest-5": "the same, of five frames in a row",
+    "seqslam": "goes on from where SeqSLAM says that it is",
+    "cloning": "a network from image to key",
+}
+#: Light and season other than those of the drives.
+VARIATIONS: Final = ("dark", "overcast", "evening", "other-day")
+
+
+@dataclass(frozen=True)
+class Recogniser:
+    """A way to say which demonstrated frame the robot is at: Eq. 9 ("smal") of a length, or a peer."""
+
+    name: Literal["smal", "nearest", "seqslam"]
+    length: int
+
+    @property
+    def key(self) -> str:
+        """Short name."""
+        return f"{self.name}-{self.length}"
+
+
+#: Peers that recognise, beside Eq. 9 at all lengths of the plan (l = 1 is the single image).
+PEER_RECOGNISERS: Final = (
+    Recogniser("nearest", 1),
+    Recogniser("nearest", 5),
+    *(Recogniser("seqslam", length) for length in (10, 20, 40)),
+)
+
+
+@dataclass(frozen=True)
+class Trial:
+    """Searches that differ in their seed alone.
+
+    Attributes
+    ----------
+    controller
+        Who drives, of `CONTROLLERS`.
+    drives
+        That are taught; no recoveries.
+    runs
+        How many searches.
+    length
+        l, for the paper's scheme.
+    degradation
+        Of what the robot sees.
+    variation
+        Light and season in which it searches.
+    start
+        Where it begins: about the world's start, or anywhere beside the way.
+    kidnap_tick
+        Frame at which it is carried to another place beside the way; 0 for never.
+    """
+
+    controller: str
+    drives: int
+    runs: int
+    length: int = DEFAULT_LENGTH
+    degradation: str = "clean"
+    variation: str = "day"
+    start: Start = "start"
+    kidnap_tick: int = 0
+
+    def __post_init__(self) -> None:
+        degradation_named(self.degradation)
+        variation_named(self.variation)
+        if self.controller not in CONTROLLERS:
+            raise ValueError(f"unknown controller {self.controller!r}; known are {', '.join(CONTROLLERS)}")
+        if self.drives < 1 or self.runs < 1:
+            raise ValueError(f"a trial needs at least one drive and one run, got {self.drives} and {self.runs}")
+
+    @property
+    def condition(self) -> str:
+        """What is special about it, in a few words."""
+        said = [self.variation] if self.variation != "day" else []
+        said += [self.degradation] if self.degradation != "clean" else []
+        said += ["from anywhere"] if self.start == "anywhere" else []
+        said += ["kidnapped"] if self.kidnap_tick else []
+        return ", ".join(said) or "as taught"
+
+
+#: Tasks of `errands`, each with a line for people.
+Errand = Literal[
+    "shorter way", "fork, to the left", "fork, to the right", "joined, northwards", "joined, southwards", "nobody there"
+]
+ERRANDS: Final[dict[Errand, str]] = {
+    "shorter way": "taught a detour, then a shorter way; sent where both lead",
+    "fork, to the left": "taught two ways that part; sent to the end of the one",
+    "fork, to the right": "the same, sent to the end of the other",
+    "joined, northwards": "taught two ways that share a stretch; sent from the begin of one to the end of the other",
+    "joined, southwards": "the same, the other way round",
+    "nobody there": "the person lies elsewhere now: it has to say that it has arrived, and be wrong",
+}
+
+
+@dataclass(frozen=True)
+class WorldPlan:
+    """What is done in one world.
+
+    Attributes
+    ----------
+    world
+        Its name.
+    criteria
+        Of right recognition, and of a right belief; the first one is that of the figures.
+    drives
+        That recognition is learned from.
+    queries
+        Held-out drives whose frames are to be recognised, every `JUDGED_TICKS`.
+    lengths
+        l for precision and recall.
+    recognised
+        Degradations of the queries.
+    trials
+        Searches.
+    errands
+        What several drives together make possible, each `RUNS` times.
+    template_frames
+        At most so many template frames for Algorithm 2, whose time grows with their cube.
+    """
+
+    world: str
+    criteria: tuple[Criterion, ...]
+    drives: int = 1
+    queries: int = 0
+    lengths: tuple[int, ...] = (DEFAULT_LENGTH,)
+    recognised: tuple[str, ...] = ()
+    trials: tuple[Trial, ...] = ()
+    errands: tuple[Errand, ...] = ()
+    template_frames: int = 1000
+
+    def __post_init__(self) -> None:
+        for name in self.recognised:
+            degradation_named(name)
+        if len({replace(trial, runs=1) for trial in self.trials}) < len(self.trials):
+            raise ValueError(f"{self.world}: a trial stands in the plan twice")
+        if self.drives < 1 or not self.criteria:
+            raise ValueError(f"{self.world}: a plan needs at least one drive and one criterion")
+
+    @property
+    def title(self) -> str:
+        """Its name, also where the world is a file."""
+        return Path(self.world).stem
+
+    @property
+    def all_drives(self) -> int:
+        """How many drives are made."""
+        recognition = [self.drives] if self.queries else []
+        return max([*recognition, *(trial.drives for trial in self.trials)], default=0)
+
+    @property
+    def models(self) -> tuple[tuple[int, int], ...]:
+        """Numbers of drives, and lengths, for which a model is learned."""
+        needed = {(trial.drives, trial.length) for trial in self.trials if trial.controller in {"smal", "paper"}}
+        if self.queries:
+            needed |= {(self.drives, length) for length in (*self.lengths, DEFAULT_LENGTH)}
+        return tuple(sorted(needed))
+
+    @property
+    def first_judged_tick(self) -> int:
+        """Frame of a held-out drive from which on every method has a whole window, and all are judged."""
+        return max(one.length for one in self.recognisers) - 1
+
+    @property
+    def recognisers(self) -> tuple[Recogniser, ...]:
+        """Who recognises."""
+        return (*(Recogniser("smal", length) for length in self.lengths), *PEER_RECOGNISERS)
+
+
+@dataclass(frozen=True)
+class Plan:
+    """An evaluation.
+
+    Attributes
+    ----------
+    name
+        "quick" or "full".
+    worlds
+        What is done in each.
+    patience
+        A search times out after so many times the frames of the longest drive that was taught.
+    camera
+        Size of the image, pixels.
+    omitted
+        What it leaves out of the full one, for the report.
+    """
+
+    name: str
+    worlds: tuple[WorldPlan, ...]
+    patience: float = 3.0
+    camera: tuple[int, int] = (320, 240)
+    omitted: tuple[str, ...] = ()
+
+    @property
+    def fingerprint(self) -> str:
+        """Fingerprint of the whole plan, and of what all plans have in common."""
+        everything = [asdict(self), CONTROLLERS, [asdict(one) for one in PEER_RECOGNISERS], JUDGED_TICKS]
+        return hashlib.sha256(json.dumps(everything, sort_keys=True).encode()).hexdigest()[:12]
+
+
+_INDOOR: Final = (Criterion(0.35, 25.0), Criterion(0.2, 15.0))
+_OUTDOOR: Final = (Criterion(3.0, 25.0), Criterion(1.5, 15.0))
+#: All that a camera suffers at once: hidden frames, noise, shake.
+_BOTH: Final = ("clean", "poor")
+#: Frame at which robots are carried away: a good way from the start, and far from the goal.
+_KIDNAP: Final = 100
+
+
+def _conditions(controller: str, runs: int) -> tuple[Trial, ...]:
+    """Return searches after one drive, under every condition."""
+    return (
+        Trial(controller, 1, runs, start="anywhere"),
+        Trial(controller, 1, runs, kidnap_tick=_KIDNAP),
+        Trial(controller, 1, runs, degradation="poor"),
+        *(Trial(controller, 1, runs, variation=name) for name in VARIATIONS),
+    )
+
+
+#: How often the searches of SMAL and its best peer, and errands, are done.
+RUNS: Final = 10
+
+
+def _trials(counts: tuple[int, ...], runs: int, others: int, lengths: tuple[int, ...]) -> tuple[Trial, ...]:
+    """Return searches of all controllers after each number of drives, of the best two under every condition too.
+
+    The paper's scheme has them after the most drives, over its lengths and with a poor camera as well; it and the peers
+    that imitate have `others` runs.
+    """
+    best = ("smal", "teach-and-repeat")
+    return tuple(dict.fromkeys([
+        *(Trial(name, drives, runs) for drives in counts for name in best),
+        *(Trial(name, drives, others) for drives in counts for name in CONTROLLERS if name not in best),
+        *(trial for name in best for trial in _conditions(name, runs)),
+        *(Trial("paper", max(counts), others, length, view) for length in lengths for view in _BOTH),
+    ]))  # fmt: skip
+
+
+FULL: Final = Plan(
+    "full",
+    (
+        *(
+            WorldPlan(
+                world, criteria, drives=4, queries=3, lengths=(1, 5, 10, 20, 40),
+                recognised=("clean", "occluded", "poor"), trials=_trials((1, 2, 4, 12), RUNS, 5, (1, 5, 20)),
+                template_frames=2000,
+            )
+            for world, criteria in (("indoor", _INDOOR), ("campus", _OUTDOOR))
+        ),
+        # A street of houses that look the same, and streets to choose from.
+        WorldPlan(
+            "terrace", _OUTDOOR, errands=tuple(ERRANDS),
+            trials=tuple(one for name in ("smal", "teach-and-repeat") for one in (
+                Trial(name, 1, RUNS), Trial(name, 1, RUNS, start="anywhere"), Trial(name, 1, RUNS, kidnap_tick=_KIDNAP)
+            )),
+        ),
+    ),
+)  # fmt: skip
+
+QUICK: Final = Plan(
+    "quick",
+    (
+        WorldPlan(
+            "indoor", _INDOOR, drives=2, queries=1, lengths=(1, 5, 20), recognised=_BOTH,
+            trials=_trials((1, 2), 3, 3, (1, 5)),
+        ),
+    ),
+    omitted=(
+        "the campus, and the terrace with its errands",
+        "4 and 12 drives",
+        "lengths of 10 and 40 frames, and searches with 20",
+        "most of the runs (3 instead of 5 and 10), so that intervals are wide",
+    ),
+)  # fmt: skip
+PLANS: Final = {plan.name: plan for plan in (QUICK, FULL)}
+
+
+def in_world(world: str, aside_m: float) -> Plan:
+    """Return the plan for a world of one's own: SMAL and teach and repeat after one drive, under every condition.
+
+    A belief is right within twice the distance at which searches begin beside the way.
+    """
+    best = ("smal", "teach-and-repeat")
+    trials = [one for name in best for one in (Trial(name, 1, RUNS), *_conditions(name, RUNS))]
+    criterion = Criterion(2.0 * aside_m, 25.0)
+    # Another map under the same name is another plan.
+    content = hashlib.sha256(Path(world).read_bytes()).hexdigest()[:12] if Path(world).is_file() else ""
+    return Plan(f"in {world} {content}".rstrip(), (WorldPlan(world, (criterion,), trials=tuple(trials)),))

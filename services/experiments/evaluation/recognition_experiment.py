@@ -1,0 +1,186 @@
+"""Precision and recall of recognising where the robot is, as in the paper's experiments.
+
+Queries are frames of drives that were not learned from, clean or degraded. Every method says at which demonstrated
+frame the robot is, and how sure it is; that is right if the frame was taken near the true pose.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from services.experiments.evaluation.controllers import SEQSLAM
+from services.experiments.evaluation.degradation import Degradation, Degrader, degradation_named
+from services.experiments.evaluation.demonstrations import expert_of
+from services.experiments.evaluation.plan import JUDGED_TICKS, Criterion, Recogniser
+from services.experiments.evaluation.rules import advance, outcome_at
+from services.experiments.evaluation.workplace import Workplace, query_file, replace_file
+from services.expert.driver import DRIVE_TICKS
+from services.simulator.simulation import Simulation
+from smal.action_space import Atom
+from smal.evaluation.baselines.seqslam_localisation import SeqSlamLocaliser
+from smal.evaluation.baselines.thumbnails import thumbnail
+from smal.evaluation.ground_truth import PoseTruth, judge
+from smal.evaluation.localisation import DemonstratedFrames, nearest_windows
+from smal.features import Centering, FeatureSettings, extract
+from smal.matching.streaming import StreamingMatcher
+from smal.model import Model
+from smal.phase import matched_phase
+from smal.place_recognition import Matches
+from smal.place_recognition.matches import NONE
+
+
+def query_drive(
+    simulation: Simulation, features: FeatureSettings, seed: int, views: dict[str, Degradation]
+) -> dict[str, NDArray[Any]]:
+    """Have the expert drive, and keep what the robot sees under every degradation.
+
+    Parameters
+    ----------
+    simulation
+        Opened with the shake of the degradations.
+    features
+        To keep of every view.
+    seed
+        Of the drive, one that was not learned from.
+    views
+        Degradations by name.
+
+    Returns
+    -------
+    dict
+        ``poses`` (f, 3), and for every view NAME ``features_NAME`` (f, m) and ``thumbnails_NAME`` (f, 48, 64, 3).
+    """
+    simulation.reset(seed, "drive")
+    expert = expert_of(simulation)
+    degraders = {name: Degrader(how, seed) for name, how in views.items()}
+    poses: list[tuple[float, float, float]] = []
+    parts = [f"{part}_{name}" for name in views for part in ("features", "thumbnails")]
+    kept: dict[str, list[NDArray[Any]]] = {part: [] for part in parts}
+    while True:
+        tick, image, pose = len(poses), simulation.render(), simulation.pose
+        poses.append((pose.x, pose.y, pose.heading))
+        for name, degrader in degraders.items():
+            seen = degrader.apply(tick, image)
+            kept[f"features_{name}"].append(extract(seen, features))
+            kept[f"thumbnails_{name}"].append(thumbnail(seen))
+        if expert.arrived(pose.x, pose.y):
+            break
+        advance(simulation, Atom[expert.key(*poses[-1]).upper()])
+        if outcome_at(simulation, tick + 1, "drive", DRIVE_TICKS) is not None:
+            break
+    return {"poses": np.array(poses)} | {name: np.stack(views) for name, views in kept.items()}
+
+
+def make_queries(workplace: Workplace, world: str, seed: int, degradations: tuple[str, ...]) -> dict[str, Any]:
+    """Make a held-out drive once for every strength of shake, and write what is seen of it."""
+    arrays: dict[str, NDArray[Any]] = {}
+    named = {name: degradation_named(name) for name in degradations}
+    for shake in dict.fromkeys(how.shake for how in named.values()):
+        views = {name: how for name, how in named.items() if how.shake == shake}
+        made = query_drive(workplace.simulation(world, shake), workplace.features, seed, views)
+        # Shake moves the camera and not the robot: the way is the same.
+        arrays |= made
+    replace_file(workplace.folder / query_file(world, seed), arrays.items())
+    return {"frames": len(arrays["poses"]), "files": [query_file(world, seed)]}
+
+
+def recognise(
+    workplace: Workplace, world: str, drives: int, recogniser: Recogniser, degradation: str, seed: int
+) -> tuple[Matches, NDArray[np.float64]]:
+    """Have a method recognise every `JUDGED_TICKS`-th frame of a held-out drive.
+
+    Returns
+    -------
+    matches
+        Demonstrated frame, counted over all demonstrations, and score of every query.
+    poses : float64 array (q, 3)
+        The true ones.
+    """
+    matches, poses = _recognise_all(workplace, world, drives, recogniser, degradation, seed)
+    judged = slice(JUDGED_TICKS - 1, None, JUDGED_TICKS)
+    return Matches(matches.reference[judged], matches.score[judged]), poses[judged]
+
+
+def _recognise_all(
+    workplace: Workplace, world: str, drives: int, recogniser: Recogniser, degradation: str, seed: int
+) -> tuple[Matches, NDArray[np.float64]]:
+    with np.load(workplace.folder / query_file(world, seed), allow_pickle=False) as held:
+        poses = held["poses"]
+        part = "thumbnails" if recogniser.name == "seqslam" else "features"
+        views = held[f"{part}_{degradation}"]
+    if recogniser.name == "smal":
+        model = workplace.model(world, drives, recogniser.length)
+        if sum(map(len, model.atoms)) != len(workplace.poses(world, drives)):
+            raise ValueError(f"the drives in {workplace.folder} are not those that the model was learned from")
+        return recognise_states(model, views, JUDGED_TICKS), poses
+    taught = workplace.drives(world, drives)
+    if recogniser.name == "seqslam":
+        small = {one.demonstration.name: one.thumbnails for one in taught if one.thumbnails is not None}
+        localiser = SeqSlamLocaliser(small, tuple(small), replace(SEQSLAM, length=recogniser.length))
+        matches = _by_seqslam(localiser, [len(one.poses) for one in taught], views)
+    else:
+        raw = [one.demonstration.features for one in taught]
+        centering = Centering.fit(raw, workplace.features)
+        templates = [centering.apply(each) for each in raw]
+        matches = Matches(*nearest_windows(templates, centering.apply(views), recogniser.length))
+    return matches, poses
+
+
+def recognise_states(model: Model, views: NDArray[np.float32], every: int = 1) -> Matches:
+    """Recognise states (Eq. 9) at every so many frames, and where in them the robot is by W.
+
+    The score is the weight of the best sequence (left side of Eq. 8, for each query frame).
+    """
+    length, frames = model.sequence_length, DemonstratedFrames(model)
+    matcher = StreamingMatcher(model.templates, length, model.lambda1, model.lambda2, tolerance=1e-3)
+    matches = Matches.none(len(views))
+    for tick, view in enumerate(model.centering.apply(views)):
+        matcher.observe(view)
+        if not matcher.ready or (tick + 1) % every != 0:
+            continue
+        solution = matcher.match()
+        if (state := solution.best_block) is not None:
+            matches.reference[tick] = frames.frame(state, matched_phase(solution, state))
+            matches.score[tick] = solution.block_weights.max() / length
+    return matches
+
+
+def _by_seqslam(localiser: SeqSlamLocaliser, lengths: list[int], views: NDArray[np.uint8]) -> Matches:
+    """Take the mean enhanced difference, whose least is the best, as the score with its sign changed."""
+    starts = np.cumsum([0, *lengths])
+    matches = Matches.none(len(views))
+    for tick, view in enumerate(views):
+        place = localiser.observe(view)
+        if place is not None:
+            matches.reference[tick] = starts[place.demonstration] + place.frame
+            matches.score[tick] = -place.cost
+    return matches
+
+
+def judged(
+    matches: Matches,
+    demonstrated: NDArray[np.float64],
+    true: NDArray[np.float64],
+    criteria: tuple[Criterion, ...],
+) -> dict[str, Any]:
+    """Hold the answers against the truth, in numbers that JSON knows.
+
+    Returns
+    -------
+    dict
+        For every query ``score``, ``answered``, ``apart_m`` (distance of the answer's pose; -1 without one);
+        and for every criterion ``right`` and ``findable``, lists of lists.
+    """
+    judgements = [judge(matches, PoseTruth(demonstrated, true, one.distance_m, one.angle_deg)) for one in criteria]
+    apart_m = np.hypot(*(demonstrated[matches.reference, :2] - true[:, :2]).T)
+    return {
+        "score": [float(f"{score:.6g}") for score in matches.score.tolist()],
+        "answered": matches.matched.astype(int).tolist(),
+        "apart_m": np.where(matches.reference == NONE, -1.0, apart_m).round(3).tolist(),
+        "right": [one.right.astype(int).tolist() for one in judgements],
+        "findable": [one.findable.astype(int).tolist() for one in judgements],
+    }

@@ -1,0 +1,110 @@
+"""The part of the report about searches: how often and how well each driver finds the victim, and an example."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from typing import Final
+
+from services.experiments import html
+from services.experiments.evaluation.plan import CONTROLLERS, ERRANDS
+from services.experiments.evaluation.report import search_figures as figures
+from services.experiments.evaluation.report.embedding import EmbeddedFigures
+from services.experiments.evaluation.report.summary import Results, Success
+from services.experiments.evaluation.results import ResultStore
+from services.experiments.evaluation.search_experiment import read_route, route_file
+from smal.evaluation.success import wilson_interval
+
+_WITHOUT_CLONING: Final = " <b>Behaviour cloning was not run</b>: torch is not installed (pip install -e '.[cloning]')."
+#: Within which a kidnapped robot should know where it is.
+_SOON_S: Final = 3.0
+
+
+def search_section(found: Results, store: ResultStore, put: EmbeddedFigures, *, cloning: bool) -> Iterator[str]:
+    """Write it as HTML, piece by piece; `cloning` says whether behaviour cloning is a part of it."""
+    name = found.world.title
+    yield "<h3>Finding the victim</h3>"
+    if any(one.trial.condition == "as taught" for one in found.successes):
+        yield put(
+            f"drives-{name}",
+            figures.found_by_drives(found.successes, f"Searches that find the victim, {name}"),
+            "The same drives and starts for all; no recoveries. Bars are Wilson's 95 % intervals. Starts were not used "
+            f"in teaching.{'' if cloning else _WITHOUT_CLONING}",
+        )
+    if any(one.trial.start == "anywhere" for one in found.successes):
+        yield put(
+            f"convergence-{name}",
+            figures.convergence(found.successes, f"Back to the taught way, {name}"),
+            "Distance from the taught way in searches that begin beside it and turned away; each line is a search, the "
+            "thick one the median of those that still go on.",
+        )
+    if len({one.trial.length for one in found.successes if one.trial.controller == "paper"}) > 1:
+        yield put(
+            f"success-{name}",
+            figures.success_by_length(found.successes, f"Success over sequence length, {name}"),
+            "Share of searches that find the victim without a collision, over l, by the paper's scheme (its figure of "
+            "success rates in its parameter analysis). With l = 1 it is the single image.",
+        )
+    yield from _table(found.successes)
+    if found.errands:
+        yield from _errands(found)
+    yield from _example(found, store, put)
+
+
+def _table(found: Sequence[Success]) -> Iterator[str]:
+    rows = []
+    usual = [one for one in found if one.trial.condition == "as taught"]
+    special = sorted((one for one in found if one not in usual), key=lambda one: (one.trial.condition, one.name))
+    for one in [*sorted(usual, key=lambda one: one.trial.drives), *special]:
+        soon = one.right_within(_SOON_S)
+        rows.append([
+            one.trial.condition, str(one.trial.drives), one.name, f"{one.found} of {one.runs}",
+            "{:.0%} to {:.0%}".format(*one.wilson_95), str(one.ended("collision")), str(one.ended("timeout")),
+            str(one.ended("false_goal")), "-" if one.spl is None else f"{one.spl:.2f}", f"{one.aside_rms_m:.2f}",
+            f"{one.aside_max_m:.2f}", "-" if one.interventions_per_km is None else f"{one.interventions_per_km:.1f}",
+            "-" if one.wrong_share is None else f"{one.wrong_share:.1%}",
+            "-" if soon is None else f"{soon[0]} of {soon[1]}",
+        ])  # fmt: skip
+    yield html.table(
+        ["condition", "drives", "driver", "found", "95 %", "collisions", "out of time", "false goals", "SPL",
+         "aside, RMS m", "max m", "interventions a km", "wrong and sure", f"right within {_SOON_S:g} s"],
+        rows, left=3,
+    )  # fmt: skip
+    yield "<p>" + "; ".join(f"{name}: {how}" for name, how in CONTROLLERS.items()) + ".</p>"
+
+
+def _errands(found: Results) -> Iterator[str]:
+    """Tell how errands went."""
+    rows = []
+    for name, one in found.errands.items():
+        right = sum(outcome == one["right"] for outcome in one["outcomes"])
+        rows.append([
+            name, ERRANDS[name], f"{right} of {len(one['outcomes'])}", "{:.0%} to {:.0%}".format(
+                *wilson_interval(right, len(one["outcomes"]))
+            ), f"{sum(one['driven_m']) / len(one['driven_m']):.0f}", ", ".join(f"{way:.0f}" for way in one["taught_m"]),
+        ])  # fmt: skip
+    yield "<h3>Errands</h3>"
+    yield "<p>What several drives together make possible: SMAL, each drive taught once, from untaught starts.</p>"
+    yield html.table(["errand", "what", "right", "95 %", "driven m, mean", "taught drives, m"], rows, left=2)
+
+
+def _example(found: Results, store: ResultStore, put: EmbeddedFigures) -> Iterator[str]:
+    """Show the first search of SMAL after one drive that found the victim."""
+    name = found.world.title
+    mine = next(
+        (one for one in found.successes
+         if (one.trial.controller, one.trial.drives, one.trial.condition) == ("smal", 1, "as taught")), None
+    )  # fmt: skip
+    seeds = () if mine is None else tuple(seed for seed, one in mine.findings.items() if one["outcome"] == "found")
+    yield "<h3>An example</h3>"
+    if not seeds or not (store.work / route_file(found.world.world, seeds[0])).exists():
+        yield "<p>No search of SMAL found the victim, or its pictures were deleted: no example.</p>"
+        return
+    degraded = next((one.trial.degradation for one in found.successes if one.trial.degradation != "clean"), None)
+    yield put(
+        f"route-{name}",
+        figures.example_route(found.world.world, read_route(store.work / route_file(found.world.world, seeds[0])),
+                              seeds[0], degraded, f"A search in the world {name}, seed {seeds[0]}"),
+        "The way of a successful search from a start that was not taught (arrow) to the victim (star), and what the "
+        "camera saw at the numbered places (the paper's figures of route and observations). The lower row shows the "
+        "same views under the declared degradation.",
+    )  # fmt: skip

@@ -1,0 +1,186 @@
+"""The units of work that a plan comes to, and about how long each takes."""
+
+from __future__ import annotations
+
+from collections.abc import Container, Iterator, Sequence
+from dataclasses import asdict, dataclass
+from typing import Literal
+
+from services.experiments.evaluation.plan import (
+    DEFAULT_LENGTH,
+    JUDGED_TICKS,
+    QUERY_SEED,
+    RUN_SEED,
+    RUNS,
+    TEACHING_SEED,
+    Plan,
+    Recogniser,
+    Trial,
+    WorldPlan,
+)
+
+Settings = tuple[tuple[str, str | int], ...]
+Kind = Literal["teach", "learn", "queries", "recognise", "objective", "search", "errand"]
+
+
+@dataclass(frozen=True)
+class Unit:
+    """A piece of work that is done once.
+
+    Attributes
+    ----------
+    kind, world
+        What, and where.
+    settings
+        All else that determines it; numbers and texts.
+    needs
+        Keys of the units that must be done before.
+    seconds
+        About how long it takes, for the progress bar.
+    """
+
+    kind: Kind
+    world: str
+    settings: Settings
+    needs: tuple[str, ...] = ()
+    seconds: float = 1.0
+
+    def __getitem__(self, name: str) -> str | int:
+        """Return one of the settings."""
+        return dict(self.settings)[name]
+
+    def number(self, name: str) -> int:
+        """Return a setting that is a number."""
+        return int(self[name])
+
+    def text(self, name: str) -> str:
+        """Return a setting that is a text."""
+        return str(self[name])
+
+    @property
+    def key(self) -> str:
+        """What determines it, in one line."""
+        return "/".join([self.kind, self.world, *(f"{name}={value}" for name, value in self.settings)])
+
+
+class _Costs:
+    """About how many seconds things take on one core, as measured on one machine; only for the progress bar."""
+
+    def __init__(self, world: WorldPlan) -> None:
+        indoors = world.world == "indoor"
+        self.frame_s = 0.008 if indoors else 0.012
+        self.drive_frames = 330 if indoors else 560
+
+    @property
+    def drive_s(self) -> float:
+        """A drive that teaches, or is recognised."""
+        return 1.1 * self.drive_frames * self.frame_s
+
+    def match_s(self, length: int, drives: int) -> float:
+        """Return what matching a window costs in a stream of frames."""
+        return 1e-3 + (1e-4 * length + 1.1e-5 * length**2) * drives * self.drive_frames / 1e3
+
+    def learn_s(self, drives: int, length: int) -> float:
+        """Return what learning costs; the map of views is learned with the usual length."""
+        frames = drives * self.drive_frames
+        return 1.0 + 1.5e-3 * frames + (0.04 * frames if length == DEFAULT_LENGTH else 0.0)
+
+    def recognise_s(self, recogniser: Recogniser, drives: int) -> float:
+        """Return what recognising a drive costs; its frames are far apart, and the first match prepares templates."""
+        if recogniser.name != "smal":
+            return 1.0
+        return 2.5 + self.drive_frames / JUDGED_TICKS * (0.02 + self.match_s(recogniser.length, drives))
+
+    def errand_s(self) -> float:
+        """Return what an errand costs: two drives, learned and followed."""
+        return 2.0 * self.drive_s + self.learn_s(2, DEFAULT_LENGTH) + RUNS * self.drive_frames * (self.frame_s + 4e-3)
+
+    def search_s(self, trial: Trial, patience: float) -> float:
+        """Return what a search costs."""
+        lost = trial.controller not in {"smal", "teach-and-repeat"}
+        return self.drive_frames * (0.5 * patience if lost else 1.0) * (self.frame_s + 4e-3)
+
+
+def units(plan: Plan, *, cloning: bool) -> list[Unit]:
+    """Return all units of a plan, each after those that it needs.
+
+    Parameters
+    ----------
+    plan
+        What is to be done.
+    cloning
+        Whether behaviour cloning can run on this machine.
+    """
+    return [unit for world in plan.worlds for unit in (*_of_world(plan, world, cloning), *_errands(plan, world))]
+
+
+def whole_series(units: Sequence[Unit], done: Container[str]) -> list[Unit]:
+    """Return those units that can be reported: all that differ in their seed alone are done."""
+
+    def series(unit: Unit) -> tuple[object, ...]:
+        return unit.kind, unit.world, *(one for one in unit.settings if one[0] != "seed")
+
+    torn = {series(unit) for unit in units if unit.key not in done}
+    return [unit for unit in units if series(unit) not in torn]
+
+
+def _of_world(plan: Plan, world: WorldPlan, cloning: bool) -> Iterator[Unit]:
+    costs = _Costs(world)
+    camera = ("camera", "x".join(map(str, plan.camera)))
+    taught = [
+        Unit("teach", world.world, (camera, ("seed", TEACHING_SEED + k)), (), costs.drive_s)
+        for k in range(world.all_drives)
+    ]
+    yield from taught
+    learned = {}
+    for drives, length in world.models:
+        settings = (camera, ("drives", drives), ("length", length))
+        needs = tuple(unit.key for unit in taught[:drives])
+        learned[drives, length] = Unit("learn", world.world, settings, needs, costs.learn_s(drives, length))
+        yield learned[drives, length]
+    queries = [
+        Unit("queries", world.world, (camera, ("seed", QUERY_SEED + k)), (), costs.drive_s)
+        for k in range(world.queries)
+    ]
+    yield from queries
+
+    # Who recognises or searches needs the drives beside the model: their poses, or to imitate them.
+    def needed(drives: int, length: int | None) -> tuple[str, ...]:
+        models = () if length is None else (learned[drives, length].key,)
+        return (*models, *(unit.key for unit in taught[:drives]))
+
+    for recogniser in world.recognisers:
+        model = recogniser.length if recogniser.name == "smal" else None
+        for degradation in world.recognised:
+            for k, query in enumerate(queries):
+                asked: Settings = (camera, ("drives", world.drives), ("method", recogniser.name),
+                            ("length", recogniser.length), ("degradation", degradation),
+                            ("seed", QUERY_SEED + k))  # fmt: skip
+                cost_s = costs.recognise_s(recogniser, world.drives)
+                yield Unit("recognise", world.world, asked, (*needed(world.drives, model), query.key), cost_s)
+    if queries:
+        at = (camera, ("drives", world.drives), ("length", DEFAULT_LENGTH), ("seed", QUERY_SEED),
+              ("templates", world.template_frames))  # fmt: skip
+        cost_s = 5.0 * (world.template_frames / 1000) ** 3
+        yield Unit("objective", world.world, at, (*needed(world.drives, DEFAULT_LENGTH), queries[0].key), cost_s)
+    # What tells most first: whoever looks at the page before all is done sees the method and its peers.
+    for trial in world.trials:
+        if trial.controller == "cloning" and not cloning:
+            continue
+        model = trial.length if trial.controller in {"smal", "paper"} else None
+        for k in range(trial.runs):
+            tried: Settings = (camera, *settings_of(trial), ("patience", str(plan.patience)), ("seed", RUN_SEED + k))
+            cost_s = costs.search_s(trial, plan.patience)
+            yield Unit("search", world.world, tried, needed(trial.drives, model), cost_s)
+
+
+def _errands(plan: Plan, world: WorldPlan) -> Iterator[Unit]:
+    camera = ("camera", "x".join(map(str, plan.camera)))
+    for errand in world.errands:
+        settings = (camera, ("errand", errand), ("runs", RUNS))
+        yield Unit("errand", world.world, settings, (), _Costs(world).errand_s())
+
+
+def settings_of(trial: Trial) -> Settings:
+    """Return what determines a trial, but for its runs."""
+    return tuple((name, value) for name, value in asdict(trial).items() if name != "runs")

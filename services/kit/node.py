@@ -1,0 +1,339 @@
+"""What every service needs to be a good process: settings, logging, signals, health, and one loop.
+
+A service gives its handlers to a ``Node``; everything that arrives (messages, requests, timers) is handled on the
+one thread that calls ``spin``, so a service needs no locks.
+"""
+
+from __future__ import annotations
+
+import logging
+import math
+import os
+import signal
+import sys
+import threading
+import time
+from collections import Counter, defaultdict
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from types import FrameType, TracebackType
+from typing import Final, Literal, Self, TypeVar, cast
+
+from pydantic import ValidationError
+
+from schemas.base import Message, Strict
+from schemas.codec import DecodeError, decode, describe
+from schemas.rpc import Failure, Nothing, Status
+from schemas.topics import Topic, key_of
+from services.kit.bus import PATIENCE_S, Bus, BusError
+from services.kit.health import ailment
+from services.kit.http import HttpError, HttpServer
+from services.kit.inbox import Inbox, Item
+from services.kit.metrics import Metrics
+from services.kit.settings import ServiceSettings
+
+REQUEST_QUEUE: Final = 64
+EXIT_FAILED: Final = 1
+EXIT_USAGE: Final = 2
+M = TypeVar("M", bound=Message)
+R = TypeVar("R", bound=Strict)
+S = TypeVar("S", bound="ServiceSettings")
+Detail = dict[str, str | int | float | bool | None]
+
+
+class ServiceError(Exception):
+    """A service cannot do what was asked; the text says why in one line."""
+
+
+def read_settings(cls: type[S], service: str) -> S:
+    """Read settings from flags and environment; exit with status 2 and one line where they are wrong."""
+    try:
+        return cls(_cli_parse_args=True, _cli_prog_name=f"python -m services.{service}")
+    except ValidationError as error:
+        sys.stderr.write(f"{service}: {describe(error)}\n")
+        raise SystemExit(EXIT_USAGE) from None
+
+
+def configure_logging(level: str) -> None:
+    """Log to standard error, one line an event."""
+    logging.basicConfig(
+        level=level.upper(), stream=sys.stderr, format="%(asctime)s.%(msecs)03d %(levelname)-7s %(name)s: %(message)s",
+        datefmt="%H:%M:%S", force=True,
+    )  # fmt: skip
+
+
+def run_service(name: str, serve: Callable[[], None]) -> None:
+    """Run a service's main function; a failure to start is one line and exit status 1."""
+    try:
+        serve()
+    except (ServiceError, BusError, HttpError) as error:
+        logging.getLogger(name).error("%s", error)  # noqa: TRY400 - one clear line is what an operator needs
+        raise SystemExit(EXIT_FAILED) from None
+
+
+class Throttle:
+    """Lets one line a second through: a sender that goes on and on must not fill the disk with the log."""
+
+    def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
+        self._clock = clock
+        self._next_s = -math.inf
+
+    def due(self) -> bool:
+        """Whether a line may be logged now."""
+        now_s = self._clock()
+        if now_s < self._next_s:
+            return False
+        self._next_s = now_s + 1.0
+        return True
+
+
+@dataclass
+class _Timer:
+    period_s: float
+    handler: Callable[[], object]
+    due_s: float
+
+
+class Node:
+    """One process on the bus.
+
+    Handlers take one message and return the messages to publish (or None). They run one at a time, on the thread
+    that calls ``spin``. An exception in a handler is logged and counted; the node goes on.
+
+    Parameters
+    ----------
+    name
+        Name of the service, part of the keys of its queryables.
+    settings
+        Robot and router.
+    patience_s
+        How long to wait for the router before giving up with a ``BusError``.
+
+    Raises
+    ------
+    BusError
+        When there is no router.
+    HttpError
+        When ``settings.http`` cannot be listened on.
+    """
+
+    def __init__(self, name: str, settings: ServiceSettings, patience_s: float = PATIENCE_S) -> None:
+        self.name = name
+        self.robot = settings.robot
+        self.log = logging.getLogger(name)
+        self.bus = Bus(settings.robot, settings.router, patience_s)
+        self.detail: Callable[[], Detail] = dict
+        self._inbox = Inbox()
+        self._handlers: dict[str, Callable[[object], None]] = {}
+        self._timers: list[_Timer] = []
+        self._stop = threading.Event()
+        self._state: Literal["starting", "ready", "stopping"] = "starting"
+        self._started_s = self._worked_s = time.monotonic()
+        self._began_s: float | None = None
+        self._received: Counter[str] = Counter()
+        self._published: Counter[str] = Counter()
+        self._bad: Counter[str] = Counter()
+        self._complaints: defaultdict[str, Throttle] = defaultdict(Throttle)
+        self._failed = 0
+        self.metrics = Metrics(name, settings.robot, self.status)
+        self._http: HttpServer | None = None
+        if settings.http is not None:
+            self._http = HttpServer(settings.http, lambda: ailment(self.status()), self.metrics.text)
+        self.bus.serve(name, "status", lambda _request, reply: reply(self.status()))
+
+    # -- wiring ---------------------------------------------------------------------------------------------------
+
+    def subscribe(
+        self,
+        topic: Topic,
+        handler: Callable[[M], Message | Iterable[Message] | None],
+        depth: int | None = None,
+        *,
+        replay: bool = False,
+    ) -> None:
+        """Handle every message of a topic.
+
+        Parameters
+        ----------
+        topic, handler
+            What to handle, and with what.
+        depth
+            Overrides how many messages are kept while the handler is busy.
+        replay
+            Whether to be sent what was missed, see ``Bus.subscribe``.
+        """
+        self._inbox.open(topic.name, depth or topic.queue)
+
+        def work(item: object) -> None:
+            payload, encoding = cast("tuple[bytes, str]", item)
+            message = self._decode(topic, payload, encoding)
+            if message is not None:
+                self._received[topic.name] += 1
+                self.publish(handler(cast("M", message)))
+
+        self._handlers[topic.name] = work
+
+        def take(payload: bytes, encoding: str, transit_s: float | None) -> None:
+            self._inbox.put(topic.name, (payload, encoding))
+            if transit_s is not None:
+                self.metrics.transit(topic.name, transit_s)
+
+        self.bus.subscribe(topic, take, replay=replay)
+
+    def serve(self, verb: str, request_type: type[R], handler: Callable[[R], Strict | None]) -> None:
+        """Answer the calls of ``rpc/<name>/<verb>``; a ``ServiceError`` in the handler is the caller's to read."""
+        name = f"rpc/{verb}"
+        self._inbox.open(name, REQUEST_QUEUE)
+
+        def work(item: object) -> None:
+            payload, reply = cast("tuple[bytes, Callable[[Strict], None]]", item)
+            try:
+                reply(handler(request_type.model_validate_json(payload)) or Nothing())
+            except ValidationError as error:
+                reply(Failure(error=describe(error)))
+            except ServiceError as error:
+                self.log.warning("%s refused: %s", verb, error)
+                reply(Failure(error=str(error)))
+            except Exception as error:
+                reply(Failure(error=f"internal error: {type(error).__name__}: {error}"))
+                raise
+
+        self._handlers[name] = work
+        self.bus.serve(self.name, verb, lambda payload, reply: self._inbox.put(name, (payload, reply)))
+
+    def waits(self, topic: Topic) -> bool:
+        """Whether a message of a topic has come that is not yet handled."""
+        return self._inbox.waiting().get(topic.name, 0) > 0
+
+    def every(self, period_s: float, handler: Callable[[], object]) -> None:
+        """Call ``handler`` every ``period_s`` seconds; periods missed while busy are not made up."""
+        self._timers.append(_Timer(period_s, handler, time.monotonic() + period_s))
+
+    # -- work -----------------------------------------------------------------------------------------------------
+
+    def publish(self, messages: Message | Iterable[Message] | None) -> None:
+        """Send one message, several, or none."""
+        for message in [messages] if isinstance(messages, Message) else messages or ():
+            self.bus.publish(message)
+            self._published[message.topic_name] += 1
+
+    def spin(self, until: Callable[[], bool] = lambda: False, timeout_s: float | None = None) -> bool:
+        """Handle what arrives until ``until()`` holds (True), the time is over or the node is stopped (False)."""
+        self._state = "ready"
+        deadline = None if timeout_s is None else time.monotonic() + timeout_s
+        while not self._stop.is_set():
+            if until():
+                return True
+            now = time.monotonic()
+            if deadline is not None and now >= deadline:
+                return False
+            dues = [timer.due_s for timer in self._timers] + ([deadline] if deadline is not None else [])
+            self._handle(self._inbox.take(max(0.0, min(dues) - now) if dues else None))
+        self._state = "stopping"
+        return False
+
+    @property
+    def stopping(self) -> bool:
+        """Whether the node was told to stop."""
+        return self._stop.is_set()
+
+    def drain(self) -> None:
+        """Handle what had arrived before the node was stopped."""
+        while (item := self._inbox.take(0.0)) is not None:
+            self._handle(item)
+
+    def stop(self) -> None:
+        """Make ``spin`` return."""
+        self._stop.set()
+        self._inbox.wake()
+
+    def stop_on_signals(self) -> None:
+        """Stop on SIGTERM and SIGINT, and on SIGHUP (the terminal was closed) unless started with ``nohup``."""
+
+        def on_signal(number: int, _frame: FrameType | None) -> None:
+            self.log.info("%s: stopping", signal.Signals(number).name)
+            # Not stop(): the interrupted thread may hold the inbox's lock. The loop looks at the event itself.
+            self._stop.set()
+            threading.Thread(target=self._inbox.wake, daemon=True).start()
+
+        for number in (signal.SIGTERM, signal.SIGINT, signal.SIGHUP):
+            if number != signal.SIGHUP or signal.getsignal(number) is not signal.SIG_IGN:
+                signal.signal(number, on_signal)
+
+    def _handle(self, item: Item | None) -> None:
+        try:
+            if item is not None:
+                self._work(item)
+            for timer in self._timers:
+                if time.monotonic() >= timer.due_s:
+                    timer.due_s = max(timer.due_s + timer.period_s, time.monotonic())
+                    self._began_s = time.monotonic()
+                    timer.handler()
+                    self._worked_s = time.monotonic()
+        except ServiceError as error:
+            self._failed += 1
+            name = item.name if item else "a timer"
+            if self._complaints[name].due():
+                self.log.warning("handling %s failed (%d failures so far): %s", name, self._failed, error)
+        except Exception:
+            self._failed += 1
+            self.log.exception("handling %s failed", item.name if item else "a timer")
+        finally:
+            self._began_s = None
+
+    def _work(self, item: Item) -> None:
+        began_s = self._began_s = time.monotonic()
+        self._handlers[item.name](item.content)
+        self._worked_s = time.monotonic()
+        self.metrics.hop(item.name, item.waited_s, self._worked_s - began_s)
+
+    def _decode(self, topic: Topic, payload: bytes, encoding: str) -> Message | None:
+        try:
+            message = decode(topic.message, payload, encoding)
+            if key_of(message) != topic.key(self.robot):
+                raise DecodeError(f"message of {message.robot}/{message.topic_name} on the key of {self.robot}")
+        except DecodeError as error:
+            self._bad[topic.name] += 1
+            if self._complaints[topic.name].due():
+                self.log.warning(
+                    "dropped a bad message on %s (%d so far): %s", topic.name, self._bad[topic.name], error
+                )
+            return None
+        return message
+
+    # -- health ---------------------------------------------------------------------------------------------------
+
+    def status(self) -> Status:
+        """Return how this node is; safe to call from any thread."""
+        now = time.monotonic()
+        return Status(
+            service=self.name,
+            state=self._state,
+            pid=os.getpid(),
+            connected=self.bus.connected(),
+            uptime_s=round(now - self._started_s, 3),
+            idle_s=round(now - self._worked_s, 3),
+            busy_s=round(now - began_s, 3) if (began_s := self._began_s) is not None else 0.0,
+            oldest_s=round(self._inbox.oldest_s(), 3),
+            waiting=self._inbox.waiting(),
+            received=dict(self._received),
+            published=dict(self._published),
+            dropped=dict(self._inbox.dropped),
+            bad=dict(self._bad),
+            failed=self._failed,
+            detail=self.detail(),
+        )
+
+    def close(self) -> None:
+        """Leave the bus."""
+        if self._http is not None:
+            self._http.close()
+        self.bus.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()

@@ -1,0 +1,1 @@
+"""Recordings of episodes: their format, writing, reading, recovery, and the drives that they teach."""

@@ -1,0 +1,260 @@
+"""From recordings to demonstrations: which episodes teach, and what of them.
+
+Only what the robot's camera saw, what its wheels counted and what its actuator did is used, never a true pose.
+"""
+
+from __future__ import annotations
+
+import os
+from collections import Counter
+from collections.abc import Callable, Iterable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from schemas.base import ATOMS
+from services.recordings.encoding import decode_image, is_image
+from services.recordings.reader import RecordingError, read_recording
+from services.recordings.recorded import Piece, RecordedEpisode
+from services.recordings.recorded_features import features_in
+from smal.action_space import Atom
+from smal.features import FeatureSettings, extract, select
+from smal.learning import Demonstration
+from smal.model import Model
+
+#: The library's number of each movement, by its place in ``ATOMS``.
+_NUMBERS: Final = np.array([Atom[name.upper()] for name in ATOMS], dtype=np.int8)
+
+
+@dataclass
+class Teaching:
+    """What a set of recordings teaches.
+
+    Attributes
+    ----------
+    demonstrations
+        One for each piece without gaps of each usable episode.
+    recordings
+        Files that were read.
+    episodes
+        Episodes that are used.
+    remarks
+        One line for everything that is left out, damaged or computed anew.
+    """
+
+    demonstrations: list[Demonstration] = field(default_factory=list)
+    recordings: int = 0
+    episodes: int = 0
+    remarks: list[str] = field(default_factory=list)
+
+
+class Teacher:
+    """Collects the demonstrations of one recording after the other.
+
+    Parameters
+    ----------
+    features
+        Which feature vectors, or some of those that were recorded; frames that were recorded without them have them
+        computed from their image, unless that takes depth, of which there are no images in recordings.
+    shortest
+        Frames that a piece needs in order to teach anything: one sequence.
+    include_runs
+        Whether successful runs of the robot by itself teach too.
+    """
+
+    def __init__(self, features: FeatureSettings, shortest: int, *, include_runs: bool = False) -> None:
+        self.teaching = Teaching()
+        self._features = features
+        self._shortest = shortest
+        self._include_runs = include_runs
+        self._seen: dict[tuple[str, str], Path] = {}
+
+    def read(self, path: Path) -> None:
+        """Take what a file teaches; what it lacks becomes a remark, never an exception."""
+        held = recorded_with(path, self._features)
+        try:
+            recording = read_recording(path, held.fingerprint)
+        except RecordingError as error:
+            self._remark(str(error))
+            return
+        self.teaching.recordings += 1
+        if recording.truncated:
+            frames = sum(episode.frames for episode in recording.episodes)
+            self._remark(f"{path}: truncated; the {frames} whole frames are read")
+        if recording.bad:
+            self._remark(f"{path}: {recording.bad} malformed messages are left out")
+        for episode in recording.episodes:
+            take_out(episode, held, self._features)
+            self._take(path, episode)
+
+    def _take(self, path: Path, episode: RecordedEpisode) -> None:
+        other = self._seen.setdefault((episode.robot, episode.episode), path)
+        reason = f"it is in {other} too" if other != path else unusable(episode, include_runs=self._include_runs)
+        if reason is not None:
+            self._remark(f"{path}: episode {episode.episode} is left out: {reason}")
+            return
+        damaged = forget_damaged(episode)
+        if damaged:
+            self._remark(f"{path}: episode {episode.episode}: {damaged} damaged images are left out")
+        if not episode.features and "depth" in self._features.needs:
+            lack = f"it lacks the features {','.join(self._features.modalities)}, and no image has the depth for them"
+            self._remark(f"{path}: episode {episode.episode} is left out: {lack}")
+            return
+        computed = complete(episode, self._features)
+        if computed:
+            self._remark(f"{path}: the features of {computed} frames were computed from their images")
+        pieces = [piece for piece in episode.pieces() if piece.ticks.size >= self._shortest]
+        if not pieces:
+            self._remark(f"{path}: episode {episode.episode} is left out: no {self._shortest} successive frames")
+            return
+        lost = frames_left_out(episode, pieces)
+        if lost:
+            self._remark(f"{path}: episode {episode.episode}: {lost} frames beside gaps are left out")
+        self.teaching.episodes += 1
+        self.teaching.demonstrations.extend(_demonstration(episode, piece, len(pieces) == 1) for piece in pieces)
+
+    def _remark(self, text: str) -> None:
+        self.teaching.remarks.append(text)
+
+
+def unusable(episode: RecordedEpisode, *, include_runs: bool) -> str | None:
+    """Say why an episode must not teach, or None.
+
+    An episode whose end was not recorded teaches the way, but no goal.
+    """
+    if episode.purpose == "run" and not (include_runs and episode.outcome == "found"):
+        return "the robot drove by itself (--include-runs takes such runs if they found the victim)"
+    if episode.outcome == "collision":
+        return "it ended in a collision"
+    if episode.purpose == "drive" and episode.outcome in ("timeout", "aborted"):
+        return f"it did not reach the victim ({episode.outcome})"
+    return None
+
+
+def recorded_with(path: Path, wanted: FeatureSettings) -> FeatureSettings:
+    """Return with which features a recording is to be read: the wanted ones, or else some that hold them."""
+    holding = [held for held in features_in(path) if set(wanted.modalities) <= set(held.modalities)]
+    return min(holding, key=lambda held: held.size, default=wanted)
+
+
+def take_out(episode: RecordedEpisode, held: FeatureSettings, wanted: FeatureSettings) -> None:
+    """Keep of the recorded features the wanted ones; vectors of another size than they say are forgotten."""
+    whole = {tick: vector for tick, vector in episode.features.items() if vector.shape == (held.size,)}
+    episode.features = {tick: select(vector, held, wanted) for tick, vector in whole.items()}
+
+
+def forget_damaged(episode: RecordedEpisode) -> int:
+    """Forget images that are none; return how many."""
+    damaged = [tick for tick, payload in episode.images.items() if not is_image(bytes(payload))]
+    for tick in damaged:
+        del episode.images[tick]
+    return len(damaged)
+
+
+def complete(episode: RecordedEpisode, settings: FeatureSettings) -> int:
+    """Compute the features that were not recorded, or were recorded by another version, from the images.
+
+    Returns
+    -------
+    int
+        How many were computed. A frame whose image is damaged stays without, and so does one that needs depth.
+    """
+    if not episode.images or "depth" in settings.needs:
+        return 0
+
+    def compute(tick: int) -> NDArray[np.float32] | None:
+        try:
+            return extract(decode_image(bytes(episode.images[tick])), settings)
+        except ValueError:
+            return None
+
+    missing = [tick for tick in episode.images if tick not in episode.features]
+    # OpenCV lets go of the interpreter's lock, so threads use every core.
+    with ThreadPoolExecutor(os.cpu_count()) as pool:
+        vectors = dict(zip(missing, pool.map(compute, missing), strict=True))
+    computed = {tick: vector for tick, vector in vectors.items() if vector is not None}
+    episode.features.update(computed)
+    return len(computed)
+
+
+def frames_left_out(episode: RecordedEpisode, pieces: Iterable[Piece]) -> int:
+    """Count the recorded frames that are in none of the pieces.
+
+    The very last frame is not counted: unless the victim was found, nothing was done after it.
+    """
+    recorded = episode.features.keys() | episode.images.keys()
+    kept = {tick for piece in pieces for tick in piece.ticks.tolist()}
+    return len(recorded - kept - {max(recorded)})
+
+
+def states_shared_by_episodes(model: Model) -> int:
+    """Count the states that occur in at least two episodes; two pieces of one episode share nothing yet."""
+    states: dict[str, set[int]] = {}
+    for name, stream in zip(model.names, model.state_streams, strict=True):
+        states.setdefault(name.partition("[")[0], set()).update(stream.tolist())
+    counts = Counter(state for each in states.values() for state in each)
+    return sum(count >= 2 for count in counts.values())
+
+
+def _demonstration(episode: RecordedEpisode, piece: Piece, whole: bool) -> Demonstration:
+    span = "" if whole else f"[{piece.ticks[0]}-{piece.ticks[-1]}]"
+    return Demonstration(
+        name=episode.episode + span,
+        features=piece.features,
+        atoms=_NUMBERS[piece.atoms],
+        successful=piece.at_goal,
+        recovery=episode.purpose == "recovery",
+        images=None if piece.images is None else RecordedImages(piece.images, episode.episode),
+        odometry=piece.odometry,
+        episode=episode.episode,
+        goal=episode.goal,
+        focal=episode.focal,
+    )
+
+
+class RecordedImages(Sequence[NDArray[np.uint8]]):
+    """Images as they were recorded, decoded when they are wanted."""
+
+    def __init__(
+        self,
+        recorded: Sequence[bytes | memoryview],
+        episode: str,
+        decode: Callable[[bytes], NDArray[np.uint8]] = decode_image,
+    ) -> None:
+        self.recorded = recorded
+        self._episode = episode
+        self._decode = decode
+
+    def __len__(self) -> int:
+        return len(self.recorded)
+
+    def __getitem__(self, index: Any) -> Any:  # noqa: ANN401 - a sequence is asked for numbers or slices
+        try:
+            return self._decode(bytes(self.recorded[index]))
+        except ValueError as error:
+            raise ValueError(f"an image of episode {self._episode} is damaged: {error}") from None
+
+
+def find_recordings(paths: Iterable[Path]) -> list[Path]:
+    """Return the recordings among files and folders; of a folder those in it, also unfinished ones.
+
+    Raises
+    ------
+    FileNotFoundError
+        For a path that is not there, or a folder without a recording; its text says so in one line.
+    """
+    found: list[Path] = []
+    for path in paths:
+        if not path.exists():
+            raise FileNotFoundError(f"{path}: no such file or folder")
+        here = [path]
+        if path.is_dir():
+            here = sorted(p for p in path.iterdir() if p.name.endswith((".mcap", ".mcap.partial")))
+            if not here:
+                raise FileNotFoundError(f"{path}: no recording (*.mcap) in this folder")
+        found.extend(p for p in here if p not in found)
+    return found

@@ -1,0 +1,133 @@
+"""What a message looks like in an MCAP file: images as JPEG that every viewer shows, the rest as JSON with its schema.
+
+The topic is the message's Zenoh key. The channel's metadata names robot and episode, so that episodes stay apart when
+recordings are merged, and the record's sequence number is the tick.
+"""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from typing import Any, cast
+
+import foxglove_schemas_protobuf.CompressedImage_pb2 as foxglove
+import numpy as np
+from google.protobuf.descriptor import FileDescriptor
+from google.protobuf.descriptor_pb2 import FileDescriptorSet
+from google.protobuf.message import DecodeError as ProtobufDecodeError
+from google.protobuf.timestamp_pb2 import Timestamp
+from numpy.typing import NDArray
+
+from schemas.base import Message
+from schemas.compressed_image import CompressedImage
+from services.kit.jpeg import decode_jpeg, is_jpeg
+
+
+@dataclass(frozen=True)
+class ChannelFormat:
+    """How the messages of one class are written.
+
+    Attributes
+    ----------
+    schema_name
+        Name of the schema, for viewers.
+    schema_encoding, message_encoding
+        Well-known names of the MCAP registry.
+    schema
+        The schema itself.
+    """
+
+    schema_name: str
+    schema_encoding: str
+    message_encoding: str
+    schema: bytes
+
+
+def format_of(message: type[Message]) -> ChannelFormat:
+    """Return how the messages of a class are written."""
+    if issubclass(message, CompressedImage):
+        return ChannelFormat("foxglove.CompressedImage", "protobuf", "protobuf", _image_schema())
+    schema = json.dumps(plain_json_schema(message)).encode()
+    return ChannelFormat(message.schema_name(), "jsonschema", "json", schema)
+
+
+def payload_of(message: Message) -> bytes:
+    """Return the bytes that stand in the file for a message."""
+    return _wrap(message) if isinstance(message, CompressedImage) else message.model_dump_json().encode()
+
+
+def _wrap(image: CompressedImage) -> bytes:
+    stamp = Timestamp(seconds=image.stamp_ns // 1_000_000_000, nanos=image.stamp_ns % 1_000_000_000)
+    packed = foxglove.CompressedImage(timestamp=stamp, frame_id=image.topic, data=image.data, format=image.format)
+    return packed.SerializeToString()
+
+
+def decode_image(payload: bytes) -> NDArray[np.uint8]:
+    """Return the (height, width, 3) RGB pixels of a recorded image.
+
+    Raises
+    ------
+    ValueError
+        When the payload is no image.
+    """
+    return decode_jpeg(_jpeg_of(payload))
+
+
+def is_image(payload: bytes) -> bool:
+    """Whether a recorded image begins as one; costs much less than to decode it."""
+    try:
+        return is_jpeg(_jpeg_of(payload))
+    except ValueError:
+        return False
+
+
+def _jpeg_of(payload: bytes) -> bytes:
+    try:
+        return foxglove.CompressedImage.FromString(payload).data
+    except ProtobufDecodeError:
+        raise ValueError("not a foxglove.CompressedImage") from None
+
+
+def _image_schema() -> bytes:
+    """Return the descriptors of ``foxglove.CompressedImage`` and of all that it imports, imports first."""
+    files: dict[str, FileDescriptor] = {}
+
+    def collect(file: FileDescriptor) -> None:
+        for imported in file.dependencies:
+            collect(imported)
+        files.setdefault(file.name, file)
+
+    collect(foxglove.CompressedImage.DESCRIPTOR.file)
+    descriptors = FileDescriptorSet()
+    for file in files.values():
+        file.CopyToProto(descriptors.file.add())
+    return descriptors.SerializeToString()
+
+
+def plain_json_schema(message: type[Message]) -> dict[str, Any]:
+    """Return a message's JSON Schema in the plain form that viewers read.
+
+    Foxglove wants a ``type`` in every field and knows neither ``$ref`` nor ``anyOf`` nor ``prefixItems``: references
+    are written out, a field that may be null has the type of its other values, and the values of a tuple are of one
+    kind.
+    """
+    schema = message.model_json_schema()
+    definitions = schema.pop("$defs", {})
+
+    def plain(node: Any) -> Any:  # noqa: ANN401 - any JSON value
+        if isinstance(node, list):
+            return [plain(item) for item in node]
+        if not isinstance(node, dict):
+            return node
+        if "$ref" in node:
+            node = definitions[node["$ref"].removeprefix("#/$defs/")] | {k: v for k, v in node.items() if k != "$ref"}
+        if "anyOf" in node:
+            (other,) = [option for option in node["anyOf"] if option.get("type") != "null"]
+            node = other | {k: v for k, v in node.items() if k not in ("anyOf", "default")}
+        if "prefixItems" in node:
+            first, *others = node["prefixItems"]
+            assert all(other == first for other in others)  # noqa: S101 - of our own messages
+            node = {k: v for k, v in node.items() if k != "prefixItems"} | {"items": first}
+        return {key: plain(value) for key, value in node.items()}
+
+    return cast("dict[str, Any]", plain(schema))

@@ -1,0 +1,189 @@
+"""Reads recordings back: for each episode what the camera saw and what the actuator did, tick by tick.
+
+Pure of Zenoh. Files may be truncated (their whole messages are read) and may hold several episodes (each stays by
+itself).
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+from mcap.exceptions import McapError
+from mcap.opcode import Opcode
+from mcap.records import Channel
+from pydantic import ValidationError
+
+from schemas.base import Message
+from schemas.camera_info import CameraInfo
+from schemas.command import CommandApplied
+from schemas.episode import Episode
+from schemas.observation import Observation
+from schemas.odometry import Odometry
+from schemas.pose import Pose
+from schemas.topics import APPLIED, CAMERA, CAMERA_INFO, EPISODE, JPEG, OBSERVATION, ODOMETRY, POSE, Topic, topic_of
+from services.recordings.recorded import RecordedEpisode
+from services.recordings.records import MAGIC, fields, flat_records, message_header, message_payload, view_of
+from services.recordings.sink import PARTIAL_SUFFIX, is_being_recorded
+
+#: Where images are; recordings of older versions have them, as JPEG too, on the key of the raw ones.
+_IMAGES: Final = (JPEG, CAMERA)
+
+
+class RecordingError(Exception):
+    """A file cannot be used as a recording; the text names it and says why in one line."""
+
+
+@dataclass(frozen=True, eq=False)
+class Recording:
+    """What a file holds.
+
+    Attributes
+    ----------
+    path
+        The file.
+    episodes
+        In order of appearance.
+    truncated
+        Whether the end of the file is missing.
+    bad
+        Messages that are not what their topic says; they were left out.
+    """
+
+    path: Path
+    episodes: tuple[RecordedEpisode, ...]
+    truncated: bool
+    bad: int
+
+
+def read_recording(path: Path, fingerprint: str | None = None) -> Recording:
+    """Read a recording.
+
+    Parameters
+    ----------
+    path
+        An MCAP file, finished or left behind.
+    fingerprint
+        Which feature vectors to take from the observations; none of them if not given.
+
+    Raises
+    ------
+    RecordingError
+        When the file cannot be read, is no MCAP file, holds no episode or no frame, or is still being recorded.
+    """
+    data = _open(path)
+    reader = _Reader(fingerprint)
+    try:
+        for record in flat_records(data):
+            reader.take(record.opcode, record.body)
+    except (McapError, ValueError, struct.error) as error:
+        raise RecordingError(f"{path}: damaged: {str(error) or type(error).__name__}") from None
+    episodes = tuple(episode for episode in reader.episodes.values() if episode.purpose is not None)
+    if not episodes:
+        raise RecordingError(f"{path}: holds no episode")
+    if not any(episode.frames for episode in episodes):
+        raise RecordingError(f"{path}: holds no camera frame")
+    truncated = len(data) < 2 * len(MAGIC) or data[-len(MAGIC) :] != MAGIC
+    return Recording(path, episodes, truncated, reader.bad)
+
+
+def _open(path: Path) -> memoryview:
+    try:
+        if path.suffix == PARTIAL_SUFFIX and is_being_recorded(path):
+            raise RecordingError(f"{path}: still being recorded; end the episode or stop the recorder first")
+        with path.open("rb") as file:
+            data = view_of(file.fileno())
+    except OSError as error:
+        raise RecordingError(f"{path}: {error.strerror or error}") from None
+    except ValueError:
+        raise RecordingError(f"{path}: empty") from None
+    if data[: len(MAGIC)] != MAGIC:
+        raise RecordingError(f"{path}: not an MCAP file")
+    return data
+
+
+class _Reader:
+    """Sorts the records of a file into episodes."""
+
+    def __init__(self, fingerprint: str | None) -> None:
+        self.episodes: dict[tuple[str, str], RecordedEpisode] = {}
+        self.bad = 0
+        self._fingerprint = fingerprint
+        self._channels: dict[int, tuple[Topic, str, str]] = {}
+        self._take: dict[str, Callable[[RecordedEpisode, Message], None]] = {
+            EPISODE.name: self._take_event,
+            OBSERVATION.name: self._take_observation,
+            APPLIED.name: self._take_applied,
+            POSE.name: self._take_pose,
+            ODOMETRY.name: self._take_odometry,
+            CAMERA_INFO.name: self._take_camera_info,
+        }
+
+    def take(self, opcode: int, body: memoryview) -> None:
+        """Take one record."""
+        if opcode == Opcode.CHANNEL:
+            self._take_channel(Channel.read(fields(body)))
+        elif opcode == Opcode.MESSAGE:
+            header = message_header(body)
+            if header.channel_id in self._channels:
+                topic, robot, episode = self._channels[header.channel_id]
+                self._take_message(topic, robot, episode, header.sequence, message_payload(body))
+
+    def _take_channel(self, channel: Channel) -> None:
+        topic = topic_of(channel.topic)
+        robot, episode = channel.metadata.get("robot"), channel.metadata.get("episode")
+        # Anything else in the file is other people's.
+        if topic is not None and robot is not None and episode is not None:
+            self._channels[channel.id] = (topic, robot, episode)
+
+    def _take_message(self, topic: Topic, robot: str, episode: str, tick: int, payload: memoryview) -> None:
+        record = self.episodes.setdefault((robot, episode), RecordedEpisode(robot, episode))
+        if topic in _IMAGES:
+            record.images.setdefault(tick, payload)
+            return
+        take = self._take.get(topic.name)
+        if take is None:
+            return
+        try:
+            message = topic.message.model_validate_json(bytes(payload))
+        except ValidationError:
+            self.bad += 1
+            return
+        if (message.robot, message.episode) != (robot, episode):
+            self.bad += 1
+            return
+        take(record, message)
+
+    def _take_event(self, record: RecordedEpisode, event: Message) -> None:
+        assert isinstance(event, Episode)  # noqa: S101 - by the table of topics
+        record.world, record.seed, record.purpose, record.driver = event.world, event.seed, event.purpose, event.driver
+        record.goal = event.goal
+        if event.event == "ended":
+            record.outcome, record.end_tick = event.outcome, event.tick
+
+    def _take_observation(self, record: RecordedEpisode, observation: Message) -> None:
+        assert isinstance(observation, Observation)  # noqa: S101 - by the table of topics
+        if observation.fingerprint == self._fingerprint and observation.tick not in record.features:
+            record.features[observation.tick] = observation.features.to_numpy()
+
+    def _take_applied(self, record: RecordedEpisode, applied: Message) -> None:
+        assert isinstance(applied, CommandApplied)  # noqa: S101 - by the table of topics
+        # Several in one tick: the last is what moved the robot on to the next frame.
+        last = record.applied.get(applied.tick)
+        if last is None or applied.sequence > last.sequence:
+            record.applied[applied.tick] = applied
+
+    def _take_pose(self, record: RecordedEpisode, pose: Message) -> None:
+        assert isinstance(pose, Pose)  # noqa: S101 - by the table of topics
+        record.poses.setdefault(pose.tick, pose)
+
+    def _take_odometry(self, record: RecordedEpisode, odometry: Message) -> None:
+        assert isinstance(odometry, Odometry)  # noqa: S101 - by the table of topics
+        record.odometry.setdefault(odometry.tick, (odometry.x_m, odometry.y_m, odometry.heading_rad))
+
+    def _take_camera_info(self, record: RecordedEpisode, info: Message) -> None:
+        assert isinstance(info, CameraInfo)  # noqa: S101 - by the table of topics
+        record.focal = info.focal_px / info.width

@@ -1,0 +1,70 @@
+"""Which features recordings hold, found without reading more of them than one observation an episode."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+
+from mcap.exceptions import McapError
+from mcap.opcode import Opcode
+from mcap.records import Channel
+from pydantic import ValidationError
+
+from schemas.observation import Observation
+from schemas.topics import OBSERVATION, topic_of
+from services.kit.errors import UsageError
+from services.recordings.records import MAGIC, fields, flat_records, message_header, message_payload, view_of
+from smal.features import FeatureSettings, settings_of
+
+
+def features_of_recordings(paths: Iterable[Path]) -> FeatureSettings:
+    """Return the features that recordings hold; the usual ones if they hold none that this version makes.
+
+    Raises
+    ------
+    UsageError
+        When they hold different ones.
+    """
+    found: dict[FeatureSettings, Path] = {}
+    for path in paths:
+        for features in features_in(path):
+            found.setdefault(features, path)
+    if len(found) > 1:
+        each = "; ".join(f"{path} holds {','.join(features.modalities)}" for features, path in found.items())
+        raise UsageError(f"the recordings hold different features ({each}): choose with --modalities")
+    return next(iter(found), FeatureSettings())
+
+
+def features_in(path: Path) -> tuple[FeatureSettings, ...]:
+    """Return the features in a recording, those of each episode once.
+
+    Not those of another version, and none of a file that cannot be read: reading it says why.
+    """
+    try:
+        with path.open("rb") as file:
+            data = view_of(file.fileno())
+        if data[: len(MAGIC)] != MAGIC:
+            return ()
+        prints = dict.fromkeys(_fingerprints(data))
+    except (OSError, McapError, ValueError, struct.error):
+        return ()
+    known = (settings_of(fingerprint) for fingerprint in prints)
+    return tuple(features for features in known if features is not None)
+
+
+def _fingerprints(data: memoryview) -> Iterator[str]:
+    """Yield the fingerprint of the first readable observation of every channel: one an episode."""
+    waiting: set[int] = set()
+    for record in flat_records(data):
+        if record.opcode == Opcode.CHANNEL:
+            channel = Channel.read(fields(record.body))
+            if topic_of(channel.topic) is OBSERVATION:
+                waiting.add(channel.id)
+        elif record.opcode == Opcode.MESSAGE and (channel_id := message_header(record.body).channel_id) in waiting:
+            try:
+                observation = Observation.model_validate_json(bytes(message_payload(record.body)))
+            except ValidationError:
+                continue
+            waiting.remove(channel_id)
+            yield observation.fingerprint

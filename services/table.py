@@ -1,0 +1,120 @@
+"""The one table of services: ``smal up``, ``smal doctor``, ``smal topic`` and the drawn graph are derived from it.
+
+A new service is a folder and a row here. What the rows say is checked where all services run (`tests/system`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Final, Literal
+
+from schemas import topics
+from schemas.topics import COMMANDS, TOPICS, Topic
+
+
+@dataclass(frozen=True)
+class Service:
+    """One row of the table.
+
+    Attributes
+    ----------
+    name
+        Part of the keys of its queryables.
+    meaning
+        What it does, in a few words.
+    takes, gives
+        Topics that it may subscribe to, and publish.
+    image
+        Target of the Dockerfile that it runs in; None for what is no process of its own in a stack.
+    module
+        What ``python -m`` runs; ``services.<name>`` if not given.
+    """
+
+    name: str
+    meaning: str
+    takes: tuple[Topic, ...] = ()
+    gives: tuple[Topic, ...] = ()
+    image: Literal["services", "recognition", "simulator"] | None = "services"
+    module: str = ""
+
+    @property
+    def command(self) -> tuple[str, str]:
+        """Arguments of Python that run it."""
+        return "-m", self.module or f"services.{self.name}"
+
+
+#: The services by name; those with an image are started by ``smal up``, in this order.
+SERVICES: Final = {
+    service.name: service
+    for service in (
+        Service("router", "passes messages on"),
+        Service(
+            "simulator",
+            "world, robot and the gate before its wheels",
+            takes=tuple(COMMANDS.values()),
+            gives=(
+                *(topics.CAMERA, topics.JPEG, topics.CAMERA_INFO, topics.DEPTH, topics.OVERHEAD),
+                *(topics.ODOMETRY, topics.IMU, topics.POSE, topics.APPLIED, topics.EPISODE),
+            ),
+            image="simulator",
+        ),
+        Service("features", "describes images", (topics.CAMERA, topics.DEPTH), (topics.OBSERVATION,)),
+        Service(
+            "recognition",
+            "knows where the robot is",
+            (topics.OBSERVATION, topics.ODOMETRY, topics.APPLIED),
+            (topics.STATE,),
+            image="recognition",
+        ),
+        Service("policy", "decides", (topics.STATE,), (topics.ACTION, COMMANDS["policy"]), image="recognition"),
+        Service("recorder", "writes recordings", tuple(topic for topic in TOPICS.values() if topic.recorded)),
+        Service("tracker", "measures the robot's pose from above", (topics.OVERHEAD,), (topics.TRACKED,)),
+        Service(
+            "teleop",
+            "a person at the keyboard",
+            (topics.APPLIED, topics.EPISODE),
+            (COMMANDS["teleop"], COMMANDS["emergency_stop"]),
+            image=None,
+        ),
+        Service(
+            "expert",
+            "drives by the map, to demonstrate",
+            (topics.POSE, topics.OBSERVATION),
+            (COMMANDS["expert"],),
+            image=None,
+        ),
+    )
+}
+
+
+def stack_services() -> tuple[str, ...]:
+    """Return the names of the services of a stack, in the order in which they start, the router first."""
+    return tuple(service.name for service in SERVICES.values() if service.image is not None)
+
+
+def givers(topic: Topic) -> tuple[str, ...]:
+    """Return who publishes a topic."""
+    return tuple(service.name for service in SERVICES.values() if topic in service.gives)
+
+
+def takers(topic: Topic) -> tuple[str, ...]:
+    """Return who subscribes to a topic."""
+    return tuple(service.name for service in SERVICES.values() if topic in service.takes)
+
+
+def graph() -> str:
+    """Return services and topics as a Mermaid flowchart, which GitHub draws; the recorder takes what is recorded."""
+    return "\n".join(_graph())
+
+
+def _graph() -> Iterator[str]:
+    yield "flowchart LR"
+    for service in SERVICES.values():
+        if service.takes or service.gives:
+            yield f'    {service.name}["<b>{service.name}</b><br>{service.meaning}"]'
+    for giver in SERVICES.values():
+        for taker in SERVICES.values():
+            shared = [topic.name for topic in giver.gives if topic in taker.takes]
+            if shared:
+                yield f"    {giver.name} -- {'<br>'.join(shared)} --> {taker.name}"

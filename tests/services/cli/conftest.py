@@ -1,0 +1,102 @@
+"""``smal`` in this process, and ``smal topic`` as a process that listens."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+
+from schemas.base import Message
+from services.cli.main import main
+from services.kit.bus import Bus
+from tests.services.waiting import eventually
+
+ROOT = Path(__file__).parents[3]
+SMAL = [sys.executable, "-c", "from services.cli.main import main; main()"]
+
+Smal = Callable[..., tuple[int, str, str]]
+
+
+@pytest.fixture
+def smal(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Smal:
+    """Run a command in this process; returns exit status, output and errors."""
+
+    def run(*arguments: str) -> tuple[int, str, str]:
+        monkeypatch.setattr(sys, "argv", ["smal", *arguments])
+        with pytest.raises(SystemExit) as ended:
+            main()
+        out, err = capsys.readouterr()
+        assert isinstance(ended.value.code, int)
+        return ended.value.code, out, err
+
+    return run
+
+
+class Listening:
+    """A ``smal topic`` process that listens, and a robot that talks until it has heard something."""
+
+    def __init__(self, client: Bus, *arguments: str) -> None:
+        self._client = client
+        self.process = subprocess.Popen(
+            [*SMAL, "topic", *arguments, "--router", client.endpoint],
+            cwd=ROOT,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+        )
+        assert self.process.stdout is not None
+        assert self.process.stderr is not None
+        os.set_blocking(self.process.stdout.fileno(), False)
+
+    def lines_until(self, count: int, *messages: Message) -> list[str]:
+        """Publish until that many lines have been printed."""
+
+        def talk() -> None:
+            for message in messages:
+                self._client.publish(message)
+
+        return self.lines_while(count, talk)
+
+    def lines_while(self, count: int, talk: Callable[[], None]) -> list[str]:
+        """Let the robot talk until that many lines have been printed."""
+        printed: list[str] = []
+
+        def enough() -> bool:
+            talk()
+            assert self.process.stdout is not None
+            printed.extend(self.process.stdout.readlines())
+            return len(printed) >= count
+
+        eventually(enough, timeout_s=20.0)
+        return printed
+
+    def end(self) -> tuple[int, str, str]:
+        """Press Ctrl-C; returns exit status, what was not yet read of the output, and the errors."""
+        assert self.process.stdout is not None
+        os.set_blocking(self.process.stdout.fileno(), True)
+        self.process.send_signal(signal.SIGINT)
+        out, err = self.process.communicate(timeout=10.0)
+        return self.process.returncode, out, err
+
+
+Listen = Callable[..., Listening]
+
+
+@pytest.fixture
+def listen(client: Bus) -> Iterator[Listen]:
+    """Start listeners; what still runs after the test is ended."""
+    started: list[Listening] = []
+
+    def start(*arguments: str) -> Listening:
+        started.append(Listening(client, *arguments))
+        return started[-1]
+
+    yield start
+    for listening in started:
+        listening.process.kill()
+        listening.process.communicate()

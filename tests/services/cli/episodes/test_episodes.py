@@ -1,0 +1,217 @@
+"""The client that has episodes run, and what `smal run` makes of them."""
+
+from __future__ import annotations
+
+from functools import partial
+from pathlib import Path
+from typing import cast
+
+import pytest
+
+from schemas.action import Action
+from schemas.base import Message
+from schemas.episode import Episode, Outcome
+from schemas.rpc import EndRequest, LoadReply, LoadRequest, ResetReply, ResetRequest
+from services.cli.episodes.client import EpisodeClient, EpisodeRecord, check_world_of
+from services.cli.options import Camera, camera_of_own_stack
+from services.cli.run import CHAIN, _check_models, _run_all, summarise
+from services.cli.simulator_options import simulator_of_own_stack
+from services.cli.stack.processes import Access
+from services.kit.errors import JobError, UsageError
+from services.kit.model_service import identity_of
+from services.kit.node import EXIT_FAILED, Node, ServiceError
+from services.kit.settings import ServiceSettings
+from services.robot.outcome import RunOutcome
+from tests import corridor
+from tests.services.cli.conftest import Smal
+from tests.services.conftest import RunNode
+
+REQUEST = ResetRequest(seed=3)
+CAUSE = Message(robot="rescuebot", episode="e", tick=0, stamp_ns=0)
+
+
+class FakeSimulator:
+    """Begins an episode in the world "campus", with decisions of some kinds, and ends it at tick 4 when asked to."""
+
+    decisions = (("follow", 4), ("look_around", None), ("guess", 5), ("stop", 5), ("look_around", None))
+    outcome: Outcome = "found"
+
+    def __init__(self, node: Node) -> None:
+        self._node = node
+        self.ended: list[str] = []
+        node.serve("reset", ResetRequest, self.reset)
+        node.serve("end", EndRequest, self.end)
+
+    def reset(self, _request: ResetRequest) -> ResetReply:
+        for tick, (kind, state) in enumerate(self.decisions):
+            cause = CAUSE.model_copy(update={"tick": tick})
+            self._node.publish(Action.after(cause, kind=kind, state=state, atoms=("left",), arrived=kind == "goal"))
+        return ResetReply(episode="e", world="campus", route=((0.0, 0.0), (1.0, 0.0)), speed_m_s=2.0, found_m=5.0)
+
+    def end(self, request: EndRequest) -> None:
+        self.ended.append(request.episode)
+        last = CAUSE.model_copy(update={"tick": 4})
+        self._node.publish(
+            Episode.after(
+                last, event="ended", purpose="run", driver="policy", world="campus", seed=3, outcome=self.outcome
+            )
+        )
+
+
+@pytest.fixture
+def simulator(settings: ServiceSettings, run_node: RunNode) -> FakeSimulator:
+    node = Node("simulator", settings)
+    fake = FakeSimulator(node)
+    run_node(node)
+    return fake
+
+
+def test_decisions_without_a_state_and_before_the_end_are_counted(
+    simulator: FakeSimulator, settings: ServiceSettings
+) -> None:
+    client = EpisodeClient("test", settings)
+    client.node.bus.wait_connected(5.0)
+    try:
+        record = client.run(REQUEST, done=lambda: bool(client._record and len(client._record.decisions) == 5))
+    finally:
+        client.close()
+    assert list(record.decisions.values()) == ["follow", "look_around", "guess", "stop"]
+    assert record.unknown == 1
+    assert simulator.ended == ["e"]
+
+
+@pytest.mark.parametrize(("truth", "outcome"), [("found", "found"), ("aborted", "false_goal")])
+def test_a_robot_that_says_that_it_has_arrived_is_judged(
+    truth: Outcome, outcome: RunOutcome, simulator: FakeSimulator, settings: ServiceSettings
+) -> None:
+    simulator.decisions, simulator.outcome = (("follow", 4), ("goal", 9)), truth
+    client = EpisodeClient("test", settings)
+    client.node.bus.wait_connected(5.0)
+    try:
+        record = client.run(REQUEST)
+    finally:
+        client.close()
+    assert (record.outcome, record.arrived, simulator.ended) == (outcome, True, ["e"])
+
+
+def test_only_a_robot_that_drives_itself_arrives(simulator: FakeSimulator, settings: ServiceSettings) -> None:
+    simulator.decisions = (("goal", 9), ("goal", 9), ("follow", 4))
+    client = EpisodeClient("test", settings)
+    client.node.bus.wait_connected(5.0)
+    try:
+        request = ResetRequest(seed=3, purpose="drive", driver="expert")
+        record = client.run(request, done=lambda: bool(client._record and len(client._record.decisions) == 3))
+    finally:
+        client.close()
+    assert (record.outcome, record.arrived) == ("found", False)
+
+
+def test_another_world_than_asked_for_is_an_error_and_its_episode_is_ended(
+    simulator: FakeSimulator, settings: ServiceSettings
+) -> None:
+    client = EpisodeClient("test", settings)
+    client.node.bus.wait_connected(5.0)
+    try:
+        with pytest.raises(JobError, match="the stack runs campus, not yard; start it with --world yard"):
+            client.run(REQUEST, on_begin=partial(check_world_of, wanted="yard"))
+    finally:
+        client.close()
+    assert simulator.ended == ["e"]
+
+
+def test_an_aborted_run_is_an_error_after_the_finished_ones(settings: ServiceSettings, tmp_path: Path) -> None:
+    class Client:
+        def run(self, request: ResetRequest, **_: object) -> EpisodeRecord:
+            return EpisodeRecord(request, outcome="found" if request.seed < 3 else "aborted")
+
+    records: list[EpisodeRecord] = []
+    requests = [ResetRequest(seed=seed) for seed in (1, 2, 3, 4)]
+    access = Access(settings, lambda: None, tmp_path)
+    with pytest.raises(JobError) as caught:
+        records.extend(_run_all(cast("EpisodeClient", Client()), requests, access, "yard"))
+    assert str(caught.value) == (
+        f"run with seed 3: no command came; see the logs of recognition and policy ({tmp_path})"
+    )
+    assert [one["seed"] for one in summarise("yard", records)["episodes"]] == [1, 2]  # type: ignore[attr-defined]
+
+
+@pytest.mark.parametrize("others", ["fedcba9876543210", None])
+@pytest.mark.parametrize("wrong", CHAIN)
+def test_results_of_another_model_are_an_error(
+    wrong: str, others: str | None, settings: ServiceSettings, run_node: RunNode
+) -> None:
+    has: dict[str, str | None] = dict.fromkeys(CHAIN, "0123456789abcdef")
+    for service in CHAIN:
+        node = Node(service, settings)
+        node.detail = lambda service=service: {"checksum": has[service]}  # type: ignore[misc]
+        run_node(node)
+    client = EpisodeClient("test", settings)
+    client.node.bus.wait_connected(5.0)
+    try:
+        _check_models(client, "0123456789abcdef", None)
+        has[wrong] = others
+        with pytest.raises(JobError, match=f"^{wrong} has model {others or 'none'}, not 0123456789abcdef"):
+            _check_models(client, "0123456789abcdef", None)
+    finally:
+        client.close()
+
+
+@pytest.mark.parametrize(
+    ("flags", "start", "kidnap_tick"),
+    [((), "start", None), (("--start", "anywhere"), "anywhere", None), (("--kidnap", "5"), "start", 5)],
+)
+def test_start_and_kidnap_reach_the_simulator(
+    flags: tuple[str, ...], start: str, kidnap_tick: int | None, settings: ServiceSettings, run_node: RunNode,
+    tmp_path: Path, smal: Smal,
+) -> None:  # fmt: skip
+    asked: list[ResetRequest] = []
+    loaded: list[LoadRequest] = []
+    path = corridor.save_model(tmp_path / "mapped.smal")
+    identity = identity_of(corridor.model())
+
+    def reset(request: ResetRequest) -> ResetReply:
+        asked.append(request)
+        raise ServiceError("enough seen")
+
+    def load(request: LoadRequest) -> LoadReply:
+        loaded.append(request)
+        return LoadReply(states=1, templates=1, sequence_length=1, keyframes=1, scheme="filter", stride=1)
+
+    fakes = {name: Node(name, settings) for name in ("simulator", "features", *CHAIN)}
+    fakes["simulator"].serve("reset", ResetRequest, reset)
+    fakes["features"].detail = lambda: {"fingerprint": corridor.FEATURES.fingerprint}
+    for name in CHAIN:
+        fakes[name].detail = lambda: {"checksum": identity}
+        fakes[name].serve("load", LoadRequest, load)
+    for node in fakes.values():
+        run_node(node)
+    status, _, said = smal("run", "--model", str(path), "--world", "yard", "--episodes", "1", *flags,
+                           "--connect", settings.router)  # fmt: skip
+    assert (status, said.splitlines()[-1]) == (EXIT_FAILED, "smal: simulator reset: enough seen")
+    assert [(one.start, one.kidnap_tick, one.purpose) for one in asked] == [(start, kidnap_tick, "run")]
+    assert [(one.scheme, one.stride) for one in loaded] == [("filter", None)] * 2
+
+
+def test_the_simulator_s_options_become_its_flags() -> None:
+    plain = simulator_of_own_stack("yard", "64x48", None)
+    assert plain.flags() == ("--world", "yard", "--camera-width", "64", "--camera-height", "48")
+    assert simulator_of_own_stack("yard", "64x48", None, shake=0.5).flags() == (*plain.flags(), "--shake", "0.5")
+
+
+@pytest.mark.parametrize("shake", [float("nan"), float("inf"), -0.1, 10.5])
+def test_a_shake_that_is_none(shake: float) -> None:
+    with pytest.raises(UsageError, match=rf"^--shake {shake:g}: from 0 to 10$"):
+        simulator_of_own_stack("yard", None, None, shake=shake)
+
+
+def test_what_a_running_stack_has_cannot_be_chosen() -> None:
+    assert simulator_of_own_stack("yard", None, "tcp/127.0.0.1:1").camera == Camera(1024, 768)
+    with pytest.raises(UsageError, match=r"^--shake: with --connect .* `smal up`$"):
+        simulator_of_own_stack("yard", None, "tcp/127.0.0.1:1", shake=0.0)
+
+
+def test_camera_belongs_to_the_stack_that_is_started() -> None:
+    assert camera_of_own_stack(None, "tcp/127.0.0.1:1") == Camera(1024, 768)
+    assert camera_of_own_stack("64x48", None) == Camera(64, 48)
+    with pytest.raises(UsageError, match="--connect"):
+        camera_of_own_stack("64x48", "tcp/127.0.0.1:1")

@@ -1,0 +1,134 @@
+"""``smal topic latency`` as an operator runs it, against a real router."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Callable, Iterator, Sequence
+from typing import Any
+
+import pytest
+
+from schemas.action import Action
+from schemas.base import Message
+from schemas.command import Command, CommandApplied
+from schemas.image import Image
+from schemas.observation import Observation
+from schemas.pose import Pose
+from schemas.state import State
+from schemas.topics import APPLIED, COMMANDS
+from services.cli.listening import latency_command
+from services.kit.bus import Bus
+from tests.schemas.messages import EXAMPLES
+from tests.services.cli.conftest import Smal
+from tests.services.waiting import eventually
+
+Measured = Callable[..., tuple[int, str, str]]
+CHAIN: tuple[type[Message], ...] = (Pose, Image, Observation, State, Action, Command, CommandApplied)
+
+
+class Robot:
+    """Talks like a stack that the policy drives: every call is one message further."""
+
+    def __init__(self, client: Bus, chain: Sequence[type[Message]]) -> None:
+        self._client = client
+        self._chain = chain
+        self._calls = 0
+
+    def __call__(self) -> None:
+        tick, step = divmod(self._calls, len(self._chain))
+        self._calls += 1
+        cls = self._chain[step]
+        changes: dict[str, Any] = {"tick": tick}
+        if cls is Command:
+            changes |= {"source": "policy"}
+        if cls is CommandApplied:
+            changes |= {"source": "policy", "answered_tick": tick, "latency_ns": 12_000_000}
+        self._client.publish(EXAMPLES[cls].model_copy(update=changes))
+
+
+@pytest.fixture
+def measured(smal: Smal, client: Bus, router_endpoint: str, monkeypatch: pytest.MonkeyPatch) -> Iterator[Measured]:
+    """Run the command while the robot drives, until it must have heard several ticks."""
+    witness = Bus("rescuebot", router_endpoint)
+    stranger = client._sessions[True].declare_publisher(COMMANDS["teleop"].key("rescuebot"))
+
+    def run(*arguments: str, without: tuple[type[Message], ...] = (), rubbish: bool = False) -> tuple[int, str, str]:
+        robot = Robot(client, [cls for cls in CHAIN if cls not in without])
+
+        def wait(_what: str, _seconds: float) -> None:
+            # The router passes subscriptions on in the background, this later one after those of the command.
+            heard: list[bytes] = []
+            witness.subscribe(APPLIED, lambda payload, *_: heard.append(payload))
+
+            def enough() -> bool:
+                robot()
+                if rubbish:
+                    stranger.put(b"\xc1")
+                return len(heard) >= 20
+
+            eventually(enough, timeout_s=20.0)
+
+        monkeypatch.setattr(latency_command, "wait", wait)
+        return smal("topic", "latency", *arguments, "--router", router_endpoint)
+
+    yield run
+    witness.close()
+
+
+def hops(rows: list[dict[str, Any]]) -> list[tuple[str, str]]:
+    return [(row["from"], row["to"]) for row in rows]
+
+
+@pytest.mark.parametrize(("arguments", "frame"), [((), "pose/truth"), (("--camera",), "camera/rgb")])
+def test_from_frame_to_command(measured: Measured, arguments: tuple[str, ...], frame: str) -> None:
+    status, out, _ = measured("--json", *arguments)
+    assert status == 0
+    found = json.loads(out)
+    assert found["frame"] == frame
+    assert found["frames"] >= 5
+    every, decisions = found["drivers"]["policy"]["all"], found["drivers"]["policy"]["decisions"]
+    assert hops(every) == [
+        ("frame", "observation"),
+        ("observation", "state"),
+        ("state", "command/policy"),
+        ("frame", "command/policy"),
+        ("command/policy", "command/applied"),
+        ("frame", "accepted"),
+    ]
+    assert all(row["ticks"] >= 5 and row["p50_ms"] <= row["p95_ms"] <= row["max_ms"] for row in every)
+    assert every[3]["p50_ms"] > 0
+    assert every[-1]["p50_ms"] == pytest.approx(12.0)
+    assert hops(decisions) == hops(every)
+
+
+def test_for_people(measured: Measured) -> None:
+    status, out, _ = measured()
+    assert status == 0
+    lines = out.splitlines()
+    assert lines[0].split() == ["policy,", "every", "tick", "ticks", "p50", "ms", "p95", "ms", "max", "ms"]
+    assert lines[1].startswith("  frame -> observation ")
+    assert lines[7].startswith("policy, ticks with a decision ")
+    assert len({len(line) for line in lines}) == 1
+
+
+def test_a_robot_without_true_pose(measured: Measured) -> None:
+    status, out, err = measured("--json", without=(Pose,))
+    assert (status, out) == (1, "")
+    assert err == (
+        "smal: commands to rescuebot came, but no pose/truth; for a robot without it: smal topic latency --camera\n"
+    )
+
+
+def test_rubbish_is_counted(measured: Measured) -> None:
+    status, _, err = measured(rubbish=True)
+    assert status == 0
+    assert re.fullmatch(r"smal: \d+ messages could not be decoded; see smal topic echo\n", err)
+
+
+def test_nobody_drives(smal: Smal, router_endpoint: str) -> None:
+    code, out, err = smal("topic", "latency", "--seconds", "0.1", "--router", router_endpoint)
+    assert (code, out) == (1, "")
+    assert err.splitlines()[1:] == [
+        "smal: nobody drove rescuebot; drive it with smal teleop, or smal run --connect, and measure again"
+    ]

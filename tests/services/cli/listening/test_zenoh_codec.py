@@ -1,0 +1,220 @@
+"""The codec for zenoh-cli: alone, and inside the real ``zenoh`` command against a real router."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+import tomllib
+from collections.abc import Callable, Iterator
+from contextlib import suppress
+from importlib.util import find_spec
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from schemas.base import Message
+from schemas.codec import encode, encoding_of
+from schemas.command import Command
+from schemas.image import Image
+from schemas.rpc import Nothing
+from schemas.topics import TOPICS
+from services.cli.listening.zenoh_codec import decode_to_json, encode_from_json
+from services.kit.bus import Bus
+from tests.schemas.messages import EXAMPLES, any_message
+from tests.services.waiting import eventually
+
+ROOT = Path(__file__).parents[4]
+GROUPS = {
+    "zenoh_cli.codecs.decoders": {"smal": "services.cli.listening.zenoh_codec:decode_to_json"},
+    "zenoh_cli.codecs.encoders": {"smal": "services.cli.listening.zenoh_codec:encode_from_json"},
+}
+TELEOP = "smal/rescuebot/command/teleop"
+
+
+def key_of(message: Message) -> str:
+    return TOPICS[message.topic_name].key(message.robot)
+
+
+# -- alone ------------------------------------------------------------------------------------------------------------
+
+
+@given(any_message)
+def test_json_gives_back_the_payload(message: Message) -> None:
+    payload = encode(message)
+    assert encode_from_json(key_of(message), message.model_dump_json()) == payload
+    line = decode_to_json(key_of(message), payload)
+    assert line.isprintable()
+    assert set(json.loads(line)) == set(type(message).model_fields)
+
+
+def test_what_was_decoded_can_be_sent_again() -> None:
+    payload = encode(EXAMPLES[Command])
+    assert encode_from_json(TELEOP, decode_to_json(TELEOP, payload)) == payload
+
+
+def test_binary_data_is_its_length() -> None:
+    line = decode_to_json("smal/rescuebot/camera/rgb", encode(EXAMPLES[Image]))
+    assert json.loads(line)["data"] == {"bytes": 6}
+
+
+@pytest.mark.parametrize(
+    ("key", "payload", "reason"),
+    [
+        ("other/key", b"x", "no topic of SMAL"),
+        (TELEOP, b"\xc1", "not msgpack"),
+        (TELEOP, b"", "not msgpack"),
+        (TELEOP, encode(EXAMPLES[Image]), "at most|Field required"),
+        ("smal/stranger/command/teleop", encode(EXAMPLES[Command]), "holds a message of rescuebot/command/teleop"),
+        ("smal/rescuebot/rpc/simulator/status", b"\xff", "not JSON"),
+        ("smal/rescuebot/rpc/simulator/status", b"[" * 100_000, "not JSON"),
+    ],
+)
+def test_a_bad_payload_is_an_error_object(key: str, payload: bytes, reason: str) -> None:
+    found = json.loads(decode_to_json(key, payload))
+    assert set(found) == {"error", "bytes"}
+    assert found["bytes"] == len(payload)
+    assert any(part in found["error"] for part in reason.split("|"))
+
+
+@given(st.sampled_from([topic.key("rescuebot") for topic in TOPICS.values()]) | st.text(), st.binary())
+def test_no_payload_raises(key: str, payload: bytes) -> None:
+    assert len(decode_to_json(key, payload).splitlines()) == 1
+
+
+def test_a_key_that_is_no_string() -> None:
+    class KeyExpr:
+        def __str__(self) -> str:
+            return TELEOP
+
+    assert json.loads(decode_to_json(KeyExpr(), encode(EXAMPLES[Command])))["atom"] == "forward"  # type: ignore[arg-type]
+
+
+def test_calls_are_json() -> None:
+    assert decode_to_json("smal/rescuebot/rpc/simulator/status", b'{"a":\n1}') == '{"a": 1}'
+    assert encode_from_json("smal/rescuebot/rpc/simulator/end", '{"a":1}') == b'{"a": 1}'
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "reason"),
+    [
+        ("smal/*/command/teleop", "{}", r"smal/\*/command/teleop is no topic of SMAL"),
+        (TELEOP, "nonsense", r"smal\.Command/1: message: Invalid JSON"),
+        (TELEOP, '{"robot": "rescuebot"}', r"smal\.Command/1: episode: Field required \(and \d more\)"),
+        (TELEOP, EXAMPLES[Command].model_copy(update={"speed": 2.0}).model_dump_json(), "speed: "),
+        (TELEOP, EXAMPLES[Command].model_copy(update={"source": "policy"}).model_dump_json(), "does not belong on"),
+        (TELEOP, EXAMPLES[Command].model_copy(update={"robot": "other"}).model_dump_json(), "does not belong on"),
+        ("smal/rescuebot/rpc/simulator/end", "nonsense", "Expecting value"),
+    ],
+)
+def test_what_is_no_message_is_not_encoded(key: str, value: str, reason: str) -> None:
+    with pytest.raises(ValueError, match=reason) as refused:
+        encode_from_json(key, value)
+    assert len(str(refused.value).splitlines()) == 1
+
+
+def test_the_codec_does_not_import_zenoh() -> None:
+    module = "services.cli.listening.zenoh_codec"
+    code = f"import sys, {module}; sys.exit('zenoh' in sys.modules or 'typer' in sys.modules)"
+    subprocess.run([sys.executable, "-c", code], cwd=ROOT, check=True)
+
+
+def test_the_package_names_the_codec() -> None:
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    assert {group: project.get("entry-points", {}).get(group) for group in GROUPS} == GROUPS
+
+
+# -- inside zenoh-cli -------------------------------------------------------------------------------------------------
+
+Zenoh = Callable[..., subprocess.Popen[str]]
+needs_zenoh_cli = pytest.mark.skipif(find_spec("zenoh_cli") is None, reason="zenoh-cli is not installed")
+
+
+@pytest.fixture
+def zenoh(router_endpoint: str, tmp_path: Path) -> Iterator[Zenoh]:
+    """Run the ``zenoh`` command; it finds the codec as that of an installed package, which this one may not be."""
+    package = tmp_path / "smal_codec-0.dist-info"
+    package.mkdir()
+    (package / "METADATA").write_text("Metadata-Version: 2.1\nName: smal-codec\nVersion: 0\n")
+    groups = (f"[{group}]\n" + "".join(f"{n} = {v}\n" for n, v in plugins.items()) for group, plugins in GROUPS.items())
+    (package / "entry_points.txt").write_text("".join(groups))
+    started: list[subprocess.Popen[str]] = []
+
+    def run(*arguments: str) -> subprocess.Popen[str]:
+        where = ("--mode", "client", "--connect", router_endpoint, "--cfg", "scouting/multicast/enabled:false")
+        child = subprocess.Popen(
+            [sys.executable, "-m", "zenoh_cli", *where, *arguments],
+            env=os.environ | {"PYTHONPATH": os.pathsep.join([str(tmp_path), str(ROOT)])},
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+        )
+        started.append(child)
+        return child
+
+    yield run
+    for child in started:
+        child.kill()
+        child.communicate()
+
+
+@needs_zenoh_cli
+def test_zenoh_subscribe_shows_decoded_messages(zenoh: Zenoh, client: Bus) -> None:
+    listener = zenoh("subscribe", "-k", "smal/**", "--decoder", "smal", "--line", "{key} {value}")
+    assert listener.stdout is not None
+    os.set_blocking(listener.stdout.fileno(), False)
+    said = bytearray()
+    stranger = client._sessions[False].declare_publisher("smal/rescuebot/state")
+
+    def heard() -> bool:
+        client.publish(EXAMPLES[Command])
+        client.publish(EXAMPLES[Image])
+        stranger.put(b"\xc1")
+        with suppress(BlockingIOError):
+            said.extend(os.read(listener.stdout.fileno(), 1 << 20))
+        return len(lines()) == 3
+
+    def lines() -> dict[str, str]:
+        """Give the last whole line of each key."""
+        return dict(line.split(" ", 1) for line in said.decode().split("\n")[:-1])
+
+    eventually(heard, timeout_s=20.0)
+    assert json.loads(lines()[TELEOP]) == EXAMPLES[Command].model_dump()
+    assert json.loads(lines()["smal/rescuebot/camera/rgb"])["data"] == {"bytes": 6}
+    assert "not msgpack" in json.loads(lines()["smal/rescuebot/state"])["error"]
+
+
+@needs_zenoh_cli
+def test_zenoh_put_sends_a_valid_payload_without_its_encoding(zenoh: Zenoh, client: Bus) -> None:
+    heard: list[tuple[str, bytes, str]] = []
+    client.listen("smal/**", lambda *sample: heard.append(sample))
+    value = EXAMPLES[Command].model_dump_json()
+
+    def put() -> bool:
+        child = zenoh("put", "-k", TELEOP, "--encoder", "smal", "-v", value)
+        assert child.wait(20.0) == 0
+        return bool(heard)
+
+    eventually(put, timeout_s=60.0)
+    # What the services refuse it for; if zenoh-cli ever sends it, the docstring of the codec is to be changed.
+    assert heard[0] == (TELEOP, encode(EXAMPLES[Command]), "zenoh/bytes")
+    assert heard[0][2] != encoding_of(Command)
+
+
+@needs_zenoh_cli
+def test_zenoh_put_sends_nothing_that_is_no_message(zenoh: Zenoh) -> None:
+    child = zenoh("put", "-k", TELEOP, "--encoder", "smal", "-v", '{"robot": "rescuebot"}')
+    _, errors = child.communicate(timeout=20.0)
+    assert child.returncode == 1
+    assert errors.splitlines()[-1] == "ValueError: smal.Command/1: episode: Field required (and 4 more)"
+
+
+@needs_zenoh_cli
+def test_zenoh_get_shows_a_services_status(zenoh: Zenoh, client: Bus) -> None:
+    client.serve("simulator", "status", lambda _request, reply: reply(Nothing()))
+    child = zenoh("get", "-s", "smal/rescuebot/rpc/simulator/status", "--decoder", "smal")
+    out, _ = child.communicate(timeout=20.0)
+    assert (child.returncode, out) == (0, "{}\n")

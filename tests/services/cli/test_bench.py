@@ -1,0 +1,92 @@
+"""``smal bench``: which benchmarks there are, how they are started, and every mistake as one line."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import pytest
+
+from services.cli import bench
+from services.cli import main as cli
+from services.kit.node import EXIT_FAILED, EXIT_USAGE
+
+PROBE = """
+import json, os, sys
+print(json.dumps([sys.argv[1:], {k: v for k, v in os.environ.items() if k.endswith("_NUM_THREADS")}, os.getcwd()]))
+sys.exit(3)
+if __name__ == "__main__":
+    pass
+"""
+
+
+def run(monkeypatch: pytest.MonkeyPatch, *arguments: object) -> object:
+    monkeypatch.setattr(sys, "argv", ["smal", "bench", *map(str, arguments)])
+    with pytest.raises(SystemExit) as ended:
+        cli.main()
+    return ended.value.code
+
+
+def test_a_benchmark_runs_with_its_threads_fixed_where_the_user_is(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    folder = tmp_path / "checkout" / "tests" / "benchmarks"
+    (folder / "probe").mkdir(parents=True)
+    for package in (folder.parent, folder, folder / "probe"):
+        (package / "__init__.py").touch()
+    (folder / "probe" / "__main__.py").write_text(PROBE)
+    (folder / "helper.py").write_text("X = 1\n")
+    monkeypatch.setattr(bench, "FOLDER", folder)
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "tests").mkdir()
+    assert bench.benchmarks(folder) == ["probe"]
+    status = run(monkeypatch, "probe", "--json", "a.json", "--speed", "7", "--quick", "--threads", "2")
+    said, wrong = capfd.readouterr()
+    assert (status, wrong) == (3, "")
+    assert '["--json", "a.json", "--quick", "--speed", "7"]' in said
+    assert said.count('_NUM_THREADS": "2"') >= 4
+    assert str(tmp_path) in said
+
+
+def test_recognition_is_known() -> None:
+    assert "recognition" in bench.benchmarks(bench.FOLDER)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "line"),
+    [
+        (["juggling"], f"no benchmark 'juggling'; known are: {', '.join(bench.benchmarks(bench.FOLDER))}"),
+        (["recognition", "--json", "."], "--json .: is a folder; give the name of a file"),
+        (["recognition", "--json", "no/where.json"], "--json no/where.json: no folder no"),
+        (["recognition", "--out", "file"], "--out file: is a file, not a folder"),
+        (["recognition", "--images", "nowhere"], "--images nowhere: no such folder"),
+        (["recognition", "--images", "."], "--images .: needs images, in it or in its folders ref and query"),
+        (["recognition", "--recordings", "nowhere"], "--recordings nowhere: no such file or folder"),
+        (["recognition", "--mode"], "argument --mode: expected one argument"),
+        (["recognition", "--fast"], "unrecognized arguments: --fast"),
+    ],
+)  # fmt: skip
+def test_every_mistake_is_one_line(
+    arguments: list[str], line: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "file").touch()
+    assert run(monkeypatch, *arguments) == EXIT_USAGE
+    assert capfd.readouterr() == ("", f"smal: {line}\n")
+
+
+def test_without_a_checkout_there_are_none(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(bench, "FOLDER", tmp_path / "tests" / "benchmarks")
+    assert run(monkeypatch, "recognition") == EXIT_FAILED
+    said = capfd.readouterr().err
+    assert said.startswith("smal: benchmarks need a checkout of the project")
+    assert said.count("\n") == 1
+
+
+def test_help_has_an_example(monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]) -> None:
+    assert run(monkeypatch, "--help") == 0
+    assert "Example: smal bench recognition --json results.json" in capfd.readouterr().out
+    assert run(monkeypatch, "recognition", "--", "--help") == 0
+    assert "--recordings DIR" in capfd.readouterr().out

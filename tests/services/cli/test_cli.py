@@ -1,0 +1,130 @@
+"""Whatever a command raises is one line and the promised exit status; and what `smal up` gives its services."""
+
+from __future__ import annotations
+
+import errno
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from schemas.rpc import ResetRequest
+from services.cli import main as cli
+from services.cli.up import _chain_flags
+from services.kit.errors import UsageError
+from services.kit.node import EXIT_FAILED, EXIT_USAGE
+from services.kit.version import program_version
+from tests import corridor
+from tests.services.chain import FEATURES, LENGTH, save_model
+from tests.services.cli.conftest import ROOT, Smal
+
+
+@pytest.mark.parametrize(
+    ("raised", "status", "line"),
+    [
+        (OSError(errno.ENOSPC, "No space left on device", "/data/x.json"), EXIT_FAILED,
+         "smal: /data/x.json: No space left on device\n"),
+        (OSError("the disk is gone"), EXIT_FAILED, "smal: the disk is gone\n"),
+        (TimeoutError(), EXIT_FAILED, "smal: TimeoutError\n"),
+        (KeyboardInterrupt(), 130, "smal: interrupted\n"),
+    ],
+)  # fmt: skip
+def test_every_error_is_one_line(
+    raised: BaseException, status: int, line: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def fail(**_: object) -> None:
+        raise raised
+
+    monkeypatch.setattr(cli, "app", fail)
+    with pytest.raises(SystemExit) as ended:
+        cli.main()
+    assert (ended.value.code, capsys.readouterr().err) == (status, line)
+
+
+def test_a_value_that_no_message_can_carry_is_bad_use(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(cli, "app", lambda **_: ResetRequest(seed=-1))
+    with pytest.raises(SystemExit) as ended:
+        cli.main()
+    said = capsys.readouterr().err
+    assert ended.value.code == EXIT_USAGE
+    assert said.startswith("smal: seed: ")
+    assert said.count("\n") == 1
+
+
+def test_recognition_and_policy_have_their_model_from_the_start(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    model, mapped = save_model(tmp_path / "corridor.smal"), corridor.save_model(tmp_path / "mapped.smal")
+    paper = ("--model", str(model), "--scheme", "paper")
+    assert _chain_flags(None, "filter", None, None) == ((), None)
+    assert _chain_flags(Path("corridor.smal"), "paper", 2, None) == ((*paper, "--stride", "2"), FEATURES)
+    assert _chain_flags(Path("corridor.smal"), "paper", None, None) == (paper, FEATURES)
+    own = ("--model", str(mapped), "--scheme", "filter")
+    assert _chain_flags(Path("mapped.smal"), "filter", None, None) == (own, corridor.FEATURES)
+    named = _chain_flags(Path("mapped.smal"), "filter", None, "victim")
+    assert named == ((*own, "--goal", "victim"), corridor.FEATURES)
+    for path, scheme, stride, goal, line in (
+        (None, "paper", 2, None, "--stride 2: needs --model"),
+        (None, "filter", None, "office", "--goal office: needs --model"),
+        (tmp_path / "none", "filter", None, None, "No such file"),
+        (mapped, "filter", None, "office", "the model has no goal 'office'; it has victim"),
+        (model, "paper", None, "victim", "goal 'victim': the paper's scheme goes to the nearest goal"),
+        (model, "paper", LENGTH + 1, None, f"stride must be 1 to the sequence length {LENGTH}, got {LENGTH + 1}"),
+        (model, "filter", None, None, "the model has no map of views"),
+        (mapped, "filter", 2, None, "only the paper's scheme has a stride"),
+    ):
+        with pytest.raises(UsageError, match=line):
+            _chain_flags(path, scheme, stride, goal)
+
+
+@pytest.mark.parametrize("command", ["run", "up"])
+@pytest.mark.parametrize(
+    ("name", "flags", "line"),
+    [
+        ("mapped", ("--stride", "2"), "stride 2: the filter decides at every frame; only the paper"),
+        ("mapped", ("--scheme", "paper", "--stride", "4"), f"stride must be 1 to the sequence length {LENGTH}, got 4"),
+        ("corridor", (), "the model has no map of views: no drive to the goal that it was learned from has images"),
+        ("mapped", ("--scheme", "dream"), "'dream' is not one of 'filter', 'paper'"),
+    ],
+)
+def test_a_scheme_that_does_not_go_with_the_model_is_bad_use(
+    command: str, name: str, flags: tuple[str, ...], line: str, tmp_path: Path, smal: Smal
+) -> None:
+    save_model(tmp_path / "corridor.smal")
+    corridor.save_model(tmp_path / "mapped.smal")
+    status, _, said = smal(command, "--world", "yard", "--model", str(tmp_path / f"{name}.smal"), *flags)
+    assert status == EXIT_USAGE
+    assert said.startswith("smal: ")
+    assert line in said
+    assert said.count("\n") == 1
+
+
+@pytest.mark.parametrize("name", sorted(cli.COMMANDS))
+def test_every_command_of_the_list_explains_itself(name: str, smal: Smal) -> None:
+    """In its help, with an example, and in one line of a terminal."""
+    status, out, err = smal(name, "--help")
+    assert (status, err) == (0, "")
+    assert out.startswith(f"Usage: smal {name} ")
+    assert f"Example: smal {name}" in out
+    assert len(cli.COMMANDS[name][1]) <= 55
+
+
+def test_help_and_version_load_no_command(smal: Smal) -> None:
+    status, out, _ = smal("--help")
+    assert status == 0
+    assert all(f"  {name} " in out for name in cli.COMMANDS)
+    program = (
+        "import sys; from services.cli.main import main; sys.argv = ['smal', '--version']\n"
+        "try: main()\n"
+        "finally: print([name for name in ('numpy', 'pydantic', 'cv2', 'zenoh') if name in sys.modules])"
+    )
+    done = subprocess.run([sys.executable, "-c", program], cwd=ROOT, capture_output=True, text=True, check=True)
+    assert done.stdout == f"smal {program_version()}\n[]\n"
+
+
+def test_a_command_that_is_none_is_named_and_another_suggested(smal: Smal) -> None:
+    assert smal("mach") == (2, "", "smal: No such command 'mach'. Did you mean 'match'?\n")

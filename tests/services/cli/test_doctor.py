@@ -1,0 +1,133 @@
+"""``smal doctor``: each check finds what works, and names what does not in words that help."""
+
+from __future__ import annotations
+
+import json
+import socket
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from services.cli.checks import (
+    Check,
+    check_disk,
+    check_port,
+    check_python,
+    check_rendering,
+    check_zenoh,
+)
+from services.cli.main import main
+from services.kit.node import Node
+from services.kit.settings import ServiceSettings
+from tests.services.conftest import RunNode
+
+
+def printing(text: str, ending: str = "") -> tuple[str, ...]:
+    """Return a command that prints a text, in place of the renderer's probe."""
+    return (sys.executable, "-c", f"print({text!r}); {ending}")
+
+
+@pytest.mark.parametrize(("version", "ok"), [((3, 10), False), ((3, 11), True), ((3, 13), True), ((3, 14), False)])
+def test_python(version: tuple[int, int], ok: bool) -> None:
+    assert check_python(version).ok is ok
+
+
+@pytest.mark.parametrize(
+    ("software", "kind"), [(True, "Some Driver (software, on the CPU)"), (False, "Some Driver (GPU)")]
+)
+def test_rendering_names_the_driver(software: bool, kind: str) -> None:
+    answer = json.dumps({"driver": "Some Driver", "software": software, "seconds": 1.5})
+    assert check_rendering(printing(f"noise of a driver\n{answer}")) == Check(
+        "rendering", True, f"{kind}; first frame after 1.5 s"
+    )
+
+
+@pytest.mark.parametrize(
+    ("command", "text"),
+    [
+        (printing('{"error": "no Vulkan driver found; install Mesa"}'), "no Vulkan driver found; install Mesa"),
+        (printing("", "import os; os.kill(os.getpid(), 11)"), "the Vulkan driver crashed (SIGSEGV); update it"),
+        (printing("", "raise SystemExit('no module sapien')"), "the renderer failed: no module sapien; install with"),
+        (printing("", "raise SystemExit(3)"), "the renderer failed: it said nothing; install with deploy/setup.sh"),
+        (printing("[1]"), "the renderer failed: "),
+    ],
+    ids=["named", "crash", "exception", "silence", "nonsense"],
+)
+def test_rendering_that_fails(command: tuple[str, ...], text: str) -> None:
+    check = check_rendering(command)
+    assert not check.ok
+    assert check.text.startswith(text)
+
+
+@pytest.mark.rendering
+def test_rendering_for_real() -> None:
+    check = check_rendering()
+    assert check.ok, check.text
+
+
+def test_zenoh() -> None:
+    check = check_zenoh()
+    assert check.ok
+    assert check.text.startswith("a message through a router takes ")
+
+
+def test_a_free_port(free_endpoint: str) -> None:
+    assert check_port(free_endpoint) == Check("port", True, f"{free_endpoint} is free")
+
+
+def test_a_port_of_a_running_stack(router_endpoint: str, settings: ServiceSettings, run_node: RunNode) -> None:
+    run_node(Node("simulator", settings))
+    check = check_port(router_endpoint)
+    assert check == Check("port", True, f"{router_endpoint} is used by the running stack of rescuebot: simulator")
+
+
+def test_a_port_of_a_router_without_services(router_endpoint: str) -> None:
+    check = check_port(router_endpoint)
+    assert not check.ok
+    assert "a Zenoh router without services of rescuebot; stop it (ss -ltnp" in check.text
+
+
+@pytest.fixture
+def stranger() -> Iterator[str]:
+    with socket.socket() as listening:
+        listening.bind(("127.0.0.1", 0))
+        listening.listen()
+        yield f"tcp/127.0.0.1:{listening.getsockname()[1]}"
+
+
+def test_a_port_of_something_else(stranger: str) -> None:
+    check = check_port(stranger)
+    assert not check.ok
+    assert "used by something that is no Zenoh router; stop it" in check.text
+    assert "SMAL_ROUTER" in check.text
+
+
+@pytest.mark.parametrize("endpoint", ["nonsense", "tcp/127.0.0.1:99999", "tcp/no-such-host.invalid:7447"])
+def test_an_address_that_cannot_be(endpoint: str) -> None:
+    check = check_port(endpoint)
+    assert not check.ok
+    assert endpoint in check.text
+
+
+def test_disk(tmp_path: Path) -> None:
+    assert check_disk(tmp_path, needed_gb=0.0).ok
+    full = check_disk(tmp_path, needed_gb=1e9)
+    assert not full.ok
+    assert str(tmp_path) in full.text
+
+
+def test_a_problem_is_one_line_and_exit_status_1(
+    stranger: str, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("VK_ICD_FILENAMES", "/no/such/driver.json")
+    monkeypatch.setattr(sys, "argv", ["smal", "doctor", "--router", stranger])
+    with pytest.raises(SystemExit) as ended:
+        main()
+    out, err = capfd.readouterr()
+    assert (ended.value.code, err) == (1, "")
+    lines = out.splitlines()
+    assert [line.split()[1] for line in lines] == ["python", "disk", "zenoh", "port", "rendering"]
+    assert [line.split()[0] for line in lines] == ["ok", "ok", "ok", "problem", "problem"]
+    assert "/no/such/driver.json" in lines[-1]

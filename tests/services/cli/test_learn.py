@@ -1,0 +1,322 @@
+"""``smal learn``: which recordings teach, what is said of the others, and a model at the end."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from schemas.array import Float32Array
+from schemas.base import Message
+from schemas.camera_info import CameraInfo
+from schemas.compressed_image import CompressedImage
+from schemas.episode import Outcome, Purpose
+from schemas.observation import Observation
+from schemas.odometry import Odometry
+from services.cli.learn import learn
+from services.kit.errors import JobError, UsageError
+from services.kit.jpeg import encode_jpeg
+from services.recordings.dataset import Teacher, find_recordings
+from services.recordings.reader import read_recording
+from services.recordings.writer import EpisodeWriter
+from smal.action_space import Atom
+from smal.features import FeatureSettings, extract
+from smal.model import Model
+from smal.novelty import WeightTest
+from smal.reward import RewardError
+from smal.virtual_views import USUAL_FOCAL
+from tests import corridor
+from tests.services.recordings.recorded_messages import applied, event, header
+from tests.services.recordings.test_recorder_files import leave, record
+
+FEATURES = corridor.FEATURES
+
+
+def view(position: int) -> np.ndarray:
+    return corridor.view(*odometry(position))
+
+
+def depth(position: int) -> np.ndarray:
+    """Return how far away things are where the robot is; what is bright sticks out."""
+    return (500 + 20 * view(position)[..., 0].astype(np.uint16)).astype(np.uint16)
+
+
+def odometry(position: int) -> tuple[float, float, float]:
+    return corridor.STEP_M * position, 0.0, 0.0
+
+
+def drive(name: str, first: int = 0, frames: int = 40, outcome: Outcome = "found", purpose: Purpose = "drive",
+          fingerprint: str | None = None, features: FeatureSettings = FEATURES) -> list[Message]:  # fmt: skip
+    """Drive along the corridor, two frames forward and one to the left, in turn."""
+    messages: list[Message] = [event(name, 0, "started", purpose=purpose)]
+    for tick in range(frames):
+        pixels = view(first + tick)
+        cause = header(name, tick)
+        messages.append(CompressedImage.after(cause, width=64, height=48, data=encode_jpeg(pixels)))
+        x_m, y_m, heading_rad = odometry(first + tick)
+        messages.append(
+            Odometry.after(cause, x_m=x_m, y_m=y_m, heading_rad=heading_rad, speed_m_s=2.0, turn_rate_rad_s=0.0)
+        )
+        vector = Float32Array.from_numpy(extract(pixels, features, depth(first + tick)))
+        named = fingerprint or features.fingerprint
+        messages.append(Observation.after(cause, fingerprint=named, features=vector))
+        messages.append(applied(name, tick, atom="left" if tick % 3 == 2 else "forward"))
+    if outcome == "found":
+        messages.append(event(name, frames - 1, "victim_found", purpose=purpose))
+    return [*messages, event(name, frames - 1, "ended", outcome, purpose=purpose)]
+
+
+@pytest.fixture
+def drives(tmp_path: Path) -> Path:
+    folder = tmp_path / "drives"
+    folder.mkdir()
+    for number in range(3):
+        record(folder, drive(f"drive-{number}"))
+    record(folder, drive("recovery-1", first=10, frames=20, outcome="timeout", purpose="recovery"))
+    return folder
+
+
+def teach(*paths: Path, features: FeatureSettings = FEATURES, **options: bool) -> Teacher:
+    teacher = Teacher(features, shortest=5, **options)
+    for path in find_recordings(paths):
+        teacher.read(path)
+    return teacher
+
+
+def test_a_model_with_shared_states_is_learned(
+    drives: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out, report = tmp_path / "models" / "corridor.smal", tmp_path / "report.json"
+    learn([drives], out, length=5, json_file=report)
+    model = Model.load(out)
+    assert (model.sequence_length, model.recovery) == (5, (False, False, False, True))
+    assert model.successful == (True, True, True, False)
+    said = json.loads(report.read_text())
+    assert (said["recordings"], said["episodes"], said["frames"]) == (4, 4, 140)
+    assert said["shared_states"] == said["states"] == 8
+    assert said["remarks"] == []
+    text = capsys.readouterr().out
+    assert "shared states 8" in text
+    assert "frames        140" in text
+
+
+def test_what_was_recorded_is_what_teaches(drives: Path) -> None:
+    teaching = teach(drives).teaching
+    assert [one.name for one in teaching.demonstrations] == ["drive-0", "drive-1", "drive-2", "recovery-1"]
+    one = teaching.demonstrations[0]
+    assert [Atom(atom).name for atom in one.atoms[:4]] == ["FORWARD", "FORWARD", "LEFT", "FORWARD"]
+    assert Atom(one.atoms[-1]) is Atom.STOP
+    np.testing.assert_array_equal(one.features[7], extract(view(7), FEATURES))
+    assert teaching.demonstrations[3].atoms[-1] == Atom.FORWARD
+
+
+def test_features_of_another_version_are_computed_from_the_images(drives: Path) -> None:
+    path = record(drives, drive("old", fingerprint="00000000ffff"))
+    teaching = teach(path).teaching
+    (one,) = teaching.demonstrations
+    assert teaching.remarks == [f"{path}: the features of 40 frames were computed from their images"]
+    cosines = [one.features[tick] @ extract(view(tick), FEATURES) for tick in range(40)]
+    assert min(cosines) > 0.98
+
+
+@pytest.mark.parametrize(
+    ("purpose", "outcome", "reason"),
+    [
+        ("drive", "collision", "it ended in a collision"),
+        ("recovery", "collision", "it ended in a collision"),
+        ("drive", "timeout", "it did not reach the victim (timeout)"),
+        ("drive", "aborted", "it did not reach the victim (aborted)"),
+        ("run", "found", "the robot drove by itself (--include-runs takes such runs if they found the victim)"),
+        ("run", "timeout", "the robot drove by itself (--include-runs takes such runs if they found the victim)"),
+    ],
+)
+def test_what_must_not_teach_is_left_out(tmp_path: Path, purpose: Purpose, outcome: Outcome, reason: str) -> None:
+    path = record(tmp_path, drive("e", purpose=purpose, outcome=outcome))
+    assert teach(path).teaching.remarks == [f"{path}: episode e is left out: {reason}"]
+    with pytest.raises(JobError, match="episode e is left out"):
+        learn([path], tmp_path / "model.smal")
+
+
+def test_successful_runs_teach_on_request(tmp_path: Path) -> None:
+    for name, outcome in (("good", "found"), ("bad", "timeout")):
+        record(tmp_path, drive(name, purpose="run", outcome=outcome))
+    assert [one.name for one in teach(tmp_path, include_runs=True).teaching.demonstrations] == ["good"]
+
+
+def test_a_gap_splits_a_drive(tmp_path: Path) -> None:
+    messages = [m for m in drive("e") if m.tick not in (10, 12)]
+    teaching = teach(record(tmp_path, messages)).teaching
+    assert [one.name for one in teaching.demonstrations] == ["e[0-9]", "e[13-39]"]
+    assert [one.successful for one in teaching.demonstrations] == [False, True]
+    assert teaching.remarks == [f"{tmp_path}/e.mcap: episode e: 1 frames beside gaps are left out"]
+
+
+def test_two_pieces_of_one_drive_share_no_state(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    there, back = drive("e"), drive("e")
+    path = record(tmp_path, [*there[:-1], *(m.model_copy(update={"tick": m.tick + 50}) for m in back[1:])])
+    learn([path], tmp_path / "model.smal", length=5)
+    model = Model.load(tmp_path / "model.smal")
+    assert model.names == ("e[0-39]", "e[50-89]")
+    assert model.shared_states == 8
+    assert "shared states 0 (seen in at least two episodes)" in capsys.readouterr().out
+
+
+def test_a_reward_that_is_not_found_fails_the_job(
+    drives: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fail(*_: object) -> None:
+        raise RewardError("the reward program of 8 states was not solved")
+
+    monkeypatch.setattr("smal.learning.learn_reward", fail)
+    with pytest.raises(JobError, match="not solved"):
+        learn([drives], tmp_path / "model.smal")
+
+
+def test_an_episode_teaches_once(drives: Path, tmp_path: Path) -> None:
+    copy = tmp_path / "copy.mcap"
+    copy.write_bytes((drives / "drive-1.mcap").read_bytes())
+    teaching = teach(drives, copy, drives / "drive-1.mcap").teaching
+    assert len(teaching.demonstrations) == 4
+    assert teaching.remarks == [f"{copy}: episode drive-1 is left out: it is in {drives / 'drive-1.mcap'} too"]
+
+
+def test_damaged_recordings_are_named_and_the_rest_teaches(
+    drives: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    cut, foreign = drives / "drive-2.mcap", drives / "x.mcap"
+    cut.write_bytes(cut.read_bytes()[: cut.stat().st_size // 2])
+    foreign.write_bytes(b"not a recording")
+    living = EpisodeWriter.begin(drives, event("living", 0, "started"))
+    leave(drives, drive("left-behind", frames=20)[:-1])
+    learn([drives], tmp_path / "model.smal")
+    said = capsys.readouterr().err
+    (whole,) = read_recording(cut).episodes
+    assert f"smal: {cut}: truncated; the {whole.frames} whole frames are read\n" in said
+    assert f"smal: {foreign}: not an MCAP file\n" in said
+    assert f"smal: {drives}/living.mcap.partial: still being recorded;" in said
+    assert f"smal: {drives}/left-behind.mcap.partial: truncated; the 20 whole frames are read\n" in said
+    assert Model.load(tmp_path / "model.smal").successful == (True, True, False, False, False)
+    living.seal()
+
+
+def test_every_mistake_is_one_line(drives: Path, tmp_path: Path) -> None:
+    out, empty = tmp_path / "model.smal", tmp_path / "empty"
+    empty.mkdir()
+    bad = tmp_path / "bad.mcap"
+    bad.write_bytes(b"")
+    failed = record(tmp_path, drive("failed", purpose="recovery", outcome="aborted"))
+    for paths, options, kind, line in (
+        ([tmp_path / "none"], {}, UsageError, f"{tmp_path}/none: no such file or folder"),
+        ([empty], {}, UsageError, f"{empty}: no recording (*.mcap) in this folder"),
+        ([drives], {"gamma": 1.5}, UsageError, "gamma"),
+        ([drives], {"gamma": float("nan")}, UsageError, "gamma"),
+        ([drives], {"lambda2": float("inf")}, UsageError, "lambda2 must be finite and positive, got inf"),
+        ([drives], {"lambda1": -1.0}, UsageError, "lambda1 must be finite and positive, got -1.0"),
+        ([bad], {}, JobError, f"{bad}: empty"),
+        ([drives], {"length": 41}, JobError, "nothing to learn from in 4 recordings, for the reasons above"),
+        ([failed], {}, JobError, "cannot learn from these recordings: "),
+    ):
+        with pytest.raises(kind) as caught:
+            learn(paths, out, **options)
+        assert line in str(caught.value)
+        assert "\n" not in str(caught.value)
+    with pytest.raises(UsageError, match="is a folder"):
+        learn([drives], tmp_path)
+    for place in (bad, bad / "deeper"):
+        with pytest.raises(UsageError, match="--out"):
+            learn([drives], place / "model.smal")
+    with pytest.raises(UsageError, match=r"--json .*no folder"):
+        learn([drives], out, json_file=tmp_path / "none" / "report.json")
+    for tau in (-0.1, float("nan"), float("inf")):
+        with pytest.raises(UsageError, match="--tau"):
+            learn([drives], out, tau=tau)
+    assert not out.exists()
+
+
+def test_the_papers_test_is_chosen_by_its_threshold(drives: Path, tmp_path: Path) -> None:
+    learn([drives], tmp_path / "model.smal", tau=0.4)
+    model = Model.load(tmp_path / "model.smal")
+    assert (model.novelty, model.novelty_parameters) == ("weight", {"tau": 0.4})
+
+
+def test_one_drive_gives_a_map_of_views_and_the_papers_scheme_none(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path, report = record(tmp_path, drive("drive-0")), tmp_path / "report.json"
+    learn([path], tmp_path / "mapped.smal", json_file=report)
+    visual_map = Model.load(tmp_path / "mapped.smal").mapped
+    assert visual_map.odometry
+    np.testing.assert_array_equal(visual_map.poses, [odometry(tick) for tick in range(40)])
+    keyframes = len(visual_map.keyframes)
+    assert json.loads(report.read_text())["keyframes"] == keyframes > 10
+    assert f"keyframes     {keyframes} of the map of views\n" in capsys.readouterr().out
+    learn([path], tmp_path / "paper.smal", scheme="paper")
+    model = Model.load(tmp_path / "paper.smal")
+    assert model.visual_map is None
+    assert (model.novelty, model.novelty_parameters) == ("weight", {"tau": WeightTest().tau})
+    assert "keyframes     none: no map of views\n" in capsys.readouterr().out
+
+
+def test_a_drive_with_a_lost_frame_is_one_way_of_the_map(tmp_path: Path) -> None:
+    path = record(tmp_path, [message for message in drive("e") if message.tick != 10])
+    learn([path], tmp_path / "model.smal")
+    model = Model.load(tmp_path / "model.smal")
+    assert model.names == ("e[0-9]", "e[11-39]")
+    assert set(model.mapped.drives.tolist()) == {0}
+    np.testing.assert_array_equal(model.mapped.poses, [odometry(tick) for tick in range(40) if tick != 10])
+
+
+@pytest.mark.parametrize("kind", [CompressedImage, Odometry])
+def test_a_frame_without_image_or_odometry_is_left_out_and_the_rest_is_one_way(
+    tmp_path: Path, kind: type[Message]
+) -> None:
+    lost = [m for m in drive("e") if not (isinstance(m, kind) and m.tick == 20)]
+    learn([record(tmp_path, lost)], tmp_path / "model.smal")
+    visual_map = Model.load(tmp_path / "model.smal").mapped
+    assert visual_map.odometry
+    np.testing.assert_array_equal(visual_map.poses, [odometry(tick) for tick in range(40) if tick != 20])
+
+
+def test_the_camera_of_a_recording_is_that_of_the_map(tmp_path: Path) -> None:
+    info = CameraInfo.after(header("e", 0), width=640, height=480, focal_px=450.0, centre_x_px=320.0, centre_y_px=240.0)
+    for name, messages, focal in (
+        ("estimated", drive("e"), USUAL_FOCAL),
+        ("told", [*drive("e")[:1], info, *drive("e")[1:]], pytest.approx(450.0 / 640.0)),
+    ):
+        (tmp_path / name).mkdir()
+        learn([record(tmp_path / name, messages)], tmp_path / "model.smal")
+        # A straight drive does not tell its camera: a usual one is assumed.
+        assert Model.load(tmp_path / "model.smal").mapped.scene[0] == focal
+
+
+def damaged(messages: list[Message], *ticks: int) -> list[Message]:
+    """Return the messages, images at some ticks cut off after their beginning."""
+    return [
+        m.model_copy(update={"data": m.data[:60]}) if isinstance(m, CompressedImage) and m.tick in ticks else m
+        for m in messages
+    ]
+
+
+def test_a_damaged_image_is_a_remark_and_the_rest_teaches(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = record(tmp_path, damaged(drive("e"), 7, 20))
+    learn([path], tmp_path / "model.smal")
+    assert f"smal: {path}: episode e: 2 damaged images are left out\n" in capsys.readouterr().err
+    model = Model.load(tmp_path / "model.smal")
+    np.testing.assert_array_equal(model.mapped.poses, [odometry(tick) for tick in range(40) if tick not in (7, 20)])
+
+
+def test_drives_with_cameras_of_different_sizes_make_one_map(tmp_path: Path) -> None:
+    large = [
+        CompressedImage.after(m, width=128, height=96, data=encode_jpeg(corridor.view(*odometry(m.tick), scale=2)))
+        if isinstance(m, CompressedImage)
+        else m
+        for m in drive("large")
+    ]
+    paths = [record(tmp_path, drive("small")), record(tmp_path, large)]
+    learn(paths, tmp_path / "model.smal")
+    views = Model.load(tmp_path / "model.smal").mapped.views
+    small, large_views = np.split(views, 2)
+    cosines = (small * large_views).sum(axis=-1) / np.linalg.norm(small, axis=-1) / np.linalg.norm(large_views, axis=-1)
+    assert cosines.min() > 0.7

@@ -1,0 +1,144 @@
+"""``smal learn --modalities``: from which of the recorded features a model is learned."""
+
+from __future__ import annotations
+
+import json
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from services.cli.learn import learn
+from services.kit.errors import JobError, UsageError
+from services.recordings.recorded_features import features_in, features_of_recordings
+from smal.features import FeatureSettings, extract
+from smal.model import Model
+from tests.services.cli.test_learn import depth, teach, view
+from tests.services.cli.test_learn import drive as drive_with
+from tests.services.recordings.test_recorder_files import leave, record
+
+FEATURES = FeatureSettings()
+ALL = FeatureSettings.of(("color", "hog", "depth"))
+drive = partial(drive_with, features=FEATURES)
+
+
+@pytest.fixture(autouse=True)
+def _without_map(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Leave out the map of views, which takes seconds with these features; ``test_learn`` has it."""
+    monkeypatch.setattr("smal.learning._map_views", lambda *_: None)
+
+
+@pytest.fixture
+def with_depth(tmp_path: Path) -> Path:
+    folder = tmp_path / "drives"
+    folder.mkdir()
+    for number in range(2):
+        record(folder, drive(f"drive-{number}", features=ALL))
+    return folder
+
+
+def test_without_a_choice_the_recordings_decide(with_depth: Path, tmp_path: Path) -> None:
+    out, report = tmp_path / "model.smal", tmp_path / "report.json"
+    learn([with_depth], out, json_file=report)
+    assert Model.load(out).feature_settings == ALL
+    said = json.loads(report.read_text())
+    assert (said["modalities"], said["weights"]) == (["color", "hog", "depth"], [1.0, 1.0, 1.0])
+    assert said["remarks"] == []
+
+
+@pytest.mark.parametrize("names", ["color,hog", "depth", "hog,depth", "depth,color"])
+def test_any_of_the_recorded_modalities_can_be_learned_from(with_depth: Path, names: str) -> None:
+    wanted = FeatureSettings.parse(names)
+    teaching = teach(with_depth, features=wanted).teaching
+    assert teaching.remarks == []
+    for one in teaching.demonstrations:
+        expected = np.stack([extract(view(tick), wanted, depth(tick)) for tick in range(40)])
+        np.testing.assert_array_equal(one.features, expected)
+
+
+def test_the_model_of_a_subset_is_that_of_a_recording_without_the_rest(with_depth: Path, tmp_path: Path) -> None:
+    plain = tmp_path / "plain"
+    plain.mkdir()
+    for number in range(2):
+        record(plain, drive(f"drive-{number}"))
+    learn([plain], tmp_path / "plain.smal")
+    learn([with_depth], tmp_path / "subset.smal", modalities="color,hog")
+    assert Model.load(tmp_path / "subset.smal").checksum == Model.load(tmp_path / "plain.smal").checksum
+
+
+def test_weights_go_with_the_modalities_in_their_order(
+    with_depth: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "model.smal"
+    learn([with_depth], out, modalities="depth,hog", weights="3,1")
+    assert Model.load(out).feature_settings == FeatureSettings(("depth", "hog"), (3.0, 1.0))
+    assert "features      depth (weight 3) hog (weight 1)\n" in capsys.readouterr().out
+    learn([with_depth], out, weights="1,1,2")
+    model = Model.load(out)
+    assert model.feature_settings == FeatureSettings(ALL.modalities, (1.0, 1.0, 2.0))
+    shares = [np.square(model.templates[where]).sum(axis=0) for where in ALL.slices]
+    np.testing.assert_allclose(shares[2] / shares[0], 4.0, rtol=1e-3)
+
+
+def test_depth_is_in_no_image(with_depth: Path, tmp_path: Path) -> None:
+    path = record(tmp_path, drive("plain"))
+    teaching = teach(path, features=ALL).teaching
+    reason = "it lacks the features color,hog,depth, and no image has the depth for them"
+    line = f"{path}: episode plain is left out: {reason}"
+    assert (teaching.demonstrations, teaching.remarks) == ([], [line])
+    with pytest.raises(JobError, match="it lacks the features depth, and no image has"):
+        learn([path], tmp_path / "model.smal", modalities="depth")
+    mixed = teach(with_depth, path, features=ALL).teaching
+    assert (len(mixed.demonstrations), mixed.remarks) == (2, [line])
+
+
+def test_frames_whose_depth_never_came_are_a_gap(tmp_path: Path) -> None:
+    kept = [m for m in drive("e", features=ALL) if not (m.topic == "observation" and m.tick in (10, 11))]
+    teaching = teach(record(tmp_path, kept), features=ALL).teaching
+    assert [one.name for one in teaching.demonstrations] == ["e[0-9]", "e[12-39]"]
+    assert teaching.remarks == [f"{tmp_path}/e.mcap: episode e: 2 frames beside gaps are left out"]
+
+
+def test_recordings_with_different_features_need_a_choice(with_depth: Path, tmp_path: Path) -> None:
+    path = record(with_depth, drive("plain"))
+    with pytest.raises(UsageError) as caught:
+        learn([with_depth], tmp_path / "model.smal")
+    assert "\n" not in str(caught.value)
+    for part in (f"{with_depth}/drive-0.mcap holds color,hog,depth", f"{path} holds color,hog)", "with --modalities"):
+        assert part in str(caught.value)
+    learn([with_depth], tmp_path / "model.smal", modalities="color,hog")
+    assert len(Model.load(tmp_path / "model.smal").names) == 3
+
+
+def test_what_says_nothing_of_its_features_leaves_the_usual_ones(tmp_path: Path) -> None:
+    old = record(tmp_path, drive("old", fingerprint="00000000ffff"))
+    foreign, empty = tmp_path / "foreign.mcap", tmp_path / "empty.mcap"
+    foreign.write_bytes(b"not a recording")
+    empty.write_bytes(b"")
+    paths = [old, foreign, empty, tmp_path / "none.mcap"]
+    assert [features_in(path) for path in paths] == [()] * 4
+    assert features_of_recordings(paths) == FEATURES
+    whole = record(tmp_path, drive("whole", features=ALL))
+    assert features_of_recordings([*paths, whole]) == ALL
+    left = leave(tmp_path, drive("left", features=ALL)[:-1])
+    cut = tmp_path / "cut.mcap"
+    cut.write_bytes(whole.read_bytes()[: whole.stat().st_size // 2])
+    assert features_in(cut) == features_in(left) == (ALL,)
+
+
+@pytest.mark.parametrize(
+    ("options", "line"),
+    [
+        ({"modalities": "color,smell"}, "--modalities color,smell: unknown feature modality 'smell'; known are"),
+        ({"modalities": "hog,hog"}, "--modalities hog,hog: the feature modality hog is named twice"),
+        ({"modalities": "hog", "weights": "1,2"}, "--weights 1,2: 1 modalities need as many weights, got 2"),
+        ({"weights": "1,0,1"}, "--weights 1,0,1: modality weights must be finite and positive"),
+        ({"weights": "heavy"}, "--weights heavy: modality weights must be numbers separated by commas"),
+    ],
+)
+def test_a_wrong_choice_is_one_line(with_depth: Path, tmp_path: Path, options: dict[str, str], line: str) -> None:
+    with pytest.raises(UsageError) as caught:
+        learn([with_depth], tmp_path / "model.smal", **options)
+    assert str(caught.value).startswith(line)
+    assert "\n" not in str(caught.value)

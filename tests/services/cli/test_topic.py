@@ -1,0 +1,211 @@
+"""``smal topic`` as an operator runs it, and the pure pieces below it."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from schemas import topics
+from schemas.codec import DecodeError, encode, encoding_of
+from schemas.command import Command
+from schemas.episode import Episode
+from schemas.image import Image
+from schemas.observation import Observation
+from schemas.state import State
+from schemas.topics import TOPICS
+from services.cli.listening.commands import key_expression
+from services.cli.listening.samples import Sample, header_of
+from services.cli.topic import markdown_table
+from services.kit.bus import Bus
+from tests.schemas.messages import EXAMPLES, any_message
+from tests.services.cli.conftest import Listen, Smal
+from tests.services.waiting import eventually
+
+
+def sample(message: topics.Message, **changes: object) -> Sample:
+    key = TOPICS[message.topic_name].key(message.robot)
+    return Sample(**({"key": key, "payload": encode(message), "encoding": encoding_of(type(message))} | changes))
+
+
+# -- the table --------------------------------------------------------------------------------------------------------
+
+
+def test_list_names_every_topic(smal: Smal) -> None:
+    status, out, _ = smal("topic", "list")
+    assert status == 0
+    assert [line.split()[0] for line in out.splitlines()] == ["topic", *TOPICS]
+
+
+def test_list_as_json(smal: Smal) -> None:
+    rows = json.loads(smal("topic", "list", "--json")[1])
+    assert [row["name"] for row in rows] == list(TOPICS)
+    assert rows[0] | {"meaning": ""} == {
+        "name": "camera/rgb",
+        "message": "smal.Image/1",
+        "rate_hz": 10,
+        "from": ["simulator"],
+        "to": ["features"],
+        "meaning": "",
+    }
+
+
+def test_list_as_markdown_is_the_table_of_the_readme(smal: Smal) -> None:
+    table = smal("topic", "list", "--markdown")[1].strip()
+    assert table == markdown_table()
+    assert all(line.startswith("| ") or line == "|---|---|---|---|---|---|" for line in table.splitlines())
+    assert len(table.splitlines()) == len(TOPICS) + 2
+
+
+@pytest.mark.parametrize("name", ["state", "smal/other/state"])
+def test_info_describes_a_topic_with_its_schema(smal: Smal, name: str) -> None:
+    row = json.loads(smal("topic", "info", name, "--json", "--robot", "robo-2")[1])
+    assert row["key"] == "smal/robo-2/state"
+    assert row["encoding"] == "application/vnd.msgpack;smal.State/4"
+    assert row["schema"]["additionalProperties"] is False
+    assert row["schema"]["properties"]["status"]["description"]
+
+
+def test_info_of_a_name_that_is_nearly_right(smal: Smal) -> None:
+    assert smal("topic", "info", "camera/rbg") == (2, "", "smal: no topic 'camera/rbg'; did you mean: camera/rgb?\n")
+
+
+@pytest.mark.parametrize(
+    ("keys", "expression"),
+    [
+        ("smal/**", "smal/**"),
+        ("**", "**"),
+        ("camera/rgb", "smal/robo/camera/rgb"),
+        ("command/*", "smal/robo/command/*"),
+        ("smal/other/state", "smal/other/state"),
+    ],
+)
+def test_key_expressions(keys: str, expression: str) -> None:
+    assert key_expression(keys, "robo") == expression
+
+
+# -- samples ----------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("cls", EXAMPLES, ids=lambda cls: cls.__name__)
+def test_each_message_is_one_short_line_and_one_json_object(cls: type) -> None:
+    line = sample(EXAMPLES[cls]).line()
+    assert line.isprintable()
+    assert len(line) < 300
+    record = sample(EXAMPLES[cls]).record()
+    assert json.loads(json.dumps(record)) is not None
+    assert set(record["message"]) == set(cls.model_fields)
+
+
+def test_binary_data_is_not_dumped() -> None:
+    assert sample(EXAMPLES[Image]).line().endswith("width=2 height=1 data=<6 bytes>")
+    assert sample(EXAMPLES[Image]).record()["message"]["data"] == {"bytes": 6}
+    assert "features=<float32 3, 12 bytes>" in sample(EXAMPLES[Observation]).line()
+
+
+@pytest.mark.parametrize(
+    ("changes", "reason"),
+    [
+        ({"key": "other/key"}, "no topic of SMAL"),
+        ({"payload": b"\xc1"}, "not msgpack"),
+        ({"encoding": "text/plain"}, "got 'text/plain'"),
+        ({"key": "smal/stranger/command/teleop"}, "holds a message of rescuebot/command/teleop"),
+        ({"key": "smal/rescuebot/command/policy"}, "holds a message of rescuebot/command/teleop"),
+        ({"key": "smal/rescuebot/\x1b[2J\n"}, "no topic of SMAL"),
+    ],
+)
+def test_what_cannot_be_decoded_is_named_as_such(changes: dict[str, object], reason: str) -> None:
+    strange = sample(EXAMPLES[Command], **changes)
+    assert "not decodable (" in strange.line()
+    assert reason in strange.line()
+    assert strange.line().isprintable()
+    assert reason in str(strange.record()["error"])
+
+
+@given(any_message)
+def test_the_header_alone(message: topics.Message) -> None:
+    topic = TOPICS[message.topic_name]
+    header = header_of(topic, encode(message), encoding_of(topic.message))
+    fields = ("robot", "episode", "tick", "stamp_ns")
+    assert [getattr(header, name) for name in fields] == [getattr(message, name) for name in fields]
+
+
+@given(st.binary(max_size=64))
+def test_a_header_that_is_none(payload: bytes) -> None:
+    with pytest.raises(DecodeError):
+        header_of(TOPICS["state"], payload, encoding_of(TOPICS["state"].message))
+    with pytest.raises(DecodeError, match=r"got 'text/plain'"):
+        header_of(TOPICS["state"], encode(EXAMPLES[State]), "text/plain")
+
+
+def test_a_strangers_text_cannot_move_the_terminal() -> None:
+    event = Episode.after(EXAMPLES[Episode], event="started", purpose="run", driver="policy", world="\x1b[2J\n", seed=1)
+    assert sample(event).line().isprintable()
+
+
+# -- listening --------------------------------------------------------------------------------------------------------
+
+
+def test_echo_prints_messages_and_ends_cleanly_on_ctrl_c(listen: Listen) -> None:
+    listening = listen("echo")
+    lines = listening.lines_until(4, EXAMPLES[Command], EXAMPLES[Image])
+    assert any(line.startswith("smal/rescuebot/command/teleop  episode=drive-7-18c0-1 tick=300 ") for line in lines)
+    assert any(line.endswith("data=<6 bytes>\n") for line in lines)
+    status, _, error = listening.end()
+    assert (status, error) == (0, "")
+
+
+def test_echo_of_a_short_name_counts_and_ends(listen: Listen) -> None:
+    listening = listen("echo", "command/teleop", "--count", "2", "--json")
+    lines = listening.lines_until(2, EXAMPLES[Image], EXAMPLES[Command])
+    assert listening.process.wait(10.0) == 0
+    assert [json.loads(line)["message"]["atom"] for line in lines] == ["forward", "forward"]
+
+
+def test_echo_into_a_pipe_that_is_closed(listen: Listen) -> None:
+    listening = listen("echo")
+    listening.lines_until(1, EXAMPLES[Command])
+    listening.process.stdout.close()
+
+    def ended() -> bool:
+        listening._client.publish(EXAMPLES[Command])
+        return listening.process.poll() is not None
+
+    eventually(ended)
+    assert listening.process.returncode == 0
+    assert listening.process.stderr.read() == ""
+    listening.process.stdout = None
+
+
+@pytest.mark.parametrize(
+    ("arguments", "status", "error"),
+    [
+        (("echo", "--robot", "Bad"), 2, "robot id 'Bad' does not match"),
+        (("echo", "--count", "0"), 2, "--count"),
+        (("hz", "--seconds", "nan"), 2, "--seconds"),
+        (("bw", "--seconds", "0"), 2, "--seconds"),
+        (("latency", "--robot", "Bad"), 2, "robot id 'Bad' does not match"),
+        (("echo", "--router", "nonsense"), 1, "expected tcp/<host>:<port>"),
+        (("nonsense",), 2, "No such command"),
+    ],
+)
+def test_bad_use_is_one_line(smal: Smal, arguments: tuple[str, ...], status: int, error: str) -> None:
+    code, _, err = smal("topic", *arguments)
+    assert code == status
+    assert error in err
+    assert len(err.strip().splitlines()) == 1
+
+
+def test_a_bad_key_expression_is_one_line(smal: Smal, client: Bus) -> None:
+    code, _, err = smal("topic", "echo", "smal//x", "--router", client.endpoint)
+    assert code == 1
+    assert err == (
+        "smal: Invalid Key Expr `smal//x`: empty chunks are forbidden, as well as leading and trailing slashes\n"
+    )
+
+
+def test_no_router_is_one_line(smal: Smal, free_endpoint: str) -> None:
+    code, _, err = smal("topic", "echo", "--router", free_endpoint)
+    assert (code, err) == (1, f"smal: no router at {free_endpoint}; start the stack with `smal up`\n")

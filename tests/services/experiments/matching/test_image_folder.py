@@ -1,0 +1,271 @@
+"""A folder of images as a traverse: what is a frame, in which order, and what becomes of files that cannot be read."""
+
+from __future__ import annotations
+
+import os
+import random
+import struct
+import subprocess
+import sys
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from services.experiments.matching.image_folder import NAMED, describe_frames, list_folder, natural_key, say_skipped
+from services.experiments.matching.image_reading import LEAST_COLUMNS, LEAST_ROWS, read_color, read_depth
+from services.kit.errors import JobError, UsageError
+from smal.features import FeatureSettings, extract
+
+FEATURES = FeatureSettings.of(["color"])
+LOSSLESS = (".png", ".bmp", ".tif", ".webp", ".ppm", ".jp2", ".ras")
+FORMATS = (*LOSSLESS, ".jpg", ".gif", ".avif")
+
+
+def picture(seed: int = 0, rows: int = 60, columns: int = 80) -> np.ndarray:
+    """Return a smooth RGB image, which lossy formats keep well."""
+    coarse = np.random.default_rng(seed).integers(0, 256, (5, 6, 3), dtype=np.uint8)
+    return cv2.resize(coarse, (columns, rows), interpolation=cv2.INTER_CUBIC)
+
+
+def encoded(image: np.ndarray, suffix: str) -> bytes:
+    bgr = cv2.cvtColor(image, cv2.COLOR_RGB2BGR) if image.ndim == 3 else image
+    quality = [cv2.IMWRITE_WEBP_QUALITY, 101] if suffix == ".webp" else []
+    quality = [cv2.IMWRITE_JPEG2000_COMPRESSION_X1000, 1000] if suffix == ".jp2" else quality
+    done, data = cv2.imencode(suffix, bgr, quality)
+    assert done
+    return data.tobytes()
+
+
+def write(path: Path, image: np.ndarray) -> Path:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_bytes(encoded(image, path.suffix))
+    return path
+
+
+@given(
+    st.lists(st.tuples(st.integers(0, 10**40), st.integers(0, 3), st.sampled_from(["img", "IMG", "Img"])), max_size=20),
+    st.randoms(use_true_random=False),
+)
+def test_numbers_in_names_sort_by_value_whatever_their_zeros_and_letters(
+    frames: list[tuple[int, int, str]], shuffler: random.Random
+) -> None:
+    values = {f"{prefix}{'0' * zeros}{number}-b.png": number for number, zeros, prefix in frames}
+    names = list(values)
+    shuffler.shuffle(names)
+    ordered = sorted(names, key=natural_key)
+    assert [values[name] for name in ordered] == sorted(values.values())
+    assert ordered == sorted(sorted(names), key=natural_key)
+
+
+@given(st.lists(st.text(), unique=True, max_size=20), st.randoms(use_true_random=False))
+def test_any_names_have_one_order(names: list[str], shuffler: random.Random) -> None:
+    ordered = sorted(names, key=natural_key)
+    shuffler.shuffle(names)
+    assert sorted(names, key=natural_key) == ordered
+    assert len({repr(natural_key(name)) for name in names}) == len(names)
+
+
+def test_the_order_that_people_mean() -> None:
+    wanted = ["1.png", "02.png", "10.png", "a1b2.png", "A1b10.png", "a2b1.png", "img2.png", "IMG10.png", "z.png"]
+    as_characters = sorted(wanted)
+    assert sorted(as_characters, key=natural_key) == wanted
+
+
+@pytest.mark.parametrize("suffix", FORMATS)
+def test_every_format_is_read(suffix: str, tmp_path: Path) -> None:
+    image = picture()
+    read = read_color(write(tmp_path / f"frame{suffix}", image))
+    assert read is not None
+    assert (read.dtype, read.shape) == (np.uint8, image.shape)
+    difference = np.abs(read.astype(int) - image).mean()
+    # A lossy format may change pixels a little; red and blue in the wrong places would change them much.
+    assert difference == 0 if suffix in LOSSLESS else difference < 20
+    assert np.abs(image[..., ::-1].astype(int) - image).mean() > 30
+
+
+def test_grey_alpha_and_16_bits(tmp_path: Path) -> None:
+    image = picture()
+    grey = cv2.cvtColor(image, cv2.COLOR_RGB2GRAY)
+    read = read_color(write(tmp_path / "grey.png", grey))
+    assert read is not None
+    np.testing.assert_array_equal(read, np.repeat(grey[..., None], 3, axis=2))
+
+    deep = image.astype(np.uint16) * 256 + 77
+    for suffix in (".png", ".tif"):
+        read = read_color(write(tmp_path / f"deep{suffix}", deep))
+        assert read is not None
+        assert read.dtype == np.uint8
+        np.testing.assert_allclose(read.astype(int), image, atol=1)  # codecs round or cut off
+
+    transparent = np.dstack([cv2.cvtColor(image, cv2.COLOR_RGB2BGR), np.full(image.shape[:2], 9, np.uint8)])
+    (tmp_path / "alpha.png").write_bytes(cv2.imencode(".png", transparent)[1].tobytes())
+    read = read_color(tmp_path / "alpha.png")
+    assert read is not None
+    np.testing.assert_array_equal(read, image)
+
+
+def test_the_orientation_noted_by_a_camera_is_ignored(tmp_path: Path) -> None:
+    tiff = b"MM\x00*\x00\x00\x00\x08" + struct.pack(">HHHIHHI", 1, 0x0112, 3, 1, 6, 0, 0)
+    exif = b"Exif\x00\x00" + tiff
+    plain = encoded(picture(), ".jpg")
+    turned = plain[:2] + b"\xff\xe1" + struct.pack(">H", len(exif) + 2) + exif + plain[2:]
+    path = tmp_path / "turned.jpg"
+    path.write_bytes(turned)
+    default = cv2.imread(str(path))
+    assert default is not None
+    assert default.shape == (80, 60, 3)  # what OpenCV does unless told otherwise
+    read = read_color(path)
+    assert read is not None
+    assert read.shape == (60, 80, 3)
+
+
+@pytest.mark.parametrize("size", [(1, 1), (1, 50), (40, 1), (23, 32), (24, 31), (24, 32), (25, 33)])
+def test_small_images_are_enlarged_until_they_can_be_described(size: tuple[int, int], tmp_path: Path) -> None:
+    image = picture(3, *size)
+    read = read_color(write(tmp_path / "small.png", image))
+    assert read is not None
+    assert read.shape == (max(size[0], LEAST_ROWS), max(size[1], LEAST_COLUMNS), 3)
+    assert extract(read, FeatureSettings.of(["color", "hog"])).shape == (FeatureSettings.of(["color", "hog"]).size,)
+    if read.shape == image.shape:
+        np.testing.assert_array_equal(read, image)
+
+
+def test_depth_is_16_bit_and_of_one_channel(tmp_path: Path) -> None:
+    depth_mm = np.arange(48 * 64, dtype=np.uint16).reshape(48, 64) * 20
+    read = read_depth(write(tmp_path / "depth.png", depth_mm))
+    assert read is not None
+    np.testing.assert_array_equal(read, depth_mm)
+    assert read_depth(write(tmp_path / "eight.png", (depth_mm // 256).astype(np.uint8))) is None
+    assert read_depth(write(tmp_path / "colour.png", picture().astype(np.uint16))) is None
+    assert read_depth(tmp_path / "missing.png") is None
+
+
+@pytest.mark.parametrize("suffix", FORMATS)
+@pytest.mark.parametrize("kept", [0.0, 0.1, 0.5, 0.99])
+def test_a_truncated_file_is_unreadable(suffix: str, kept: float, tmp_path: Path) -> None:
+    data = encoded(picture(), suffix)
+    path = tmp_path / f"frame{suffix}"
+    path.write_bytes(data[: int(kept * len(data))])
+    assert read_color(path) is None
+
+
+def test_what_counts_as_a_frame(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    for number in (1, 2, 10):
+        write(tmp_path / f"img{number}.png", picture(number))
+    write(tmp_path / "img0.png", picture()).rename(tmp_path / "IMG3")  # an image without an extension
+    (tmp_path / "img4.jpg").write_bytes(b"no image")
+    (tmp_path / "img5.png").symlink_to(tmp_path / "nowhere.png")
+    (tmp_path / "truth.csv").write_text("query,reference_first,reference_last\n")
+    (tmp_path / "notes.txt").touch()
+    write(tmp_path / ".hidden.png", picture())
+    write(tmp_path / "deeper.png" / "img6.png", picture())
+    os.mkfifo(tmp_path / "pipe.png")
+    folder = list_folder(tmp_path, "QUERY_DIR")
+    assert folder.frames == ("img1.png", "img2.png", "IMG3", "img4.jpg", "img5.png", "img10.png")
+    assert folder.others == ("notes.txt", "truth.csv")
+
+    described = describe_frames(folder, FEATURES, None, "reading")
+    assert described.numbers.tolist() == [0, 1, 2, 5]
+    assert described.unreadable == ("img4.jpg", "img5.png")
+    say_skipped(folder, described)
+    assert capsys.readouterr().err.splitlines() == [
+        f"smal: {tmp_path}: skipped 2 files that are no images: notes.txt, truth.csv",
+        f"smal: {tmp_path}: skipped 2 unreadable images, kept in the count of frames: img4.jpg, img5.png",
+    ]
+
+
+def test_only_some_skipped_files_are_named_and_none_moves_the_terminal(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    write(tmp_path / "a.png", picture())
+    for number in range(NAMED + 4):
+        (tmp_path / f"b{number}\x1b[31m\n.png").touch()
+    folder = list_folder(tmp_path, "QUERY_DIR")
+    say_skipped(folder, describe_frames(folder, FEATURES, None, "reading"))
+    said = capsys.readouterr().err
+    assert said.count("\n") == 1
+    assert "\x1b" not in said
+    assert "14 unreadable images" in said
+    assert said.count("?[31m?.png") == NAMED
+    assert said.endswith(" and 4 more\n")
+
+
+def test_features_are_in_the_order_of_the_frames_whatever_their_size_and_format(tmp_path: Path) -> None:
+    # Large images in front take longer than the small ones behind them.
+    for number in range(40):
+        size = (900, 1200) if number % 4 == 0 else (60 + number, 80)
+        write(tmp_path / f"{number}{('.png', '.bmp', '.ppm')[number % 3]}", picture(number, *size))
+    folder = list_folder(tmp_path, "QUERY_DIR")
+    settings = FeatureSettings.of(["color", "hog"])
+    described = describe_frames(folder, settings, None, "reading")
+    assert described.features.dtype == np.float32
+    for row, name in zip(described.features, folder.frames, strict=True):
+        bgr = cv2.imread(str(tmp_path / name))
+        assert bgr is not None
+        np.testing.assert_array_equal(row, extract(cv2.cvtColor(bgr, cv2.COLOR_BGR2RGB), settings))
+
+
+def test_a_frame_without_readable_depth_is_skipped(tmp_path: Path) -> None:
+    depths = [np.full((48, 64), 1000 * number, np.uint16) for number in (1, 2, 3)]
+    for number, depth_mm in enumerate(depths):
+        write(tmp_path / "colour" / f"{number}.png", picture(number))
+        write(tmp_path / "depth" / f"{number}.png", depth_mm)
+    write(tmp_path / "depth" / "1.png", picture())  # of 8 bits
+    settings = FeatureSettings.of(["depth", "color"])
+    colour, depth = list_folder(tmp_path / "colour", "QUERY_DIR"), list_folder(tmp_path / "depth", "--query-depth")
+    described = describe_frames(colour, settings, depth, "reading")
+    assert described.numbers.tolist() == [0, 2]
+    assert described.unreadable == ("1.png",)
+    np.testing.assert_array_equal(described.features[1], extract(picture(2), settings, depths[2]))
+
+
+def test_more_pixels_than_allowed_are_refused(tmp_path: Path) -> None:
+    for number, size in enumerate([(60, 80), (600, 800), (60, 80)]):
+        write(tmp_path / f"{number}.png", picture(number, *size))
+    program = (
+        "import sys; from pathlib import Path; from smal.features import FeatureSettings;"
+        "from services.experiments.matching.image_folder import describe_frames, list_folder;"
+        "folder = list_folder(Path(sys.argv[1]), 'QUERY_DIR');"
+        "print(describe_frames(folder, FeatureSettings.of(['color']), None, 'reading').unreadable)"
+    )
+    # OpenCV reads its limit once, when it is loaded.
+    environment = {**os.environ, "OPENCV_IO_MAX_IMAGE_PIXELS": "100000"}
+    done = subprocess.run(
+        [sys.executable, "-c", program, str(tmp_path)],
+        cwd=Path(__file__).parents[4], env=environment, capture_output=True, text=True, check=True,
+    )  # fmt: skip
+    assert (done.stdout, done.stderr) == ("('1.png',)\n", "")
+
+
+def test_the_command_limits_pixels_before_opencv_is_loaded() -> None:
+    environment = {name: value for name, value in os.environ.items() if name != "OPENCV_IO_MAX_IMAGE_PIXELS"}
+    done = subprocess.run(
+        [sys.executable, "-c", "import os, services.cli; print(os.environ['OPENCV_IO_MAX_IMAGE_PIXELS'])"],
+        cwd=Path(__file__).parents[4], env=environment, capture_output=True, text=True, check=True,
+    )  # fmt: skip
+    assert 10**7 <= int(done.stdout) <= 10**8  # the camera's images pass, and three bytes a pixel fit into memory
+
+
+def test_folders_that_are_none(tmp_path: Path) -> None:
+    (tmp_path / "empty").mkdir()
+    (tmp_path / "notes").mkdir()
+    (tmp_path / "notes" / "a.txt").touch()
+    for name, problem in (
+        ("missing", "No such file or directory"),
+        ("notes/a.txt", "is a file, not a folder of images"),
+        ("empty", r"no image in this folder \(files: 0\)"),
+        ("notes", r"no image in this folder \(files: 1\)"),
+    ):
+        with pytest.raises(UsageError, match=f"^REFERENCE_DIR {tmp_path / name}: {problem}"):
+            list_folder(tmp_path / name, "REFERENCE_DIR")
+
+
+def test_a_folder_of_damaged_images_is_one_line(tmp_path: Path) -> None:
+    (tmp_path / "a.jpg").write_bytes(encoded(picture(), ".jpg")[:-30])
+    (tmp_path / "b.png").touch()
+    with pytest.raises(JobError, match=r"no image can be read: a\.jpg, b\.png"):
+        describe_frames(list_folder(tmp_path, "QUERY_DIR"), FEATURES, None, "reading")

@@ -1,0 +1,379 @@
+"""The door to Zenoh, against a real router in this process."""
+
+from __future__ import annotations
+
+import socket
+import threading
+from collections.abc import Callable, Iterator
+from queue import SimpleQueue
+
+import pytest
+
+from schemas import topics
+from schemas.base import Message, Strict
+from schemas.codec import decode, encode, encoding_of
+from schemas.command import Command
+from schemas.depth_image import DepthImage
+from schemas.image import Image
+from schemas.rpc import EndRequest, Failure, Nothing
+from schemas.state import State
+from services.kit.bus import Bus, BusError, Router, RpcError
+from tests.schemas.messages import EXAMPLES
+from tests.services.waiting import eventually
+
+Sample = tuple[bytes, str]
+
+
+def command(tick: int) -> Command:
+    return Command(robot="rescuebot", episode="e", tick=tick, stamp_ns=0, source="teleop", atom="left")
+
+
+@pytest.fixture
+def other(router_endpoint: str) -> Iterator[Bus]:
+    bus = Bus("rescuebot", router_endpoint)
+    yield bus
+    bus.close()
+
+
+def heard(bus: Bus, topic: topics.Topic) -> SimpleQueue[Sample]:
+    samples: SimpleQueue[Sample] = SimpleQueue()
+    bus.subscribe(topic, lambda payload, encoding, _transit_s: samples.put((payload, encoding)))
+    return samples
+
+
+def publish_until(sender: Bus, message: Message, arrived: Callable[[], bool]) -> None:
+    """Send again until it arrives: a subscription takes a moment to become known."""
+
+    def sent() -> bool:
+        sender.publish(message)
+        return arrived()
+
+    eventually(sent)
+
+
+@pytest.mark.parametrize("cls", EXAMPLES, ids=lambda cls: cls.__name__)
+def test_each_message_arrives_as_it_was_sent(client: Bus, other: Bus, cls: type[Message]) -> None:
+    message = EXAMPLES[cls]
+    samples = heard(other, topics.TOPICS[message.topic_name])
+    publish_until(client, message, lambda: not samples.empty())
+    payload, encoding = samples.get(timeout=5.0)
+    assert (payload, encoding) == (encode(message), encoding_of(cls))
+    assert decode(cls, payload, encoding) == message
+
+
+def test_full_size_frames_arrive_whole(client: Bus, other: Bus) -> None:
+    image = EXAMPLES[Image].after(EXAMPLES[Image], width=1024, height=768, data=bytes(range(256)) * 9216)
+    samples = heard(other, topics.CAMERA)
+    publish_until(client, image, lambda: not samples.empty())
+    assert samples.get(timeout=5.0)[0] == encode(image)
+
+
+def test_messages_of_one_topic_keep_their_order(client: Bus, other: Bus) -> None:
+    samples = heard(other, topics.COMMANDS["teleop"])
+    publish_until(client, command(0), lambda: not samples.empty())
+    for tick in range(1, 200):
+        client.publish(command(tick))
+    ticks = [0]
+    while ticks[-1] < 199:
+        payload, encoding = samples.get(timeout=5.0)
+        ticks.append(decode(Command, payload, encoding).tick)
+    assert ticks == sorted(ticks)
+
+
+def test_another_robots_messages_are_not_heard(router_endpoint: str, client: Bus, other: Bus) -> None:
+    stranger = Bus("stranger", router_endpoint)
+    try:
+        samples, of_all = heard(other, topics.COMMANDS["teleop"]), SimpleQueue[str]()
+        other.listen("smal/*/command/teleop", lambda key, _payload, _encoding: of_all.put(key))
+        stranger.publish(command(1))
+        publish_until(client, command(2), lambda: not samples.empty())
+        payload, encoding = samples.get(timeout=5.0)
+        assert decode(Command, payload, encoding).tick == 2
+        publish_until(
+            stranger, command(1), lambda: any(of_all.get().startswith("smal/stranger/") for _ in range(of_all.qsize()))
+        )
+        while not samples.empty():
+            payload, encoding = samples.get()
+            assert decode(Command, payload, encoding).tick == 2
+    finally:
+        stranger.close()
+
+
+def call_when_served(bus: Bus, service: str, verb: str, request: Strict, timeout_s: float = 5.0) -> Strict:
+    def answered() -> Strict | None:
+        try:
+            return bus.call(service, verb, request, EndRequest, timeout_s)
+        except RpcError as error:
+            if "is the service running" in str(error):
+                return None
+            raise
+
+    reply = eventually(answered)
+    assert reply is not None
+    return reply
+
+
+def test_a_call_carries_request_and_reply(client: Bus, other: Bus) -> None:
+    other.serve("sim", "end", lambda request, reply: reply(EndRequest.model_validate_json(request)))
+    assert call_when_served(client, "sim", "end", EndRequest(episode="e-1")) == EndRequest(episode="e-1")
+
+
+def test_the_reply_may_come_from_another_thread(client: Bus, other: Bus) -> None:
+    def answer(_request: bytes, reply: Callable[[Strict], None]) -> None:
+        threading.Thread(target=reply, args=(EndRequest(episode="later"),)).start()
+
+    other.serve("sim", "end", answer)
+    assert call_when_served(client, "sim", "end", Nothing()) == EndRequest(episode="later")
+
+
+@pytest.mark.parametrize(
+    ("answer", "error"),
+    [
+        (Failure(error="no such episode"), "^sim end: no such episode$"),
+        (Nothing(), "^sim end: malformed reply: episode: Field required$"),
+    ],
+    ids=["refused", "malformed"],
+)
+def test_a_refused_call(client: Bus, other: Bus, answer: Strict, error: str) -> None:
+    other.serve("sim", "end", lambda _request, reply: reply(answer))
+    with pytest.raises(RpcError, match=error):
+        call_when_served(client, "sim", "end", Nothing())
+
+
+def test_a_call_that_nobody_serves(client: Bus, router_endpoint: str) -> None:
+    with pytest.raises(RpcError, match=rf"^nobody end: no answer; is the service running.*{router_endpoint}"):
+        client.call("nobody", "end", Nothing(), Nothing)
+
+
+def test_a_call_that_is_not_answered_in_time(client: Bus, other: Bus) -> None:
+    kept: list[Callable[[Strict], None]] = []
+    other.serve("sim", "end", lambda _request, reply: kept.append(reply))
+    with pytest.raises(RpcError, match=r"^sim end: "):
+        call_when_served(client, "sim", "end", Nothing(), timeout_s=0.3)
+    assert kept
+
+
+def test_messages_flow_again_after_the_router_was_away(free_endpoint: str) -> None:
+    router = Router(free_endpoint)
+    sender, receiver = Bus("rescuebot", free_endpoint), Bus("rescuebot", free_endpoint)
+    try:
+        samples = heard(receiver, topics.COMMANDS["teleop"])
+        receiver.serve("sim", "end", lambda request, reply: reply(EndRequest.model_validate_json(request)))
+        publish_until(sender, command(1), lambda: not samples.empty())
+        router.close()
+        eventually(lambda: not sender.connected() and not receiver.connected())
+        sender.publish(command(2))
+        router = Router(free_endpoint)
+        sender.wait_connected(5.0)
+        receiver.wait_connected(5.0)
+
+        def arrived() -> bool:
+            ticks = {decode(Command, *samples.get()).tick for _ in range(samples.qsize())}
+            assert 2 not in ticks, "a command given during an outage must not move the robot after it"
+            return 3 in ticks
+
+        publish_until(sender, command(3), arrived)
+        assert call_when_served(sender, "sim", "end", EndRequest(episode="e")) == EndRequest(episode="e")
+    finally:
+        sender.close()
+        receiver.close()
+        router.close()
+
+
+def replayed(bus: Bus, topic: topics.Topic) -> Callable[[], list[int]]:
+    """Subscribe with replay; return what gives the ticks that have come so far."""
+    ticks: list[int] = []
+    bus.subscribe(
+        topic,
+        lambda payload, encoding, _transit_s: ticks.append(decode(topic.message, payload, encoding).tick),
+        replay=True,
+    )
+    return lambda: ticks
+
+
+@pytest.mark.parametrize("topic", [topics.STATE, topics.COMMANDS["teleop"]], ids=lambda topic: topic.name)
+@pytest.mark.parametrize("kept_s", [topics.KEPT_S, 0.05], ids=["short", "longer than is asked for"])
+def test_what_is_recorded_survives_an_outage_of_the_router(
+    free_endpoint: str, topic: topics.Topic, kept_s: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The recorder gets what was sent while there was no router, each once and in order, the last one too."""
+    monkeypatch.setattr("services.kit.bus.KEPT_S", kept_s)
+    router = Router(free_endpoint)
+    sender, receiver = Bus("rescuebot", free_endpoint), Bus("rescuebot", free_endpoint)
+
+    def send(tick: int) -> None:
+        sender.publish(EXAMPLES[topic.message].model_copy(update={"tick": tick}))
+
+    try:
+        ticks = replayed(receiver, topic)
+        send(0)
+        eventually(lambda: ticks() == [0])
+        router.close()
+        eventually(lambda: not sender.connected() and not receiver.connected())
+        for tick in range(1, 101):
+            send(tick)
+        router = Router(free_endpoint)
+        eventually(lambda: len(ticks()) > 100)
+        assert ticks() == list(range(101))
+        send(101)
+        eventually(lambda: ticks()[-1] == 101)
+    finally:
+        sender.close()
+        receiver.close()
+        router.close()
+
+
+def test_who_comes_late_has_replayed_what_was_sent_before(client: Bus, other: Bus) -> None:
+    plain = heard(other, topics.STATE)
+    for tick in range(20):
+        client.publish(EXAMPLES[State].model_copy(update={"tick": tick}))
+    ticks = replayed(other, topics.STATE)
+    eventually(lambda: len(ticks()) == 20)
+    assert ticks() == list(range(20))
+    client.publish(EXAMPLES[State].model_copy(update={"tick": 20}))
+    eventually(lambda: ticks()[-1] == 20)
+    assert plain.qsize() <= 21, "nobody else has anything sent twice"
+
+
+def test_nothing_is_missing_where_live_samples_come_during_the_replay(client: Bus, router_endpoint: str) -> None:
+    """As for a recorder that is started again while the robot drives."""
+    before, after, late = 100, 150, [Bus("rescuebot", router_endpoint) for _ in range(6)]
+
+    def send(ticks: range, pace_s: float = 0.0) -> None:
+        for tick in ticks:
+            client.publish(EXAMPLES[State].model_copy(update={"tick": tick}))
+            threading.Event().wait(pace_s)
+
+    send(range(before))
+    sender = threading.Thread(target=send, args=(range(before, before + after), 0.002))
+    sender.start()
+    try:
+        heard_by = [replayed(bus, topics.STATE) for bus in late]
+        sender.join()
+        for ticks in heard_by:
+            eventually(lambda ticks=ticks: len(ticks()) >= before + after)
+            assert ticks() == list(range(before + after))
+    finally:
+        sender.join()
+        for bus in late:
+            bus.close()
+
+
+def test_whether_anybody_listens_is_known(client: Bus, router_endpoint: str) -> None:
+    assert not client.has_listeners(topics.DEPTH)
+    one, all_of_it = Bus("rescuebot", router_endpoint), Bus("rescuebot", router_endpoint)
+    samples = heard(one, topics.DEPTH)
+    eventually(lambda: client.has_listeners(topics.DEPTH))
+    assert not client.has_listeners(topics.OVERHEAD)
+    client.publish(EXAMPLES[DepthImage])
+    assert decode(DepthImage, *samples.get(timeout=5.0)) == EXAMPLES[DepthImage], "who is known to listen hears at once"
+    all_of_it.listen("smal/**", lambda *_: None)
+    eventually(lambda: client.has_listeners(topics.OVERHEAD))
+    all_of_it.close()
+    eventually(lambda: not client.has_listeners(topics.OVERHEAD))
+    assert client.has_listeners(topics.DEPTH)
+    one.close()
+    eventually(lambda: not client.has_listeners(topics.DEPTH))
+
+
+def test_another_robot_s_listener_does_not_count(client: Bus, router_endpoint: str) -> None:
+    stranger = Bus("stranger", router_endpoint)
+    try:
+        stranger.subscribe(topics.DEPTH, lambda *_: None)
+        stranger.subscribe(topics.OVERHEAD, lambda *_: None)
+        own = Bus("rescuebot", router_endpoint)
+        own.subscribe(topics.OVERHEAD, lambda *_: None)
+        eventually(lambda: client.has_listeners(topics.OVERHEAD))
+        assert not client.has_listeners(topics.DEPTH)
+        own.close()
+    finally:
+        stranger.close()
+
+
+def test_listeners_are_known_again_after_the_router_was_away(free_endpoint: str) -> None:
+    router = Router(free_endpoint)
+    sender, receiver = Bus("rescuebot", free_endpoint), Bus("rescuebot", free_endpoint)
+    try:
+        heard(receiver, topics.DEPTH)
+        eventually(lambda: sender.has_listeners(topics.DEPTH))
+        router.close()
+        eventually(lambda: not sender.has_listeners(topics.DEPTH))
+        router = Router(free_endpoint)
+        eventually(lambda: sender.has_listeners(topics.DEPTH))
+    finally:
+        sender.close()
+        receiver.close()
+        router.close()
+
+
+def test_no_router(free_endpoint: str) -> None:
+    with pytest.raises(BusError, match=rf"^no router at {free_endpoint}; start the stack with `smal up`$"):
+        Bus("rescuebot", free_endpoint, patience_s=0.1)
+
+
+def test_a_port_where_something_else_listens() -> None:
+    with socket.socket() as stranger:
+        stranger.bind(("127.0.0.1", 0))
+        stranger.listen()
+        with pytest.raises(BusError, match=r"^no router at "):
+            Bus("rescuebot", f"tcp/127.0.0.1:{stranger.getsockname()[1]}", patience_s=0.1)
+
+
+def test_a_client_waits_for_a_router_that_is_starting(free_endpoint: str) -> None:
+    routers: list[Router] = []
+    starting = threading.Timer(0.3, lambda: routers.append(Router(free_endpoint)))
+    starting.start()
+    try:
+        bus = Bus("rescuebot", free_endpoint, patience_s=10.0)
+        bus.wait_connected(5.0)
+        bus.close()
+    finally:
+        starting.join()
+        routers[0].close()
+
+
+def test_losing_the_router_is_noticed(free_endpoint: str) -> None:
+    router = Router(free_endpoint)
+    bus = Bus("rescuebot", free_endpoint)
+    router.close()
+    eventually(lambda: not bus.connected())
+    with pytest.raises(BusError, match=r"^no router at"):
+        bus.wait_connected(0.05)
+    bus.close()
+
+
+def test_a_busy_port(router_endpoint: str) -> None:
+    with pytest.raises(BusError, match=rf"^cannot listen on {router_endpoint}: the port is in use; stop what uses it"):
+        Router(router_endpoint)
+
+
+@pytest.mark.parametrize("cls", [Router, lambda endpoint: Bus("rescuebot", endpoint)], ids=["router", "client"])
+@pytest.mark.parametrize(
+    "endpoint",
+    ["", "nonsense", "tcp/host", "tcp/host:port", "tcp/127.0.0.1:99999", "foo/127.0.0.1:7447", "127.0.0.1:7447"],
+)
+def test_a_malformed_address(cls: Callable[[str], object], endpoint: str) -> None:
+    with pytest.raises(BusError, match="expected tcp/<host>:<port>") as refused:
+        cls(endpoint)
+    assert "\n" not in str(refused.value)
+
+
+def test_a_host_that_does_not_exist(free_endpoint: str) -> None:
+    address = f"tcp/no-such-host.invalid:{free_endpoint.rpartition(':')[2]}"
+    with pytest.raises(BusError, match=r"^cannot listen on tcp/no-such-host.invalid"):
+        Router(address)
+    with pytest.raises(BusError, match=r"^no router at tcp/no-such-host.invalid"):
+        Bus("rescuebot", address, patience_s=0.1)
+
+
+@pytest.mark.parametrize("keys", ["smal//state", "/smal", "smal/**/", "", "smal/a#b"])
+def test_a_malformed_key_expression(client: Bus, keys: str) -> None:
+    with pytest.raises(BusError, match=r"(?i)key"):
+        client.listen(keys, lambda _key, _payload, _encoding: None)
+
+
+def test_closing_twice_is_harmless(router_endpoint: str) -> None:
+    bus = Bus("rescuebot", router_endpoint)
+    bus.subscribe(topics.STATE, lambda *_sample: None)
+    bus.close()
+    bus.close()

@@ -1,0 +1,179 @@
+"""Health and metrics: what a service tells whoever restarts it, and Prometheus."""
+
+from __future__ import annotations
+
+import socket
+import struct
+import threading
+import urllib.request
+from collections.abc import Iterator
+from contextlib import closing
+from urllib.error import HTTPError
+
+import pytest
+from prometheus_client.parser import text_string_to_metric_families
+
+from schemas import topics
+from schemas.command import Command
+from schemas.rpc import Status
+from services.kit.bus import Bus, Router
+from services.kit.health import ailment
+from services.kit.http import HttpError, HttpServer
+from services.kit.node import Node, ServiceError
+from services.kit.settings import ServiceSettings
+from tests.services.conftest import RunNode
+from tests.services.waiting import eventually, introduce
+
+HEALTHY = Status(
+    service="s", state="ready", pid=1, connected=True, uptime_s=9.0, idle_s=0.0, busy_s=0.0, oldest_s=0.0, waiting={},
+    received={}, published={}, dropped={}, bad={}, failed=0, detail={},
+)  # fmt: skip
+
+
+def command(tick: int) -> Command:
+    return Command(robot="rescuebot", episode="e", tick=tick, stamp_ns=0, source="teleop", atom="left")
+
+
+@pytest.mark.parametrize(
+    ("change", "problem"),
+    [
+        ({}, None),
+        ({"busy_s": 4.9, "oldest_s": 4.9}, None),
+        ({"state": "starting"}, "starting"),
+        ({"state": "stopping"}, "stopping"),
+        ({"connected": False}, "no connection to the router"),
+        ({"busy_s": 5.1}, "the work at hand has taken 5.1 s so far"),
+        ({"oldest_s": 5.1}, "a message has waited for 5.1 s"),
+    ],
+)
+def test_health_is_about_work_that_gets_done(change: dict[str, object], problem: str | None) -> None:
+    assert ailment(HEALTHY.model_copy(update=change)) == problem
+
+
+@pytest.fixture
+def node(settings: ServiceSettings) -> Node:
+    return Node("sample", settings.model_copy(update={"http": "127.0.0.1:0"}))
+
+
+def get(node: Node, path: str) -> tuple[int, str]:
+    assert node._http is not None
+    try:
+        with urllib.request.urlopen(f"http://127.0.0.1:{node._http.port}{path}", timeout=5.0) as answer:
+            return answer.status, answer.read().decode()
+    except HTTPError as error:
+        with closing(error):
+            return error.code, error.read().decode()
+
+
+def values(text: str) -> Iterator[tuple[tuple[str, str], float]]:
+    """Give every sample of the metrics by its name and its topic, or what else it is about."""
+    for family in text_string_to_metric_families(text):
+        for sample in family.samples:
+            yield (sample.name, sample.labels.get("topic", sample.labels.get("name", ""))), sample.value
+
+
+def test_a_node_tells_its_health_over_http(node: Node, run_node: RunNode) -> None:
+    assert get(node, "/healthz") == (503, "starting\n")
+    run_node(node)
+    assert eventually(lambda: get(node, "/healthz") == (200, "ok\n"))
+    assert get(node, "/elsewhere") == (404, "only /healthz and /metrics\n")
+
+
+def test_a_stuck_handler_is_no_health(
+    node: Node, client: Bus, run_node: RunNode, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("services.kit.health.STUCK_S", 0.05)
+    begun, release = threading.Event(), threading.Event()
+
+    def work(_message: object) -> None:
+        begun.set()
+        release.wait(20.0)
+
+    node.subscribe(topics.COMMANDS["teleop"], work)
+    run_node(node)
+
+    def sent() -> bool:
+        client.publish(command(0))
+        return begun.is_set()
+
+    eventually(sent)
+    assert eventually(lambda: get(node, "/healthz")[0] == 503)
+    assert "the work at hand has taken" in get(node, "/healthz")[1]
+    release.set()
+    assert eventually(lambda: get(node, "/healthz") == (200, "ok\n"))
+
+
+def test_a_node_without_its_router_is_not_healthy(free_endpoint: str) -> None:
+    router = Router(free_endpoint)
+    node = Node("sample", ServiceSettings(router=free_endpoint, http="127.0.0.1:0"))
+    thread = threading.Thread(target=node.spin)
+    thread.start()
+    try:
+        assert eventually(lambda: get(node, "/healthz") == (200, "ok\n"))
+        router.close()
+        assert eventually(lambda: get(node, "/healthz") == (503, "no connection to the router\n"))
+        router = Router(free_endpoint)
+        assert eventually(lambda: get(node, "/healthz") == (200, "ok\n"))
+    finally:
+        node.stop()
+        thread.join(5.0)
+        node.close()
+        router.close()
+
+
+def test_metrics_count_every_message_and_the_parts_of_its_hop(node: Node, client: Bus, run_node: RunNode) -> None:
+    def answer(message: Command) -> None:
+        if message.tick == 13:
+            raise ServiceError("not this one")
+
+    node.subscribe(topics.COMMANDS["teleop"], answer)
+    node.detail = lambda: {"share": 0.5, "world": "campus", "latched": True, "model": None}
+    run_node(node)
+    introduce(client, "sample", command(0))
+    before = node.status().received["command/teleop"]
+    for tick in (11, 12, 13):
+        client.publish(command(tick))
+    eventually(lambda: node.status().received["command/teleop"] == before + 3 and node.status().failed == 1)
+    found = dict(values(get(node, "/metrics")[1]))
+    topic = "command/teleop"
+    assert found["smal_messages_received_total", topic] == before + 3
+    assert found["smal_wait_seconds_count", topic] == before + 2, "all but the one that failed"
+    assert found["smal_work_seconds_count", topic] == before + 2
+    assert found["smal_transit_seconds_count", topic] == before + 3
+    assert 0.0 < found["smal_transit_seconds_sum", topic] < 5.0 * found["smal_transit_seconds_count", topic]
+    assert found["smal_queue_depth", topic] == 0
+    assert found["smal_handling_failures_total", ""] == 1
+    assert found["smal_healthy", ""] == 1
+    assert (found["smal_detail", "share"], found["smal_detail", "latched"]) == (0.5, 1.0)
+    assert ("smal_detail", "world") not in found
+    assert found["process_open_fds", ""] > 0
+
+
+def test_a_client_that_goes_away_is_no_news(capfd: pytest.CaptureFixture[str]) -> None:
+    asked = threading.Event()
+    gone = threading.Event()
+
+    def slow() -> bytes:
+        asked.set()
+        assert gone.wait(10.0)
+        return bytes(10_000_000)
+
+    with HttpServer("127.0.0.1:0", lambda: None, slow) as server:
+        with socket.create_connection(("127.0.0.1", server.port)) as client:
+            client.sendall(b"GET /metrics HTTP/1.0\r\n\r\n")
+            assert asked.wait(10.0)
+            client.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))  # closed with a reset
+        gone.set()
+        eventually(lambda: not [thread for thread in threading.enumerate() if "process_request" in thread.name])
+    assert capfd.readouterr() == ("", "")
+
+
+def test_an_address_that_cannot_be_had_is_one_line() -> None:
+    with socket.socket() as taken:
+        taken.bind(("127.0.0.1", 0))
+        taken.listen()
+        address = f"127.0.0.1:{taken.getsockname()[1]}"
+        with pytest.raises(HttpError, match=rf"^cannot answer HTTP on {address}: Address already in use$"):
+            HttpServer(address, lambda: None, bytes)
+    with pytest.raises(HttpError, match=r"^cannot answer HTTP on 127\.0\.0\.1:99999: no such port$"):
+        HttpServer("127.0.0.1:99999", lambda: None, bytes)

@@ -1,0 +1,203 @@
+"""Recognition and policy hold a model: named, replaced only by one that is accepted, never mixed with another.
+
+Their handlers alone, without processes; those are in ``test_chain``. What is held is the same in both schemes; here it
+is mostly the paper's, whose plans and windows are easy to see. ``test_recognition_service`` and ``test_policy_service``
+have the filter's.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from schemas.action import Action
+from schemas.base import Message
+from schemas.command import Command
+from schemas.rpc import LoadReply, LoadRequest
+from services.kit.node import ServiceError, Throttle
+from services.policy.service import PolicyService
+from services.recognition.service import RecognitionService
+from smal.model import Model
+from tests import corridor
+from tests.services.chain import LENGTH, identity, observation, save_model, state
+
+Service = PolicyService | RecognitionService
+SERVICES = (PolicyService, RecognitionService)
+REFUSALS = {
+    "missing": "none.smal: cannot be read",
+    "truncated": "truncated.smal: truncated or altered",
+    "stride": f"^stride must be 1 to the sequence length {LENGTH}, got {LENGTH + 1}$",
+    "stride of the filter": "^stride 2: the filter decides at every frame; only the paper's scheme has a stride$",
+    "no map": "^the model has no map of views: .*; learn it again, or use the scheme 'paper'$",
+}
+
+
+@pytest.fixture(scope="module")
+def model(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return save_model(tmp_path_factory.mktemp("model") / "corridor.smal")
+
+
+@pytest.fixture(scope="module")
+def other(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return save_model(tmp_path_factory.mktemp("other") / "longer.smal", frames=21)
+
+
+@pytest.fixture(params=REFUSALS)
+def refused(request: pytest.FixtureRequest, tmp_path: Path, other: Path) -> tuple[LoadRequest, str]:
+    """Give a request that must be refused, and what the refusal says."""
+    name = request.param
+    path, scheme, stride = {
+        "missing": (tmp_path / "none.smal", "paper", None),
+        "truncated": (tmp_path / "truncated.smal", "filter", None),
+        "stride": (other, "paper", LENGTH + 1),
+        "stride of the filter": (tmp_path / "mapped.smal", "filter", 2),
+        "no map": (other, "filter", None),
+    }[name]
+    if name == "truncated":
+        path.write_bytes(other.read_bytes()[:-7])
+    if name == "stride of the filter":
+        corridor.save_model(path)
+    return LoadRequest(path=str(path), scheme=scheme, stride=stride), REFUSALS[name]
+
+
+@pytest.fixture
+def policy(model: Path) -> PolicyService:
+    service = PolicyService()
+    service.load(LoadRequest(path=str(model), scheme="paper"))
+    return service
+
+
+@pytest.fixture
+def recognition(model: Path) -> RecognitionService:
+    service = RecognitionService()
+    service.load(LoadRequest(path=str(model), scheme="paper"))
+    return service
+
+
+def atom(answer: list[Message]) -> str:
+    (command,) = [message for message in answer if isinstance(message, Command)]
+    return command.atom
+
+
+def decisions(answer: list[Message]) -> list[Message]:
+    return [message for message in answer if isinstance(message, Action)]
+
+
+# -- loading ----------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("cls", SERVICES)
+@pytest.mark.parametrize(("stride", "got"), [(None, LENGTH), (1, 1), (2, 2), (LENGTH, LENGTH)])
+def test_the_loaded_model_is_told(cls: type[Service], stride: int | None, got: int, model: Path) -> None:
+    service = cls()
+    assert service.detail() == {"model": None}
+    reply = service.load(LoadRequest(path=str(model), scheme="paper", stride=stride))
+    assert reply == LoadReply(
+        states=6, templates=18, sequence_length=LENGTH, keyframes=0, scheme="paper", stride=got
+    )  # fmt: skip
+    detail = service.detail()
+    assert (detail["model"], detail["checksum"], detail["scheme"]) == (str(model), identity(model), "paper")
+
+
+@pytest.mark.parametrize("cls", SERVICES)
+@pytest.mark.parametrize("stride", [None, 1])
+def test_a_model_with_a_map_is_for_the_filter(cls: type[Service], stride: int | None, tmp_path: Path) -> None:
+    mapped, service = corridor.save_model(tmp_path / "mapped.smal"), cls()
+    reply = service.load(LoadRequest(path=str(mapped), stride=stride))
+    keyframes = len(Model.load(mapped).mapped.keyframes)
+    assert keyframes > 10
+    assert (reply.keyframes, reply.scheme, reply.stride) == (keyframes, "filter", 1)
+    assert service.detail()["scheme"] == "filter"
+
+
+@pytest.mark.parametrize("cls", SERVICES)
+def test_without_a_model_a_refused_one_changes_nothing(cls: type[Service], refused: tuple[LoadRequest, str]) -> None:
+    service = cls()
+    with pytest.raises(ServiceError, match=refused[1]):
+        service.load(refused[0])
+    assert service.detail() == {"model": None}
+
+
+def test_policy_goes_on_with_its_plan_after_a_refused_load(
+    policy: PolicyService, refused: tuple[LoadRequest, str], model: Path
+) -> None:
+    known = state(0, model, status="recognized", state=2)
+    first = policy.handle(known)
+    before = policy.detail()
+    with pytest.raises(ServiceError, match=refused[1]):
+        policy.load(refused[0])
+    assert policy.detail() == before
+    assert policy.handle(known) == first
+    assert atom(policy.handle(state(1, model, status="collecting"))) == "left"
+
+
+def test_recognition_keeps_its_window_after_a_refused_load(
+    recognition: RecognitionService, refused: tuple[LoadRequest, str]
+) -> None:
+    for tick in range(LENGTH - 1):
+        recognition.handle(observation(tick, place=6 + tick))
+    before = recognition.detail()
+    with pytest.raises(ServiceError, match=refused[1]):
+        recognition.load(refused[0])
+    assert recognition.detail() == before
+    answer = recognition.handle(observation(LENGTH - 1, place=5 + LENGTH))
+    assert (answer.status, answer.state) == ("recognized", 2)
+
+
+# -- two models -------------------------------------------------------------------------------------------------------
+
+
+def test_states_name_the_model_that_they_are_of(recognition: RecognitionService, model: Path, other: Path) -> None:
+    assert RecognitionService().handle(observation(0)).model is None
+    assert recognition.handle(observation(0)).model == identity(model)
+    recognition.load(LoadRequest(path=str(other), scheme="paper"))
+    assert recognition.handle(observation(1)).model == identity(other)
+    assert identity(model) != identity(other)
+
+
+@pytest.mark.parametrize("fields", [{"status": "recognized", "state": 2}, {"status": "unknown"}], ids=str)
+def test_policy_stops_at_a_state_of_another_model_and_drops_its_plan(
+    policy: PolicyService, fields: dict[str, object], model: Path, other: Path
+) -> None:
+    known = state(0, model, status="recognized", state=2)
+    assert decisions(policy.handle(known))
+    for tick in (0, 1, 1):
+        answer = policy.handle(state(tick, other, **fields))
+        assert (atom(answer), decisions(answer)) == ("stop", [])
+    assert policy.detail()["states_of_another_model"] == 3
+    # Without the state of the other model the robot would turn left here.
+    assert atom(policy.handle(state(2, model, status="collecting"))) == "stop"
+    assert atom(policy.handle(state(3, model, status="recognized", state=2))) == "forward"
+    assert policy.detail()["states_of_another_model"] == 3
+
+
+def test_policy_obeys_the_states_of_the_other_model_once_it_has_loaded_it(
+    policy: PolicyService, model: Path, other: Path
+) -> None:
+    theirs = state(0, other, status="recognized", state=2)
+    assert atom(policy.handle(theirs)) == "stop"
+    policy.load(LoadRequest(path=str(other), scheme="paper"))
+    assert policy.detail()["states_of_another_model"] == 0
+    assert atom(policy.handle(theirs)) == "forward"
+    assert atom(policy.handle(state(1, model, status="collecting"))) == "stop"
+
+
+def test_policy_has_nothing_to_say_to_an_idle_recognition(policy: PolicyService) -> None:
+    assert policy.handle(state(0, None)) == []
+    assert policy.detail()["states_of_another_model"] == 0
+
+
+def test_states_of_another_model_are_one_line_a_second(
+    policy: PolicyService, model: Path, other: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    now_s = 0.0
+    policy._complaints = Throttle(lambda: now_s)
+    for tick in range(25):
+        now_s = tick / 10
+        policy.handle(state(tick, other, status="collecting"))
+    lines = [record.getMessage() for record in caplog.records if record.name == "policy"]
+    assert len(lines) == 3
+    assert identity(other) in lines[0]
+    assert f"{identity(model)} ({model})" in lines[0]
+    assert "(21 states so far)" in lines[2]

@@ -1,0 +1,378 @@
+"""The loop that every service shares: good and bad messages, failing handlers, calls, timers, signals."""
+
+from __future__ import annotations
+
+import logging
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TextIO
+
+import pytest
+
+from schemas import topics
+from schemas.base import Message
+from schemas.codec import decode, encode, encoding_of
+from schemas.command import Command
+from schemas.pose import Pose
+from schemas.rpc import EndRequest, Nothing, Status
+from schemas.topics import Topic
+from services.kit.bus import Bus, BusError, RpcError
+from services.kit.inbox import Inbox
+from services.kit.node import Node, ServiceError, Throttle, read_settings, run_service
+from services.kit.settings import ServiceSettings
+from tests.services.conftest import RunNode
+from tests.services.waiting import eventually, introduce, ready, status_of
+
+ROOT = Path(__file__).parents[2]
+TELEOP = topics.COMMANDS["teleop"]
+
+
+def command(tick: int, robot: str = "rescuebot", source: str = "teleop") -> Command:
+    return Command.model_validate(
+        {"robot": robot, "episode": "e", "tick": tick, "stamp_ns": 0, "source": source, "atom": "left"}
+    )
+
+
+def status(client: Bus) -> Status:
+    answer = status_of(client, "sample")
+    assert answer is not None
+    return answer
+
+
+def send_raw(node: Node, topic: Topic, payload: bytes, encoding: str) -> None:
+    """Hand over a sample as Zenoh's thread does."""
+    node._inbox.put(topic.name, (payload, encoding))
+
+
+@pytest.fixture
+def node(settings: ServiceSettings) -> Node:
+    return Node("sample", settings)
+
+
+# -- messages ---------------------------------------------------------------------------------------------------------
+
+
+def test_a_message_is_handled_and_its_answers_are_published(node: Node, run_node: RunNode, client: Bus) -> None:
+    def answer(received: Command) -> Iterator[Message]:
+        yield Pose.after(received, x_m=1.0, y_m=2.0, heading_rad=0.0)
+        yield Command.after(received, source="policy", atom="right")
+
+    poses: list[Pose] = []
+    client.subscribe(topics.POSE, lambda payload, encoding, _transit_s: poses.append(decode(Pose, payload, encoding)))
+    node.subscribe(TELEOP, answer)
+    run_node(node)
+    introduce(client, "sample", command(3))
+    eventually(lambda: poses)
+    assert (poses[0].tick, poses[0].x_m) == (3, 1.0)
+    counts = eventually(lambda: s if (s := status(client)).published else None)
+    assert counts.published == {
+        "pose/truth": counts.received[TELEOP.name],
+        "command/policy": counts.received[TELEOP.name],
+    }
+
+
+@pytest.mark.parametrize(
+    ("payload", "encoding", "reason"),
+    [
+        (b"\xc1", encoding_of(Command), "not msgpack"),
+        (b"", encoding_of(Command), "not msgpack"),
+        (b"\x80", encoding_of(Command), "robot: Field required"),
+        (encode(command(1)), "", "expected application/vnd.msgpack;smal.Command/1"),
+        (encode(command(1, robot="stranger")), encoding_of(Command), "message of stranger/command/teleop"),
+        (encode(command(1, source="policy")), encoding_of(Command), "message of rescuebot/command/policy"),
+    ],
+    ids=["garbage", "empty", "no fields", "no encoding", "another robot", "another source"],
+)
+def test_a_malformed_message_is_logged_once_counted_and_dropped(
+    node: Node,
+    run_node: RunNode,
+    client: Bus,
+    caplog: pytest.LogCaptureFixture,
+    payload: bytes,
+    encoding: str,
+    reason: str,
+) -> None:
+    handled: list[int] = []
+    node.subscribe(TELEOP, lambda received: handled.append(received.tick))
+    for _ in range(5):
+        send_raw(node, TELEOP, payload, encoding)
+    run_node(node)
+    send_raw(node, TELEOP, encode(command(7)), encoding_of(Command))
+    eventually(lambda: handled)
+    assert handled == [7]
+    assert status(client).bad == {TELEOP.name: 5}
+    lines = [record.getMessage() for record in caplog.records if record.levelno >= logging.WARNING]
+    assert len(lines) == 1, "a broken sender must not fill the log"
+    assert lines[0].startswith("dropped a bad message on command/teleop (1 so far): ")
+    assert reason in lines[0]
+
+
+def test_a_handler_that_fails_is_counted_and_the_node_lives(
+    node: Node, run_node: RunNode, client: Bus, caplog: pytest.LogCaptureFixture
+) -> None:
+    handled: list[int] = []
+
+    def fragile(received: Command) -> None:
+        if received.tick == 1:
+            raise ZeroDivisionError("a bug")
+        handled.append(received.tick)
+
+    node.subscribe(TELEOP, fragile)
+    for tick in (1, 2):
+        send_raw(node, TELEOP, encode(command(tick)), encoding_of(Command))
+    run_node(node)
+    eventually(lambda: handled)
+    assert handled == [2]
+    assert status(client).failed == 1
+    assert "handling command/teleop failed" in caplog.text
+    assert "a bug" in caplog.text
+
+
+def test_a_slow_handler_sees_the_newest_and_the_rest_is_counted(node: Node, run_node: RunNode, client: Bus) -> None:
+    handled: list[int] = []
+    node.subscribe(TELEOP, lambda received: handled.append(received.tick), depth=3)
+    for tick in range(10):
+        send_raw(node, TELEOP, encode(command(tick)), encoding_of(Command))
+    run_node(node)
+    eventually(lambda: len(handled) == 3)
+    assert handled == [7, 8, 9]
+    assert status(client).dropped == {TELEOP.name: 7}
+
+
+def test_messages_of_several_topics_are_handled_in_order_of_arrival(node: Node, run_node: RunNode) -> None:
+    handled: list[str] = []
+    for topic in topics.COMMANDS.values():
+        node.subscribe(topic, lambda received: handled.append(received.source))
+    order = ["policy", "teleop", "policy", "expert", "teleop", "policy"]
+    for tick, source in enumerate(order):
+        send_raw(node, topics.COMMANDS[source], encode(command(tick, source=source)), encoding_of(Command))
+    run_node(node)
+    eventually(lambda: len(handled) == len(order))
+    assert handled == order
+
+
+def test_silence_does_not_end_a_node(node: Node, run_node: RunNode, client: Bus) -> None:
+    run_node(node)
+    answer = ready(client, "sample")
+    assert (answer.service, answer.pid, answer.received, answer.failed) == ("sample", os.getpid(), {}, 0)
+    assert answer.uptime_s >= answer.idle_s >= 0.0
+
+
+# -- calls ------------------------------------------------------------------------------------------------------------
+
+
+def serve_end(node: Node) -> None:
+    def end(request: EndRequest) -> EndRequest | None:
+        if request.episode == "gone":
+            raise ServiceError("episode gone is not running")
+        if request.episode == "bug":
+            raise KeyError("a bug")
+        return None if request.episode == "quiet" else request
+
+    node.serve("end", EndRequest, end)
+
+
+def test_calls(node: Node, run_node: RunNode, client: Bus, caplog: pytest.LogCaptureFixture) -> None:
+    serve_end(node)
+    run_node(node)
+    ready(client, "sample")
+    assert client.call("sample", "end", EndRequest(episode="e"), EndRequest) == EndRequest(episode="e")
+    assert client.call("sample", "end", EndRequest(episode="quiet"), Nothing) == Nothing()
+    with pytest.raises(RpcError, match=r"^sample end: episode gone is not running$"):
+        client.call("sample", "end", EndRequest(episode="gone"), Nothing)
+    with pytest.raises(RpcError, match=r"^sample end: internal error: KeyError: 'a bug'$"):
+        client.call("sample", "end", EndRequest(episode="bug"), Nothing)
+    with pytest.raises(RpcError, match=r"^sample end: episode: Field required$"):
+        client.call("sample", "end", Nothing(), Nothing)
+    eventually(lambda: status(client).failed == 1)
+    assert "end refused: episode gone is not running" in caplog.text
+    assert client.call("sample", "end", EndRequest(episode="e"), EndRequest) == EndRequest(episode="e")
+
+
+def test_status_is_answered_while_a_handler_is_busy(node: Node, run_node: RunNode, client: Bus) -> None:
+    begun, finish = threading.Event(), threading.Event()
+
+    def work(_received: Command) -> None:
+        begun.set()
+        finish.wait(10.0)
+
+    node.subscribe(TELEOP, work)
+    node.detail = lambda: {"model": "campus"}
+    run_node(node)
+    send_raw(node, TELEOP, encode(command(1)), encoding_of(Command))
+    assert begun.wait(5.0)
+    try:
+        assert status(client).detail == {"model": "campus"}
+    finally:
+        finish.set()
+
+
+# -- the loop ---------------------------------------------------------------------------------------------------------
+
+
+def test_spin_until_something_holds_or_time_is_over(node: Node) -> None:
+    with node:
+        handled: list[int] = []
+        node.subscribe(TELEOP, lambda received: handled.append(received.tick))
+        assert not node.spin(until=lambda: bool(handled), timeout_s=0.02)
+        send_raw(node, TELEOP, encode(command(4)), encoding_of(Command))
+        assert node.spin(until=lambda: bool(handled), timeout_s=5.0)
+        assert handled == [4]
+
+
+def test_a_stopped_node_does_not_spin(node: Node) -> None:
+    with node:
+        node.stop()
+        assert not node.spin()
+
+
+def test_timers_run_and_survive_failures(node: Node) -> None:
+    calls: list[float] = []
+
+    def tick() -> None:
+        calls.append(time.monotonic())
+        if len(calls) == 2:
+            raise RuntimeError("a bug")
+
+    with node:
+        node.every(0.005, tick)
+        assert node.spin(until=lambda: len(calls) >= 5, timeout_s=5.0)
+        assert node.status().failed == 1
+
+
+def test_periods_missed_while_busy_are_not_made_up(node: Node) -> None:
+    calls: list[float] = []
+
+    def busy() -> None:
+        calls.append(time.monotonic())
+        if len(calls) == 1:
+            assert not threading.Event().wait(0.1)
+
+    with node:
+        node.every(0.02, busy)
+        node.spin(until=lambda: len(calls) >= 4, timeout_s=5.0)
+    assert calls[3] - calls[1] >= 0.015, "the five missed calls did not come at once"
+
+
+def test_a_wake_before_the_wait_is_not_lost() -> None:
+    inbox = Inbox()
+    inbox.open("queue", 1)
+    inbox.wake()
+    assert inbox.take(timeout_s=None) is None
+
+
+def test_throttle_lets_one_line_a_second_through() -> None:
+    now_s = 0.0
+    throttle = Throttle(lambda: now_s)
+    due = []
+    for step in range(31):
+        now_s = step * 0.125
+        if throttle.due():
+            due.append(now_s)
+    assert due == [0.0, 1.0, 2.0, 3.0]
+
+
+# -- processes --------------------------------------------------------------------------------------------------------
+
+SERVICE = """
+from services.kit.settings import ServiceSettings
+from services.kit.node import Node, configure_logging, read_settings, run_service
+def serve():
+    settings = read_settings(ServiceSettings, "sample")
+    configure_logging(settings.log_level)
+    with Node("sample", settings) as node:
+        node.stop_on_signals()
+        node.log.info("serving")
+        node.spin()
+        node.log.info("stopped with %s", node.status().state)
+run_service("sample", serve)
+"""
+
+
+def start(*flags: str, **environment: str) -> subprocess.Popen[str]:
+    return subprocess.Popen(
+        [sys.executable, "-c", SERVICE, *flags],
+        cwd=ROOT,
+        env=os.environ | environment,
+        stderr=subprocess.PIPE,
+        text=True,
+        # Under nohup the signal is ignored, here and in every child, which is what a service respects.
+        preexec_fn=lambda: signal.signal(signal.SIGHUP, signal.SIG_DFL),  # noqa: PLW1509 - one thread, one call
+    )
+
+
+def wait_for(log: TextIO, text: str) -> None:
+    for line in log:
+        if text in line:
+            return
+    pytest.fail(f"the log ended without {text!r}")
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT, signal.SIGHUP])
+def test_a_signal_stops_a_process_cleanly(router_endpoint: str, client: Bus, number: signal.Signals) -> None:
+    process = start("--router", router_endpoint)
+    assert process.stderr is not None
+    with process:
+        wait_for(process.stderr, "serving")
+        assert ready(client, "sample").pid == process.pid
+        process.send_signal(number)
+        rest = process.stderr.read()
+        assert process.wait(5.0) == 0
+    assert f"{number.name}: stopping" in rest
+    assert "stopped with stopping" in rest
+    assert "Traceback" not in rest
+    assert status_of(client, "sample") is None
+
+
+def test_settings_come_from_the_environment_too(router_endpoint: str) -> None:
+    process = start(SMAL_ROUTER=router_endpoint, SMAL_ROBOT="other")
+    assert process.stderr is not None
+    client = Bus("other", router_endpoint)
+    with process:
+        wait_for(process.stderr, "serving")
+        ready(client, "sample")
+        process.terminate()
+        assert process.wait(5.0) == 0
+    client.close()
+
+
+@pytest.mark.parametrize(
+    ("flags", "status", "line"),
+    [
+        (("--robot", "Bad Robot"), 2, "sample: robot: String should match pattern"),
+        (("--router", "nonsense"), 1, "router address 'nonsense': expected tcp/<host>:<port>"),
+    ],
+)
+def test_bad_settings_are_one_line(flags: tuple[str, ...], status: int, line: str) -> None:
+    process = start(*flags)
+    _, error = process.communicate(timeout=20.0)
+    assert process.returncode == status
+    assert line in error
+    assert len(error.strip().splitlines()) == 1
+
+
+def test_read_settings_names_the_unknown_flag(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(sys, "argv", ["sample", "--colour", "red"])
+    with pytest.raises(SystemExit) as ended:
+        read_settings(ServiceSettings, "sample")
+    assert ended.value.code == 2
+    assert "--colour" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("error", [ServiceError("no such model"), BusError("no router")])
+def test_a_service_that_cannot_start_says_why(error: Exception, caplog: pytest.LogCaptureFixture) -> None:
+    def serve() -> None:
+        raise error
+
+    with pytest.raises(SystemExit) as ended:
+        run_service("sample", serve)
+    assert ended.value.code == 1
+    assert caplog.messages == [str(error)]

@@ -1,0 +1,98 @@
+"""What a sender kept and what it sends come in its order, each once, however they arrive."""
+
+import random
+import threading
+
+from hypothesis import given
+from hypothesis import strategies as st
+
+from services.kit.replay import Replay
+
+
+class Bench:
+    """A replay, what it passed on, and whom it asked."""
+
+    def __init__(self) -> None:
+        self.passed: list[tuple[str, int]] = []
+        self.asked: list[str] = []
+        self.replay: Replay[tuple[str, int]] = Replay(self.passed.append, self.asked.append)
+
+    def live(self, name: str, number: int) -> None:
+        self.replay.live(name, number, (name, number))
+
+    def replayed(self, name: str, number: int) -> None:
+        self.replay.replayed(name, number, (name, number))
+
+
+@given(
+    sent=st.lists(st.integers(1, 30), min_size=1, max_size=3),
+    joined=st.integers(0, 30),
+    rng=st.randoms(use_true_random=False),
+)
+def test_all_samples_come_in_order_and_once(sent: list[int], joined: int, rng: random.Random) -> None:
+    """Of each sender those from `joined` on come live as well, anywhere between and after those it replays."""
+    bench = Bench()
+    for name, count in zip("abc", sent, strict=False):
+        kept = [(bench.replayed, number) for number in range(count)] + [None]
+        live = [(bench.live, number) for number in range(min(joined, count), count)]
+        bench.replay.met(name)
+        while streams := [stream for stream in (kept, live) if stream]:
+            step = rng.choice(streams).pop(0)
+            if step is None:
+                bench.replay.ended(name)
+            else:
+                step[0](name, step[1])
+    assert bench.passed == [(name, number) for name, count in zip("abc", sent, strict=False) for number in range(count)]
+    assert bench.asked == list("abc")[: len(sent)]
+
+
+def test_a_sender_is_asked_once_at_the_first_sign_of_it() -> None:
+    bench = Bench()
+    bench.live("a", 5)
+    bench.replay.met("a")
+    assert bench.asked == ["a"]
+    assert bench.passed == [], "what is live waits for what was kept"
+    bench.replayed("a", 3)
+    bench.replayed("a", 4)
+    assert bench.passed == [("a", 3), ("a", 4)]
+    bench.replay.ended("a")
+    assert bench.passed == [("a", 3), ("a", 4), ("a", 5)]
+    bench.live("a", 6)
+    assert bench.passed[-1] == ("a", 6), "and then passes at once"
+    assert bench.asked == ["a"]
+
+
+def test_who_does_not_answer_holds_up_nobody_else() -> None:
+    bench = Bench()
+    bench.live("dead", 0)
+    bench.live("a", 0)
+    bench.replay.ended("a")
+    assert bench.passed == [("a", 0)]
+    bench.replay.ended("dead")
+    assert bench.passed[-1] == ("dead", 0)
+
+
+def test_samples_are_taken_by_one_thread_at_a_time() -> None:
+    entered, proceed, done = threading.Event(), threading.Event(), []
+
+    def take(number: int) -> None:
+        if number == 0:
+            entered.set()
+            assert proceed.wait(10.0)
+        done.append(number)
+
+    def ask(name: str) -> None:
+        replay.ended(name)
+
+    replay: Replay[int] = Replay(take, ask)
+    threads = [threading.Thread(target=replay.live, args=("a", number, number)) for number in (0, 1)]
+    threads[0].start()
+    assert entered.wait(10.0)
+    threads[1].start()
+    threads[1].join(0.2)
+    assert threads[1].is_alive(), "the second waits"
+    assert done == []
+    proceed.set()
+    for thread in threads:
+        thread.join()
+    assert done == [0, 1]

@@ -1,0 +1,395 @@
+"""What the recorder writes: readable by everyone, complete, and never lost."""
+
+from __future__ import annotations
+
+import errno
+import json
+import os
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from google.protobuf.descriptor_pb2 import FileDescriptorSet
+from google.protobuf.descriptor_pool import DescriptorPool
+from google.protobuf.message_factory import GetMessageClass
+from hypothesis import given
+from hypothesis import strategies as st
+from mcap.reader import make_reader
+from mcap.stream_reader import StreamReader
+from mcap.writer import Writer
+
+from schemas.base import Message
+from schemas.compressed_image import CompressedImage
+from schemas.topics import TOPICS, topic_of
+from services.recordings import writer as mcap_writer
+from services.recordings.encoding import decode_image, payload_of, plain_json_schema
+from services.recordings.ledger import Ledger
+from services.recordings.recovery import RecoveryError, recover
+from services.recordings.sink import Sink, partial_of
+from services.recordings.writer import EPISODE_METADATA, GAPS_METADATA, EpisodeWriter
+from tests.benchmarks.faults.recordings import ticks_of
+from tests.services.recordings.recorded_messages import (
+    applied,
+    command,
+    episode,
+    event,
+    frame,
+    header,
+    image,
+    observation,
+    pixels,
+)
+
+
+def write_all(writer: EpisodeWriter, messages: list[Message]) -> None:
+    for message in messages:
+        writer.write(message)
+
+
+def record(folder: Path, messages: list[Message]) -> Path:
+    writer = EpisodeWriter.begin(folder, messages[0])
+    for message in messages:
+        writer.write(message)
+    path = writer.seal()
+    assert writer.problem is None
+    return path
+
+
+def read_all(path: Path) -> list[tuple[str, int, bytes]]:
+    with path.open("rb") as file:
+        return [
+            (channel.topic, message.sequence, message.data) for _, channel, message in make_reader(file).iter_messages()
+        ]
+
+
+def metadata(path: Path) -> dict[str, dict[str, str]]:
+    with path.open("rb") as file:
+        return {record.name: record.metadata for record in make_reader(file).iter_metadata()}
+
+
+def test_every_message_comes_back_as_it_was(tmp_path: Path) -> None:
+    sent = list(episode("drive-1"))
+    path = record(tmp_path, sent)
+    with path.open("rb") as file:
+        found = list(make_reader(file).iter_messages(log_time_order=False))
+    assert len(found) == len(sent)
+    for message, (_, channel, stored) in zip(sent, found, strict=True):
+        assert channel.topic == TOPICS[message.topic_name].key("rescuebot")
+        assert channel.metadata == {"robot": "rescuebot", "episode": "drive-1"}
+        assert (stored.log_time, stored.sequence) == (message.stamp_ns, message.tick)
+        if not isinstance(message, CompressedImage):
+            assert type(message).model_validate_json(stored.data) == message
+    assert {topic_of(channel.topic) for _, channel, _ in found} == {t for t in TOPICS.values() if t.recorded}
+
+
+def test_images_are_compressed_images_of_the_same_pixels(tmp_path: Path) -> None:
+    path = record(tmp_path, [event("drive-1", 0, "started"), image("drive-1", 0)])
+    with path.open("rb") as file:
+        ((schema, channel, stored),) = make_reader(file).iter_messages(topics=["smal/rescuebot/camera/jpeg"])
+    assert (schema.name, schema.encoding) == ("foxglove.CompressedImage", "protobuf")
+    assert channel.message_encoding == "protobuf"
+    # As a viewer does: nothing but the file's own descriptors.
+    pool = DescriptorPool()
+    for descriptor in FileDescriptorSet.FromString(schema.data).file:
+        pool.Add(descriptor)
+    packed = GetMessageClass(pool.FindMessageTypeByName(schema.name)).FromString(stored.data)
+    assert packed.format == "jpeg"
+    assert packed.timestamp.seconds * 10**9 + packed.timestamp.nanos == image("drive-1", 0).stamp_ns
+    difference = decode_image(stored.data).astype(int) - pixels(0)
+    assert np.abs(difference).max() <= 4
+
+
+def test_summary_lists_schemas_channels_and_statistics(tmp_path: Path) -> None:
+    sent = list(episode("drive-1"))
+    path = record(tmp_path, sent)
+    with path.open("rb") as file:
+        summary = make_reader(file, validate_crcs=True).get_summary()
+    assert summary is not None
+    assert summary.statistics is not None
+    recorded = [topic for topic in TOPICS.values() if topic.recorded]
+    assert len(summary.channels) == len(recorded)
+    assert {schema.name for schema in summary.schemas.values()} == {
+        "foxglove.CompressedImage" if t.message is CompressedImage else t.message.schema_name() for t in recorded
+    }
+    assert summary.statistics.message_count == len(sent)
+    assert sum(summary.statistics.channel_message_counts.values()) == len(sent)
+    assert summary.statistics.message_start_time == sent[0].stamp_ns
+    assert summary.statistics.message_end_time == sent[-1].stamp_ns
+    # The index lets a viewer seek, however big the file is.
+    assert len(summary.chunk_indexes) == len(sent)
+    with path.open("rb") as file:
+        third = [m for _, _, m in make_reader(file).iter_messages(starting_at=header("e", 3).stamp_ns)]
+    assert [message.sequence for message in third] == [message.tick for message in sent if message.tick >= 3]
+    assert [index.name for index in summary.metadata_indexes] == [EPISODE_METADATA, GAPS_METADATA]
+
+
+def test_metadata_says_what_the_episode_is(tmp_path: Path) -> None:
+    found = metadata(record(tmp_path, list(episode("drive-1"))))
+    said = found[EPISODE_METADATA]
+    assert said["software"]
+    assert {key: said[key] for key in ("robot", "episode", "world", "seed", "purpose", "driver")} == {
+        "robot": "rescuebot",
+        "episode": "drive-1",
+        "world": "campus",
+        "seed": "7",
+        "purpose": "drive",
+        "driver": "expert",
+    }
+    assert found[GAPS_METADATA] == {"duplicates": "0"}
+
+
+@pytest.mark.parametrize(
+    "topic", [t for t in TOPICS.values() if t.message is not CompressedImage], ids=lambda t: t.name
+)
+def test_json_schemas_are_of_the_kind_that_foxglove_reads(topic: Any) -> None:
+    def check(schema: dict[str, Any]) -> None:
+        assert schema["type"] in ("boolean", "string", "number", "integer", "object", "array")
+        for child in schema.get("properties", {}).values():
+            check(child)
+        if schema["type"] == "array":
+            check(schema["items"])
+
+    schema = plain_json_schema(topic.message)
+    check(schema)
+    assert "$ref" not in json.dumps(schema)
+
+
+def test_what_is_sent_again_is_written_once(tmp_path: Path) -> None:
+    again = [
+        *frame("e", 0),
+        *frame("e", 0),
+        applied("e", 0),
+        command("e", 0, sequence=1),
+        applied("e", 0),
+        *frame("e", 1),
+    ]
+    path = record(tmp_path, [event("e", 0, "started"), *again])
+    assert len(read_all(path)) == 1 + 2 * len(frame("e", 0)) + 2
+    assert metadata(path)[GAPS_METADATA]["duplicates"] == str(len(frame("e", 0)) + 1)
+
+
+def test_missing_ticks_are_named_in_the_file(tmp_path: Path) -> None:
+    sent = [event("e", 0, "started")]
+    sent += [image("e", tick) for tick in (0, 1, 4, 6)] + [observation("e", tick) for tick in (1, 2, 3, 4, 5, 6, 7)]
+    path = record(tmp_path, [*sent, event("e", 7, "ended", "aborted")])
+    gaps = metadata(path)[GAPS_METADATA]
+    assert gaps == {"duplicates": "0", "camera/jpeg": "2-3 5 7", "observation": "0"}
+
+
+def test_ledger_knows_every_order() -> None:
+    ledger = Ledger()
+    assert [
+        ledger.admit(m)
+        for m in (event("e", 3, "started"), event("e", 3, "collision"), event("e", 3, "ended", "collision"))
+    ] == [True] * 3
+    assert not ledger.admit(event("e", 3, "started"))
+    assert ledger.duplicates == 1
+
+
+@given(st.lists(st.tuples(st.sampled_from(["pose/truth", "observation", "command/applied"]), st.integers(0, 12))))
+def test_the_ledger_misses_what_never_came_in_whatever_order_the_rest_did(sent: list[tuple[str, int]]) -> None:
+    ledger = Ledger()
+    seen: set[tuple[str, int]] = set()
+    for topic, tick in sent:
+        message = {
+            "pose/truth": frame("e", tick)[0],
+            "observation": observation("e", tick),
+            "command/applied": applied("e", tick),
+        }[topic]
+        assert ledger.admit(message) == ((topic, tick) not in seen)
+        seen.add((topic, tick))
+    ledger.close(12)
+    missing = {}
+    for topic in {topic for topic, _ in seen}:
+        ticks = {tick for name, tick in seen if name == topic}
+        last = max(ticks) if topic == "command/applied" else 12
+        missing[topic] = set(range(last + 1)) - ticks
+    assert ledger.duplicates == len(sent) - len(seen)
+    assert ledger.gap_ticks == sum(map(len, missing.values()))
+    named = {topic: ticks_of(text) for topic, text in ledger.gaps().items()}
+    assert named == {topic: ticks for topic, ticks in missing.items() if ticks}
+    assert ledger.whole(12) == (not ledger.gap_ticks)
+
+
+def test_no_recording_is_overwritten(tmp_path: Path) -> None:
+    first, second = (record(tmp_path, list(episode("drive-1", frames=n))) for n in (2, 3))
+    assert [first.name, second.name] == ["drive-1.mcap", "drive-1-2.mcap"]
+    assert len(read_all(first)) == len(list(episode("drive-1", frames=2)))
+
+
+def leave(folder: Path, messages: list[Message]) -> Path:
+    """Record and die: the file is as the system has it after a kill."""
+    writer = EpisodeWriter.begin(folder, messages[0])
+    for message in messages:
+        writer.write(message)
+    writer._sink.close()
+    return partial_of(writer.path)
+
+
+def test_leftovers_are_recovered_whole(tmp_path: Path) -> None:
+    sent = list(episode("drive-1"))
+    (tmp_path / "whole").mkdir()
+    reference = record(tmp_path / "whole", sent)
+    leave(tmp_path, sent)
+    (recovered,) = recover(tmp_path)
+    assert recovered.path == tmp_path / "drive-1.mcap"
+    assert read_all(recovered.path) == read_all(reference)
+    assert not list(tmp_path.glob("*.partial"))
+    with recovered.path.open("rb") as one, reference.open("rb") as other:
+        left, right = make_reader(one).get_summary(), make_reader(other).get_summary()
+    assert left is not None
+    assert right is not None
+    assert (left.schemas, left.channels) == (right.schemas, right.channels)
+    assert left.statistics is not None
+    assert right.statistics is not None
+    assert left.statistics.channel_message_counts == right.statistics.channel_message_counts
+    assert metadata(recovered.path)[EPISODE_METADATA]["episode"] == "drive-1"
+
+
+def test_leftovers_cut_anywhere_are_recovered_as_far_as_they_are_whole(tmp_path: Path) -> None:
+    partial = leave(tmp_path, list(episode("e", frames=2)))
+    content = partial.read_bytes()
+    partial.unlink()
+    whole = list(episode("e", frames=2))
+    counts = []
+    for size in (*range(0, len(content), 997), len(content)):
+        partial.write_bytes(content[:size] + (b"\0" * 100 if size % 2 else b""))
+        (recovered,) = recover(tmp_path)
+        if recovered.path is None:
+            assert size < 200, recovered.problem
+            partial.unlink(missing_ok=True)
+            continue
+        with recovered.path.open("rb") as file:
+            list(StreamReader(file, validate_crcs=True).records)
+        counts.append(len(read_all(recovered.path)))
+        recovered.path.unlink()
+    assert counts == sorted(counts)
+    assert counts[-1] == len(whole)
+
+
+def test_a_leftover_is_gone_on_with_as_if_nothing_had_happened(tmp_path: Path) -> None:
+    sent = [*episode("e", frames=6)]
+    (tmp_path / "whole").mkdir()
+    reference = record(tmp_path / "whole", sent)
+    for kept in range(1, len(sent) + 1):
+        writer = EpisodeWriter.resume(leave(tmp_path, sent[:kept]))
+        assert (writer.messages, writer.episode) == (kept, "e")
+        assert writer.end_tick == (5 if kept == len(sent) else None)
+        write_all(writer, sent[max(0, kept - 20) :])
+        path = writer.seal()
+        assert read_all(path) == read_all(reference)
+        with path.open("rb") as file:
+            list(StreamReader(file, validate_crcs=True).records)
+        assert set(metadata(path)[GAPS_METADATA]) == {"duplicates"}
+        path.unlink()
+
+
+def test_a_leftover_cut_anywhere_gets_what_it_lacks_when_that_is_sent_again(tmp_path: Path) -> None:
+    sent = list(episode("e", frames=3))
+    partial = leave(tmp_path, sent)
+    content = partial.read_bytes()
+    partial.unlink()
+    resumed = 0
+    for size in range(0, len(content), 499):
+        partial.write_bytes(content[:size] + b"\0" * (size % 3))
+        try:
+            writer = EpisodeWriter.resume(partial)
+        except RecoveryError:
+            assert size < 700, "only where even the name of the episode is lost"
+            assert partial.read_bytes() == content[:size] + b"\0" * (size % 3)
+            continue
+        resumed += 1
+        write_all(writer, sent)
+        path = writer.seal()
+        assert sorted(read_all(path)) == sorted(
+            (TOPICS[m.topic_name].key("rescuebot"), m.tick, payload_of(m)) for m in sent
+        )
+        path.unlink()
+    assert resumed > 10
+
+
+def test_ticks_that_nobody_can_send_any_more_are_named_after_a_resumption(tmp_path: Path) -> None:
+    before = [event("e", 0, "started"), *frame("e", 0), applied("e", 0)]
+    writer = EpisodeWriter.resume(leave(tmp_path, before))
+    write_all(writer, [*frame("e", 4), event("e", 4, "ended", "aborted")])
+    gaps = metadata(writer.seal())[GAPS_METADATA]
+    assert gaps == {"duplicates": "0"} | dict.fromkeys(("camera/jpeg", "pose/truth", "observation", "state"), "1-3")
+
+
+def test_what_is_being_recorded_or_foreign_is_let_be(tmp_path: Path) -> None:
+    living = EpisodeWriter.begin(tmp_path, event("living", 0, "started"))
+    foreign = tmp_path / "foreign.mcap.partial"
+    foreign.write_bytes(b"holiday pictures, not to be touched")
+    other = tmp_path / "other.mcap.partial"
+    with other.open("wb") as file:
+        writer = Writer(file)
+        writer.start()
+        channel = writer.register_channel("else", "json", 0)
+        for number in range(3):
+            writer.add_message(channel, number, b"{}", number)
+        writer.finish()
+    before = other.read_bytes()
+    left, right = recover(tmp_path)
+    assert (left.partial, left.problem) == (foreign, "not an MCAP file")
+    assert right.partial == other
+    assert str(right.problem).startswith("not written by this recorder")
+    assert foreign.exists()
+    assert other.read_bytes() == before
+    living.write(image("living", 0))
+    assert read_all(living.seal())
+
+
+def test_a_leftover_does_not_take_the_name_of_a_recording(tmp_path: Path) -> None:
+    leave(tmp_path, list(episode("e")))
+    (tmp_path / "e.mcap").write_bytes(b"another")
+    (recovered,) = recover(tmp_path)
+    assert recovered.path == tmp_path / "e-2.mcap"
+    assert (tmp_path / "e.mcap").read_bytes() == b"another"
+
+
+class FullDisk(Sink):
+    """A disk with room for ``room`` bytes; half of the write that does not fit is written."""
+
+    room = 32_000
+
+    def write(self, data: bytes) -> int:
+        if self.tell() + len(data) > self.room:
+            super().write(data[: max(0, self.room - self.tell())])
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        return super().write(data)
+
+
+def test_a_full_disk_seals_the_file_after_the_last_whole_message(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(mcap_writer, "Sink", FullDisk)
+    writer = EpisodeWriter.begin(tmp_path, event("e", 0, "started"))
+    sent = list(episode("e", frames=50))
+    with pytest.raises(OSError, match="No space left"):
+        write_all(writer, sent)
+    before = writer.messages
+    writer.write(observation("e", 49))
+    path = writer.seal()
+    assert path.name == "e.mcap"
+    assert 10 < len(read_all(path)) == before == writer.messages < len(sent)
+
+
+def test_a_disk_too_full_for_the_index_leaves_what_the_next_start_finishes(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(*_: object) -> None:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    writer = EpisodeWriter.begin(tmp_path, event("e", 0, "started"))
+    for message in episode("e"):
+        writer.write(message)
+    monkeypatch.setattr("services.recordings.sink.write_all", full)
+    monkeypatch.setattr("services.recordings.recovery.write_all", full)
+    path = writer.seal()
+    assert path.name == "e.mcap.partial"
+    assert writer.problem == "No space left on device"
+    monkeypatch.undo()
+    (recovered,) = recover(tmp_path)
+    assert recovered.path is not None
+    assert len(read_all(recovered.path)) == len(list(episode("e")))

@@ -1,0 +1,75 @@
+"""The one table of services: what is derived from it, and that adding a service is a folder and a row."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from schemas import topics
+from schemas.topics import TOPICS, Topic
+from services.cli.checks import check_port
+from services.cli.stack.processes import Stack, StackPlan
+from services.cli.topic import markdown_table
+from services.table import SERVICES, Service, givers, graph, stack_services, takers
+from tests.services.cli.conftest import ROOT
+
+TOY = """
+from schemas import topics
+from services.kit.node import Node, read_settings
+from services.kit.settings import ServiceSettings
+
+with Node("toy", read_settings(ServiceSettings, "toy")) as node:
+    node.stop_on_signals()
+    node.subscribe(topics.ODOMETRY, lambda odometry: None)
+    node.spin()
+"""
+
+
+@pytest.fixture
+def toy(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Service:
+    """Add a service as a contributor would: a folder, and a row."""
+    (tmp_path / "toy").mkdir()
+    (tmp_path / "toy" / "__main__.py").write_text(TOY)
+    monkeypatch.setenv("PYTHONPATH", f"{tmp_path}:{ROOT}")
+    row = Service("toy", "counts the wheels' turns", takes=(topics.ODOMETRY,), module="toy")
+    monkeypatch.setitem(SERVICES, "toy", row)
+    return row
+
+
+@pytest.mark.parametrize("topic", TOPICS.values(), ids=lambda topic: topic.name)
+def test_every_topic_has_somebody_who_publishes_it(topic: Topic) -> None:
+    assert len(givers(topic)) == 1
+    assert givers(topic)[0] not in takers(topic)
+
+
+def test_the_router_comes_first_and_a_recorder_takes_what_is_recorded() -> None:
+    assert stack_services()[0] == "router"
+    assert [topic for topic in TOPICS.values() if topic.recorded] == list(SERVICES["recorder"].takes)
+
+
+@pytest.mark.parametrize("name", stack_services())
+def test_the_compose_file_runs_every_service_in_its_image(name: str) -> None:
+    row, compose = SERVICES[name], (ROOT / "docker-compose.yml").read_text()
+    before, command, _ = compose.partition(f"command: python {' '.join(row.command)}\n")
+    assert command
+    # The anchors that a container is made of stand above its command.
+    assert f"*{row.image}_image" in before[before.rindex("<<: [") :].splitlines()[0]
+
+
+def test_a_new_service_is_in_the_table_of_topics_and_in_the_picture(toy: Service) -> None:
+    assert "| `odometry` |" in markdown_table()
+    assert "toy" in takers(topics.ODOMETRY)
+    assert "recognition, recorder, toy" in markdown_table()
+    assert "    simulator -- odometry --> toy" in graph().splitlines()
+
+
+def test_a_new_service_starts_with_the_stack_and_the_doctor_finds_it(
+    toy: Service, free_endpoint: str, tmp_path: Path
+) -> None:
+    assert stack_services()[-1] == "toy"
+    plan = StackPlan(("router", "toy"), "toybot", free_endpoint, logs=tmp_path / "logs")
+    with Stack(plan):
+        found = check_port(free_endpoint, "toybot")
+    assert found.ok
+    assert found.text.endswith("router, toy")
