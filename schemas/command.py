@@ -33,7 +33,8 @@ class Command(Message):
 class CommandApplied(Message):
     """What the actuator does from this tick on; the heartbeat of the robot."""
 
-    version: ClassVar[int] = 2
+    version: ClassVar[int] = 3
+    reads: ClassVar[tuple[int, ...]] = (2,)
     topic: ClassVar[str] = "command/applied"
 
     sequence: Annotated[int, Field(ge=0, le=1_000_000)] = 0
@@ -45,8 +46,9 @@ class CommandApplied(Message):
     """Fraction of the nominal speed."""
     source: Source | None
     """Whose command it is; none when the robot stands for want of one."""
-    reason: Literal["command", "silence", "emergency_stop"]
-    """Why: a fresh command, no fresh command from anyone, or a latched emergency stop."""
+    reason: Literal["command", "silence", "taken_over", "emergency_stop"]
+    """Why: a fresh command, no fresh command from the driver, none from the person who has taken over, or a latched
+    emergency stop."""
     answered_tick: Annotated[int | None, Field(ge=0, le=MAX_TICK)] = None
     """The frame that the obeyed command answered, at or before this tick; none without a command of this episode."""
     latency_ns: Annotated[int | None, Field(ge=0, lt=2**63)] = None

@@ -83,9 +83,9 @@ class ResetRequest(Strict):
     """Whether time waits for commands."""
     max_ticks: Annotated[int, Field(ge=1, le=1_000_000)] = 3000
     """Frames after which the episode times out."""
-    release_emergency_stop: bool = False
-    """Release a latched emergency stop, which nothing else does; for the person at the robot only. A reset without it
-    is refused while the stop is latched."""
+    release_emergency_stop: Annotated[int, Field(ge=0, lt=2**63)] = 0
+    """Number of the latched emergency stop to release, which nothing else does; for the person at the robot only. The
+    simulator's status tells it. A reset without it is refused while the stop is latched."""
 
 
 class ResetReply(Strict):
@@ -105,6 +105,13 @@ class ResetReply(Strict):
 
 class EndRequest(Strict):
     """End the running episode (simulator)."""
+
+    episode: EpisodeId
+    """Which; refused when another one runs."""
+
+
+class ResumeRequest(Strict):
+    """Let the driver go on, from whom a person has taken over (simulator)."""
 
     episode: EpisodeId
     """Which; refused when another one runs."""

@@ -11,14 +11,14 @@ from collections import Counter
 from dataclasses import dataclass
 from typing import Final, Literal
 
-from schemas.base import SOURCES, Atom, Source
+from schemas.base import Atom, Source
 from schemas.command import Command
 
 #: Age at which a command is no longer obeyed, seconds since the capture of the frame that it descends from. The robot
 #: must stand 0.5 s after the last command; the rest is for braking from 2 m/s (0.25 s).
 MAX_AGE_S: Final = 0.25
 Refusal = Literal["wrong episode", "not the driver", "not finite", "unknown frame", "stale", "out of order"]
-Reason = Literal["command", "silence", "emergency_stop"]
+Reason = Literal["command", "silence", "taken_over", "emergency_stop"]
 
 
 @dataclass(frozen=True)
@@ -50,23 +50,43 @@ class CommandGate:
 
     def __init__(self, max_age_s: float = MAX_AGE_S) -> None:
         self.max_age_s = max_age_s
-        self._emergency = False
+        self._stops = self._released = 0
         self._begin("", "policy")
 
     @property
-    def emergency_stop(self) -> bool:
-        """Whether an emergency stop is latched."""
-        return self._emergency
+    def emergency_stop(self) -> int:
+        """Number of the latched emergency stop, counted from 1 since the start; 0 where none is."""
+        return self._stops if self._stops > self._released else 0
 
-    def begin(self, episode: str, driver: Source, *, release_emergency_stop: bool = False) -> None:
-        """Start an episode: forget every command and name the driver; an emergency stop stays unless released."""
+    @property
+    def taken_over(self) -> bool:
+        """Whether a person has taken over from the driver."""
+        return self._taken_over
+
+    def stop(self) -> None:
+        """Latch an emergency stop; may be called on another thread than everything else."""
+        self._stops += 1
+
+    def begin(self, episode: str, driver: Source, *, release_stop: int = 0) -> None:
+        """Start an episode: forget every command and name the driver.
+
+        An emergency stop stays unless its number is given: whoever releases one does not release another that came
+        meanwhile.
+        """
         self._begin(episode, driver)
-        if release_emergency_stop:
-            self._emergency = False
+        stops = self._stops  # read once: another one may come meanwhile
+        if release_stop == stops:
+            self._released = stops
+
+    def resume(self) -> None:
+        """Let the driver go on after a person had taken over; what was asked for before no longer counts."""
+        self._taken_over = False
+        self._latest.clear()
 
     def _begin(self, episode: str, driver: Source) -> None:
         self._episode = episode
-        self._allowed = SOURCES[: SOURCES.index(driver) + 1]
+        self._driver = driver
+        self._taken_over = False
         self._captured_s: dict[int, float] = {}
         self._latest: dict[Source, _Accepted] = {}
         self.refused: Counter[Refusal] = Counter()
@@ -80,15 +100,18 @@ class CommandGate:
         """Take a command, or say why not.
 
         An emergency stop is taken whatever its age, order and episode, and without an episode too: it can only make
-        the robot stand. It stays until ``begin`` is told to release it.
+        the robot stand. It stays until ``begin`` is told to release it. A person's command takes over from any other
+        driver, for good: where the person falls silent the robot stands until ``resume``.
         """
         refusal = self._check(command, now_s)
         if refusal is not None:
             self.refused[refusal] += 1
             return refusal
         if command.source == "emergency_stop":
-            self._emergency = True
+            self.stop()
             return None
+        if command.source != self._driver:
+            self._taken_over = True
         self._latest[command.source] = _Accepted(command, self._captured_s[command.tick])
         return None
 
@@ -97,7 +120,7 @@ class CommandGate:
             return None
         if command.episode != self._episode:
             return "wrong episode"
-        if command.source not in self._allowed:
+        if command.source not in ("teleop", self._driver):
             return "not the driver"
         if not 0.0 <= command.speed <= 1.0:  # NaN is not between them either
             return "not finite"
@@ -111,17 +134,17 @@ class CommandGate:
         return "stale" if now_s - captured_s > self.max_age_s else None
 
     def answered(self, source: Source, tick: int) -> bool:
-        """Whether a source has commanded for this very frame (or an emergency stop leaves nothing to wait for)."""
+        """Whether a source has commanded for this very frame."""
         latest = self._latest.get(source)
-        return self._emergency or (latest is not None and latest.command.tick == tick)
+        return latest is not None and latest.command.tick == tick
 
     def applied(self, now_s: float) -> Applied:
-        """Return what the actuator has to do now: the fresh command of the highest-ranking source, or stand."""
-        if self._emergency:
+        """Return what the actuator has to do now: the fresh command of whoever drives, or stand."""
+        if self.emergency_stop:
             return Applied("stop", 0.0, "emergency_stop", "emergency_stop")
-        for source in self._allowed:
-            latest = self._latest.get(source)
-            if latest is not None and now_s - latest.captured_s <= self.max_age_s:
-                command = latest.command
-                return Applied(command.atom, command.speed, source, "command", command.tick)
-        return Applied("stop", 0.0, None, "silence")
+        source: Source = "teleop" if self._taken_over else self._driver
+        latest = self._latest.get(source)
+        if latest is not None and now_s - latest.captured_s <= self.max_age_s:
+            command = latest.command
+            return Applied(command.atom, command.speed, source, "command", command.tick)
+        return Applied("stop", 0.0, None, "taken_over" if self._taken_over else "silence")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import time
+import secrets
 
 from services.kit.node import Node, ServiceError, configure_logging, read_settings, run_service
 from services.simulator.config import SimulatorSettings
@@ -26,8 +26,8 @@ def serve() -> None:
         )
     except (WorldError, RenderingUnavailableError, PhysicsUnavailableError) as error:
         raise ServiceError(str(error)) from None
-    # Episode ids stay unique when the simulator is restarted.
-    session = f"{time.time_ns() // 1_000_000:x}"
+    # Episode ids stay unique when the simulator is restarted, whatever the wall clock says.
+    session = secrets.token_hex(6)
     with Node("simulator", settings) as node:
         node.stop_on_signals()
         runner = EpisodeRunner(simulation, settings.robot, session, wanted=node.bus.has_listeners)

@@ -23,6 +23,7 @@ from schemas.pose import Pose
 from schemas.rpc import ResetReply, ResetRequest
 from schemas.topics import DEPTH, OVERHEAD, Topic
 from services.kit.jpeg import encode_jpeg
+from services.robot.clock import now_s
 from services.robot.gate import Applied, CommandGate
 from services.robot.outcome import outcome_of
 from services.simulator.base import STEP_S
@@ -159,7 +160,7 @@ class EpisodeRunner:
         world: World,
         robot: str,
         session: str,
-        clock: Callable[[], float] = time.monotonic,
+        clock: Callable[[], float] = now_s,
         wall_clock_ns: Callable[[], int] = time.time_ns,
         wanted: Callable[[Topic], bool] = lambda _topic: False,
     ) -> None:
@@ -198,7 +199,7 @@ class EpisodeRunner:
         episode = f"{request.purpose}-{request.seed}-{self._session}-{self._count}"
         now_s, now_ns = self._clock(), self._wall_clock_ns()
         self._running = run = _Running(episode, request, now_s, now_s, now_ns, stamp_ns=now_ns)
-        self.gate.begin(episode, request.driver, release_emergency_stop=request.release_emergency_stop)
+        self.gate.begin(episode, request.driver, release_stop=request.release_emergency_stop)
         route = tuple((float(x), float(y)) for x, y in self._world.route())
         messages.append(self._event("started"))
         messages.extend(self._capture(run))
@@ -226,18 +227,20 @@ class EpisodeRunner:
     def offer(self, command: Command) -> Iterator[Message]:
         """Take a command; in lockstep the world moves on when the driver has answered.
 
-        Without an episode there is nothing to move, but an emergency stop latches all the same.
+        While an emergency stop is latched it does not: the robot stands, and nothing is rendered.
         """
         run = self._running
         if run is None:
-            if command.source == "emergency_stop":
-                self.gate.offer(command, self._clock())
             return
         now_s = self._gate_s(run)
         refusal = self.gate.offer(command, now_s)
         if refusal is None and command.source != "emergency_stop":
             run.latency_s[command.source] = self._clock() - run.ready_s[command.tick]
-        if run.request.mode == "lockstep" and self.gate.answered(run.request.driver, run.tick):
+        if (
+            run.request.mode == "lockstep"
+            and not self.gate.emergency_stop
+            and self.gate.answered(run.request.driver, run.tick)
+        ):
             applied = self.gate.applied(now_s)
             yield self._apply(run, applied)
             self._world.advance(applied.atom, applied.speed, TICK_S)
@@ -274,6 +277,9 @@ class EpisodeRunner:
 
     def _await_answer(self, run: _Running) -> Iterator[Message]:
         now_s = self._clock()
+        applied = self.gate.applied(self._gate_s(run))
+        if applied.reason == "emergency_stop" and applied != run.applied:
+            yield self._apply(run, applied)
         if now_s - run.ready_s[run.tick] > GIVE_UP_S:
             yield from self.end(None)
         elif now_s - run.sent_s > RESEND_S:

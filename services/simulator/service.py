@@ -8,13 +8,13 @@ from typing import Final
 from schemas.base import Message
 from schemas.command import Command, CommandApplied
 from schemas.episode import Episode
-from schemas.rpc import EndRequest, ResetReply, ResetRequest
+from schemas.rpc import EndRequest, ResetReply, ResetRequest, ResumeRequest
 from schemas.topics import COMMANDS
 from services.kit.node import Detail, Node, ServiceError
 from services.simulator.base import STEP_S
 from services.simulator.episode import EpisodeRunner
 
-LATCHED: Final = "the emergency stop is latched; release it with a new episode from smal teleop (n)"
+LATCHED: Final = "emergency stop {} is latched; release it with a new episode from smal teleop (n)"
 
 
 class SimulatorService:
@@ -32,12 +32,20 @@ class SimulatorService:
         self._runner = runner
         self._node = node
         self._timed: tuple[str, int | None] | None = None
-        for topic in COMMANDS.values():
-            node.subscribe(topic, self.handle)
+        for source, topic in COMMANDS.items():
+            if source != "emergency_stop":
+                node.subscribe(topic, self.handle)
+        # On the bus's own thread: nothing that waits or renders goes before it, and no queue can lose it.
+        node.at_once(COMMANDS["emergency_stop"], self.stop)
         node.serve("reset", ResetRequest, self.reset)
         node.serve("end", EndRequest, self.end)
+        node.serve("resume", ResumeRequest, self.resume)
         node.every(STEP_S, self.poll)
         node.detail = self.detail
+
+    def stop(self, _: Command) -> None:
+        """Latch an emergency stop; the next poll tells of it."""
+        self._runner.gate.stop()
 
     def handle(self, command: Command) -> Iterator[Message]:
         """Offer a command to the actuator."""
@@ -49,18 +57,28 @@ class SimulatorService:
 
     def reset(self, request: ResetRequest) -> ResetReply:
         """Begin an episode; refused while an emergency stop is latched that the request does not release."""
-        if self._runner.gate.emergency_stop and not request.release_emergency_stop:
-            raise ServiceError(LATCHED)
+        latched = self._runner.gate.emergency_stop
+        if latched and latched != request.release_emergency_stop:
+            raise ServiceError(LATCHED.format(latched))
         reply, messages = self._runner.reset(request)
         self._node.publish(self._log(iter(messages)))
         return reply
 
     def end(self, request: EndRequest) -> None:
         """End the running episode."""
-        running = self._runner.running
-        if running is None or running.id != request.episode:
-            raise ServiceError(f"episode {request.episode} is not running")
+        self._check_running(request.episode)
         self._node.publish(self._log(iter(self._runner.end(None))))
+
+    def resume(self, request: ResumeRequest) -> None:
+        """Let the driver go on, from whom a person has taken over."""
+        self._check_running(request.episode)
+        self._runner.gate.resume()
+        self._node.log.info("episode %s: the driver goes on", request.episode)
+
+    def _check_running(self, episode: str) -> None:
+        running = self._runner.running
+        if running is None or running.id != episode:
+            raise ServiceError(f"episode {episode} is not running")
 
     def detail(self) -> Detail:
         """Tell the running episode and how the actuator fares."""
@@ -72,6 +90,7 @@ class SimulatorService:
             "slow_ticks": self._runner.slow_ticks,
             "resent": self._runner.resent,
             "emergency_stop": self._runner.gate.emergency_stop,
+            "taken_over": self._runner.gate.taken_over,
         }
         # This runs on a thread of the bus: list() takes the counts at one moment.
         detail |= {f"refused {reason}": count for reason, count in list(self._runner.gate.refused.items())}

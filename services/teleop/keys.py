@@ -17,7 +17,7 @@ FIRST_HOLD_S: Final = 0.6
 #: Then they repeat every 0.03 to 0.1 s.
 REPEAT_HOLD_S: Final = 0.15
 
-Key = Literal["forward", "backward", "left", "right", "stop", "emergency_stop", "new_episode", "quit"]
+Key = Literal["forward", "backward", "left", "right", "stop", "emergency_stop", "new_episode", "resume", "quit"]
 _LETTERS: Final[dict[bytes, Key]] = {
     b"w": "forward",
     b"s": "backward",
@@ -26,6 +26,7 @@ _LETTERS: Final[dict[bytes, Key]] = {
     b" ": "stop",
     b"e": "emergency_stop",
     b"n": "new_episode",
+    b"r": "resume",
     b"q": "quit",
 }
 _ARROWS: Final[dict[bytes, Key]] = {b"A": "forward", b"B": "backward", b"D": "left", b"C": "right"}

@@ -6,19 +6,20 @@ import secrets
 import threading
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from queue import Empty, SimpleQueue
 from typing import Final
 
 from schemas import topics
 from schemas.command import CommandApplied
 from schemas.episode import Episode
-from schemas.rpc import EndRequest, Nothing, ResetReply, ResetRequest
+from schemas.rpc import EndRequest, Nothing, ResetReply, ResetRequest, ResumeRequest, Status
 from services.kit.bus import RpcError
 from services.kit.node import Node
 from services.teleop.config import TeleopSettings
 from services.teleop.keys import Key, KeyHold, KeyParser
 from services.teleop.service import TeleopService
-from services.teleop.status import Status
+from services.teleop.status import Status as StatusLine
 from services.teleop.terminal import Terminal, open_terminal
 
 #: How often keys are read, releases noticed and the status line drawn.
@@ -27,7 +28,7 @@ CONNECT_S: Final = 3.0
 #: The simulator's first frame takes seconds.
 RESET_S: Final = 60.0
 END_S: Final = 5.0
-HELP: Final = "arrows or w a s d: drive (hold)   space: stop   e: EMERGENCY STOP   n: new episode   q: quit"
+HELP: Final = "arrows or w a s d: drive (hold)   space: stop   e: EMERGENCY STOP   n: new episode   r: resume   q: quit"
 
 
 def run(settings: TeleopSettings) -> None:
@@ -66,12 +67,13 @@ class TeleopSession:
         self._terminal = terminal
         self._parser = KeyParser()
         self._service = TeleopService(KeyHold(clock, settings.first_hold_s, settings.repeat_hold_s), node.robot)
-        self._status = Status(clock)
+        self._status = StatusLine(clock)
         self._seed = secrets.randbelow(2**31) if settings.seed is None else settings.seed
         self._goal = settings.goal
         self._mine: str | None = None
         self._resetting: threading.Thread | None = None
         self._replies: SimpleQueue[ResetReply | RpcError] = SimpleQueue()
+        self._complaints: SimpleQueue[str] = SimpleQueue()
         node.subscribe(topics.APPLIED, self.on_applied)
         node.subscribe(topics.EPISODE, self.on_event)
         node.every(POLL_S, self.poll)
@@ -98,6 +100,8 @@ class TeleopSession:
             self._press(key)
         self._node.publish(self._service.poll())
         self._take_reply()
+        with suppress(Empty):
+            self._terminal.say(self._complaints.get_nowait())
         self._terminal.show(self._status.line(self._service.held, self._service.emergency))
 
     def finish(self) -> None:
@@ -117,32 +121,45 @@ class TeleopSession:
             self._node.stop()
         elif key == "new_episode":
             self._begin_episode()
+        elif key == "resume":
+            self._resume()
         elif key == "emergency_stop":
             self._node.publish(self._service.stop_for_emergency())
             self._terminal.say("EMERGENCY STOP until you begin a new episode (n)")
         else:
             self._node.publish(self._service.press(key))
 
+    def _resume(self) -> None:
+        """Ask that the driver goes on from whom the operator has taken over, without waiting for the answer."""
+        if self._service.episode is None or self._service.held is not None:
+            self._terminal.say("no episode" if self._service.held is None else "let go of the key first")
+            return
+        request = ResumeRequest(episode=self._service.episode)
+
+        def resume() -> None:
+            try:
+                self._node.bus.call("simulator", "resume", request, Nothing, END_S)
+            except RpcError as error:
+                self._complaints.put(str(error))
+
+        threading.Thread(target=resume, name="resume", daemon=True).start()
+
     def _begin_episode(self) -> None:
         """Ask the simulator in a thread of its own: an emergency stop must not wait for a slow reset."""
         if self._resetting is not None:
             self._terminal.say("still waiting for the simulator")
             return
-        # Only a person who looks at the robot may release an emergency stop.
-        request = ResetRequest(
-            seed=self._seed,
-            purpose="drive",
-            goal=self._goal,
-            driver="teleop",
-            mode="realtime",
-            release_emergency_stop=True,
-        )
+        request = ResetRequest(seed=self._seed, purpose="drive", goal=self._goal, driver="teleop", mode="realtime")
         self._service.release_emergency_stop()
         self._seed += 1
 
         def reset() -> None:
+            bus = self._node.bus
             try:
-                self._replies.put(self._node.bus.call("simulator", "reset", request, ResetReply, RESET_S))
+                # Only a person who looks at the robot may release an emergency stop: that one, and none after it.
+                stop = bus.call("simulator", "status", Nothing(), Status, END_S).detail.get("emergency_stop", 0)
+                released = request.model_copy(update={"release_emergency_stop": stop})
+                self._replies.put(bus.call("simulator", "reset", released, ResetReply, RESET_S))
             except RpcError as error:
                 self._replies.put(error)
 

@@ -70,6 +70,11 @@ class Status:
         silent_s = self._clock() - self._heard_s
         if silent_s > SILENCE_S:
             return f"NO SIGN OF THE ROBOT for {silent_s:.0f} s"
-        by = {"command": f"by {applied.source}", "silence": "nobody drives", "emergency_stop": "emergency stop"}
+        by = {
+            "command": f"by {applied.source}",
+            "silence": "nobody drives",
+            "taken_over": "you have taken over; r resumes",
+            "emergency_stop": "emergency stop",
+        }
         doing = f"{applied.atom} ({by[applied.reason]})"
         return f"frame {applied.tick}  |  robot: {doing}  |  refused {applied.refused}"

@@ -29,7 +29,7 @@ from services.kit.settings import ServiceSettings
 from tests.services.conftest import RunNode
 from tests.services.waiting import eventually, introduce, ready, status_of
 
-ROOT = Path(__file__).parents[2]
+ROOT = Path(__file__).parents[3]
 TELEOP = topics.COMMANDS["teleop"]
 
 
@@ -376,3 +376,42 @@ def test_a_service_that_cannot_start_says_why(error: Exception, caplog: pytest.L
         run_service("sample", serve)
     assert ended.value.code == 1
     assert caplog.messages == [str(error)]
+
+
+def test_what_is_handled_at_once_waits_for_nothing_and_is_lost_in_no_queue(
+    node: Node, run_node: RunNode, client: Bus
+) -> None:
+    """An emergency stop: behind junk, behind calls, and while the node's own thread is busy."""
+    stop, stopped, busy, release = (
+        topics.COMMANDS["emergency_stop"],
+        threading.Event(),
+        threading.Event(),
+        threading.Event(),
+    )
+
+    def work(_: Nothing) -> None:
+        busy.set()
+        release.wait(20.0)
+
+    node.serve("work", Nothing, work)
+    node.at_once(stop, lambda _: stopped.set())
+    run_node(node)
+    ready(client, "sample")
+    calls = [
+        threading.Thread(target=lambda: client.call("sample", "work", Nothing(), Nothing, 20.0), daemon=True)
+        for _ in range(64)
+    ]
+    for call in calls:
+        call.start()
+    assert busy.wait(10.0)
+    junk = client._sessions[stop.urgent].declare_publisher(stop.key("rescuebot"))
+    try:
+        for _ in range(100):
+            junk.put(b"\xc1", encoding=encoding_of(stop.message))
+        eventually(lambda: (client.publish(command(0, source="emergency_stop")), stopped.is_set())[1])
+        assert status(client).bad[stop.name] == 100
+        assert status(client).busy_s > 0.0
+    finally:
+        release.set()
+    for call in calls:
+        call.join(20.0)

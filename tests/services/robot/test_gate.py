@@ -128,13 +128,14 @@ def test_no_frame_is_known_before_the_first(gate: CommandGate) -> None:
     assert gate.offer(command(0, episode="f"), 10.0) == "unknown frame"
 
 
-@pytest.mark.parametrize("episode", ["e", "x"])
+@pytest.mark.parametrize("episode", ["e", "x", "policy", "teleop"])
 def test_nothing_moves_before_the_first_episode(episode: str) -> None:
     gate = CommandGate()
     gate.captured(0, 10.0)
-    assert gate.offer(command(0, episode=episode), 10.0) == "wrong episode"
+    for source in SOURCES[1:]:
+        assert gate.offer(command(0, source=source, episode=episode), 10.0) == "wrong episode"
     assert gate.applied(10.0) == STAND
-    assert not gate.emergency_stop
+    assert gate.emergency_stop == 0
 
 
 def test_what_is_applied_cannot_be_changed(gate: CommandGate) -> None:
@@ -165,22 +166,84 @@ def test_order_is_that_of_the_frames_first(gate: CommandGate) -> None:
     assert gate.offer(command(2, sequence=5), 10.0) == "out of order"
 
 
-def test_sources_of_lower_rank_than_the_driver_are_refused() -> None:
+@pytest.mark.parametrize(("driver", "other"), [("expert", "policy"), ("policy", "expert"), ("teleop", "policy")])
+def test_no_other_program_than_the_driver_moves_the_robot(driver: Source, other: Source) -> None:
+    gate = CommandGate()
+    gate.begin("e", driver)
+    gate.captured(0, 0.0)
+    assert gate.offer(command(0, source=other), 0.0) == "not the driver"
+    assert gate.offer(command(0, source=driver), 0.0) is None
+    assert gate.applied(0.1).source == driver
+
+
+def test_a_person_goes_before_every_driver() -> None:
     gate = CommandGate()
     gate.begin("e", "expert")
     gate.captured(0, 0.0)
-    assert gate.offer(command(0, source="policy"), 0.0) == "not the driver"
-    assert gate.offer(command(0, source="expert"), 0.0) is None
+    gate.offer(command(0, source="expert"), 0.0)
     assert gate.offer(command(0, source="teleop", atom="left"), 0.0) is None
     assert gate.applied(0.1).source == "teleop"
 
 
-def test_policy_takes_over_again_when_teleop_falls_silent(gate: CommandGate) -> None:
-    gate.offer(command(0, source="teleop", atom="stop"), 10.0)
+@pytest.mark.parametrize("driver", ["policy", "expert"])
+def test_a_person_takes_over_and_the_robot_stands_until_the_driver_is_told_to_go_on(driver: Source) -> None:
+    gate = CommandGate()
+    gate.begin("e", driver)
+    gate.captured(0, 10.0)
+    gate.offer(command(0, source=driver), 10.0)
+    assert not gate.taken_over
+    assert gate.offer(command(0, source="teleop", atom="left"), 10.0) is None
+    assert gate.taken_over
     gate.captured(3, 10.1)
-    gate.offer(command(3), 10.1)
-    assert gate.applied(10.2).source == "teleop"
-    assert gate.applied(10.0 + MAX_AGE_S + 0.01).source == "policy"
+    assert gate.offer(command(3, source=driver), 10.1) is None, "what it would do is heard, for lockstep"
+    assert gate.answered(driver, 3)
+    assert gate.applied(10.2) == Applied("left", 1.0, "teleop", "command", answered_tick=0)
+    # The link is lost, or the key let go: the driver does not go on by itself, however long that lasts.
+    for now_s in (10.0 + MAX_AGE_S + 0.01, 11.0, 1000.0):
+        gate.captured(round(now_s), now_s)
+        gate.offer(command(round(now_s), source=driver), now_s)
+        assert gate.applied(now_s) == Applied("stop", 0.0, None, "taken_over")
+    gate.resume()
+    assert not gate.taken_over
+    assert gate.applied(1000.0) == STAND
+    gate.captured(1001, 1000.1)
+    gate.offer(command(1001, source=driver), 1000.1)
+    assert gate.applied(1000.1).source == driver
+
+
+def test_what_a_person_asked_for_before_the_driver_goes_on_no_longer_counts(gate: CommandGate) -> None:
+    gate.offer(command(0, source="teleop", atom="left"), 10.0)
+    gate.resume()
+    assert gate.applied(10.0) == STAND
+    assert gate.offer(command(0, source="teleop", atom="left"), 10.0) is None, "a key that is pressed again does"
+    assert gate.applied(10.0).source == "teleop"
+
+
+def test_a_person_who_drives_takes_over_from_nobody() -> None:
+    gate = CommandGate()
+    gate.begin("e", "teleop")
+    gate.captured(0, 10.0)
+    gate.offer(command(0, source="teleop"), 10.0)
+    assert not gate.taken_over
+    assert gate.applied(11.0) == STAND
+
+
+def test_the_next_episode_is_its_drivers(gate: CommandGate) -> None:
+    gate.offer(command(0, source="teleop"), 10.0)
+    gate.begin("f", "policy")
+    assert not gate.taken_over
+    gate.captured(0, 10.0)
+    gate.offer(command(0, episode="f"), 10.0)
+    assert gate.applied(10.0).source == "policy"
+
+
+def test_going_on_begins_with_a_new_command(gate: CommandGate) -> None:
+    gate.offer(command(0), 10.0)
+    gate.resume()
+    assert gate.applied(10.0) == STAND
+    assert not gate.answered("policy", 0)
+    assert gate.offer(command(0), 10.0) is None
+    assert gate.applied(10.0).source == "policy"
 
 
 @pytest.mark.parametrize("tick", [0, 99])
@@ -195,10 +258,32 @@ def test_emergency_stop_holds_until_an_episode_that_releases_it(gate: CommandGat
     gate.captured(0, 10.2)
     assert gate.offer(command(0, episode="f"), 10.2) is None
     assert gate.applied(10.2).reason == "emergency_stop"
-    assert gate.emergency_stop
-    gate.begin("g", "policy", release_emergency_stop=True)
-    assert not gate.emergency_stop
+    assert gate.emergency_stop == 1
+    gate.begin("g", "policy", release_stop=1)
+    assert gate.emergency_stop == 0
     assert gate.applied(10.2) == STAND
+
+
+@pytest.mark.parametrize("released", [0, 1, 3])
+def test_a_stop_is_released_by_its_own_number_alone(gate: CommandGate, released: int) -> None:
+    gate.stop()
+    gate.stop()
+    gate.begin("f", "policy", release_stop=released)
+    assert gate.emergency_stop == 2
+    gate.begin("g", "policy", release_stop=2)
+    assert gate.emergency_stop == 0
+    # Released once: the number is not good for the next one.
+    gate.stop()
+    gate.begin("h", "policy", release_stop=2)
+    assert gate.emergency_stop == 3
+    assert gate.applied(10.0).reason == "emergency_stop"
+
+
+def test_nothing_is_released_where_no_stop_is_latched(gate: CommandGate) -> None:
+    gate.begin("f", "policy", release_stop=1)
+    assert gate.emergency_stop == 0
+    gate.stop()
+    assert gate.emergency_stop == 1
 
 
 def test_emergency_stop_before_the_first_episode_holds() -> None:
@@ -225,7 +310,7 @@ def test_a_frame_is_answered_by_a_command_for_it(gate: CommandGate) -> None:
     assert [gate.answered("policy", tick) for tick in (0, 1, 2)] == [False, True, False]
     assert not gate.answered("teleop", 1)
     gate.offer(command(0, source="emergency_stop"), 10.0)
-    assert gate.answered("teleop", 2), "an emergency stop leaves nothing to wait for"
+    assert not gate.answered("emergency_stop", 0)
 
 
 class GateMachine(RuleBasedStateMachine):
@@ -241,7 +326,8 @@ class GateMachine(RuleBasedStateMachine):
         self.captured = {0: 0.0}
         self.gate.captured(0, 0.0)
         self.accepted: list[tuple[Command, float]] = []
-        self.emergency = False
+        self.stops = self.released = 0
+        self.taken_over = False
 
     @rule(step=st.sampled_from([0.01, 0.1, 0.3, 2.0]))
     def wait(self, step: float) -> None:
@@ -253,14 +339,22 @@ class GateMachine(RuleBasedStateMachine):
         self.captured[self.tick] = self.now
         self.gate.captured(self.tick, self.now)
 
-    @rule(release=st.booleans())
-    def next_episode(self, release: bool) -> None:
-        self.gate.begin("e", self.driver, release_emergency_stop=release)
+    @rule()
+    def resume(self) -> None:
+        self.gate.resume()
+        self.taken_over = False
+        self.accepted.clear()
+
+    @rule(release=st.integers(0, 3), driver=st.sampled_from(SOURCES[1:]))
+    def next_episode(self, release: int, driver: Source) -> None:
+        self.driver = driver
+        self.gate.begin("e", self.driver, release_stop=release)
+        self.taken_over = False
         self.tick = 0
         self.captured = {0: self.now}
         self.gate.captured(0, self.now)
         self.accepted.clear()
-        self.emergency = self.emergency and not release
+        self.released = self.stops if release == self.stops else self.released
 
     @rule(
         source=st.sampled_from(SOURCES),
@@ -273,35 +367,37 @@ class GateMachine(RuleBasedStateMachine):
         offered = command(max(0, self.tick - back), sequence=sequence, source=source, atom=atom, episode=episode)
         refusal = self.gate.offer(offered, self.now)
         if source == "emergency_stop":
-            self.emergency = True
+            self.stops += 1
             assert refusal is None
         elif refusal is None:
             self.accepted.append((offered, self.now))
             assert offered.episode == "e"
-            assert SOURCES.index(source) <= SOURCES.index(self.driver)
+            assert source in ("teleop", self.driver)
+            self.taken_over |= source != self.driver
             assert self.now - self.captured[offered.tick] <= MAX_AGE_S
 
     @invariant()
-    def only_the_newest_fresh_command_of_the_highest_source_moves_the_robot(self) -> None:
+    def only_the_newest_fresh_command_of_whoever_drives_moves_the_robot(self) -> None:
         if not hasattr(self, "gate"):
             return
         applied = self.gate.applied(self.now)
-        fresh = [c for c, _ in self.accepted if self.now - self.captured[c.tick] <= MAX_AGE_S]
-        if self.emergency:
-            assert (applied.atom, applied.speed) == ("stop", 0.0)
+        who = "teleop" if self.taken_over else self.driver
+        fresh = [c for c, _ in self.accepted if c.source == who and self.now - self.captured[c.tick] <= MAX_AGE_S]
+        assert self.gate.taken_over == self.taken_over
+        if self.stops != self.released:
+            assert applied == Applied("stop", 0.0, "emergency_stop", "emergency_stop")
         elif not fresh:
-            assert applied == STAND
+            assert applied == Applied("stop", 0.0, None, "taken_over" if self.taken_over else "silence")
         else:
-            highest = min(fresh, key=lambda c: SOURCES.index(c.source)).source
-            newest = max((c for c in fresh if c.source == highest), key=lambda c: (c.tick, c.sequence))
-            assert applied == Applied(newest.atom, newest.speed, highest, "command", newest.tick)
+            newest = max(fresh, key=lambda c: (c.tick, c.sequence))
+            assert applied == Applied(newest.atom, newest.speed, who, "command", newest.tick)
 
     @invariant()
     def a_frame_is_answered_when_the_newest_command_of_the_driver_is_for_it(self) -> None:
         if not hasattr(self, "gate"):
             return
         mine = [c.tick for c, _ in self.accepted if c.source == self.driver]
-        assert self.gate.answered(self.driver, self.tick) == (self.emergency or mine[-1:] == [self.tick])
+        assert self.gate.answered(self.driver, self.tick) == (mine[-1:] == [self.tick])
 
 
 GateMachine.TestCase.settings = settings(max_examples=100, stateful_step_count=30, deadline=None)

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from schemas.base import Atom, Message, Source
+from schemas.base import Atom, Message
 from schemas.camera_info import CameraInfo
 from schemas.command import Command, CommandApplied
 from schemas.compressed_image import CompressedImage
@@ -22,7 +22,7 @@ from schemas.imu import Imu
 from schemas.odometry import Odometry
 from schemas.overhead_image import OverheadImage
 from schemas.pose import Pose
-from schemas.rpc import ResetRequest
+from schemas.rpc import ResetRequest, ResumeRequest
 from schemas.topics import DEPTH, OVERHEAD, Topic
 from services.kit.node import Node, ServiceError
 from services.robot.gate import MAX_AGE_S, Refusal
@@ -114,8 +114,8 @@ def answer(
 
 
 def stop_for_emergency(runner: EpisodeRunner) -> list[Message]:
-    source: Source = "emergency_stop"
-    return list(runner.offer(Command(robot="r", episode="none", tick=0, stamp_ns=0, source=source, atom="stop")))
+    runner.gate.stop()
+    return list(runner.poll())
 
 
 def begin(world: Line, **request: object) -> tuple[EpisodeRunner, Clock, list[Message]]:
@@ -459,6 +459,8 @@ class FakeNode:
 
     def subscribe(self, *_: object) -> None: ...
 
+    def at_once(self, *_: object) -> None: ...
+
     def serve(self, *_: object) -> None: ...
 
     def every(self, *_: object) -> None: ...
@@ -510,12 +512,12 @@ def test_an_emergency_stop_outlives_every_reset_but_the_one_that_releases_it(
     for driver in ("policy", "expert", "teleop"):
         with pytest.raises(ServiceError) as caught:
             service.reset(ResetRequest(seed=2, driver=driver))
-        assert str(caught.value) == LATCHED
+        assert str(caught.value) == LATCHED.format(1)
     assert runner.running is episode, "a refused reset ends nothing"
     assert not node.published
-    assert service.detail()["emergency_stop"] is True
-    service.reset(ResetRequest(seed=2, release_emergency_stop=True))
-    assert service.detail()["emergency_stop"] is False
+    assert service.detail()["emergency_stop"] == 1
+    service.reset(ResetRequest(seed=2, release_emergency_stop=1))
+    assert service.detail()["emergency_stop"] == 0
     answer(runner)
     assert world.moves == [("forward", 1.0, TICK_S)]
 
@@ -526,10 +528,48 @@ def test_a_latched_robot_stands_in_whatever_episode() -> None:
     runner.end(None)
     assert stop_for_emergency(runner) == []
     runner.reset(ResetRequest(seed=2))
-    (applied, *_) = answer(runner)
+    # It stands, says so once, and renders nothing for those who go on commanding.
+    for _ in range(20):
+        assert answer(runner) == []
+    (applied,) = runner.poll()
     assert isinstance(applied, CommandApplied)
     assert (applied.reason, applied.answered_tick, applied.latency_ns) == ("emergency_stop", None, None)
-    assert world.moves == [("stop", 0.0, TICK_S)]
+    assert not list(runner.poll())
+    assert world.moves == []
+
+
+def test_in_real_time_a_stop_holds_from_the_next_step_on() -> None:
+    world = Line()
+    runner, clock, _ = begin(world, mode="realtime")
+    answer(runner)
+    advance(runner, clock, 0.06)
+    driven = len(world.moves)
+    runner.gate.stop()
+    messages = advance(runner, clock, 0.1)
+    assert {move[0] for move in world.moves[driven:]} == {"stop"}
+    assert next(m for m in messages if isinstance(m, CommandApplied)).reason == "emergency_stop"
+
+
+def test_after_a_takeover_the_driver_goes_on_when_it_is_told_to() -> None:
+    world = Line()
+    service, runner, node = serve(world)
+    service.reset(ResetRequest(seed=1))
+    run = runner.running
+    assert run is not None
+    header = Message(robot="r", episode=run.id, tick=0, stamp_ns=0)
+    list(service.handle(Command.after(header, source="teleop", atom="left")))
+    answer(runner)
+    assert world.moves[-1][0] == "left"
+    for _ in range(8):
+        answer(runner)
+    assert service.detail()["taken_over"] is True
+    assert world.moves[-1][0] == "stop"
+    assert [m.reason for m in node.published if isinstance(m, CommandApplied)][-1:] != ["command"]
+    with pytest.raises(ServiceError, match="episode other is not running"):
+        service.resume(ResumeRequest(episode="other"))
+    service.resume(ResumeRequest(episode=run.id))
+    answer(runner)
+    assert world.moves[-1][0] == "forward"
 
 
 def test_the_time_to_each_accepted_command_is_counted_once() -> None:

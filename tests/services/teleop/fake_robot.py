@@ -6,7 +6,7 @@ from schemas import topics
 from schemas.base import Message
 from schemas.command import Command, CommandApplied
 from schemas.episode import Episode
-from schemas.rpc import EndRequest, ResetReply, ResetRequest
+from schemas.rpc import EndRequest, ResetReply, ResetRequest, ResumeRequest
 from services.kit.node import Node, ServiceError
 from services.kit.settings import ServiceSettings
 
@@ -24,9 +24,12 @@ class FakeRobot:
         self.refuse: str | None = None
         self._episode: str | None = None
         self._tick = 0
-        self._emergency = False
+        self._stops = self._released = 0
+        self.resumed: list[str] = []
         for source in ("teleop", "emergency_stop"):
             self.node.subscribe(topics.COMMANDS[source], self._on_command)
+        self.node.serve("resume", ResumeRequest, self._resume)
+        self.node.detail = lambda: {"emergency_stop": self._emergency}
         self.node.serve("reset", ResetRequest, self._reset)
         self.node.serve("end", EndRequest, self._end)
         self.node.every(BEAT_S, self._beat)
@@ -44,13 +47,20 @@ class FakeRobot:
     def _reset(self, request: ResetRequest) -> ResetReply:
         if self.refuse is not None:
             raise ServiceError(self.refuse)
-        if self._emergency and not request.release_emergency_stop:
+        if self._emergency not in (0, request.release_emergency_stop):
             raise ServiceError("the emergency stop is latched")
         self.resets.append(request)
         self._episode = f"drive-{len(self.resets)}"
-        self._tick, self._emergency = 0, False
+        self._tick, self._released = 0, self._stops
         self.node.publish(self._event(self._episode, "started", None))
         return ResetReply(episode=self._episode, world="yard", route=(), speed_m_s=2.0, found_m=5.0)
+
+    @property
+    def _emergency(self) -> int:
+        return self._stops if self._stops != self._released else 0
+
+    def _resume(self, request: ResumeRequest) -> None:
+        self.resumed.append(request.episode)
 
     def _end(self, request: EndRequest) -> None:
         self.ends.append(request.episode)
@@ -58,7 +68,7 @@ class FakeRobot:
 
     def _on_command(self, command: Command) -> None:
         self.commands.append(command)
-        self._emergency = self._emergency or command.source == "emergency_stop"
+        self._stops += command.source == "emergency_stop"
 
     def _beat(self) -> None:
         if self._episode is None:

@@ -116,9 +116,23 @@ def test_emergency_stop_holds_until_a_new_episode_is_asked_for(console: Console,
     eventually(lambda: len(robot.resets) == 2)
     assert len(robot.atoms()) == driven, "no key moves the robot in between"
     assert robot.resets[1].seed == 6
-    assert robot.resets[1].release_emergency_stop
+    assert robot.resets[1].release_emergency_stop == len(robot.atoms("emergency_stop"))
     console.wait_for("seed 6")
     eventually(lambda: (console.type(b"w"), robot.atoms()[-1:] == ["forward"])[1])
+
+
+def test_the_driver_goes_on_when_the_operator_says_so(console: Console, robot: FakeRobot) -> None:
+    console.wait_for("no episode; press n")
+    console.type(b"r")
+    console.wait_for("no episode")
+    console.type(b"n")
+    console.wait_for(r"robot: stop \(nobody drives\)")
+    console.type(b"wr")
+    console.wait_for("let go of the key first")
+    eventually(lambda: robot.atoms()[-1:] == ["stop"])
+    assert not robot.resumed
+    console.type(b"r")
+    eventually(lambda: robot.resumed == ["drive-1"])
 
 
 def test_emergency_stop_without_an_episode_is_sent(console: Console, robot: FakeRobot) -> None:

@@ -1,6 +1,6 @@
 """Every small mistake that could be made in the gate, one at a time, against the gate's tests.
 
-``python -m tests.services.simulator.gate_mutants`` makes all mutants of ``services/robot/gate.py``, runs
+``python -m tests.services.robot.gate_mutants`` makes all mutants of ``services/robot/gate.py``, runs
 ``test_gate.py`` against each up to the first failing test, and prints as JSON what became of them. Only the tests with
 fixed examples take part: chance must not decide whether a mistake is noticed.
 """
@@ -22,7 +22,7 @@ import pytest
 from _pytest.runner import runtestprotocol
 
 from services.robot import gate
-from tests.services.simulator.mutation import mutations_of
+from tests.services.robot.mutation import mutations_of
 
 SOURCE = Path(gate.__file__)
 TESTS = Path(__file__).with_name("test_gate.py")

@@ -16,12 +16,20 @@ GATE: Final = "services/robot/gate.py"
 TESTS: Final = Path(__file__).with_name("test_gate.py")
 _NEVER_ASSIGNED = "nothing assigns to an accepted command, and nobody outside the gate has one"
 _FIRST_OF_ALL = "of the names of the sources emergency_stop is the first in the alphabet"
+_NO_EPISODE = "before the first episode no command has its name"
 #: Mutants that do what the gate does, each with the reason.
 EQUIVALENT: Final = {
     "_Accepted: dataclass(frozen=True) -> dataclass()": _NEVER_ASSIGNED,
     "_Accepted: True -> False": _NEVER_ASSIGNED,
     "CommandGate.offer: command.source == 'emergency_stop' -> command.source <= 'emergency_stop'": _FIRST_OF_ALL,
     "CommandGate._check: command.source == 'emergency_stop' -> command.source <= 'emergency_stop'": _FIRST_OF_ALL,
+    "CommandGate.__init__: 'policy' -> 'policyx'": _NO_EPISODE,
+    "CommandGate.__init__: 'policy' -> ''": _NO_EPISODE,
+    "CommandGate.begin: 0 -> -1": "neither is the number of a stop",
+    "CommandGate.offer: command.source != self._driver -> command.source > self._driver": (
+        "who is not the driver is teleop here, and that is the last in the alphabet"
+    ),
+    "CommandGate._check: ('teleop', self._driver) -> (self._driver, 'teleop')": "either is found in any order",
     "CommandGate.offer: return None -> pass (2)": "a function that ends without a value returns None",
     "CommandGate._check: command.tick < min(self._captured_s) -> command.tick <= min(self._captured_s)": (
         "the oldest frame that is remembered is found, so that this is not asked of it"
@@ -42,7 +50,7 @@ def run(*arguments: str, **variables: str) -> subprocess.CompletedProcess[str]:
 
 
 def test_every_mutant_of_the_gate_is_killed(capsys: pytest.CaptureFixture[str]) -> None:
-    done = run("-m", "tests.services.simulator.gate_mutants")
+    done = run("-m", "tests.services.robot.gate_mutants")
     assert done.returncode == 0, done.stdout + done.stderr
     found = json.loads(done.stdout.splitlines()[-1])
     survivors, killed = set(found["survivors"]), found["killed"]
