@@ -139,7 +139,8 @@ def test_emergency_stop_without_an_episode_is_sent(console: Console, robot: Fake
     console.wait_for("no episode; press n")
     eventually(lambda: (console.type(b"e"), robot.atoms("emergency_stop"))[1])
     console.wait_for("EMERGENCY STOP until you begin a new episode")
-    console.type(b"n")
+    # A release is for one stop: one that was still on its way is released by asking again.
+    eventually(lambda: (console.type(b"n"), robot.resets)[1])
     console.wait_for(r"frame \d+  \|  robot: stop \(nobody drives\)")
     eventually(lambda: (console.type(b"w"), robot.atoms()[-1:] == ["forward"])[1])
 
