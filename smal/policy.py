@@ -26,13 +26,10 @@ class Policy:
         Number of the action, or NO_ACTION in goal states and dead ends.
     value : float64 array (states,)
         V.
-    bellman_residual : float
-        max |V - (R + gamma max_a T V)|: V is within residual / (1 - gamma) of the optimum.
     """
 
     action: NDArray[np.int32]
     value: Array
-    bellman_residual: float
 
 
 def check_discount(gamma: float) -> None:
@@ -60,42 +57,6 @@ def _greedy_pairs(transitions: Transitions, pair_values: Array) -> NDArray[np.in
     pairs = np.full(transitions.states, -1, dtype=np.int64)
     pairs[states] = order[first]
     return pairs
-
-
-def _finish(transitions: Transitions, reward: Array, gamma: float, value: Array) -> Policy:
-    pair_values, backed_up = _backup(transitions, reward, gamma, value)
-    pairs = _greedy_pairs(transitions, pair_values)
-    action = np.where(pairs >= 0, transitions.action[pairs], NO_ACTION).astype(np.int32)
-    return Policy(action, value, float(np.abs(backed_up - value).max()))
-
-
-def value_iteration(transitions: Transitions, reward: Array, gamma: float, tolerance: float = 1e-9) -> Policy:
-    """Repeat Bellman backups until V moves by no more than the tolerance.
-
-    Parameters
-    ----------
-    transitions : Transitions
-    reward : float64 array (states,)
-        R(s).
-    gamma : float
-        Discount factor, at least 0 and below 1.
-    tolerance : float
-        Largest change of V at which to stop.
-
-    Raises
-    ------
-    ValueError
-        gamma out of range.
-    """
-    check_discount(gamma)
-    value = reward.copy()
-    for _ in range(_MAX_ITERATIONS):
-        _, new = _backup(transitions, reward, gamma, value)
-        change = float(np.abs(new - value).max())
-        value = new
-        if change <= tolerance:
-            break
-    return _finish(transitions, reward, gamma, value)
 
 
 def policy_matrix(transitions: Transitions, pairs: NDArray[np.int64]) -> sparse.csr_array:
@@ -133,6 +94,7 @@ def policy_iteration(transitions: Transitions, reward: Array, gamma: float) -> P
         # Only a real improvement changes a state's action: ties must not make it go round in circles.
         better = (gain > _TIE * max(1.0, float(np.abs(value).max()))) & (pairs >= 0)
         if not better.any():
-            return _finish(transitions, reward, gamma, value)
+            pairs = _greedy_pairs(transitions, pair_values)
+            return Policy(np.where(pairs >= 0, transitions.action[pairs], NO_ACTION).astype(np.int32), value)
         pairs = np.where(better, _greedy_pairs(transitions, pair_values), pairs)
     raise RuntimeError(f"policy iteration did not end within {_MAX_ITERATIONS} improvements")

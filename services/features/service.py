@@ -10,7 +10,7 @@ from schemas.depth_image import DepthImage
 from schemas.image import Image
 from schemas.observation import Observation
 from services.kit.node import Detail, Throttle
-from smal.features import FeatureSettings, extract
+from smal.features import MODALITIES, FeatureSettings, extract
 
 _log = logging.getLogger("features")
 
@@ -33,6 +33,8 @@ class FeaturesService:
         self.needs_depth = "depth" in features.needs
         self.without_depth = 0
         self._features = features
+        # Where a network's file lies is nobody else's business; its contents are in the fingerprint.
+        self._names = features.modalities if MODALITIES.keys() >= set(features.modalities) else ()
         self._complain = complain
         self._throttle = Throttle()
         self._image: Image | None = None
@@ -68,7 +70,10 @@ class FeaturesService:
     def _observation(self, image: Image, depth: DepthImage | None) -> Observation:
         vector = extract(image.to_numpy(), self._features, None if depth is None else depth.to_numpy())
         return Observation.after(
-            image, fingerprint=self._features.fingerprint, features=Float32Array.from_numpy(vector)
+            image,
+            fingerprint=self._features.fingerprint,
+            modalities=self._names,
+            features=Float32Array.from_numpy(vector),
         )
 
     def _give_up(self, image: Image) -> None:

@@ -15,7 +15,7 @@ from schemas.observation import Observation
 from schemas.topics import OBSERVATION, topic_of
 from services.kit.errors import UsageError
 from services.recordings.records import MAGIC, fields, flat_records, message_header, message_payload, view_of
-from smal.features import FeatureSettings, settings_of
+from smal.features import FeatureSettings
 
 
 def features_of_recordings(paths: Iterable[Path]) -> FeatureSettings:
@@ -46,15 +46,26 @@ def features_in(path: Path) -> tuple[FeatureSettings, ...]:
             data = view_of(file.fileno())
         if data[: len(MAGIC)] != MAGIC:
             return ()
-        prints = dict.fromkeys(_fingerprints(data))
+        found = dict.fromkeys(_settings(observation) for observation in _observations(data))
     except (OSError, McapError, ValueError, struct.error):
         return ()
-    known = (settings_of(fingerprint) for fingerprint in prints)
-    return tuple(features for features in known if features is not None)
+    return tuple(features for features in found if features is not None)
 
 
-def _fingerprints(data: memoryview) -> Iterator[str]:
-    """Yield the fingerprint of the first readable observation of every channel: one an episode."""
+def _settings(observation: Observation) -> FeatureSettings | None:
+    """Return the settings that made an observation, with equal weights; None where this version makes other features.
+
+    An observation of version 1 names no modalities: it is known where it has the usual ones.
+    """
+    try:
+        features = FeatureSettings.of(observation.modalities or FeatureSettings().modalities)
+    except ValueError:
+        return None
+    return features if features.fingerprint == observation.fingerprint else None
+
+
+def _observations(data: memoryview) -> Iterator[Observation]:
+    """Yield the first readable observation of every channel: one an episode."""
     waiting: set[int] = set()
     for record in flat_records(data):
         if record.opcode == Opcode.CHANNEL:
@@ -67,4 +78,4 @@ def _fingerprints(data: memoryview) -> Iterator[str]:
             except ValidationError:
                 continue
             waiting.remove(channel_id)
-            yield observation.fingerprint
+            yield observation

@@ -4,7 +4,7 @@ from smal.features.centering import Centering
 from smal.features.extraction import extract
 from smal.features.modalities import MODALITIES, MODALITY_NAMES, modality_named
 from smal.features.modality import Modality
-from smal.features.selection import select, settings_of
+from smal.features.selection import select
 from smal.features.settings import FeatureSettings
 
 __all__ = [
@@ -16,5 +16,4 @@ __all__ = [
     "extract",
     "modality_named",
     "select",
-    "settings_of",
 ]

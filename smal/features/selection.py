@@ -1,26 +1,11 @@
 """Features that were made once, used with fewer modalities or in another order."""
 
-from functools import lru_cache
-from itertools import permutations
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from smal.features.modalities import MODALITIES
-from smal.features.settings import FeatureSettings, fingerprint_of
-
-
-@lru_cache(maxsize=64)
-def settings_of(fingerprint: str) -> FeatureSettings | None:
-    """Return the settings, with equal weights, whose raw features a fingerprint names; None if it is of none.
-
-    Features of a network's file are of none: a fingerprint does not tell where the file is.
-    """
-    # Every order of every subset, few modalities first: 1956 for six. Almost all that there are have two or three.
-    orders = (order for count in range(1, len(MODALITIES) + 1) for order in permutations(MODALITIES.values(), count))
-    found = (order for order in orders if fingerprint_of(order) == fingerprint)
-    return next((FeatureSettings.of(modality.name for modality in order) for order in found), None)
+from smal.features.settings import FeatureSettings
 
 
 def select(raw: NDArray[Any], held: FeatureSettings, wanted: FeatureSettings) -> NDArray[Any]:

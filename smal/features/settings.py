@@ -10,7 +10,7 @@ from typing import Self
 import numpy as np
 
 from smal.features.modalities import modality_named
-from smal.features.modality import Input, Modality
+from smal.features.modality import Input
 
 # Raised whenever any descriptor changes its output, so that a model never meets features it was not learned on.
 DESCRIPTOR_VERSION = 2
@@ -96,10 +96,6 @@ class FeatureSettings:
 
         Of a network the contents of its file count, and not where it lies.
         """
-        return fingerprint_of(modality_named(name) for name in self.modalities)
-
-
-def fingerprint_of(modalities: Iterable[Modality]) -> str:
-    """Return 12 hex digits naming the raw features of some modalities in this order."""
-    text = json.dumps([DESCRIPTOR_VERSION, [[modality.name, modality.size] for modality in modalities]])
-    return hashlib.sha256(text.encode()).hexdigest()[:12]
+        modalities = [modality_named(name) for name in self.modalities]
+        text = json.dumps([DESCRIPTOR_VERSION, [[modality.name, modality.size] for modality in modalities]])
+        return hashlib.sha256(text.encode()).hexdigest()[:12]

@@ -59,6 +59,7 @@ EXAMPLES: dict[type[Message], Message] = {
     Observation: Observation(
         **HEADER,
         fingerprint="0123456789abcdef",
+        modalities=("color", "hog"),
         features=Float32Array.from_numpy(np.array([0.5, -0.25, 1.0], np.float32)),
     ),
     State: State(
@@ -242,7 +243,14 @@ _fields: dict[type[Message], st.SearchStrategy[dict[str, object]]] = {
             "heading_rad": st.floats(-3.2, 3.2),
         }
     ),
-    Observation: st.fixed_dictionaries({**_header, "fingerprint": _checksums, "features": _arrays}),
+    Observation: st.fixed_dictionaries(
+        {
+            **_header,
+            "fingerprint": _checksums,
+            "modalities": st.lists(st.from_regex(r"[a-z][a-z0-9_]{0,31}", fullmatch=True), max_size=16).map(tuple),
+            "features": _arrays,
+        }
+    ),
     State: st.builds(lambda a, b: a | b, _state, _status),
     Action: st.fixed_dictionaries(
         {

@@ -1,13 +1,11 @@
 """Features: sizes, unit length, centring, and what is refused."""
 
-from itertools import permutations
-
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from smal.features import MODALITIES, Centering, FeatureSettings, extract, modality_named, select, settings_of
+from smal.features import MODALITIES, Centering, FeatureSettings, extract, modality_named, select
 
 BOTH = FeatureSettings()
 ALL = FeatureSettings.of(("color", "hog", "depth"))
@@ -112,12 +110,6 @@ def test_settings_are_read_from_names_and_weights() -> None:
     ):
         with pytest.raises(ValueError, match=words):
             FeatureSettings.parse(modalities, weights)
-
-
-def test_every_fingerprint_is_of_one_order_of_one_choice() -> None:
-    orders = [order for count in (1, 2, 3) for order in permutations(MODALITIES, count)]
-    assert [settings_of(FeatureSettings.of(order).fingerprint).modalities for order in orders] == orders  # type: ignore[union-attr]
-    assert settings_of("0123456789ab") is None
 
 
 @given(wanted=st.permutations(["color", "hog", "depth"]), count=st.integers(1, 3), seed=st.integers(0, 9))

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from smal.features import FeatureSettings, extract, modality_named, settings_of
+from smal.features import FeatureSettings, extract, modality_named
 
 pytest.importorskip("onnxruntime")
 onnx = pytest.importorskip("onnx")
@@ -103,7 +103,6 @@ def test_the_fingerprint_is_that_of_the_contents(tmp_path: Path) -> None:
     one, two, three = (FeatureSettings.of(["color", name]).fingerprint for name in names)
     assert one == two != three
     assert FeatureSettings.of([names[0], "color"]).fingerprint != one
-    assert settings_of(one) is None
 
 
 def test_a_file_is_read_once(tmp_path: Path) -> None:

@@ -61,7 +61,7 @@ def drive(name: str, first: int = 0, frames: int = 40, outcome: Outcome = "found
         )
         vector = Float32Array.from_numpy(extract(pixels, features, depth(first + tick)))
         named = fingerprint or features.fingerprint
-        messages.append(Observation.after(cause, fingerprint=named, features=vector))
+        messages.append(Observation.after(cause, fingerprint=named, modalities=features.modalities, features=vector))
         messages.append(applied(name, tick, atom="left" if tick % 3 == 2 else "forward"))
     if outcome == "found":
         messages.append(event(name, frames - 1, "victim_found", purpose=purpose))

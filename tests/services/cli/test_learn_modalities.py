@@ -9,6 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from schemas.base import Message
+from schemas.observation import Observation
 from services.cli.learn import learn
 from services.kit.errors import JobError, UsageError
 from services.recordings.recorded_features import features_in, features_of_recordings
@@ -65,6 +67,22 @@ def test_the_model_of_a_subset_is_that_of_a_recording_without_the_rest(with_dept
     learn([plain], tmp_path / "plain.smal")
     learn([with_depth], tmp_path / "subset.smal", modalities="color,hog")
     assert Model.load(tmp_path / "subset.smal").checksum == Model.load(tmp_path / "plain.smal").checksum
+
+
+def renamed(messages: list[Message], names: tuple[str, ...]) -> list[Message]:
+    return [one.model_copy(update={"modalities": names}) if isinstance(one, Observation) else one for one in messages]
+
+
+@pytest.mark.parametrize(("features", "found"), [(FEATURES, (FEATURES,)), (ALL, ())], ids=["usual", "others"])
+def test_of_recordings_that_name_no_modalities_the_usual_ones_are_known(
+    tmp_path: Path, features: FeatureSettings, found: tuple[FeatureSettings, ...]
+) -> None:
+    assert features_in(record(tmp_path, renamed(drive("d", features=features), ()))) == found
+
+
+@pytest.mark.parametrize("names", [("color", "smell"), ("hog", "color"), ("hog", "hog")])
+def test_names_that_the_fingerprint_does_not_confirm_are_not_believed(tmp_path: Path, names: tuple[str, ...]) -> None:
+    assert features_in(record(tmp_path, renamed(drive("d"), names))) == ()
 
 
 def test_weights_go_with_the_modalities_in_their_order(
