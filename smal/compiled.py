@@ -5,19 +5,22 @@ third of BLAS's time in float32 and a fifth from int8 (BLAS repacks the template
 has no fast int8 product), and the Newton solver a tenth of numpy's (its arrays are small).
 """
 
+import os
 from collections.abc import Callable
-from functools import partial
+from functools import lru_cache, partial
+from hashlib import sha256
+from pathlib import Path
 from typing import Any, ParamSpec, TypeVar, cast
 
 import numba
-from numba.core.dispatcher import Dispatcher
 
-_Compiled: Any = Dispatcher
 P = ParamSpec("P")
 R = TypeVar("R")
 
 # Sums may be reordered, which vector instructions need; NaN and infinity keep their meaning.
 _FAST_MATH = {"reassoc", "contract", "nsz"}
+#: What each compiled function is made of: its file, those of the functions that it calls, and the numbers that it uses.
+_made_of: dict[Any, frozenset[str]] = {}
 
 
 def compiled(function: Callable[P, R]) -> Callable[P, R]:
@@ -27,25 +30,33 @@ def compiled(function: Callable[P, R]) -> Callable[P, R]:
     costs its start a few seconds and nothing else. The global interpreter lock is released while it runs.
     """
     compiler = partial(numba.njit, fastmath=_FAST_MATH, nogil=True, error_model="numpy")
+    file = function.__code__.co_filename
+    parts = {_contents(file)} | _used_by(function)
+    folder = Path(os.environ.get("NUMBA_CACHE_DIR") or Path(file).parent / "__pycache__")
+    # A function becomes part of those that call it, and numba looks at their own file alone: what is kept is kept by
+    # all that it is made of.
+    folder /= sha256("".join(sorted(parts)).encode()).hexdigest()[:12]
     try:
-        kept = compiler(cache=True)(function)
-    except RuntimeError as error:
-        if "cannot cache" not in str(error):
-            raise
-        return cast("Callable[P, R]", compiler()(function))
-    if isinstance(kept, _Compiled):  # under NUMBA_DISABLE_JIT it is the function itself
-        _renew_with_what_it_uses(kept)
-    return cast("Callable[P, R]", kept)
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError:
+        made = compiler()(function)
+    else:
+        config: Any = numba.config
+        usual, config.CACHE_DIR = config.CACHE_DIR, str(folder)
+        try:
+            made = compiler(cache=True)(function)
+        finally:
+            config.CACHE_DIR = usual
+    _made_of[made] = frozenset(parts)
+    return cast("Callable[P, R]", made)
 
 
-def _renew_with_what_it_uses(kept: Any) -> None:  # noqa: ANN401 - numba's dispatchers have no type
-    """Compile a function anew also where another file changed, of which it uses compiled functions or numbers.
+@lru_cache
+def _contents(file: str) -> str:
+    return sha256(Path(file).read_bytes()).hexdigest()
 
-    Both become part of its machine code, but numba only asks whether the function's own file has changed.
-    """
-    names, values = kept.py_func.__code__.co_names, kept.py_func.__globals__
-    used: list[Any] = [values[name] for name in names if name in values]
-    files = [getattr(one._cache, "_cache_file", None) for one in used if isinstance(one, _Compiled)]
-    stamps = [one._source_stamp for one in files if one is not None]
-    file = kept._cache._cache_file
-    file._source_stamp = (file._source_stamp, stamps, [one for one in used if isinstance(one, int | float)])
+
+def _used_by(function: Any) -> set[str]:  # noqa: ANN401 - a function's insides have no type
+    values = [function.__globals__[name] for name in function.__code__.co_names if name in function.__globals__]
+    calls = [_made_of[one] for one in values if callable(one) and one in _made_of]
+    return {repr(one) for one in values if isinstance(one, int | float)}.union(*calls)

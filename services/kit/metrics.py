@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Iterator
 from typing import Final
 
@@ -14,6 +15,8 @@ from services.kit.health import ailment
 
 BUCKETS_S: Final = (0.0005, 0.001, 0.0025, 0.005, 0.01, 0.025, 0.05, 0.1, 0.25, 0.5, 1.0, 2.5, 5.0)
 _BY_TOPIC: Final = ("service", "robot", "topic")
+#: What no metric's name holds.
+_NOT_OF_A_NAME: Final = re.compile(r"\W", re.ASCII)
 #: Fields of ``Status`` that count by topic, and what the metric says.
 _COUNTS: Final = {
     "received": "Messages taken.",
@@ -105,13 +108,14 @@ class _StatusCollector(Collector):
                                    labels=_BY_TOPIC[:2])  # fmt: skip
         health.add_metric(labels, ailment(status) is None)
         yield health
-        yield _detail(status, labels)
+        yield from _details(status, labels)
 
 
-def _detail(status: Status, labels: list[str]) -> Metric:
-    """Give the numbers among what a service tells of itself."""
-    family = GaugeMetricFamily("smal_detail", "What the service tells of itself.", labels=(*_BY_TOPIC[:2], "name"))
+def _details(status: Status, labels: list[str]) -> Iterator[Metric]:
+    """Give the numbers among what a service tells of itself, each as a metric of its own."""
     for name, value in status.detail.items():
         if isinstance(value, int | float):
-            family.add_metric([*labels, name], value)
-    return family
+            metric = f"smal_{status.service}_{_NOT_OF_A_NAME.sub('_', name)}"
+            family = GaugeMetricFamily(metric, f"{name}, as the service tells it.", labels=_BY_TOPIC[:2])
+            family.add_metric(labels, value)
+            yield family

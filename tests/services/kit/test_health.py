@@ -127,7 +127,7 @@ def test_metrics_count_every_message_and_the_parts_of_its_hop(node: Node, client
             raise ServiceError("not this one")
 
     node.subscribe(topics.COMMANDS["teleop"], answer)
-    node.detail = lambda: {"share": 0.5, "world": "campus", "latched": True, "model": None}
+    node.detail = lambda: {"share of it": 0.5, "world": "campus", "latched": True, "model": None}
     run_node(node)
     introduce(client, "sample", command(0))
     before = node.status().received["command/teleop"]
@@ -144,8 +144,8 @@ def test_metrics_count_every_message_and_the_parts_of_its_hop(node: Node, client
     assert found["smal_queue_depth", topic] == 0
     assert found["smal_handling_failures_total", ""] == 1
     assert found["smal_healthy", ""] == 1
-    assert (found["smal_detail", "share"], found["smal_detail", "latched"]) == (0.5, 1.0)
-    assert ("smal_detail", "world") not in found
+    assert (found["smal_sample_share_of_it", ""], found["smal_sample_latched", ""]) == (0.5, 1.0)
+    assert not [name for name, _ in found if name in ("smal_sample_world", "smal_sample_model")]
     assert found["process_open_fds", ""] > 0
 
 
