@@ -8,6 +8,7 @@ import subprocess
 import sys
 import time
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -182,7 +183,8 @@ def test_on_dry_ground_the_wheels_tell_the_way(robot: RobotModel, atoms: list[At
             real = motion.pose
     # The tyres creep where a change of speed and one of direction come together, and slide in a stop at full speed
     # astern, since the weight is then on the caster.
-    assert way(reckoned, real) < 0.03 * rolled_m + 0.015 + 0.03 * robot.drive.speed_m_s
+    slides = max(1, sum(one == "backward" != other for one, other in pairwise([*atoms, "stop"])))
+    assert way(reckoned, real) < 0.03 * rolled_m + 0.015 + 0.03 * robot.drive.speed_m_s * slides
     assert abs(turned(reckoned, real)) < 0.02 * (len(atoms) + 1)
 
 
