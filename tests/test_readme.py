@@ -24,14 +24,14 @@ def test_topic_table_is_the_generated_one() -> None:
     result = CliRunner().invoke(app, ["topic", "list", "--markdown"])
     assert result.exit_code == 0
     shown = README.split("<!-- topics -->")[1].split("<!-- /topics -->")[0]
-    assert shown.strip() == result.stdout.strip()
+    assert shown.strip() == result.stdout.strip(), "put what `smal topic list --markdown` prints between the marks"
 
 
 def test_the_picture_of_services_and_topics_is_the_generated_one() -> None:
     result = CliRunner().invoke(app, ["topic", "graph"])
     assert result.exit_code == 0
     shown = README.split("<!-- graph -->\n```mermaid\n")[1].split("```\n<!-- /graph -->")[0]
-    assert shown == result.stdout
+    assert shown == result.stdout, "put what `smal topic graph` prints between the marks"
 
 
 @pytest.mark.parametrize(("page", "least"), [("README.md", 20), ("CONTRIBUTING.md", 15)])

@@ -48,11 +48,17 @@ def test_the_router_comes_first_and_a_recorder_takes_what_is_recorded() -> None:
     assert [topic for topic in TOPICS.values() if topic.recorded] == list(SERVICES["recorder"].takes)
 
 
+@pytest.mark.parametrize("name", SERVICES)
+def test_every_service_is_a_package(name: str) -> None:
+    """Without its ``__init__.py`` the import rules do not see it."""
+    assert (ROOT / "services" / name / "__init__.py").exists()
+
+
 @pytest.mark.parametrize("name", stack_services())
 def test_the_compose_file_runs_every_service_in_its_image(name: str) -> None:
     row, compose = SERVICES[name], (ROOT / "docker-compose.yml").read_text()
     before, command, _ = compose.partition(f"command: python {' '.join(row.command)}\n")
-    assert command
+    assert command, f"docker-compose.yml has no container for {name}"
     # The anchors that a container is made of stand above its command.
     assert f"*{row.image}_image" in before[before.rindex("<<: [") :].splitlines()[0]
 
@@ -60,7 +66,7 @@ def test_the_compose_file_runs_every_service_in_its_image(name: str) -> None:
 def test_a_new_service_is_in_the_table_of_topics_and_in_the_picture(toy: Service) -> None:
     assert "| `odometry` |" in markdown_table()
     assert "toy" in takers(topics.ODOMETRY)
-    assert "recognition, recorder, toy" in markdown_table()
+    assert ", ".join(takers(topics.ODOMETRY)) in markdown_table()
     assert "    simulator -- odometry --> toy" in graph().splitlines()
 
 

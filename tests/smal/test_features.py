@@ -1,15 +1,19 @@
 """Features: sizes, unit length, centring, and what is refused."""
 
+import subprocess
+import sys
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from smal.features import MODALITIES, Centering, FeatureSettings, extract, modality_named, select
+from smal.features.modalities import MODALITY_NAMES
 
 BOTH = FeatureSettings()
 ALL = FeatureSettings.of(("color", "hog", "depth"))
-OF_IMAGES = FeatureSettings.of(("color", "hog", "gist", "ldb", "thumbnail"))
+OF_IMAGES = FeatureSettings.of(name for name, one in MODALITIES.items() if one.needs == "color")
 
 
 def image(rows: int, columns: int, seed: int = 0) -> np.ndarray:
@@ -37,6 +41,12 @@ def test_any_size_gives_unit_modalities(rows: int, columns: int, seed: int) -> N
         assert np.linalg.norm(vector[where]) == pytest.approx(1.0, abs=1e-5)
 
 
+def test_sizes_are_known_without_opencv() -> None:
+    """The container of recognition has none."""
+    code = "import sys; sys.modules['cv2'] = None; from smal.features import FeatureSettings; FeatureSettings().size"
+    subprocess.run([sys.executable, "-c", code], check=True, timeout=60)
+
+
 def test_colour_is_averaged_over_areas() -> None:
     picture = np.zeros((48, 64, 3), dtype=np.uint8)
     picture[:, 32:] = (255, 0, 0)
@@ -49,9 +59,11 @@ def test_colour_is_averaged_over_areas() -> None:
 @pytest.mark.parametrize("grey", [0, 128])
 def test_constant_image_has_no_nan(grey: int) -> None:
     vector = extract(np.full((48, 64, 3), grey, dtype=np.uint8), OF_IMAGES)
-    color, *others = (vector[where] for where in OF_IMAGES.slices)
-    assert np.linalg.norm(color) == pytest.approx(1.0 if grey else 0.0, abs=1e-6)
-    assert not np.concatenate(others).any()
+    for name, where in zip(OF_IMAGES.modalities, OF_IMAGES.slices, strict=True):
+        length = float(np.linalg.norm(vector[where]))
+        assert length == pytest.approx(round(length), abs=1e-6), f"{name}: of unit length or zero"
+        assert grey or length == 0.0, f"{name}: nothing is seen in black"
+    assert np.linalg.norm(MODALITIES["color"].describe(np.full((48, 64, 3), grey, dtype=np.uint8))) == (grey > 0)
 
 
 def test_non_contiguous_image_gives_the_same_features() -> None:
@@ -102,7 +114,7 @@ def test_settings_are_read_from_names_and_weights() -> None:
     assert FeatureSettings.parse("color,hog") == BOTH
     assert FeatureSettings.parse(" hog , depth", "1,2.5") == FeatureSettings(("hog", "depth"), (1.0, 2.5))
     for modalities, weights, words in (
-        ("", None, "unknown feature modality ''; known are color, hog, depth, gist, ldb, thumbnail, onnx:FILE"),
+        ("", None, f"unknown feature modality ''; known are {', '.join(MODALITY_NAMES)}$"),
         ("color,hgo", None, "unknown feature modality 'hgo'"),
         ("color,hog", "1", "2 modalities need as many weights, got 1"),
         ("color", "x", "must be numbers"),
