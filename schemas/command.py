@@ -49,6 +49,8 @@ class CommandApplied(Message):
     reason: Literal["command", "silence", "taken_over", "emergency_stop"]
     """Why: a fresh command, no fresh command from the driver, none from the person who has taken over, or a latched
     emergency stop."""
+    emergency_stop: Annotated[int, Field(ge=0, lt=2**63)] = 0
+    """Number of the latched emergency stop; 0 where none is."""
     answered_tick: Annotated[int | None, Field(ge=0, le=MAX_TICK)] = None
     """The frame that the obeyed command answered, at or before this tick; none without a command of this episode."""
     latency_ns: Annotated[int | None, Field(ge=0, lt=2**63)] = None

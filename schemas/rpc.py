@@ -6,7 +6,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
-from schemas.base import EpisodeId, Strict
+from schemas.base import MAX_TICK, EpisodeId, Strict
 from schemas.episode import GoalName, Purpose
 
 Mode = Literal["lockstep", "realtime"]
@@ -114,7 +114,9 @@ class ResumeRequest(Strict):
     """Let the driver go on, from whom a person has taken over (simulator)."""
 
     episode: EpisodeId
-    """Which; refused when another one runs."""
+    """Which; refused when another one has begun."""
+    tick: Annotated[int, Field(ge=0, le=MAX_TICK)]
+    """The newest frame that the person had heard of; refused when they have commanded since."""
 
 
 class LoadRequest(Strict):

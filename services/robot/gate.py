@@ -7,8 +7,9 @@ process that was frozen and wakes with old plans can make an old command look fr
 
 from __future__ import annotations
 
+import math
 from collections import Counter
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final, Literal
 
 from schemas.base import Atom, Source
@@ -78,11 +79,6 @@ class CommandGate:
         if release_stop == stops:
             self._released = stops
 
-    def resume(self) -> None:
-        """Let the driver go on after a person had taken over; what was asked for before no longer counts."""
-        self._taken_over = False
-        self._latest.clear()
-
     def _begin(self, episode: str, driver: Source) -> None:
         self._episode = episode
         self._driver = driver
@@ -90,6 +86,27 @@ class CommandGate:
         self._captured_s: dict[int, float] = {}
         self._latest: dict[Source, _Accepted] = {}
         self.refused: Counter[Refusal] = Counter()
+
+    def resume(self, episode: str, tick: int) -> bool:
+        """Let the driver go on after a person had taken over; what was asked for before no longer counts.
+
+        Parameters
+        ----------
+        episode, tick
+            The newest frame that the person had heard of.
+
+        Returns
+        -------
+        bool
+            False where nothing was resumed: another episode has begun, or the person has commanded since.
+        """
+        mine = self._latest.get("teleop")
+        if episode != self._episode or (mine is not None and mine.command.tick > tick):
+            return False
+        self._taken_over = False
+        # Their order goes on to count: a command that comes twice is refused.
+        self._latest = {source: replace(one, captured_s=-math.inf) for source, one in self._latest.items()}
+        return True
 
     def captured(self, tick: int, now_s: float) -> None:
         """Remember when a frame was captured; older frames than any fresh command may name are forgotten."""

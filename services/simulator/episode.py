@@ -202,7 +202,11 @@ class EpisodeRunner:
         self.gate.begin(episode, request.driver, release_stop=request.release_emergency_stop)
         route = tuple((float(x), float(y)) for x, y in self._world.route())
         messages.append(self._event("started"))
-        messages.extend(self._capture(run))
+        try:
+            messages.extend(self._capture(run))
+        except Exception:
+            self._running = None  # who asked is told that there is none
+            raise
         reply = ResetReply(
             episode=episode,
             world=self._world.name,
@@ -243,6 +247,8 @@ class EpisodeRunner:
         ):
             applied = self.gate.applied(now_s)
             yield self._apply(run, applied)
+            if self.gate.applied(now_s).reason == "emergency_stop":
+                return  # it came while that was being said
             self._world.advance(applied.atom, applied.speed, TICK_S)
             yield from self._next_tick(run)
 
@@ -282,7 +288,7 @@ class EpisodeRunner:
             yield self._apply(run, applied)
         if now_s - run.ready_s[run.tick] > GIVE_UP_S:
             yield from self.end(None)
-        elif now_s - run.sent_s > RESEND_S:
+        elif now_s - run.sent_s > RESEND_S and not self.gate.emergency_stop:
             # Who wants the other images may have come, or have become known, only after the frame was made.
             *others, image = run.frame
             run.frame = (*others, *self._wanted_images(self._header(run), others), image)
@@ -291,6 +297,14 @@ class EpisodeRunner:
             yield from run.frame
 
     def _next_tick(self, run: _Running) -> Iterator[Message]:
+        try:
+            yield from self._go_on(run)
+        except Exception:
+            # Half a frame cannot be answered: nobody would ever go on.
+            yield from self.end("aborted")
+            raise
+
+    def _go_on(self, run: _Running) -> Iterator[Message]:
         run.tick += 1
         run.said = 0
         if run.tick == run.request.kidnap_tick:
@@ -363,6 +377,7 @@ class EpisodeRunner:
             reason=applied.reason,
             answered_tick=applied.answered_tick,
             latency_ns=None if latency_s is None else round(latency_s * 1e9),
+            emergency_stop=self.gate.emergency_stop,
             refused=sum(self.gate.refused.values()),
         )
 

@@ -15,6 +15,7 @@ from services.simulator.base import STEP_S
 from services.simulator.episode import EpisodeRunner
 
 LATCHED: Final = "emergency stop {} is latched; release it with a new episode from smal teleop (n)"
+TAKEN_OVER: Final = "a person has taken over; let the driver go on from smal teleop (r)"
 
 
 class SimulatorService:
@@ -60,25 +61,26 @@ class SimulatorService:
         latched = self._runner.gate.emergency_stop
         if latched and latched != request.release_emergency_stop:
             raise ServiceError(LATCHED.format(latched))
+        if self._runner.gate.taken_over and request.driver != "teleop":
+            raise ServiceError(TAKEN_OVER)
+        # Whatever becomes of the next one, the running episode ends here.
+        self._node.publish(self._log(iter(self._runner.end(None))))
         reply, messages = self._runner.reset(request)
         self._node.publish(self._log(iter(messages)))
         return reply
 
     def end(self, request: EndRequest) -> None:
         """End the running episode."""
-        self._check_running(request.episode)
+        running = self._runner.running
+        if running is None or running.id != request.episode:
+            raise ServiceError(f"episode {request.episode} is not running")
         self._node.publish(self._log(iter(self._runner.end(None))))
 
     def resume(self, request: ResumeRequest) -> None:
         """Let the driver go on, from whom a person has taken over."""
-        self._check_running(request.episode)
-        self._runner.gate.resume()
+        if not self._runner.gate.resume(request.episode, request.tick):
+            raise ServiceError("another episode has begun, or the person has commanded since")
         self._node.log.info("episode %s: the driver goes on", request.episode)
-
-    def _check_running(self, episode: str) -> None:
-        running = self._runner.running
-        if running is None or running.id != episode:
-            raise ServiceError(f"episode {episode} is not running")
 
     def detail(self) -> Detail:
         """Tell the running episode and how the actuator fares."""

@@ -30,8 +30,9 @@ _LETTERS: Final[dict[bytes, Key]] = {
     b"q": "quit",
 }
 _ARROWS: Final[dict[bytes, Key]] = {b"A": "forward", b"B": "backward", b"D": "left", b"C": "right"}
-#: An escape sequence, the beginning of one at the end of the input, or any other byte.
-_TOKEN: Final = re.compile(rb"\x1b[\[O][0-9;]*([A-Za-z~])|(\x1b(?:[\[O][0-9;]*)?\Z)|([\x00-\xff])", re.DOTALL)
+#: An escape sequence, the beginning of one at the end of the input, or any other byte. No key sends a sequence that
+#: ends in e: an emergency stop is heard also after half a one.
+_TOKEN: Final = re.compile(rb"\x1b[\[O][0-9;]*([A-Za-df-z~])|(\x1b(?:[\[O][0-9;]*)?\Z)|([\x00-\xff])", re.DOTALL)
 _LONGEST_SEQUENCE: Final = 16
 
 

@@ -38,7 +38,14 @@ class TeleopService:
         self._last_ended: str | None = None
         self.episode: str | None = None
         self.emergency = False
+        #: Emergency stops that were asked for here.
+        self.stops = 0
         self.applied: CommandApplied | None = None
+
+    @property
+    def heard(self) -> Message:
+        """The last heartbeat, or what stands for one before the first."""
+        return self._heard
 
     @property
     def held(self) -> Atom | None:
@@ -78,6 +85,7 @@ class TeleopService:
         self._keys.release()
         self._sent = None
         self.emergency = True
+        self.stops += 1
         self._releasing = False
         return self._command("emergency_stop", "stop")
 

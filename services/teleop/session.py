@@ -108,7 +108,8 @@ class TeleopSession:
         """Stop the robot, and end the episode that was begun here, so that its recording is complete."""
         self._node.publish(self._service.release())
         if self._resetting is not None:
-            self._resetting.join(END_S)
+            self._terminal.say("waiting for the episode that was asked for, to end it")
+            self._resetting.join(RESET_S)
             self._take_reply()
         if self._mine is not None:
             try:
@@ -134,7 +135,7 @@ class TeleopSession:
         if self._service.episode is None or self._service.held is not None:
             self._terminal.say("no episode" if self._service.held is None else "let go of the key first")
             return
-        request = ResumeRequest(episode=self._service.episode)
+        request = ResumeRequest(episode=self._service.episode, tick=self._service.heard.tick)
 
         def resume() -> None:
             try:
@@ -152,21 +153,30 @@ class TeleopSession:
         request = ResetRequest(seed=self._seed, purpose="drive", goal=self._goal, driver="teleop", mode="realtime")
         self._service.release_emergency_stop()
         self._seed += 1
+        # Only a person who looks at the robot may release an emergency stop: the one that they know of when they press
+        # the key. Heartbeats tell its number; without an episode there are none, and nothing that moves.
+        seen = None if self._service.applied is None else self._service.applied.emergency_stop
+        stops = self._service.stops
 
         def reset() -> None:
             bus = self._node.bus
             try:
-                # Only a person who looks at the robot may release an emergency stop: that one, and none after it.
-                stop = bus.call("simulator", "status", Nothing(), Status, END_S).detail.get("emergency_stop", 0)
+                stop = self._latched() if seen is None else seen
+                if self._service.stops != stops:
+                    raise RpcError("an emergency stop came meanwhile; press n again to release it")
                 released = request.model_copy(update={"release_emergency_stop": stop})
                 self._replies.put(bus.call("simulator", "reset", released, ResetReply, RESET_S))
-            except RpcError as error:
-                self._replies.put(error)
+            except Exception as error:  # noqa: BLE001 - else no further episode could ever be asked for
+                self._replies.put(error if isinstance(error, RpcError) else RpcError(str(error)))
 
         self._terminal.say(f"new episode, seed {request.seed} ...")
         self._status.on_request()
         self._resetting = threading.Thread(target=reset, name="reset", daemon=True)
         self._resetting.start()
+
+    def _latched(self) -> object:
+        status = self._node.bus.call("simulator", "status", Nothing(), Status, END_S)
+        return status.detail.get("emergency_stop", 0)
 
     def _take_reply(self) -> None:
         try:

@@ -203,7 +203,7 @@ def test_a_person_takes_over_and_the_robot_stands_until_the_driver_is_told_to_go
         gate.captured(round(now_s), now_s)
         gate.offer(command(round(now_s), source=driver), now_s)
         assert gate.applied(now_s) == Applied("stop", 0.0, None, "taken_over")
-    gate.resume()
+    assert gate.resume("e", 1000)
     assert not gate.taken_over
     assert gate.applied(1000.0) == STAND
     gate.captured(1001, 1000.1)
@@ -213,10 +213,23 @@ def test_a_person_takes_over_and_the_robot_stands_until_the_driver_is_told_to_go
 
 def test_what_a_person_asked_for_before_the_driver_goes_on_no_longer_counts(gate: CommandGate) -> None:
     gate.offer(command(0, source="teleop", atom="left"), 10.0)
-    gate.resume()
+    assert gate.resume("e", 0)
     assert gate.applied(10.0) == STAND
-    assert gate.offer(command(0, source="teleop", atom="left"), 10.0) is None, "a key that is pressed again does"
+    assert gate.offer(command(0, source="teleop", atom="left"), 10.0) == "out of order"
+    assert gate.offer(command(0, sequence=1, source="teleop"), 10.0) is None, "a key that is pressed again does"
     assert gate.applied(10.0).source == "teleop"
+
+
+def test_the_driver_goes_on_only_from_what_the_person_knew(gate: CommandGate) -> None:
+    for tick in (1, 2):
+        gate.captured(tick, 10.0)
+        gate.offer(command(tick, source="teleop", atom="stop"), 10.0)
+    assert gate.resume("e", 1) is False, "they have commanded since they asked"
+    for episode in ("another", "other"):
+        assert gate.resume(episode, 2) is False
+    assert gate.taken_over
+    assert gate.resume("e", 2)
+    assert not gate.taken_over
 
 
 def test_a_person_who_drives_takes_over_from_nobody() -> None:
@@ -239,11 +252,12 @@ def test_the_next_episode_is_its_drivers(gate: CommandGate) -> None:
 
 def test_going_on_begins_with_a_new_command(gate: CommandGate) -> None:
     gate.offer(command(0), 10.0)
-    gate.resume()
+    assert gate.resume("e", 0)
     assert gate.applied(10.0) == STAND
-    assert not gate.answered("policy", 0)
-    assert gate.offer(command(0), 10.0) is None
-    assert gate.applied(10.0).source == "policy"
+    assert gate.offer(command(0), 10.0) == "out of order", "a message that comes twice is none"
+    gate.captured(1, 10.1)
+    assert gate.offer(command(1), 10.1) is None
+    assert gate.applied(10.1).source == "policy"
 
 
 @pytest.mark.parametrize("tick", [0, 99])
@@ -326,6 +340,7 @@ class GateMachine(RuleBasedStateMachine):
         self.captured = {0: 0.0}
         self.gate.captured(0, 0.0)
         self.accepted: list[tuple[Command, float]] = []
+        self.expired = 0
         self.stops = self.released = 0
         self.taken_over = False
 
@@ -339,11 +354,15 @@ class GateMachine(RuleBasedStateMachine):
         self.captured[self.tick] = self.now
         self.gate.captured(self.tick, self.now)
 
-    @rule()
-    def resume(self) -> None:
-        self.gate.resume()
-        self.taken_over = False
-        self.accepted.clear()
+    @rule(back=st.integers(0, 2), episode=st.sampled_from(["e", "e", "old"]))
+    def resume(self, back: int, episode: str) -> None:
+        tick = max(0, self.tick - back)
+        mine = [c.tick for c, _ in self.accepted if c.source == "teleop"]
+        resumed = self.gate.resume(episode, tick)
+        assert resumed == (episode == "e" and max(mine, default=0) <= tick)
+        if resumed:
+            self.taken_over = False
+            self.expired = len(self.accepted)
 
     @rule(release=st.integers(0, 3), driver=st.sampled_from(SOURCES[1:]))
     def next_episode(self, release: int, driver: Source) -> None:
@@ -354,6 +373,7 @@ class GateMachine(RuleBasedStateMachine):
         self.captured = {0: self.now}
         self.gate.captured(0, self.now)
         self.accepted.clear()
+        self.expired = 0
         self.released = self.stops if release == self.stops else self.released
 
     @rule(
@@ -382,7 +402,11 @@ class GateMachine(RuleBasedStateMachine):
             return
         applied = self.gate.applied(self.now)
         who = "teleop" if self.taken_over else self.driver
-        fresh = [c for c, _ in self.accepted if c.source == who and self.now - self.captured[c.tick] <= MAX_AGE_S]
+        fresh = [
+            c
+            for c, _ in self.accepted[self.expired :]
+            if c.source == who and self.now - self.captured[c.tick] <= MAX_AGE_S
+        ]
         assert self.gate.taken_over == self.taken_over
         if self.stops != self.released:
             assert applied == Applied("stop", 0.0, "emergency_stop", "emergency_stop")

@@ -31,7 +31,7 @@ from services.simulator.drive import TICK_S
 from services.simulator.episode import GIVE_UP_S, RESEND_S, EpisodeRunner
 from services.simulator.sensors import ImuReading, OdometryReading
 from services.simulator.sensors.messages import FARTHEST_M, depth_message
-from services.simulator.service import LATCHED, SimulatorService
+from services.simulator.service import LATCHED, TAKEN_OVER, SimulatorService
 from services.simulator.world.place import OverheadMount
 from services.simulator.world.place import Pose as PlanarPose
 
@@ -565,11 +565,77 @@ def test_after_a_takeover_the_driver_goes_on_when_it_is_told_to() -> None:
     assert service.detail()["taken_over"] is True
     assert world.moves[-1][0] == "stop"
     assert [m.reason for m in node.published if isinstance(m, CommandApplied)][-1:] != ["command"]
-    with pytest.raises(ServiceError, match="episode other is not running"):
-        service.resume(ResumeRequest(episode="other"))
-    service.resume(ResumeRequest(episode=run.id))
+    for episode, tick in (("other", 9), (run.id, 0)):
+        list(service.handle(Command.after(header.model_copy(update={"tick": run.tick}), source="teleop", atom="stop")))
+        with pytest.raises(ServiceError, match="another episode has begun, or the person has commanded since"):
+            service.resume(ResumeRequest(episode=episode, tick=tick))
+    with pytest.raises(ServiceError) as caught:
+        service.reset(ResetRequest(seed=2))
+    assert str(caught.value) == TAKEN_OVER
+    service.resume(ResumeRequest(episode=run.id, tick=run.tick))
     answer(runner)
     assert world.moves[-1][0] == "forward"
+
+
+def test_a_stop_that_comes_while_a_step_is_told_of_ends_that_step() -> None:
+    world = Line()
+    runner, _, _ = begin(world)
+    run = runner.running
+    assert run is not None
+    header = Message(robot="r", episode=run.id, tick=0, stamp_ns=0)
+    for message in runner.offer(Command.after(header, source="policy", atom="forward")):
+        assert isinstance(message, CommandApplied)
+        runner.gate.stop()
+    assert world.moves == []
+    assert [m.reason for m in runner.poll() if isinstance(m, CommandApplied)] == ["emergency_stop"]
+
+
+class Broken(Line):
+    """A world that fails once."""
+
+    def __init__(self, where: str) -> None:
+        super().__init__()
+        self.where: str | None = where
+
+    def fail(self, where: str) -> None:
+        if self.where == where:
+            self.where = None
+            raise RuntimeError(where)
+
+    def carry_away(self) -> PlanarPose:
+        self.fail("carry_away")
+        return super().carry_away()
+
+    def render(self) -> NDArray[np.uint8]:
+        self.fail(f"render at {self.x:.1f}")
+        return super().render()
+
+
+@pytest.mark.parametrize("where", ["carry_away", "render at 0.4"])
+def test_an_episode_whose_next_frame_cannot_be_made_ends(where: str) -> None:
+    runner, _, _ = begin(Broken(where), kidnap_tick=2 if where == "carry_away" else None)
+    answer(runner)
+    run = runner.running
+    assert run is not None
+    sent: list[Message] = []
+    header = Message(robot="r", episode=run.id, tick=1, stamp_ns=0)
+    with pytest.raises(RuntimeError, match=where):
+        sent.extend(runner.offer(Command.after(header, source="policy", atom="forward")))
+    assert events(sent) == [("ended", "aborted")]
+    assert runner.running is None
+    assert not list(runner.poll())
+
+
+def test_a_reset_that_fails_leaves_no_episode_that_nobody_knows_of() -> None:
+    world = Broken("never")
+    service, runner, node = serve(world)
+    service.reset(ResetRequest(seed=1))
+    world.where = "render at 0.0"
+    with pytest.raises(RuntimeError):
+        service.reset(ResetRequest(seed=2, mode="realtime"))
+    assert events(node.published)[-1] == ("ended", "aborted"), "the one before has ended all the same"
+    assert runner.running is None
+    assert not list(runner.poll())
 
 
 def test_the_time_to_each_accepted_command_is_counted_once() -> None:

@@ -80,7 +80,9 @@ class FakeRobot:
             what = {"atom": "stop", "source": None, "reason": "silence"}
         if self._emergency:
             what = {"atom": "stop", "source": "emergency_stop", "reason": "emergency_stop"}
-        self.node.publish(CommandApplied.after(self._header(self._episode), speed=1.0, **what))
+        self.node.publish(
+            CommandApplied.after(self._header(self._episode), speed=1.0, emergency_stop=self._emergency, **what)
+        )
 
     def _event(self, episode: str, name: str, outcome: str | None) -> Episode:
         fields = {"event": name, "purpose": "drive", "driver": "teleop", "world": "yard", "seed": 5}

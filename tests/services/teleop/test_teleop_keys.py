@@ -134,3 +134,10 @@ def test_a_held_key_is_never_interrupted(intervals_s: list[float]) -> None:
         hold.press("forward")
         clock.now_s += interval_s
     assert hold.held() == "forward"
+
+
+@pytest.mark.parametrize("begun", [b"\x1b", b"\x1b[", b"\x1bO", b"\x1b[12;"])
+def test_an_emergency_stop_is_heard_after_half_an_escape_sequence(begun: bytes) -> None:
+    parser = KeyParser()
+    assert not list(parser.feed(begun))
+    assert list(parser.feed(b"e"))[-1:] == ["emergency_stop"]

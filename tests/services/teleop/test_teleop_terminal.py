@@ -135,6 +135,16 @@ def test_the_driver_goes_on_when_the_operator_says_so(console: Console, robot: F
     eventually(lambda: robot.resumed == ["drive-1"])
 
 
+def test_a_stop_that_is_pressed_after_a_new_episode_was_asked_for_is_not_released(
+    console: Console, robot: FakeRobot
+) -> None:
+    console.wait_for("no episode; press n")
+    console.type(b"ne")
+    console.wait_for("EMERGENCY STOP until")
+    console.wait_for(r"an emergency stop came meanwhile; press n again to release it|robot: stop \(emergency stop\)")
+    assert all(request.release_emergency_stop == 0 for request in robot.resets)
+
+
 def test_emergency_stop_without_an_episode_is_sent(console: Console, robot: FakeRobot) -> None:
     console.wait_for("no episode; press n")
     eventually(lambda: (console.type(b"e"), robot.atoms("emergency_stop"))[1])
