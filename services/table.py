@@ -104,7 +104,10 @@ def takers(topic: Topic) -> tuple[str, ...]:
 
 
 def graph() -> str:
-    """Return services and topics as a Mermaid flowchart, which GitHub draws; the recorder takes what is recorded."""
+    """Return services and topics as a Mermaid flowchart, which GitHub draws.
+
+    Dotted is the way to the recorder, which takes whatever is recorded.
+    """
     return "\n".join(_graph())
 
 
@@ -116,5 +119,7 @@ def _graph() -> Iterator[str]:
     for giver in SERVICES.values():
         for taker in SERVICES.values():
             shared = [topic.name for topic in giver.gives if topic in taker.takes]
-            if shared:
-                yield f"    {giver.name} -- {'<br>'.join(shared)} --> {taker.name}"
+            if shared and taker.name == "recorder":
+                yield f"    {giver.name} -.-> recorder"
+            elif shared:
+                yield f'    {giver.name} -- "{"<br>".join(shared)}" --> {taker.name}'
