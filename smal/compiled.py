@@ -36,17 +36,17 @@ def compiled(function: Callable[P, R]) -> Callable[P, R]:
     # A function becomes part of those that call it, and numba looks at their own file alone: what is kept is kept by
     # all that it is made of.
     folder /= sha256("".join(sorted(parts)).encode()).hexdigest()[:12]
+    config: Any = numba.config
+    usual, config.CACHE_DIR = config.CACHE_DIR, str(folder)
     try:
         folder.mkdir(parents=True, exist_ok=True)
-    except OSError:
+        made = compiler(cache=True)(function)
+    except (OSError, RuntimeError) as error:
+        if isinstance(error, RuntimeError) and "cannot cache" not in str(error):
+            raise
         made = compiler()(function)
-    else:
-        config: Any = numba.config
-        usual, config.CACHE_DIR = config.CACHE_DIR, str(folder)
-        try:
-            made = compiler(cache=True)(function)
-        finally:
-            config.CACHE_DIR = usual
+    finally:
+        config.CACHE_DIR = usual
     _made_of[made] = frozenset(parts)
     return cast("Callable[P, R]", made)
 

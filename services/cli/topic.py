@@ -94,7 +94,7 @@ app.command("latency")(latency)
 
 
 def markdown_table() -> str:
-    """Return the table of topics as Markdown, as the README shows it."""
+    """Return the table of topics as Markdown, as `schemas/README.md` shows it."""
     rows = [f"| `{name}` | `{message}` | {rate} | {giver} | {takers} | {meaning} |"
             for name, message, rate, giver, takers, meaning in map(_cells, TOPICS.values())]  # fmt: skip
     headings = ["| topic | message | Hz | from | to | meaning |", "|---|---|---|---|---|---|"]

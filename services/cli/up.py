@@ -41,7 +41,11 @@ def up(
     modalities: ModalitiesOrOfModel = None,
     metrics_port: Annotated[
         int | None,
-        typer.Option(min=1, max=65000, help="First of the ports for health and metrics over HTTP, one a service."),
+        typer.Option(
+            min=1,
+            max=65535 - len(stack_services()),
+            help="First of the ports for health and metrics over HTTP, one a service.",
+        ),
     ] = None,
     robot: options.Robot = options.DEFAULT_ROBOT,
     router: options.Router = DEFAULT_ROUTER,

@@ -5,6 +5,10 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
+from smal.compiled import compiled
+
 _CALLEE = """
 from smal.compiled import compiled
 LIMIT = {limit}
@@ -54,3 +58,17 @@ def test_the_library_runs_without_compilation() -> None:
     settings = os.environ | {"NUMBA_DISABLE_JIT": "1"}
     code = "import smal.matching.narrow_product, smal.matching.streaming"
     subprocess.run([sys.executable, "-c", code], timeout=120, check=True, env=settings)
+
+
+def test_where_numba_can_keep_nothing_each_process_compiles_for_itself(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As in a container that may write nowhere: the folder is there, and read-only."""
+
+    def refuse(*_: object) -> None:
+        raise RuntimeError("cannot cache function 'half': no locator available")
+
+    monkeypatch.setattr("numba.core.caching.CacheImpl.__init__", refuse)
+
+    def half(x: float) -> float:
+        return x / 2.0
+
+    assert compiled(half)(3.0) == 1.5

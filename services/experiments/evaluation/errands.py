@@ -10,14 +10,13 @@ import math
 from dataclasses import dataclass, replace
 from typing import Any, Final
 
-import numpy as np
-
 from services.experiments.evaluation.controllers import FilterController
 from services.experiments.evaluation.demonstrations import drive
 from services.experiments.evaluation.plan import TEACHING_SEED, Errand
 from services.experiments.evaluation.search import search
 from services.experiments.evaluation.workplace import Workplace
 from services.simulator.world.place import Pose
+from services.simulator.world.route import route_length_m
 from smal.learning import learn
 
 _NORTHWARDS, _SOUTHWARDS = math.pi / 2.0, -math.pi / 2.0
@@ -77,7 +76,7 @@ def run_errand(workplace: Workplace, world: str, errand: Errand, seeds: range) -
         made = drive(simulation, workplace.features, TEACHING_SEED + number, "drive", via=one.via)
         if made is None:
             raise ValueError(f"{errand}: the expert's drive {number} in {world} did not reach the victim")
-        taught_m.append(round(float(np.hypot(*np.diff(made.poses[:, :2], axis=0).T).sum()), 2))
+        taught_m.append(round(route_length_m(made.poses[:, :2]), 2))
         demonstrations.append(replace(made.demonstration, name=f"{errand} {number}", goal=one.goal))
     model, _ = learn(demonstrations)
     simulation, controller = workplace.task(world, task.start, task.victim), FilterController(model, task.goal)

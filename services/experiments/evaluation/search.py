@@ -20,6 +20,7 @@ from services.experiments.evaluation.degradation import CLEAN, Degradation, Degr
 from services.experiments.evaluation.rules import advance, odometry_of, outcome_at
 from services.robot.outcome import RunOutcome
 from services.simulator.simulation import Simulation
+from services.simulator.world.route import route_length_m
 from smal.features import extract
 
 #: Frames after which a search times out, at least, in `smal run`.
@@ -119,8 +120,7 @@ def search(
     simulation.reset(seed, "run", anywhere=start == "anywhere")
     controller.reset()
     # The search ends where the victim counts as found.
-    way_m = float(np.hypot(*np.diff(simulation.route(), axis=0).T).sum())
-    shortest_m = max(way_m - simulation.found_m, 0.0)
+    shortest_m = max(route_length_m(simulation.route()) - simulation.found_m, 0.0)
     poses = [simulation.pose]
     atoms: list[int] = []
     decisions: dict[int, str] = {}
