@@ -49,7 +49,7 @@ export SMAL_ROUTER_PORT=0
 # The smallest job that is still the whole job.
 export SMAL_WORLD=yard SMAL_CAMERA_WIDTH=160 SMAL_CAMERA_HEIGHT=120
 export SMAL_DEMO_DRIVES=1 SMAL_DEMO_RUNS=2
-SERVICES=(router simulator tracker features recognition policy recorder)
+SERVICES=(router robot tracker features recognition policy recorder)
 clean_up() {
   status=$?
   if [ -d "$work/clone" ]; then
@@ -78,7 +78,7 @@ cd "$work/clone"
 for profile in demo gpu zenohd zenohd-gpu; do
   # A router and a simulator, whichever they are, and the rest.
   check "profile $profile is valid" "$(docker compose --profile "$profile" config --services | wc -l) services" \
-    test "$(docker compose --profile "$profile" config --services | grep -cE '^(router|zenohd|simulator|simulator-gpu)$')" = 2
+    test "$(docker compose --profile "$profile" config --services | grep -cE '^(router|zenohd|robot|robot-gpu)$')" = 2
 done
 for list in services recognition simulator; do
   # Every pin of a small list is the one that the tests run with.

@@ -6,17 +6,25 @@ from typing import Annotated, ClassVar, Literal
 
 from pydantic import Field
 
-from schemas.base import MAX_TICK, Atom, Message, Source
+from schemas.base import MAX_TICK, Atom, Message, SessionId, Source
+
+#: Why the robot stands until it is armed: it was started and is not armed yet; an emergency stop; the operator fell
+#: silent; or what drives its wheels failed.
+StopCause = Literal["not_armed", "emergency_stop", "operator_lost", "fault"]
 
 
 class Command(Message):
     """One atom movement asked of the robot by one source."""
 
+    version: ClassVar[int] = 2
+    reads: ClassVar[tuple[int, ...]] = (1,)
     topic: ClassVar[str] = "command"
     max_bytes: ClassVar[int] = 1024
 
     source: Source
     """Who asks; also the last part of the key."""
+    session: SessionId = ""
+    """The process that asks; while one is heard the robot obeys no other of the same source."""
     sequence: Annotated[int, Field(ge=0, le=1_000_000)] = 0
     """Order of the commands that one source sends for one tick, from 0."""
     atom: Atom
@@ -33,8 +41,8 @@ class Command(Message):
 class CommandApplied(Message):
     """What the actuator does from this tick on; the heartbeat of the robot."""
 
-    version: ClassVar[int] = 3
-    reads: ClassVar[tuple[int, ...]] = (2,)
+    version: ClassVar[int] = 4
+    reads: ClassVar[tuple[int, ...]] = (2, 3)
     topic: ClassVar[str] = "command/applied"
 
     sequence: Annotated[int, Field(ge=0, le=1_000_000)] = 0
@@ -48,9 +56,11 @@ class CommandApplied(Message):
     """Whose command it is; none when the robot stands for want of one."""
     reason: Literal["command", "silence", "taken_over", "emergency_stop"]
     """Why: a fresh command, no fresh command from the driver, none from the person who has taken over, or a latched
-    emergency stop."""
+    stop."""
     emergency_stop: Annotated[int, Field(ge=0, lt=2**63)] = 0
-    """Number of the latched emergency stop; 0 where none is."""
+    """Number of the latched stop, which its release has to name; 0 where none is."""
+    stop_cause: StopCause | None = None
+    """What latched it."""
     answered_tick: Annotated[int | None, Field(ge=0, le=MAX_TICK)] = None
     """The frame that the obeyed command answered, at or before this tick; none without a command of this episode."""
     latency_ns: Annotated[int | None, Field(ge=0, lt=2**63)] = None

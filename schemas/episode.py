@@ -11,6 +11,7 @@ from schemas.base import Message, Source
 Purpose = Literal["drive", "recovery", "run"]
 EventName = Literal["started", "victim_found", "collision", "timed_out", "ended"]
 Outcome = Literal["found", "collision", "timeout", "aborted"]
+Judge = Literal["task", "operator"]
 
 
 #: Name of a place that drives lead to: letters, digits, and what may stand between them.
@@ -21,8 +22,8 @@ class Episode(Message):
     """Something that happened to the episode as a whole; ``started`` is its first message, ``ended`` its last."""
 
     topic: ClassVar[str] = "episode"
-    version: ClassVar[int] = 2
-    reads: ClassVar[tuple[int, ...]] = (1,)
+    version: ClassVar[int] = 3
+    reads: ClassVar[tuple[int, ...]] = (1, 2)
 
     event: EventName
     """What happened."""
@@ -31,17 +32,21 @@ class Episode(Message):
     driver: Source
     """Who drives; sources of lower priority are refused."""
     world: Annotated[str, Field(min_length=1, max_length=255)]
-    """Name of the world."""
+    """Name of the world; of a real robot's body where there is none."""
     seed: Annotated[int, Field(ge=0, lt=2**63)]
     """Seed of start pose and actuation noise."""
     goal: GoalName = "victim"
     """Where a drive leads, by the name that it has for those who send the robot there."""
     outcome: Outcome | None = None
-    """How it ended; given with ``ended`` only. ``found``: near the victim, with the victim in view, in the last frame
-    (tick of this message); a drive that passed the victim and went on ends otherwise."""
+    """How it ended; given with ``ended`` only. ``found``: the goal was reached in the last frame (tick of this message);
+    a drive that passed it and went on ends otherwise."""
+    judge: Judge | None = None
+    """Who says so of ``found``: the task (in simulation: near the victim, and the victim in view), or the operator."""
 
     @model_validator(mode="after")
     def _check(self) -> Self:
         if (self.event == "ended") != (self.outcome is not None):
             raise ValueError("outcome is given exactly with the event 'ended'")
+        if self.judge is not None and self.outcome != "found":
+            raise ValueError("judge is given with the outcome 'found' only")
         return self

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from typing import Annotated, Final, Literal
 
 from pydantic import Field
 
-from schemas.base import MAX_TICK, EpisodeId, Strict
+from schemas.base import MAX_TICK, EpisodeId, SessionId, Strict
 from schemas.episode import GoalName, Purpose
 
 Mode = Literal["lockstep", "realtime"]
@@ -16,6 +16,10 @@ Start = Literal["start", "anywhere"]
 Scheme = Literal["filter", "paper"]
 #: The sources that can drive; an emergency stop only ever makes the robot stand.
 Driver = Literal["teleop", "expert", "policy"]
+
+
+#: Most frames of an episode: a day and more.
+MAX_TICKS: Final = 1_000_000
 
 
 class Nothing(Strict):
@@ -64,9 +68,23 @@ class Status(Strict):
     """What else the service tells of itself."""
 
 
-class ResetRequest(Strict):
-    """Begin an episode (simulator)."""
+class ArmRequest(Strict):
+    """Release a latched stop, so that the robot may be moved again (robot).
 
+    Nothing moves yet: where a driver drove before, it goes on when it is told to, by ``resume`` or a new episode.
+    """
+
+    stop: Annotated[int, Field(ge=1, lt=2**63)]
+    """Number of the stop, as status and ``command/applied`` tell it; refused when another one is latched meanwhile."""
+    session: SessionId = ""
+    """Who asks; while an operator is heard, only theirs may."""
+
+
+class ResetRequest(Strict):
+    """Begin an episode (robot); refused while a stop is latched, and while another session's episode runs."""
+
+    session: SessionId = ""
+    """Whose episode it will be."""
     seed: Annotated[int, Field(ge=0, lt=2**63)]
     """Seed of start pose and actuation noise."""
     purpose: Purpose = "run"
@@ -75,17 +93,14 @@ class ResetRequest(Strict):
     """Who drives."""
     start: Start = "start"
     """Where a run begins; anywhere: up to 1.5 m beside the way (less indoors), turned by up to 40 degrees."""
-    kidnap_tick: Annotated[int | None, Field(ge=1, le=1_000_000)] = None
+    kidnap_tick: Annotated[int | None, Field(ge=1, le=MAX_TICKS)] = None
     """Frame at which the robot is carried to another such place, without its wheels turning."""
     goal: GoalName = "victim"
     """Where the drive leads, for those who learn from it."""
     mode: Mode = "lockstep"
     """Whether time waits for commands."""
-    max_ticks: Annotated[int, Field(ge=1, le=1_000_000)] = 3000
+    max_ticks: Annotated[int, Field(ge=1, le=MAX_TICKS)] = 3000
     """Frames after which the episode times out."""
-    release_emergency_stop: Annotated[int, Field(ge=0, lt=2**63)] = 0
-    """Number of the latched emergency stop to release, which nothing else does; for the person at the robot only. The
-    simulator's status tells it. A reset without it is refused while the stop is latched."""
 
 
 class ResetReply(Strict):
@@ -94,29 +109,35 @@ class ResetReply(Strict):
     episode: EpisodeId
     """Its id."""
     world: str
-    """Name of the world."""
-    route: tuple[tuple[float, float], ...]
-    """Way points from the start to the victim, metres, for the scripted expert."""
+    """Name of the world; of a real robot's body where there is none."""
     speed_m_s: Annotated[float, Field(gt=0)]
     """The robot's nominal speed."""
-    found_m: Annotated[float, Field(gt=0)]
+    route: tuple[tuple[float, float], ...] = ()
+    """Way points from the start to the victim, metres, for the scripted expert; none where the way is not known."""
+    found_m: Annotated[float, Field(gt=0)] | None = None
     """How near the victim counts as found, if it is seen."""
 
 
 class EndRequest(Strict):
-    """End the running episode (simulator)."""
+    """End the running episode (robot)."""
 
     episode: EpisodeId
     """Which; refused when another one runs."""
+    found: bool = False
+    """Whether the operator says that the goal is reached; otherwise the robot's task says whether it is."""
+    session: SessionId = ""
+    """Who asks; while an operator is heard, only they say that something was found."""
 
 
 class ResumeRequest(Strict):
-    """Let the driver go on, from whom a person has taken over (simulator)."""
+    """Let the driver go on, from whom a person has taken over, or whom a stop has stopped (robot)."""
 
     episode: EpisodeId
     """Which; refused when another one has begun."""
     tick: Annotated[int, Field(ge=0, le=MAX_TICK)]
     """The newest frame that the person had heard of; refused when they have commanded since."""
+    session: SessionId = ""
+    """Who asks; while an operator is heard, only theirs may."""
 
 
 class LoadRequest(Strict):

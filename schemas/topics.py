@@ -17,6 +17,7 @@ from schemas.command import Command, CommandApplied
 from schemas.compressed_image import CompressedImage
 from schemas.depth_image import DepthImage
 from schemas.episode import Episode
+from schemas.heartbeat import Heartbeat
 from schemas.image import Image
 from schemas.imu import Imu
 from schemas.observation import Observation
@@ -103,6 +104,8 @@ COMMANDS: Final = {
     for source in SOURCES
 }
 APPLIED: Final = Topic("command/applied", CommandApplied, 10, 8, True, urgent=True)
+#: Of an operator at 20 Hz, so that two may be lost; see `services.robot.gate.OPERATOR_S`.
+HEARTBEAT: Final = Topic("heartbeat", Heartbeat, 20, 8, False, urgent=True)
 EPISODE: Final = Topic("episode", Episode, None, 64, True, reliable=True)
 
 TOPICS: Final[dict[str, Topic]] = {
@@ -111,7 +114,7 @@ TOPICS: Final[dict[str, Topic]] = {
         *(CAMERA, JPEG, CAMERA_INFO, DEPTH, OVERHEAD),
         *(ODOMETRY, IMU, POSE, TRACKED),
         *(OBSERVATION, STATE, ACTION),
-        *(*COMMANDS.values(), APPLIED, EPISODE),
+        *(*COMMANDS.values(), APPLIED, HEARTBEAT, EPISODE),
     )
 }
 

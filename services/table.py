@@ -50,14 +50,15 @@ SERVICES: Final = {
     for service in (
         Service("router", "passes messages on"),
         Service(
-            "simulator",
-            "world, robot and the gate before its wheels",
-            takes=tuple(COMMANDS.values()),
+            "robot",
+            "the gate, the loop and the body behind it, today a simulated one",
+            takes=(*COMMANDS.values(), topics.HEARTBEAT),
             gives=(
                 *(topics.CAMERA, topics.JPEG, topics.CAMERA_INFO, topics.DEPTH, topics.OVERHEAD),
                 *(topics.ODOMETRY, topics.IMU, topics.POSE, topics.APPLIED, topics.EPISODE),
             ),
             image="simulator",
+            module="services.simulator",
         ),
         Service("features", "describes images", (topics.CAMERA, topics.DEPTH), (topics.OBSERVATION,)),
         Service(
@@ -74,7 +75,7 @@ SERVICES: Final = {
             "teleop",
             "a person at the keyboard",
             (topics.APPLIED, topics.EPISODE),
-            (COMMANDS["teleop"], COMMANDS["emergency_stop"]),
+            (COMMANDS["teleop"], COMMANDS["emergency_stop"], topics.HEARTBEAT),
             image=None,
         ),
         Service(

@@ -54,8 +54,8 @@ def demonstrate(
     if not requests:
         raise UsageError("--episodes 0 --recoveries 0: nothing to demonstrate")
     outputs.make_folder(out, "--out")
-    services = ("router", "simulator", "features", "recorder")
-    own = {"simulator": simulator.flags(), "features": feature_flags(features)}
+    services = ("router", "robot", "features", "recorder")
+    own = {"robot": simulator.flags(), "features": feature_flags(features)}
     with stack_for(connect, services, robot, own) as access:
         recorded = _record(requests, access, out, world, name)
     typer.echo(f"recorded {recorded} drives in {out}; next: smal learn {out} --out MODEL")

@@ -82,8 +82,8 @@ def run(
     for folder, option in ((report, "--report"), (record, "--record")):
         if folder is not None:
             outputs.make_folder(folder, option)
-    services = ("router", "simulator", "features", "recognition", "policy", *(["recorder"] if record else []))
-    own = {"simulator": simulator.flags(), "features": feature_flags(loaded.feature_settings)}
+    services = ("router", "robot", "features", "recognition", "policy", *(["recorder"] if record else []))
+    own = {"robot": simulator.flags(), "features": feature_flags(loaded.feature_settings)}
     requests = [
         ResetRequest(
             seed=seed + k,

@@ -72,7 +72,7 @@ def up(
     configure_logging("info")
     log = logging.getLogger("up")
     own = {
-        "simulator": simulator.flags(),
+        "robot": simulator.flags(),
         "features": feature_flags(features),
         "recognition": chain,
         "policy": chain,

@@ -7,6 +7,7 @@ from schemas.observation import Observation
 from schemas.pose import Pose
 from schemas.rpc import ResetReply
 from services.expert.driver import RouteDriver
+from services.kit.errors import JobError
 
 
 class ExpertService:
@@ -27,7 +28,15 @@ class ExpertService:
         self.arrived = False
 
     def begin(self, reset: ResetReply) -> None:
-        """Take up the route of an episode that begins."""
+        """Take up the route of an episode that begins.
+
+        Raises
+        ------
+        JobError
+            Where nobody knows the way.
+        """
+        if reset.found_m is None or len(reset.route) < 2:
+            raise JobError(f"{reset.world}: nobody knows the way there; demonstrate it by hand, with smal teleop")
         self._episode = reset.episode
         self._driver = RouteDriver(reset.route, reset.speed_m_s, reset.found_m)
         self._pose = self._observation = None

@@ -9,6 +9,7 @@ from __future__ import annotations
 import logging
 import math
 import os
+import secrets
 import signal
 import sys
 import threading
@@ -23,6 +24,7 @@ from pydantic import ValidationError
 
 from schemas.base import Message, Strict
 from schemas.codec import DecodeError, decode, describe
+from schemas.command import Command
 from schemas.rpc import Failure, Nothing, Status
 from schemas.topics import Topic, key_of
 from services.kit.bus import PATIENCE_S, Bus, BusError
@@ -120,6 +122,8 @@ class Node:
     def __init__(self, name: str, settings: ServiceSettings, patience_s: float = PATIENCE_S) -> None:
         self.name = name
         self.robot = settings.robot
+        #: Which process this is: drawn anew at every start, for those who have to tell two of a name apart.
+        self.session = secrets.token_hex(8)
         self.log = logging.getLogger(name)
         self.bus = Bus(settings.robot, settings.router, patience_s)
         self.detail: Callable[[], Detail] = dict
@@ -212,6 +216,17 @@ class Node:
         self._handlers[name] = work
         self.bus.serve(self.name, verb, lambda payload, reply: self._inbox.put(name, (payload, reply)))
 
+    def soon(self, handler: Callable[[], object]) -> Callable[[], None]:
+        """Return what any thread may call to have ``handler`` called on the node's thread, once for all that called."""
+        name = f"soon/{len(self._handlers)}"
+        self._inbox.open(name, 1)
+
+        def work(_: object) -> None:
+            handler()
+
+        self._handlers[name] = work
+        return lambda: self._inbox.put(name, None)
+
     def waits(self, topic: Topic) -> bool:
         """Whether a message of a topic has come that is not yet handled."""
         return self._inbox.waiting().get(topic.name, 0) > 0
@@ -225,7 +240,9 @@ class Node:
     def publish(self, messages: Message | Iterable[Message] | None) -> None:
         """Send one message, several, or none."""
         for message in [messages] if isinstance(messages, Message) else messages or ():
-            self.bus.publish(message)
+            # Signed here, so that the robot can tell two senders of one kind apart, and none forgets to.
+            signed = message.model_copy(update={"session": self.session}) if isinstance(message, Command) else message
+            self.bus.publish(signed)
             self._published[message.topic_name] += 1
 
     def spin(self, until: Callable[[], bool] = lambda: False, timeout_s: float | None = None) -> bool:

@@ -1,8 +1,12 @@
-"""The actuator's clock."""
+"""The actuator's clock, and the tick."""
 
 from __future__ import annotations
 
 import time
+from typing import Final
+
+#: Time from one camera frame to the next, seconds (10 Hz).
+TICK_S: Final = 0.1
 
 
 def now_s() -> float:

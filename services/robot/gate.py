@@ -8,17 +8,34 @@ process that was frozen and wakes with old plans can make an old command look fr
 from __future__ import annotations
 
 import math
+import secrets
 from collections import Counter
 from dataclasses import dataclass, replace
+from threading import Lock
 from typing import Final, Literal
 
 from schemas.base import Atom, Source
-from schemas.command import Command
+from schemas.command import Command, StopCause
+from schemas.heartbeat import Heartbeat
 
 #: Age at which a command is no longer obeyed, seconds since the capture of the frame that it descends from. The robot
-#: must stand 0.5 s after the last command; the rest is for braking from 2 m/s (0.25 s).
+#: must stand 0.5 s after the last command; the rest is for braking, see `services.robot.stopping`.
 MAX_AGE_S: Final = 0.25
-Refusal = Literal["wrong episode", "not the driver", "not finite", "unknown frame", "stale", "out of order"]
+#: Silence after which an operator is lost, seconds; five of their heartbeats.
+OPERATOR_S: Final = 0.25
+#: Silence after which another process of the same kind may command in place of one that was heard, seconds; a killed
+#: one that is started again takes longer.
+LEASE_S: Final = 1.0
+Refusal = Literal[
+    "wrong episode",
+    "not the driver",
+    "not the operator",
+    "another session",
+    "not finite",
+    "unknown frame",
+    "stale",
+    "out of order",
+]
 Reason = Literal["command", "silence", "taken_over", "emergency_stop"]
 
 
@@ -37,47 +54,130 @@ class Applied:
 class _Accepted:
     command: Command
     captured_s: float
+    offered_s: float
+
+    @property
+    def order(self) -> tuple[int, int]:
+        return self.command.tick, self.command.sequence
+
+
+@dataclass(frozen=True)
+class _Operator:
+    session: str
+    sequence: int
+    heard_s: float
 
 
 class CommandGate:
-    """Arbitrates between the sources of commands for one robot.
+    """Arbitrates between the sources of commands for one robot; every method may be called on any thread.
+
+    It begins with a stop latched, as `not_armed`: a robot that is started again moves for nobody until it is armed.
 
     Parameters
     ----------
     max_age_s
         Age at which a command expires, counted from the capture of its frame; silence therefore means stop within
         this time of the last frame that was answered.
+    attended
+        Whether an operator must be there for the robot to move.
+    first_stop
+        Number of the first stop, at least 1; by chance if not given, so that none from before a restart is released.
     """
 
-    def __init__(self, max_age_s: float = MAX_AGE_S) -> None:
+    def __init__(self, max_age_s: float = MAX_AGE_S, *, attended: bool = False, first_stop: int | None = None) -> None:
         self.max_age_s = max_age_s
-        self._stops = self._released = 0
+        self.attended = attended
+        self._lock = Lock()
+        self._stops = first_stop if first_stop is not None else 1 + (secrets.randbits(40) << 20)
+        self._released = 0
+        self._cause: StopCause = "not_armed"
+        self._operator: _Operator | None = None
         self._begin("", "policy")
+
+    # -- stops ----------------------------------------------------------------------------------------------------
 
     @property
     def emergency_stop(self) -> int:
-        """Number of the latched emergency stop, counted from 1 since the start; 0 where none is."""
-        return self._stops if self._stops > self._released else 0
+        """Number of the latched stop; 0 where none is."""
+        return self._stops if self._stops != self._released else 0
+
+    @property
+    def stop_cause(self) -> StopCause | None:
+        """What latched it."""
+        return self._cause if self.emergency_stop else None
+
+    def stop(self, cause: StopCause = "emergency_stop") -> None:
+        """Latch a stop. Takes no lock: it waits for nobody."""
+        self._cause = cause
+        self._stops += 1
+
+    def arm(self, stop: int, session: str) -> str | None:
+        """Release a stop by its number, or say why not.
+
+        Whoever releases one does not release another that came meanwhile. A driver that drove before does not go on:
+        that takes ``resume``, or the next episode.
+        """
+        with self._lock:
+            refusal = self._not_theirs(session)
+            if refusal is None and self.attended and self._operator is None:
+                refusal = "no operator is heard; this robot moves only while one is"
+            if refusal is None and stop != self.emergency_stop:
+                refusal = "another stop was latched meanwhile" if self.emergency_stop else "no stop is latched"
+            if refusal is None:
+                self._taken_over = self._episode != ""
+                self._released = stop
+            return refusal
+
+    # -- the operator ---------------------------------------------------------------------------------------------
+
+    @property
+    def operator(self) -> str | None:
+        """Session of the operator who is there, if any."""
+        operator = self._operator
+        return None if operator is None else operator.session
+
+    def hear(self, beat: Heartbeat, now_s: float) -> None:
+        """Take an operator's sign of life; that of another one than the one who is there changes nothing."""
+        with self._lock:
+            mine = self._operator
+            if mine is not None and (beat.session != mine.session or beat.sequence <= mine.sequence):
+                return
+            if beat.present:
+                self._operator = _Operator(beat.session, beat.sequence, now_s)
+            elif mine is not None:
+                self._operator = None
+                if self.attended:
+                    self.stop("operator_lost")
+
+    def watch(self, now_s: float) -> None:
+        """Latch a stop where the operator has fallen silent.
+
+        Parameters
+        ----------
+        now_s
+            Of the clock that ``hear`` is told, which never stands.
+        """
+        with self._lock:
+            if self._operator is not None and now_s - self._operator.heard_s > OPERATOR_S:
+                self._operator = None
+                self.stop("operator_lost")
+
+    def _not_theirs(self, session: str) -> str | None:
+        if self._operator is not None and session != self._operator.session:
+            return "an operator is there, and only they may say so"
+        return None
+
+    # -- episodes -------------------------------------------------------------------------------------------------
 
     @property
     def taken_over(self) -> bool:
         """Whether a person has taken over from the driver."""
         return self._taken_over
 
-    def stop(self) -> None:
-        """Latch an emergency stop; may be called on another thread than everything else."""
-        self._stops += 1
-
-    def begin(self, episode: str, driver: Source, *, release_stop: int = 0) -> None:
-        """Start an episode: forget every command and name the driver.
-
-        An emergency stop stays unless its number is given: whoever releases one does not release another that came
-        meanwhile.
-        """
-        self._begin(episode, driver)
-        stops = self._stops  # read once: another one may come meanwhile
-        if release_stop == stops:
-            self._released = stops
+    def begin(self, episode: str, driver: Source) -> None:
+        """Start an episode: forget every command and name the driver. A latched stop stays."""
+        with self._lock:
+            self._begin(episode, driver)
 
     def _begin(self, episode: str, driver: Source) -> None:
         self._episode = episode
@@ -87,62 +187,66 @@ class CommandGate:
         self._latest: dict[Source, _Accepted] = {}
         self.refused: Counter[Refusal] = Counter()
 
-    def resume(self, episode: str, tick: int) -> bool:
-        """Let the driver go on after a person had taken over; what was asked for before no longer counts.
+    def resume(self, episode: str, tick: int, session: str) -> str | None:
+        """Let the driver go on after a person had taken over, or say why not; what was asked before no longer counts.
 
         Parameters
         ----------
         episode, tick
             The newest frame that the person had heard of.
-
-        Returns
-        -------
-        bool
-            False where nothing was resumed: another episode has begun, or the person has commanded since.
+        session
+            Theirs.
         """
-        mine = self._latest.get("teleop")
-        if episode != self._episode or (mine is not None and mine.command.tick > tick):
-            return False
-        self._taken_over = False
-        # Their order goes on to count: a command that comes twice is refused.
-        self._latest = {source: replace(one, captured_s=-math.inf) for source, one in self._latest.items()}
-        return True
+        with self._lock:
+            mine = self._latest.get("teleop")
+            if episode != self._episode or (mine is not None and mine.command.tick > tick):
+                return "another episode has begun, or the person has commanded since"
+            refusal = self._not_theirs(session)
+            if refusal is None:
+                self._taken_over = False
+                # Their order goes on to count: a command that comes twice is refused.
+                self._latest = {source: replace(one, captured_s=-math.inf) for source, one in self._latest.items()}
+            return refusal
 
     def captured(self, tick: int, now_s: float) -> None:
         """Remember when a frame was captured; older frames than any fresh command may name are forgotten."""
-        self._captured_s = {t: at for t, at in self._captured_s.items() if now_s - at <= self.max_age_s}
-        self._captured_s[tick] = now_s
+        with self._lock:
+            self._captured_s = {t: at for t, at in self._captured_s.items() if now_s - at <= self.max_age_s}
+            self._captured_s[tick] = now_s
+
+    # -- commands -------------------------------------------------------------------------------------------------
 
     def offer(self, command: Command, now_s: float) -> Refusal | None:
         """Take a command, or say why not.
 
         An emergency stop is taken whatever its age, order and episode, and without an episode too: it can only make
-        the robot stand. It stays until ``begin`` is told to release it. A person's command takes over from any other
-        driver, for good: where the person falls silent the robot stands until ``resume``.
+        the robot stand. It stays until ``arm`` releases it. A person's command takes over from any other driver, for
+        good: where the person falls silent the robot stands until ``resume``.
         """
-        refusal = self._check(command, now_s)
-        if refusal is not None:
-            self.refused[refusal] += 1
-            return refusal
         if command.source == "emergency_stop":
             self.stop()
             return None
-        if command.source != self._driver:
-            self._taken_over = True
-        self._latest[command.source] = _Accepted(command, self._captured_s[command.tick])
-        return None
+        with self._lock:
+            refusal = self._check(command, now_s)
+            if refusal is not None:
+                self.refused[refusal] += 1
+                return refusal
+            self._taken_over = self._taken_over or command.source != self._driver
+            self._latest[command.source] = _Accepted(command, self._captured_s[command.tick], now_s)
+            return None
 
     def _check(self, command: Command, now_s: float) -> Refusal | None:
-        if command.source == "emergency_stop":
-            return None
-        if command.episode != self._episode:
-            return "wrong episode"
-        if command.source not in ("teleop", self._driver):
-            return "not the driver"
+        refusal = self._check_sender(command, now_s)
+        if refusal is not None:
+            return refusal
         if not 0.0 <= command.speed <= 1.0:  # NaN is not between them either
             return "not finite"
         last = self._latest.get(command.source)
-        if last is not None and (command.tick, command.sequence) <= (last.command.tick, last.command.sequence):
+        if (
+            last is not None
+            and last.command.session == command.session
+            and (command.tick, command.sequence) <= last.order
+        ):
             return "out of order"
         captured_s = self._captured_s.get(command.tick)
         if captured_s is None:
@@ -150,18 +254,38 @@ class CommandGate:
             return "stale" if self._captured_s and command.tick < min(self._captured_s) else "unknown frame"
         return "stale" if now_s - captured_s > self.max_age_s else None
 
-    def answered(self, source: Source, tick: int) -> bool:
-        """Whether a source has commanded for this very frame."""
-        latest = self._latest.get(source)
-        return latest is not None and latest.command.tick == tick
+    def _check_sender(self, command: Command, now_s: float) -> Refusal | None:
+        if command.episode != self._episode:
+            return "wrong episode"
+        if command.source not in ("teleop", self._driver):
+            return "not the driver"
+        if command.source == "teleop" and self._not_theirs(command.session):
+            return "not the operator"
+        last = self._latest.get(command.source)
+        if last is not None and last.command.session != command.session and now_s - last.offered_s <= LEASE_S:
+            return "another session"
+        return None
+
+    def expect_anybody(self) -> None:
+        """End the leases: in lockstep time stands, and a driver that was started again has to be heard."""
+        with self._lock:
+            self._latest = {source: replace(one, offered_s=-math.inf) for source, one in self._latest.items()}
+
+    def answered(self, tick: int) -> bool:
+        """Whether the driver has commanded for this very frame."""
+        with self._lock:
+            latest = self._latest.get(self._driver)
+            return latest is not None and latest.command.tick == tick
 
     def applied(self, now_s: float) -> Applied:
         """Return what the actuator has to do now: the fresh command of whoever drives, or stand."""
-        if self.emergency_stop:
-            return Applied("stop", 0.0, "emergency_stop", "emergency_stop")
-        source: Source = "teleop" if self._taken_over else self._driver
-        latest = self._latest.get(source)
-        if latest is not None and now_s - latest.captured_s <= self.max_age_s:
-            command = latest.command
-            return Applied(command.atom, command.speed, source, "command", command.tick)
-        return Applied("stop", 0.0, None, "taken_over" if self._taken_over else "silence")
+        with self._lock:
+            if self.emergency_stop:
+                cause: Source | None = "emergency_stop" if self._cause == "emergency_stop" else None
+                return Applied("stop", 0.0, cause, "emergency_stop")
+            source: Source = "teleop" if self._taken_over else self._driver
+            latest = self._latest.get(source)
+            if latest is not None and now_s - latest.captured_s <= self.max_age_s:
+                command = latest.command
+                return Applied(command.atom, command.speed, source, "command", command.tick)
+            return Applied("stop", 0.0, None, "taken_over" if self._taken_over else "silence")

@@ -43,6 +43,10 @@ class Motion:
 class Base(Protocol):
     """A robot's base in a place."""
 
+    @property
+    def braking_s(self) -> float:
+        """Seconds from nominal speed to standing."""
+
     def put(self, pose: Pose, rng: np.random.Generator) -> None:
         """Stand still at a pose; `rng` is the source of this episode's wheel errors."""
 
@@ -74,6 +78,11 @@ class KinematicBase:
     def __init__(self, place: Place, drive: Drive | None = None) -> None:
         self._drive = drive or place.robot.drive
         self._obstacles = obstacles_of(place)
+
+    @property
+    def braking_s(self) -> float:
+        """Return 0: it stands at once."""
+        return 0.0
 
     def put(self, pose: Pose, rng: np.random.Generator) -> None:
         """Stand still at a pose."""

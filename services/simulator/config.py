@@ -2,18 +2,23 @@
 
 from __future__ import annotations
 
-from typing import Annotated
+from typing import Annotated, Literal
 
 from pydantic import Field, field_validator
 
-from services.kit.settings import ServiceSettings
+from services.robot.config import RobotSettings
 from services.simulator.opening import BaseKind
 from services.simulator.variation import variation_named
 
 
-class SimulatorSettings(ServiceSettings):
+class SimulatorSettings(RobotSettings):
     """The world and the camera."""
 
+    attended: bool = False
+    """Whether the robot moves only while an operator is there."""
+    task: Literal["victim", "operator"] = "victim"
+    """Who says that the goal is reached: the simulator, when the victim is near and in view; or only the person at smal
+    teleop, as with a real robot."""
     world: str = "campus"
     """Name of a world in deploy/worlds, or the path of an OpenStreetMap or world file."""
     camera_width: Annotated[int, Field(ge=32, le=4096)] = 1024

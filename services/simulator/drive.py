@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Final, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
+from services.robot.clock import TICK_S
 from services.simulator.world.place import Pose
 
 if TYPE_CHECKING:
@@ -12,9 +13,6 @@ if TYPE_CHECKING:
 
     from schemas.base import Atom
     from services.simulator.robots import Drive
-
-#: Time from one camera frame to the next, seconds (10 Hz).
-TICK_S: Final = 0.1
 
 
 class WheelSpeeds(NamedTuple):

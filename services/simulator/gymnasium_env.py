@@ -15,7 +15,10 @@ from numpy.typing import NDArray
 
 from schemas.base import ATOMS
 from schemas.episode import Purpose
-from services.simulator.drive import TICK_S
+from schemas.rpc import MAX_TICKS as NO_LIMIT
+from schemas.rpc import ResetRequest
+from services.robot.clock import TICK_S
+from services.simulator.lockstep import LockstepEpisode
 from services.simulator.opening import BaseKind, open_simulation
 from services.simulator.sensors.camera import CameraSettings
 from services.simulator.simulation import Simulation
@@ -79,7 +82,7 @@ class SearchEnv(gymnasium.Env[NDArray[np.uint8], np.int64]):
         )
         self.observation_space = spaces.Box(0, 255, (height, width, 3), np.uint8)
         self.action_space = spaces.Discrete(len(ATOMS))
-        self._image: NDArray[np.uint8] | None = None
+        self._episode: LockstepEpisode | None = None
 
     def reset(self, *, seed: int | None = None, options: Info | None = None) -> tuple[NDArray[np.uint8], Info]:
         """Begin an episode.
@@ -102,8 +105,11 @@ class SearchEnv(gymnasium.Env[NDArray[np.uint8], np.int64]):
         if purpose not in get_args(Purpose):
             raise ValueError(f"purpose {purpose!r}: known are {', '.join(get_args(Purpose))}")
         episode = seed if seed is not None else int(self.np_random.integers(2**31))
-        self._simulation.reset(episode, purpose)
-        return self._look(), self._info() | {"route": self._simulation.route()}
+        # The limit of steps is `gymnasium.make`'s.
+        self._episode = LockstepEpisode(
+            self._simulation, ResetRequest(seed=episode, purpose=purpose, max_ticks=NO_LIMIT)
+        )
+        return self._episode.view.image, _info(self._episode) | {"route": np.array(self._episode.beginning.route)}
 
     def step(self, action: np.int64) -> tuple[NDArray[np.uint8], float, bool, bool, Info]:
         """Hold a key for one frame.
@@ -116,28 +122,25 @@ class SearchEnv(gymnasium.Env[NDArray[np.uint8], np.int64]):
         """
         if not self.action_space.contains(action):
             raise ValueError(f"action {action!r}: expected a whole number from 0 to {len(ATOMS) - 1}")
-        if self._image is None:
+        if self._episode is None:
             raise gymnasium.error.ResetNeeded("call reset before step")
-        self._simulation.advance(ATOMS[int(action)], 1.0, TICK_S)
-        image = self._look()
-        info = self._info()
-        if self._simulation.collided:
-            return image, COLLISION_REWARD, True, False, info | {"outcome": "collision"}
-        if self._simulation.victim_found():
-            return image, FOUND_REWARD, True, False, info | {"outcome": "found"}
-        return image, 0.0, False, False, info
+        episode = self._episode
+        view = episode.step(ATOMS[int(action)])
+        outcome = episode.outcome
+        if outcome is None and episode.reached:
+            outcome = "found"  # a demonstration would go on
+        reward = {"found": FOUND_REWARD, "collision": COLLISION_REWARD}.get(outcome or "", 0.0)
+        info = _info(episode) | ({"outcome": outcome} if outcome else {})
+        return view.image, reward, outcome is not None, False, info
 
     def render(self) -> NDArray[np.uint8] | None:
         """Return the last camera image, if the render mode asks for it."""
-        return self._image if self.render_mode == "rgb_array" else None
+        return self._episode.view.image if self._episode and self.render_mode == "rgb_array" else None
 
-    def _look(self) -> NDArray[np.uint8]:
-        self._image = self._simulation.render()
-        return self._image
 
-    def _info(self) -> Info:
-        pose = self._simulation.pose
-        return {"pose": np.array([pose.x, pose.y, pose.heading])}
+def _info(episode: LockstepEpisode) -> Info:
+    pose = episode.view.pose
+    return {"pose": np.array([pose.x, pose.y, pose.heading])}
 
 
 for _world in ("campus", "indoor"):

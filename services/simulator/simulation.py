@@ -8,23 +8,23 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from services.simulator.base import STEP_S, Base, KinematicBase
-from services.simulator.scene.atmosphere import exposed, hazy
-from services.simulator.sensors import ImuReading, OdometryReading, Sensors, ShakeSettings
-from services.simulator.sensors.blur import blur
+from services.simulator.sensors import Sensors, ShakeSettings
 from services.simulator.sensors.camera import Camera, CameraSettings
 from services.simulator.variation import DAY, Variation
+from services.simulator.view import Eye, SimulatedView
 from services.simulator.world.route import plan_route
 from services.simulator.world.starts import sample_start
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from numpy.typing import NDArray
 
     from schemas.base import Atom
     from schemas.episode import Purpose
-    from services.simulator.world.place import OverheadMount, Pose, World
+    from schemas.topics import Topic
+    from services.simulator.world.place import Pose, World
 
-#: Fraction of the image that the victim must fill to be seen.
-VISIBLE_FRACTION: Final = 0.0005
 _PURPOSE_NUMBER: Final[dict[Purpose, int]] = {"drive": 0, "run": 1, "recovery": 2}
 # Sources of chance in an episode: start, wheels, odometry, inertial unit, shake. Their order is part of every seed.
 _STREAMS: Final = 5
@@ -64,16 +64,17 @@ class Simulation:
         variation: Variation = DAY,
     ) -> None:
         self.world = world
-        self._camera = _open(world, camera) if isinstance(camera, CameraSettings) else camera
+        eye = _open(world, camera) if isinstance(camera, CameraSettings) else camera
+        shake = shake or ShakeSettings(world.place.shake)
+        self._eye = Eye(world, eye, variation, shake.exposure_s)
         self._base = base or KinematicBase(world.place)
-        self._variation = variation
-        self._sensors = Sensors(world.robot.drive, shake or ShakeSettings(world.place.shake))
+        self._sensors = Sensors(world.robot.drive, shake)
         self.reset(0, "drive")
 
     @property
     def focal_px(self) -> float:
         """Focal length of the robot's camera in pixels."""
-        return self._camera.focal_px
+        return self._eye.camera.focal_px
 
     def reset(self, seed: int, purpose: Purpose, *, anywhere: bool = False) -> Pose:
         """Begin an episode; the same seed and purpose give the same start, wheel errors, sensor noise and shake.
@@ -131,6 +132,11 @@ class Simulation:
         return self.world.scale.found_m
 
     @property
+    def braking_s(self) -> float:
+        """Seconds from nominal speed to standing."""
+        return self._base.braking_s
+
+    @property
     def pose(self) -> Pose:
         """Where the robot truly is."""
         return self._pose
@@ -160,46 +166,26 @@ class Simulation:
             if duration_s > 0:
                 self._sensors.feel(motion, duration_s / steps)
 
-    def render(self) -> NDArray[np.uint8]:
-        """Return what the camera sees now, (height, width, 3) uint8 RGB, blurred as far as it shakes."""
-        image = self._camera.render(self._pose, self._sensors.tilt)
-        if self._variation.visibility_m is not None:
-            image = hazy(image, self.depth_m(), self._variation.visibility_m, self._variation.light.horizon)
-        image = blur(image, self._sensors.tilt_rate, self._sensors.shake.exposure_s, self._camera.focal_px)
-        return exposed(image, self._variation.exposure_ev) if self._variation.exposure_ev else image
+    def look(self, captured_s: float = 0.0, wanted: Callable[[Topic], bool] = lambda _topic: False) -> SimulatedView:
+        """Return what is seen and felt now; odometry and inertial readings are those since this was last called.
 
-    def depth_m(self) -> NDArray[np.float32]:
-        """Return how far along the camera's axis each pixel of its image is, (height, width) metres or `inf`."""
-        return self._camera.depth_m(self._pose, self._sensors.tilt)
-
-    @property
-    def overhead_mount(self) -> OverheadMount | None:
-        """How the camera above the scene hangs, if there is one."""
-        return self.world.place.overhead
-
-    def overhead(self) -> NDArray[np.uint8]:
-        """Return what the camera above the scene sees now, (height, width, 3) uint8 RGB.
-
-        Raises
-        ------
-        LookupError
-            There is none, see `overhead_mount`.
+        Parameters
+        ----------
+        captured_s, wanted
+            See `SimulatedView`.
         """
-        return self._camera.overhead(self._pose)
-
-    def odometry(self) -> OdometryReading:
-        """Return where the wheels say that the robot is, and its mean speeds since this was last called."""
-        return self._sensors.odometry()
-
-    def imu(self) -> tuple[ImuReading, ...]:
-        """Return the inertial readings since this was last called, oldest first."""
-        return self._sensors.imu()
-
-    def victim_found(self) -> bool:
-        """Return whether the victim is near and in view now; the image is only searched when near."""
-        away = math.hypot(self.world.victim.x - self._pose.x, self.world.victim.y - self._pose.y)
-        near = away <= self.found_m
-        return near and self._camera.victim_pixels(self._pose, self._sensors.tilt) >= VISIBLE_FRACTION
+        sensors = self._sensors
+        return SimulatedView(
+            self._eye,
+            self._pose,
+            sensors.tilt,
+            sensors.tilt_rate,
+            self._collided,
+            sensors.odometry(),
+            sensors.imu(),
+            captured_s,
+            wanted,
+        )
 
     def route(self) -> NDArray[np.float64]:
         """Return the way (k, 2), in metres, from this episode's start to the victim."""

@@ -1,14 +1,14 @@
 """From the bytes of a terminal to the key that is held.
 
-A terminal tells presses only, never releases. A key that is held repeats; so a key counts as released when its next
-repeat is overdue.
+Few terminals tell releases (those that speak the kitty keyboard protocol, https://sw.kovidgoyal.net/kitty). In the
+others a key that is held repeats; so a key counts as released when its next repeat is overdue.
 """
 
 from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterator
-from typing import Final, Literal
+from typing import Final, Literal, NamedTuple
 
 from schemas.base import Atom
 
@@ -16,24 +16,44 @@ from schemas.base import Atom
 FIRST_HOLD_S: Final = 0.6
 #: Then they repeat every 0.03 to 0.1 s.
 REPEAT_HOLD_S: Final = 0.15
+#: What asks a terminal to tell releases (kitty's flags 1, 2 and 8: unambiguous, event types, all keys) and the loss of
+#: its focus, then whether it does; and what takes that back.
+TELL_RELEASES: Final = "\x1b[>11u\x1b[?1004h\x1b[?u"
+TELL_NO_RELEASES: Final = "\x1b[?1004l\x1b[<u"
 
-Key = Literal["forward", "backward", "left", "right", "stop", "emergency_stop", "new_episode", "resume", "quit"]
-_LETTERS: Final[dict[bytes, Key]] = {
-    b"w": "forward",
-    b"s": "backward",
-    b"a": "left",
-    b"d": "right",
-    b" ": "stop",
-    b"e": "emergency_stop",
-    b"n": "new_episode",
-    b"r": "resume",
-    b"q": "quit",
+Key = Literal[
+    "forward", "backward", "left", "right", "stop", "emergency_stop", "new_episode", "resume", "found", "quit"
+]
+#: What a terminal tells besides: that it tells releases, and that its keys go to another window now.
+News = Literal["tells_releases", "focus_lost"]
+_LETTERS: Final[dict[str, Key]] = {
+    "w": "forward",
+    "s": "backward",
+    "a": "left",
+    "d": "right",
+    " ": "stop",
+    "e": "emergency_stop",
+    "n": "new_episode",
+    "r": "resume",
+    "f": "found",
+    "q": "quit",
 }
-_ARROWS: Final[dict[bytes, Key]] = {b"A": "forward", b"B": "backward", b"D": "left", b"C": "right"}
+_ARROWS: Final[dict[str, Key]] = {"A": "forward", "B": "backward", "D": "left", "C": "right"}
+_CONTROL: Final = 4
+_RELEASED: Final = "3"
 #: An escape sequence, the beginning of one at the end of the input, or any other byte. No key sends a sequence that
 #: ends in e: an emergency stop is heard also after half a one.
-_TOKEN: Final = re.compile(rb"\x1b[\[O][0-9;]*([A-Za-df-z~])|(\x1b(?:[\[O][0-9;]*)?\Z)|([\x00-\xff])", re.DOTALL)
-_LONGEST_SEQUENCE: Final = 16
+_TOKEN: Final = re.compile(
+    rb"\x1b[\[O]([<-?]?[0-9;:]*)([A-Za-df-z~])|(\x1b(?:[\[O][<-?]?[0-9;:]*)?\Z)|([\x00-\xff])", re.DOTALL
+)
+_LONGEST_SEQUENCE: Final = 24
+
+
+class KeyEvent(NamedTuple):
+    """What happened at the keyboard: a press or a repeat, or a release where the terminal tells it."""
+
+    key: Key | News
+    released: bool = False
 
 
 class KeyParser:
@@ -42,16 +62,38 @@ class KeyParser:
     def __init__(self) -> None:
         self._begun = b""
 
-    def feed(self, data: bytes) -> Iterator[Key]:
-        """Yield the keys in ``data``; unknown ones are passed over."""
+    def feed(self, data: bytes) -> Iterator[KeyEvent]:
+        """Yield what happened to the keys in ``data``; unknown ones are passed over."""
         data, self._begun = self._begun + data, b""
         for match in _TOKEN.finditer(data):
-            final, begun, single = match.groups()
+            numbers, final, begun, single = match.groups()
             if begun is not None and len(begun) < _LONGEST_SEQUENCE:
                 self._begun = begun
-            key = _ARROWS.get(final) if final else _LETTERS.get((single or b"").lower())
-            if key is not None:
-                yield key
+            event = _event(numbers.decode(), final.decode()) if final else _typed(single or b"")
+            if event is not None:
+                yield event
+
+
+def _typed(byte: bytes) -> KeyEvent | None:
+    key = _LETTERS.get(byte.decode("latin-1").lower())
+    return None if key is None else KeyEvent(key)
+
+
+def _event(numbers: str, final: str) -> KeyEvent | None:
+    """Read ``CSI code ; modifiers : event u`` or ``CSI 1 ; modifiers : event ABCD``; all numbers may be left out."""
+    if numbers.startswith("?"):
+        return KeyEvent("tells_releases") if final == "u" and numbers != "?0" else None
+    if not numbers and final == "O":
+        return KeyEvent("focus_lost")
+    code, _, rest = numbers.partition(";")
+    modifiers, _, event = rest.partition(";")[0].partition(":")
+    key = _ARROWS.get(final)
+    if final == "u" and code.partition(":")[0].isdecimal():
+        letter = chr(min(int(code.partition(":")[0]), 0x10FFFF))
+        # Such a terminal sends Ctrl-C as a key, and no signal.
+        control = modifiers.isdecimal() and (int(modifiers) - 1) & _CONTROL
+        key = ("quit" if letter == "c" else None) if control else _LETTERS.get(letter)
+    return None if key is None else KeyEvent(key, event == _RELEASED)
 
 
 class KeyHold:
@@ -82,9 +124,10 @@ class KeyHold:
         self._until_s = self._clock() + (self._repeat_s if repeats else self._first_s)
         self._atom = atom
 
-    def release(self) -> None:
-        """Let go."""
-        self._atom = None
+    def release(self, atom: Atom | None = None) -> None:
+        """Let go of a key, if that is the one that is held; of every key without one."""
+        if atom in (None, self._atom):
+            self._atom = None
 
     def held(self) -> Atom | None:
         """Return the movement whose key is held now."""

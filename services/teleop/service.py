@@ -17,7 +17,7 @@ class TeleopService:
     for the same frame. When the key is released one ``stop`` is sent, then nothing: another driver may go on.
 
     An emergency stop goes out at once, be there an episode or not, and is repeated until the robot says that it stands
-    for it. Only ``release_emergency_stop`` and the episode that then begins end it.
+    for it. It ends when the robot was armed.
 
     Parameters
     ----------
@@ -31,7 +31,7 @@ class TeleopService:
         self._keys = keys
         #: What an emergency stop descends from: the last heartbeat; the actuator takes it whatever its episode.
         self._heard = Message(robot=robot, episode="none", tick=0, stamp_ns=0)
-        self._releasing = False
+        self._arming = False
         self._sent: Atom | None = None
         self._answered = -1
         self._sequences: Counter[Source] = Counter()
@@ -61,7 +61,7 @@ class TeleopService:
             self._sequences.clear()
         self.applied = self._heard = applied
         if self.emergency:
-            return None if applied.reason == "emergency_stop" else self._command("emergency_stop", "stop")
+            return None if self._arming or applied.reason == "emergency_stop" else self._emergency()
         if self._keys.held() is not None and applied.tick != self._answered:
             return self._drive()
         return self.poll()
@@ -75,27 +75,29 @@ class TeleopService:
         """Send a change of what is held, be it that time has released a key."""
         return self._drive() if self._keys.held() != self._sent else None
 
-    def release(self) -> Command | None:
-        """Let go of every key at once."""
-        self._keys.release()
+    def release(self, atom: Atom | None = None) -> Command | None:
+        """Let go of a key, or of every key at once."""
+        self._keys.release(atom)
         return self.poll()
 
     def stop_for_emergency(self) -> Command:
-        """Stop, and stay so until the operator releases it, also one who has just asked for that."""
+        """Stop, and stay so until the robot is armed, also where that has just been asked for."""
         self._keys.release()
         self._sent = None
         self.emergency = True
         self.stops += 1
-        self._releasing = False
-        return self._command("emergency_stop", "stop")
+        self._arming = False
+        return self._emergency()
 
-    def release_emergency_stop(self) -> None:
-        """Take note that the operator has asked for an episode that releases the emergency stop."""
-        self._releasing = True
+    def arming(self) -> None:
+        """Take note that the robot is being asked to release its stop."""
+        self._arming = True
 
-    def keep_emergency_stop(self) -> None:
-        """Take note that there is no such episode: the simulator has refused it."""
-        self._releasing = False
+    def armed(self, *, released: bool) -> None:
+        """Take note of the answer; a stop that was pressed meanwhile stays."""
+        if self._arming and released:
+            self.emergency = False
+        self._arming = False
 
     def on_event(self, event: Episode) -> None:
         """Follow the beginnings and ends of episodes."""
@@ -111,9 +113,6 @@ class TeleopService:
     def _enter(self, episode: str) -> None:
         if episode == self.episode:
             return
-        # Any other new episode, of a robot that was started anew perhaps, is stopped with its first heartbeat.
-        self.emergency = self.emergency and not self._releasing
-        self._releasing = False
         self.episode = episode
         self.applied = None
         self._answered = -1
@@ -127,6 +126,9 @@ class TeleopService:
         self._sent = held
         self._answered = self.applied.tick
         return self._command("teleop", held or "stop")
+
+    def _emergency(self) -> Command:
+        return self._command("emergency_stop", "stop")
 
     def _command(self, source: Source, atom: Atom) -> Command:
         command = Command.after(self._heard, source=source, sequence=self._sequences[source], atom=atom)

@@ -7,11 +7,16 @@ from typing import Final
 
 from schemas.base import Atom
 from schemas.codec import printable
-from schemas.command import CommandApplied
+from schemas.command import CommandApplied, StopCause
 from schemas.episode import Episode
 
 #: The robot's heart beats ten times a second.
 SILENCE_S: Final = 1.0
+_STOPPED: Final[dict[StopCause | None, str]] = {
+    "not_armed": "not armed",
+    "operator_lost": "it had lost you; r resumes",
+    "fault": "its body has failed",
+}
 NO_EPISODE: Final = "no episode; press n to begin one"
 
 
@@ -40,7 +45,7 @@ class Status:
 
     def on_request(self) -> None:
         """Take note that a new episode was asked for."""
-        self._episode = "waiting for the simulator (its first picture takes a while)"
+        self._episode = "waiting for the robot (a simulator's first picture takes a while)"
 
     def on_failure(self) -> None:
         """Take note that it was refused."""
@@ -74,7 +79,7 @@ class Status:
             "command": f"by {applied.source}",
             "silence": "nobody drives",
             "taken_over": "you have taken over; r resumes",
-            "emergency_stop": "emergency stop",
+            "emergency_stop": _STOPPED.get(applied.stop_cause, "emergency stop"),
         }
         doing = f"{applied.atom} ({by[applied.reason]})"
         return f"frame {applied.tick}  |  robot: {doing}  |  refused {applied.refused}"

@@ -13,6 +13,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Final
 
+from services.teleop.keys import TELL_NO_RELEASES, TELL_RELEASES
+
 _ERASE_LINE: Final = "\r\x1b[K"
 _DISABLED: Final = b"\0"
 _CONTROL_CHARACTERS: Final = 6
@@ -40,21 +42,22 @@ class Terminal:
 
     def say(self, text: str) -> None:
         """Print a line above the status line."""
-        self._write(f"{_ERASE_LINE}{text}\n{self._status}")
+        self.write(f"{_ERASE_LINE}{text}\n{self._status}")
 
     def show(self, status: str) -> None:
         """Set the status line."""
         status = status[: shutil.get_terminal_size().columns - 1]
         if status != self._status:
             self._status = status
-            self._write(f"{_ERASE_LINE}{status}")
+            self.write(f"{_ERASE_LINE}{status}")
 
     def leave(self) -> None:
         """Leave the cursor below the status line."""
-        self._write("\n")
+        self.write("\n")
 
     @staticmethod
-    def _write(text: str) -> None:
+    def write(text: str) -> None:
+        """Write as it is."""
         try:
             sys.stdout.write(text)
             sys.stdout.flush()
@@ -101,9 +104,11 @@ def open_terminal() -> Iterator[Terminal]:
         mode[_CONTROL_CHARACTERS][termios.VSUSP] = _DISABLED
         termios.tcsetattr(sys.stdin, termios.TCSANOW, mode)
         logging.getLogger().addHandler(log)
+        terminal.write(TELL_RELEASES)
         yield terminal
     finally:
         logging.getLogger().removeHandler(log)
+        terminal.write(TELL_NO_RELEASES)
         terminal.leave()
         # Keys that nobody read must not become the shell's next command.
         _restore(before)

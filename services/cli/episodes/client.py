@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from itertools import count
 from typing import Final
 
 import numpy as np
@@ -16,15 +17,18 @@ from schemas.base import Message
 from schemas.command import CommandApplied
 from schemas.compressed_image import CompressedImage
 from schemas.episode import Episode
+from schemas.heartbeat import Heartbeat
 from schemas.pose import Pose
-from schemas.rpc import EndRequest, Nothing, ResetReply, ResetRequest
+from schemas.rpc import ArmRequest, EndRequest, Nothing, ResetReply, ResetRequest, Status
 from services.kit.bus import RpcError
 from services.kit.errors import JobError
 from services.kit.jpeg import decode_jpeg
 from services.kit.node import Node
 from services.kit.settings import ServiceSettings
-from services.robot.outcome import RunOutcome
+from services.robot.episode import RunOutcome
 
+#: How often the robot hears that whoever began its episode is there.
+BEAT_S: Final = 0.5
 #: Seconds without any sign of the robot after which an episode is given up.
 SILENCE_S: Final = 60.0
 
@@ -106,10 +110,13 @@ class EpisodeClient:
         self._record: EpisodeRecord | None = None
         self._ended = False
         self._alive_s = 0.0
+        self._beats = count()
+        self._armed = False
         # Replayed: a busy machine may lose its connection for a moment, and an end that is not heard is waited for.
         self.node.subscribe(topics.EPISODE, self._on_event, replay=True)
         self.node.subscribe(topics.APPLIED, self._on_applied, depth=256)
         self.node.subscribe(topics.ACTION, self._on_action, depth=256)
+        self.node.every(BEAT_S, self._beat)
 
     def watch_poses(self, handler: Callable[[Pose], Message | None] = lambda _pose: None) -> None:
         """Keep the true poses; ``handler`` sees each as well, and may answer."""
@@ -160,8 +167,10 @@ class EpisodeClient:
         """
         self._record = record = EpisodeRecord(request)
         self._ended = False
+        self._arm()
         # Rendering may be compiling its pipelines: the first reset takes seconds.
-        reply = self.node.bus.call("simulator", "reset", request, ResetReply, timeout_s=60.0)
+        asked = request.model_copy(update={"session": self.node.session})
+        reply = self.node.bus.call("robot", "reset", asked, ResetReply, timeout_s=60.0)
         self._episode, record.route = reply.episode, reply.route
         self._alive_s = time.monotonic()
         try:
@@ -182,10 +191,30 @@ class EpisodeClient:
         on_tick(record.ticks)
         return record
 
+    def _arm(self) -> None:
+        """Arm a robot that nobody has armed since it was started, once: whoever begins a run wants it to move.
+
+        One that stands for another reason, or was started again meanwhile, is armed by a person; and so is one that
+        moves only while a person is there.
+        """
+        if self._armed:
+            return
+        detail = self.node.bus.call("robot", "status", Nothing(), Status).detail
+        if detail.get("stop_cause") == "not_armed" and not detail.get("attended"):
+            request = ArmRequest(stop=int(detail["emergency_stop"] or 0), session=self.node.session)
+            self.node.bus.call("robot", "arm", request, Nothing)
+        self._armed = True
+
+    def _beat(self) -> None:
+        if self._record is not None and self._episode and not self._ended:
+            header = Message(robot=self.node.robot, episode=self._episode, tick=self._record.ticks, stamp_ns=0)
+            beat = Heartbeat.after(header, session=self.node.session, sequence=next(self._beats), operator=False)
+            self.node.publish(beat)
+
     def _end(self, episode: str) -> None:
         refusal: RpcError | None = None
         try:
-            self.node.bus.call("simulator", "end", EndRequest(episode=episode), Nothing)
+            self.node.bus.call("robot", "end", EndRequest(episode=episode), Nothing)
         except RpcError as error:
             # It may have ended by itself in the meantime; then its last message is on the way.
             refusal = error

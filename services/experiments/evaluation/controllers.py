@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 
 from schemas.state import MAX_PLACES
 from services.experiments.evaluation.demonstrations import Drive
-from services.experiments.evaluation.rules import Pose
 from smal.action_space import Atom
 from smal.decision import DecisionMaker
 from smal.evaluation.baselines.behaviour_cloning import ClonedBehaviour
@@ -32,6 +31,10 @@ from smal.robot import Localiser
 #: 2.5 m in one of ten frames, with 40 frames by 0.13 m. On the campus it collides whatever the settings: neighbourhoods
 #: of 10 to 160 frames, trajectories of 5 to 40, velocities of 0.5 to 2 (three searches each).
 SEQSLAM: Final = SeqSlamSettings(length=10, window=40)
+
+
+#: What the wheels tell: x, y in metres and heading in radians since the start.
+Pose = tuple[float, float, float]
 
 
 @dataclass(frozen=True)

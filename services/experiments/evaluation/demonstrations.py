@@ -12,11 +12,13 @@ from zipfile import BadZipFile
 import numpy as np
 from numpy.typing import NDArray
 
-from schemas.episode import Outcome, Purpose
-from services.experiments.evaluation.rules import Pose, advance, odometry_of, outcome_at
+from schemas.episode import Purpose
+from schemas.rpc import ResetRequest
 from services.expert.driver import DRIVE_TICKS, RECOVERY_TICKS, RouteDriver
 from services.kit.jpeg import decode_jpeg, encode_jpeg
 from services.recordings.dataset import RecordedImages
+from services.robot.messages import rounded
+from services.simulator.lockstep import LockstepEpisode
 from services.simulator.simulation import Simulation
 from services.simulator.world.place import Pose as Spot
 from services.simulator.world.route import plan_route
@@ -76,28 +78,28 @@ def drive(
     Drive or None
         None for what `smal learn` leaves out: a collision, or a whole drive that did not reach the victim.
     """
-    simulation.reset(seed, purpose)
-    expert = expert_of(simulation, via)
     max_ticks = RECOVERY_TICKS if purpose == "recovery" else DRIVE_TICKS
-    views, small, poses, jpegs = [], [], [], []
-    ways: list[Pose] = []
+    request = ResetRequest(seed=seed, purpose=purpose, driver="expert", max_ticks=max_ticks)
+    episode = LockstepEpisode(simulation, request)
+    expert = expert_of(simulation, via)
+    views, small, poses, jpegs, ways = [], [], [], [], []
     atoms: list[Atom] = []
-    outcome: Outcome | None = None
     while True:
-        image, pose = simulation.render(), simulation.pose
-        views.append(extract(image, features))
-        poses.append((pose.x, pose.y, pose.heading))
-        ways.append(odometry_of(simulation))
-        jpegs.append(encode_jpeg(image))
+        view = episode.view
+        views.append(extract(view.image, features))
+        poses.append((view.pose.x, view.pose.y, view.pose.heading))
+        ways.append(rounded(view.odometry)[:3])
+        jpegs.append(encode_jpeg(view.image))
         if thumbnails:
-            small.append(thumbnail(image))
-        if outcome is None and expert.arrived(pose.x, pose.y):
-            outcome = "found" if simulation.victim_found() else "aborted"
+            small.append(thumbnail(view.image))
+        outcome = episode.outcome
+        if outcome is None and expert.arrived(view.pose.x, view.pose.y):
+            outcome = "found" if episode.reached else "aborted"
         if outcome is not None:
             break
-        atoms.append(Atom[expert.key(*poses[-1]).upper()])
-        advance(simulation, atoms[-1])
-        outcome = outcome_at(simulation, len(atoms), purpose, max_ticks)
+        key = expert.key(*poses[-1])
+        atoms.append(Atom[key.upper()])
+        episode.step(key)
     if outcome == "collision" or (purpose == "drive" and outcome != "found"):
         return None
     if outcome == "found":
@@ -115,7 +117,7 @@ def drive(
             recovery=purpose == "recovery",
             images=RecordedImages(jpegs[:frames], f"{purpose}-{seed}", decode_jpeg) if outcome == "found" else None,
             odometry=np.array(ways[:frames]),
-            focal=simulation.focal_px / image.shape[1],
+            focal=simulation.focal_px / view.image.shape[1],
         ),
         np.array(poses[:frames]),
         np.stack(small[:frames]) if thumbnails else None,

@@ -12,15 +12,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from schemas.rpc import ResetRequest
 from services.experiments.evaluation.controllers import SEQSLAM
 from services.experiments.evaluation.degradation import Degradation, Degrader, degradation_named
 from services.experiments.evaluation.demonstrations import expert_of
 from services.experiments.evaluation.plan import JUDGED_TICKS, Criterion, Recogniser
-from services.experiments.evaluation.rules import advance, outcome_at
 from services.experiments.evaluation.workplace import Workplace, query_file, replace_file
 from services.expert.driver import DRIVE_TICKS
+from services.simulator.lockstep import LockstepEpisode
 from services.simulator.simulation import Simulation
-from smal.action_space import Atom
 from smal.evaluation.baselines.seqslam_localisation import SeqSlamLocaliser
 from smal.evaluation.baselines.thumbnails import thumbnail
 from smal.evaluation.ground_truth import PoseTruth, judge
@@ -54,24 +54,23 @@ def query_drive(
     dict
         ``poses`` (f, 3), and for every view NAME ``features_NAME`` (f, m) and ``thumbnails_NAME`` (f, 48, 64, 3).
     """
-    simulation.reset(seed, "drive")
+    request = ResetRequest(seed=seed, purpose="drive", driver="expert", max_ticks=DRIVE_TICKS)
+    episode = LockstepEpisode(simulation, request)
     expert = expert_of(simulation)
     degraders = {name: Degrader(how, seed) for name, how in views.items()}
     poses: list[tuple[float, float, float]] = []
     parts = [f"{part}_{name}" for name in views for part in ("features", "thumbnails")]
     kept: dict[str, list[NDArray[Any]]] = {part: [] for part in parts}
-    while True:
-        tick, image, pose = len(poses), simulation.render(), simulation.pose
+    while episode.outcome is None:
+        image, pose = episode.view.image, episode.view.pose
         poses.append((pose.x, pose.y, pose.heading))
         for name, degrader in degraders.items():
-            seen = degrader.apply(tick, image)
+            seen = degrader.apply(episode.tick, image)
             kept[f"features_{name}"].append(extract(seen, features))
             kept[f"thumbnails_{name}"].append(thumbnail(seen))
         if expert.arrived(pose.x, pose.y):
             break
-        advance(simulation, Atom[expert.key(*poses[-1]).upper()])
-        if outcome_at(simulation, tick + 1, "drive", DRIVE_TICKS) is not None:
-            break
+        episode.step(expert.key(*poses[-1]))
     return {"poses": np.array(poses)} | {name: np.stack(views) for name, views in kept.items()}
 
 

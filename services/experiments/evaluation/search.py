@@ -14,17 +14,27 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from schemas.rpc import Start
+from schemas.base import Atom as AtomName
+from schemas.rpc import ResetRequest, Start
 from services.experiments.evaluation.controllers import Controller, Place
 from services.experiments.evaluation.degradation import CLEAN, Degradation, Degrader
-from services.experiments.evaluation.rules import advance, odometry_of, outcome_at
-from services.robot.outcome import RunOutcome
+from services.robot.episode import RunOutcome
+from services.robot.messages import rounded
+from services.simulator.lockstep import LockstepEpisode
 from services.simulator.simulation import Simulation
 from services.simulator.world.route import route_length_m
+from smal.action_space import Atom
 from smal.features import extract
 
 #: Frames after which a search times out, at least, in `smal run`.
 MAX_TICKS: Final = 3000
+_NAMES: Final[dict[Atom, AtomName]] = {
+    Atom.STOP: "stop",
+    Atom.FORWARD: "forward",
+    Atom.BACKWARD: "backward",
+    Atom.LEFT: "left",
+    Atom.RIGHT: "right",
+}
 
 
 @dataclass(frozen=True, eq=False)
@@ -117,11 +127,12 @@ def search(
         Of which ticks to keep the picture.
     """
     degrader = Degrader(degradation, seed)
-    simulation.reset(seed, "run", anywhere=start == "anywhere")
+    request = ResetRequest(seed=seed, purpose="run", start=start, kidnap_tick=kidnap_tick or None, max_ticks=max_ticks)
+    episode = LockstepEpisode(simulation, request)
     controller.reset()
     # The search ends where the victim counts as found.
     shortest_m = max(route_length_m(simulation.route()) - simulation.found_m, 0.0)
-    poses = [simulation.pose]
+    poses = [episode.view.pose]
     atoms: list[int] = []
     decisions: dict[int, str] = {}
     unrecognised: set[int] = set()
@@ -129,29 +140,26 @@ def search(
     pictures: dict[int, NDArray[np.uint8]] = {}
     outcome: RunOutcome | None = None
     while outcome is None:
-        tick = len(atoms)
-        image = degrader.apply(tick, simulation.render())
+        tick, view = episode.tick, episode.view
+        image = degrader.apply(tick, view.image)
         if keep(tick):
             pictures[tick] = image
         features = None if controller.features is None else extract(image, controller.features)
-        move = controller.act(tick, image, features, odometry_of(simulation))
+        move = controller.act(tick, image, features, rounded(view.odometry)[:3])
         places.append(move.place)
         if move.decision is not None:
             decisions[tick] = move.decision
             if not move.recognised:
                 unrecognised.add(tick)
             if move.arrived:
-                outcome = "found" if simulation.victim_found() else "false_goal"
+                outcome = "found" if episode.reached else "false_goal"
                 break
-        advance(simulation, move.atom)
+        poses.append(episode.step(_NAMES[move.atom]).pose)
         atoms.append(move.atom)
-        if tick + 1 == kidnap_tick:
-            simulation.carry_away()
-        poses.append(simulation.pose)
-        outcome = outcome_at(simulation, tick + 1, "run", max_ticks)
+        outcome = episode.outcome
     last = len(atoms)
     if keep(last):
-        pictures[last] = degrader.apply(last, simulation.render())
+        pictures[last] = degrader.apply(last, episode.view.image)
     return Search(
         seed,
         outcome,

@@ -26,7 +26,7 @@ from services.experiments.evaluation.plan import Criterion, Trial
 from services.experiments.evaluation.search import Search, search
 from services.experiments.evaluation.workplace import Workplace, replace_file
 from services.kit.jpeg import encode_jpeg
-from services.simulator.drive import TICK_S
+from services.robot.clock import TICK_S
 from smal.evaluation.baselines.behaviour_cloning import ClonedBehaviour, CloningSettings, clone
 from smal.movement import placed, seen_from
 

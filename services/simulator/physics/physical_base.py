@@ -10,7 +10,7 @@ from services.simulator.drive import Actuator, WheelSpeeds
 from services.simulator.physics.articulation import TYRE_FRICTION, add_robot
 from services.simulator.physics.collision_shapes import upright_sides
 from services.simulator.physics.engine import TIMESTEP_S, new_scene, obstacle_entity
-from services.simulator.physics.motors import STANDING, lead
+from services.simulator.physics.motors import STANDING, STOPPING_M_S2, TURN_ACCELERATION_RAD_S2, lead
 from services.simulator.world.place import Pose
 
 if TYPE_CHECKING:
@@ -62,6 +62,11 @@ class PhysicalBase:
         self._scene = new_scene()
         self._obstacles = obstacle_entity(upright_sides(place.solids, place.robot.top_m))
         self._scene.add_entity(self._obstacles)
+
+    @property
+    def braking_s(self) -> float:
+        """Seconds from nominal speed to standing, along and about."""
+        return max(self._drive.speed_m_s / STOPPING_M_S2, self._drive.turn_rate_rad_s / TURN_ACCELERATION_RAD_S2)
 
     def put(self, pose: Pose, rng: np.random.Generator) -> None:
         """Stand still at a pose, in a new scene: the engine remembers contacts, which would outlast an episode."""

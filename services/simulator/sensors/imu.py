@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final, NamedTuple
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
+
+from services.robot.body import ImuReading
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -44,17 +46,6 @@ class ImuSettings:
     acceleration_walk: float = 3.0e-3
     acceleration_bias_m_s2: float = 0.02
     acceleration_range_m_s2: float = 16 * GRAVITY_M_S2
-
-
-Triple = tuple[float, float, float]
-
-
-class ImuReading(NamedTuple):
-    """One reading, x ahead, y to the left, z up; `after_s` is when, from the start of the episode."""
-
-    after_s: float
-    angular_velocity_rad_s: Triple
-    acceleration_m_s2: Triple
 
 
 class InertialUnit:

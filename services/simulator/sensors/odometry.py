@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
+from services.robot.body import OdometryReading
 from services.simulator.drive import WheelSpeeds, move
 from services.simulator.world.place import Pose
 
@@ -35,16 +36,6 @@ class EncoderSettings:
     ticks_per_turn: float = 2578.33
     radius_sigma: float = 0.002
     track_sigma: float = 0.005
-
-
-class OdometryReading(NamedTuple):
-    """Where the wheels say that the robot is, from where it began, x ahead; mean speeds since the reading before."""
-
-    x_m: float
-    y_m: float
-    heading_rad: float
-    speed_m_s: float
-    turn_rate_rad_s: float
 
 
 class Odometer:

@@ -6,14 +6,15 @@ from collections import deque
 from typing import TYPE_CHECKING, Final
 
 from services.simulator.base import STEP_S
-from services.simulator.sensors.imu import ImuReading, ImuSettings, InertialUnit
-from services.simulator.sensors.odometry import EncoderSettings, Odometer, OdometryReading
+from services.simulator.sensors.imu import ImuSettings, InertialUnit
+from services.simulator.sensors.odometry import EncoderSettings, Odometer
 from services.simulator.sensors.shake import Shake, ShakeSettings, Tilt, TiltRate
 from services.simulator.sensors.step import Step
 
 if TYPE_CHECKING:
     import numpy as np
 
+    from services.robot.body import ImuReading, OdometryReading
     from services.simulator.base import Motion
     from services.simulator.robots import Drive
     from services.simulator.world.place import Pose

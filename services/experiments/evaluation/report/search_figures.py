@@ -16,7 +16,7 @@ from services.experiments.evaluation.report.figure_style import COLOURS, plain, 
 from services.experiments.evaluation.report.summary import Success, controller_name, success_of
 from services.experiments.evaluation.search_experiment import WAY_TICKS
 from services.kit.jpeg import decode_jpeg
-from services.simulator.drive import TICK_S
+from services.robot.clock import TICK_S
 from services.simulator.world import load_world
 from services.simulator.world.map_view import draw_map
 

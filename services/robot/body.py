@@ -1,0 +1,137 @@
+"""What a robot's body has to be able to do: a simulated one, a real one, or one in a test."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterator
+from dataclasses import dataclass
+from typing import NamedTuple, Protocol, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from schemas.base import Atom, Message
+from schemas.rpc import ResetRequest
+
+
+class OdometryReading(NamedTuple):
+    """Where the wheels say that the robot is since the episode began, and its mean speeds since the last reading."""
+
+    x_m: float
+    y_m: float
+    heading_rad: float
+    speed_m_s: float
+    turn_rate_rad_s: float
+
+
+#: Ahead, to the left, and up.
+Triple = tuple[float, float, float]
+
+
+class ImuReading(NamedTuple):
+    """What the inertial unit felt over one step of time.
+
+    Attributes
+    ----------
+    after_s
+        End of the step, seconds since the episode began.
+    angular_velocity_rad_s
+        About the axes ahead, left and up.
+    acceleration_m_s2
+        Along the axes ahead, left and up; gravity is felt as an acceleration upwards.
+    """
+
+    after_s: float
+    angular_velocity_rad_s: Triple
+    acceleration_m_s2: Triple
+
+
+class View(Protocol):
+    """What a body saw and felt at one moment. What takes long, as rendering does, is done when it is asked for."""
+
+    @property
+    def captured_s(self) -> float:
+        """When that was, by the actuator's clock."""
+
+    @property
+    def image(self) -> NDArray[np.uint8]:
+        """The camera image, (height, width, 3) uint8 RGB."""
+
+    @property
+    def contact(self) -> bool:
+        """Whether the robot has touched anything since the episode began."""
+
+    @property
+    def odometry(self) -> OdometryReading | None:
+        """What the wheels say, if they say anything."""
+
+    @property
+    def imu(self) -> tuple[ImuReading, ...]:
+        """The inertial readings since the frame before, oldest first."""
+
+    def more(self, header: Message, made: Collection[str] = ()) -> Iterator[Message]:
+        """Make the other messages of this moment that somebody wants, but for the topics that were made before."""
+
+
+@dataclass(frozen=True)
+class Beginning:
+    """Where an episode begins.
+
+    Attributes
+    ----------
+    route
+        Way points from there to the goal, metres; none where the way is not known.
+    found_m
+        How near the goal counts as found; None where nobody knows where it is.
+    """
+
+    route: tuple[tuple[float, float], ...] = ()
+    found_m: float | None = None
+
+
+V_co = TypeVar("V_co", bound=View, covariant=True)
+
+
+class Body(Protocol[V_co]):
+    """Wheels and a camera.
+
+    ``drive`` and ``stand`` are called 50 times a second on a thread that does nothing else; they must return at once.
+    Everything else is called on another thread.
+    """
+
+    @property
+    def name(self) -> str:
+        """Of the world that it is in, or of the robot where that is the real one."""
+
+    @property
+    def speed_m_s(self) -> float:
+        """Nominal speed of ``forward`` and ``backward``, greater than 0."""
+
+    @property
+    def focal_px(self) -> float | None:
+        """Focal length of the camera in pixels, if it is known."""
+
+    @property
+    def watchdog_s(self) -> float:
+        """Seconds without ``drive`` or ``stand`` after which the base stands by itself."""
+
+    @property
+    def braking_s(self) -> float:
+        """Seconds from nominal speed to standing."""
+
+    def drive(self, atom: Atom, speed: float) -> None:
+        """Go on with a movement, at a fraction 0 to 1 of its nominal speed, until told otherwise."""
+
+    def stand(self) -> None:
+        """Stop, and stay."""
+
+    def begin(self, request: ResetRequest) -> Beginning:
+        """Be ready for an episode.
+
+        Raises
+        ------
+        ServiceError
+            It cannot be as it was asked for.
+        """
+
+    def look(self, tick: int) -> V_co:
+        """Return what is seen and felt now, for the frame of a tick; the first of an episode is 0."""

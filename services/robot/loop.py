@@ -1,0 +1,133 @@
+"""The last thread before the wheels: gate, then body, 50 times a second, and nothing else.
+
+No rendering, no calls, no publishing: whatever the rest of the process waits for, this does not.
+"""
+
+from __future__ import annotations
+
+import logging
+import threading
+from collections.abc import Callable
+from typing import Final
+
+from services.kit.node import ServiceError, Throttle
+from services.robot.body import Body, View
+from services.robot.clock import now_s
+from services.robot.gate import MAX_AGE_S, OPERATOR_S, Applied, CommandGate
+
+#: Time from one look at the gate to the next.
+PERIOD_S: Final = 0.02
+#: The robot stands this long, at most, after whoever moves it has fallen silent.
+STAND_WITHIN_S: Final = 0.5
+_log = logging.getLogger("robot")
+
+
+def stopping_times_s(body: Body[View]) -> dict[str, float]:
+    """Return how long the robot moves on at most, in seconds, by what falls silent: all delays together."""
+    return {
+        "the driver": MAX_AGE_S + PERIOD_S + body.braking_s,
+        "the operator": OPERATOR_S + PERIOD_S + body.braking_s,
+        "this process": body.watchdog_s + body.braking_s,
+    }
+
+
+def check_stopping(body: Body[View]) -> None:
+    """Refuse a body that cannot stand in time.
+
+    Raises
+    ------
+    ServiceError
+        After the silence of somebody it would move for longer than `STAND_WITHIN_S`.
+    """
+    for who, stands_s in stopping_times_s(body).items():
+        if not stands_s <= STAND_WITHIN_S:
+            raise ServiceError(
+                f"{body.name}: after the silence of {who} it would move for {stands_s:.2f} s, more than "
+                f"{STAND_WITHIN_S:g} s (braking takes {body.braking_s:.2f} s, its watchdog {body.watchdog_s:.2f} s)"
+            )
+
+
+class ActuatorLoop:
+    """Carries out what the gate lets through, in a thread of its own, until it is closed.
+
+    Where the body fails, a stop is latched: a robot that does not do what it is told is moved by nobody until somebody
+    has looked at it and arms it again.
+
+    Parameters
+    ----------
+    gate
+        Which command is obeyed.
+    body
+        What moves.
+    tell
+        Called with what is carried out whenever that changes; it must return at once.
+    clock
+        The actuator's seconds.
+    """
+
+    def __init__(
+        self,
+        gate: CommandGate,
+        body: Body[View],
+        tell: Callable[[Applied], None],
+        clock: Callable[[], float] = now_s,
+    ) -> None:
+        self._gate = gate
+        self._body = body
+        self._tell = tell
+        self._clock = clock
+        self._told: tuple[object, ...] | None = None
+        self._complaints = Throttle()
+        self._ended = threading.Event()
+        self._thread = threading.Thread(target=self._run, name="actuator", daemon=True)
+        #: How many steps began later than the next one was due.
+        self.late = 0
+
+    def start(self) -> None:
+        """Begin to move the robot."""
+        self._thread.start()
+
+    def close(self) -> None:
+        """Leave the robot standing."""
+        self._ended.set()
+        if self._thread.ident is not None:
+            self._thread.join()
+        self._stand()
+
+    def step(self) -> None:
+        """Carry out what the gate lets through now."""
+        try:
+            self._carry_out()
+        except Exception:
+            self._gate.stop("fault")
+            if self._complaints.due():
+                _log.exception("the body has failed: it stands until it is armed again")
+            self._stand()
+
+    def _carry_out(self) -> None:
+        now = self._clock()
+        self._gate.watch(now)
+        applied = self._gate.applied(now)
+        if applied.atom == "stop":
+            self._body.stand()
+        else:
+            self._body.drive(applied.atom, applied.speed)
+        what = (applied.atom, applied.speed, applied.source, applied.reason)
+        if what != self._told:
+            self._told = what
+            self._tell(applied)
+
+    def _run(self) -> None:
+        due_s = self._clock()
+        while not self._ended.wait(max(0.0, due_s - self._clock())):
+            now = self._clock()
+            self.late += now - due_s > PERIOD_S
+            due_s = max(due_s + PERIOD_S, now)
+            self.step()
+
+    def _stand(self) -> None:
+        try:
+            self._body.stand()
+        except Exception:
+            if self._complaints.due():
+                _log.exception("the body does not take the order to stand; its own watchdog has to stop it")

@@ -1,0 +1,54 @@
+"""Readings of a body's sensors as messages."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from schemas.base import Message
+from schemas.camera_info import CameraInfo
+from schemas.imu import Imu, ImuSample
+from schemas.odometry import Odometry
+from services.robot.body import ImuReading, OdometryReading, Triple
+
+# Digits after the point: a micrometre and a microradian, far below every noise, and a third of the bytes in recordings.
+_DIGITS: Final = 6
+
+
+def camera_info(header: Message, image: NDArray[np.uint8], focal_px: float) -> CameraInfo:
+    """Make the message of how the camera of an image (height, width, 3) sees."""
+    height, width, _ = image.shape
+    return CameraInfo.after(
+        header, width=width, height=height, focal_px=focal_px, centre_x_px=width / 2, centre_y_px=height / 2
+    )
+
+
+def rounded(reading: OdometryReading) -> OdometryReading:
+    """Return a reading with the digits that its message has."""
+    return OdometryReading(*(round(value, _DIGITS) for value in reading))
+
+
+def odometry_message(header: Message, reading: OdometryReading) -> Odometry:
+    """Make the message of what the wheels tell."""
+    return Odometry.after(header, **rounded(reading)._asdict())
+
+
+def imu_message(header: Message, readings: Iterable[ImuReading]) -> Imu:
+    """Make the message of the inertial readings since the frame before."""
+    samples = tuple(
+        ImuSample(
+            after_s=round(reading.after_s, _DIGITS),
+            angular_velocity_rad_s=_rounded(reading.angular_velocity_rad_s),
+            acceleration_m_s2=_rounded(reading.acceleration_m_s2),
+        )
+        for reading in readings
+    )
+    return Imu.after(header, samples=samples)
+
+
+def _rounded(values: Triple) -> Triple:
+    x, y, z = (round(value, _DIGITS) for value in values)
+    return x, y, z

@@ -1,0 +1,439 @@
+"""Episode after episode of one robot: what happens when a command comes, or when time passes.
+
+It takes requests, commands and clock readings, and gives messages. In real time the clock decides when the next frame
+is, and an ``ActuatorLoop`` moves the robot meanwhile; another pace (the simulator's lockstep) may be given.
+"""
+
+from __future__ import annotations
+
+import time
+from collections import deque
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field
+from typing import Final, Generic, Protocol, TypeVar
+
+from schemas.base import Message, Source
+from schemas.command import Command, CommandApplied
+from schemas.compressed_image import CompressedImage
+from schemas.episode import Episode as EpisodeEvent
+from schemas.episode import EventName, Judge, Outcome
+from schemas.heartbeat import Heartbeat
+from schemas.image import Image
+from schemas.rpc import ArmRequest, EndRequest, Mode, ResetReply, ResetRequest, ResumeRequest
+from services.kit.jpeg import encode_jpeg
+from services.kit.node import ServiceError
+from services.robot.body import Body, View
+from services.robot.clock import TICK_S, now_s
+from services.robot.episode import Episode
+from services.robot.gate import Applied, CommandGate
+from services.robot.loop import ActuatorLoop
+from services.robot.messages import camera_info, imu_message, odometry_message
+from services.robot.task import Task
+
+#: Silence of whoever began an episode after which somebody else may begin one; four of their heartbeats.
+CLIENT_S: Final = 2.0
+#: Frames whose readiness is remembered; an older one's command is stale anyway.
+READY_KEPT: Final = 10
+#: What moves the robot changes at most 50 times a second; so much is told after an outage of 10 s, the newest.
+CHANGES_KEPT: Final = 500
+# What is told of before the end is; that the goal is reached is told when it is first seen.
+_ENDING_EVENTS: Final[dict[Outcome, EventName]] = {"collision": "collision", "timeout": "timed_out"}
+V = TypeVar("V", bound=View)
+
+
+@dataclass
+class Running(Generic[V]):
+    """The state of the running episode."""
+
+    id: str
+    episode: Episode[V]
+    pace: Pace[V]
+    begun_s: float
+    begun_ns: int
+    #: When the last frame was captured; the wall clock is read once an episode, since it may be set meanwhile.
+    stamp_ns: int
+    #: When the client that began it was last heard of.
+    client_s: float
+    #: Whether the goal has been reached at all, and whether it is in the last frame.
+    found: bool = False
+    reached: bool = False
+    applied: Applied | None = None
+    #: How many times it was said in this tick what moves the robot.
+    said: int = 0
+    #: When recent frames were ready to be sent, and how long each source's last accepted command took from then.
+    ready_s: dict[int, float] = field(default_factory=dict)
+    latency_s: dict[Source, float] = field(default_factory=dict)
+    #: The messages of the last frame that a driver needs to answer it.
+    frame: tuple[Message, ...] = ()
+
+    @property
+    def request(self) -> ResetRequest:
+        """How it was asked for."""
+        return self.episode.request
+
+    @property
+    def tick(self) -> int:
+        """Number of the last frame."""
+        return self.episode.tick
+
+
+class Pace(Protocol[V]):
+    """When the next frame is, and what moves the robot until then."""
+
+    def gate_s(self, tick: int) -> float:
+        """Return the gate's time, by which commands grow old, while ``tick`` is the last frame."""
+
+    def begin(self) -> None:
+        """Begin, with frame 0 taken."""
+
+    def poll(self, runner: EpisodeRunner[V], run: Running[V]) -> Iterator[Message]:
+        """Let time pass."""
+
+    def end(self) -> None:
+        """Leave the robot standing."""
+
+
+class RealTime(Generic[V]):
+    """The clock runs: ten frames a second, or as many as can be made, and a loop that moves the robot meanwhile.
+
+    Parameters
+    ----------
+    gate, body
+        Which command is obeyed, and by what.
+    clock
+        The actuator's seconds.
+    wake
+        Makes somebody call ``poll`` soon.
+    """
+
+    def __init__(self, gate: CommandGate, body: Body[V], clock: Callable[[], float], wake: Callable[[], None]) -> None:
+        self._clock = clock
+        self._wake = wake
+        self._changes: deque[Applied] = deque(maxlen=CHANGES_KEPT)
+        self.loop = ActuatorLoop(gate, body, self._note, clock)
+        self._due_s = 0.0
+        self.late = 0
+
+    def _note(self, applied: Applied) -> None:
+        self._changes.append(applied)
+        self._wake()
+
+    def gate_s(self, _tick: int) -> float:
+        """Return the clock's time."""
+        return self._clock()
+
+    def begin(self) -> None:
+        """Start the loop."""
+        self._due_s = self._clock() + TICK_S
+        self.loop.start()
+
+    def poll(self, runner: EpisodeRunner[V], run: Running[V]) -> Iterator[Message]:
+        """Tell what has changed, and take the next frame if it is due."""
+        while self._changes:
+            yield runner.tell(run, self._changes.popleft())
+        now = self._clock()
+        if now < self._due_s:
+            return
+        # A frame that took longer than a tick to make puts off the next ones; the robot moves on meanwhile.
+        self.late += now - self._due_s > TICK_S
+        self._due_s = max(self._due_s + TICK_S, now)
+        yield from runner.next_frame(run)
+        if run is runner.running:
+            yield runner.tell(run, runner.gate.applied(self._clock()))
+
+    def end(self) -> None:
+        """Stop the loop, which leaves the robot standing."""
+        self.loop.close()
+
+
+class EpisodeRunner(Generic[V]):
+    """Runs episodes of one robot.
+
+    ``offer``, ``hear`` and the gate's ``stop`` may be called on any thread; everything else on one.
+
+    Parameters
+    ----------
+    body, task
+        What moves, and what for.
+    gate
+        Which command it obeys.
+    robot
+        Robot id.
+    session
+        Distinguishes this process's episodes from an earlier one's.
+    paces
+        How time passes in other modes than real time.
+    clock, wall_clock_ns
+        The actuator's seconds, and nanoseconds since 1970.
+    wake
+        Called when ``poll`` has something to do; must return at once.
+    """
+
+    def __init__(
+        self,
+        body: Body[V],
+        task: Task[V],
+        gate: CommandGate,
+        robot: str,
+        session: str,
+        *,
+        paces: Mapping[Mode, Callable[[], Pace[V]]] | None = None,
+        clock: Callable[[], float] = now_s,
+        wall_clock_ns: Callable[[], int] = time.time_ns,
+    ) -> None:
+        self.body = body
+        self.gate = gate
+        self.wake: Callable[[], None] = lambda: None
+        self._task = task
+        self._robot = robot
+        self._session = session
+        self._paces: dict[Mode, Callable[[], Pace[V]]] = {"realtime": self._real_time, **(paces or {})}
+        self._clock = clock
+        self._wall_clock_ns = wall_clock_ns
+        self._count = 0
+        self._running: Running[V] | None = None
+
+    def _real_time(self) -> Pace[V]:
+        return RealTime(self.gate, self.body, self._clock, lambda: self.wake())
+
+    @property
+    def running(self) -> Running[V] | None:
+        """The running episode, if any."""
+        return self._running
+
+    # -- what is asked for ----------------------------------------------------------------------------------------
+
+    def arm(self, request: ArmRequest) -> None:
+        """Release a latched stop.
+
+        Raises
+        ------
+        ServiceError
+            By whoever may not, or for another stop than the latched one.
+        """
+        self._unless(self.gate.arm(request.stop, request.session))
+
+    def resume(self, request: ResumeRequest) -> None:
+        """Let the driver go on after a person has taken over.
+
+        Raises
+        ------
+        ServiceError
+            By whoever may not, or in another situation than they know of.
+        """
+        self._unless(self.gate.resume(request.episode, request.tick, request.session))
+
+    def check_reset(self, request: ResetRequest) -> None:
+        """Say whether an episode may begin.
+
+        Raises
+        ------
+        ServiceError
+            While a stop is latched, a person has taken over, somebody else's episode runs, or in a mode that this
+            robot does not know.
+        """
+        if request.mode not in self._paces:
+            raise ServiceError(f"{self.body.name} cannot wait for commands; ask for real time")
+        if self.gate.emergency_stop:
+            cause = {
+                "not_armed": "the robot is not armed; arm it",
+                "emergency_stop": "an emergency stop is latched; release it",
+                "operator_lost": "the operator was lost; arm the robot",
+                "fault": "the robot's body has failed; look at it, then arm it",
+            }[self.gate.stop_cause or "not_armed"]
+            raise ServiceError(f"{cause}, from smal teleop (n)")
+        if self.gate.taken_over and request.driver != "teleop":
+            raise ServiceError("a person has taken over; let the driver go on from smal teleop (r)")
+        run = self._running
+        if (
+            run is not None
+            and request.session != run.request.session
+            and not (self.gate.taken_over and request.driver == "teleop")
+            and self._clock() - run.client_s <= CLIENT_S
+        ):
+            raise ServiceError(f"episode {run.id} is another client's; take over from its driver, or end that client")
+
+    def reset(self, request: ResetRequest) -> tuple[ResetReply, list[Message]]:
+        """End the running episode, if any, and begin the next one.
+
+        Returns
+        -------
+        reply, messages
+            The answer to the caller, and what to publish: the old episode's end, the new one's start, its frame 0.
+
+        Raises
+        ------
+        ServiceError
+            It may not begin, see ``check_reset``.
+        """
+        self.check_reset(request)
+        messages = self.end()
+        pace = self._paces[request.mode]()
+        self._count += 1
+        name = f"{request.purpose}-{request.seed}-{self._session}-{self._count}"
+        # From here on nothing that was said before counts.
+        self.gate.begin(name, request.driver)
+        episode = Episode(self.body, self._task, request)
+        now, now_ns = self._clock(), self._wall_clock_ns()
+        self._running = run = Running(name, episode, pace, now, now_ns, now_ns, now)
+        messages.append(self._event(run, "started"))
+        try:
+            messages.extend(self._frame(run))
+        except Exception:
+            self._running = None  # who asked is told that there is none
+            raise
+        pace.begin()
+        reply = ResetReply(
+            episode=name,
+            world=self.body.name,
+            speed_m_s=self.body.speed_m_s,
+            route=episode.beginning.route,
+            found_m=episode.beginning.found_m,
+        )
+        return reply, messages
+
+    def end_by(self, request: EndRequest) -> list[Message]:
+        """End the running episode because somebody asks for that.
+
+        Raises
+        ------
+        ServiceError
+            Another episode runs, or none; or somebody else than the operator says that something was found.
+        """
+        run = self._running
+        if run is None or run.id != request.episode:
+            raise ServiceError(f"episode {request.episode} is not running")
+        if not request.found:
+            return self.end()
+        if self.gate.operator is not None and self.gate.operator != request.session:
+            raise ServiceError("an operator is there, and only they may say so")
+        return self.end("found", "operator")
+
+    def end(self, outcome: Outcome | None = None, judge: Judge = "task") -> list[Message]:
+        """End the running episode; without an outcome it is ``found`` if the last frame shows the goal reached.
+
+        That frame is what a drive teaches as its goal; one that passed the goal and went on is ``aborted``.
+        """
+        run = self._running
+        if run is None:
+            return []
+        self._running = None
+        run.pace.end()
+        outcome = outcome or ("found" if run.reached else "aborted")
+        return [self._event(run, "ended", outcome, judge)]
+
+    # -- what happens ---------------------------------------------------------------------------------------------
+
+    def offer(self, command: Command) -> None:
+        """Take a command to the gate."""
+        run = self._running
+        tick = 0 if run is None else run.tick
+        refusal = self.gate.offer(command, self._clock() if run is None else run.pace.gate_s(tick))
+        if run is None or refusal is not None or command.source == "emergency_stop":
+            return
+        ready_s = run.ready_s.get(command.tick)
+        if ready_s is not None:
+            run.latency_s[command.source] = self._clock() - ready_s
+
+    def hear(self, beat: Heartbeat) -> None:
+        """Take a sign of life."""
+        now, run = self._clock(), self._running
+        if beat.operator:
+            self.gate.hear(beat, now)
+        if run is not None and beat.session == run.request.session:
+            run.client_s = now
+
+    def poll(self) -> Iterator[Message]:
+        """Let time pass: frames are taken when they are due, and what moves the robot is told."""
+        self.gate.watch(self._clock())
+        if self._running is not None:
+            yield from self._running.pace.poll(self, self._running)
+
+    def next_frame(self, run: Running[V]) -> Iterator[Message]:
+        """Take the next frame, and end the episode if it ends with it."""
+        try:
+            yield from self._go_on(run)
+        except Exception:
+            # Half a frame cannot be answered: nobody would ever go on.
+            yield from self.end("aborted")
+            raise
+
+    def _go_on(self, run: Running[V]) -> Iterator[Message]:
+        run.episode.next_frame()
+        run.said = 0
+        yield from self._frame(run)
+        outcome = run.episode.outcome
+        if outcome is None:
+            return
+        if outcome in _ENDING_EVENTS:
+            yield self._event(run, _ENDING_EVENTS[outcome])
+        yield from self.end(outcome)
+
+    def _frame(self, run: Running[V]) -> Iterator[Message]:
+        view, tick = run.episode.view, run.tick
+        captured_s = view.captured_s if run.request.mode == "realtime" else run.pace.gate_s(tick)
+        self.gate.captured(tick, captured_s)
+        elapsed_s = captured_s - run.begun_s if run.request.mode == "realtime" else captured_s
+        run.stamp_ns = run.begun_ns + round(elapsed_s * 1e9)
+        header = self.header(run)
+        image = view.image
+        height, width, _ = image.shape
+        # The colour image comes last: it is what the driver waits for.
+        run.frame = (*view.more(header), Image.after(header, width=width, height=height, data=image.tobytes()))
+        run.ready_s = {t: at for t, at in run.ready_s.items() if t > tick - READY_KEPT} | {tick: self._clock()}
+        if tick == 0 and self.body.focal_px is not None:
+            yield camera_info(header, image, self.body.focal_px)
+        if view.odometry is not None:
+            yield odometry_message(header, view.odometry)
+        if view.imu:
+            yield imu_message(header, view.imu)
+        yield from run.frame
+        # After the raw image, so that its features are worked on meanwhile.
+        yield CompressedImage.after(header, width=width, height=height, data=encode_jpeg(image))
+        run.reached = run.episode.reached
+        if run.reached and not run.found:
+            run.found = True
+            yield self._event(run, "victim_found")
+
+    def tell(self, run: Running[V], applied: Applied) -> CommandApplied:
+        """Make the record of what moves the robot; remembers it, to say so again only when it changes."""
+        run.applied = applied
+        sequence, run.said = run.said, run.said + 1
+        latency_s = None if applied.source is None else run.latency_s.get(applied.source)
+        return CommandApplied.after(
+            self.header(run),
+            sequence=sequence,
+            atom=applied.atom,
+            speed=applied.speed,
+            source=applied.source,
+            reason=applied.reason,
+            answered_tick=applied.answered_tick,
+            latency_ns=None if latency_s is None else round(latency_s * 1e9),
+            emergency_stop=self.gate.emergency_stop,
+            stop_cause=self.gate.stop_cause,
+            refused=sum(self.gate.refused.values()),
+        )
+
+    def header(self, run: Running[V]) -> Message:
+        """Return what every message of the last frame begins with."""
+        return Message(robot=self._robot, episode=run.id, tick=run.tick, stamp_ns=run.stamp_ns)
+
+    def _event(
+        self, run: Running[V], name: EventName, outcome: Outcome | None = None, judge: Judge = "task"
+    ) -> EpisodeEvent:
+        return EpisodeEvent.after(
+            self.header(run),
+            event=name,
+            purpose=run.request.purpose,
+            driver=run.request.driver,
+            world=self.body.name,
+            seed=run.request.seed,
+            goal=run.request.goal,
+            outcome=outcome,
+            judge=judge if outcome == "found" else None,
+        )
+
+    @staticmethod
+    def _unless(refusal: str | None) -> None:
+        if refusal is not None:
+            raise ServiceError(refusal)

@@ -1,0 +1,140 @@
+"""The robot on the bus: calls and commands in, frames and episode events out."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from contextlib import closing, suppress
+from typing import Final, TypeVar
+
+from schemas.base import Message
+from schemas.command import Command, CommandApplied
+from schemas.episode import Episode
+from schemas.rpc import ArmRequest, EndRequest, Nothing, ResetReply, ResetRequest, ResumeRequest, Status
+from schemas.topics import COMMANDS, HEARTBEAT
+from services.kit.bus import Bus, RpcError
+from services.kit.node import Detail, Node, ServiceError
+from services.kit.settings import ServiceSettings
+from services.robot.body import View
+from services.robot.loop import PERIOD_S
+from services.robot.runner import EpisodeRunner, RealTime
+
+#: Name on the bus, whatever body it has.
+ROBOT: Final = "robot"
+#: How long another robot of this id may take to say so.
+ANSWER_S: Final = 1.0
+V = TypeVar("V", bound=View)
+
+
+def check_alone(settings: ServiceSettings) -> None:
+    """Refuse to be a second robot of one id.
+
+    Raises
+    ------
+    ServiceError
+        When another process answers for this robot.
+    """
+    with closing(Bus(settings.robot, settings.router)) as bus, suppress(RpcError):
+        other = bus.call(ROBOT, "status", Nothing(), Status, ANSWER_S)
+        raise ServiceError(f"robot {settings.robot} is there already (process {other.pid}); give this one another id")
+
+
+class RobotService:
+    """Wires an ``EpisodeRunner`` to a node.
+
+    Commands and signs of life are judged on the bus's own thread: nothing that waits or renders goes before them, and
+    no queue can lose an emergency stop. Everything else happens on the node's thread, which renders as well.
+
+    Parameters
+    ----------
+    runner
+        The robot.
+    node
+        Where to serve.
+    """
+
+    def __init__(self, runner: EpisodeRunner[V], node: Node) -> None:
+        self._runner = runner
+        self._node = node
+        self._timed: tuple[str, int | None] | None = None
+        runner.wake = node.soon(self.poll)
+        for topic in COMMANDS.values():
+            node.at_once(topic, self.take)
+        node.at_once(HEARTBEAT, runner.hear)
+        node.serve("arm", ArmRequest, self.arm)
+        node.serve("reset", ResetRequest, self.reset)
+        node.serve("resume", ResumeRequest, self.resume)
+        node.serve("end", EndRequest, self.end)
+        node.every(PERIOD_S, self.poll)
+        node.detail = self.detail
+
+    def take(self, command: Command) -> None:
+        """Offer a command to the gate; what comes of it is told by the next poll."""
+        self._runner.offer(command)
+        self._runner.wake()
+
+    def poll(self) -> None:
+        """Let time pass."""
+        self._publish(self._runner.poll())
+
+    def arm(self, request: ArmRequest) -> None:
+        """Release a latched stop."""
+        cause = self._runner.gate.stop_cause
+        self._runner.arm(request)
+        self._node.log.info("armed (it stood for: %s)", cause)
+
+    def reset(self, request: ResetRequest) -> ResetReply:
+        """Begin an episode."""
+        self._runner.check_reset(request)
+        # Whatever becomes of the next one, the running episode ends here.
+        self._publish(self._runner.end())
+        reply, messages = self._runner.reset(request)
+        self._publish(messages)
+        return reply
+
+    def end(self, request: EndRequest) -> None:
+        """End the running episode."""
+        self._publish(self._runner.end_by(request))
+
+    def resume(self, request: ResumeRequest) -> None:
+        """Let the driver go on, from whom a person has taken over."""
+        self._runner.resume(request)
+        self._node.log.info("episode %s: the driver goes on", request.episode)
+
+    def detail(self) -> Detail:
+        """Tell the running episode and how the actuator fares."""
+        running, gate = self._runner.running, self._runner.gate
+        detail: Detail = {
+            "world": self._runner.body.name,
+            "episode": running.id if running else None,
+            "tick": running.tick if running else None,
+            "emergency_stop": gate.emergency_stop,
+            "stop_cause": gate.stop_cause,
+            "taken_over": gate.taken_over,
+            "attended": gate.attended,
+            "operator": gate.operator is not None,
+        }
+        if running is not None and isinstance(running.pace, RealTime):
+            detail |= {"late_frames": running.pace.late, "late_steps": running.pace.loop.late}
+        # This runs on a thread of the bus: list() takes the counts at one moment.
+        detail |= {f"refused {reason}": count for reason, count in list(gate.refused.items())}
+        return detail
+
+    def _publish(self, messages: Iterable[Message]) -> None:
+        self._node.publish(self._log(iter(messages)))
+
+    def _log(self, messages: Iterator[Message]) -> Iterator[Message]:
+        for message in messages:
+            if isinstance(message, Episode):
+                outcome = f": {message.outcome}" if message.outcome else ""
+                self._node.log.info("episode %s, frame %d: %s%s", message.episode, message.tick, message.event, outcome)
+            elif isinstance(message, CommandApplied):
+                self._time(message)
+            yield message
+
+    def _time(self, applied: CommandApplied) -> None:
+        """Count how long a command took, once: what is applied is said again with every frame."""
+        answered = (applied.episode, applied.answered_tick)
+        if applied.source is None or applied.latency_ns is None or answered == self._timed:
+            return
+        self._timed = answered
+        self._node.metrics.decision(applied.source, applied.latency_ns / 1e9)

@@ -1,0 +1,121 @@
+"""The simulated robot as a body: in real time its world moves on by the clock, whoever is slow."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from threading import Lock
+from typing import Final
+
+from schemas.base import Atom
+from schemas.rpc import ResetRequest
+from schemas.topics import DEPTH, OVERHEAD, Topic
+from services.robot.body import Beginning
+from services.robot.clock import now_s
+from services.simulator.base import STEP_S
+from services.simulator.simulation import Simulation
+from services.simulator.view import SimulatedView
+
+#: Silence after which the simulated base stands by itself, as those of real robots do.
+WATCHDOG_S: Final = 0.2
+
+
+class SimulatedBody:
+    """A `Simulation` as `services.robot.body.Body` asks for it.
+
+    Like a real base it goes on with its last order until it has another one, or its watchdog bites; what passed
+    meanwhile is made up for at the next order, so that a process that was frozen finds the robot where it would be.
+
+    Parameters
+    ----------
+    simulation
+        World, robot and camera.
+    clock
+        The actuator's seconds.
+    wanted
+        Whether anybody listens to a topic; asked at every frame for those whose messages are costly.
+    """
+
+    def __init__(
+        self,
+        simulation: Simulation,
+        clock: Callable[[], float] = now_s,
+        wanted: Callable[[Topic], bool] = lambda _topic: False,
+    ) -> None:
+        for topic in (DEPTH, OVERHEAD):
+            # Who listens becomes known a moment after it was asked for the first time: the first frame is too late.
+            wanted(topic)
+        self.simulation = simulation
+        self._clock = clock
+        self._wanted = wanted
+        self._lock = Lock()
+        self._kidnap_tick: int | None = None
+        self._realtime = False
+        self._order: tuple[Atom, float] = ("stop", 0.0)
+        self._ordered_s = self._moved_s = clock()
+
+    @property
+    def name(self) -> str:
+        """Of the world."""
+        return self.simulation.name
+
+    @property
+    def speed_m_s(self) -> float:
+        """The robot's nominal speed."""
+        return self.simulation.speed_m_s
+
+    @property
+    def focal_px(self) -> float:
+        """Focal length of the camera in pixels."""
+        return self.simulation.focal_px
+
+    @property
+    def watchdog_s(self) -> float:
+        """Seconds without an order after which it stands."""
+        return WATCHDOG_S
+
+    @property
+    def braking_s(self) -> float:
+        """Seconds from nominal speed to standing."""
+        return self.simulation.braking_s
+
+    def begin(self, request: ResetRequest) -> Beginning:
+        """Put the robot at a seeded start."""
+        with self._lock:
+            self.simulation.reset(request.seed, request.purpose, anywhere=request.start == "anywhere")
+            self._kidnap_tick = request.kidnap_tick
+            self._realtime = request.mode == "realtime"
+            self._order = ("stop", 0.0)
+            self._ordered_s = self._moved_s = self._clock()
+        route = tuple((float(x), float(y)) for x, y in self.simulation.route())
+        return Beginning(route, self.simulation.found_m)
+
+    def drive(self, atom: Atom, speed: float) -> None:
+        """Go on with a movement until told otherwise; in lockstep the world only moves when ``advance`` has it so."""
+        if not self._realtime:
+            return
+        with self._lock:
+            now = self._clock()
+            self._move_on(self._order, min(now, self._ordered_s + WATCHDOG_S))
+            self._move_on(("stop", 0.0), now)
+            self._order, self._ordered_s = (atom, speed), now
+
+    def stand(self) -> None:
+        """Stop, and stay."""
+        self.drive("stop", 0.0)
+
+    def _move_on(self, order: tuple[Atom, float], until_s: float) -> None:
+        """Move by whole steps, so that the sensors' readings are evenly apart."""
+        while self._moved_s + STEP_S <= until_s:
+            self._moved_s += STEP_S
+            self.simulation.advance(*order, STEP_S)
+
+    def advance(self, atom: Atom, speed: float, duration_s: float) -> None:
+        """Move the robot in lockstep."""
+        self.simulation.advance(atom, speed, duration_s)
+
+    def look(self, tick: int) -> SimulatedView:
+        """Return what is seen and felt now; at its tick the robot is carried away before."""
+        with self._lock:
+            if tick and tick == self._kidnap_tick:
+                self.simulation.carry_away()
+            return self.simulation.look(self._clock(), self._wanted)

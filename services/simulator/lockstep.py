@@ -1,0 +1,109 @@
+"""Lockstep: the world moves one tick when the driver has answered a frame, however long that takes.
+
+What happens then does not depend on how fast the machine is: the same seed and the same answers give the same episode.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from typing import Final
+
+from schemas.base import Atom, Message
+from schemas.rpc import ResetRequest
+from services.robot.clock import TICK_S, now_s
+from services.robot.episode import Episode
+from services.robot.runner import EpisodeRunner, Running
+from services.simulator.body import SimulatedBody
+from services.simulator.simulation import Simulation
+from services.simulator.view import FindVictim, SimulatedView
+
+#: Seconds without an answer after which a frame is sent again (a message may be lost), and given up.
+RESEND_S: Final = 2.0
+GIVE_UP_S: Final = 30.0
+
+
+class LockstepEpisode(Episode[SimulatedView]):
+    """An episode in this process, without messages, for whoever acts on its views.
+
+    What the services add changes nothing in lockstep: the same seed gives the same poses.
+
+    Parameters
+    ----------
+    simulation
+        World, robot and camera.
+    request
+        Which episode.
+    """
+
+    def __init__(self, simulation: Simulation, request: ResetRequest) -> None:
+        body = SimulatedBody(simulation)
+        super().__init__(body, FindVictim(), request)
+        self._advance = body.advance
+
+    def step(self, atom: Atom) -> SimulatedView:
+        """Carry out a movement at nominal speed until the next frame, and return that."""
+        self._advance(atom, 1.0, TICK_S)
+        return self.next_frame()
+
+
+class Lockstep:
+    """The pace of a simulated robot whose world waits for commands.
+
+    Parameters
+    ----------
+    body
+        What moves.
+    clock
+        The actuator's seconds, for what was not answered.
+    """
+
+    def __init__(self, body: SimulatedBody, clock: Callable[[], float] = now_s) -> None:
+        self._body = body
+        self._clock = clock
+        self._sent_s = clock()
+        self.resent = 0
+
+    def gate_s(self, tick: int) -> float:
+        """Return simulated time, so that a slow machine makes no command stale."""
+        return tick * TICK_S
+
+    def begin(self) -> None:
+        """Wait for the first answer."""
+        self._sent_s = self._clock()
+
+    def end(self) -> None:
+        """Do nothing: time stands."""
+
+    def poll(self, runner: EpisodeRunner[SimulatedView], run: Running[SimulatedView]) -> Iterator[Message]:
+        """Move on by a tick if the last frame is answered; send it again, or give up, where an answer is overdue.
+
+        While a stop is latched the robot stands, and nothing is rendered.
+        """
+        applied = runner.gate.applied(self.gate_s(run.tick))
+        if runner.gate.emergency_stop:
+            if run.applied is None or run.applied.reason != "emergency_stop":
+                yield runner.tell(run, applied)
+        elif runner.gate.answered(run.tick):
+            yield runner.tell(run, applied)
+            if runner.gate.stop_cause is not None:
+                return  # it came while that was being said
+            self._body.advance(applied.atom, applied.speed, TICK_S)
+            yield from runner.next_frame(run)
+            self._sent_s = self._clock()
+            return
+        now = self._clock()
+        if now - run.ready_s[run.tick] > GIVE_UP_S:
+            yield from runner.end()
+        elif now - self._sent_s > RESEND_S and not runner.gate.emergency_stop:
+            yield from self._send_again(runner, run)
+
+    def _send_again(self, runner: EpisodeRunner[SimulatedView], run: Running[SimulatedView]) -> Iterator[Message]:
+        """Send the frame again, to whoever is there now."""
+        # Who wants the other images may have come, or have become known, only after the frame was made.
+        *others, image = run.frame
+        made = {message.topic_name for message in others}
+        run.frame = (*others, *run.episode.view.more(runner.header(run), made), image)
+        runner.gate.expect_anybody()
+        self._sent_s = self._clock()
+        self.resent += 1
+        yield from run.frame

@@ -1,0 +1,125 @@
+"""What the simulated robot saw and felt at one moment; its pictures are rendered when they are asked for."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Collection, Iterator
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING, Final
+
+from schemas.base import Message
+from schemas.pose import Pose as PoseMessage
+from schemas.topics import DEPTH, OVERHEAD, Topic
+from services.simulator.scene.atmosphere import exposed, hazy
+from services.simulator.sensors.blur import blur
+from services.simulator.sensors.messages import depth_message, overhead_message
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from services.robot.body import ImuReading, OdometryReading
+    from services.simulator.sensors import Tilt
+    from services.simulator.sensors.camera import Camera
+    from services.simulator.sensors.shake import TiltRate
+    from services.simulator.variation import Variation
+    from services.simulator.world.place import Pose, World
+
+#: Fraction of the image that the victim must fill to be seen.
+VISIBLE_FRACTION: Final = 0.0005
+
+
+@dataclass(frozen=True)
+class Eye:
+    """What is looked at, with what, and under which conditions; `exposure_s` is how long the camera collects light."""
+
+    world: World
+    camera: Camera
+    variation: Variation
+    exposure_s: float
+
+
+@dataclass(frozen=True, eq=False)
+class SimulatedView:
+    """One moment of the simulated robot, as `services.robot.body.View` asks for it.
+
+    Attributes
+    ----------
+    eye
+        What its pictures are made with.
+    pose
+        Where the robot truly is.
+    tilt, tilt_rate
+        How the camera shakes.
+    contact
+        Whether the robot has touched anything since the reset.
+    odometry, imu
+        What its sensors say.
+    captured_s
+        When, by the actuator's clock.
+    wanted
+        Whether anybody listens to a topic whose messages are costly.
+    """
+
+    eye: Eye
+    pose: Pose
+    tilt: Tilt
+    tilt_rate: TiltRate
+    contact: bool
+    odometry: OdometryReading
+    imu: tuple[ImuReading, ...]
+    captured_s: float = 0.0
+    wanted: Callable[[Topic], bool] = lambda _topic: False
+
+    @cached_property
+    def image(self) -> NDArray[np.uint8]:
+        """What the camera sees, (height, width, 3) uint8 RGB, blurred as far as it shakes."""
+        camera, variation = self.eye.camera, self.eye.variation
+        image = camera.render(self.pose, self.tilt)
+        if variation.visibility_m is not None:
+            image = hazy(image, self.depth_m, variation.visibility_m, variation.light.horizon)
+        image = blur(image, self.tilt_rate, self.eye.exposure_s, camera.focal_px)
+        return exposed(image, variation.exposure_ev) if variation.exposure_ev else image
+
+    @cached_property
+    def depth_m(self) -> NDArray[np.float32]:
+        """How far along the camera's axis each pixel of its image is, (height, width) metres or `inf`."""
+        return self.eye.camera.depth_m(self.pose, self.tilt)
+
+    @cached_property
+    def overhead(self) -> NDArray[np.uint8]:
+        """What the camera above the scene sees, (height, width, 3) uint8 RGB.
+
+        Raises
+        ------
+        LookupError
+            There is none.
+        """
+        return self.eye.camera.overhead(self.pose)
+
+    @cached_property
+    def victim_found(self) -> bool:
+        """Whether the victim is near and in view; the image is only searched when near."""
+        world = self.eye.world
+        away = math.hypot(world.victim.x - self.pose.x, world.victim.y - self.pose.y)
+        near = away <= world.scale.found_m
+        return near and self.eye.camera.victim_pixels(self.pose, self.tilt) >= VISIBLE_FRACTION
+
+    def more(self, header: Message, made: Collection[str] = ()) -> Iterator[Message]:
+        """Make the message of the true pose, and those of pictures that are costly and seldom listened to."""
+        if PoseMessage.topic not in made:
+            yield PoseMessage.after(header, x_m=self.pose.x, y_m=self.pose.y, heading_rad=self.pose.heading)
+        if DEPTH.name not in made and self.wanted(DEPTH):
+            yield depth_message(header, self.depth_m)
+        mount = self.eye.world.place.overhead
+        if OVERHEAD.name not in made and mount is not None and self.wanted(OVERHEAD):
+            yield overhead_message(header, self.overhead, mount)
+
+
+class FindVictim:
+    """The task of every simulated world: the victim is near, and in view."""
+
+    def reached(self, view: SimulatedView) -> bool:
+        """Return whether a frame shows it so."""
+        return view.victim_found
