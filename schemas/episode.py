@@ -38,8 +38,8 @@ class Episode(Message):
     goal: GoalName = "victim"
     """Where a drive leads, by the name that it has for those who send the robot there."""
     outcome: Outcome | None = None
-    """How it ended; given with ``ended`` only. ``found``: the goal was reached in the last frame (tick of this message);
-    a drive that passed it and went on ends otherwise."""
+    """How it ended; given with ``ended`` only. ``found``: the goal was reached in the last frame (tick of this
+    message); a drive that passed it and went on ends otherwise."""
     judge: Judge | None = None
     """Who says so of ``found``: the task (in simulation: near the victim, and the victim in view), or the operator."""
 

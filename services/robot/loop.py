@@ -98,7 +98,7 @@ class ActuatorLoop:
         """Carry out what the gate lets through now."""
         try:
             self._carry_out()
-        except Exception:
+        except Exception:  # noqa: BLE001 - whatever it is, the robot stands
             self._gate.stop("fault")
             if self._complaints.due():
                 _log.exception("the body has failed: it stands until it is armed again")
@@ -128,6 +128,6 @@ class ActuatorLoop:
     def _stand(self) -> None:
         try:
             self._body.stand()
-        except Exception:
+        except Exception:  # noqa: BLE001 - nothing more can be done here
             if self._complaints.due():
                 _log.exception("the body does not take the order to stand; its own watchdog has to stop it")

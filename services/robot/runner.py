@@ -194,7 +194,7 @@ class EpisodeRunner(Generic[V]):
         self._running: Running[V] | None = None
 
     def _real_time(self) -> Pace[V]:
-        return RealTime(self.gate, self.body, self._clock, lambda: self.wake())
+        return RealTime(self.gate, self.body, self._clock, self.wake)
 
     @property
     def running(self) -> Running[V] | None:
