@@ -202,16 +202,19 @@ def test_a_full_disk_ends_the_file_and_not_the_recorder(
     send(client, sent)
     eventually(lambda: sealed(client, 1))
     detail = ready(client, "recorder").detail
-    assert "cannot go on recording" in str(detail["last_error"])
+    assert "cannot finish" in str(detail["last_error"])
     assert "No space left on device" in str(detail["last_error"])
-    written = len(read_all(tmp_path / "full.mcap"))
-    assert written > 10
-    assert written + int(detail["lost"] or 0) == len(sent)
+    assert partial_of(tmp_path / "full.mcap").exists()
     monkeypatch.undo()
     publish(client, list(episode("room")))
     eventually(lambda: sealed(client, 2))
     assert len(read_all(tmp_path / "room.mcap")) == len(list(episode("room")))
-    assert stop(client).dropped == len(sent) - written
+    written = len(read_all(tmp_path / "full.mcap"))
+    assert written > 10
+    # Of the message that did not fit all but its index may stand in the file.
+    lost = stop(client).dropped
+    assert lost == detail["lost"]
+    assert len(sent) <= written + lost <= len(sent) + 1
 
 
 def test_a_file_that_could_not_be_finished_is_when_there_is_room(
@@ -222,8 +225,7 @@ def test_a_file_that_could_not_be_finished_is_when_there_is_room(
     def full(*_: object) -> None:
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
-    monkeypatch.setattr("services.recordings.sink.write_all", full)
-    monkeypatch.setattr("services.recordings.recovery.write_all", full)
+    monkeypatch.setattr("services.recordings.sink.Sink.write", full)
     publish(client, list(episode("full"))[-1:])
     eventually(lambda: sealed(client, 1))
     assert partial_of(tmp_path / "full.mcap").exists()
@@ -318,6 +320,7 @@ def test_a_recorder_that_is_killed_and_started_again_loses_nothing(
     command = [*process.args[:-1], str(tmp_path)]
     with subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as again:
         eventually(lambda: received(client) > len(killed))
+        during = sorted(path.name for path in tmp_path.iterdir())
         publish(client, killed[-1:])
         eventually((tmp_path / "killed.mcap").exists)
         again.send_signal(signal.SIGTERM)
@@ -327,6 +330,7 @@ def test_a_recorder_that_is_killed_and_started_again_loses_nothing(
     assert sorted(path.name for path in tmp_path.iterdir()) == ["before.mcap", "killed.mcap"]
     assert f"going on with {tmp_path}/killed.mcap" in log
     assert "lacks" not in log
+    assert during == ["before.mcap", "killed.mcap.partial", "killed.mcap.partial-2"]
 
 
 def test_a_recording_left_behind_whose_episode_does_not_go_on_is_finished(
@@ -360,7 +364,7 @@ def test_what_is_replayed_late_is_waited_for(
         assert not (tmp_path / "late.mcap").exists()
         for message in late:
             recorder.handle(message)
-        now_s += GRACE_S / 2
+        now_s += GRACE_S
         recorder.seal_complete()
     assert contents(tmp_path / "late.mcap") == wanted(sent)
 
