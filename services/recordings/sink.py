@@ -18,7 +18,7 @@ PARTIAL_SUFFIX: Final = ".partial"
 SYNC_PERIOD_S: Final = 1.0
 
 
-def claim(path: Path, flags: int = os.O_RDONLY) -> int:
+def claim(path: Path, flags: int = os.O_RDWR) -> int:
     """Open and lock a file that is being recorded; the lock goes with the descriptor. A dead process holds none.
 
     Raises
@@ -43,7 +43,7 @@ def claim(path: Path, flags: int = os.O_RDONLY) -> int:
 def is_being_recorded(path: Path) -> bool:
     """Whether a living recorder writes this recording."""
     try:
-        os.close(claim(path))
+        os.close(claim(path, os.O_RDONLY))
     except BlockingIOError:
         return True
     return False

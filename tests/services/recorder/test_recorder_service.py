@@ -24,11 +24,10 @@ from services.kit.bus import Bus, Router, RpcError
 from services.kit.node import Node, ServiceError
 from services.kit.settings import ServiceSettings
 from services.recorder.service import GRACE_S, RESUME_S, RecorderService
-from services.recordings.encoding import payload_of
 from services.recordings.reader import read_recording
 from services.recordings.sink import partial_of
 from tests.services.recordings.recorded_messages import FINGERPRINT, applied, episode, event, frame, header, observation
-from tests.services.recordings.test_recorder_files import FullDisk, leave, read_all
+from tests.services.recordings.test_recorder_files import FullDisk, leave, read_all, wanted
 from tests.services.waiting import eventually, introduce, ready, status_of
 
 RunNode = Callable[[Node], Node]
@@ -60,10 +59,6 @@ def send(bus: Bus, messages: list[Message]) -> None:
 def contents(path: Path) -> list[tuple[str, int, bytes]]:
     """Return every message of a recording, sorted: the order between topics is nobody's promise."""
     return sorted(read_all(path))
-
-
-def wanted(messages: list[Message]) -> list[tuple[str, int, bytes]]:
-    return sorted((TOPICS[m.topic_name].key("rescuebot"), m.tick, payload_of(m)) for m in messages)
 
 
 def sealed(bus: Bus, count: int) -> bool:
@@ -344,6 +339,20 @@ def test_a_recording_left_behind_whose_episode_does_not_go_on_is_finished(
     run_node(node)
     eventually(lambda: sealed(client, 1))
     assert contents(tmp_path / "left.mcap") == wanted(sent)
+
+
+def test_what_two_recorders_of_one_episode_left_is_finished_apart(settings: ServiceSettings, tmp_path: Path) -> None:
+    sent = list(episode("e", frames=2))
+    leave(tmp_path, sent[:20])
+    leave(tmp_path, sent[:10])
+    with Node("recorder", settings) as node:
+        recorder = RecorderService(node, tmp_path)
+        for message in sent:
+            recorder.handle(message)
+        recorder.close()
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["e-2.mcap", "e.mcap"]
+    assert contents(tmp_path / "e.mcap") == wanted(sent[:20])
+    assert contents(tmp_path / "e-2.mcap") == wanted(sent)
 
 
 def test_what_is_replayed_late_is_waited_for(
