@@ -1,4 +1,5 @@
-"""Writes every message of an episode to a crash-safe MCAP file, and reads such files back.
+"""Writes every message of an episode to a crash-safe MCAP file.
 
-Read ``encoding`` (what a message looks like in a file), then ``mcap_writer`` and ``mcap_reader``, then ``service``.
+Read, in ``services.recordings``, ``encoding`` (what a message looks like in a file), ``sink`` and ``writer``; then
+``service``.
 """

@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections import deque
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final, Self
@@ -14,9 +15,8 @@ from schemas.episode import Episode
 from schemas.rpc import Nothing, RecordReply, RecordRequest
 from schemas.topics import TOPICS
 from services.kit.node import Detail, Node, ServiceError
-from services.recordings.recovery import RecoveryError, leftovers, recover
-from services.recordings.sink import PARTIAL_SUFFIX
-from services.recordings.writer import EpisodeWriter
+from services.recordings.sink import PARTIAL_SUFFIX, leftovers
+from services.recordings.writer import EpisodeWriter, RecoveryError
 
 #: Messages that wait while the disk is slow, as a multiple of what is replayed at once after an outage.
 QUEUE_FACTOR: Final = 2
@@ -24,7 +24,7 @@ QUEUE_FACTOR: Final = 2
 #: and nothing more has come for ``QUIET_S``, or else nothing for ``GRACE_S``.
 QUIET_S: Final = 0.2
 GRACE_S: Final = 1.0
-#: So long a file that a killed recorder left behind waits for its episode to go on, and for what is replayed of it.
+#: So long a recording that a killed recorder left waits for its episode to go on, and for what is replayed of it.
 RESUME_S: Final = 5.0
 SEAL_PERIOD_S: Final = 0.05
 #: Messages kept of episodes whose beginning has not arrived yet, and for how long: order holds within a topic, not
@@ -45,7 +45,9 @@ class Totals:
     @classmethod
     def of(cls, writer: EpisodeWriter) -> Self:
         """Return the figures of one recording."""
-        return cls(writer.messages, writer.size, writer.ledger.duplicates, writer.ledger.gap_ticks)
+        # What a part lacks may be in an earlier one: that is known when they are merged.
+        gap_ticks = 0 if writer.resumed else writer.ledger.gap_ticks
+        return cls(writer.messages, writer.size, writer.ledger.duplicates, gap_ticks)
 
     def __add__(self, other: Totals) -> Totals:
         return Totals(
@@ -63,7 +65,8 @@ class _Recording:
     writer: EpisodeWriter | None
     touched_s: float
     closing: bool = False
-    resumed: bool = False
+    #: When a killed recorder's recording was gone on with.
+    resumed_s: float | None = None
     #: When it is finished whatever still comes: nobody told that the episode ended.
     deadline_s: float | None = None
 
@@ -72,11 +75,9 @@ class _Recording:
         quiet_s = now_s - self.touched_s
         if self.deadline_s is not None and now_s >= self.deadline_s:
             return True
-        if self.closing and self._whole():
-            return quiet_s >= QUIET_S
-        if self.resumed:
+        if self.resumed_s is not None and (now_s < self.resumed_s + RESUME_S or not self.closing):
             return quiet_s >= RESUME_S
-        return self.closing and quiet_s >= GRACE_S
+        return self.closing and quiet_s >= (QUIET_S if self._whole() else GRACE_S)
 
     def _whole(self) -> bool:
         """Whether every tick is there, up to the episode's end."""
@@ -159,11 +160,6 @@ class RecorderService:
             folder.mkdir(parents=True, exist_ok=True)
             for partial in leftovers(folder):
                 self._resume(partial)
-            for leftover in recover(folder):
-                if leftover.problem is not None:
-                    self._node.log.warning("cannot recover %s: %s", leftover.partial, leftover.problem)
-                elif leftover.path is not None:
-                    self._node.log.info("recovered %s, left by a recorder that was killed", leftover.path)
         except OSError as error:
             raise ServiceError(f"cannot record in {folder}: {error.strerror or error}") from None
         self._folder = folder.resolve()
@@ -175,12 +171,15 @@ class RecorderService:
         """Go on with a recording that was left behind: its episode may still run."""
         try:
             writer = EpisodeWriter.resume(partial)
-        except (RecoveryError, OSError):
-            return  # `recover` says what is wrong with it
+        except BlockingIOError:
+            return  # its recorder lives
+        except (RecoveryError, OSError) as error:
+            self._node.log.warning("cannot go on with %s: %s", partial, error)
+            return
         self._node.log.info("going on with %s, left by a recorder that was killed", writer.path)
-        self._open[writer.episode] = _Recording(
-            writer, self._clock(), closing=writer.end_tick is not None, resumed=True
-        )
+        resumed = _Recording(writer, self._clock(), resumed_s=self._clock())
+        if self._open.setdefault(writer.episode, resumed) is not resumed:
+            self._finish(resumed)  # two recorders recorded that episode, and both were killed
 
     def _settle(self) -> None:
         """Go on recording until the grace of every ended episode is over."""
@@ -258,11 +257,16 @@ class RecorderService:
         """Finish what could not be finished because the disk was full."""
         if not self._unfinished or folder is None:
             return
-        done = {leftover.partial: leftover.path for leftover in recover(folder) if leftover.path is not None}
+        done: dict[Path, Path] = {}
+        for partial in leftovers(folder):
+            with suppress(OSError, RecoveryError):
+                writer = EpisodeWriter.resume(partial)
+                done[partial] = writer.seal()
         self._files = [done.get(path, path) for path in self._files]
         self._unfinished = any(path.suffix == PARTIAL_SUFFIX for path in self._files)
-        for path in done.values():
-            self._node.log.info("finished %s, now that there is room", path)
+        for partial, path in done.items():
+            if path != partial:
+                self._node.log.info("finished %s, now that there is room", path)
 
     def _close_all(self) -> None:
         for recording in self._open.values():

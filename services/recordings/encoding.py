@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import dataclass
+from functools import cache
 from typing import Any, cast
 
 import foxglove_schemas_protobuf.CompressedImage_pb2 as foxglove
@@ -43,6 +44,7 @@ class ChannelFormat:
     schema: bytes
 
 
+@cache
 def format_of(message: type[Message]) -> ChannelFormat:
     """Return how the messages of a class are written."""
     if issubclass(message, CompressedImage):

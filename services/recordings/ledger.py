@@ -16,6 +16,8 @@ EVERY_TICK: Final = (JPEG.name, POSE.name, OBSERVATION.name, STATE.name, APPLIED
 TO_THE_END: Final = (JPEG.name, POSE.name, OBSERVATION.name)
 
 Order = tuple[int, ...]
+#: Messages whose place among their like is more than their tick.
+ORDERED: Final[tuple[type[Message], ...]] = (Episode, Command, CommandApplied)
 
 
 def order_of(message: Message) -> Order:
@@ -32,7 +34,7 @@ class Ledger:
     """Keeps account of the messages of one episode.
 
     A message may come again: in lockstep a frame is repeated until it is answered, and what is replayed to a recorder
-    that was started again may be there already. It may also come late, after others of its topic.
+    that was started again may be in an earlier part. It may also come late, after others of its topic.
     """
 
     def __init__(self) -> None:
@@ -41,21 +43,16 @@ class Ledger:
         self._last: dict[str, int] = dict.fromkeys(EVERY_TICK, -1)
         self.duplicates = 0
 
-    def admit(self, message: Message) -> bool:
+    def admit(self, topic: str, order: Order) -> bool:
         """Whether a message is new."""
-        topic, order = message.topic_name, order_of(message)
         if order in self._seen[topic]:
             self.duplicates += 1
             return False
-        self.enter(topic, order)
-        return True
-
-    def enter(self, topic: str, order: Order) -> None:
-        """Note that a message is there."""
         self._seen[topic].add(order)
         if topic in self._ticks:
             self._ticks[topic].add(order[0])
             self._last[topic] = max(self._last[topic], order[0])
+        return True
 
     def close(self, end_tick: int) -> None:
         """Note that the episode ended at this tick: so far every topic reaches that was recorded at all."""

@@ -13,8 +13,8 @@ from pathlib import Path
 from typing import Final
 
 from mcap.exceptions import McapError
-from mcap.opcode import Opcode
-from mcap.records import Channel
+from mcap.records import Channel, McapRecord
+from mcap.records import Message as StoredMessage
 from pydantic import ValidationError
 
 from schemas.base import Message
@@ -26,8 +26,8 @@ from schemas.odometry import Odometry
 from schemas.pose import Pose
 from schemas.topics import APPLIED, CAMERA, CAMERA_INFO, EPISODE, JPEG, OBSERVATION, ODOMETRY, POSE, Topic, topic_of
 from services.recordings.recorded import RecordedEpisode
-from services.recordings.records import MAGIC, fields, flat_records, message_header, message_payload, view_of
-from services.recordings.sink import PARTIAL_SUFFIX, is_being_recorded
+from services.recordings.records import MAGIC, mapped, records
+from services.recordings.sink import PARTIAL_SUFFIX, is_being_recorded, parts_of
 
 #: Where images are; recordings of older versions have them, as JPEG too, on the key of the raw ones.
 _IMAGES: Final = (JPEG, CAMERA)
@@ -65,7 +65,7 @@ def read_recording(path: Path, fingerprint: str | None = None) -> Recording:
     Parameters
     ----------
     path
-        An MCAP file, finished or left behind.
+        An MCAP file, finished or left behind; with it are read the parts that were recorded after a kill.
     fingerprint
         Which feature vectors to take from the observations; none of them if not given.
 
@@ -74,11 +74,12 @@ def read_recording(path: Path, fingerprint: str | None = None) -> Recording:
     RecordingError
         When the file cannot be read, is no MCAP file, holds no episode or no frame, or is still being recorded.
     """
-    data = _open(path)
+    parts = _open(path)
     reader = _Reader(fingerprint)
     try:
-        for record in flat_records(data):
-            reader.take(record.opcode, record.body)
+        for part in parts:
+            for record in records(part):
+                reader.take(record)
     except (McapError, ValueError, struct.error) as error:
         raise RecordingError(f"{path}: damaged: {str(error) or type(error).__name__}") from None
     episodes = tuple(episode for episode in reader.episodes.values() if episode.purpose is not None)
@@ -86,23 +87,22 @@ def read_recording(path: Path, fingerprint: str | None = None) -> Recording:
         raise RecordingError(f"{path}: holds no episode")
     if not any(episode.frames for episode in episodes):
         raise RecordingError(f"{path}: holds no camera frame")
-    truncated = len(data) < 2 * len(MAGIC) or data[-len(MAGIC) :] != MAGIC
+    truncated = any(len(part) < 2 * len(MAGIC) or part[-len(MAGIC) :] != MAGIC for part in parts)
     return Recording(path, episodes, truncated, reader.bad)
 
 
-def _open(path: Path) -> memoryview:
+def _open(path: Path) -> list[memoryview]:
     try:
         if path.suffix == PARTIAL_SUFFIX and is_being_recorded(path):
             raise RecordingError(f"{path}: still being recorded; end the episode or stop the recorder first")
-        with path.open("rb") as file:
-            data = view_of(file.fileno())
+        parts = [mapped(part) for part in parts_of(path)]
     except OSError as error:
         raise RecordingError(f"{path}: {error.strerror or error}") from None
-    except ValueError:
-        raise RecordingError(f"{path}: empty") from None
-    if data[: len(MAGIC)] != MAGIC:
+    if not parts[0]:
+        raise RecordingError(f"{path}: empty")
+    if parts[0][: len(MAGIC)] != MAGIC:
         raise RecordingError(f"{path}: not an MCAP file")
-    return data
+    return parts
 
 
 class _Reader:
@@ -122,15 +122,12 @@ class _Reader:
             CAMERA_INFO.name: self._take_camera_info,
         }
 
-    def take(self, opcode: int, body: memoryview) -> None:
+    def take(self, record: McapRecord) -> None:
         """Take one record."""
-        if opcode == Opcode.CHANNEL:
-            self._take_channel(Channel.read(fields(body)))
-        elif opcode == Opcode.MESSAGE:
-            header = message_header(body)
-            if header.channel_id in self._channels:
-                topic, robot, episode = self._channels[header.channel_id]
-                self._take_message(topic, robot, episode, header.sequence, message_payload(body))
+        if isinstance(record, Channel):
+            self._take_channel(record)
+        elif isinstance(record, StoredMessage) and record.channel_id in self._channels:
+            self._take_message(*self._channels[record.channel_id], record.sequence, memoryview(record.data))
 
     def _take_channel(self, channel: Channel) -> None:
         topic = topic_of(channel.topic)
@@ -138,6 +135,8 @@ class _Reader:
         # Anything else in the file is other people's.
         if topic is not None and robot is not None and episode is not None:
             self._channels[channel.id] = (topic, robot, episode)
+        else:
+            self._channels.pop(channel.id, None)
 
     def _take_message(self, topic: Topic, robot: str, episode: str, tick: int, payload: memoryview) -> None:
         record = self.episodes.setdefault((robot, episode), RecordedEpisode(robot, episode))

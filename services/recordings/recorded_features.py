@@ -7,14 +7,14 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 from mcap.exceptions import McapError
-from mcap.opcode import Opcode
-from mcap.records import Channel
+from mcap.records import Channel, Message
 from pydantic import ValidationError
 
 from schemas.observation import Observation
 from schemas.topics import OBSERVATION, topic_of
 from services.kit.errors import UsageError
-from services.recordings.records import MAGIC, fields, flat_records, message_header, message_payload, view_of
+from services.recordings.records import mapped, records
+from services.recordings.sink import parts_of
 from smal.features import FeatureSettings
 
 
@@ -42,11 +42,8 @@ def features_in(path: Path) -> tuple[FeatureSettings, ...]:
     Not those of another version, and none of a file that cannot be read: reading it says why.
     """
     try:
-        with path.open("rb") as file:
-            data = view_of(file.fileno())
-        if data[: len(MAGIC)] != MAGIC:
-            return ()
-        found = dict.fromkeys(_settings(observation) for observation in _observations(data))
+        parts = [mapped(part) for part in parts_of(path)]
+        found = dict.fromkeys(_settings(observation) for part in parts for observation in _observations(part))
     except (OSError, McapError, ValueError, struct.error):
         return ()
     return tuple(features for features in found if features is not None)
@@ -67,15 +64,14 @@ def _settings(observation: Observation) -> FeatureSettings | None:
 def _observations(data: memoryview) -> Iterator[Observation]:
     """Yield the first readable observation of every channel: one an episode."""
     waiting: set[int] = set()
-    for record in flat_records(data):
-        if record.opcode == Opcode.CHANNEL:
-            channel = Channel.read(fields(record.body))
-            if topic_of(channel.topic) is OBSERVATION:
-                waiting.add(channel.id)
-        elif record.opcode == Opcode.MESSAGE and (channel_id := message_header(record.body).channel_id) in waiting:
+    for record in records(data):
+        if isinstance(record, Channel):
+            if topic_of(record.topic) is OBSERVATION:
+                waiting.add(record.id)
+        elif isinstance(record, Message) and record.channel_id in waiting:
             try:
-                observation = Observation.model_validate_json(bytes(message_payload(record.body)))
+                observation = Observation.model_validate_json(bytes(record.data))
             except ValidationError:
                 continue
-            waiting.remove(channel_id)
+            waiting.remove(record.channel_id)
             yield observation

@@ -1,8 +1,14 @@
-"""A file that survives what happens to it: every write reaches the system at once, and the disk within a second."""
+"""The files of a recording, and one that survives what happens to it: written at once, on the disk within a second.
+
+A recording is ``NAME.mcap.partial`` until it is finished. A recorder that finds what a killed one left goes on in
+``NAME.mcap.partial-2``, the next in ``-3``: parts of one recording, which become one file at its end. Who has locked
+the first part owns them all.
+"""
 
 from __future__ import annotations
 
 import fcntl
+import glob
 import os
 import threading
 from pathlib import Path
@@ -12,19 +18,35 @@ PARTIAL_SUFFIX: Final = ".partial"
 SYNC_PERIOD_S: Final = 1.0
 
 
-def lock(descriptor: int) -> bool:
-    """Lock a file that is being recorded; False where another recorder holds it. A dead process holds nothing."""
+def claim(path: Path, flags: int = os.O_RDWR) -> int:
+    """Open and lock a file that is being recorded; the lock goes with the descriptor. A dead process holds none.
+
+    Raises
+    ------
+    BlockingIOError
+        When another recorder holds it.
+    OSError
+        When it cannot be opened.
+    """
+    descriptor = os.open(path, os.O_CLOEXEC | flags, 0o644)
     try:
         fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except BlockingIOError:
-        return False
-    return True
+        # In between another recorder may have put something else in its place.
+        if not os.path.samestat(os.fstat(descriptor), path.stat()):
+            raise BlockingIOError(f"{path} is being recorded")
+    except OSError:
+        os.close(descriptor)
+        raise
+    return descriptor
 
 
 def is_being_recorded(path: Path) -> bool:
-    """Whether a living recorder writes this file."""
-    with path.open("rb") as file:
-        return not lock(file.fileno())
+    """Whether a living recorder writes this recording."""
+    try:
+        os.close(claim(path, os.O_RDONLY))
+    except BlockingIOError:
+        return True
+    return False
 
 
 def free_path(folder: Path, stem: str) -> Path:
@@ -41,6 +63,33 @@ def partial_of(path: Path) -> Path:
     return path.with_name(path.name + PARTIAL_SUFFIX)
 
 
+def finished(partial: Path) -> Path:
+    """Return the name that a leftover gets; never that of another recording."""
+    path = partial.with_name(partial.name.removesuffix(PARTIAL_SUFFIX))
+    return free_path(path.parent, path.stem) if path.exists() else path
+
+
+def leftovers(folder: Path) -> list[Path]:
+    """Return the first parts of the unfinished recordings in a folder, those of living recorders too."""
+    return sorted(folder.glob(f"*.mcap{PARTIAL_SUFFIX}"))
+
+
+def parts_of(path: Path) -> list[Path]:
+    """Return the files of a recording in their order: an unfinished one has more where its recorder was killed."""
+    if path.suffix != PARTIAL_SUFFIX:
+        return [path]
+    others = path.parent.glob(f"{glob.escape(path.name)}-*")
+    return [path, *sorted(others, key=lambda part: (len(part.name), part.name))]
+
+
+def next_part(first: Path) -> Path:
+    """Return the name of another part of a recording."""
+    number = 2
+    while (part := first.with_name(f"{first.name}-{number}")).exists():
+        number += 1
+    return part
+
+
 def publish(partial: Path, path: Path) -> None:
     """Give a finished recording its name, and make the name itself durable."""
     partial.rename(path)
@@ -51,48 +100,29 @@ def publish(partial: Path, path: Path) -> None:
         os.close(folder)
 
 
-def write_all(descriptor: int, data: bytes) -> None:
-    """Write all of ``data``, however many calls of the system that takes."""
-    rest = memoryview(data)
-    while rest:
-        rest = rest[os.write(descriptor, rest) :]
-
-
 class Sink:
-    """An unbuffered file being recorded; what ``mcap.writer.Writer`` writes to.
+    """An unbuffered new file being recorded; what ``mcap.writer.Writer`` writes to.
 
     A killed process loses nothing that was written, and a machine without power at most the last second.
 
-    Parameters
-    ----------
-    path
-        The file.
-    new
-        Whether to make it, or to go on with one that is there.
-
     Raises
     ------
-    BlockingIOError
-        When another recorder writes it.
     OSError
-        When the file cannot be made or opened.
+        When the file cannot be made.
     """
 
-    def __init__(self, path: Path, *, new: bool = True) -> None:
-        flags = os.O_CREAT | os.O_EXCL if new else 0
-        self._descriptor = os.open(path, os.O_RDWR | os.O_CLOEXEC | flags, 0o644)
-        if not lock(self._descriptor):
-            os.close(self._descriptor)
-            raise BlockingIOError(f"{path} is being recorded")
-        self.path = path
-        self._size = os.lseek(self._descriptor, 0, os.SEEK_END)
+    def __init__(self, path: Path) -> None:
+        self._descriptor = claim(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL)
+        self._size = 0
         self._closed = threading.Event()
         self._syncer = threading.Thread(target=self._sync_often, name=f"sync {path.name}", daemon=True)
         self._syncer.start()
 
     def write(self, data: bytes) -> int:
-        """Append all of ``data``."""
-        write_all(self._descriptor, data)
+        """Append all of ``data``, however many calls of the system that takes."""
+        rest = memoryview(data)
+        while rest:
+            rest = rest[os.write(self._descriptor, rest) :]
         self._size += len(data)
         return len(data)
 
@@ -102,16 +132,6 @@ class Sink:
 
     def flush(self) -> None:
         """Do nothing: nothing is held back."""
-
-    def truncate(self, size: int) -> None:
-        """Forget everything after the first ``size`` bytes."""
-        os.ftruncate(self._descriptor, size)
-        os.lseek(self._descriptor, size, os.SEEK_SET)
-        self._size = size
-
-    def fileno(self) -> int:
-        """Return the file's descriptor."""
-        return self._descriptor
 
     def sync(self) -> None:
         """Wait until everything is on the disk."""

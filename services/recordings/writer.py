@@ -1,26 +1,36 @@
-"""One episode's MCAP file, from its first message to its seal."""
+"""One episode's recording, from its first message to its seal."""
 
 from __future__ import annotations
 
+import os
+import struct
 import time
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any, Final, Self, cast
 
+from mcap.exceptions import McapError
+from mcap.records import Channel, Metadata, Schema
+from mcap.records import Message as StoredMessage
 from mcap.writer import CompressionType, Writer
 
 from schemas.base import Message
 from schemas.episode import Episode
-from schemas.topics import TOPICS, key_of
-from services.recordings.contents import Contents, end_tick_of
-from services.recordings.encoding import format_of, payload_of
-from services.recordings.ledger import Ledger
-from services.recordings.recovery import RecoveryError, Unfinished, finish, finished
-from services.recordings.sink import Sink, free_path, partial_of, publish
+from schemas.topics import key_of, topic_of
+from services.recordings.encoding import ChannelFormat, format_of, payload_of
+from services.recordings.ledger import ORDERED, Ledger, order_of
+from services.recordings.records import MAGIC, mapped, records
+from services.recordings.sink import Sink, claim, finished, free_path, next_part, partial_of, parts_of, publish
 
 #: Names of the metadata records: what the episode is (written first), and what the recording lacks (written last).
 EPISODE_METADATA: Final = "smal.episode"
 GAPS_METADATA: Final = "smal.gaps"
+#: What is raised where a file holds something else than it should.
+_DAMAGED: Final = (McapError, ValueError, KeyError, struct.error)
+
+
+class RecoveryError(Exception):
+    """What a killed recorder left cannot be gone on with; the text says why in one line."""
 
 
 class EpisodeWriter:
@@ -32,27 +42,40 @@ class EpisodeWriter:
 
     Parameters
     ----------
-    sink, writer
-        The file, and what writes its records.
+    part
+        The file that is written.
     path
-        Name of the file once it is sealed.
+        Name of the recording once it is sealed.
     metadata
-        Robot and episode.
+        What the episode is, its robot and id included.
+
+    Raises
+    ------
+    OSError
+        When the file cannot be made.
     """
 
-    def __init__(self, sink: Sink, writer: Writer, path: Path, metadata: dict[str, str]) -> None:
+    def __init__(self, part: Path, path: Path, metadata: dict[str, str]) -> None:
         self.path = path
         self.ledger = Ledger()
         self.messages = 0
         self.end_tick: int | None = None
         self.problem: str | None = None
-        self._partial = sink.path
-        self._sink = sink
-        self._writer = writer
+        self._part = part
         self._metadata = metadata
-        self._channels: dict[str, int] = {}
-        self._schemas: dict[type[Message], int] = {}
-        self._whole = sink.tell()
+        self._channels: dict[tuple[str, ChannelFormat], int] = {}
+        self._schemas: dict[ChannelFormat, int] = {}
+        self._sink = Sink(part)
+        #: The first part and its lock, where this is a later one.
+        self._first: tuple[Path, int] | None = None
+        try:
+            # The writer asks its output for no more than write, tell and flush.
+            self._writer = Writer(cast("Any", self._sink), compression=CompressionType.NONE)
+            self._writer.start(profile="", library=f"smal {_software()}")
+            self._writer.add_metadata(EPISODE_METADATA, metadata)
+        except OSError:
+            self._discard()
+            raise
 
     @classmethod
     def begin(cls, folder: Path, started: Episode) -> Self:
@@ -64,50 +87,27 @@ class EpisodeWriter:
             When the file cannot be made.
         """
         path = free_path(folder, started.episode)
-        metadata = {"robot": started.robot, "episode": started.episode}
-        sink = Sink(partial_of(path))
-        try:
-            # The writer asks its output for no more than write, tell and flush.
-            writer = Writer(cast("Any", sink), compression=CompressionType.NONE)
-            writer.start(profile="", library=f"smal {_software()}")
-            writer.add_metadata(EPISODE_METADATA, metadata | _description(started))
-        except OSError:
-            sink.close()
-            sink.path.unlink(missing_ok=True)
-            raise
-        return cls(sink, writer, path, metadata)
+        return cls(partial_of(path), path, _description(started))
 
     @classmethod
     def resume(cls, partial: Path) -> Self:
-        """Go on with a file whose recorder was killed, after its last whole message.
+        """Go on, in another part, with a recording whose recorder was killed.
 
         Raises
         ------
         RecoveryError
-            When it cannot be gone on with.
+            When it is not the recording of an episode.
         OSError
-            When it cannot be opened, or another recorder writes it.
+            When it cannot be opened, another recorder writes it, or no other part can be made.
         """
-        sink = Sink(partial, new=False)
+        lock = claim(partial)
         try:
-            unfinished = Unfinished.read(sink.fileno())
-            contents = Contents.of(unfinished.records())
-            unfinished.go_on(sink)
+            writer = cls(next_part(partial), finished(partial), _metadata_of(partial))
         except BaseException:
-            sink.close()
+            os.close(lock)
             raise
-        resumed = cls(sink, unfinished.writer, finished(partial), contents.metadata)
-        resumed._remember(contents)
-        return resumed
-
-    def _remember(self, contents: Contents) -> None:
-        for topic, channel in contents.channels.items():
-            self._channels[topic] = channel.id
-            self._schemas[TOPICS[topic].message] = channel.schema_id
-        for topic, order in contents.orders:
-            self.ledger.enter(topic, order)
-            self.messages += 1
-        self.end_tick = contents.end_tick
+        writer._first = partial, lock
+        return writer
 
     @property
     def episode(self) -> str:
@@ -115,9 +115,14 @@ class EpisodeWriter:
         return self._metadata["episode"]
 
     @property
+    def resumed(self) -> bool:
+        """Whether it goes on with what a killed recorder left."""
+        return self._first is not None
+
+    @property
     def size(self) -> int:
         """Bytes written."""
-        return self._whole
+        return self._sink.tell()
 
     def write(self, message: Message) -> None:
         """Write a message, if it is new.
@@ -125,77 +130,158 @@ class EpisodeWriter:
         Raises
         ------
         OSError
-            When it cannot be written, for example because the disk is full; the file is then cut after the last
-            whole message and takes no more.
+            When it cannot be written, for example because the disk is full; the file then takes no more.
         """
-        if self.problem is not None or not self.ledger.admit(message):
+        if self.problem is not None or not self.ledger.admit(message.topic_name, order_of(message)):
             return
-        payload = payload_of(message)
+        stamp_ns, tick = message.stamp_ns, message.tick
         try:
-            self._writer.add_message(self._channel(message), message.stamp_ns, payload, message.stamp_ns, message.tick)
-            self._writer.flush()  # type: ignore[no-untyped-call]
+            self._append(key_of(message), format_of(type(message)), stamp_ns, tick, payload_of(message))
         except OSError as error:
             self.problem = error.strerror or str(error)
             raise
-        self._whole = self._sink.tell()
-        self.messages += 1
-        self.end_tick = end_tick_of(message, self.end_tick)
+        self._note_end(message)
 
     def seal(self) -> Path:
-        """Finish the file and give it its name.
+        """Finish the recording, make its parts one file, and give it its name.
 
         Returns
         -------
         Path
-            The recording. It still has the name of an unfinished one if there is no room even for the index; the next
-            recorder that starts in this folder finishes it then.
+            The recording. Where there was no room it is still unfinished, with all its parts; ``resume`` and ``seal``
+            finish it later.
         """
-        if self.end_tick is not None:
-            self.ledger.close(self.end_tick)
+        first, lock = self._first or (self._part, None)
+        whole = self
         try:
-            self._finish()
-            publish(self._partial, self.path)
-        except OSError as error:
-            self.problem = self.problem or error.strerror or str(error)
-            return self._partial
+            if self.problem is not None:
+                return first
+            if lock is None:
+                self._finish()
+            else:
+                whole = self._merged(first)
+                for part in parts_of(first)[1:]:
+                    part.unlink()
+            publish(first, self.path)
+        except (OSError, RecoveryError) as error:
+            self.problem = getattr(error, "strerror", None) or str(error)
+            if not self.messages and lock is not None:
+                self._part.unlink(missing_ok=True)
+            return first
         finally:
-            self._sink.close()
+            for sink in {self._sink, whole._sink}:
+                sink.close()
+            if lock is not None:
+                os.close(lock)
+        self.ledger, self.messages, self._sink, self._first = whole.ledger, whole.messages, whole._sink, None
         return self.path
 
-    def _finish(self) -> None:
-        if self.problem is None:
-            try:
-                notes = {"duplicates": str(self.ledger.duplicates)} | self.ledger.gaps()
-                self._writer.add_metadata(GAPS_METADATA, notes)
-                self._writer.finish()  # type: ignore[no-untyped-call]
-                self._sink.sync()
-            except OSError as error:
-                self.problem = error.strerror or str(error)
-            else:
-                return
-        # What the writer believes to have written is not what stands in the file: index what does.
-        self._sink.truncate(self._whole)
-        try:
-            finish(self._sink.fileno())
-        except RecoveryError as error:
-            raise OSError(str(error)) from None
+    def _merged(self, first: Path) -> Self:
+        """Put all parts as one finished file in the place of the first, which at no time lacks what another had.
 
-    def _channel(self, message: Message) -> int:
-        topic, kind = message.topic_name, type(message)
-        channel = self._channels.get(topic)
+        It begins as one more part: should the process be killed, it will be merged like the others.
+        """
+        parts = parts_of(first)
+        merged = type(self)(next_part(first), self.path, self._metadata)
+        try:
+            for part in parts:
+                merged._take(part)
+            merged._finish()
+            publish(merged._part, first)
+        except BaseException:
+            merged._discard()
+            raise
+        return merged
+
+    def _take(self, part: Path) -> None:
+        """Write what another part has and this one has not."""
+        schemas: dict[int, Schema] = {}
+        channels: dict[int, tuple[str, ChannelFormat]] = {}
+        try:
+            for record in records(mapped(part), checked=True):
+                match record:
+                    case Schema():
+                        schemas[record.id] = record
+                    case Channel():
+                        if record.metadata != self._channel_metadata:
+                            raise ValueError("of another episode")
+                        schema = schemas[record.schema_id]
+                        form = ChannelFormat(schema.name, schema.encoding, record.message_encoding, bytes(schema.data))
+                        channels[record.id] = record.topic, form
+                    case StoredMessage():
+                        self._copy(*channels[record.channel_id], record)
+        except _DAMAGED:
+            raise RecoveryError(f"{part.name} is not the recording of an episode") from None
+
+    def _copy(self, key: str, form: ChannelFormat, stored: StoredMessage) -> None:
+        topic = topic_of(key)
+        if topic is None:
+            raise ValueError(key)
+        payload = bytes(stored.data)
+        order: tuple[int, ...] = (stored.sequence,)
+        if issubclass(topic.message, ORDERED):
+            message = topic.message.model_validate_json(payload)
+            order = order_of(message)
+            self._note_end(message)
+        if self.ledger.admit(topic.name, order):
+            self._append(key, form, stored.log_time, stored.sequence, payload)
+
+    def _append(self, key: str, form: ChannelFormat, stamp_ns: int, tick: int, payload: bytes) -> None:
+        self._writer.add_message(self._channel(key, form), stamp_ns, payload, stamp_ns, tick)
+        self._writer.flush()  # type: ignore[no-untyped-call]
+        self.messages += 1
+
+    def _note_end(self, message: Message) -> None:
+        if isinstance(message, Episode) and message.event == "ended":
+            self.end_tick = message.tick
+
+    def _finish(self) -> None:
+        if self.end_tick is not None:
+            self.ledger.close(self.end_tick)
+        notes = {"duplicates": str(self.ledger.duplicates)} | self.ledger.gaps()
+        self._writer.add_metadata(GAPS_METADATA, notes)
+        self._writer.finish()  # type: ignore[no-untyped-call]
+        self._sink.sync()
+
+    def _discard(self) -> None:
+        self._sink.close()
+        self._part.unlink(missing_ok=True)
+
+    @property
+    def _channel_metadata(self) -> dict[str, str]:
+        return {name: self._metadata[name] for name in ("robot", "episode")}
+
+    def _channel(self, key: str, form: ChannelFormat) -> int:
+        channel = self._channels.get((key, form))
         if channel is None:
-            form = format_of(kind)
-            if kind not in self._schemas:
-                self._schemas[kind] = self._writer.register_schema(form.schema_name, form.schema_encoding, form.schema)
+            if form not in self._schemas:
+                self._schemas[form] = self._writer.register_schema(form.schema_name, form.schema_encoding, form.schema)
             channel = self._writer.register_channel(
-                key_of(message), form.message_encoding, self._schemas[kind], self._metadata
+                key, form.message_encoding, self._schemas[form], self._channel_metadata
             )
-            self._channels[topic] = channel
+            self._channels[key, form] = channel
         return channel
+
+
+def _metadata_of(partial: Path) -> dict[str, str]:
+    """Return what a leftover says of its episode."""
+    data = mapped(partial)
+    if MAGIC.startswith(bytes(data[: len(MAGIC) + 1])):
+        partial.unlink()
+        raise RecoveryError("it was empty and is removed")
+    try:
+        for record in records(data):
+            if isinstance(record, Metadata) and record.name == EPISODE_METADATA:
+                return {"robot": record.metadata["robot"], "episode": record.metadata["episode"]} | record.metadata
+    except _DAMAGED:
+        pass
+    raise RecoveryError("it is not the recording of an episode")
 
 
 def _description(started: Episode) -> dict[str, str]:
     return {
+        "robot": started.robot,
+        "episode": started.episode,
         "world": started.world,
         "seed": str(started.seed),
         "purpose": started.purpose,

@@ -55,7 +55,7 @@ class Recorded:
 def read_recordings(folder: Path) -> dict[str, Recorded]:
     """Read all recordings of a folder with the reader of the ``mcap`` package; unfinished ones as far as they go."""
     found: defaultdict[str, Recorded] = defaultdict(Recorded)
-    for path in sorted([*folder.glob("*.mcap"), *folder.glob(f"*.mcap{PARTIAL_SUFFIX}")]):
+    for path in sorted([*folder.glob("*.mcap"), *folder.glob(f"*.mcap{PARTIAL_SUFFIX}*")]):
         with path.open("rb") as file:
             _read(file, path, found)
     return dict(found)
@@ -64,7 +64,7 @@ def read_recordings(folder: Path) -> dict[str, Recorded]:
 def _read(file: IO[bytes], path: Path, found: defaultdict[str, Recorded]) -> None:
     episodes: set[str] = set()
     gaps: list[Metadata] = []
-    finished = path.suffix != PARTIAL_SUFFIX
+    finished = PARTIAL_SUFFIX not in path.name
     try:
         reader = make_reader(file)
         gaps = [one for one in reader.iter_metadata() if one.name == GAPS_METADATA]

@@ -38,7 +38,7 @@ def image_payload(shade: int = 200) -> bytes:
 
 
 def recording(compression: CompressionType = CompressionType.NONE, *, finished: bool = True) -> bytes:
-    """Return an episode of two frames, the second without features; without schemas, which are long."""
+    """Return an episode of two frames, the second without features; with one schema, a short one."""
     messages: list[Message] = [
         event("e", 0, "started"), observation("e", 0), applied("e", 0), event("e", 1, "ended", "found"),
     ]  # fmt: skip
@@ -48,10 +48,11 @@ def recording(compression: CompressionType = CompressionType.NONE, *, finished: 
     writer.add_metadata("smal.episode", {"robot": "rescuebot", "episode": "e"})
     parts = [(m.topic_name, m.tick, m.model_dump_json().encode()) for m in messages]
     channels: dict[str, int] = {}
+    schema = writer.register_schema("smal.Any", "jsonschema", b"{}")
     for topic, tick, payload in [*parts[:3], (_IMAGE_KEY, 1, image_payload()), *parts[3:]]:
         if topic not in channels:
             metadata = {"robot": "rescuebot", "episode": "e"}
-            channels[topic] = writer.register_channel(f"smal/rescuebot/{topic}", "json", 0, metadata)
+            channels[topic] = writer.register_channel(f"smal/rescuebot/{topic}", "json", schema, metadata)
         writer.add_message(channels[topic], tick, payload, tick, tick)
         writer.flush()
     if finished:

@@ -1,14 +1,16 @@
-"""``recover`` of a folder with a leftover: a recording that can be read, or the leftover as it was and a reason."""
+"""``EpisodeWriter.resume`` and ``seal`` of a leftover: a recording that can be read, or the leftover as it was."""
 
 from __future__ import annotations
 
 import random
+from pathlib import Path
 
 from mcap.reader import make_reader
 
+from schemas.episode import Episode
 from services.recordings.reader import RecordingError, read_recording
 from services.recordings.records import MAGIC
-from services.recordings.recovery import Recovered, recover
+from services.recordings.writer import EpisodeWriter, RecoveryError
 from tests.fuzz.targets import check_line, mcap_bytes, scratch
 
 
@@ -18,31 +20,40 @@ def seeds() -> list[bytes]:
 
 
 def run(data: bytes) -> bool:
-    scratch.file_of(data, "e.mcap.partial")
+    partial = scratch.file_of(data, "e.mcap.partial")
     try:
-        (recovered,) = recover(scratch.folder())
-        return _check(data, recovered)
-    finally:
-        for path in scratch.folder().glob("e*.mcap*"):
-            path.unlink()
-
-
-def _check(data: bytes, recovered: Recovered) -> bool:
-    if recovered.problem is not None:
-        check_line(recovered.problem)
-        assert recovered.partial.read_bytes() == data, "what cannot be recovered is left as it is"
-        return False
-    assert not recovered.partial.exists()
-    if recovered.path is None:
-        assert MAGIC.startswith(data), "only an empty leftover may vanish"
+        try:
+            writer = EpisodeWriter.resume(partial)
+        except RecoveryError as error:
+            check_line(error)
+            assert partial.read_bytes() == data if partial.exists() else MAGIC.startswith(data)
+            return False
+        header = {"robot": "rescuebot", "episode": "e", "tick": 9_999_999, "stamp_ns": 1}
+        end = {"event": "ended", "outcome": "aborted", "purpose": "run", "driver": "policy", "world": "w", "seed": 0}
+        writer.write(Episode.model_validate(header | end))
+        path = writer.seal()
+        if path == partial:
+            check_line(str(writer.problem))
+            assert partial.read_bytes() == data, "what cannot be merged is left as it is"
+            return False
+        _check(path, writer.messages)
         return True
-    with recovered.path.open("rb") as file:
-        assert make_reader(file).get_summary() is not None
+    finally:
+        for left in scratch.folder().glob("e*.mcap*"):
+            left.unlink()
+
+
+def _check(path: Path, messages: int) -> None:
+    assert not list(path.parent.glob("e*.mcap.partial*"))
+    with path.open("rb") as file:
+        summary = make_reader(file).get_summary()
+    assert summary is not None
+    assert summary.statistics is not None
+    assert summary.statistics.message_count == messages
     try:
-        assert not read_recording(recovered.path).truncated
+        assert not read_recording(path).truncated
     except RecordingError as error:
         check_line(error)
-    return True
 
 
 def mutate(data: bytes, rng: random.Random) -> bytes | None:
