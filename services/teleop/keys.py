@@ -59,7 +59,8 @@ _TOKEN: Final = re.compile(
     rb"\x1b[\[O]([<-?]?[0-9;:]*)([A-DF-Za-df-z~])|(\x1b(?:[\[O][<-?]?[0-9;:]*)?\Z)|([\x00-\xff])", re.DOTALL
 )
 #: ``code : other codes ; modifiers : event ; text``; all may be left out.
-_NUMBERS: Final = re.compile(r"([0-9]{0,7})[0-9:]*(?:;([0-9]{0,3})(?::([0-9]?))?[0-9;:]*)?")
+_NUMBERS: Final = re.compile(r"([0-9]{0,7})(?::[0-9:]*)?(?:;([0-9]{0,3})(?::([0-9]))?(?:;[0-9:]*)?)?")
+_FLAGS: Final = re.compile(r"\?([0-9]{1,3})")
 _LONGEST_SEQUENCE: Final = 24
 
 
@@ -95,10 +96,9 @@ def _typed(byte: bytes | None) -> KeyEvent | None:
 
 def _event(numbers: str, final: str) -> KeyEvent | None:
     """Read ``CSI ? flags u``, ``CSI O``, ``CSI code ; modifiers : event u`` or ``CSI 1 ; modifiers : event ABCD``."""
-    if numbers.startswith("?"):
-        flags = numbers[1:4]
-        tells = final == "u" and flags.isdecimal() and int(flags) & _EVENT_TYPES
-        return KeyEvent("tells_releases") if tells else None
+    flags = _FLAGS.fullmatch(numbers)
+    if flags is not None:
+        return KeyEvent("tells_releases") if final == "u" and int(flags[1]) & _EVENT_TYPES else None
     if final == "O" and not numbers:
         return KeyEvent("focus_lost")
     match = _NUMBERS.fullmatch(numbers)
@@ -116,7 +116,7 @@ def _letter(code: int, modifiers: int, released: bool) -> KeyEvent | None:
     # A release counts whatever is held down by then, and so does whatever makes the robot stand.
     if modifiers & _SHORTCUT and not released and key not in ("stop", "emergency_stop"):
         # Such a terminal sends Ctrl-C as a key.
-        key = "quit" if modifiers & _CTRL and code in b"cC" else None
+        key = "quit" if modifiers & _CTRL and code in (ord("c"), ord("C")) else None
     return None if key is None else KeyEvent(key, released)
 
 
