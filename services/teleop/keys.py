@@ -16,10 +16,12 @@ from schemas.base import Atom
 FIRST_HOLD_S: Final = 0.6
 #: Then they repeat every 0.03 to 0.1 s.
 REPEAT_HOLD_S: Final = 0.15
-#: What asks a terminal to tell releases (kitty's flags 1, 2 and 8: unambiguous, event types, all keys) and the loss of
-#: its focus, then whether it does; and what takes that back.
-TELL_RELEASES: Final = "\x1b[>11u\x1b[?1004h\x1b[?u"
+#: What has a terminal tell releases (kitty's flags 1, 2 and 8: unambiguous, event types, all keys) and the loss of its
+#: focus; what takes that back; what asks whether it does, and the answer.
+TELL_RELEASES: Final = "\x1b[>11u\x1b[?1004h"
 TELL_NO_RELEASES: Final = "\x1b[?1004l\x1b[<u"
+ASK_RELEASES: Final = "\x1b[?u"
+RELEASES_ANSWER: Final = re.compile(rb"\x1b\[\?[0-9]+u")
 
 Key = Literal[
     "forward", "backward", "left", "right", "stop", "emergency_stop", "new_episode", "resume", "found", "quit"

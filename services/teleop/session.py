@@ -168,6 +168,7 @@ class TeleopSession:
         key, released = event
         if key == "tells_releases":
             self._tells_by_s = None
+            self._terminal.tells_releases = True
         elif key == "focus_lost":
             self._node.publish(self._service.release())
         elif key in ATOMS and released:

@@ -9,13 +9,14 @@ import shutil
 import sys
 import termios
 import threading
+import time
 import tty
 from collections import deque
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from typing import Final
 
-from services.teleop.keys import TELL_NO_RELEASES, TELL_RELEASES
+from services.teleop.keys import ASK_RELEASES, RELEASES_ANSWER, TELL_NO_RELEASES, TELL_RELEASES
 
 _ERASE_LINE: Final = "\r\x1b[K"
 _INPUT_FLAGS: Final = 0
@@ -24,6 +25,8 @@ _LOCAL_FLAGS: Final = 3
 _LINES_KEPT: Final = 200
 #: How long the last lines may take to be drawn; a screen that stands still must not keep the process.
 _LAST_LINES_S: Final = 1.0
+#: How long it may take to say that it has understood; a second is a slow link.
+_ANSWER_S: Final = 1.0
 
 
 class NoTerminalError(Exception):
@@ -44,13 +47,15 @@ class Terminal:
         self._lines: deque[str] = deque(maxlen=_LINES_KEPT)
         self._status = self._drawn = ""
         self._closed = False
+        #: Whether the terminal has said that it tells releases.
+        self.tells_releases = False
         self._drawer = threading.Thread(target=self._draw, name="screen", daemon=True)
         self._drawer.start()
 
-    def read(self) -> bytes | None:
+    def read(self, wait_s: float = 0.0) -> bytes | None:
         """Return what was typed since the last call, perhaps nothing; None when the terminal is gone."""
         try:
-            if not select.select([self._input], [], [], 0.0)[0]:
+            if not select.select([self._input], [], [], wait_s)[0]:
                 return b""
             return os.read(self._input, 4096) or None
         except OSError:
@@ -78,14 +83,27 @@ class Terminal:
             while data:
                 data = data[os.write(self._output, data) :]
 
-    def close(self, last: str) -> None:
-        """Draw what was said, and write ``last`` as it is."""
+    def close(self) -> None:
+        """Draw what was said, and have the terminal send keys as it does for other programs."""
         with self._changed:
             self._closed = True
             self._changed.notify()
         self._drawer.join(_LAST_LINES_S)
-        if not self._drawer.is_alive():
-            self.write(last)
+        if self._drawer.is_alive():
+            return
+        self.write(f"{TELL_NO_RELEASES}\n")
+        if self.tells_releases:
+            self._read_the_rest()
+
+    def _read_the_rest(self) -> None:
+        """Read what the terminal sends before it has understood: the shell would take a release for a text."""
+        self.write(ASK_RELEASES)
+        rest, until_s = b"", time.monotonic() + _ANSWER_S
+        while not RELEASES_ANSWER.search(rest) and (wait_s := until_s - time.monotonic()) > 0.0:
+            typed = self.read(wait_s)
+            if typed is None:
+                return
+            rest += typed
 
     def _draw(self) -> None:
         while True:
@@ -138,11 +156,11 @@ def open_terminal() -> Iterator[Terminal]:
         mode[_INPUT_FLAGS] &= ~termios.IXON
         termios.tcsetattr(sys.stdin, termios.TCSANOW, mode)
         logging.getLogger().addHandler(log)
-        terminal.write(TELL_RELEASES)
+        terminal.write(TELL_RELEASES + ASK_RELEASES)
         yield terminal
     finally:
         logging.getLogger().removeHandler(log)
-        terminal.close(f"{TELL_NO_RELEASES}\n")
+        terminal.close()
         _restore(before)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import select
 import signal
 import subprocess
 import sys
@@ -362,6 +363,18 @@ def test_every_exit_stops_the_robot_ends_the_episode_says_good_bye_and_restores_
     assert termios.tcgetattr(console.slave) == console.mode_before
     console.wait_for(r"\x1b\[\?1004l\x1b\[<u\r\n\Z")
     assert "Traceback" not in console.output
+
+
+def test_keys_let_go_after_the_end_are_no_text_for_the_shell(told: Console, robot: FakeRobot) -> None:
+    begin(told, robot)
+    told.type(b"\x1b[113u")
+    told.wait_for(r"\x1b\[<u\r\n\x1b\[\?u")
+    # Sent before the terminal had read that.
+    told.type(b"\x1b[113;1:3u")
+    told.type(b"\x1b[?0u")
+    assert told.process.wait(10.0) == 0
+    assert termios.tcgetattr(told.slave) == told.mode_before
+    assert not select.select([told.slave], [], [], 0.0)[0], "nothing is left to read"
 
 
 def test_a_closed_window_stops_the_robot(console: Console, robot: FakeRobot) -> None:
