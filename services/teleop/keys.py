@@ -16,10 +16,12 @@ from schemas.base import Atom
 FIRST_HOLD_S: Final = 0.6
 #: Then they repeat every 0.03 to 0.1 s.
 REPEAT_HOLD_S: Final = 0.15
-#: What asks a terminal to tell releases (kitty's flags 1, 2 and 8: unambiguous, event types, all keys) and the loss of
-#: its focus, then whether it does; and what takes that back.
-TELL_RELEASES: Final = "\x1b[>11u\x1b[?1004h\x1b[?u"
+#: What has a terminal tell releases (kitty's flags 1, 2 and 8: unambiguous, event types, all keys) and the loss of its
+#: focus; what takes that back; what asks whether it does, and the answer.
+TELL_RELEASES: Final = "\x1b[>11u\x1b[?1004h"
 TELL_NO_RELEASES: Final = "\x1b[?1004l\x1b[<u"
+ASK_RELEASES: Final = "\x1b[?u"
+RELEASES_ANSWER: Final = re.compile(rb"\x1b\[\?[0-9]+u")
 
 Key = Literal[
     "forward", "backward", "left", "right", "stop", "emergency_stop", "new_episode", "resume", "found", "quit"
@@ -39,13 +41,28 @@ _LETTERS: Final[dict[str, Key]] = {
     "q": "quit",
 }
 _ARROWS: Final[dict[str, Key]] = {"A": "forward", "B": "backward", "D": "left", "C": "right"}
-_CONTROL: Final = 4
+#: Arrows of the number pad have numbers of their own where all keys are told.
+_PAD: Final[dict[int, Key]] = {57419: "forward", 57420: "backward", 57417: "left", 57418: "right"}
+_CTRL_C: Final = 3
+_KEYS: Final[dict[int, Key]] = {
+    **{ord(case): key for letter, key in _LETTERS.items() for case in (letter, letter.upper())},
+    **_PAD,
+    _CTRL_C: "quit",
+}
+#: Of kitty's flags: whether presses, repeats and releases are told apart.
+_EVENT_TYPES: Final = 2
+#: Of kitty's modifiers: all but shift, caps lock and num lock make another key of a letter.
+_CTRL: Final = 4
+_SHORTCUT: Final = ~(1 | 64 | 128)
 _RELEASED: Final = "3"
-#: An escape sequence, the beginning of one at the end of the input, or any other byte. No key sends a sequence that
-#: ends in e: an emergency stop is heard also after half a one.
+#: An escape sequence, the beginning of one at the end of the input, or any other byte. Sequences end in any letter (End
+#: sends ``CSI F``, F2 ``SS3 Q``), but for e: an emergency stop is heard also after half a one.
 _TOKEN: Final = re.compile(
-    rb"\x1b[\[O]([<-?]?[0-9;:]*)([A-Za-df-z~])|(\x1b(?:[\[O][<-?]?[0-9;:]*)?\Z)|([\x00-\xff])", re.DOTALL
+    rb"\x1b[\[O]([<-?]?[0-9;:]*)([A-DF-Za-df-z~])|(\x1b(?:[\[O][<-?]?[0-9;:]*)?\Z)|([\x00-\xff])", re.DOTALL
 )
+#: ``code : other codes ; modifiers : event ; text``; all may be left out.
+_NUMBERS: Final = re.compile(r"([0-9]{0,7})(?::[0-9:]*)?(?:;([0-9]{0,3})(?::([0-9]))?(?:;[0-9:]*)?)?")
+_FLAGS: Final = re.compile(r"\?([0-9]{1,3})")
 _LONGEST_SEQUENCE: Final = 24
 
 
@@ -69,31 +86,40 @@ class KeyParser:
             numbers, final, begun, single = match.groups()
             if begun is not None and len(begun) < _LONGEST_SEQUENCE:
                 self._begun = begun
-            event = _event(numbers.decode(), final.decode()) if final else _typed(single or b"")
+            event = _event(numbers.decode(), final.decode()) if final else _typed(single)
             if event is not None:
                 yield event
 
 
-def _typed(byte: bytes) -> KeyEvent | None:
-    key = _LETTERS.get(byte.decode("latin-1").lower())
+def _typed(byte: bytes | None) -> KeyEvent | None:
+    key = _KEYS.get(byte[0]) if byte else None
     return None if key is None else KeyEvent(key)
 
 
 def _event(numbers: str, final: str) -> KeyEvent | None:
-    """Read ``CSI code ; modifiers : event u`` or ``CSI 1 ; modifiers : event ABCD``; all numbers may be left out."""
-    if numbers.startswith("?"):
-        return KeyEvent("tells_releases") if final == "u" and numbers != "?0" else None
-    if not numbers and final == "O":
+    """Read ``CSI ? flags u``, ``CSI O``, ``CSI code ; modifiers : event u`` or ``CSI 1 ; modifiers : event ABCD``."""
+    flags = _FLAGS.fullmatch(numbers)
+    if flags is not None:
+        return KeyEvent("tells_releases") if final == "u" and int(flags[1]) & _EVENT_TYPES else None
+    if final == "O" and not numbers:
         return KeyEvent("focus_lost")
-    code, _, rest = numbers.partition(";")
-    modifiers, _, event = rest.partition(";")[0].partition(":")
-    key = _ARROWS.get(final)
-    if final == "u" and code.partition(":")[0].isdecimal():
-        letter = chr(min(int(code.partition(":")[0]), 0x10FFFF))
-        # Such a terminal sends Ctrl-C as a key, and no signal.
-        control = modifiers.isdecimal() and (int(modifiers) - 1) & _CONTROL
-        key = ("quit" if letter == "c" else None) if control else _LETTERS.get(letter)
-    return None if key is None else KeyEvent(key, event == _RELEASED)
+    match = _NUMBERS.fullmatch(numbers)
+    if match is None:
+        return None
+    code, modifiers, event = match.groups()
+    if final != "u":
+        key = _ARROWS.get(final)
+        return None if key is None else KeyEvent(key, event == _RELEASED)
+    return _letter(int(code or 0), max(int(modifiers or 1) - 1, 0), event == _RELEASED)
+
+
+def _letter(code: int, modifiers: int, released: bool) -> KeyEvent | None:
+    key = _KEYS.get(code)
+    # A release counts whatever is held down by then, and so does whatever makes the robot stand.
+    if modifiers & _SHORTCUT and not released and key not in ("stop", "emergency_stop"):
+        # Such a terminal sends Ctrl-C as a key.
+        key = "quit" if modifiers & _CTRL and code in (ord("c"), ord("C")) else None
+    return None if key is None else KeyEvent(key, released)
 
 
 class KeyHold:

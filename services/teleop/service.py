@@ -16,8 +16,8 @@ class TeleopService:
     While a key is held, every heartbeat is answered by its movement. A change between two heartbeats is sent at once,
     for the same frame. When the key is released one ``stop`` is sent, then nothing: another driver may go on.
 
-    An emergency stop goes out at once, be there an episode or not, and is repeated until the robot says that it stands
-    for it. It ends when the robot was armed.
+    An emergency stop goes out at once, be there an episode or not, and is repeated until the robot says that it stands.
+    It ends when the robot was armed; one that is pressed after that was asked for stays.
 
     Parameters
     ----------
@@ -35,17 +35,22 @@ class TeleopService:
         self._sent: Atom | None = None
         self._answered = -1
         self._sequences: Counter[Source] = Counter()
-        self._last_ended: str | None = None
+        self.last_ended: str | None = None
         self.episode: str | None = None
         self.emergency = False
-        #: Emergency stops that were asked for here.
-        self.stops = 0
         self.applied: CommandApplied | None = None
+        #: Number of the stop that the robot stands for, as it last told; 0 where none is, None before it told anything.
+        self.stop: int | None = None
 
     @property
     def heard(self) -> Message:
         """The last heartbeat, or what stands for one before the first."""
         return self._heard
+
+    @property
+    def to_release(self) -> int | None:
+        """Number of the stop that the operator knows of, 0 where none is; None while they cannot know of theirs."""
+        return None if self.emergency and not self.stop else self.stop
 
     @property
     def held(self) -> Atom | None:
@@ -54,17 +59,23 @@ class TeleopService:
 
     def handle(self, applied: CommandApplied) -> Command | None:
         """Answer a heartbeat."""
-        if applied.episode == self._last_ended:
+        if applied.episode == self.last_ended:
             return None  # Overtaken by the news of the end: it came on another topic.
         self._enter(applied.episode)
         if self.applied is None or applied.tick != self.applied.tick:
             self._sequences.clear()
         self.applied = self._heard = applied
+        self.stop = applied.emergency_stop
         if self.emergency:
-            return None if self._arming or applied.reason == "emergency_stop" else self._emergency()
+            return self._insist()
         if self._keys.held() is not None and applied.tick != self._answered:
             return self._drive()
         return self.poll()
+
+    def told(self, stop: int) -> Command | None:
+        """Take what the robot answers when it is asked: the number of its stop."""
+        self.stop = stop
+        return self._insist()
 
     def press(self, atom: Atom) -> Command | None:
         """Take a press or a repeat of a key that moves the robot or stops it."""
@@ -85,7 +96,6 @@ class TeleopService:
         self._keys.release()
         self._sent = None
         self.emergency = True
-        self.stops += 1
         self._arming = False
         return self._emergency()
 
@@ -93,10 +103,14 @@ class TeleopService:
         """Take note that the robot is being asked to release its stop."""
         self._arming = True
 
-    def armed(self, *, released: bool) -> None:
-        """Take note of the answer; a stop that was pressed meanwhile stays."""
-        if self._arming and released:
+    def armed(self) -> None:
+        """Take note that it has released the stop; one that was pressed meanwhile stays."""
+        if self._arming:
             self.emergency = False
+            self.stop = 0
+
+    def answered(self) -> None:
+        """Take note that it is no longer being asked."""
         self._arming = False
 
     def on_event(self, event: Episode) -> None:
@@ -104,11 +118,15 @@ class TeleopService:
         if event.event == "started":
             self._enter(event.episode)
         elif event.event == "ended":
-            self._last_ended = event.episode
+            self.last_ended = event.episode
             if event.episode == self.episode:
-                self.applied = None
-                self._keys.release()
-                self._sent = None
+                self.no_episode()
+
+    def no_episode(self) -> None:
+        """Take note that there is none, or none any more."""
+        self.applied = None
+        self._sent = None
+        self._keys.release()
 
     def _enter(self, episode: str) -> None:
         if episode == self.episode:
@@ -126,6 +144,10 @@ class TeleopService:
         self._sent = held
         self._answered = self.applied.tick
         return self._command("teleop", held or "stop")
+
+    def _insist(self) -> Command | None:
+        """Repeat an emergency stop that the robot does not stand for."""
+        return self._emergency() if self.emergency and not self.stop and not self._arming else None
 
     def _emergency(self) -> Command:
         return self._command("emergency_stop", "stop")

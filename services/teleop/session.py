@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import secrets
 import threading
 import time
@@ -9,15 +10,14 @@ from collections.abc import Callable
 from contextlib import suppress
 from itertools import count
 from queue import Empty, SimpleQueue
-from typing import Final
+from typing import Final, cast
 
 from schemas import topics
-from schemas.base import ATOMS
-from schemas.command import CommandApplied
+from schemas.base import ATOMS, Strict
+from schemas.command import CommandApplied, StopCause
 from schemas.episode import Episode
 from schemas.heartbeat import Heartbeat
 from schemas.rpc import ArmRequest, EndRequest, Nothing, ResetReply, ResetRequest, ResumeRequest, Status
-from services.kit.bus import RpcError
 from services.kit.node import Node
 from services.teleop.config import TeleopSettings
 from services.teleop.keys import Key, KeyEvent, KeyHold, KeyParser, News
@@ -33,6 +33,8 @@ CONNECT_S: Final = 3.0
 #: A simulator's first frame takes seconds.
 RESET_S: Final = 60.0
 ANSWER_S: Final = 5.0
+#: How often the robot is asked how it is, where it does not tell by its heartbeat, which beats ten times a second.
+ASK_S: Final = 0.5
 HELP: Final = (
     "arrows or w a s d: drive (hold)   space: stop   e: EMERGENCY STOP   n: new episode   f: found, end it   "
     "r: resume   q: quit"
@@ -47,12 +49,15 @@ TELLS_S: Final = 1.0
 
 def run(settings: TeleopSettings) -> None:
     """Drive until the operator quits or the process is told to stop."""
-    with Node("teleop", settings, CONNECT_S) as node, open_terminal() as terminal:
+    with Node("teleop", settings, CONNECT_S) as node:
         node.stop_on_signals()
-        session = TeleopSession(node, terminal, settings)
-        terminal.say(HELP)
-        node.spin()
-        session.finish()
+        with open_terminal() as terminal:
+            terminal.say(HELP)
+            session = TeleopSession(node, terminal, settings)
+            try:
+                node.spin()
+            finally:
+                session.finish()
 
 
 class TeleopSession:
@@ -89,17 +94,23 @@ class TeleopSession:
         self._first_hold_s = settings.first_hold_s
         self._tells_by_s: float | None = clock() + TELLS_S
         self._beats = count()
+        self._heard_s = -math.inf
+        self._inquiring = False
         # One question to the robot at a time, in a thread of its own: an emergency stop must not wait for its answer.
         self._asking: threading.Thread | None = None
+        self._leaving = False
         self._answers: SimpleQueue[Callable[[], None]] = SimpleQueue()
         node.subscribe(topics.APPLIED, self.on_applied)
         node.subscribe(topics.EPISODE, self.on_event)
         node.every(POLL_S, self.poll)
         node.every(BEAT_S, self._beat)
+        node.every(ASK_S, self._inquire)
         self._beat()
+        self._inquire()
 
     def on_applied(self, applied: CommandApplied) -> None:
         """Answer the robot's heartbeat."""
+        self._heard_s = self._clock()
         self._node.publish(self._service.handle(applied))
         self._status.on_applied(applied)
 
@@ -115,29 +126,36 @@ class TeleopSession:
         typed = self._terminal.read()
         if typed is None:
             self._node.stop()
-            return
-        for event in self._parser.feed(typed):
+        for event in self._parser.feed(typed or b""):
             self._take(event)
         self._node.publish(self._service.poll())
-        self._take_answer()
+        self._take_answers()
         if self._tells_by_s is not None and self._clock() > self._tells_by_s:
             self._tells_by_s = None
             self._terminal.say(NO_RELEASES.format(self._first_hold_s))
         self._terminal.show(self._status.line(self._service.held, self._service.emergency))
 
     def finish(self) -> None:
-        """Stop the robot, and end the episode that was begun here, so that its recording is complete."""
+        """Stop the robot, end the episode that was begun here, so that its recording is complete, and say good-bye."""
         self._node.publish(self._service.release())
+        self._leaving = True
         if self._asking is not None:
             self._terminal.say("waiting for the robot's answer, to end what was begun")
-            self._asking.join(RESET_S)
-            self._take_answer()
+            self._wait(RESET_S)
         if self._mine is not None:
-            try:
-                self._node.bus.call("robot", "end", EndRequest(episode=self._mine), Nothing, ANSWER_S)
-            except RpcError as error:
-                self._terminal.say(str(error))
+            request = EndRequest(episode=self._mine)
+            self._ask(lambda: self._call("end", request))
+            self._wait(ANSWER_S)
         self._beat(present=False)
+
+    def _wait(self, timeout_s: float) -> None:
+        """Wait for an answer. The operator is still there: they are not missed, and an emergency stop is heard."""
+        until_s = self._clock() + timeout_s
+        while self._asking is not None and self._clock() < until_s:
+            self._beat()
+            self._node.drain()
+            self.poll()
+            time.sleep(POLL_S)
 
     def _beat(self, *, present: bool = True) -> None:
         """Tell the robot that the operator is there, or leaves."""
@@ -150,15 +168,24 @@ class TeleopSession:
         key, released = event
         if key == "tells_releases":
             self._tells_by_s = None
+            self._terminal.tells_releases = True
         elif key == "focus_lost":
             self._node.publish(self._service.release())
-        elif key in ATOMS:
-            self._node.publish(self._service.release(key) if released else self._service.press(key))
+        elif key in ATOMS and released:
+            self._node.publish(self._service.release(key))
         elif not released:
             self._press(key)
 
     def _press(self, key: Key | News) -> None:
-        if key == "quit":
+        if key == "emergency_stop":
+            if not self._service.emergency:
+                self._terminal.say("EMERGENCY STOP until you begin a new episode (n) or resume (r)")
+            self._node.publish(self._service.stop_for_emergency())
+        elif self._leaving:
+            return
+        elif key in ATOMS:
+            self._node.publish(self._service.press(key))
+        elif key == "quit":
             self._node.stop()
         elif key == "new_episode":
             self._begin_episode()
@@ -166,9 +193,6 @@ class TeleopSession:
             self._resume()
         elif key == "found":
             self._found()
-        elif key == "emergency_stop":
-            self._node.publish(self._service.stop_for_emergency())
-            self._terminal.say("EMERGENCY STOP until you begin a new episode (n) or resume (r)")
 
     def _begin_episode(self) -> None:
         """Arm the robot if it has to be, and ask for an episode."""
@@ -180,83 +204,117 @@ class TeleopSession:
             driver="teleop",
             mode="realtime",
         )
-        armed = self._arming()
+        arm = self._arming()
+        if arm is None:
+            return
 
         def ask() -> Callable[[], None]:
-            armed()
+            arm()
             reply = self._node.bus.call("robot", "reset", request, ResetReply, RESET_S)
-            return lambda: setattr(self, "_mine", reply.episode)
+            return lambda: self._begun(reply.episode)
 
-        if self._ask(ask, self._status.on_failure):
-            self._seed += 1
-            self._terminal.say(f"new episode, seed {request.seed} ...")
-            self._status.on_request()
+        self._seed += 1
+        self._terminal.say(f"new episode, seed {request.seed} ...")
+        self._status.on_request()
+        self._ask(ask, self._status.on_failure)
+
+    def _begun(self, episode: str) -> None:
+        if episode != self._service.last_ended:
+            self._mine = episode
 
     def _resume(self) -> None:
         """Arm the robot if it has to be, and have the driver go on from whom the operator has taken over."""
-        if self._service.episode is None or self._service.held is not None:
-            self._terminal.say("no episode" if self._service.held is None else "let go of the key first")
+        applied = self._service.applied
+        if applied is None or self._service.held is not None:
+            self._terminal.say("no episode" if applied is None else "let go of the key first")
             return
-        episode, tick = self._service.episode, self._service.heard.tick
-        request = ResumeRequest(episode=episode, tick=tick, session=self._node.session)
-        armed = self._arming()
+        request = ResumeRequest(episode=applied.episode, tick=applied.tick, session=self._node.session)
+        arm = self._arming()
+        if arm is None:
+            return
 
         def ask() -> Callable[[], None]:
-            armed()
-            self._node.bus.call("robot", "resume", request, Nothing, ANSWER_S)
-            return lambda: None
+            arm()
+            return self._call("resume", request)
 
         self._ask(ask)
 
     def _found(self) -> None:
         """End the episode at its goal, because the operator says so."""
-        if self._service.applied is None or self._service.episode is None:
+        applied = self._service.applied
+        if applied is None:
             self._terminal.say("no episode to end")
-            return
-        request = EndRequest(episode=self._service.episode, found=True, session=self._node.session)
-        self._node.publish(self._service.release())
+        elif self._may_ask():
+            self._node.publish(self._service.release())
+            request = EndRequest(episode=applied.episode, found=True, session=self._node.session)
+            self._ask(lambda: self._call("end", request))
 
-        def ask() -> Callable[[], None]:
-            self._node.bus.call("robot", "end", request, Nothing, ANSWER_S)
-            return lambda: None
-
-        self._ask(ask)
-
-    def _arming(self) -> Callable[[], None]:
+    def _arming(self) -> Callable[[], None] | None:
         """Return what releases the stop that the operator knows of when they press the key, and no other one.
 
-        Heartbeats tell its number; without an episode there are none, and nothing that moves.
+        None where the robot may not be asked, which is said.
         """
-        seen = None if self._service.applied is None else self._service.applied.emergency_stop
-        stops = self._service.stops
-        call = self._node.bus.call
+        stop = self._service.to_release
+        if not self._may_ask():
+            return None
+        if stop is None:
+            self._terminal.say("the robot has not told yet whether it stands for a stop; press the key again")
+            return None
+        self._service.arming()
 
         def arm() -> None:
-            stop = seen
-            if stop is None:
-                status = call("robot", "status", Nothing(), Status, ANSWER_S)
-                stop = int(status.detail.get("emergency_stop") or 0)
-            if self._service.stops != stops:
-                raise RpcError("an emergency stop came meanwhile; press the key again to release it")
             if stop:
-                call("robot", "arm", ArmRequest(stop=stop, session=self._node.session), Nothing, ANSWER_S)
-            self._answers.put(lambda: self._service.armed(released=True))
+                self._call("arm", ArmRequest(stop=stop, session=self._node.session))
+                self._answers.put(self._service.armed)
 
         return arm
 
-    def _ask(self, question: Callable[[], Callable[[], None]], failed: Callable[[], None] = lambda: None) -> bool:
-        """Ask the robot something; what it returns, or says why not, is done on the node's thread."""
+    def _call(self, verb: str, request: Strict) -> Callable[[], None]:
+        self._node.bus.call("robot", verb, request, Nothing, ANSWER_S)
+        return lambda: None
+
+    def _inquire(self) -> None:
+        """Ask the robot how it is where it has fallen silent, or has no episode yet."""
+        asked_s = self._clock()
+        if self._inquiring or asked_s - self._heard_s < ASK_S:
+            return
+        self._inquiring = True
+
+        def take(status: Status | None) -> None:
+            self._inquiring = False
+            if self._heard_s > asked_s:
+                return
+            if status is None:
+                self._status.on_silence()
+                return
+            if status.detail["episode"] is None:
+                self._service.no_episode()
+                self._status.on_answer(cast("StopCause | None", status.detail["stop_cause"]))
+            self._node.publish(self._service.told(cast("int", status.detail["emergency_stop"])))
+
+        def inquire() -> None:
+            try:
+                status = self._node.bus.call("robot", "status", Nothing(), Status, ANSWER_S)
+            except Exception:  # noqa: BLE001 - whatever it is, the robot does not tell
+                status = None
+            self._answers.put(lambda: take(status))
+
+        threading.Thread(target=inquire, name="inquiry", daemon=True).start()
+
+    def _may_ask(self) -> bool:
         if self._asking is not None:
             self._terminal.say("still waiting for the robot")
-            return False
-        self._service.arming()
+        return self._asking is None
+
+    def _ask(self, question: Callable[[], Callable[[], None]], failed: Callable[[], None] = lambda: None) -> None:
+        """Ask the robot something; what it returns, or says why not, is done on the node's thread."""
 
         def refused(reason: str) -> None:
             self._terminal.say(reason)
             failed()
 
         def answered() -> None:
-            self._service.armed(released=False)
+            self._service.answered()
             self._asking = None
 
         def ask() -> None:
@@ -271,9 +329,8 @@ class TeleopSession:
 
         self._asking = threading.Thread(target=ask, name="question", daemon=True)
         self._asking.start()
-        return True
 
-    def _take_answer(self) -> None:
+    def _take_answers(self) -> None:
         with suppress(Empty):
             while True:
                 self._answers.get_nowait()()

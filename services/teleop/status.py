@@ -17,6 +17,13 @@ _STOPPED: Final[dict[StopCause | None, str]] = {
     "operator_lost": "it had lost you; r resumes",
     "fault": "its body has failed",
 }
+_WAITS: Final[dict[StopCause | None, str]] = {
+    None: "armed",
+    "not_armed": "not armed",
+    "emergency_stop": "emergency stop",
+    "operator_lost": "not armed, it had lost its operator",
+    "fault": "not armed, its body has failed",
+}
 NO_EPISODE: Final = "no episode; press n to begin one"
 
 
@@ -33,6 +40,7 @@ class Status:
         self._clock = clock
         self._applied: CommandApplied | None = None
         self._heard_s = 0.0
+        self._waits = "-"
         self._last_ended: str | None = None
         self._episode = NO_EPISODE
 
@@ -42,6 +50,15 @@ class Status:
             return  # Overtaken by the news of the end: it came on another topic.
         self._applied = applied
         self._heard_s = self._clock()
+
+    def on_answer(self, cause: StopCause | None) -> None:
+        """Take what the robot answers without an episode."""
+        self._applied = None
+        self._waits = _WAITS[cause]
+
+    def on_silence(self) -> None:
+        """Take note that it does not answer."""
+        self._waits = "-"
 
     def on_request(self) -> None:
         """Take note that a new episode was asked for."""
@@ -57,6 +74,7 @@ class Status:
         self._episode = what if event.event != "started" else f"{event.driver} drives"
         if event.event == "ended":
             self._applied = None
+            self._waits = "-"
             self._last_ended = event.episode
             self._episode = f"{what}; press n for the next one"
         return f"frame {event.tick}: {what} ({event.purpose} in {printable(event.world)}, seed {event.seed})"
@@ -71,7 +89,7 @@ class Status:
     def _robot(self) -> str:
         applied = self._applied
         if applied is None:
-            return "robot: -"
+            return f"robot: {self._waits}"
         silent_s = self._clock() - self._heard_s
         if silent_s > SILENCE_S:
             return f"NO SIGN OF THE ROBOT for {silent_s:.0f} s"

@@ -8,16 +8,25 @@ import select
 import shutil
 import sys
 import termios
+import threading
+import time
 import tty
+from collections import deque
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from typing import Final
 
-from services.teleop.keys import TELL_NO_RELEASES, TELL_RELEASES
+from services.teleop.keys import ASK_RELEASES, RELEASES_ANSWER, TELL_NO_RELEASES, TELL_RELEASES
 
 _ERASE_LINE: Final = "\r\x1b[K"
-_DISABLED: Final = b"\0"
-_CONTROL_CHARACTERS: Final = 6
+_INPUT_FLAGS: Final = 0
+_LOCAL_FLAGS: Final = 3
+#: Lines kept for a screen that takes none for a while.
+_LINES_KEPT: Final = 200
+#: How long the last lines may take to be drawn; a screen that stands still must not keep the process.
+_LAST_LINES_S: Final = 1.0
+#: How long it may take to say that it has understood; a second is a slow link.
+_ANSWER_S: Final = 1.0
 
 
 class NoTerminalError(Exception):
@@ -25,45 +34,86 @@ class NoTerminalError(Exception):
 
 
 class Terminal:
-    """Standard input and output of this process, which must be a terminal; see ``open_terminal``."""
+    """Standard input and output of this process, which must be a terminal; see ``open_terminal``.
+
+    Drawing is done in a thread of its own: a screen that takes nothing (a slow link, a window that hangs) holds up
+    neither keys nor heartbeats.
+    """
 
     def __init__(self) -> None:
         self._input = sys.stdin.fileno()
-        self._status = ""
+        self._output = sys.stdout.fileno()
+        self._changed = threading.Condition()
+        self._lines: deque[str] = deque(maxlen=_LINES_KEPT)
+        self._status = self._drawn = ""
+        self._closed = False
+        #: Whether the terminal has said that it tells releases.
+        self.tells_releases = False
+        self._drawer = threading.Thread(target=self._draw, name="screen", daemon=True)
+        self._drawer.start()
 
-    def read(self) -> bytes | None:
+    def read(self, wait_s: float = 0.0) -> bytes | None:
         """Return what was typed since the last call, perhaps nothing; None when the terminal is gone."""
-        if not select.select([self._input], [], [], 0.0)[0]:
-            return b""
         try:
-            return os.read(self._input, 1024) or None
+            if not select.select([self._input], [], [], wait_s)[0]:
+                return b""
+            return os.read(self._input, 4096) or None
         except OSError:
             return None
 
     def say(self, text: str) -> None:
         """Print a line above the status line."""
-        self.write(f"{_ERASE_LINE}{text}\n{self._status}")
+        with self._changed:
+            self._lines.append(text)
+            self._changed.notify()
 
     def show(self, status: str) -> None:
         """Set the status line."""
         status = status[: shutil.get_terminal_size().columns - 1]
-        if status != self._status:
-            self._status = status
-            self.write(f"{_ERASE_LINE}{status}")
+        with self._changed:
+            if status != self._status:
+                self._status = status
+                self._changed.notify()
 
-    def leave(self) -> None:
-        """Leave the cursor below the status line."""
-        self.write("\n")
+    def write(self, text: str) -> None:
+        """Write as it is, and wait until the terminal has taken it."""
+        data = text.encode(errors="replace")
+        # Where the window was closed, ``read`` says so, and the robot is stopped in good order.
+        with suppress(OSError):
+            while data:
+                data = data[os.write(self._output, data) :]
 
-    @staticmethod
-    def write(text: str) -> None:
-        """Write as it is."""
-        try:
-            sys.stdout.write(text)
-            sys.stdout.flush()
-        except OSError:
-            # The window was closed: ``read`` says so, and the robot is stopped in good order.
+    def close(self) -> None:
+        """Draw what was said, and have the terminal send keys as it does for other programs."""
+        with self._changed:
+            self._closed = True
+            self._changed.notify()
+        self._drawer.join(_LAST_LINES_S)
+        if self._drawer.is_alive():
             return
+        self.write(f"{TELL_NO_RELEASES}\n")
+        if self.tells_releases:
+            self._read_the_rest()
+
+    def _read_the_rest(self) -> None:
+        """Read what the terminal sends before it has understood: the shell would take a release for a text."""
+        self.write(ASK_RELEASES)
+        rest, until_s = b"", time.monotonic() + _ANSWER_S
+        while not RELEASES_ANSWER.search(rest) and (wait_s := until_s - time.monotonic()) > 0.0:
+            typed = self.read(wait_s)
+            if typed is None:
+                return
+            rest += typed
+
+    def _draw(self) -> None:
+        while True:
+            with self._changed:
+                self._changed.wait_for(lambda: self._closed or self._lines or self._status != self._drawn)
+                if not self._lines and self._status == self._drawn:
+                    return
+                lines, self._drawn = "".join(f"{line}\n" for line in self._lines), self._status
+                self._lines.clear()
+            self.write(f"{_ERASE_LINE}{lines}{self._drawn}")
 
 
 class TerminalLog(logging.Handler):
@@ -100,22 +150,24 @@ def open_terminal() -> Iterator[Terminal]:
     try:
         tty.setcbreak(sys.stdin, termios.TCSANOW)
         mode = termios.tcgetattr(sys.stdin)
-        # A driver that Ctrl-Z puts to sleep could not stop the robot.
-        mode[_CONTROL_CHARACTERS][termios.VSUSP] = _DISABLED
+        # Every key is a key. A driver that Ctrl-Z puts to sleep could not stop the robot, one that Ctrl-\ kills would
+        # not restore the terminal, and Ctrl-S would freeze the screen.
+        mode[_LOCAL_FLAGS] &= ~termios.ISIG
+        mode[_INPUT_FLAGS] &= ~termios.IXON
         termios.tcsetattr(sys.stdin, termios.TCSANOW, mode)
         logging.getLogger().addHandler(log)
-        terminal.write(TELL_RELEASES)
+        terminal.write(TELL_RELEASES + ASK_RELEASES)
         yield terminal
     finally:
         logging.getLogger().removeHandler(log)
-        terminal.write(TELL_NO_RELEASES)
-        terminal.leave()
-        # Keys that nobody read must not become the shell's next command.
+        terminal.close()
         _restore(before)
 
 
 def _restore(mode: list[object]) -> None:
-    try:
-        termios.tcsetattr(sys.stdin, termios.TCSAFLUSH, mode)  # type: ignore[arg-type]
-    except termios.error:
-        return  # The terminal is gone, and its mode with it.
+    # A terminal that is gone has no mode.
+    with suppress(termios.error):
+        # Not TCSAFLUSH, which waits for a screen that may take nothing.
+        termios.tcsetattr(sys.stdin, termios.TCSANOW, mode)  # type: ignore[arg-type]
+        # Keys that nobody read must not become the shell's next command.
+        termios.tcflush(sys.stdin, termios.TCIFLUSH)

@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from schemas.base import ATOMS
-from services.teleop.keys import FIRST_HOLD_S, REPEAT_HOLD_S, Key, KeyHold, KeyParser
+from services.teleop.keys import FIRST_HOLD_S, REPEAT_HOLD_S, KeyHold, KeyParser
 
 atoms = st.sampled_from(ATOMS)
 pauses = st.floats(0, 2)
@@ -23,6 +23,11 @@ class Clock:
         return self.now_s
 
 
+def keys_of(data: bytes, parser: KeyParser | None = None) -> list[str]:
+    """Return the keys that are pressed, and, with a minus, those that are let go."""
+    return [f"-{event.key}" if event.released else event.key for event in (parser or KeyParser()).feed(data)]
+
+
 @pytest.mark.parametrize(
     ("data", "keys"),
     [
@@ -31,22 +36,83 @@ class Clock:
         (b"\x1b[A\x1b[B\x1b[D\x1b[C", ["forward", "backward", "left", "right"]),
         (b"\x1bOA\x1bOB\x1bOD\x1bOC", ["forward", "backward", "left", "right"]),
         (b"\x1b[1;5A", ["forward"]),
-        (b" enq", ["stop", "emergency_stop", "new_episode", "quit"]),
+        (b" enrfq", ["stop", "emergency_stop", "new_episode", "resume", "found", "quit"]),
+        (b"\x03", ["quit"]),
         (b"\x1b[3~\x1b[Hxyz\xff\x00\x1b[Z", []),
         (b"\x1be", ["emergency_stop"]),
         ("é€w".encode(), ["forward"]),
     ],
 )
-def test_keys_of_bytes(data: bytes, keys: list[Key]) -> None:
-    assert list(KeyParser().feed(data)) == keys
+def test_keys_of_bytes(data: bytes, keys: list[str]) -> None:
+    assert keys_of(data) == keys
 
 
-def test_the_letters_of_an_escape_sequence_are_no_keys() -> None:
-    """Arrow left ends in D, and D alone is a key."""
-    assert list(KeyParser().feed(b"\x1b[D")) == ["left"]
+@pytest.mark.parametrize("final", b"FGHIJKLMNPQRSTUVWXYZabcdfghijklmnopqrstuvwxyz")
+@pytest.mark.parametrize("begun", [b"\x1b[1;2", b"\x1bO", b"\x1b["])
+def test_the_letters_of_an_escape_sequence_are_no_keys(begun: bytes, final: int) -> None:
+    """End sends F, and F2 to F4 send Q, R and S; f, q, r and s are keys."""
+    assert keys_of(begun + bytes([final])) == []
 
 
-@given(st.lists(st.sampled_from([b"w", b"\x1b[A", b"\x1bOC", b"e", b"x", b"\x1b[1;2B"]), max_size=10), st.data())
+@pytest.mark.parametrize(
+    ("data", "keys"),
+    [
+        (b"\x1b[119u\x1b[119;1:2u\x1b[119;1:3u", ["forward", "forward", "-forward"]),
+        (b"\x1b[119;1:1u", ["forward"]),
+        (b"\x1b[119:87;2;87u", ["forward"]),
+        (b"\x1b[119;65u\x1b[119;129u\x1b[119;194:3u", ["forward", "forward", "-forward"]),
+        (b"\x1b[87;2u", ["forward"]),
+        (b"\x1b[A\x1b[1;1:2A\x1b[1;129:3A", ["forward", "forward", "-forward"]),
+        (b"\x1b[57417;129u\x1b[57417;129:3u", ["left", "-left"]),
+        (b"\x1b[99;5u", ["quit"]),
+        (b"\x1b[99;197u", ["quit"]),
+        (b"\x1b[99;5:3u\x1b[99u", ["-quit"]),
+        (b"\x1b[119;5u\x1b[100;9u\x1b[113;3u\x1b[110;5u", []),
+        (b"\x1b[119;5:3u", ["-forward"]),
+        (b"\x1b[101u\x1b[101;5u\x1b[32;9u", ["emergency_stop", "emergency_stop", "stop"]),
+        (b"\x1b[57441;2u\x1b[57442;5:3u\x1b[13u\x1b[27u\x1b[u\x1b[;:u", []),
+        (b"\x1b[?11u", ["tells_releases"]),
+        (b"\x1b[?0u\x1b[?1u\x1b[?u\x1b[?62c", []),
+        (b"\x1b[I\x1b[O", ["focus_lost"]),
+    ],
+    ids=[
+        "press, repeat, release",
+        "press in full",
+        "shift",
+        "caps and num lock",
+        "a code of the capital letter",
+        "arrows",
+        "arrows of the pad",
+        "Ctrl-C",
+        "Ctrl-C with locks",
+        "release of Ctrl-C, and c",
+        "shortcuts",
+        "a release while Ctrl is down",
+        "stops with any modifier",
+        "other keys",
+        "tells releases",
+        "tells no releases",
+        "focus",
+    ],
+)
+def test_keys_of_the_kitty_protocol(data: bytes, keys: list[str]) -> None:
+    keys = [key for key in keys if key != "-quit"]
+    assert [key for key in keys_of(data) if key != "-quit"] == keys
+
+
+SEQUENCES = [
+    b"w", b"\x1b[A", b"\x1bOC", b"e", b"x", b"\x1b[1;2B",
+    b"\x1b[119u", b"\x1b[119;1:3u", b"\x1b[101;129:2u", b"\x1b[1;1:3D", b"\x1b[O", b"\x1b[?11u", b"\x1b[F",
+]  # fmt: skip
+#: Bytes that mean something stand beside any others.
+meaningful = st.one_of(
+    st.binary(max_size=20),
+    st.sampled_from(SEQUENCES),
+    st.text("\x1b[O0123456789;:?<>ueEA~", max_size=40).map(str.encode),
+)
+
+
+@given(st.lists(st.sampled_from(SEQUENCES), max_size=10), st.data())
 def test_it_does_not_matter_how_the_bytes_come_in_pieces(parts: list[bytes], data: st.DataObject) -> None:
     whole = b"".join(parts)
     parser, keys, rest = KeyParser(), [], whole
@@ -57,13 +123,20 @@ def test_it_does_not_matter_how_the_bytes_come_in_pieces(parts: list[bytes], dat
     assert keys == list(KeyParser().feed(whole))
 
 
-@given(st.lists(st.binary(max_size=20), max_size=20))
-def test_any_bytes_are_taken_and_an_emergency_stop_is_heard_after_them(pieces: list[bytes]) -> None:
+@pytest.mark.parametrize("stop", [b"e", b"E", b"\x1b[101u", b"\x1b[101;1:1u", b"\x1b[101;66:2u"])
+@given(pieces=st.lists(meaningful, max_size=20))
+def test_any_bytes_are_taken_and_an_emergency_stop_is_heard_after_them(stop: bytes, pieces: list[bytes]) -> None:
     parser = KeyParser()
     for piece in pieces:
         list(parser.feed(piece))
-    # One byte more may still be part of a sequence that was begun.
-    assert "emergency_stop" in list(parser.feed(b"ee"))
+    assert keys_of(stop, parser)[-1:] == ["emergency_stop"]
+
+
+def test_endless_numbers_are_taken() -> None:
+    digits = b"9" * 10_000
+    assert keys_of(b"\x1b[" + digits + b";" + digits + b"u\x1b[?" + digits + b"u\x1b[9999999;999ue") == [
+        "emergency_stop"
+    ]
 
 
 def test_a_press_is_held_until_the_keyboard_would_have_repeated_it() -> None:
@@ -108,6 +181,16 @@ def test_letting_go() -> None:
     assert hold.held() is None
 
 
+def test_letting_go_of_another_key_than_the_held_one_changes_nothing() -> None:
+    hold = KeyHold(Clock())
+    hold.press("forward")
+    hold.press("left")
+    hold.release("forward")
+    assert hold.held() == "left"
+    hold.release("left")
+    assert hold.held() is None
+
+
 @given(st.lists(st.tuples(pauses, atoms), max_size=30), pauses)
 def test_what_is_held_is_the_last_key_and_never_for_long(presses: list[tuple[float, str]], pause_s: float) -> None:
     clock = Clock()
@@ -134,10 +217,3 @@ def test_a_held_key_is_never_interrupted(intervals_s: list[float]) -> None:
         hold.press("forward")
         clock.now_s += interval_s
     assert hold.held() == "forward"
-
-
-@pytest.mark.parametrize("begun", [b"\x1b", b"\x1b[", b"\x1bO", b"\x1b[12;"])
-def test_an_emergency_stop_is_heard_after_half_an_escape_sequence(begun: bytes) -> None:
-    parser = KeyParser()
-    assert not list(parser.feed(begun))
-    assert list(parser.feed(b"e"))[-1:] == ["emergency_stop"]

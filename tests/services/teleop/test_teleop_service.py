@@ -8,6 +8,7 @@ from hypothesis import strategies as st
 
 from schemas.command import Command, CommandApplied
 from schemas.episode import Episode
+from services.robot.gate import CommandGate
 from services.teleop.keys import FIRST_HOLD_S, KeyHold
 from services.teleop.service import TeleopService
 from services.teleop.status import Status
@@ -20,15 +21,21 @@ class Operator:
         self.now_s = 0.0
         self.service = TeleopService(KeyHold(lambda: self.now_s), "r")
 
-    def beat(self, tick: int, reason: str = "silence", episode: str = "e") -> tuple[str, str, int, int] | None:
+    def beat(
+        self, tick: int, reason: str = "silence", episode: str = "e", stop: int = 7
+    ) -> tuple[str, str, int, int] | None:
         source = {"silence": None, "emergency_stop": "emergency_stop", "command": "teleop"}[reason]
-        return brief(self.service.handle(applied(tick, reason, source, episode)))
+        return brief(self.service.handle(applied(tick, reason, source, episode, stop)))
 
 
-def applied(tick: int, reason: str = "silence", source: str | None = None, episode: str = "e") -> CommandApplied:
+def applied(
+    tick: int, reason: str = "silence", source: str | None = None, episode: str = "e", stop: int = 7
+) -> CommandApplied:
+    """Return a heartbeat; stop is the number of the stop that is latched, if one is."""
     return CommandApplied.model_validate(
         {"robot": "r", "episode": episode, "tick": tick, "stamp_ns": tick, "atom": "stop", "speed": 1.0}
         | {"source": source, "reason": reason}
+        | ({"emergency_stop": stop, "stop_cause": "emergency_stop"} if reason == "emergency_stop" else {})
     )
 
 
@@ -100,6 +107,22 @@ def test_changing_the_key_within_a_tick(operator: Operator) -> None:
     assert operator.service.press("forward") is None, "a repeat is no change"
 
 
+def test_a_key_that_is_let_go_is_one_stop_at_once(operator: Operator) -> None:
+    operator.beat(3)
+    operator.service.press("forward")
+    assert operator.service.release("left") is None, "another one than the held one"
+    assert brief(operator.service.release("forward")) == ("teleop", "stop", 3, 1)
+    assert operator.service.release("forward") is None
+    assert operator.beat(4) is None
+
+
+def test_letting_go_of_every_key(operator: Operator) -> None:
+    operator.beat(3)
+    assert operator.service.release() is None
+    operator.service.press("forward")
+    assert brief(operator.service.release()) == ("teleop", "stop", 3, 1)
+
+
 def test_space_stops_even_while_another_drives(operator: Operator) -> None:
     operator.beat(3)
     assert brief(operator.service.press("stop")) == ("teleop", "stop", 3, 0)
@@ -132,34 +155,67 @@ def test_an_emergency_stop_between_two_episodes_is_sent(operator: Operator) -> N
     assert (command.source, command.robot, command.episode) == ("emergency_stop", "r", "e")
 
 
-def test_the_episode_that_the_operator_asks_for_releases_the_emergency_stop(operator: Operator) -> None:
+def test_an_emergency_stop_without_an_episode_is_repeated_until_the_robot_has_it(operator: Operator) -> None:
+    operator.service.stop_for_emergency()
+    assert brief(operator.service.told(0)) == ("emergency_stop", "stop", 0, 1)
+    assert operator.service.told(3) is None
+
+
+def test_the_emergency_stop_ends_when_the_robot_was_armed(operator: Operator) -> None:
     operator.beat(3)
     operator.service.stop_for_emergency()
-    operator.service.on_event(event("ended", outcome="aborted"))
-    operator.service.release_emergency_stop()
-    assert operator.service.emergency, "not before the simulator has done it"
-    operator.service.on_event(event("started", "f"))
+    operator.beat(4, "emergency_stop")
+    assert operator.service.to_release == 7
+    operator.service.arming()
+    assert operator.beat(5) is None, "it has been released, though the answer is not here yet"
+    assert operator.service.emergency
+    operator.service.armed()
+    operator.service.answered()
     assert not operator.service.emergency
-    operator.beat(0, episode="f")
-    assert brief(operator.service.press("left")) == ("teleop", "left", 0, 0)
+    assert operator.beat(6) is None
+    assert brief(operator.service.press("left")) == ("teleop", "left", 6, 0)
+
+
+def test_an_emergency_stop_that_is_pressed_while_the_robot_is_armed_stays(operator: Operator) -> None:
+    operator.beat(3, "emergency_stop")
+    operator.service.arming()
+    assert operator.service.stop_for_emergency() is not None
+    operator.service.armed()
+    operator.service.answered()
+    assert operator.service.emergency
+    assert operator.beat(4) == ("emergency_stop", "stop", 4, 0), "it was lost on the way"
+    assert operator.service.press("forward") is None
+
+
+def test_an_emergency_stop_holds_where_arming_is_refused(operator: Operator) -> None:
+    operator.beat(3)
+    operator.service.stop_for_emergency()
+    operator.beat(4, "emergency_stop")
+    operator.service.arming()
+    operator.service.answered()
+    assert operator.service.emergency
+    assert operator.beat(5) == ("emergency_stop", "stop", 5, 0)
+
+
+def test_what_is_released_is_what_the_robot_has_told(operator: Operator) -> None:
+    assert operator.service.to_release is None, "nothing was heard yet"
+    operator.service.told(4)
+    assert operator.service.to_release == 4
+    operator.beat(0)
+    assert operator.service.to_release == 0
+    operator.service.stop_for_emergency()
+    assert operator.service.to_release is None, "the robot has not told its number yet"
+    operator.beat(1, "emergency_stop", stop=9)
+    assert operator.service.to_release == 9
 
 
 def test_no_other_episode_releases_it(operator: Operator) -> None:
     operator.beat(3)
     operator.service.stop_for_emergency()
-    operator.service.release_emergency_stop()
-    operator.service.keep_emergency_stop()
     assert operator.beat(0, episode="f") == ("emergency_stop", "stop", 0, 0)
     assert operator.beat(1, "emergency_stop", "f") is None
     operator.service.on_event(event("started", "g"))
     assert operator.service.emergency
-
-
-def test_an_emergency_stop_while_waiting_for_the_new_episode_stops_that_one(operator: Operator) -> None:
-    operator.beat(3)
-    operator.service.release_emergency_stop()
-    assert operator.service.stop_for_emergency() is not None
-    assert operator.beat(0, episode="f") == ("emergency_stop", "stop", 0, 0)
 
 
 def test_nothing_is_sent_after_the_end(operator: Operator) -> None:
@@ -181,6 +237,7 @@ steps = st.one_of(
     st.tuples(st.just("press"), st.sampled_from(["forward", "backward", "left", "right", "stop"])),
     st.tuples(st.just("wait"), st.floats(0, 1)),
     st.tuples(st.just("beat"), st.none()),
+    st.tuples(st.just("release"), st.sampled_from(["forward", "left", None])),
     st.tuples(st.just("emergency"), st.none()),
 )
 
@@ -194,6 +251,8 @@ def test_whatever_happens_commands_are_in_order_and_end_with_a_stop(script: list
         elif kind == "wait":
             operator.now_s += value
             sent.append(brief(operator.service.poll()))
+        elif kind == "release":
+            sent.append(brief(operator.service.release(value)))
         elif kind == "beat":
             tick += 1
             sent.append(operator.beat(tick))
@@ -209,10 +268,45 @@ def test_whatever_happens_commands_are_in_order_and_end_with_a_stop(script: list
         assert said[-1][1] == "stop"
 
 
+@given(st.lists(st.sampled_from(["e", "heartbeat", "lost", "n", "armed", "refused"]), min_size=20, max_size=60))
+def test_an_emergency_stop_is_released_only_by_a_key_that_was_pressed_after_it(script: list[str]) -> None:
+    """Whatever gets lost: while a stop of the operator's is not released, the robot stands or hears of it again."""
+    operator, gate = Operator(), CommandGate(first_stop=1)
+    gate.arm(1, "")
+    held, asked, since, tick = False, None, False, 0
+    for step in script:
+        if step in ("e", "lost"):
+            operator.service.stop_for_emergency()
+            held = since = True
+            if step == "e":
+                gate.stop()
+        elif step == "heartbeat":
+            tick += 1
+            stop = gate.emergency_stop
+            repeated = operator.beat(tick, "emergency_stop" if stop else "silence", stop=stop)
+            assert (repeated is not None) == (held and not stop and (asked is None or since))
+            if repeated is not None:
+                gate.stop()
+        elif step == "n" and asked is None and operator.service.to_release is not None:
+            asked, since = operator.service.to_release, False
+            operator.service.arming()
+        elif step in ("armed", "refused") and asked is not None:
+            if asked and step == "armed" and gate.arm(asked, "") is None:
+                operator.service.armed()
+                held = held and since
+            operator.service.answered()
+            asked = None
+        assert operator.service.emergency == held
+
+
 def test_the_status_line() -> None:
     now_s = 0.0
     status = Status(lambda: now_s)
     assert status.line(None, emergency=False) == "robot: -  |  you: -  |  no episode; press n to begin one"
+    status.on_answer("not_armed")
+    assert status.line(None, emergency=False).startswith("robot: not armed  |  ")
+    status.on_silence()
+    assert status.line(None, emergency=False).startswith("robot: -  |  ")
     assert status.on_event(event("started")) == "frame 0: started (drive in yard, seed 1)"
     status.on_applied(applied(12, "command", "policy"))
     assert status.line("left", emergency=False) == (
@@ -227,3 +321,5 @@ def test_the_status_line() -> None:
     assert status.on_event(event("ended", outcome="found")).startswith("frame 0: ended: found")
     status.on_applied(applied(14))
     assert status.line(None, emergency=False) == "robot: -  |  you: -  |  ended: found; press n for the next one"
+    status.on_answer(None)
+    assert status.line(None, emergency=False) == "robot: armed  |  you: -  |  ended: found; press n for the next one"

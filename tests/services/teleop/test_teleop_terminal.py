@@ -2,71 +2,29 @@
 
 from __future__ import annotations
 
-import os
-import re
+import itertools
+import select
 import signal
 import subprocess
 import sys
 import termios
-import threading
+import time
 from collections.abc import Callable, Iterator
-from pathlib import Path
 
 import pytest
 
+from schemas.command import Command
+from services.kit.bus import Bus
+from services.kit.node import ServiceError
 from services.kit.settings import ServiceSettings
 from tests.services.conftest import RunNode
+from tests.services.teleop.console import ROOT, Console
 from tests.services.teleop.fake_robot import FakeRobot
 from tests.services.waiting import eventually
 
-ROOT = Path(__file__).parents[3]
-
-
-class Console:
-    """``python -m services.teleop`` in a pseudo terminal."""
-
-    def __init__(self, endpoint: str, *flags: str) -> None:
-        self._master, self.slave = os.openpty()
-        self.mode_before = termios.tcgetattr(self.slave)
-        self.output = ""
-        self.process = subprocess.Popen(
-            [sys.executable, "-m", "services.teleop", "--router", endpoint, "--seed", "5", *flags],
-            cwd=ROOT,
-            stdin=self.slave,
-            stdout=self.slave,
-            stderr=self.slave,
-            start_new_session=True,
-        )
-        self._reader = threading.Thread(target=self._read, daemon=True)
-        self._reader.start()
-
-    def type(self, keys: bytes) -> None:
-        os.write(self._master, keys)
-
-    def wait_for(self, pattern: str) -> None:
-        eventually(lambda: re.search(pattern, self.output))
-
-    def hang_up(self) -> None:
-        """Close the window."""
-        os.close(self.slave)
-        os.close(self._master)
-
-    def close(self) -> None:
-        if self.process.poll() is None:
-            self.process.kill()
-        self.process.wait()
-        for end in (self.slave, self._master):
-            try:
-                os.close(end)
-            except OSError:
-                continue  # hung up already
-
-    def _read(self) -> None:
-        try:
-            while data := os.read(self._master, 4096):
-                self.output += data.decode(errors="replace")
-        except OSError:
-            return
+#: As the kitty keyboard protocol has it.
+W_PRESSED, W_REPEATED, W_RELEASED = b"\x1b[119u", b"\x1b[119;1:2u", b"\x1b[119;1:3u"
+LET_GO_WITHIN_S = 0.2
 
 
 @pytest.fixture
@@ -83,10 +41,26 @@ def console(router_endpoint: str) -> Iterator[Console]:
     console.close()
 
 
+@pytest.fixture
+def told(router_endpoint: str) -> Iterator[Console]:
+    """Open a terminal that tells releases; without them a key would be held for as long as can be set."""
+    console = Console(router_endpoint, "--first-hold-s", "2", "--repeat-hold-s", "2")
+    console.tell_releases()
+    yield console
+    console.close()
+
+
 def begin(console: Console, robot: FakeRobot) -> None:
-    console.wait_for("no episode; press n")
+    console.wait_for(r"robot: not armed  \|")
     console.type(b"n")
     console.wait_for(r"frame \d+  \|  robot: stop \(nobody drives\)")
+    assert len(robot.resets) == 1
+
+
+def hear(robot: FakeRobot, beats: int) -> None:
+    """Wait for so many heartbeats more."""
+    until = len(robot.beats) + beats
+    eventually(lambda: len(robot.beats) >= until)
 
 
 def test_hold_to_drive_release_to_stop(console: Console, robot: FakeRobot) -> None:
@@ -105,6 +79,51 @@ def test_hold_to_drive_release_to_stop(console: Console, robot: FakeRobot) -> No
     eventually(lambda: robot.atoms()[-1:] == ["stop"])
 
 
+def test_a_terminal_that_does_not_tell_releases_is_named(console: Console, robot: FakeRobot) -> None:
+    console.wait_for(r"does not tell when a key is let go .* up to 0.6 s after a tap; space stops it at once")
+    assert robot.beats
+
+
+def test_a_terminal_that_tells_releases_is_not_complained_of(told: Console, robot: FakeRobot) -> None:
+    eventually(lambda: robot.beats)
+    hear(robot, beats=30)  # 1.5 s; the line would come after one
+    assert "let go" not in told.output
+
+
+def test_letting_go_stops_at_once(told: Console, robot: FakeRobot) -> None:
+    begin(told, robot)
+    stopped_s = []
+    for _ in range(5):
+        driven = len(robot.commands)
+        told.type(W_PRESSED + W_REPEATED)
+        eventually(lambda driven=driven: "forward" in [command.atom for command in robot.commands[driven:]])
+        let_go_s = time.monotonic()
+        told.type(W_RELEASED)
+        eventually(lambda: robot.atoms()[-1] == "stop")
+        stopped_s.append(robot.heard_s[-1] - let_go_s)
+    assert sorted(stopped_s)[2] < LET_GO_WITHIN_S, "in the median: this machine may be busy"
+    assert max(stopped_s) < 2 - LET_GO_WITHIN_S, "not by its time having run out"
+
+
+def test_letting_go_of_another_key_changes_nothing(told: Console, robot: FakeRobot) -> None:
+    begin(told, robot)
+    told.type(b"\x1b[D" + W_PRESSED + b"\x1b[1;1:3D")
+    eventually(lambda: robot.atoms().count("forward") > 10)
+    assert [atom for atom, _ in itertools.groupby(robot.atoms())] == ["left", "forward"]
+    told.type(b"\x1b[119;5:3u")  # with Ctrl down, which is pressed for something else
+    eventually(lambda: robot.atoms()[-1] == "stop")
+
+
+def test_a_window_that_is_no_longer_in_front_stops_the_robot(told: Console, robot: FakeRobot) -> None:
+    begin(told, robot)
+    told.type(W_PRESSED)
+    eventually(lambda: robot.atoms()[-1:] == ["forward"])
+    left_s = time.monotonic()
+    told.type(b"\x1b[O")
+    eventually(lambda: robot.atoms()[-1] == "stop")
+    assert robot.heard_s[-1] - left_s < 2 - LET_GO_WITHIN_S, "not by its time having run out"
+
+
 def test_emergency_stop_holds_until_a_new_episode_is_asked_for(console: Console, robot: FakeRobot) -> None:
     begin(console, robot)
     console.type(b"we")
@@ -116,15 +135,15 @@ def test_emergency_stop_holds_until_a_new_episode_is_asked_for(console: Console,
     eventually(lambda: len(robot.resets) == 2)
     assert len(robot.atoms()) == driven, "no key moves the robot in between"
     assert robot.resets[1].seed == 6
-    assert robot.resets[1].release_emergency_stop == len(robot.atoms("emergency_stop"))
+    assert robot.arms == [1, 1 + len(robot.atoms("emergency_stop"))]
     console.wait_for("seed 6")
     eventually(lambda: (console.type(b"w"), robot.atoms()[-1:] == ["forward"])[1])
 
 
 def test_the_driver_goes_on_when_the_operator_says_so(console: Console, robot: FakeRobot) -> None:
-    console.wait_for("no episode; press n")
+    console.wait_for("robot: not armed")
     console.type(b"r")
-    console.wait_for("no episode")
+    console.wait_for(r"no episode\r")
     console.type(b"n")
     console.wait_for(r"robot: stop \(nobody drives\)")
     console.type(b"wr")
@@ -132,27 +151,147 @@ def test_the_driver_goes_on_when_the_operator_says_so(console: Console, robot: F
     eventually(lambda: robot.atoms()[-1:] == ["stop"])
     assert not robot.resumed
     console.type(b"r")
-    eventually(lambda: robot.resumed == ["drive-1"])
+    eventually(lambda: [request.episode for request in robot.resumed] == ["drive-1"])
+    assert robot.arms == [1], "nothing had to be released"
 
 
-def test_a_stop_that_is_pressed_after_a_new_episode_was_asked_for_is_not_released(
-    console: Console, robot: FakeRobot
+def test_resuming_arms_a_robot_that_had_lost_its_operator(console: Console, robot: FakeRobot) -> None:
+    begin(console, robot)
+    robot.gate.stop("operator_lost")
+    console.wait_for(r"robot: stop \(it had lost you; r resumes\)")
+    console.type(b"r")
+    eventually(lambda: robot.resumed)
+    assert robot.arms == [1, 2]
+    assert robot.resumed[0].session == robot.beats[0].session
+
+
+@pytest.mark.parametrize("key", [b"n", b"r"])
+def test_a_stop_from_elsewhere_that_comes_after_the_key_is_not_released(
+    console: Console, robot: FakeRobot, key: bytes
 ) -> None:
-    console.wait_for("no episode; press n")
-    console.type(b"ne")
-    console.wait_for("EMERGENCY STOP until")
-    console.wait_for(r"an emergency stop came meanwhile; press n again to release it|robot: stop \(emergency stop\)")
-    assert all(request.release_emergency_stop == 0 for request in robot.resets)
+    begin(console, robot)
+    robot.gate.stop("fault")
+    console.wait_for("its body has failed")
+    robot.before_arm = robot.gate.stop
+    console.type(key)
+    console.wait_for("robot arm: another stop was latched meanwhile")
+    assert robot.arms == [1, 2]
+    assert robot.gate.emergency_stop == 3
+    assert (len(robot.resets), robot.resumed) == (1, [])
 
 
-def test_emergency_stop_without_an_episode_is_sent(console: Console, robot: FakeRobot) -> None:
-    console.wait_for("no episode; press n")
-    eventually(lambda: (console.type(b"e"), robot.atoms("emergency_stop"))[1])
+@pytest.mark.parametrize("when", ["before_arm", "after_arm", "before_reset"])
+def test_an_emergency_stop_that_is_pressed_while_the_robot_is_armed_survives(
+    console: Console, robot: FakeRobot, when: str
+) -> None:
+    console.wait_for("robot: not armed")
+    setattr(
+        robot,
+        when,
+        lambda: (console.type(b"e"), eventually(lambda: robot.atoms("emergency_stop")), setattr(robot, when, bool)),
+    )
+    console.type(b"n")
+    console.wait_for("robot arm: another stop was latched meanwhile|robot reset: a stop is latched")
+    console.wait_for(r"EMERGENCY STOP  \|  robot: emergency stop")
+    assert (robot.arms, robot.resets, robot.gate.emergency_stop) == ([1], [], 2)
+    # The next press is for the stop that has been told since.
+    eventually(lambda: (console.type(b"n"), robot.resets)[1])
+    assert robot.arms[-1] == 2
+
+
+def test_an_emergency_stop_that_gets_lost_is_repeated(console: Console, robot: FakeRobot) -> None:
+    begin(console, robot)
+    robot.lost_stops = 3
+    console.type(b"e")
+    console.wait_for(r"EMERGENCY STOP  \|  .*robot: stop \(emergency stop\)")
+
+
+def test_an_emergency_stop_without_an_episode_is_sent_and_repeated(console: Console, robot: FakeRobot) -> None:
+    robot.gate.arm(1, "")
+    console.wait_for("robot: armed")
+    robot.lost_stops = 1
+    console.type(b"e")
     console.wait_for("EMERGENCY STOP until you begin a new episode")
-    # A release is for one stop: one that was still on its way is released by asking again.
+    eventually(lambda: robot.gate.stop_cause == "emergency_stop")
+    # A release is for one stop: it has to be told first.
     eventually(lambda: (console.type(b"n"), robot.resets)[1])
     console.wait_for(r"frame \d+  \|  robot: stop \(nobody drives\)")
     eventually(lambda: (console.type(b"w"), robot.atoms()[-1:] == ["forward"])[1])
+
+
+def test_a_robot_that_was_started_again_is_armed_by_its_new_number(console: Console, robot: FakeRobot) -> None:
+    begin(console, robot)
+    robot.restart()
+    drawn = len(console.output)
+    eventually(lambda: "robot: not armed" in console.output[drawn:])
+    console.type(b"n")
+    eventually(lambda: len(robot.resets) == 2)
+    assert robot.arms == [1, 1000]
+
+
+def test_the_operator_says_that_it_is_found(console: Console, robot: FakeRobot) -> None:
+    console.wait_for("robot: not armed")
+    console.type(b"f")
+    console.wait_for("no episode to end")
+    console.type(b"n")
+    console.wait_for(r"robot: stop \(nobody drives\)")
+    console.type(b"w")
+    eventually(lambda: "forward" in robot.atoms())
+    console.type(b"f")
+    console.wait_for("ended: found; press n for the next one")
+    (request,) = robot.ends
+    assert (request.episode, request.found, request.session) == ("drive-1", True, robot.beats[0].session)
+    assert robot.atoms()[-1] == "stop"
+    console.type(b"q")
+    assert console.process.wait(10.0) == 0
+    assert len(robot.ends) == 1, "it has ended already"
+
+
+def test_heartbeats_go_on_while_an_episode_begins_and_is_waited_for(console: Console, robot: FakeRobot) -> None:
+    """A simulator's first picture takes a minute; leaving meanwhile ends what was begun, and says good-bye last."""
+
+    def slow() -> None:
+        hear(robot, beats=20)
+        console.type(b"q")
+        console.wait_for("waiting for the robot's answer")
+        hear(robot, beats=20)
+        assert all(beat.present for beat in robot.beats)
+
+    robot.before_reset = slow
+    console.wait_for("robot: not armed")
+    console.type(b"n")
+    assert console.process.wait(20.0) == 0
+    assert [request.episode for request in robot.ends] == ["drive-1"]
+    eventually(lambda: not robot.beats[-1].present)
+
+
+def test_an_emergency_stop_is_heard_while_leaving(console: Console, robot: FakeRobot) -> None:
+    def slow() -> None:
+        console.type(b"q")
+        console.wait_for("waiting for the robot's answer")
+        console.type(b"we")
+        eventually(lambda: robot.atoms("emergency_stop"))
+
+    robot.before_reset = slow
+    console.wait_for("robot: not armed")
+    console.type(b"n")
+    assert console.process.wait(20.0) == 0
+    assert robot.atoms() == [], "but no other key"
+
+
+def test_a_screen_that_stands_still_holds_up_nothing(console: Console, robot: FakeRobot) -> None:
+    begin(console, robot)
+    console.draws.clear()
+    for _ in range(40):
+        console.type(b"r" * 200)  # each says or draws something
+        hear(robot, beats=1)
+    hear(robot, beats=10)
+    console.type(b"e")
+    eventually(lambda: robot.atoms("emergency_stop"))
+    console.process.send_signal(signal.SIGTERM)
+    assert console.process.wait(10.0) == 0
+    eventually(lambda: not robot.beats[-1].present)
+    assert termios.tcgetattr(console.slave) == console.mode_before
 
 
 def test_the_end_of_an_episode_is_told(console: Console, robot: FakeRobot) -> None:
@@ -165,17 +304,28 @@ def test_the_end_of_an_episode_is_told(console: Console, robot: FakeRobot) -> No
 
 
 def test_a_refused_reset_is_one_line_and_driving_goes_on(console: Console, robot: FakeRobot) -> None:
-    robot.refuse = "no start pose is free"
-    console.wait_for("press n")
+    def refuse() -> None:
+        raise ServiceError("no start pose is free")
+
+    robot.before_reset = refuse
+    console.wait_for("robot: not armed")
     console.type(b"n")
-    console.wait_for("simulator reset: no start pose is free")
-    robot.refuse = None
+    console.wait_for("robot reset: no start pose is free")
+    robot.before_reset = bool
     console.type(b"n")
     eventually(lambda: robot.resets)
 
 
 def quit_by_key(console: Console) -> None:
     console.type(b"q")
+
+
+def quit_by_control_c(console: Console) -> None:
+    console.type(b"\x03")
+
+
+def quit_by_control_c_as_a_key(console: Console) -> None:
+    console.type(b"\x1b[99;5u")
 
 
 def quit_by_signal(console: Console) -> None:
@@ -190,8 +340,11 @@ def quit_by_interrupt(console: Console) -> None:
     console.process.send_signal(signal.SIGINT)
 
 
-@pytest.mark.parametrize("leave", [quit_by_key, quit_by_signal, quit_by_interrupt, quit_by_hangup])
-def test_every_exit_stops_the_robot_ends_the_episode_and_restores_the_terminal(
+@pytest.mark.parametrize(
+    "leave",
+    [quit_by_key, quit_by_control_c, quit_by_control_c_as_a_key, quit_by_signal, quit_by_interrupt, quit_by_hangup],
+)
+def test_every_exit_stops_the_robot_ends_the_episode_says_good_bye_and_restores_the_terminal(
     console: Console, robot: FakeRobot, leave: Callable[[Console], None]
 ) -> None:
     begin(console, robot)
@@ -200,10 +353,28 @@ def test_every_exit_stops_the_robot_ends_the_episode_and_restores_the_terminal(
     eventually(robot.atoms)
     leave(console)
     assert console.process.wait(10.0) == 0
-    eventually(lambda: robot.atoms()[-1:] == ["stop"])
-    assert robot.ends == ["drive-1"]
+    eventually(lambda: not robot.beats[-1].present)
+    assert all(beat.present for beat in robot.beats[:-1])
+    assert all(beat.operator for beat in robot.beats)
+    assert [beat.sequence for beat in robot.beats] == sorted({beat.sequence for beat in robot.beats})
+    assert robot.atoms()[-1] == "stop"
+    assert [request.episode for request in robot.ends] == ["drive-1"]
+    assert not robot.ends[0].found
     assert termios.tcgetattr(console.slave) == console.mode_before
+    console.wait_for(r"\x1b\[\?1004l\x1b\[<u\r\n\Z")
     assert "Traceback" not in console.output
+
+
+def test_keys_let_go_after_the_end_are_no_text_for_the_shell(told: Console, robot: FakeRobot) -> None:
+    begin(told, robot)
+    told.type(b"\x1b[113u")
+    told.wait_for(r"\x1b\[<u\r\n\x1b\[\?u")
+    # Sent before the terminal had read that.
+    told.type(b"\x1b[113;1:3u")
+    told.type(b"\x1b[?0u")
+    assert told.process.wait(10.0) == 0
+    assert termios.tcgetattr(told.slave) == told.mode_before
+    assert not select.select([told.slave], [], [], 0.0)[0], "nothing is left to read"
 
 
 def test_a_closed_window_stops_the_robot(console: Console, robot: FakeRobot) -> None:
@@ -212,8 +383,31 @@ def test_a_closed_window_stops_the_robot(console: Console, robot: FakeRobot) -> 
     eventually(robot.atoms)
     console.hang_up()
     assert console.process.wait(10.0) == 0
-    eventually(lambda: robot.atoms()[-1:] == ["stop"])
-    assert robot.ends == ["drive-1"]
+    eventually(lambda: not robot.beats[-1].present)
+    assert robot.atoms()[-1] == "stop"
+    assert [request.episode for request in robot.ends] == ["drive-1"]
+
+
+def test_a_process_that_is_killed_says_no_good_bye(console: Console, robot: FakeRobot, client: Bus) -> None:
+    begin(console, robot)
+    console.process.kill()
+    console.process.wait()
+    # Whatever it had sent has come by now: the next command comes after it.
+    heard = len(robot.commands)
+    client.publish(Command(robot="rescuebot", episode="e", tick=0, stamp_ns=0, source="emergency_stop", atom="stop"))
+    eventually(lambda: len(robot.commands) > heard)
+    assert all(beat.present for beat in robot.beats)
+
+
+def test_neither_control_z_nor_control_backslash_nor_control_s_stops_the_driver(
+    console: Console, robot: FakeRobot
+) -> None:
+    begin(console, robot)
+    console.type(b"\x1a\x1c\x13")
+    hear(robot, beats=10)
+    drawn = len(console.output)
+    eventually(lambda: len(console.output) > drawn)
+    assert console.process.poll() is None
 
 
 def test_no_router_is_one_line_and_leaves_the_terminal_alone(free_endpoint: str) -> None:

@@ -1,0 +1,77 @@
+"""One session by hand: what a key means is settled when it is pressed."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import cast
+
+import pytest
+
+from services.kit.node import Node
+from services.kit.settings import ServiceSettings
+from services.teleop.config import TeleopSettings
+from services.teleop.session import TeleopSession
+from services.teleop.terminal import Terminal
+from tests.services.conftest import RunNode
+from tests.services.teleop.fake_robot import FakeRobot
+from tests.services.waiting import eventually
+
+
+class Desk:
+    """A terminal into which the test types, and whose status line it reads."""
+
+    def __init__(self) -> None:
+        self.typed = b""
+        self.status = ""
+        self.said: list[str] = []
+        self.tells_releases = False
+
+    def read(self) -> bytes:
+        typed, self.typed = self.typed, b""
+        return typed
+
+    def say(self, text: str) -> None:
+        self.said.append(text)
+
+    def show(self, status: str) -> None:
+        self.status = status
+
+
+@pytest.fixture
+def robot(settings: ServiceSettings, run_node: RunNode) -> FakeRobot:
+    robot = FakeRobot(settings)
+    run_node(robot.node)
+    return robot
+
+
+@pytest.fixture
+def node(robot: FakeRobot, settings: ServiceSettings) -> Iterator[Node]:
+    with Node("teleop", settings) as node:
+        yield node
+
+
+@pytest.mark.parametrize("key", [b"n", b"r"])
+def test_a_key_releases_the_stop_that_was_known_when_it_was_pressed(node: Node, robot: FakeRobot, key: bytes) -> None:
+    desk = Desk()
+    session = TeleopSession(node, cast("Terminal", desk), TeleopSettings(seed=5))
+    assert node.spin(lambda: "robot: not armed" in desk.status, 10.0)
+    desk.typed = b"n"
+    assert node.spin(lambda: "nobody drives" in desk.status, 10.0)
+    robot.gate.stop("fault")
+    assert node.spin(lambda: "its body has failed" in desk.status, 10.0)
+    robot.gate.stop("operator_lost")  # of which the operator hears only after the key
+    desk.typed = key
+    session.poll()
+    node.spin(lambda: any("another stop was latched" in line for line in desk.said), 10.0)
+    assert robot.arms == [1, 2]
+    assert (len(robot.resets), robot.resumed, robot.gate.emergency_stop) == (1, [], 3)
+
+
+def test_nothing_is_released_before_the_robot_has_told_what_it_stands_for(node: Node, robot: FakeRobot) -> None:
+    desk = Desk()
+    session = TeleopSession(node, cast("Terminal", desk), TeleopSettings(seed=5))
+    desk.typed = b"en"  # it cannot have told the number of this stop yet
+    session.poll()
+    assert desk.said[-1] == "the robot has not told yet whether it stands for a stop; press the key again"
+    eventually(lambda: robot.gate.stop_cause == "emergency_stop")
+    assert (robot.arms, robot.resets) == ([], [])
