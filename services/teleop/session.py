@@ -37,7 +37,7 @@ ANSWER_S: Final = 5.0
 ASK_S: Final = 0.5
 HELP: Final = (
     "arrows or w a s d: drive (hold)   space: stop   e: EMERGENCY STOP   n: new episode   f: found, end it   "
-    "r: resume   q: quit"
+    "r: arm, resume   q: quit"
 )
 NO_RELEASES: Final = (
     "this terminal does not tell when a key is let go (kitty, foot, ghostty, WezTerm and others do): the robot goes on "
@@ -223,19 +223,21 @@ class TeleopSession:
             self._mine = episode
 
     def _resume(self) -> None:
-        """Arm the robot if it has to be, and have the driver go on from whom the operator has taken over."""
-        applied = self._service.applied
-        if applied is None or self._service.held is not None:
-            self._terminal.say("no episode" if applied is None else "let go of the key first")
+        """Arm the robot if it has to be, and have whoever the operator has taken over from go on, or begin the next."""
+        if self._service.held is not None:
+            self._terminal.say("let go of the key first")
             return
-        request = ResumeRequest(episode=applied.episode, tick=applied.tick, session=self._node.session)
+        heard = self._service.heard
+        request = ResumeRequest(episode=heard.episode, tick=heard.tick, session=self._node.session)
         arm = self._arming()
         if arm is None:
             return
 
         def ask() -> Callable[[], None]:
             arm()
-            return self._call("resume", request)
+            if self._node.bus.call("robot", "status", Nothing(), Status, ANSWER_S).detail["taken_over"]:
+                return self._call("resume", request)
+            return lambda: self._terminal.say("the robot is armed")
 
         self._ask(ask)
 

@@ -143,7 +143,8 @@ def test_emergency_stop_holds_until_a_new_episode_is_asked_for(console: Console,
 def test_the_driver_goes_on_when_the_operator_says_so(console: Console, robot: FakeRobot) -> None:
     console.wait_for("robot: not armed")
     console.type(b"r")
-    console.wait_for(r"no episode\r")
+    console.wait_for("the robot is armed")
+    assert (robot.arms, robot.resumed) == ([1], [])
     console.type(b"n")
     console.wait_for(r"robot: stop \(nobody drives\)")
     console.type(b"wr")
