@@ -36,6 +36,8 @@ from tests.services.chain import (
 )
 from tests.services.waiting import eventually, introduce, malformed, ready, status_of
 
+pytestmark = pytest.mark.zenoh
+
 M = TypeVar("M", bound=Message)
 Listen = Callable[[Topic, type[M]], dict[int, M]]
 

@@ -19,6 +19,8 @@ from tests.services.conftest import RunNode
 from tests.services.teleop.fake_robot import FakeRobot
 from tests.services.waiting import eventually
 
+pytestmark = pytest.mark.zenoh
+
 ROOT = Path(__file__).parents[3]
 
 
