@@ -7,6 +7,9 @@ import signal
 
 from hypothesis import settings
 
+# Numpy reads it when it is loaded. A second thread does nothing for products as small as ours, and where another
+# process wants the core it waits in a loop: learning then takes four times the processor time.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 # The same examples in every run: what fails, fails for whoever changed something. HYPOTHESIS_PROFILE=default explores.
 settings.register_profile("repeatable", derandomize=True)
 settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "repeatable"))
