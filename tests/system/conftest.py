@@ -13,21 +13,22 @@ import pytest
 Smal = Callable[..., "subprocess.CompletedProcess[str]"]
 
 
+def run_smal(*arguments: object, timeout_s: float = 500, **environment: str) -> subprocess.CompletedProcess[str]:
+    """Run ``smal`` with arguments; return what it printed."""
+    return subprocess.run(
+        [sys.executable, "-c", "from services.cli.main import main; main()", *map(str, arguments)],
+        capture_output=True,
+        text=True,
+        timeout=timeout_s,
+        check=False,
+        env=os.environ | environment,
+    )
+
+
 @pytest.fixture(scope="session")
 def smal() -> Smal:
-    """Run ``smal`` with arguments and return what it printed."""
-
-    def run(*arguments: object, timeout_s: float = 500, **environment: str) -> subprocess.CompletedProcess[str]:
-        return subprocess.run(
-            [sys.executable, "-c", "from services.cli.main import main; main()", *map(str, arguments)],
-            capture_output=True,
-            text=True,
-            timeout=timeout_s,
-            check=False,
-            env=os.environ | environment,
-        )
-
-    return run
+    """Give ``run_smal``."""
+    return run_smal
 
 
 @pytest.fixture(scope="session")
