@@ -10,6 +10,8 @@ from pathlib import Path
 
 import pytest
 
+from tests.sharing import made_once
+
 Smal = Callable[..., "subprocess.CompletedProcess[str]"]
 
 
@@ -34,9 +36,11 @@ def smal() -> Smal:
 @pytest.fixture(scope="session")
 def taught(smal: Smal, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Record one drive in a small world, and learn a model from it; return their folder."""
-    folder = tmp_path_factory.mktemp("taught")
-    drives = smal("demonstrate", "--world", "yard", "--seed", 1, "--camera", "160x120", "--out", folder / "drives")
-    assert drives.returncode == 0, drives.stderr
-    learned = smal("learn", folder / "drives", "--out", folder / "model.smal", "--json", folder / "learned.json")
-    assert learned.returncode == 0, learned.stderr
-    return folder
+
+    def make(folder: Path) -> None:
+        drives = smal("demonstrate", "--world", "yard", "--seed", 1, "--camera", "160x120", "--out", folder / "drives")
+        assert drives.returncode == 0, drives.stderr
+        learned = smal("learn", folder / "drives", "--out", folder / "model.smal", "--json", folder / "learned.json")
+        assert learned.returncode == 0, learned.stderr
+
+    return made_once(tmp_path_factory, "taught", make)
