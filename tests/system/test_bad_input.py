@@ -13,10 +13,10 @@ import pytest
 from services.kit.node import EXIT_FAILED, EXIT_USAGE
 from smal.model import FORMAT_VERSION
 from tests import corridor
+from tests.command import run_smal
 from tests.services.chain import save_model
 from tests.services.recordings.recorded_messages import episode, event
 from tests.services.recordings.test_recorder_files import record
-from tests.system.conftest import run_smal
 from tests.system.forked import Forked
 
 pytestmark = pytest.mark.system
