@@ -1,7 +1,7 @@
 """The processes around the method: each is configuration and wiring around a pure object.
 
-``bus`` is the only file that imports zenoh, ``process`` gives every service its signals, logging, health and loop,
-and ``cli`` is the ``smal`` command.
+``kit.bus`` carries messages, ``kit.node`` gives every service its signals, logging, health and loop, and ``cli`` is the
+``smal`` command.
 """
 
 import os

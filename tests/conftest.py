@@ -4,9 +4,17 @@ from __future__ import annotations
 
 import os
 import signal
+from pathlib import Path
 
+import pytest
 from hypothesis import settings
 
+from tests.command import run_smal
+from tests.sharing import made_once
+
+# Numpy reads it when it is loaded. A second thread does nothing for products as small as ours, and where another
+# process wants the core it waits in a loop: learning then takes four times the processor time.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 # The same examples in every run: what fails, fails for whoever changed something. HYPOTHESIS_PROFILE=default explores.
 settings.register_profile("repeatable", derandomize=True)
 settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "repeatable"))
@@ -20,3 +28,18 @@ def pytest_configure() -> None:
     for number in (signal.SIGHUP, signal.SIGINT, signal.SIGQUIT):
         if signal.getsignal(number) is signal.SIG_IGN:
             signal.signal(number, lambda *_: None)
+
+
+@pytest.fixture(scope="session")
+def taught(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Record one drive in a small world, and learn a model from it; return their folder."""
+
+    def make(folder: Path) -> None:
+        for arguments in (
+            ("demonstrate", "--world", "yard", "--seed", 1, "--camera", "160x120", "--out", folder / "drives"),
+            ("learn", folder / "drives", "--out", folder / "model.smal", "--json", folder / "learned.json"),
+        ):
+            done = run_smal(*arguments)
+            assert done.returncode == 0, done.stderr
+
+    return made_once(tmp_path_factory, "taught", make)

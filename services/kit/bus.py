@@ -1,156 +1,56 @@
-"""Zenoh behind a small door: sessions, publishers, subscribers, queryables and calls.
+"""The bus: messages, and calls of services, between whoever has the same router.
 
-This is the only file that imports zenoh, and the one place for its configuration.
+``Bus`` encodes and decodes; its bytes are carried by Zenoh (``zenoh_wire``), or inside of this process
+(``memory_wire``) where the address says so. What may be counted on stands in ``wire``.
 """
 
 from __future__ import annotations
 
-import json
-import re
 import time
 from collections.abc import Callable
-from typing import Final, TypeVar, cast
+from typing import Final, TypeVar
 
-import zenoh
-import zenoh.ext
 from pydantic import ValidationError
 
 from schemas.base import Message, Strict
-from schemas.codec import describe, encode, encoding_of, printable
+from schemas.codec import describe, encode, printable
 from schemas.rpc import Failure
-from schemas.topics import KEPT_S, TOPICS, Topic, rpc_key
-from services.kit.heap import keep_freed_memory
-from services.kit.replay import Replay
+from schemas.topics import TOPICS, Topic, rpc_key
+from services.kit.memory_wire import MEMORY, MemoryRouter, MemoryWire
+from services.kit.wire import Answer, BusError, Take, Wire
+from services.kit.zenoh_wire import DEFAULT_ROUTER, PATIENCE_S, Router, ZenohWire, host_and_port
 
-DEFAULT_ROUTER: Final = "tcp/127.0.0.1:7447"
-ENDPOINT_PATTERN: Final = r"(?:tcp|tls|quic|udp|ws)/([^\s/]+):(\d{1,5})"
-#: How long one attempt to reach the router lasts; between two attempts a signal is noticed.
-ATTEMPT_MS: Final = 500
-#: How long a process waits for a router that is perhaps just starting.
-PATIENCE_S: Final = 10.0
-#: A publisher that was silent tells at most this long after its last sample how many there were, so that a subscriber
-#: that missed it notices.
-HEARTBEAT_S: Final = 0.25
-#: Priority of replayed samples: that of the message by which Zenoh ends a reply. With a lower one that would overtake
-#: them on a busy machine, and the rest be lost.
-REPLAY_PRIORITY: Final = zenoh.Priority.DATA
-#: How long a sender that does not answer can hold up its own samples.
-REPLAY_TIMEOUT_S: Final = 10.0
-#: Of calls: ahead of images and of what is replayed.
-_CALL_PRIORITY: Final = zenoh.Priority.INTERACTIVE_LOW
-JSON_ENCODING: Final = zenoh.Encoding("application/json")
-#: Largest request or reply of a queryable, bytes.
+__all__ = [
+    "DEFAULT_ROUTER",
+    "PATIENCE_S",
+    "Bus",
+    "BusError",
+    "MemoryRouter",
+    "Router",
+    "RpcError",
+    "Take",
+    "host_and_port",
+]
+
+#: Largest request of a service, bytes.
 MAX_RPC_BYTES: Final = 1_000_000
 Reply = TypeVar("Reply", bound=Strict)
-#: What a subscriber is called with: payload, encoding, seconds on the way.
-Take = Callable[[bytes, str, float | None], None]
-
-
-class BusError(Exception):
-    """The bus cannot be used as asked; the text says why in one line."""
 
 
 class RpcError(Exception):
     """A call was refused by the service or not answered; the text says why in one line."""
 
 
-def _configuration(mode: str, where: str, endpoint: str) -> zenoh.Config:
-    config = zenoh.Config()
-    settings: dict[str, object] = {
-        "mode": mode,
-        f"{where}/endpoints": [endpoint],
-        # Nothing is found by multicast: a robot must never be steered by a stranger's stack on the same network.
-        "scouting/multicast/enabled": False,
-        # A router would otherwise wait half a second for the scouting that is off.
-        "scouting/delay": 0,
-        "transport/link/tx/lease": 2000,
-        "transport/shared_memory/enabled": False,
-        # Every sample tells when it was sent: the receiver's metrics want it, and so does replay.
-        "timestamping/enabled": True,
-        # A full-size frame is 40 fragments; a machine busy with rendering may not drain them within the default 50 ms.
-        "transport/link/tx/queue/congestion_control/drop/max_wait_before_drop_fragments": 500_000,
-        # Nor is the default of 1 ms enough for a few commands in a row: a busy machine dropped 1 in 100 of them.
-        "transport/link/tx/queue/congestion_control/drop/wait_before_drop": 100_000,
-        # Episode events wait rather than be dropped. A client that does not read must not hold up everybody else for
-        # the default of 5 s: its connection is closed, and it may connect again.
-        "transport/link/tx/queue/congestion_control/block/wait_before_close": 250_000,
-    }
-    if mode == "client":
-        # Only the first connection: after an outage it is made again for as long as it takes. Without this limit
-        # `zenoh.open` blocks for ever where there is no router, deaf to signals.
-        settings["connect/timeout_ms"] = ATTEMPT_MS
-        settings["connect/exit_on_failure"] = False
-        settings["connect/retry"] = {"period_init_ms": 100, "period_max_ms": 500, "period_increase_factor": 1.5}
-    for key, value in settings.items():
-        config.insert_json5(key, json.dumps(value))
-    return config
-
-
-def host_and_port(endpoint: str) -> tuple[str, int]:
-    """Return the two parts of a router's address.
-
-    Raises
-    ------
-    BusError
-        When the address is malformed; Zenoh would try an impossible one for ever.
-    """
-    match = re.fullmatch(ENDPOINT_PATTERN, endpoint)
-    if match is None or int(match[2]) > 65535:
-        raise BusError(f"router address {endpoint[:100]!r}: expected tcp/<host>:<port>, for example {DEFAULT_ROUTER}")
-    return match[1].strip("[]"), int(match[2])
-
-
-def _open_client(endpoint: str, patience_s: float) -> zenoh.Session:
-    deadline = time.monotonic() + patience_s
-    while True:
-        try:
-            return zenoh.open(_configuration("client", "connect", endpoint))
-        except zenoh.ZError:
-            if time.monotonic() > deadline:
-                raise BusError(f"no router at {endpoint}; start the stack with `smal up`") from None
-
-
-class Router:
-    """A Zenoh router in this process.
-
-    Parameters
-    ----------
-    endpoint
-        Where to listen, for example ``tcp/127.0.0.1:7447``.
-
-    Raises
-    ------
-    BusError
-        When the endpoint is malformed or its port is taken.
-    """
-
-    def __init__(self, endpoint: str = DEFAULT_ROUTER) -> None:
-        host_and_port(endpoint)
-        keep_freed_memory()
-        try:
-            self._session = zenoh.open(_configuration("router", "listen", endpoint))
-        except zenoh.ZError as error:
-            reason = "the port is in use" if "in use" in str(error) else str(error).partition(" at /")[0][:200]
-            raise BusError(
-                f"cannot listen on {endpoint}: {reason}; stop what uses it, or choose another port"
-            ) from None
-
-    def close(self) -> None:
-        """Stop routing."""
-        self._session.close()
-
-
 class Bus:
     """One process's connection to the router.
-
-    Commands travel in a session of their own, so that no image can stand before them in a queue.
 
     Parameters
     ----------
     robot
         Robot id, part of every key.
     endpoint
-        The router's address; after an outage the connection is made again in the background.
+        The router's address; after an outage the connection is made again in the background. ``memory/NAME`` is that
+        of a ``MemoryRouter`` of this process.
     patience_s
         How long to wait for the router.
 
@@ -161,17 +61,15 @@ class Bus:
     """
 
     def __init__(self, robot: str, endpoint: str = DEFAULT_ROUTER, patience_s: float = PATIENCE_S) -> None:
-        host_and_port(endpoint)
-        keep_freed_memory()
         self.robot = robot
         self.endpoint = endpoint
-        self._sessions = {urgent: _open_client(endpoint, patience_s) for urgent in (False, True)}
-        self._publishers: dict[str, zenoh.Publisher | zenoh.ext.AdvancedPublisher] = {}
-        self._declared: list[zenoh.Subscriber[None] | zenoh.ext.AdvancedSubscriber[None] | zenoh.Queryable[None]] = []
+        self._wire: Wire = (
+            MemoryWire(robot, endpoint) if endpoint.startswith(MEMORY) else ZenohWire(robot, endpoint, patience_s)
+        )
 
     def connected(self) -> bool:
-        """Whether both sessions have a router."""
-        return all(session.info.routers_zid() for session in self._sessions.values())
+        """Whether there is a router."""
+        return self._wire.connected()
 
     def wait_connected(self, timeout_s: float) -> None:
         """Wait for the router.
@@ -193,51 +91,17 @@ class Bus:
         During an outage of the router it is lost, but for the topics that are recorded: those are kept for
         ``topics.KEPT_S``, and subscribers with ``replay`` have them sent afterwards.
         """
-        self._publisher(TOPICS[message.topic_name]).put(encode(message))
+        self._wire.publish(TOPICS[message.topic_name], encode(message))
 
     def has_listeners(self, topic: Topic) -> bool:
         """Whether anybody subscribes to a topic that is not recorded, as far as the router has told yet.
 
         For what is costly to make; what is recorded is kept for those who come later, whether or not anybody listens.
         """
-        publisher = self._publisher(topic)
-        assert isinstance(publisher, zenoh.Publisher)  # noqa: S101 - of topics that are not recorded
-        # Zenoh's types say bool; it is an object, and as such always true.
-        status: object = publisher.matching_status
-        return cast("zenoh.MatchingStatus", status).matching
-
-    def _publisher(self, topic: Topic) -> zenoh.Publisher | zenoh.ext.AdvancedPublisher:
-        publisher = self._publishers.get(topic.name)
-        if publisher is None:
-            publisher = self._publishers[topic.name] = self._declare_publisher(topic)
-        return publisher
-
-    def _declare_publisher(self, topic: Topic) -> zenoh.Publisher | zenoh.ext.AdvancedPublisher:
-        session, key = self._sessions[topic.urgent], topic.key(self.robot)
-        encoding = zenoh.Encoding(encoding_of(topic.message))
-        congestion = zenoh.CongestionControl.BLOCK if topic.reliable else zenoh.CongestionControl.DROP
-        priority = _priority(topic)
-        if not topic.recorded:
-            return session.declare_publisher(
-                key, encoding=encoding, congestion_control=congestion, priority=priority, express=topic.urgent
-            )
-        replies = zenoh.ext.RepliesConfig(
-            congestion_control=zenoh.CongestionControl.BLOCK, priority=REPLAY_PRIORITY, express=False
-        )
-        return zenoh.ext.declare_advanced_publisher(
-            session,
-            key,
-            encoding=encoding,
-            congestion_control=congestion,
-            priority=priority,
-            express=topic.urgent,
-            cache=zenoh.ext.CacheConfig(topic.kept, replies_config=replies),
-            sample_miss_detection=zenoh.ext.MissDetectionConfig(heartbeat=None, sporadic_heartbeat=HEARTBEAT_S),
-            publisher_detection=True,
-        )
+        return self._wire.has_listeners(topic)
 
     def subscribe(self, topic: Topic, take: Take, *, replay: bool = False) -> None:
-        """Call ``take`` for every sample of a topic, on Zenoh's thread; it must return at once.
+        """Call ``take`` for every sample of a topic, on the bus's thread; it must return at once.
 
         Parameters
         ----------
@@ -251,93 +115,31 @@ class Bus:
             this subscription, and those that get lost on the way, in an outage of the router too. For what keeps a
             record; never for what moves a robot.
         """
-
-        def on_sample(sample: zenoh.Sample) -> None:
-            stamp = sample.timestamp
-            transit_s = None if stamp is None else time.time() - stamp.get_time().timestamp()
-            take(sample.payload.to_bytes(), str(sample.encoding), transit_s)
-
-        key, session = topic.key(self.robot), self._sessions[topic.urgent]
-        if replay:
-            self._subscribe_replayed(session, key, on_sample)
-        else:
-            self._declared.append(session.declare_subscriber(key, _in_order(on_sample)))
-
-    def _subscribe_replayed(self, session: zenoh.Session, key: str, take: Callable[[zenoh.Sample], None]) -> None:
-        senders = f"{key}/@adv/pub"
-
-        def ask(name: str) -> None:
-            def on_reply(reply: zenoh.Reply) -> None:
-                if reply.ok is not None and reply.ok.source_info is not None:
-                    replay.replayed(name, reply.ok.source_info.source_sn, reply.ok)
-
-            session.get(
-                zenoh.Selector(f"{senders}/{name}/**", f"_time=[now(-{KEPT_S:g}s)..]"),
-                zenoh.handlers.Callback(on_reply, lambda: replay.ended(name), indirect=False),
-                consolidation=zenoh.ConsolidationMode.NONE,
-                accept_replies=zenoh.ReplyKeyExpr.ANY,
-                timeout=REPLAY_TIMEOUT_S,
-            )
-
-        replay = Replay(take, ask)
-
-        def on_live(sample: zenoh.Sample) -> None:
-            source = sample.source_info
-            if source is None:  # of a stranger, who keeps nothing
-                take(sample)
-            else:
-                replay.live(f"{source.source_id.zid}/{source.source_id.eid}", source.source_sn, sample)
-
-        def on_sender(token: zenoh.Sample) -> None:
-            if token.kind == zenoh.SampleKind.PUT:
-                zid, eid, *_ = str(token.key_expr).removeprefix(f"{senders}/").split("/")
-                replay.met(f"{zid}/{eid}")
-
-        # First the subscription: nothing is lost between what a sender kept and what it sends from then on. What gets
-        # lost on the way, and in an outage, is noticed by its number, and asked for by Zenoh, in order.
-        recovery = zenoh.ext.RecoveryConfig(periodic_queries=None, heartbeat=True)
-        self._declared += [
-            zenoh.ext.declare_advanced_subscriber(session, key, _in_order(on_live), recovery=recovery),
-            session.liveliness().declare_subscriber(f"{senders}/**", _in_order(on_sender), history=True),
-        ]
+        self._wire.subscribe(topic, take, replay=replay)
 
     def listen(self, keys: str, take: Callable[[str, bytes, str], None], *, urgent: bool = False) -> None:
-        """Call ``take(key, payload, encoding)`` for every sample on matching keys, on Zenoh's thread.
+        """Call ``take(key, payload, encoding)`` for every sample on matching keys, on the bus's thread.
 
         Raises
         ------
         BusError
             When ``keys`` is no valid key expression.
         """
-
-        def on_sample(sample: zenoh.Sample) -> None:
-            take(str(sample.key_expr), sample.payload.to_bytes(), str(sample.encoding))
-
-        try:
-            self._declared.append(self._sessions[urgent].declare_subscriber(keys, _in_order(on_sample)))
-        except zenoh.ZError as error:
-            raise BusError(str(error).partition(" at /")[0]) from None  # without the place in Zenoh's source
+        self._wire.listen(keys, take, urgent=urgent)
 
     def serve(self, service: str, verb: str, answer: Callable[[bytes, Callable[[Strict], None]], None]) -> None:
-        """Answer calls: ``answer(request_json, reply)`` runs on Zenoh's thread and may pass ``reply`` on.
+        """Answer calls: ``answer(request_json, reply)`` runs on the bus's thread and may pass ``reply`` on.
 
         A ``Failure`` given to ``reply`` reaches the caller as an error.
         """
 
-        def on_query(query: zenoh.Query) -> None:
+        def on_call(request: bytes, send: Callable[[Answer], None]) -> None:
             def reply(message: Strict) -> None:
-                payload = message.model_dump_json().encode()
-                with query:
-                    if isinstance(message, Failure):
-                        query.reply_err(payload, encoding=JSON_ENCODING)
-                    else:
-                        query.reply(query.key_expr, payload, encoding=JSON_ENCODING)
+                send(Answer(message.model_dump_json().encode(), isinstance(message, Failure)))
 
-            payload = query.payload.to_bytes() if query.payload is not None else b"{}"
-            answer(payload[:MAX_RPC_BYTES], reply)
+            answer(request[:MAX_RPC_BYTES], reply)
 
-        key = rpc_key(self.robot, service, verb)
-        self._declared.append(self._sessions[False].declare_queryable(key, on_query, complete=True))
+        self._wire.serve(rpc_key(self.robot, service, verb), on_call)
 
     def call(self, service: str, verb: str, request: Strict, reply_type: type[Reply], timeout_s: float = 10.0) -> Reply:
         """Call a service and wait for its reply.
@@ -348,45 +150,24 @@ class Bus:
             When the service refuses, does not answer in time, or answers nonsense.
         """
         key = rpc_key(self.robot, service, verb)
-        replies = self._sessions[False].get(
-            key, payload=request.model_dump_json(), encoding=JSON_ENCODING, timeout=timeout_s, priority=_CALL_PRIORITY
-        )
-        for reply in replies:
-            try:
-                if reply.ok is not None:
-                    return reply_type.model_validate_json(reply.ok.payload.to_bytes())
-                failure = reply.err.payload.to_bytes() if reply.err is not None else b"no reason given"
-                raise RpcError(f"{service} {verb}: {_reason(failure)}")
-            except ValidationError as error:
-                raise RpcError(f"{service} {verb}: malformed reply: {describe(error)}") from None
-        raise RpcError(f"{service} {verb}: no answer; is the service running? (router {self.endpoint})")
+        answer = self._wire.call(key, request.model_dump_json().encode(), timeout_s)
+        if answer is None:
+            raise RpcError(f"{service} {verb}: no answer; is the service running? (router {self.endpoint})")
+        if answer.failed:
+            raise RpcError(f"{service} {verb}: {_reason(answer.payload)}")
+        try:
+            return reply_type.model_validate_json(answer.payload)
+        except ValidationError as error:
+            raise RpcError(f"{service} {verb}: malformed reply: {describe(error)}") from None
 
     def close(self) -> None:
-        """Take back every declaration and close the sessions."""
-        while self._declared:
-            self._declared.pop().undeclare()
-        for session in self._sessions.values():
-            session.close()
-
-
-def _priority(topic: Topic) -> zenoh.Priority:
-    """Return a topic's queue. What waits must not wait behind images: a slow link would then be closed for them.
-
-    And nothing must wait behind what is replayed.
-    """
-    if topic.urgent:
-        return zenoh.Priority.REAL_TIME
-    return zenoh.Priority.INTERACTIVE_LOW if topic.reliable else zenoh.Priority.DATA_HIGH
-
-
-def _in_order(on_sample: Callable[[zenoh.Sample], None]) -> zenoh.handlers.Callback[zenoh.Sample]:
-    """Make a callback that runs on the session's thread: one thread for each would lose the order between topics."""
-    return zenoh.handlers.Callback(on_sample, indirect=False)
+        """Take back every declaration and leave the router."""
+        self._wire.close()
 
 
 def _reason(failure: bytes) -> str:
     try:
         return printable(Failure.model_validate_json(failure).error)
     except ValidationError:
-        # Zenoh's own errors ("Timeout") are plain text.
+        # The wire's own errors ("Timeout") are plain text.
         return printable(failure[:200].decode(errors="replace"))

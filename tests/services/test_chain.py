@@ -36,6 +36,8 @@ from tests.services.chain import (
 )
 from tests.services.waiting import eventually, introduce, malformed, ready, status_of
 
+pytestmark = pytest.mark.zenoh
+
 M = TypeVar("M", bound=Message)
 Listen = Callable[[Topic, type[M]], dict[int, M]]
 
@@ -79,7 +81,10 @@ def policy(client: Bus, router_endpoint: str, model: Path) -> Iterator[None]:
 
 
 def until_heard(client: Bus, message: Message, heard: dict[int, M], *others: Message) -> None:
-    """Ask, in an episode of its own, until an answer is heard: a subscription takes a moment to become known."""
+    """Ask, in an episode of its own, until an answer is heard: a subscription takes a moment to become known.
+
+    What was answered until then is forgotten: it has ticks of the introduction.
+    """
 
     def answered() -> bool:
         for one in (message, *others):
@@ -87,6 +92,7 @@ def until_heard(client: Bus, message: Message, heard: dict[int, M], *others: Mes
         return message.tick in heard
 
     eventually(answered)
+    heard.clear()
 
 
 def test_features_turns_every_frame_into_its_observation(

@@ -112,6 +112,7 @@ def test_without_depth_among_the_modalities_nothing_waits() -> None:
     assert "without_depth" not in service.detail()
 
 
+@pytest.mark.zenoh
 def test_the_process_joins_colour_and_depth(client: Bus, router_endpoint: str) -> None:
     heard: dict[int, Observation] = {}
 

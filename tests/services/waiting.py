@@ -13,6 +13,8 @@ from schemas.codec import encoding_of
 from schemas.rpc import Nothing, Status
 from schemas.topics import Topic
 from services.kit.bus import Bus, RpcError
+from services.kit.memory_wire import MemoryWire, Sample
+from services.kit.zenoh_wire import ZenohWire
 
 T = TypeVar("T")
 
@@ -60,11 +62,20 @@ def introduce(client: Bus, service: str, *messages: Message) -> None:
     eventually(all_received)
 
 
+def send_as_stranger(bus: Bus, topic: Topic, payload: bytes, encoding: str = "zenoh/bytes") -> None:
+    """Send as a stranger does, who has another idea of what a topic carries, and keeps nothing."""
+    key, wire = topic.key(bus.robot), bus._wire
+    if isinstance(wire, ZenohWire):
+        wire.sessions[topic.urgent].put(key, payload, encoding=encoding)
+    elif isinstance(wire, MemoryWire):
+        with wire._router.lock:
+            wire._router.send(Sample(key, payload, encoding, time.time()))
+
+
 def malformed(client: Bus, service: str, topic: Topic) -> None:
     """Send rubbish on a topic, and see it counted by a service that goes on."""
-    publisher = client._sessions[topic.urgent].declare_publisher(topic.key("rescuebot"))
     for count, payload in enumerate((b"", b"\xc1", b"\x81\xa1x" * 1000), start=1):
-        publisher.put(payload, encoding=encoding_of(topic.message))
+        send_as_stranger(client, topic, payload, encoding_of(topic.message))
 
         def counted(count: int = count) -> bool:
             status = status_of(client, service)

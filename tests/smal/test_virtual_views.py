@@ -25,6 +25,8 @@ ROWS, COLUMNS = 144, 192
 #: In the middle of a room, whose walls are then all about as far away.
 MIDDLE = (6.0, 6.0, 0.3)
 ROOM = Room(half=8.0)
+#: Painted once.
+PAINTED = Room()
 ROOM_SCENE = Scene(SCENE.focal, CAMERA_HEIGHT, 8.4)
 
 
@@ -113,7 +115,7 @@ def test_a_drive_without_turns_assumes_a_usual_camera_and_a_known_one_is_kept() 
 @pytest.mark.parametrize(("speed", "rate_hz"), [(1.0, 10.0), (2.0, 10.0), (1.0, 5.0), (0.5, 20.0)])
 def test_views_tell_how_far_an_atom_turns(speed: float, rate_hz: float) -> None:
     one = drive(speed=speed, rate_hz=rate_hz)
-    images = [Room().look(pose) for pose in one.poses]
+    images = [PAINTED.look(pose) for pose in one.poses]
     centering = Centering.fit([np.stack([extract(image, COLOR) for image in images])], COLOR)
     # The second drive's last frame does not turn into the first one's.
     found = turn_of_views(
@@ -124,7 +126,7 @@ def test_views_tell_how_far_an_atom_turns(speed: float, rate_hz: float) -> None:
 
 def test_without_turns_views_do_not_tell() -> None:
     straight = drive(way=((1.0, 0.0),))
-    images = [Room().look(pose) for pose in straight.poses]
+    images = [PAINTED.look(pose) for pose in straight.poses]
     assert turn_of_views(images, [straight.atoms], SCENE.focal, lambda image: extract(image, COLOR)) is None
 
 

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import socket
 import struct
-from collections.abc import Callable
+import subprocess
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -12,36 +13,50 @@ import pytest
 from services.kit.node import EXIT_FAILED, EXIT_USAGE
 from smal.model import FORMAT_VERSION
 from tests import corridor
+from tests.command import run_smal
 from tests.services.chain import save_model
 from tests.services.recordings.recorded_messages import episode, event
 from tests.services.recordings.test_recorder_files import record
+from tests.system.forked import Forked
 
 pytestmark = pytest.mark.system
 
 
-def expect_one_line(result: object, status: int, *named: str) -> None:
-    stderr: str = result.stderr  # type: ignore[attr-defined]
+def expect_one_line(result: subprocess.CompletedProcess[str], status: int, *named: str) -> None:
+    stderr = result.stderr
     lines = stderr.strip().splitlines()
-    assert result.returncode == status, stderr  # type: ignore[attr-defined]
+    assert result.returncode == status, stderr
     assert len(lines) == 1, stderr
     assert "Traceback" not in stderr
     for name in named:
         assert name in lines[0]
 
 
-def test_unknown_world(smal: Callable[..., object], tmp_path: Path) -> None:
+@pytest.fixture(scope="module")
+def smal(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Forked]:
+    with Forked(tmp_path_factory.mktemp("said")) as run:
+        yield run
+
+
+def test_a_process_that_was_started_for_it_alone_says_the_same(smal: Forked, tmp_path: Path) -> None:
+    arguments = ("demonstrate", "--world", "atlantis", "--episodes", 1, "--out", tmp_path)
+    one, other = smal(*arguments), run_smal(*arguments)
+    assert (one.returncode, one.stdout, one.stderr) == (other.returncode, other.stdout, other.stderr)
+
+
+def test_unknown_world(smal: Forked, tmp_path: Path) -> None:
     result = smal("demonstrate", "--world", "atlantis", "--episodes", 1, "--out", tmp_path)
     expect_one_line(result, EXIT_USAGE, "atlantis", "campus")
 
 
-def test_no_vulkan_driver(smal: Callable[..., object], tmp_path: Path) -> None:
+def test_no_vulkan_driver(smal: Forked, tmp_path: Path) -> None:
     result = smal(
         "demonstrate", "--world", "yard", "--episodes", 1, "--out", tmp_path, VK_ICD_FILENAMES="/nonexistent.json"
     )
     expect_one_line(result, EXIT_FAILED, "nonexistent.json", "mesa")
 
 
-def test_busy_port(smal: Callable[..., object]) -> None:
+def test_busy_port(smal: Forked) -> None:
     with socket.socket() as taken:
         taken.bind(("127.0.0.1", 0))
         taken.listen()
@@ -50,45 +65,45 @@ def test_busy_port(smal: Callable[..., object]) -> None:
     expect_one_line(result, EXIT_FAILED, str(port), "in use")
 
 
-def test_no_stack_to_connect_to(smal: Callable[..., object], tmp_path: Path) -> None:
+def test_no_stack_to_connect_to(smal: Forked, tmp_path: Path) -> None:
     result = smal("demonstrate", "--connect", "tcp/127.0.0.1:9", "--episodes", 1, "--out", tmp_path)
     expect_one_line(result, EXIT_FAILED, "127.0.0.1:9")
 
 
 @pytest.mark.parametrize("content", [b"", b"not a model", b"SMAL"])
-def test_file_that_is_no_model(smal: Callable[..., object], tmp_path: Path, content: bytes) -> None:
+def test_file_that_is_no_model(smal: Forked, tmp_path: Path, content: bytes) -> None:
     model = tmp_path / "broken.smal"
     model.write_bytes(content)
     expect_one_line(smal("run", "--model", model), EXIT_USAGE, "broken.smal")
 
 
-def test_missing_model(smal: Callable[..., object], tmp_path: Path) -> None:
+def test_missing_model(smal: Forked, tmp_path: Path) -> None:
     expect_one_line(smal("run", "--model", tmp_path / "none.smal"), EXIT_USAGE, "none.smal")
 
 
-def test_recordings_that_are_none(smal: Callable[..., object], tmp_path: Path) -> None:
+def test_recordings_that_are_none(smal: Forked, tmp_path: Path) -> None:
     (tmp_path / "noise.mcap").write_bytes(b"\0" * 100)
     result = smal("learn", tmp_path / "noise.mcap", "--out", tmp_path / "model.smal")
     expect_one_line(result, EXIT_FAILED, "noise.mcap")
 
 
-def test_truncated_recording(smal: Callable[..., object], tmp_path: Path) -> None:
+def test_truncated_recording(smal: Forked, tmp_path: Path) -> None:
     path = record(tmp_path, list(episode("drive-1")))
     path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
     result = smal("learn", path, "--out", tmp_path / "model.smal", "--length", 1000)
-    stderr: str = result.stderr  # type: ignore[attr-defined]
+    stderr = result.stderr
     said = [line for line in stderr.splitlines() if line.startswith("smal: ")]
-    assert result.returncode == EXIT_FAILED, stderr  # type: ignore[attr-defined]
+    assert result.returncode == EXIT_FAILED, stderr
     assert f"{path}: truncated" in said[0]
     assert "nothing to learn from" in said[-1]
     assert "Traceback" not in stderr
 
 
-def test_recording_without_an_episode(smal: Callable[..., object], tmp_path: Path) -> None:
+def test_recording_without_an_episode(smal: Forked, tmp_path: Path) -> None:
     path = record(tmp_path, [event("drive-1", 0, "started")])
     result = smal("learn", path, "--out", tmp_path / "model.smal")
-    stderr: str = result.stderr  # type: ignore[attr-defined]
-    assert result.returncode == EXIT_FAILED, stderr  # type: ignore[attr-defined]
+    stderr = result.stderr
+    assert result.returncode == EXIT_FAILED, stderr
     assert stderr.splitlines()[-1] == f"smal: {path}: holds no camera frame"
     assert "Traceback" not in stderr
 
@@ -99,16 +114,14 @@ def model(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.mark.parametrize("command", ["run", "up"])
-def test_model_that_does_not_go_with_the_scheme(
-    smal: Callable[..., object], model: Path, tmp_path: Path, command: str
-) -> None:
+def test_model_that_does_not_go_with_the_scheme(smal: Forked, model: Path, tmp_path: Path, command: str) -> None:
     unmapped = save_model(tmp_path / "unmapped.smal")
     expect_one_line(smal(command, "--model", unmapped), EXIT_USAGE, "unmapped.smal", "no map of views")
     expect_one_line(smal(command, "--model", model, "--stride", 2), EXIT_USAGE, "stride 2", "paper's scheme")
 
 
 @pytest.mark.parametrize("command", ["run", "up"])
-def test_model_of_another_version(smal: Callable[..., object], model: Path, tmp_path: Path, command: str) -> None:
+def test_model_of_another_version(smal: Forked, model: Path, tmp_path: Path, command: str) -> None:
     content = bytearray(model.read_bytes())
     content[8:12] = struct.pack("<I", FORMAT_VERSION + 1)
     newer = tmp_path / "newer.smal"
@@ -116,9 +129,7 @@ def test_model_of_another_version(smal: Callable[..., object], model: Path, tmp_
     expect_one_line(smal(command, "--model", newer), EXIT_USAGE, "newer.smal", f"format {FORMAT_VERSION + 1}")
 
 
-def test_places_for_results_are_checked_before_the_stack_starts(
-    smal: Callable[..., object], model: Path, tmp_path: Path
-) -> None:
+def test_places_for_results_are_checked_before_the_stack_starts(smal: Forked, model: Path, tmp_path: Path) -> None:
     (tmp_path / "file").touch()
     for option, value in (
         ("--json", tmp_path / "none" / "runs.json"),
@@ -133,12 +144,12 @@ def test_places_for_results_are_checked_before_the_stack_starts(
 
 
 @pytest.mark.parametrize("command", ["up", "demonstrate"])
-def test_robot_that_cannot_be_a_key(smal: Callable[..., object], tmp_path: Path, command: str) -> None:
+def test_robot_that_cannot_be_a_key(smal: Forked, tmp_path: Path, command: str) -> None:
     out = ("--out", tmp_path) if command == "demonstrate" else ()
     expect_one_line(smal(command, "--world", "yard", "--robot", "A B", *out), EXIT_USAGE, "--robot", "A B")
 
 
-def test_settings_of_the_environment_are_checked(smal: Callable[..., object], tmp_path: Path) -> None:
+def test_settings_of_the_environment_are_checked(smal: Forked, tmp_path: Path) -> None:
     result = smal("demonstrate", "--world", "yard", "--episodes", 1, "--out", tmp_path, SMAL_LOG_LEVEL="loud")
     expect_one_line(result, EXIT_USAGE, "log_level")
 
@@ -160,12 +171,12 @@ def test_settings_of_the_environment_are_checked(smal: Callable[..., object], tm
         ("up", "--model", "none.smal"),
     ],
 )
-def test_bad_use(smal: Callable[..., object], arguments: tuple[str, ...]) -> None:
+def test_bad_use(smal: Forked, arguments: tuple[str, ...]) -> None:
     expect_one_line(smal(*arguments), EXIT_USAGE)
 
 
 @pytest.mark.parametrize("command", ["up", "demonstrate", "teleop", "learn", "run", "topic", "doctor"])
-def test_help_shows_an_example(smal: Callable[..., object], command: str) -> None:
+def test_help_shows_an_example(smal: Forked, command: str) -> None:
     result = smal(command, "--help")
-    assert result.returncode == 0  # type: ignore[attr-defined]
-    assert "Example" in result.stdout  # type: ignore[attr-defined]
+    assert result.returncode == 0
+    assert "Example" in result.stdout

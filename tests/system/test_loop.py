@@ -14,9 +14,11 @@ from smal.model import Model
 pytestmark = [pytest.mark.rendering, pytest.mark.system, pytest.mark.timeout(1500)]
 
 
-def run_json(smal: Callable[..., object], taught: Path, out: Path, *extra: object) -> dict[str, object]:
+def run_json(
+    smal: Callable[..., object], taught: Path, out: Path, *extra: object, episodes: int = 4, seed: int = 1
+) -> dict[str, object]:
     result = smal(
-        "run", "--model", taught / "model.smal", "--world", "yard", "--episodes", 4, "--seed", 1,
+        "run", "--model", taught / "model.smal", "--world", "yard", "--episodes", episodes, "--seed", seed,
         "--camera", "160x120", "--max-ticks", 400, "--json", out, *extra,
     )  # fmt: skip
     assert result.returncode == 0, result.stderr  # type: ignore[attr-defined]
@@ -55,8 +57,14 @@ def test_robot_finds_the_victim_by_itself_and_the_same_seed_gives_the_same_outco
 
 
 def test_robot_finds_the_victim_in_real_time(smal: Callable[..., object], taught: Path, tmp_path: Path) -> None:
-    result = run_json(smal, taught, tmp_path / "realtime.json", "--realtime")
-    assert [e["outcome"] for e in result["episodes"]].count("found") >= 1, result  # type: ignore[attr-defined]
+    """At least once in four searches; the last two are for a machine that is too busy for the first."""
+    outcomes: list[str] = []
+    for seed in (1, 3):
+        result = run_json(smal, taught, tmp_path / f"{seed}.json", "--realtime", episodes=2, seed=seed)
+        outcomes += [episode["outcome"] for episode in result["episodes"]]  # type: ignore[attr-defined]
+        if "found" in outcomes:
+            return
+    pytest.fail(str(outcomes))
 
 
 def test_robot_finds_the_victim_from_anywhere_and_after_it_was_carried_away(
@@ -67,6 +75,6 @@ def test_robot_finds_the_victim_from_anywhere_and_after_it_was_carried_away(
 
 
 def test_the_papers_scheme_runs(smal: Callable[..., object], taught: Path, tmp_path: Path) -> None:
-    result = run_json(smal, taught, tmp_path / "paper.json", "--scheme", "paper")
+    result = run_json(smal, taught, tmp_path / "paper.json", "--scheme", "paper", episodes=2)
     outcomes = {episode["outcome"] for episode in result["episodes"]}  # type: ignore[attr-defined]
     assert outcomes <= {"found", "collision", "timeout"}

@@ -18,6 +18,7 @@ from schemas.topics import Topic
 from services.kit.bus import Bus
 from services.kit.node import Node
 from services.kit.settings import ServiceSettings
+from services.kit.zenoh_wire import ZenohWire
 from tests.benchmarks.bus.messages import CASES
 
 #: Robots, so that the ways to receive stay apart: in the callback of a ``Bus``, or as a service does, by a ``Node``.
@@ -36,7 +37,8 @@ def beside(topic: Topic, way: str) -> Topic:
 
 def session_of(bus: Bus, topic: Topic) -> zenoh.Session:
     """Return the session that a bus uses for a topic: plain Zenoh is measured on the very same one."""
-    return bus._sessions[topic.urgent]
+    assert isinstance(bus._wire, ZenohWire)
+    return bus._wire.sessions[topic.urgent]
 
 
 def main() -> None:

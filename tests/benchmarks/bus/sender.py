@@ -18,6 +18,7 @@ from services.cli.bench import FOLDER
 from services.cli.stack.child import tied
 from services.kit.bus import Bus
 from services.kit.errors import JobError
+from services.kit.zenoh_wire import ZenohWire
 from tests.benchmarks.bus.messages import Case
 from tests.benchmarks.bus.receiver import ARRIVAL, CALLBACK, NODE, beside
 
@@ -116,8 +117,10 @@ class Senders:
         to_callback, to_node = (case.build(cause) for cause in causes)
         payload = encode(to_callback)
         # What is not recorded gets an ordinary publisher, with the quality of service of the topic.
-        plain = self._callback._declare_publisher(replace(beside(case.topic, "plain"), recorded=False))
-        same = self._callback._declare_publisher(beside(case.topic, "same publisher"))
+        wire = self._callback._wire
+        assert isinstance(wire, ZenohWire)
+        plain = wire.declare_publisher(replace(beside(case.topic, "plain"), recorded=False))
+        same = wire.declare_publisher(beside(case.topic, "same publisher"))
         return {
             "plain": lambda: plain.put(payload),
             "same publisher": lambda: same.put(payload),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -101,6 +102,24 @@ def test_a_scheme_that_does_not_go_with_the_model_is_bad_use(
     assert said.startswith("smal: ")
     assert line in said
     assert said.count("\n") == 1
+
+
+@pytest.mark.parametrize(
+    "command",
+    [
+        ("up", "--world", "yard", "--router", "memory/test"),
+        ("topic", "hz", "--router", "memory/test"),
+        ("demonstrate", "--world", "yard", "--out", "drives", "--connect", "memory/test"),
+    ],
+    ids=lambda command: command[0],
+)
+def test_a_router_in_memory_is_for_no_command(
+    command: tuple[str, ...], smal: Smal, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    status, _, said = smal(*command)
+    assert status == EXIT_FAILED
+    assert re.fullmatch(r"smal: .*'memory/test': .*expected tcp/<host>:<port>.*\n", said)
 
 
 @pytest.mark.parametrize("name", sorted(cli.COMMANDS))

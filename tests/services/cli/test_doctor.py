@@ -67,6 +67,7 @@ def test_rendering_for_real() -> None:
     assert check.ok, check.text
 
 
+@pytest.mark.zenoh
 def test_zenoh() -> None:
     check = check_zenoh()
     assert check.ok
@@ -77,12 +78,14 @@ def test_a_free_port(free_endpoint: str) -> None:
     assert check_port(free_endpoint) == Check("port", True, f"{free_endpoint} is free")
 
 
+@pytest.mark.zenoh
 def test_a_port_of_a_running_stack(router_endpoint: str, settings: ServiceSettings, run_node: RunNode) -> None:
     run_node(Node("robot", settings))
     check = check_port(router_endpoint)
     assert check == Check("port", True, f"{router_endpoint} is used by the running stack of rescuebot: simulator")
 
 
+@pytest.mark.zenoh
 def test_a_port_of_a_router_without_services(router_endpoint: str) -> None:
     check = check_port(router_endpoint)
     assert not check.ok

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 
 import pytest
 from hypothesis import given
@@ -148,6 +149,7 @@ def test_a_strangers_text_cannot_move_the_terminal() -> None:
 # -- listening --------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.zenoh
 def test_echo_prints_messages_and_ends_cleanly_on_ctrl_c(listen: Listen) -> None:
     listening = listen("echo")
     lines = listening.lines_until(4, EXAMPLES[Command], EXAMPLES[Image])
@@ -157,6 +159,7 @@ def test_echo_prints_messages_and_ends_cleanly_on_ctrl_c(listen: Listen) -> None
     assert (status, error) == (0, "")
 
 
+@pytest.mark.zenoh
 def test_echo_of_a_short_name_counts_and_ends(listen: Listen) -> None:
     listening = listen("echo", "command/teleop", "--count", "2", "--json")
     lines = listening.lines_until(2, EXAMPLES[Image], EXAMPLES[Command])
@@ -164,6 +167,7 @@ def test_echo_of_a_short_name_counts_and_ends(listen: Listen) -> None:
     assert [json.loads(line)["message"]["atom"] for line in lines] == ["forward", "forward"]
 
 
+@pytest.mark.zenoh
 def test_echo_into_a_pipe_that_is_closed(listen: Listen) -> None:
     listening = listen("echo")
     listening.lines_until(1, EXAMPLES[Command])
@@ -201,9 +205,7 @@ def test_bad_use_is_one_line(smal: Smal, arguments: tuple[str, ...], status: int
 def test_a_bad_key_expression_is_one_line(smal: Smal, client: Bus) -> None:
     code, _, err = smal("topic", "echo", "smal//x", "--router", client.endpoint)
     assert code == 1
-    assert err == (
-        "smal: Invalid Key Expr `smal//x`: empty chunks are forbidden, as well as leading and trailing slashes\n"
-    )
+    assert re.fullmatch(r"smal: [Ii]nvalid [Kk]ey [Ee]xpr.*smal//x.*\n", err)
 
 
 def test_no_router_is_one_line(smal: Smal, free_endpoint: str) -> None:

@@ -1,9 +1,10 @@
-"""The door to Zenoh, against a real router in this process."""
+"""What may be counted on, in memory and over Zenoh; then what only Zenoh has: links, outages, addresses."""
 
 from __future__ import annotations
 
 import socket
 import threading
+import time
 from collections.abc import Callable, Iterator
 from queue import SimpleQueue
 
@@ -15,6 +16,8 @@ from schemas.codec import decode, encode, encoding_of
 from schemas.command import Command
 from schemas.depth_image import DepthImage
 from schemas.image import Image
+from schemas.observation import Observation
+from schemas.pose import Pose
 from schemas.rpc import EndRequest, Failure, Nothing
 from schemas.state import State
 from services.kit.bus import Bus, BusError, Router, RpcError
@@ -78,6 +81,86 @@ def test_messages_of_one_topic_keep_their_order(client: Bus, other: Bus) -> None
         payload, encoding = samples.get(timeout=5.0)
         ticks.append(decode(Command, payload, encoding).tick)
     assert ticks == sorted(ticks)
+
+
+def test_topics_that_are_equally_urgent_keep_their_order(client: Bus, other: Bus) -> None:
+    ticks: list[int] = []
+    chain = (State, Pose, Observation)
+    for cls in chain:
+        other.subscribe(
+            topics.TOPICS[EXAMPLES[cls].topic_name],
+            lambda payload, encoding, _transit_s, cls=cls: ticks.append(decode(cls, payload, encoding).tick),
+        )
+    for cls in chain:
+        publish_until(client, EXAMPLES[cls].model_copy(update={"tick": 0}), lambda: bool(ticks))
+        ticks.clear()
+    for tick in range(1, 100):
+        client.publish(EXAMPLES[chain[tick % 3]].model_copy(update={"tick": tick}))
+    eventually(lambda: ticks and ticks[-1] == 99)
+    assert [tick for tick in ticks if tick] == list(range(1, 100))
+
+
+def test_a_sample_tells_how_long_it_took(client: Bus, other: Bus) -> None:
+    taken: SimpleQueue[float | None] = SimpleQueue()
+    other.subscribe(topics.STATE, lambda _payload, _encoding, transit_s: taken.put(transit_s))
+    publish_until(client, EXAMPLES[State], lambda: not taken.empty())
+    transit_s = taken.get()
+    assert transit_s is not None
+    assert 0.0 < transit_s < 5.0
+
+
+def test_nobody_waits_for_a_handler_but_what_follows_there(client: Bus, other: Bus) -> None:
+    begun, release, handled, urgent = threading.Event(), threading.Event(), list[int](), threading.Event()
+    threads: set[int] = set()
+
+    def work(payload: bytes, encoding: str, _transit_s: float | None) -> None:
+        threads.add(threading.get_ident())
+        begun.set()
+        release.wait(20.0)
+        handled.append(decode(State, payload, encoding).tick)
+
+    other.subscribe(topics.STATE, work)
+    other.subscribe(topics.COMMANDS["teleop"], lambda *_: urgent.set())
+    try:
+        publish_until(client, EXAMPLES[State].model_copy(update={"tick": 0}), begun.is_set)
+        for tick in range(1, 6):
+            client.publish(EXAMPLES[State].model_copy(update={"tick": tick}))
+        publish_until(client, command(1), urgent.is_set)
+        assert not handled, "what is urgent has a thread of its own"
+    finally:
+        release.set()
+    eventually(lambda: 5 in handled)
+    assert [tick for tick in handled if tick] == [1, 2, 3, 4, 5]
+    assert threads.isdisjoint({threading.get_ident()})
+    assert len(threads) == 1
+
+
+def test_a_handler_that_fails_holds_up_nothing(client: Bus, other: Bus) -> None:
+    seen: list[int] = []
+
+    def fragile(payload: bytes, encoding: str, _transit_s: float | None) -> None:
+        seen.append(decode(State, payload, encoding).tick)
+        raise ZeroDivisionError("a bug")
+
+    other.subscribe(topics.STATE, fragile)
+    publish_until(client, EXAMPLES[State].model_copy(update={"tick": 1}), lambda: 1 in seen)
+    client.publish(EXAMPLES[State].model_copy(update={"tick": 2}))
+    eventually(lambda: 2 in seen)
+
+
+def test_who_has_left_neither_hears_nor_answers(client: Bus, other: Bus, router_endpoint: str) -> None:
+    leaving = Bus("rescuebot", router_endpoint)
+    before, stayed = heard(leaving, topics.STATE), heard(other, topics.STATE)
+    leaving.serve("sim", "end", lambda _request, reply: reply(EndRequest(episode="here")))
+    publish_until(client, EXAMPLES[State], lambda: not before.empty() and not stayed.empty())
+    assert call_when_served(client, "sim", "end", Nothing()) == EndRequest(episode="here")
+    leaving.close()
+    count, after = before.qsize(), stayed.qsize()
+    client.publish(EXAMPLES[State])
+    eventually(lambda: stayed.qsize() > after)
+    assert before.qsize() == count
+    with pytest.raises(RpcError, match="is the service running"):
+        client.call("sim", "end", Nothing(), EndRequest)
 
 
 def test_another_robots_messages_are_not_heard(router_endpoint: str, client: Bus, other: Bus) -> None:
@@ -153,6 +236,41 @@ def test_a_call_that_is_not_answered_in_time(client: Bus, other: Bus) -> None:
     assert kept
 
 
+def test_a_request_that_is_dropped_is_told_at_once(client: Bus, other: Bus) -> None:
+    asked = threading.Event()
+
+    def drop(_request: bytes, _reply: Callable[[Strict], None]) -> None:
+        asked.set()
+
+    def fail(_request: bytes, _reply: Callable[[Strict], None]) -> None:
+        raise ZeroDivisionError("a bug")
+
+    other.serve("sim", "drop", drop)
+    other.serve("sim", "fail", fail)
+    other.serve("sim", "end", lambda _request, reply: reply(EndRequest(episode="e")))
+    call_when_served(client, "sim", "end", Nothing())
+    for verb in ("drop", "fail"):
+        began_s = time.monotonic()
+        with pytest.raises(RpcError, match=rf"^sim {verb}: no answer; is the service running"):
+            client.call("sim", verb, Nothing(), Nothing, timeout_s=20.0)
+        assert time.monotonic() - began_s < 10.0
+    assert asked.is_set()
+
+
+def test_a_service_that_leaves_keeps_nobody_waiting(client: Bus, router_endpoint: str) -> None:
+    leaving, asked = Bus("rescuebot", router_endpoint), list[Callable[[Strict], None]]()
+    leaving.serve("sim", "end", lambda _request, reply: reply(EndRequest(episode="e")))
+    leaving.serve("sim", "wait", lambda _request, reply: asked.append(reply))
+    call_when_served(client, "sim", "end", Nothing())
+    closing = threading.Thread(target=lambda: (eventually(lambda: asked), leaving.close()))
+    closing.start()
+    began_s = time.monotonic()
+    with pytest.raises(RpcError, match=r"^sim wait: no answer; is the service running"):
+        client.call("sim", "wait", Nothing(), Nothing, timeout_s=20.0)
+    assert time.monotonic() - began_s < 10.0
+    closing.join()
+
+
 def test_messages_flow_again_after_the_router_was_away(free_endpoint: str) -> None:
     router = Router(free_endpoint)
     sender, receiver = Bus("rescuebot", free_endpoint), Bus("rescuebot", free_endpoint)
@@ -197,7 +315,7 @@ def test_what_is_recorded_survives_an_outage_of_the_router(
     free_endpoint: str, topic: topics.Topic, kept_s: float, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The recorder gets what was sent while there was no router, each once and in order, the last one too."""
-    monkeypatch.setattr("services.kit.bus.KEPT_S", kept_s)
+    monkeypatch.setattr("services.kit.zenoh_wire.KEPT_S", kept_s)
     router = Router(free_endpoint)
     sender, receiver = Bus("rescuebot", free_endpoint), Bus("rescuebot", free_endpoint)
 
@@ -311,6 +429,7 @@ def test_no_router(free_endpoint: str) -> None:
         Bus("rescuebot", free_endpoint, patience_s=0.1)
 
 
+@pytest.mark.zenoh
 def test_a_port_where_something_else_listens() -> None:
     with socket.socket() as stranger:
         stranger.bind(("127.0.0.1", 0))
@@ -342,6 +461,7 @@ def test_losing_the_router_is_noticed(free_endpoint: str) -> None:
     bus.close()
 
 
+@pytest.mark.zenoh
 def test_a_busy_port(router_endpoint: str) -> None:
     with pytest.raises(BusError, match=rf"^cannot listen on {router_endpoint}: the port is in use; stop what uses it"):
         Router(router_endpoint)
@@ -350,7 +470,16 @@ def test_a_busy_port(router_endpoint: str) -> None:
 @pytest.mark.parametrize("cls", [Router, lambda endpoint: Bus("rescuebot", endpoint)], ids=["router", "client"])
 @pytest.mark.parametrize(
     "endpoint",
-    ["", "nonsense", "tcp/host", "tcp/host:port", "tcp/127.0.0.1:99999", "foo/127.0.0.1:7447", "127.0.0.1:7447"],
+    [
+        "",
+        "nonsense",
+        "tcp/host",
+        "tcp/host:port",
+        "tcp/127.0.0.1:99999",
+        "foo/127.0.0.1:7447",
+        "127.0.0.1:7447",
+        "memory/none",
+    ],
 )
 def test_a_malformed_address(cls: Callable[[str], object], endpoint: str) -> None:
     with pytest.raises(BusError, match="expected tcp/<host>:<port>") as refused:
@@ -366,7 +495,44 @@ def test_a_host_that_does_not_exist(free_endpoint: str) -> None:
         Bus("rescuebot", address, patience_s=0.1)
 
 
-@pytest.mark.parametrize("keys", ["smal//state", "/smal", "smal/**/", "", "smal/a#b"])
+def test_what_is_kept_is_bounded(client: Bus, other: Bus) -> None:
+    """Of a sender's samples those that it keeps, the newest, and of a sender that has left none."""
+    kept = topics.COMMANDS["teleop"].kept
+    for tick in range(kept + 10):
+        client.publish(command(tick))
+    ticks = replayed(other, topics.COMMANDS["teleop"])
+    eventually(lambda: len(ticks()) >= kept)
+    assert ticks() == list(range(10, kept + 10))
+
+
+@pytest.mark.parametrize(
+    ("keys", "topic", "hears"),
+    [
+        ("smal/**", topics.STATE, True),
+        ("**", topics.STATE, True),
+        ("smal/rescuebot/**/state", topics.STATE, True),
+        ("smal/*/command/*", topics.COMMANDS["teleop"], True),
+        ("smal/*/command", topics.COMMANDS["teleop"], False),
+        ("smal/*", topics.STATE, False),
+        ("smal/*/*", topics.STATE, True),
+        ("*/rescuebot/camera/rgb", topics.STATE, False),
+    ],
+)
+def test_key_expressions(client: Bus, other: Bus, keys: str, topic: topics.Topic, hears: bool) -> None:
+    found: list[str] = []
+    other.listen(keys, lambda key, _payload, _encoding: found.append(key), urgent=topic.urgent)
+    control = heard(other, topic)
+    for _ in range(2):  # the control is declared later: once it has heard, the listener is known
+        publish_until(
+            client,
+            EXAMPLES[topic.message].model_copy(update={"source": "teleop"} if topic.urgent else {}),
+            lambda: not control.empty(),
+        )
+        control.get()
+    assert set(found) == ({topic.key("rescuebot")} if hears else set())
+
+
+@pytest.mark.parametrize("keys", ["smal//state", "/smal", "smal/**/", "", "smal/a#b", "smal/a*", "**/*", "a/**/**"])
 def test_a_malformed_key_expression(client: Bus, keys: str) -> None:
     with pytest.raises(BusError, match=r"(?i)key"):
         client.listen(keys, lambda _key, _payload, _encoding: None)

@@ -27,7 +27,7 @@ from services.kit.inbox import Inbox
 from services.kit.node import Node, ServiceError, Throttle, read_settings, run_service
 from services.kit.settings import ServiceSettings
 from tests.services.conftest import RunNode
-from tests.services.waiting import eventually, introduce, ready, status_of
+from tests.services.waiting import eventually, introduce, ready, send_as_stranger, status_of
 
 ROOT = Path(__file__).parents[3]
 TELEOP = topics.COMMANDS["teleop"]
@@ -314,6 +314,7 @@ def wait_for(log: TextIO, text: str) -> None:
     pytest.fail(f"the log ended without {text!r}")
 
 
+@pytest.mark.zenoh
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT, signal.SIGHUP])
 def test_a_signal_stops_a_process_cleanly(router_endpoint: str, client: Bus, number: signal.Signals) -> None:
     process = start("--router", router_endpoint)
@@ -330,6 +331,7 @@ def test_a_signal_stops_a_process_cleanly(router_endpoint: str, client: Bus, num
     assert status_of(client, "sample") is None
 
 
+@pytest.mark.zenoh
 def test_settings_come_from_the_environment_too(router_endpoint: str) -> None:
     process = start(SMAL_ROUTER=router_endpoint, SMAL_ROBOT="other")
     assert process.stderr is not None
@@ -404,10 +406,9 @@ def test_what_is_handled_at_once_waits_for_nothing_and_is_lost_in_no_queue(
     for call in calls:
         call.start()
     assert busy.wait(10.0)
-    junk = client._sessions[stop.urgent].declare_publisher(stop.key("rescuebot"))
     try:
         for _ in range(100):
-            junk.put(b"\xc1", encoding=encoding_of(stop.message))
+            send_as_stranger(client, stop, b"\xc1", encoding_of(stop.message))
         eventually(lambda: (client.publish(command(0, source="emergency_stop")), stopped.is_set())[1])
         assert status(client).bad[stop.name] == 100
         assert status(client).busy_s > 0.0

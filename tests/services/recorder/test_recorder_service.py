@@ -13,7 +13,6 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
-import zenoh
 
 from schemas.base import Message
 from schemas.codec import encoding_of
@@ -28,7 +27,7 @@ from services.recordings.reader import read_recording
 from services.recordings.sink import partial_of
 from tests.services.recordings.recorded_messages import FINGERPRINT, applied, episode, event, frame, header, observation
 from tests.services.recordings.test_recorder_files import FullDisk, leave, read_all, wanted
-from tests.services.waiting import eventually, introduce, ready, status_of
+from tests.services.waiting import eventually, introduce, ready, send_as_stranger, status_of
 
 RunNode = Callable[[Node], Node]
 
@@ -163,13 +162,11 @@ def test_silence_changes_nothing(recorder: RecorderService, client: Bus, tmp_pat
 
 
 def test_malformed_messages_are_counted_and_dropped(recorder: RecorderService, client: Bus, tmp_path: Path) -> None:
-    session = client._sessions[False]
     send(client, [event("on", 0, "started")])
     for topic in TOPICS.values():
-        encoding = zenoh.Encoding(encoding_of(topic.message))
         for payload in (b"", b"\xc1" * 10, os.urandom(64), b"\x81" * 5000):
-            session.put(topic.key("rescuebot"), payload, encoding=encoding)
-        session.put(topic.key("rescuebot"), b"\x80", encoding=zenoh.Encoding("text/plain"))
+            send_as_stranger(client, topic, payload, encoding_of(topic.message))
+        send_as_stranger(client, topic, b"\x80", "text/plain")
     recorded = [name for name, topic in TOPICS.items() if topic.recorded]
     eventually(lambda: ready(client, "recorder").bad == dict.fromkeys(recorded, 5))
     publish(client, list(episode("on"))[1:])
@@ -273,6 +270,7 @@ def process(router_endpoint: str, tmp_path: Path) -> Iterator[subprocess.Popen[s
     child.communicate()
 
 
+@pytest.mark.zenoh
 def test_sigterm_finishes_the_running_recording(process: subprocess.Popen[str], client: Bus, tmp_path: Path) -> None:
     introduce(client, "recorder", *introductions())
     send(client, [event("cut", 0, "started"), *frame("cut", 0)])
@@ -284,6 +282,7 @@ def test_sigterm_finishes_the_running_recording(process: subprocess.Popen[str], 
     assert len(read_all(tmp_path / "cut.mcap")) == 1 + len(frame("cut", 0))
 
 
+@pytest.mark.zenoh
 def test_kill_loses_nothing_that_was_taken(
     process: subprocess.Popen[str], client: Bus, tmp_path: Path, settings: ServiceSettings
 ) -> None:
@@ -300,6 +299,7 @@ def test_kill_loses_nothing_that_was_taken(
     assert not partial.exists()
 
 
+@pytest.mark.zenoh
 def test_a_recorder_that_is_killed_and_started_again_loses_nothing(
     process: subprocess.Popen[str], client: Bus, router_endpoint: str, tmp_path: Path
 ) -> None:
@@ -405,6 +405,7 @@ def test_an_outage_of_the_router_leaves_no_gap(free_endpoint: str, tmp_path: Pat
         router.close()
 
 
+@pytest.mark.zenoh
 def test_bad_settings_are_one_line(tmp_path: Path, router_endpoint: str) -> None:
     (tmp_path / "file").write_text("")
     for flags, status in ((["--recordings", str(tmp_path / "file" / "x")], 1), (["--robot", "Not An Id"], 2)):

@@ -25,7 +25,7 @@ from services.kit.bus import Bus, RpcError, Take
 from tests.services.chain import process
 from tests.services.waiting import eventually, malformed, ready, status_of
 
-pytestmark = pytest.mark.rendering
+pytestmark = [pytest.mark.rendering, pytest.mark.zenoh]
 
 
 @dataclass

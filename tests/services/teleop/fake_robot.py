@@ -76,6 +76,7 @@ class FakeRobot:
             "episode": self._episode,
             "emergency_stop": self.gate.emergency_stop,
             "stop_cause": self.gate.stop_cause,
+            "taken_over": self._episode is not None,
         }
 
     def _arm(self, request: ArmRequest) -> None:

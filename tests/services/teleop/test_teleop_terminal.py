@@ -22,6 +22,8 @@ from tests.services.teleop.console import ROOT, Console
 from tests.services.teleop.fake_robot import FakeRobot
 from tests.services.waiting import eventually
 
+pytestmark = pytest.mark.zenoh
+
 #: As the kitty keyboard protocol has it.
 W_PRESSED, W_REPEATED, W_RELEASED = b"\x1b[119u", b"\x1b[119;1:2u", b"\x1b[119;1:3u"
 LET_GO_WITHIN_S = 0.2

@@ -58,6 +58,7 @@ def check(answer: TrackedPose, tick: int) -> None:
     assert abs(math.degrees(math.remainder(answer.heading_rad - heading, math.tau))) < 1.0
 
 
+@pytest.mark.zenoh
 def test_a_drive_over_the_bus(client: Bus, router_endpoint: str) -> None:
     heard: dict[int, TrackedPose] = {}
 
@@ -94,6 +95,7 @@ def test_a_drive_over_the_bus(client: Bus, router_endpoint: str) -> None:
     assert "the tag is seen again at frame 7 of episode e" in log
 
 
+@pytest.mark.zenoh
 def test_flags_say_which_tag(client: Bus, router_endpoint: str) -> None:
     larger = Tag(number=23, side_m=0.3, height_m=0.2)
     heard: list[TrackedPose] = []

@@ -21,7 +21,7 @@ from services.cli.listening import latency_command
 from services.kit.bus import Bus
 from tests.schemas.messages import EXAMPLES
 from tests.services.cli.conftest import Smal
-from tests.services.waiting import eventually
+from tests.services.waiting import eventually, send_as_stranger
 
 Measured = Callable[..., tuple[int, str, str]]
 CHAIN: tuple[type[Message], ...] = (Pose, Image, Observation, State, Action, Command, CommandApplied)
@@ -51,7 +51,6 @@ class Robot:
 def measured(smal: Smal, client: Bus, router_endpoint: str, monkeypatch: pytest.MonkeyPatch) -> Iterator[Measured]:
     """Run the command while the robot drives, until it must have heard several ticks."""
     witness = Bus("rescuebot", router_endpoint)
-    stranger = client._sessions[True].declare_publisher(COMMANDS["teleop"].key("rescuebot"))
 
     def run(*arguments: str, without: tuple[type[Message], ...] = (), rubbish: bool = False) -> tuple[int, str, str]:
         robot = Robot(client, [cls for cls in CHAIN if cls not in without])
@@ -64,7 +63,7 @@ def measured(smal: Smal, client: Bus, router_endpoint: str, monkeypatch: pytest.
             def enough() -> bool:
                 robot()
                 if rubbish:
-                    stranger.put(b"\xc1")
+                    send_as_stranger(client, COMMANDS["teleop"], b"\xc1")
                 return len(heard) >= 20
 
             eventually(enough, timeout_s=20.0)

@@ -110,6 +110,7 @@ def test_a_table_is_aligned() -> None:
     assert list(table(rows, left=3)) == ["key  of  n", "a    b   100"]
 
 
+@pytest.mark.zenoh
 def test_hz_measures_each_key_until_ctrl_c(listen: Listen) -> None:
     listening = listen("hz", "--json", "--seconds", "60")
     assert listening.process.stderr is not None

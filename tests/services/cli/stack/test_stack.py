@@ -98,6 +98,7 @@ def test_a_dead_service_comes_back_with_its_flags(
     assert "it is started again" in caplog.text
 
 
+@pytest.mark.zenoh
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP, signal.SIGINT, signal.SIGKILL])
 @pytest.mark.parametrize("when", ["starting", "running"])
 def test_no_signal_leaves_orphans(robot: str, tmp_path: Path, number: signal.Signals, when: str) -> None:

@@ -38,7 +38,8 @@ from smal.learning import LearningSettings, learn
 from smal.model import Model
 from tests.services.simulator.simulator_driving import StubCamera
 
-FEATURES = FeatureSettings()
+#: The usual ones take ten times as long to make views of; the findings are of the same form.
+FEATURES = FeatureSettings(("color",), (1.0,))
 
 
 class PlaceCamera(StubCamera):
@@ -77,12 +78,13 @@ def drives(simulation: Simulation) -> tuple[Drive, ...]:
 
 @pytest.fixture(scope="module")
 def model(drives: tuple[Drive, ...]) -> Model:
-    return learn([one.demonstration for one in drives], LearningSettings(sequence_length=5))[0]
+    return learn([one.demonstration for one in drives], LearningSettings(FEATURES, 5))[0]
 
 
 @pytest.fixture
 def place(simulation: Simulation, drives: tuple[Drive, ...], model: Model, tmp_path: Path) -> Workplace:
     made = Workplace(tmp_path, (32, 24))
+    made.features = FEATURES
     made.simulation = lambda world, shake, variation: simulation  # type: ignore[method-assign]
     made.drives = lambda world, count: drives  # type: ignore[method-assign]
     made.model = lambda world, count, length: model  # type: ignore[method-assign]

@@ -20,7 +20,6 @@ from schemas.pose import Pose as TruePose
 from schemas.rpc import LoadRequest, ResetRequest, Scheme
 from services.experiments.evaluation.controllers import Controller, FilterController, Move, PaperController, Pose
 from services.experiments.evaluation.degradation import Degradation
-from services.experiments.evaluation.demonstrations import demonstrate
 from services.experiments.evaluation.search import search
 from services.expert.driver import RouteDriver
 from services.features.service import FeaturesService
@@ -32,7 +31,6 @@ from services.simulator.simulation import Simulation
 from services.simulator.world import load_world
 from smal.action_space import Atom
 from smal.features import FeatureSettings
-from smal.learning import LearningSettings, learn
 from smal.model import Model
 from tests.services.robot.driving import simulated
 from tests.services.simulator.simulator_driving import StubCamera
@@ -163,24 +161,15 @@ def test_pictures_of_chosen_ticks_are_what_the_controller_saw() -> None:
     assert found.pictures[0].std() > 10
 
 
-@pytest.fixture(scope="module")
-def rendered() -> tuple[Simulation, Model]:
-    simulation = open_simulation("yard", CameraSettings(160, 120))
-    drives = demonstrate(simulation, FEATURES, 1, 0)
-    return simulation, learn([one.demonstration for one in drives], LearningSettings(sequence_length=5))[0]
-
-
 @pytest.mark.rendering
 @pytest.mark.parametrize("scheme", ["filter", "paper"])
-def test_smal_in_this_process_and_as_services_drives_alike_to_the_last_bit(
-    rendered: tuple[Simulation, Model], tmp_path: Path, scheme: Scheme
-) -> None:
+def test_smal_in_this_process_and_as_services_drives_alike_to_the_last_bit(taught: Path, scheme: Scheme) -> None:
     """What the processes add is transport: `RecognitionService` and the others hold all that decides."""
-    simulation, model = rendered
-    model.save(tmp_path / "yard.smal")
+    path = taught / "model.smal"
+    simulation, model = open_simulation("yard", CameraSettings(160, 120)), Model.load(path)
     features, recognition, policy = FeaturesService(FEATURES), RecognitionService(), PolicyService()
     for service in (recognition, policy):
-        service.load(LoadRequest(path=str(tmp_path / "yard.smal"), scheme=scheme))
+        service.load(LoadRequest(path=str(path), scheme=scheme))
 
     def answer(message: Image | Odometry) -> Iterator[Message]:
         if isinstance(message, Image):
@@ -205,4 +194,4 @@ def test_smal_in_this_process_and_as_services_drives_alike_to_the_last_bit(
         actions = {one.tick: one for one in carried_out if isinstance(one, Action)}
         assert {tick: one.kind for tick, one in actions.items()} == found.decisions
         assert found.unrecognised == {tick for tick, one in actions.items() if one.state is None}
-        assert len(found.decisions) >= found.ticks // 5
+        assert len(found.decisions) >= found.ticks // model.sequence_length

@@ -1,0 +1,89 @@
+"""The contract between a ``Bus`` and what carries its bytes: what Zenoh promises us, and no more.
+
+``zenoh_wire`` keeps it between processes, ``memory_wire`` inside of one. Whoever uses a bus may count on this:
+
+- What one bus sends arrives in the order in which it was sent, over all topics that are as urgent and as reliable.
+  There is no other order, and any sample may be lost.
+- Handlers run on the bus's own threads, one for what is urgent and one for all else, and hold up what follows there
+  until they return. A publisher never waits for one, but for its own bus's. What a handler raises is logged.
+- A handler must not call on its own bus: the answer comes on the thread that waits for it.
+- It takes a moment until others know of a subscription, a service, or their end.
+- ``close`` takes back every declaration; who waits for an answer is told that there is none. A closed bus is of no use.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable
+from typing import Final, NamedTuple
+
+from schemas.topics import Topic
+
+#: What a caller hears when its time is over.
+TIMEOUT: Final = b"Timeout"
+#: What a subscriber is called with: payload, encoding, seconds on the way.
+Take = Callable[[bytes, str, float | None], None]
+
+
+class BusError(Exception):
+    """The bus cannot be used as asked; the text says why in one line."""
+
+
+class Answer(NamedTuple):
+    """What came of a call."""
+
+    payload: bytes
+    failed: bool
+    """Whether it is a failure's."""
+
+
+#: What a service is called with: the request, and what takes the answer, once, from any thread.
+Serve = Callable[[bytes, Callable[[Answer], None]], None]
+
+
+class Wire(ABC):
+    """One robot's door to a router: see the contract above."""
+
+    @abstractmethod
+    def connected(self) -> bool:
+        """Whether there is a router."""
+
+    @abstractmethod
+    def publish(self, topic: Topic, payload: bytes) -> None:
+        """Send the bytes of a message; of a recorded topic they are kept, see ``subscribe``."""
+
+    @abstractmethod
+    def has_listeners(self, topic: Topic) -> bool:
+        """Whether anybody takes a topic that is not recorded, as far as is known yet."""
+
+    @abstractmethod
+    def subscribe(self, topic: Topic, take: Take, *, replay: bool) -> None:
+        """Call ``take`` for every sample of a topic.
+
+        With ``replay`` also for those that were published in the last ``topics.KEPT_S`` by senders that are still
+        there (``Topic.kept`` of each at most), in each sender's order, before what is new, each once.
+        """
+
+    @abstractmethod
+    def listen(self, keys: str, take: Callable[[str, bytes, str], None], *, urgent: bool) -> None:
+        """Call ``take(key, payload, encoding)`` for every sample on matching keys, on the thread for ``urgent``.
+
+        In ``keys``, ``*`` stands for one part of a key and ``**`` for any number of them.
+
+        Raises
+        ------
+        BusError
+            When ``keys`` is no valid key expression.
+        """
+
+    @abstractmethod
+    def serve(self, key: str, answer: Serve) -> None:
+        """Answer calls of a key."""
+
+    @abstractmethod
+    def call(self, key: str, request: bytes, timeout_s: float) -> Answer | None:
+        """Call a key and wait for the answer; None where nobody serves it, or who served it dropped it or failed."""
+
+    @abstractmethod
+    def close(self) -> None:
+        """Take back every declaration; once more is harmless."""

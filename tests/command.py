@@ -1,0 +1,19 @@
+"""The ``smal`` command as a user runs it."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+
+
+def run_smal(*arguments: object, timeout_s: float = 500, **environment: str) -> subprocess.CompletedProcess[str]:
+    """Run ``smal`` with arguments; return what it printed."""
+    return subprocess.run(
+        [sys.executable, "-c", "from services.cli.main import main; main()", *map(str, arguments)],
+        capture_output=True,
+        text=True,
+        timeout=timeout_s,
+        check=False,
+        env=os.environ | environment,
+    )
