@@ -34,11 +34,10 @@ if TYPE_CHECKING:
     from smal.filter import Belief
     from smal.learning import Demonstration, LearningReport, LearningSettings, fit, learn
     from smal.matching.streaming import StreamingMatcher
-    from smal.matching.template_index import TemplateIndex
     from smal.model import Model
     from smal.recognition import Recognition, Recognizer
     from smal.robot import Robot
-    from smal.state_matching import Solution, solve, solve_from_correlations
+    from smal.state_matching import Solution, solve
 
 _FILES = {
     "Atom": "action_space",
@@ -55,12 +54,10 @@ _FILES = {
     "Robot": "robot",
     "Solution": "state_matching",
     "StreamingMatcher": "matching.streaming",
-    "TemplateIndex": "matching.template_index",
     "extract": "features",
     "fit": "learning",
     "learn": "learning",
     "solve": "state_matching",
-    "solve_from_correlations": "state_matching",
 }
 __all__ = [
     "Atom",
@@ -77,12 +74,10 @@ __all__ = [
     "Robot",
     "Solution",
     "StreamingMatcher",
-    "TemplateIndex",
     "extract",
     "fit",
     "learn",
     "solve",
-    "solve_from_correlations",
 ]
 
 

@@ -1,8 +1,8 @@
 """Compilation of inner loops to machine code (numba).
 
 Measured before the dependency was taken: the product of 10,000 templates of 4,096 entries with 10 vectors takes a
-third of BLAS's time in float32 and a fifth from int8 (BLAS repacks the templates for a narrow product, and numpy
-has no fast int8 product), and the Newton solver a tenth of numpy's (its arrays are small).
+third of BLAS's time (BLAS repacks the templates for a narrow product), and the Newton solver a tenth of numpy's (its
+arrays are small).
 """
 
 import os

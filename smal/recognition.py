@@ -42,8 +42,7 @@ class Recognition:
 class Recognizer:
     """Keeps the last l frames and matches them with the states of a model.
 
-    The correlations of a frame with all templates are computed when it arrives, so that after the last frame
-    of a sequence one matrix-vector product and a small solve remain.
+    A frame is only taken in; the decision costs one pass over the templates and a small solve.
 
     Parameters
     ----------

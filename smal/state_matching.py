@@ -13,16 +13,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from smal.matching.inner_products import Columns, GramAndCorrelations, InnerProducts
-from smal.matching.screening import Penalty
-from smal.matching.template_index import IndexAndQuery, TemplateIndex
-from smal.matching.template_products import TemplatesAndQuery
-from smal.matching.working_set import minimise
+from smal.matching.products import Columns, Known, Products
+from smal.matching.working_set import Penalty, minimise
 
 Array = NDArray[np.float64]
-
-# Products in float32 cannot tell a residual below 1e-3 of the query from zero (its square is 1e-6).
-_FLOAT32_SQUARE = 1e-6
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,8 +34,7 @@ class Solution:
     objective : float
         Eq. 7 at W.
     duality_gap : float
-        Relative: the optimum of Eq. 7 is at least objective * (1 - duality_gap), rounding included
-        (`solve_from_correlations`: save that of the products it is given).
+        Relative: the optimum of Eq. 7 is at least objective * (1 - duality_gap), rounding included.
     iterations : int
         Newton steps in all rounds of the working set.
     converged : bool
@@ -97,52 +90,29 @@ def check_parameters(n: int, sequence_length: int, lambda1: float, lambda2: floa
         raise ValueError(f"tolerance must be at least 1e-8 and below 1, got {tolerance}")
 
 
-def match(products: InnerProducts, seen: Columns, q: int, penalty: Penalty, warm_start: Solution | None) -> Solution:
-    """Match in terms of inner products (`solve` and its siblings choose them).
-
-    Parameters
-    ----------
-    products : InnerProducts
-        Of the templates and the query frames that are not zero; the others have the weights zero.
-    seen : intp array
-        Which query frames those are.
-    q : int
-        Query frames in all.
-    penalty : Penalty
-    warm_start : Solution, optional
-        Of a similar query: its sequences enter the working set at once. Changes the time, not the answer.
-    """
-    n, length = products.size, penalty.sequence_length
-    if not seen.size:
-        return Solution(np.zeros(0, np.intp), np.zeros((0, q)), (n, q), length, 0.0, 0.0, 0, True, np.zeros(q))
-    warm = warm_start.active_blocks if warm_start is not None else np.zeros(0, dtype=np.intp)
-    found = minimise(products, penalty, warm[warm * length < n])
-    used = np.flatnonzero(found.weights.any(axis=1))
-    weights, residuals = np.zeros((used.size, q)), np.zeros(q)
-    weights[:, seen], residuals[seen] = found.weights[used], found.residual_norms
-    converged = found.gap <= penalty.tolerance
-    return Solution(
-        found.columns[used], weights, (n, q), length, found.objective, found.gap, found.steps, converged, residuals
-    )
+def template_rows(templates: NDArray[Any]) -> NDArray[np.float32]:
+    """X^T in float32, a template contiguous; copied only where X is not float32 in Fortran order."""
+    if templates.ndim != 2 or not np.issubdtype(templates.dtype, np.floating):
+        raise ValueError(f"templates must be a floating point matrix (m, n), got {templates.dtype} {templates.shape}")
+    return np.ascontiguousarray(templates.T, dtype=np.float32)
 
 
 def solve(
-    templates: NDArray[Any] | TemplateIndex,
+    templates: NDArray[Any],
     query: NDArray[Any],
     sequence_length: int,
     lambda1: float,
     lambda2: float,
     tolerance: float = 1e-4,
-    gram: NDArray[Any] | None = None,
+    known: Known | None = None,
 ) -> Solution:
     """Match a query sequence against template sequences: minimise Eq. 7.
 
     Parameters
     ----------
-    templates : float array (m, n) or TemplateIndex
-        X. Sequence j is the columns j * sequence_length and following; the last one may be shorter. Float32 in
-        Fortran order (a template contiguous) is fastest. C order is not copied, but takes about twice as long: for
-        many queries prepare X once, by `np.asfortranarray` or as an index, which pays from the second query on.
+    templates : float array (m, n)
+        X, taken in float32. Sequence j is the columns j * sequence_length and following; the last one may be shorter.
+        Float32 in Fortran order (a template contiguous) is not copied.
     query : float array (m, q)
         Y, usually with q = sequence_length.
     sequence_length : int
@@ -152,8 +122,8 @@ def solve(
     tolerance : float
         Relative duality gap at which to stop. Where a query frame is a combination of templates, its residual
         vanishes, and below about 1e-5 rounding may keep the gap from getting there; `converged` tells.
-    gram : float array (n, n), optional
-        X^T X if it is known; in float64, or residuals near zero are not found. The gap holds whatever it is.
+    known : Known, optional
+        X^T Y and X^T X in float32 where they are at hand: nearly always they save the product with all templates.
 
     Returns
     -------
@@ -165,75 +135,30 @@ def solve(
     ValueError
         Shapes that do not fit, NaN or infinity, or parameters out of range.
     """
-    if len(templates.shape) != 2 or query.ndim != 2 or templates.shape[0] != query.shape[0]:
+    rows = template_rows(templates)
+    if query.ndim != 2 or rows.shape[1] != query.shape[0]:
         raise ValueError(f"templates (m, n) and query (m, q) do not fit: {templates.shape} and {query.shape}")
-    if not isinstance(templates, TemplateIndex) and not np.issubdtype(templates.dtype, np.floating):
-        raise ValueError(f"templates must be floating point, got {templates.dtype}")
-    check_parameters(templates.shape[1], sequence_length, lambda1, lambda2, tolerance)
-    if gram is not None and gram.shape != (templates.shape[1],) * 2:
-        raise ValueError(f"gram must have the shape {(templates.shape[1],) * 2}, got {gram.shape}")
     if not (np.issubdtype(query.dtype, np.floating) or np.issubdtype(query.dtype, np.integer)):
         raise ValueError(f"the query must be real numbers, got {query.dtype}")
-    if isinstance(templates, np.ndarray) and templates.dtype.itemsize < 4:
-        templates = templates.astype(np.float32)
-    Y = np.asarray(query, dtype=np.float64)
-    squares = np.square(Y).sum(axis=0)
+    n, q, length = len(rows), query.shape[1], sequence_length
+    check_parameters(n, length, lambda1, lambda2, tolerance)
+    frames = np.ascontiguousarray(query.T, dtype=np.float64)
+    squares = np.square(frames).sum(axis=1)
     if not np.isfinite(squares).all():
         raise ValueError("the query contains NaN or infinity")
     seen = np.flatnonzero(squares > 0.0)
-    products: InnerProducts
-    if isinstance(templates, TemplateIndex):
-        products = IndexAndQuery(templates, Y[:, seen], gram)
-    else:
-        products = TemplatesAndQuery(templates, Y[:, seen], gram)
-    return match(products, seen, Y.shape[1], Penalty(sequence_length, lambda1, lambda2, tolerance), None)
-
-
-def solve_from_correlations(
-    correlations: NDArray[Any],
-    gram: NDArray[Any],
-    query_norms: NDArray[Any],
-    sequence_length: int,
-    lambda1: float,
-    lambda2: float,
-    tolerance: float = 1e-4,
-    warm_start: Solution | None = None,
-) -> Solution:
-    """Match when X^T Y and X^T X are known already.
-
-    Parameters
-    ----------
-    correlations : float array (n, q)
-        X^T Y.
-    gram : float array (n, n)
-        X^T X.
-    query_norms : float array (q,)
-        ||y_i||.
-    sequence_length, lambda1, lambda2, tolerance
-        As in `solve`.
-    warm_start : Solution, optional
-        Of a similar query: its sequences enter the working set at once. Changes the time, not the answer.
-
-    Returns
-    -------
-    Solution
-        Of Eq. 7 with every query frame given a component of 1e-3 of its length orthogonal to all templates,
-        since products in float32 cannot tell smaller residuals from zero: objective and gap are those of that
-        problem, whose optimum is at most 1e-3 * sum ||y_i|| above the other one. They take correlations and gram as
-        exact: what these lost in rounding, in float32 above all, is not in the gap.
-
-    Raises
-    ------
-    ValueError
-        Shapes that do not fit, NaN or infinity, or parameters out of range.
-    """
-    if correlations.ndim != 2 or query_norms.shape != (correlations.shape[1],):
-        raise ValueError(f"correlations (n, q) and norms (q,) do not fit: {correlations.shape}, {query_norms.shape}")
-    check_parameters(correlations.shape[0], sequence_length, lambda1, lambda2, tolerance)
-    squares = np.square(query_norms, dtype=np.float64) * (1.0 + _FLOAT32_SQUARE)
-    if not (np.isfinite(squares).all() and np.isfinite(correlations).all()):
-        raise ValueError("correlations or norms contain NaN or infinity")
-    seen = np.flatnonzero(squares > 0.0)
-    products = GramAndCorrelations(correlations[:, seen], gram, squares[seen])
-    penalty = Penalty(sequence_length, lambda1, lambda2, tolerance)
-    return match(products, seen, query_norms.size, penalty, warm_start)
+    if not seen.size:
+        return Solution(np.zeros(0, np.intp), np.zeros((0, q)), (n, q), length, 0.0, 0.0, 0, True, np.zeros(q))
+    penalty = Penalty(length, lambda1, lambda2, tolerance)
+    if known is not None:
+        if known.correlations.shape != (n, q) or known.gram.shape != (n, n):
+            raise ValueError(f"known products do not fit: {known.correlations.shape}, {known.gram.shape}")
+        known = Known(known.correlations[:, seen], known.gram)
+    found = minimise(Products(rows, frames[seen], known), penalty)
+    used = np.flatnonzero(found.weights.any(axis=1))
+    weights, residuals = np.zeros((used.size, q)), np.zeros(q)
+    weights[:, seen], residuals[seen] = found.weights[used], found.residual_norms
+    converged = found.gap <= tolerance
+    return Solution(
+        found.columns[used], weights, (n, q), length, found.objective, found.gap, found.steps, converged, residuals
+    )

@@ -6,9 +6,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from smal.matching.products import Known
 from smal.novelty import Match, NoveltyTest, describe_match
 from smal.sequences import first_frame
-from smal.state_matching import Solution, solve_from_correlations
+from smal.state_matching import solve
 from smal.template_store import TemplateStore
 
 Progress = Callable[[int, int], None]
@@ -51,23 +52,17 @@ class _Learner:
     def __init__(self, store: TemplateStore, test: NoveltyTest, length: int, lambda1: float, lambda2: float,
                  tolerance: float) -> None:  # fmt: skip
         self.store, self.test = store, test
-        self.length, self.lambda1, self.lambda2, self.tolerance = length, lambda1, lambda2, tolerance
-        self.previous: Solution | None = None
+        self.parameters = length, lambda1, lambda2, tolerance
 
     def step(self, frames: NDArray[np.float32], correlations: NDArray[np.float32]) -> tuple[int, Match]:
         """Match one sequence (l, m) with correlations (n, l), or add it: its state, and the match."""
-        match, solution = Match(None, 0.0, 0.0, 1.0, 0.0), None
-        if len(self.store):
-            norms = np.linalg.norm(frames, axis=1)
-            solution = solve_from_correlations(
-                correlations, self.store.gram, norms, self.length, self.lambda1, self.lambda2,
-                self.tolerance, self.previous,
-            )  # fmt: skip
-            match = describe_match(solution, lambda frames: correlations[frames], norms)
-        self.previous = solution
+        match, store, length = Match(None, 0.0, 0.0, 1.0, 0.0), self.store, self.parameters[0]
+        if len(store):
+            solution = solve(store.templates, frames.T, *self.parameters, Known(correlations, store.gram))
+            match = describe_match(solution, lambda columns: correlations[columns], np.linalg.norm(frames, axis=1))
         if match.state is None or self.test.is_novel(match):
-            self.store.append(frames, correlations)
-            return len(self.store) // self.length - 1, match
+            store.append(frames, correlations)
+            return len(store) // length - 1, match
         return match.state, match
 
 
@@ -150,7 +145,7 @@ def learn_state_space(
 
 def _learn_batch(learner: _Learner, batch: NDArray[np.float32], results: list[tuple[int, Match]]) -> None:
     """Match or add the sequences (b, l, m) in order."""
-    store, length = learner.store, learner.length
+    store, length = learner.store, learner.parameters[0]
     before = len(store)
     frames = batch.reshape(-1, batch.shape[2])
     among = frames @ frames.T

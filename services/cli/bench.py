@@ -35,7 +35,7 @@ def bench(
 
     Options that are not listed here are the benchmark's own; smal bench NAME -- --help lists them. Those of
     recognition: --recordings DIR (drives made by smal demonstrate --camera 320x240; without it some are driven),
-    --images DIR (real frames; may be repeated), and to run less --part, --dataset and --mode.
+    --images DIR (real frames; may be repeated), and to run less --part and --dataset.
 
     bus: time of a message from process to process over that of plain Zenoh; --rate HZ.
 

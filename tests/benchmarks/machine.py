@@ -7,10 +7,9 @@ import os
 import platform
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from services.cli.bench import THREADS
 from tests.benchmarks.results import Record
@@ -53,37 +52,3 @@ def peak_memory_increase(call: Callable[[], object]) -> int | None:
 def _resident(name: str) -> int:
     lines = (_PROCESS / "status").read_text().splitlines()
     return 1024 * int(next(line.split()[1] for line in lines if line.startswith(name)))
-
-
-def array_bytes(thing: object, but: NDArray[Any]) -> int:
-    """Sum the memory of all arrays that an object holds, except those that share it with ``but``."""
-    buffers: dict[int, int] = {}
-    seen: set[int] = set()
-    waiting: list[object] = [thing]
-    while waiting:
-        one = waiting.pop()
-        if id(one) in seen:
-            continue
-        seen.add(id(one))
-        if isinstance(one, np.ndarray):
-            whole = _whole(one)
-            if not np.may_share_memory(whole, but):
-                buffers[id(whole)] = whole.nbytes
-        elif isinstance(one, dict):
-            waiting.extend(one.values())
-        elif isinstance(one, list | tuple):
-            waiting.extend(one)
-        else:
-            waiting.extend(getattr(one, name, None) for name in _slots(one))
-            waiting.append(getattr(one, "__dict__", {}))
-    return sum(buffers.values())
-
-
-def _whole(array: NDArray[Any]) -> NDArray[Any]:
-    while isinstance(array.base, np.ndarray):
-        array = array.base
-    return array
-
-
-def _slots(thing: object) -> list[str]:
-    return [name for kind in type(thing).__mro__ for name in getattr(kind, "__slots__", ())]

@@ -6,7 +6,8 @@ from dataclasses import dataclass, replace
 import cvxpy as cp
 import numpy as np
 
-from smal import Solution, StreamingMatcher, TemplateIndex, solve, solve_from_correlations
+from smal import Solution, StreamingMatcher, solve
+from smal.matching.products import Known
 from smal.objective import objective
 from tests.smal.worlds import corridor, matching_problem, unit
 
@@ -122,9 +123,9 @@ def structured(structure: str, seed: int) -> Problem:
     return STRUCTURES[structure](np.random.default_rng(seed))
 
 
-def streamed(problem: Problem, tolerance: float, max_gram_bytes: int = 2**30) -> Solution:
+def streamed(problem: Problem, tolerance: float) -> Solution:
     """Match the query frame by frame, after other frames that it has to forget."""
-    matcher = StreamingMatcher(problem.X, *problem.parameters, tolerance, max_gram_bytes)
+    matcher = StreamingMatcher(problem.X, *problem.parameters, tolerance)
     for frame in (*problem.X.T[: problem.length - 1], *problem.Y.T):
         matcher.observe(frame)
     return matcher.match()
@@ -137,21 +138,9 @@ def answers(problem: Problem, tolerance: float) -> Iterator[tuple[str, Solution]
     yield "C order", solve(np.ascontiguousarray(X), Y, *parameters)
     yield "float64", solve(X.astype(np.float64), Y.astype(np.float64), *parameters)
     yield "float64, C order", solve(np.ascontiguousarray(X, dtype=np.float64), Y, *parameters)
-    gram = X.T.astype(np.float64) @ X.astype(np.float64)
-    yield "known Gram matrix", solve(X, Y, *parameters, gram=gram)
-    yield "index", solve(TemplateIndex(X), Y, *parameters)
+    yield "known products", solve(X, Y, *parameters, known=Known((X.T @ Y).astype(np.float32), X.T @ X))
     if Y.shape[1] == problem.length:
         yield "stream", streamed(problem, tolerance)
-        yield "stream without Gram matrix", streamed(problem, tolerance, 0)
-
-
-def from_correlations(problem: Problem, tolerance: float) -> tuple[Solution, Problem]:
-    """Solve from products in float64; also, as templates and query, the problem that this solves."""
-    X, Y = problem.X.astype(np.float64), problem.Y.astype(np.float64)
-    norms = np.linalg.norm(Y, axis=0)
-    solution = solve_from_correlations(X.T @ Y, X.T @ X, norms, *problem.parameters, tolerance)
-    lifted_X = np.concatenate([X, np.zeros((norms.size, X.shape[1]))])
-    return solution, replace(problem, X=lifted_X, Y=np.concatenate([Y, 1e-3 * np.diag(norms)]))
 
 
 def check(solution: Solution, problem: Problem, tolerance: float, what: str = "") -> None:

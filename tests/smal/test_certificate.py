@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from smal.matching.certificate import all_polar_bounds, cheap_polar_bound, polar_bound, row_balls
+from smal.matching.certificate import cheap_polar_bound, polar_bound, polar_bounds
 from tests.smal.matching import polar
 
 LAMBDAS = [(0.3, 0.5), (1.0, 0.1), (0.05, 2.0), (0.4, 0.0), (0.0, 0.4)]
@@ -27,8 +27,16 @@ def largest_ratio(G: np.ndarray, lambda1: float, lambda2: float, rng: np.random.
 
 
 def bound_of(G: np.ndarray, lambda1: float, lambda2: float, rounds: int, enough: float = 0.0) -> float:
-    U = row_balls(G / (lambda1 + lambda2))
-    return polar_bound(G, lambda1, lambda2, U, np.empty_like(G), rounds, enough)
+    return polar_bound(G, lambda1, lambda2, G / (lambda1 + lambda2), np.empty_like(G), rounds, enough)
+
+
+def all_bounds(
+    G: np.ndarray, radii: np.ndarray, length: int, lambda1: float, lambda2: float, rounds: int, enough: float
+) -> np.ndarray:
+    starts = np.append(np.arange(0, len(G), length), len(G))
+    bounds, U = np.empty(starts.size - 1), G.astype(np.float64) / (lambda1 + lambda2)
+    polar_bounds(G, radii, starts, (lambda1, lambda2), (U, np.empty_like(U)), rounds, enough, bounds)
+    return bounds
 
 
 def sparse_block(rng: np.random.Generator, shape: tuple[int, int]) -> np.ndarray:
@@ -56,7 +64,7 @@ def test_a_block_inside_the_dual_set_is_recognised(lambdas: tuple[float, float])
         G *= 0.98 / max(polar(G, *lambdas), 1e-9)
         assert bound_of(G, *lambdas, 100, 1.001) <= 1.001
         assert bound_of(1.05 * G, *lambdas, 100, 1.001) > 1.001
-        everything = all_polar_bounds(G.astype(np.float32), np.zeros(5), 5, *lambdas, 100, 1.001)
+        everything = all_bounds(G.astype(np.float32), np.zeros(5), 5, *lambdas, 100, 1.001)
         assert everything[0] <= 1.001
 
 
@@ -83,7 +91,7 @@ def test_bounds_from_rounded_products_hold_for_the_true_ones(
     estimate = (truth + errors).astype(np.float32)
     radii = radii * (1 + 1e-6) + 1e-6 * np.linalg.norm(estimate, axis=1)  # float32 of the estimate
     for rounds, enough in ((0, 1.0), (8, 1.0), (8, 1.3)):
-        bounds = all_polar_bounds(estimate, radii, length, *lambdas, rounds, enough)
+        bounds = all_bounds(estimate, radii, length, *lambdas, rounds, enough)
         assert bounds.shape == (11,)
         for block, bound in enumerate(bounds):
             G = truth[block * length : (block + 1) * length]
@@ -96,13 +104,7 @@ def test_bounds_from_rounded_products_hold_for_the_true_ones(
 def test_bounds_do_not_depend_on_the_scale(scale: float) -> None:
     """A norm is homogeneous; squares of float32 are not where they underflow."""
     G = np.random.default_rng(3).standard_normal((8, 5)).astype(np.float32)
-    plain = all_polar_bounds(G, np.full(8, 0.01), 4, 0.3, 0.5, 8, 1.0)
+    plain = all_bounds(G, np.full(8, 0.01), 4, 0.3, 0.5, 8, 1.0)
     radii, lambdas = np.full(8, 0.01 * scale), (0.3 * scale, 0.5 * scale)
-    scaled = all_polar_bounds((G * scale).astype(np.float32), radii, 4, *lambdas, 8, 1.0)
+    scaled = all_bounds((G * scale).astype(np.float32), radii, 4, *lambdas, 8, 1.0)
     np.testing.assert_allclose(scaled, plain, rtol=1e-4)
-
-
-def test_row_balls() -> None:
-    rows = np.array([[3.0, 4.0], [0.3, 0.4], [0.0, 0.0]])
-    np.testing.assert_allclose(row_balls(rows), [[0.6, 0.8], [0.3, 0.4], [0.0, 0.0]])
-    assert rows[0, 0] == 3.0

@@ -56,7 +56,7 @@ def test_functions_that_were_compiled_into_another_one_are_not_forgotten(tmp_pat
 def test_the_library_runs_without_compilation() -> None:
     """As debuggers, coverage and fuzzers need it."""
     settings = os.environ | {"NUMBA_DISABLE_JIT": "1"}
-    code = "import smal.matching.narrow_product, smal.matching.streaming"
+    code = "import smal.matching.products, smal.matching.streaming"
     subprocess.run([sys.executable, "-c", code], timeout=120, check=True, env=settings)
 
 

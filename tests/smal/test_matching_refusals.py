@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from smal import solve, solve_from_correlations
+from smal import solve
+from smal.matching.products import Known
 from tests.smal.worlds import matching_problem
 
 BAD = [np.nan, np.inf, -np.inf]
@@ -33,29 +34,18 @@ def test_queries_that_are_not_finite(bad: float, frame: int) -> None:
 
 @pytest.mark.parametrize("bad", BAD)
 @pytest.mark.parametrize("place", [0, 199, 399])
-@pytest.mark.parametrize("what", ["correlations", "row of the gram", "diagonal of the gram", "norms"])
-def test_products_that_are_not_finite(bad: float, place: int, what: str) -> None:
+@pytest.mark.parametrize("what", ["correlations", "row of the gram", "diagonal of the gram"])
+def test_known_products_that_are_not_finite(bad: float, place: int, what: str) -> None:
     X, Y = matching_problem(0, blocks=100, length=4)
-    correlations, gram, norms = X.T @ Y, X.T @ X, np.linalg.norm(Y, axis=0)
+    correlations, gram = X.T @ Y, X.T @ X
     if what == "correlations":
         correlations[place, 1] = bad
     elif what == "row of the gram":
         gram[place] = gram[:, place] = bad
-    elif what == "diagonal of the gram":
-        gram[place, place] = bad
     else:
-        norms[place % 4] = bad
+        gram[place, place] = bad
     with pytest.raises(ValueError, match="NaN or infinity"), np.errstate(all="ignore"):
-        solve_from_correlations(correlations, gram, norms, 4, 0.1, 0.1)
-
-
-def test_a_known_gram_matrix_that_is_not_finite() -> None:
-    """The templates and the query are finite, so only what is read of the Gram matrix can spoil the answer."""
-    X, Y = matching_problem(0, blocks=10, length=4)
-    gram = (X.T @ X).astype(np.float64)
-    gram[:4, :4] = np.nan
-    with pytest.raises(ValueError, match="NaN or infinity"), np.errstate(all="ignore"):
-        solve(X, Y, 4, 0.1, 0.1, gram=gram)
+        solve(X, Y, 4, 0.1, 0.1, known=Known(correlations, gram))
 
 
 @pytest.mark.parametrize(
@@ -71,10 +61,11 @@ def test_a_known_gram_matrix_that_is_not_finite() -> None:
         ({"tolerance": np.nan}, "tolerance"),
         ({"query": np.ones((3, 2), np.float32)}, "do not fit"),
         ({"query": np.ones(60, np.float32)}, "do not fit"),
-        ({"templates": np.ones(60, np.float32)}, "do not fit"),
+        ({"templates": np.ones(60, np.float32)}, "matrix"),
         ({"templates": np.ones((60, 0), np.float32)}, "at least one template"),
         ({"templates": np.ones((60, 2), np.int64)}, "floating point"),
-        ({"gram": np.ones((2, 2))}, "gram"),
+        ({"known": Known(np.ones((2, 2), np.float32), np.ones((6, 6), np.float32))}, "known products do not fit"),
+        ({"known": Known(np.ones((6, 2), np.float32), np.ones((6, 5), np.float32))}, "known products do not fit"),
     ],
 )
 def test_bad_input(change: dict, words: str) -> None:
@@ -82,26 +73,3 @@ def test_bad_input(change: dict, words: str) -> None:
     arguments = {"templates": X, "query": Y, "sequence_length": 2, "lambda1": 0.1, "lambda2": 0.1} | change
     with pytest.raises(ValueError, match=words):
         solve(**arguments)
-
-
-@pytest.mark.parametrize(
-    ("change", "words"),
-    [
-        ({"query_norms": np.ones(3)}, "do not fit"),
-        ({"correlations": np.ones(6)}, "do not fit"),
-        ({"gram": np.ones((2, 2))}, "gram must have the shape"),
-        ({"gram": np.ones((6, 5))}, "gram must have the shape"),
-        ({"correlations": np.ones((0, 2))}, "at least one template"),
-        ({"sequence_length": -1}, "sequence_length"),
-        ({"lambda1": np.nan}, "lambda1"),
-        ({"tolerance": 2.0}, "tolerance"),
-    ],
-)
-def test_bad_products(change: dict, words: str) -> None:
-    X, Y = matching_problem(0, blocks=3, length=2)
-    arguments = {
-        "correlations": X.T @ Y, "gram": X.T @ X, "query_norms": np.linalg.norm(Y, axis=0), "sequence_length": 2,
-        "lambda1": 0.1, "lambda2": 0.1,
-    } | change  # fmt: skip
-    with pytest.raises(ValueError, match=words):
-        solve_from_correlations(**arguments)

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from smal import Solution, TemplateIndex, solve
+from smal import Solution, solve
 from smal.algorithm2 import algorithm2
-from tests.smal.matching import Problem, check, check_bounds, from_correlations, streamed, structured
+from tests.smal.matching import Problem, check, check_bounds, streamed, structured
 from tests.smal.worlds import matching_problem, unit
 
 
@@ -20,9 +20,7 @@ def screened(problem: Problem, tolerance: float) -> dict[str, Solution]:
     return {
         "plain": solve(problem.X, problem.Y, *problem.parameters, tolerance=tolerance),
         "float64": solve(problem.X.astype(np.float64), problem.Y, *problem.parameters, tolerance=tolerance),
-        "index": solve(TemplateIndex(problem.X), problem.Y, *problem.parameters, tolerance=tolerance),
         "stream": streamed(problem, tolerance),
-        "stream without Gram matrix": streamed(problem, tolerance, 0),
     }
 
 
@@ -40,7 +38,7 @@ def test_sequences_of_algorithm_2_are_not_ruled_out(seed: int) -> None:
 @pytest.mark.parametrize("seed", range(6))
 @pytest.mark.parametrize("kind", ["unit", "outliers", "near duplicates"])
 def test_large_problems(seed: int, kind: str) -> None:
-    """Of 400 sequences 1 to 10 have weight; outliers make the rounded copy of a template nearly useless."""
+    """Of 400 sequences 1 to 10 have weight; or every template has a large entry."""
     rng = np.random.default_rng(seed)
     X, Y = matching_problem(seed, blocks=400, length=5, size=120, noise=0.5, mixed=1 + seed)
     if kind == "outliers":
@@ -59,14 +57,11 @@ def test_large_problems(seed: int, kind: str) -> None:
         assert set(heavy) <= set(solution.active_blocks.tolist()), name
         if kind != "near duplicates":  # unique weights
             np.testing.assert_allclose(solution.weights, solutions["plain"].weights, atol=5e-3, err_msg=name)
-    known, lifted = from_correlations(problem, 1e-6)
-    check(known, lifted, 1e-6, "correlations")
-    check_bounds({"correlations": known}, lifted.value(solutions["plain"].weights))
 
 
 @pytest.mark.parametrize("tolerance", [1e-3, 1e-4])
 def test_a_sequence_on_the_edge_is_kept(tolerance: float) -> None:
-    """The query is one template and a little of another one far away, so little that eight bits cannot see it."""
+    """The query is one template and a little of another one far away, so little that rounding could hide it."""
     rng = np.random.default_rng(0)
     X = np.asfortranarray(unit(rng.standard_normal((3000, 400))).T, dtype=np.float32)
     for place in (2900, 17):

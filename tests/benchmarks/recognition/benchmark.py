@@ -27,8 +27,7 @@ from tests.benchmarks.recognition.cvxpy_peer import against_cvxpy
 from tests.benchmarks.recognition.datasets import Dataset, Problem, Synthetic
 from tests.benchmarks.recognition.growth import growth
 from tests.benchmarks.recognition.images import ImageFolder
-from tests.benchmarks.recognition.matching import measure, problems
-from tests.benchmarks.recognition.modes import MODES, TOLERANCE
+from tests.benchmarks.recognition.matching import TOLERANCE, measure, problems
 from tests.benchmarks.recognition.plan import QUICK, Plan
 from tests.benchmarks.recognition.tables import as_text
 from tests.benchmarks.recognition.targets import judge
@@ -45,7 +44,7 @@ class Choice:
 
     Parameters
     ----------
-    parts, datasets, modes : sequence of str
+    parts, datasets : sequence of str
     recordings : Path, optional
         Drives on the campus; without them they are driven.
     images : tuple of ImageFolder
@@ -55,7 +54,6 @@ class Choice:
 
     parts: Sequence[str] = PARTS
     datasets: Sequence[str] = DATASETS
-    modes: Sequence[str] = tuple(MODES)
     recordings: Path | None = None
     images: tuple[ImageFolder, ...] = ()
     out: Path | None = None
@@ -87,7 +85,7 @@ class Report:
 def benchmark(plan: Plan, choice: Choice) -> dict[str, Any]:
     """Measure what was chosen; return what the JSON file holds."""
     report = Report()
-    for name, known in (("part", PARTS), ("dataset", DATASETS), ("mode", tuple(MODES))):
+    for name, known in (("part", PARTS), ("dataset", DATASETS)):
         for left in [one for one in known if one not in getattr(choice, f"{name}s")]:
             report.leave_out(f"{name} {left}", f"not among the chosen {name}s")
     largest = max(*plan.sizes, *(n for n, _ in (*plan.whole_runs, *plan.one_solves, *plan.cvxpy, plan.figure)))
@@ -97,13 +95,13 @@ def benchmark(plan: Plan, choice: Choice) -> dict[str, Any]:
     _compare_with_peers(plan, choice, synthetic, report)
     if "convergence" in choice.parts:
         _converge(synthetic.problem(*plan.figure, 1), choice.out, report)
-    results: dict[str, Any] = {"benchmark": "recognition", "machine": machine(), "tolerance": TOLERANCE, "modes": MODES}
+    results: dict[str, Any] = {"benchmark": "recognition", "machine": machine(), "tolerance": TOLERANCE}
     results |= vars(report)
     return results | {"targets": judge(results)}
 
 
 def _match_all(plan: Plan, choice: Choice, synthetic: Dataset, report: Report) -> None:
-    """Time all modes on all datasets, and fit the growth."""
+    """Time matching on all datasets, and fit the growth."""
     sources: list[tuple[str, Callable[[], Dataset]]] = []
     if "synthetic" in choice.datasets:
         sources.append(("synthetic", lambda: synthetic))
@@ -115,7 +113,7 @@ def _match_all(plan: Plan, choice: Choice, synthetic: Dataset, report: Report) -
             report.leave_out("dataset real", "no folder of images was given (--images DIR)")
     for name, load in sources:
         try:
-            _match(load(), plan, choice.modes, report)
+            _match(load(), plan, report)
         except LeftOutError as reason:
             report.leave_out(f"dataset {name}", reason)
     try:
@@ -124,7 +122,7 @@ def _match_all(plan: Plan, choice: Choice, synthetic: Dataset, report: Report) -
         report.leave_out("growth", reason)
 
 
-def _match(dataset: Dataset, plan: Plan, modes: Sequence[str], report: Report) -> None:
+def _match(dataset: Dataset, plan: Plan, report: Report) -> None:
     """Time one dataset at all sizes; the bar goes by the work, of which a template needs one part for each column."""
     work = sum(n * (length + 4) for n in plan.sizes for length in plan.lengths)
     with tqdm(total=work, desc=f"matching {dataset.name}", bar_format=_BAR, dynamic_ncols=True) as bar:
@@ -133,7 +131,7 @@ def _match(dataset: Dataset, plan: Plan, modes: Sequence[str], report: Report) -
                 report.leave_out(f"sizes of {dataset.name}", problem)
                 continue
             bar.set_postfix_str(f"l {problem.length}, n {problem.n:,}")
-            facts = measure(problem, modes, plan.repetitions_for(problem.n))
+            facts = measure(problem, plan.repetitions_for(problem.n))
             report.matching.append({"dataset": dataset.name, "n_wanted": n, **facts})
             bar.update(n * (problem.length + 4))
 
@@ -179,7 +177,6 @@ def main(arguments: list[str]) -> None:
     choice = Choice(
         flags.part or PARTS,
         flags.dataset or DATASETS,
-        flags.mode or tuple(MODES),
         flags.recordings,
         tuple(ImageFolder.find(folder) for folder in flags.images),
         flags.out,
@@ -206,6 +203,6 @@ def _parser() -> Parser:
                         "--camera 320x240); without them they are driven, which takes minutes")  # fmt: skip
     parser.add_argument("--images", type=Path, metavar="DIR", action="append", default=[], help="real frames, may be "
                         "repeated: folders ref and query in it, or half of its images each")  # fmt: skip
-    for name, known in (("part", PARTS), ("dataset", DATASETS), ("mode", tuple(MODES))):
+    for name, known in (("part", PARTS), ("dataset", DATASETS)):
         parser.add_argument(f"--{name}", action="append", choices=known, help=f"only this {name}; may be repeated")
     return parser

@@ -1,4 +1,4 @@
-"""Matching problems: templates cut from streams of frames, and query streams that were not among them."""
+"""Matching problems: templates cut from streams of frames, and queries that were not among them."""
 
 from __future__ import annotations
 
@@ -23,8 +23,7 @@ class Problem:
     Parameters
     ----------
     templates : float32 array (m, n), Fortran order
-    streams : tuple of float32 arrays (m, 2 l)
-        The last l frames of each are a query; the others came before them.
+    queries : tuple of float32 arrays (m, l)
     length : int
         l.
     stride : int
@@ -32,7 +31,7 @@ class Problem:
     """
 
     templates: Frames
-    streams: tuple[Frames, ...]
+    queries: tuple[Frames, ...]
     length: int
     stride: int
 
@@ -45,11 +44,6 @@ class Problem:
     def penalty(self) -> float:
         """Both lambda1 and lambda2."""
         return 0.1 * float(np.sqrt(self.length))
-
-    @property
-    def queries(self) -> list[Frames]:
-        """The query sequences, each (m, l)."""
-        return [stream[:, self.length :] for stream in self.streams]
 
 
 class Dataset(Protocol):
@@ -89,12 +83,12 @@ class Recorded:
         stride = next((s for s in range(length, shortest, -1) if len(self._starts(s, length)) >= count), shortest)
         starts = self._starts(stride, length)[:count]
         rows = np.concatenate([self.taught[k][start : start + length] for k, start in starts])
-        windows = [(k, start) for k, one in enumerate(self.held_out) for start in range(len(one) - 2 * length + 1)]
+        windows = [(k, start) for k, one in enumerate(self.held_out) for start in range(len(one) - length + 1)]
         if not windows:
-            raise ValueError(f"no held-out stream of {self.name} has {2 * length} frames")
+            raise ValueError(f"no held-out stream of {self.name} has {length} frames")
         chosen = np.linspace(0, len(windows) - 1, queries + 2)[1:-1].round().astype(int)
-        streams = (self.held_out[k][start : start + 2 * length].T for k, start in (windows[i] for i in chosen))
-        return Problem(rows.T, tuple(streams), length, stride)
+        cut = (self.held_out[k][start : start + length].T for k, start in (windows[i] for i in chosen))
+        return Problem(rows.T, tuple(cut), length, stride)
 
     def _starts(self, stride: int, length: int) -> list[tuple[int, int]]:
         return [(k, start) for k, one in enumerate(self.taught) for start in range(0, len(one) - length + 1, stride)]
@@ -137,9 +131,9 @@ class Synthetic:
     def problem(self, n: int, length: int, queries: int) -> Problem:
         """Take the first n frames as templates, cut without overlap."""
         rng = np.random.default_rng((self.seed, n, length))
-        starts = rng.integers(0, n - 2 * length, queries, endpoint=True)
-        streams = tuple(self._view(rng, start, 2 * length).T for start in starts)
-        return Problem(self._video[:n].T, streams, length, length)
+        starts = rng.integers(0, n - length, queries, endpoint=True)
+        views = tuple(self._view(rng, start, length).T for start in starts)
+        return Problem(self._video[:n].T, views, length, length)
 
     def _view(self, rng: np.random.Generator, start: int, count: int) -> Frames:
         noise = rng.standard_normal((count, self.features), dtype=np.float32)

@@ -11,7 +11,7 @@ from tests.benchmarks.results import LeftOutError, Record
 
 
 def growth(matching: Sequence[dict[str, Any]], dataset: str, smallest: int) -> list[Record]:
-    """Fit time = a n^b by least squares in the logarithms, for each length and mode.
+    """Fit time = a n^b by least squares in the logarithms, for each length.
 
     Raises
     ------
@@ -25,8 +25,9 @@ def growth(matching: Sequence[dict[str, Any]], dataset: str, smallest: int) -> l
     for length in sorted({one["l"] for one in cases}):
         chosen = [one for one in cases if one["l"] == length]
         sizes = [one["n"] for one in chosen]
-        times = {"product": [one["product_seconds"] for one in chosen]}
-        times |= {mode: [one["modes"][mode]["seconds"] for one in chosen] for mode in chosen[0]["modes"]}
+        times = {
+            name: [one[key] for one in chosen] for name, key in (("product", "product_seconds"), ("match", "seconds"))
+        }
         found.append({"dataset": dataset, "l": length, "sizes": sizes}
                      | {f"exponent {name}": _exponent(sizes, seconds) for name, seconds in times.items()})  # fmt: skip
     return found

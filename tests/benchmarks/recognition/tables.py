@@ -11,8 +11,9 @@ def as_text(results: dict[str, Any]) -> str:
     """Show the results as tables."""
     curves = results["convergence"]
     return "".join([
-        table("Time over one float32 product X^T Y (median and worst over queries)", _rows(results["matching"])),
-        table("Memory, and time to build the index", [_memory(one) for one in results["matching"]]),
+        table("Time over one float32 product X^T Y (median and worst over queries)",
+              [_row(one) for one in results["matching"]]),
+        table("Memory", [_memory(one) for one in results["matching"]]),
         table("Growth: exponent of the time over n", results["growth"]),
         *_algorithm2(results["algorithm2"]),
         table("CVXPY with Clarabel", results["cvxpy"]),
@@ -22,24 +23,19 @@ def as_text(results: dict[str, Any]) -> str:
     ])  # fmt: skip
 
 
-def _rows(matching: list[dict[str, Any]]) -> list[Record]:
-    return [_row(one, mode, figures) for one in matching for mode, figures in one["modes"].items()]
-
-
-def _row(one: dict[str, Any], mode: str, figures: dict[str, Any]) -> Record:
+def _row(one: dict[str, Any]) -> Record:
     return {
         **{name: one[name] for name in ("dataset", "n", "m", "l")},
-        "mode": mode,
         "product ms": 1e3 * one["product_seconds"],
-        "match ms": 1e3 * figures["seconds"],
-        "ratio": figures["ratio"],
-        "worst": figures["ratio_worst"],
-        "no match": figures["queries_without_match"],
-        "sequences": figures["active_sequences"],
-        "rows": figures["active_rows"],
-        "iterations": figures["iterations"],
-        "gap": figures["duality_gap"],
-        "converged": figures["converged"],
+        "match ms": 1e3 * one["seconds"],
+        "ratio": one["ratio"],
+        "worst": one["ratio_worst"],
+        "no match": one["queries_without_match"],
+        "sequences": one["active_sequences"],
+        "rows": one["active_rows"],
+        "iterations": one["iterations"],
+        "gap": one["duality_gap"],
+        "converged": one["converged"],
     }
 
 
@@ -61,6 +57,5 @@ def _algorithm2(records: list[dict[str, Any]]) -> list[str]:
 def _memory(one: dict[str, Any]) -> Record:
     peak = one["solve_peak_memory_bytes"]
     return {"dataset": one["dataset"], "n": one["n"], "l": one["l"], "stride": one["stride"],
-            "template bytes": one["template_bytes"], "index bytes": one.get("index_bytes_per_template"),
-            "index build s": one.get("index_build_seconds"),
+            "template bytes": one["template_bytes"],
             "peak of a solve MiB": None if peak is None else peak / 2**20}  # fmt: skip

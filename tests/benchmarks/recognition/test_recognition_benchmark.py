@@ -14,8 +14,7 @@ from services.kit.errors import UsageError
 from tests.benchmarks.recognition import benchmark as recognition
 from tests.benchmarks.recognition.datasets import Recorded, Synthetic
 from tests.benchmarks.recognition.images import ImageFolder
-from tests.benchmarks.recognition.matching import measure, problems
-from tests.benchmarks.recognition.modes import MODES
+from tests.benchmarks.recognition.matching import problems
 from tests.benchmarks.recognition.plan import Plan
 from tests.benchmarks.results import LeftOutError, table, write_json
 
@@ -52,46 +51,28 @@ def tiny(monkeypatch: pytest.MonkeyPatch) -> None:
     )
 
 
-def check_modes(one: dict[str, Any], modes: set[str]) -> None:
-    assert one["product_seconds"] > 0.0
-    assert one["template_bytes"] == 4 * one["m"]
-    assert one["modes"].keys() == modes
-    for each in one["modes"].values():
-        assert 0.0 < each["ratio"] <= each["ratio_worst"]
-        assert each["converged"]
-        assert each["duality_gap"] <= 1e-4
-        assert each["objective_difference"] <= 2e-4
-
-
 @pytest.mark.usefixtures("tiny")
 def test_everything_is_measured(tmp_path: Path, photos: Path, capsys: pytest.CaptureFixture[str]) -> None:
     file = tmp_path / "results.json"
     out = tmp_path / "pictures"
-    recognition.main(["--quick", "--mode", "plain", "--json", str(file), "--out", str(out), "--images", str(photos)])
+    recognition.main(["--quick", "--json", str(file), "--out", str(out), "--images", str(photos)])
     results = json.loads(file.read_text())
     assert {one["dataset"].partition(":")[0] for one in results["matching"]} == {"synthetic", "campus", "real"}
     for one in results["matching"]:
-        check_modes(one, {"plain"})
+        assert one["product_seconds"] > 0.0
+        assert one["template_bytes"] == 4 * one["m"]
+        assert 0.0 < one["ratio"] <= one["ratio_worst"]
+        assert one["converged"]
+        assert one["duality_gap"] <= 1e-4
     assert [one["l"] for one in results["growth"]] == [1, 5]
     assert [(one["n"], one["times_faster"] > 0.0) for one in results["algorithm2"]] == [(20, True), (40, True)]
     assert all(abs(one["relative_difference"]) < 1e-4 for one in results["cvxpy"])
     assert (out / "convergence.png").stat().st_size > 10_000
-    left_out = {name for name in results["left_out"] if not name.startswith("mode ")}
-    assert left_out == {f"sizes of {ImageFolder.find(photos).name}"}
+    assert set(results["left_out"]) == {f"sizes of {ImageFolder.find(photos).name}"}
     text = capsys.readouterr().out
     assert "Time over one float32 product" in text
     assert "not measured" in text
     assert str(file) in text
-
-
-@pytest.mark.usefixtures("tiny")
-def test_index_and_streaming_find_the_same(tmp_path: Path) -> None:
-    file = tmp_path / "results.json"
-    recognition.main(["--quick", "--part", "matching", "--dataset", "synthetic", "--json", str(file)])
-    for one in json.loads(file.read_text())["matching"]:
-        check_modes(one, set(MODES) - ({"streaming-by-l"} if one["l"] == 1 else set()))
-        assert one["index_build_seconds"] > 0.0
-        assert one["index_bytes_per_template"] > 0.0
 
 
 def test_what_does_not_run_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -99,7 +80,7 @@ def test_what_does_not_run_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
         raise LeftOutError("failed to find a rendering device")
 
     monkeypatch.setattr(recognition, "campus", no_driver)
-    choice = recognition.Choice(parts=("matching",), datasets=("campus", "real"), modes=("plain",))
+    choice = recognition.Choice(parts=("matching",), datasets=("campus", "real"))
     results = recognition.benchmark(TINY, choice)
     assert results["left_out"]["dataset campus"] == "failed to find a rendering device"
     assert "--images" in results["left_out"]["dataset real"]
@@ -124,17 +105,11 @@ def test_recorded_sequences_overlap_only_where_frames_are_scarce() -> None:
     scarce = recorded.problem(80, 5, 3)
     assert (scarce.n, scarce.stride) == (80, 2)
     np.testing.assert_array_equal(scarce.templates[:, 5], recorded.taught[0][2])
-    assert all(stream.shape == (64, 10) for stream in scarce.streams)
+    assert all(query.shape == (64, 5) for query in scarce.queries)
     sizes = [(n, one if isinstance(one, str) else one.n) for n, one in problems(recorded, (40, 500, 5000), (5,), 3)]
     assert sizes == [(40, 40), (500, 170), (5000, "l = 5, n = 5,000: its frames make 170 templates at most")]
-    ((_, reason),) = problems(recorded, (40,), (20,), 3)
-    assert reason == "l = 20: no held-out stream of drives has 40 frames"
-
-
-def test_a_mode_alone_can_be_measured() -> None:
-    facts: Any = measure(Synthetic(40, 64).problem(40, 5, 2), ("plain",), 1)
-    assert facts["modes"].keys() == {"plain"}
-    assert facts["modes"]["plain"]["objective_difference"] == 0.0
+    ((_, reason),) = problems(recorded, (40,), (30,), 3)
+    assert reason == "l = 30: no held-out stream of drives has 30 frames"
 
 
 def test_images_are_in_natural_order(tmp_path: Path) -> None:

@@ -62,7 +62,7 @@ def test_recognition_is_known() -> None:
         (["recognition", "--images", "nowhere"], "--images nowhere: no such folder"),
         (["recognition", "--images", "."], "--images .: needs images, in it or in its folders ref and query"),
         (["recognition", "--recordings", "nowhere"], "--recordings nowhere: no such file or folder"),
-        (["recognition", "--mode"], "argument --mode: expected one argument"),
+        (["recognition", "--part"], "argument --part: expected one argument"),
         (["recognition", "--fast"], "unrecognized arguments: --fast"),
     ],
 )  # fmt: skip
