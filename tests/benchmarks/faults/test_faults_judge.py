@@ -266,6 +266,6 @@ def test_the_matrix_has_every_fault_once() -> None:
     names = [cell.name for cell in MATRIX]
     assert len(set(names)) == len(names)
     assert set(QUICK) <= set(names)
-    for service in ("router", "simulator", "features", "recognition", "policy", "recorder"):
+    for service in ("router", "robot", "features", "recognition", "policy", "recorder"):
         assert f"kill -9 {service}" in names
         assert {f"freeze {service} {seconds} s" for seconds in (1, 3, 14)} <= set(names)
