@@ -88,7 +88,7 @@ class CommandGate:
         self.max_age_s = max_age_s
         self.attended = attended
         self._lock = Lock()
-        self._stops = first_stop if first_stop is not None else 1 + (secrets.randbits(40) << 20)
+        self._stops = first_stop or 1 + secrets.randbits(48)
         self._released = 0
         self._cause: StopCause = "not_armed"
         self._operator: _Operator | None = None
@@ -119,14 +119,15 @@ class CommandGate:
         """
         with self._lock:
             refusal = self._not_theirs(session)
-            if refusal is None and self.attended and self._operator is None:
-                refusal = "no operator is heard; this robot moves only while one is"
-            if refusal is None and stop != self.emergency_stop:
-                refusal = "another stop was latched meanwhile" if self.emergency_stop else "no stop is latched"
-            if refusal is None:
-                self._taken_over = self._episode != ""
-                self._released = stop
-            return refusal
+            if refusal is not None:
+                return refusal
+            if self.attended and self._operator is None:
+                return "no operator is heard; this robot moves only while one is"
+            if stop != self.emergency_stop:
+                return "another stop was latched meanwhile" if self.emergency_stop else "no stop is latched"
+            self._taken_over = self._episode != ""
+            self._released = stop
+            return None
 
     # -- the operator ---------------------------------------------------------------------------------------------
 
@@ -140,11 +141,10 @@ class CommandGate:
         """Take an operator's sign of life; that of another one than the one who is there changes nothing."""
         with self._lock:
             mine = self._operator
-            if mine is not None and (beat.session != mine.session or beat.sequence <= mine.sequence):
-                return
-            if beat.present:
+            theirs = mine is None or (beat.session == mine.session and beat.sequence > mine.sequence)
+            if theirs and beat.present:
                 self._operator = _Operator(beat.session, beat.sequence, now_s)
-            elif mine is not None:
+            elif theirs and mine is not None:
                 self._operator = None
                 if self.attended:
                     self.stop("operator_lost")

@@ -20,6 +20,7 @@ from schemas.command import Command, CommandApplied
 from schemas.compressed_image import CompressedImage
 from schemas.depth_image import DepthImage
 from schemas.episode import Episode
+from schemas.heartbeat import Heartbeat
 from schemas.image import Image
 from schemas.imu import Imu, ImuSample
 from schemas.observation import Observation
@@ -75,7 +76,8 @@ EXAMPLES: dict[type[Message], Message] = {
         tracked_m=12.5,
     ),
     Action: Action(**HEADER, kind="follow", state=7, atoms=("forward",)),
-    Command: Command(**HEADER, source="teleop", sequence=2, atom="forward", speed=0.5),
+    Heartbeat: Heartbeat(**HEADER, session="0123456789abcdef", sequence=7, operator=True),
+    Command: Command(**HEADER, source="teleop", session="0123456789abcdef", sequence=2, atom="forward", speed=0.5),
     CommandApplied: CommandApplied(
         **HEADER,
         sequence=1,
@@ -88,7 +90,7 @@ EXAMPLES: dict[type[Message], Message] = {
         refused=3,
     ),
     Episode: Episode(
-        **HEADER, event="ended", purpose="drive", driver="teleop", world="campus", seed=7, outcome="found"
+        **HEADER, event="ended", purpose="drive", driver="teleop", world="campus", seed=7, outcome="found", judge="task"
     ),
 }
 CLASSES = list(EXAMPLES)
@@ -116,6 +118,7 @@ _images = _sizes.flatmap(
         }
     )
 )
+_sessions = st.from_regex(r"[0-9a-z]{0,32}", fullmatch=True)
 _lengths = st.floats(-1e6, 1e6)
 _beside = st.builds(
     Place,
@@ -261,7 +264,23 @@ _fields: dict[type[Message], st.SearchStrategy[dict[str, object]]] = {
         }
     ),
     Command: st.fixed_dictionaries(
-        {**_header, "source": _sources, "sequence": _counts, "atom": _atoms, "speed": st.floats(0, 1)}
+        {
+            **_header,
+            "source": _sources,
+            "session": _sessions,
+            "sequence": _counts,
+            "atom": _atoms,
+            "speed": st.floats(0, 1),
+        }
+    ),
+    Heartbeat: st.fixed_dictionaries(
+        {
+            **_header,
+            "session": _sessions,
+            "sequence": st.integers(0, 2**63 - 1),
+            "operator": st.booleans(),
+            "present": st.booleans(),
+        }
     ),
     CommandApplied: st.fixed_dictionaries(
         {
@@ -270,7 +289,9 @@ _fields: dict[type[Message], st.SearchStrategy[dict[str, object]]] = {
             "atom": _atoms,
             "speed": st.floats(0, 1),
             "source": st.none() | _sources,
-            "reason": st.sampled_from(["command", "silence", "emergency_stop"]),
+            "reason": st.sampled_from(["command", "silence", "taken_over", "emergency_stop"]),
+            "emergency_stop": st.integers(0, 2**63 - 1),
+            "stop_cause": st.sampled_from([None, "not_armed", "emergency_stop", "operator_lost", "fault"]),
             "answered_tick": st.none() | st.integers(0, MAX_TICK),
             "latency_ns": st.none() | st.integers(0, 2**63 - 1),
             "refused": st.integers(0, 2**63 - 1),

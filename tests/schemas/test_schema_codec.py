@@ -64,14 +64,14 @@ def test_trailing_bytes(cls: type[Message]) -> None:
         " ",
         "application/json",
         "application/vnd.msgpack",
-        "application/vnd.msgpack;smal.Command/2",
-        "application/vnd.msgpack;smal.Command/1 ",
+        "application/vnd.msgpack;smal.Command/3",
+        "application/vnd.msgpack;smal.Command/2 ",
         "application/vnd.msgpack;smal.State/1",
         "\x1b[2J" * 100,
     ],
 )
 def test_another_encoding_name_or_version(encoding: str) -> None:
-    assert "expected application/vnd.msgpack;smal.Command/1" in refusal(Command, encode(EXAMPLES[Command]), encoding)
+    assert "expected application/vnd.msgpack;smal.Command/2" in refusal(Command, encode(EXAMPLES[Command]), encoding)
 
 
 @pytest.mark.parametrize("cls", CLASSES, ids=lambda cls: cls.__name__)
@@ -229,9 +229,11 @@ def test_a_large_image_has_the_bytes_that_msgpack_gives(width: int, height: int)
     assert encode(image) == msgpack.packb(image.model_dump())
 
 
-def test_an_episode_of_the_version_before_is_read_and_leads_to_the_victim() -> None:
+def test_episodes_of_the_versions_before_are_read_and_lead_to_the_victim() -> None:
     event = EXAMPLES[Episode]
-    fields = {name: value for name, value in msgpack.unpackb(encode(event)).items() if name != "goal"}
-    before = encoding_of(Episode).replace("/2", "/1")
-    assert decode(Episode, msgpack.packb(fields), before) == event.model_copy(update={"goal": "victim"})
-    assert "expected" in refusal(Episode, encode(event), before.replace("/1", "/3"))
+    for version, lacks in ((2, {"judge"}), (1, {"judge", "goal"})):
+        fields = {name: value for name, value in msgpack.unpackb(encode(event)).items() if name not in lacks}
+        before = encoding_of(Episode).replace("/3", f"/{version}")
+        read = decode(Episode, msgpack.packb(fields), before)
+        assert read == event.model_copy(update={"judge": None, "goal": "victim"})
+    assert "expected" in refusal(Episode, encode(event), encoding_of(Episode).replace("/3", "/4"))

@@ -183,5 +183,9 @@ def test_every_source_can_drive_but_the_emergency_stop() -> None:
         ResetRequest.model_validate({"seed": 1, "driver": "emergency_stop"})
 
 
-def test_a_reset_releases_no_emergency_stop_unless_it_says_so() -> None:
-    assert not ResetRequest(seed=1).release_emergency_stop
+def test_only_what_was_found_has_a_judge() -> None:
+    event = EXAMPLES[Episode].model_dump()
+    for outcome in ("collision", "timeout", "aborted"):
+        with pytest.raises(ValidationError, match="judge is given with the outcome 'found' only"):
+            Episode.model_validate(event | {"outcome": outcome, "judge": "operator"})
+    assert Episode.model_validate(event | {"judge": "operator"}).judge == "operator"

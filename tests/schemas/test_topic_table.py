@@ -26,10 +26,11 @@ def test_rows_are_complete(topic: Topic) -> None:
     assert topic.rate_hz is None or topic.rate_hz > 0
 
 
-def test_commands_and_heartbeat_go_before_everything_else() -> None:
+def test_commands_and_heartbeats_go_before_everything_else() -> None:
     assert {topic.name for topic in TOPICS.values() if topic.urgent} == {
         *(f"command/{source}" for source in SOURCES),
         "command/applied",
+        "heartbeat",
     }
 
 

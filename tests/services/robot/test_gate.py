@@ -5,6 +5,7 @@ from __future__ import annotations
 import pickle
 from collections.abc import Callable
 from dataclasses import FrozenInstanceError
+from itertools import pairwise
 
 import pytest
 from hypothesis import settings
@@ -12,8 +13,9 @@ from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, rule
 
 from schemas.base import SOURCES, Atom, Source
-from schemas.command import Command
-from services.robot.gate import MAX_AGE_S, Applied, CommandGate
+from schemas.command import Command, StopCause
+from schemas.heartbeat import Heartbeat
+from services.robot.gate import LEASE_S, MAX_AGE_S, OPERATOR_S, Applied, CommandGate
 
 STAND = Applied("stop", 0.0, None, "silence")
 
@@ -26,16 +28,31 @@ def command(
     atom: Atom = "forward",
     episode: str = "e",
     speed: float = 1.0,
+    session: str = "",
 ) -> Command:
     header = {"robot": "r", "episode": episode, "tick": tick, "stamp_ns": 0}
-    whole = Command(**header, source=source, sequence=sequence, atom=atom)
+    whole = Command(**header, source=source, session=session, sequence=sequence, atom=atom)
     # The schema would refuse what the gate has to refuse by itself.
     return whole.model_copy(update={"speed": speed})
 
 
+def beat(session: str, sequence: int, *, present: bool = True) -> Heartbeat:
+    return Heartbeat(
+        robot="r", episode="e", tick=0, stamp_ns=0, session=session, sequence=sequence, operator=True, present=present
+    )
+
+
+def armed(max_age_s: float = MAX_AGE_S, *, attended: bool = False) -> CommandGate:
+    gate = CommandGate(max_age_s, attended=attended, first_stop=1)
+    if attended:
+        gate.hear(beat("o", 0), 0.0)
+    assert gate.arm(1, "o" if attended else "") is None
+    return gate
+
+
 @pytest.fixture
 def gate() -> CommandGate:
-    gate = CommandGate()
+    gate = armed()
     gate.begin("e", "policy")
     gate.captured(0, 10.0)
     return gate
@@ -85,7 +102,7 @@ def test_speed_is_passed_on(gate: CommandGate, speed: float) -> None:
 
 
 def test_a_command_expires_after_its_last_moment_and_not_in_it() -> None:
-    gate = CommandGate(max_age_s=0.5)  # which floating point represents exactly
+    gate = armed(max_age_s=0.5)  # which floating point represents exactly
     gate.begin("e", "policy")
     gate.captured(0, 10.0)
     gate.captured(1, 10.5)
@@ -111,7 +128,7 @@ def test_a_frame_that_was_dropped_is_unknown_and_not_stale(gate: CommandGate) ->
 
 def test_a_gate_that_runs_for_long_stays_small(gate: CommandGate) -> None:
     def size() -> int:
-        return len(pickle.dumps(gate))
+        return len(pickle.dumps({name: value for name, value in vars(gate).items() if name != "_lock"}))
 
     for tick in range(10):
         gate.captured(tick, 10.0 + 0.1 * tick)
@@ -130,7 +147,7 @@ def test_no_frame_is_known_before_the_first(gate: CommandGate) -> None:
 
 @pytest.mark.parametrize("episode", ["e", "x", "policy", "teleop"])
 def test_nothing_moves_before_the_first_episode(episode: str) -> None:
-    gate = CommandGate()
+    gate = armed()
     gate.captured(0, 10.0)
     for source in SOURCES[1:]:
         assert gate.offer(command(0, source=source, episode=episode), 10.0) == "wrong episode"
@@ -168,7 +185,7 @@ def test_order_is_that_of_the_frames_first(gate: CommandGate) -> None:
 
 @pytest.mark.parametrize(("driver", "other"), [("expert", "policy"), ("policy", "expert"), ("teleop", "policy")])
 def test_no_other_program_than_the_driver_moves_the_robot(driver: Source, other: Source) -> None:
-    gate = CommandGate()
+    gate = armed()
     gate.begin("e", driver)
     gate.captured(0, 0.0)
     assert gate.offer(command(0, source=other), 0.0) == "not the driver"
@@ -177,7 +194,7 @@ def test_no_other_program_than_the_driver_moves_the_robot(driver: Source, other:
 
 
 def test_a_person_goes_before_every_driver() -> None:
-    gate = CommandGate()
+    gate = armed()
     gate.begin("e", "expert")
     gate.captured(0, 0.0)
     gate.offer(command(0, source="expert"), 0.0)
@@ -187,7 +204,7 @@ def test_a_person_goes_before_every_driver() -> None:
 
 @pytest.mark.parametrize("driver", ["policy", "expert"])
 def test_a_person_takes_over_and_the_robot_stands_until_the_driver_is_told_to_go_on(driver: Source) -> None:
-    gate = CommandGate()
+    gate = armed()
     gate.begin("e", driver)
     gate.captured(0, 10.0)
     gate.offer(command(0, source=driver), 10.0)
@@ -196,14 +213,14 @@ def test_a_person_takes_over_and_the_robot_stands_until_the_driver_is_told_to_go
     assert gate.taken_over
     gate.captured(3, 10.1)
     assert gate.offer(command(3, source=driver), 10.1) is None, "what it would do is heard, for lockstep"
-    assert gate.answered(driver, 3)
+    assert gate.answered(3)
     assert gate.applied(10.2) == Applied("left", 1.0, "teleop", "command", answered_tick=0)
     # The link is lost, or the key let go: the driver does not go on by itself, however long that lasts.
     for now_s in (10.0 + MAX_AGE_S + 0.01, 11.0, 1000.0):
         gate.captured(round(now_s), now_s)
         gate.offer(command(round(now_s), source=driver), now_s)
         assert gate.applied(now_s) == Applied("stop", 0.0, None, "taken_over")
-    assert gate.resume("e", 1000)
+    assert gate.resume("e", 1000, "") is None
     assert not gate.taken_over
     assert gate.applied(1000.0) == STAND
     gate.captured(1001, 1000.1)
@@ -213,7 +230,7 @@ def test_a_person_takes_over_and_the_robot_stands_until_the_driver_is_told_to_go
 
 def test_what_a_person_asked_for_before_the_driver_goes_on_no_longer_counts(gate: CommandGate) -> None:
     gate.offer(command(0, source="teleop", atom="left"), 10.0)
-    assert gate.resume("e", 0)
+    assert gate.resume("e", 0, "") is None
     assert gate.applied(10.0) == STAND
     assert gate.offer(command(0, source="teleop", atom="left"), 10.0) == "out of order"
     assert gate.offer(command(0, sequence=1, source="teleop"), 10.0) is None, "a key that is pressed again does"
@@ -224,16 +241,17 @@ def test_the_driver_goes_on_only_from_what_the_person_knew(gate: CommandGate) ->
     for tick in (1, 2):
         gate.captured(tick, 10.0)
         gate.offer(command(tick, source="teleop", atom="stop"), 10.0)
-    assert gate.resume("e", 1) is False, "they have commanded since they asked"
+    said = "another episode has begun, or the person has commanded since"
+    assert gate.resume("e", 1, "") == said
     for episode in ("another", "other"):
-        assert gate.resume(episode, 2) is False
+        assert gate.resume(episode, 2, "") == said
     assert gate.taken_over
-    assert gate.resume("e", 2)
+    assert gate.resume("e", 2, "") is None
     assert not gate.taken_over
 
 
 def test_a_person_who_drives_takes_over_from_nobody() -> None:
-    gate = CommandGate()
+    gate = armed()
     gate.begin("e", "teleop")
     gate.captured(0, 10.0)
     gate.offer(command(0, source="teleop"), 10.0)
@@ -252,7 +270,7 @@ def test_the_next_episode_is_its_drivers(gate: CommandGate) -> None:
 
 def test_going_on_begins_with_a_new_command(gate: CommandGate) -> None:
     gate.offer(command(0), 10.0)
-    assert gate.resume("e", 0)
+    assert gate.resume("e", 0, "") is None
     assert gate.applied(10.0) == STAND
     assert gate.offer(command(0), 10.0) == "out of order", "a message that comes twice is none"
     gate.captured(1, 10.1)
@@ -262,7 +280,7 @@ def test_going_on_begins_with_a_new_command(gate: CommandGate) -> None:
 
 @pytest.mark.parametrize("tick", [0, 99])
 @pytest.mark.parametrize("episode", ["e", "other"])
-def test_emergency_stop_holds_until_an_episode_that_releases_it(gate: CommandGate, tick: int, episode: str) -> None:
+def test_an_emergency_stop_holds_until_it_is_released(gate: CommandGate, tick: int, episode: str) -> None:
     gate.offer(command(0), 10.0)
     assert gate.offer(command(tick, source="emergency_stop", atom="forward", episode=episode), 99.0) is None
     gate.captured(1, 10.1)
@@ -272,39 +290,179 @@ def test_emergency_stop_holds_until_an_episode_that_releases_it(gate: CommandGat
     gate.captured(0, 10.2)
     assert gate.offer(command(0, episode="f"), 10.2) is None
     assert gate.applied(10.2).reason == "emergency_stop"
-    assert gate.emergency_stop == 1
-    gate.begin("g", "policy", release_stop=1)
-    assert gate.emergency_stop == 0
-    assert gate.applied(10.2) == STAND
+    assert (gate.emergency_stop, gate.stop_cause) == (2, "emergency_stop")
+    assert gate.arm(2, "") is None
+    assert (gate.emergency_stop, gate.stop_cause) == (0, None)
 
 
-@pytest.mark.parametrize("released", [0, 1, 3])
-def test_a_stop_is_released_by_its_own_number_alone(gate: CommandGate, released: int) -> None:
+def test_a_robot_that_was_started_moves_for_nobody_until_it_is_armed() -> None:
+    gate = CommandGate()
+    assert gate.stop_cause == "not_armed"
+    gate.begin("e", "policy")
+    gate.captured(0, 10.0)
+    assert gate.offer(command(0), 10.0) is None, "what it would do is heard"
+    assert gate.applied(10.0) == Applied("stop", 0.0, None, "emergency_stop")
+    assert gate.arm(gate.emergency_stop, "") is None
+    assert gate.stop_cause is None
+
+
+def test_no_stop_from_before_a_restart_is_released_after_it() -> None:
+    numbers = {CommandGate().emergency_stop for _ in range(100)}
+    assert len(numbers) == 100
+    assert all(0 < number < 2**62 for number in numbers)
+    assert all(abs(one - other) > 10 for one in numbers for other in numbers if one != other)
+
+
+@pytest.mark.parametrize("number", [1, 2, 4, 0])
+def test_a_stop_is_released_by_its_own_number_alone(gate: CommandGate, number: int) -> None:
     gate.stop()
     gate.stop()
-    gate.begin("f", "policy", release_stop=released)
-    assert gate.emergency_stop == 2
-    gate.begin("g", "policy", release_stop=2)
+    assert gate.arm(number, "") == "another stop was latched meanwhile"
+    assert gate.emergency_stop == 3
+    assert gate.arm(3, "") is None
     assert gate.emergency_stop == 0
     # Released once: the number is not good for the next one.
     gate.stop()
-    gate.begin("h", "policy", release_stop=2)
-    assert gate.emergency_stop == 3
-    assert gate.applied(10.0).reason == "emergency_stop"
+    assert gate.arm(3, "") == "another stop was latched meanwhile"
+    assert gate.emergency_stop == 4
 
 
-def test_nothing_is_released_where_no_stop_is_latched(gate: CommandGate) -> None:
-    gate.begin("f", "policy", release_stop=1)
-    assert gate.emergency_stop == 0
+@pytest.mark.parametrize("number", [1, 2])
+def test_nothing_is_released_where_no_stop_is_latched(gate: CommandGate, number: int) -> None:
+    assert gate.arm(number, "") == "no stop is latched"
     gate.stop()
-    assert gate.emergency_stop == 1
+    assert gate.emergency_stop == 2
+
+
+@pytest.mark.parametrize("cause", ["emergency_stop", "operator_lost", "fault"])
+def test_who_drove_before_a_stop_does_not_go_on_by_being_released(gate: CommandGate, cause: StopCause) -> None:
+    gate.offer(command(0), 10.0)
+    gate.stop(cause)
+    assert gate.stop_cause == cause
+    assert gate.applied(10.0).source == ("emergency_stop" if cause == "emergency_stop" else None)
+    assert gate.arm(2, "") is None
+    assert gate.taken_over
+    assert gate.applied(10.0) == Applied("stop", 0.0, None, "taken_over")
+    assert gate.resume("e", 0, "") is None
+    gate.captured(1, 10.1)
+    gate.offer(command(1), 10.1)
+    assert gate.applied(10.1).source == "policy"
+
+
+def test_a_robot_that_is_armed_before_its_first_episode_is_taken_over_by_nobody() -> None:
+    assert not armed().taken_over
 
 
 def test_emergency_stop_before_the_first_episode_holds() -> None:
-    gate = CommandGate()
+    gate = armed()
     assert gate.offer(command(0, source="emergency_stop"), 0.0) is None
     gate.begin("e", "policy")
     assert gate.applied(0.0).reason == "emergency_stop"
+
+
+def test_an_operator_who_falls_silent_is_missed(gate: CommandGate) -> None:
+    gate.hear(beat("o", 0), 10.0)
+    assert gate.operator == "o"
+    gate.watch(10.25)
+    assert gate.emergency_stop == 0
+    gate.hear(beat("o", 1), 10.25)
+    gate.watch(10.5)
+    assert gate.operator == "o"
+    gate.watch(10.5001)
+    assert gate.operator is None
+    assert (gate.emergency_stop, gate.stop_cause) == (2, "operator_lost")
+    gate.watch(20.0)
+    assert gate.emergency_stop == 2, "once"
+
+
+@pytest.mark.parametrize("sequence", [0, 1])
+def test_a_sign_of_life_that_comes_twice_or_late_is_none(gate: CommandGate, sequence: int) -> None:
+    gate.hear(beat("o", 1), 10.0)
+    gate.hear(beat("o", sequence), 10.2)
+    gate.watch(10.1 + OPERATOR_S)
+    assert gate.stop_cause == "operator_lost"
+
+
+def test_an_operator_who_says_good_bye_is_not_missed(gate: CommandGate) -> None:
+    gate.hear(beat("o", 0), 10.0)
+    gate.hear(beat("o", 1, present=False), 10.1)
+    assert gate.operator is None
+    gate.watch(99.0)
+    assert gate.emergency_stop == 0
+
+
+def test_a_good_bye_of_nobody_changes_nothing() -> None:
+    gate = CommandGate(attended=True, first_stop=5)
+    gate.hear(beat("o", 0, present=False), 10.0)
+    assert (gate.operator, gate.emergency_stop) == (None, 5)
+
+
+@pytest.mark.parametrize("other", ["n", "p"])
+def test_one_operator_at_a_time(gate: CommandGate, other: str) -> None:
+    gate.hear(beat("o", 0), 10.0)
+    gate.hear(beat(other, 7), 10.1)
+    gate.hear(beat(other, 8, present=False), 10.1)
+    assert gate.operator == "o"
+    assert gate.offer(command(0, source="teleop", session=other), 10.0) == "not the operator"
+    gate.stop()
+    theirs = "an operator is there, and only they may say so"
+    assert gate.arm(2, other) == gate.arm(7, other) == theirs
+    assert gate.emergency_stop == 2
+    assert gate.arm(2, "o") is None
+    assert gate.resume("e", 0, other) == theirs
+    assert gate.taken_over
+    assert gate.resume("e", 0, "o") is None
+    assert gate.offer(command(0, source="teleop", session="o"), 10.0) is None
+    gate.hear(beat("o", 1, present=False), 10.1)
+    gate.hear(beat(other, 9), 10.2)
+    assert gate.operator == other
+
+
+def test_an_attended_robot_moves_only_while_an_operator_is_there() -> None:
+    gate = CommandGate(attended=True, first_stop=1)
+    assert gate.arm(1, "o") == "no operator is heard; this robot moves only while one is"
+    gate.hear(beat("o", 0), 10.0)
+    assert gate.arm(1, "x") == "an operator is there, and only they may say so"
+    assert gate.arm(1, "o") is None
+    gate.begin("e", "policy")
+    gate.captured(0, 10.0)
+    gate.offer(command(0), 10.0)
+    assert gate.applied(10.0).atom == "forward"
+    gate.hear(beat("o", 1, present=False), 10.1)
+    assert (gate.emergency_stop, gate.stop_cause) == (2, "operator_lost")
+
+
+def test_one_process_of_a_kind_commands_until_it_falls_silent(gate: CommandGate) -> None:
+    for tick in (1, 2, 3):
+        gate.captured(tick, 10.0)
+    assert gate.offer(command(1, session="a", sequence=1_000_000), 10.0) is None
+    for other in ("0", "b"):
+        assert gate.offer(command(2, session=other, atom="left"), 10.0) == "another session"
+    assert gate.applied(10.0).atom == "forward"
+    assert gate.offer(command(2, session="a"), 10.0) is None, "no number locks the rightful sender out"
+    late_s = 11.0
+    gate.captured(12, late_s)
+    assert gate.offer(command(12, session="b"), late_s) == "another session"
+    gate.captured(13, late_s + 0.001)
+    assert gate.offer(command(13, session="b"), late_s + 0.001) is None
+    assert gate.offer(command(13, session="a", sequence=9), late_s + 0.001) == "another session"
+    assert gate.applied(late_s + 0.001).answered_tick == 13
+
+
+@pytest.mark.parametrize(("first", "second"), ["ab", "ba"])
+def test_the_order_of_another_process_is_its_own(gate: CommandGate, first: str, second: str) -> None:
+    gate.captured(1, 10.0)
+    assert gate.offer(command(1, session=first, sequence=5), 10.0) is None
+    gate.expect_anybody()
+    assert gate.offer(command(1, session=second), 10.0) is None
+    assert gate.offer(command(1, session=second), 10.0) == "out of order"
+
+
+def test_the_next_episode_is_anybodys(gate: CommandGate) -> None:
+    gate.offer(command(0, session="a"), 10.0)
+    gate.begin("f", "policy")
+    gate.captured(0, 10.0)
+    assert gate.offer(command(0, session="b", episode="f"), 10.0) is None
 
 
 def test_what_is_applied_names_the_frame_that_was_answered(gate: CommandGate) -> None:
@@ -319,34 +477,57 @@ def test_what_is_applied_names_the_frame_that_was_answered(gate: CommandGate) ->
 def test_a_frame_is_answered_by_a_command_for_it(gate: CommandGate) -> None:
     for tick in (1, 2):
         gate.captured(tick, 10.0)
-    assert not gate.answered("policy", 1)
+    assert not gate.answered(1)
     gate.offer(command(1), 10.0)
-    assert [gate.answered("policy", tick) for tick in (0, 1, 2)] == [False, True, False]
-    assert not gate.answered("teleop", 1)
-    gate.offer(command(0, source="emergency_stop"), 10.0)
-    assert not gate.answered("emergency_stop", 0)
+    assert [gate.answered(tick) for tick in (0, 1, 2)] == [False, True, False]
+    gate.offer(command(2, source="teleop"), 10.0)
+    assert not gate.answered(2), "by the driver, whoever else has spoken"
+
+
+SESSIONS = st.sampled_from(["", "o", "p"])
 
 
 class GateMachine(RuleBasedStateMachine):
-    """Against a model that keeps every command for ever and picks by definition."""
+    """Against a model that keeps everything that was said for ever, and picks by definition."""
 
-    @initialize(driver=st.sampled_from(SOURCES[1:]))
-    def begin(self, driver: Source) -> None:
-        self.gate = CommandGate()
-        self.gate.begin("e", driver)
-        self.driver = driver
+    @initialize(driver=st.sampled_from(SOURCES[1:]), attended=st.booleans())
+    def start(self, driver: Source, attended: bool) -> None:
+        self.attended = attended
         self.now = 0.0
-        self.tick = 0
-        self.captured = {0: 0.0}
-        self.gate.captured(0, 0.0)
-        self.accepted: list[tuple[Command, float]] = []
-        self.expired = 0
-        self.stops = self.released = 0
-        self.taken_over = False
+        self.restart()
+        self.next_episode(driver)
 
-    @rule(step=st.sampled_from([0.01, 0.1, 0.3, 2.0]))
+    @rule()
+    def restart(self) -> None:
+        """Kill the process and start it again."""
+        self.gate = CommandGate(attended=self.attended)
+        self.stop = self.gate.emergency_stop
+        self.operator: str | None = None
+        self.heard_s = 0.0
+        self.beats = getattr(self, "beats", 0)
+        self.forget("none", "policy")
+
+    def forget(self, episode: str, driver: Source) -> None:
+        self.episode, self.driver = episode, driver
+        self.taken_over = False
+        self.tick = 0
+        self.captured: dict[int, float] = {}
+        self.accepted: list[tuple[Command, float]] = []
+        self.leased: dict[str, tuple[str, float]] = {}
+        self.expired = 0
+
+    @rule(step=st.sampled_from([0.01, 0.1, 0.2, 0.3, 2.0]))
     def wait(self, step: float) -> None:
         self.now += step
+        self.gate.watch(self.now)
+        if self.operator is not None and self.now - self.heard_s > OPERATOR_S:
+            self.operator = None
+            self.latched("operator_lost")
+
+    def latched(self, cause: StopCause) -> None:
+        assert self.gate.emergency_stop not in (0, self.stop), "every stop has a number of its own"
+        assert self.gate.stop_cause == cause
+        self.stop = self.gate.emergency_stop
 
     @rule()
     def frame(self) -> None:
@@ -354,75 +535,112 @@ class GateMachine(RuleBasedStateMachine):
         self.captured[self.tick] = self.now
         self.gate.captured(self.tick, self.now)
 
-    @rule(back=st.integers(0, 2), episode=st.sampled_from(["e", "e", "old"]))
-    def resume(self, back: int, episode: str) -> None:
+    @rule(session=SESSIONS, present=st.sampled_from([True, True, True, False]), again=st.booleans())
+    def hear(self, session: str, present: bool, again: bool) -> None:
+        self.beats += not again
+        before = self.operator
+        self.gate.hear(beat(session, self.beats, present=present), self.now)
+        if before is None and present:
+            self.operator, self.heard_s, self.last_beat = session, self.now, self.beats
+        elif before == session and self.beats > self.last_beat:
+            self.heard_s, self.last_beat = self.now, self.beats
+            self.operator = session if present else None
+            if not present and self.attended:
+                self.latched("operator_lost")
+
+    @rule(cause=st.sampled_from(["emergency_stop", "fault"]))
+    def latch(self, cause: StopCause) -> None:
+        self.gate.stop(cause)
+        self.latched(cause)
+
+    @rule(session=SESSIONS, off=st.sampled_from([0, 0, 0, 1, -1]))
+    def arm(self, session: str, off: int) -> None:
+        may = self.operator == session or (self.operator is None and not self.attended)
+        done = self.gate.arm((self.stop or 7) + off, session) is None
+        assert done == (may and self.stop != 0 and off == 0)
+        if done:
+            self.stop = 0
+            self.taken_over = self.episode != "none"
+
+    @rule(back=st.integers(0, 2), episode=st.sampled_from(["e", "e", "old"]), session=SESSIONS)
+    def resume(self, back: int, episode: str, session: str) -> None:
         tick = max(0, self.tick - back)
-        mine = [c.tick for c, _ in self.accepted if c.source == "teleop"]
-        resumed = self.gate.resume(episode, tick)
-        assert resumed == (episode == "e" and max(mine, default=0) <= tick)
+        mine = [c.tick for c, _ in self.accepted if c.source == "teleop"][-1:]
+        resumed = self.gate.resume(episode, tick, session) is None
+        assert resumed == (
+            episode == self.episode and max(mine, default=0) <= tick and self.operator in (None, session)
+        )
         if resumed:
             self.taken_over = False
             self.expired = len(self.accepted)
 
-    @rule(release=st.integers(0, 3), driver=st.sampled_from(SOURCES[1:]))
-    def next_episode(self, release: int, driver: Source) -> None:
-        self.driver = driver
-        self.gate.begin("e", self.driver, release_stop=release)
-        self.taken_over = False
-        self.tick = 0
+    @rule(driver=st.sampled_from(SOURCES[1:]))
+    def next_episode(self, driver: Source) -> None:
+        self.gate.begin("e", driver)
+        self.forget("e", driver)
         self.captured = {0: self.now}
         self.gate.captured(0, self.now)
-        self.accepted.clear()
-        self.expired = 0
-        self.released = self.stops if release == self.stops else self.released
 
     @rule(
         source=st.sampled_from(SOURCES),
+        session=SESSIONS,
         back=st.integers(-1, 6),
         sequence=st.integers(0, 2),
         atom=st.sampled_from(["forward", "left", "stop"]),
         episode=st.sampled_from(["e", "e", "e", "old"]),
     )
-    def offer(self, source: Source, back: int, sequence: int, atom: Atom, episode: str) -> None:
-        offered = command(max(0, self.tick - back), sequence=sequence, source=source, atom=atom, episode=episode)
+    def offer(self, source: Source, session: str, back: int, sequence: int, atom: Atom, episode: str) -> None:
+        offered = command(
+            max(0, self.tick - back), sequence=sequence, source=source, atom=atom, episode=episode, session=session
+        )
         refusal = self.gate.offer(offered, self.now)
         if source == "emergency_stop":
-            self.stops += 1
             assert refusal is None
+            self.latched("emergency_stop")
         elif refusal is None:
-            self.accepted.append((offered, self.now))
-            assert offered.episode == "e"
+            assert offered.episode == self.episode
             assert source in ("teleop", self.driver)
+            assert source != "teleop" or self.operator in (None, session)
+            holder, held_s = self.leased.get(source, (session, 0.0))
+            assert holder == session or self.now - held_s > LEASE_S
+            self.leased[source] = (session, self.now)
+            self.accepted.append((offered, self.now))
             self.taken_over |= source != self.driver
             assert self.now - self.captured[offered.tick] <= MAX_AGE_S
 
     @invariant()
-    def only_the_newest_fresh_command_of_whoever_drives_moves_the_robot(self) -> None:
+    def only_the_last_accepted_fresh_command_of_whoever_drives_moves_the_robot(self) -> None:
         if not hasattr(self, "gate"):
             return
         applied = self.gate.applied(self.now)
         who = "teleop" if self.taken_over else self.driver
-        fresh = [
-            c
-            for c, _ in self.accepted[self.expired :]
-            if c.source == who and self.now - self.captured[c.tick] <= MAX_AGE_S
-        ]
-        assert self.gate.taken_over == self.taken_over
-        if self.stops != self.released:
-            assert applied == Applied("stop", 0.0, "emergency_stop", "emergency_stop")
+        theirs = [c for c, _ in self.accepted[self.expired :] if c.source == who][-1:]
+        fresh = [c for c in theirs if self.now - self.captured[c.tick] <= MAX_AGE_S]
+        assert (self.gate.taken_over, self.gate.operator) == (self.taken_over, self.operator)
+        assert self.gate.emergency_stop == self.stop
+        if self.stop:
+            assert (applied.atom, applied.speed, applied.reason) == ("stop", 0.0, "emergency_stop")
         elif not fresh:
             assert applied == Applied("stop", 0.0, None, "taken_over" if self.taken_over else "silence")
         else:
-            newest = max(fresh, key=lambda c: (c.tick, c.sequence))
-            assert applied == Applied(newest.atom, newest.speed, who, "command", newest.tick)
+            assert applied == Applied(fresh[0].atom, fresh[0].speed, who, "command", fresh[0].tick)
+        if applied.atom != "stop":
+            assert not self.attended or self.operator is not None
+
+    @invariant()
+    def commands_of_one_process_are_in_order(self) -> None:
+        if not hasattr(self, "gate"):
+            return
+        for (one, _), (other, _) in pairwise([pair for pair in self.accepted if pair[0].source == self.driver]):
+            assert one.session != other.session or (one.tick, one.sequence) < (other.tick, other.sequence)
 
     @invariant()
     def a_frame_is_answered_when_the_newest_command_of_the_driver_is_for_it(self) -> None:
         if not hasattr(self, "gate"):
             return
         mine = [c.tick for c, _ in self.accepted if c.source == self.driver]
-        assert self.gate.answered(self.driver, self.tick) == (mine[-1:] == [self.tick])
+        assert self.gate.answered(self.tick) == (mine[-1:] == [self.tick])
 
 
-GateMachine.TestCase.settings = settings(max_examples=100, stateful_step_count=30, deadline=None)
+GateMachine.TestCase.settings = settings(max_examples=150, stateful_step_count=40, deadline=None)
 TestGateMachine: Callable[[], object] = GateMachine.TestCase

@@ -17,20 +17,41 @@ TESTS: Final = Path(__file__).with_name("test_gate.py")
 _NEVER_ASSIGNED = "nothing assigns to an accepted command, and nobody outside the gate has one"
 _FIRST_OF_ALL = "of the names of the sources emergency_stop is the first in the alphabet"
 _NO_EPISODE = "before the first episode no command has its name"
+_BY_CHANCE = "a number by chance, one bit or one more or less"
+_NONE = "a function that ends without a value returns None"
 #: Mutants that do what the gate does, each with the reason.
 EQUIVALENT: Final = {
     "_Accepted: dataclass(frozen=True) -> dataclass()": _NEVER_ASSIGNED,
     "_Accepted: True -> False": _NEVER_ASSIGNED,
     "CommandGate.offer: command.source == 'emergency_stop' -> command.source <= 'emergency_stop'": _FIRST_OF_ALL,
-    "CommandGate._check: command.source == 'emergency_stop' -> command.source <= 'emergency_stop'": _FIRST_OF_ALL,
     "CommandGate.__init__: 'policy' -> 'policyx'": _NO_EPISODE,
     "CommandGate.__init__: 'policy' -> ''": _NO_EPISODE,
-    "CommandGate.begin: 0 -> -1": "neither is the number of a stop",
+    "_Operator: dataclass(frozen=True) -> dataclass()": _NEVER_ASSIGNED,
+    "_Operator: True -> False": _NEVER_ASSIGNED,
+    "CommandGate.__init__: None -> 0": "neither is the number of a stop, and one is drawn",
+    "CommandGate.arm: return None -> pass": _NONE,
+    "CommandGate.__init__: 48 -> 49": _BY_CHANCE,
+    "CommandGate.__init__: 48 -> 47": _BY_CHANCE,
+    "CommandGate.__init__: 1 -> 2": _BY_CHANCE,
+    "CommandGate.__init__: 1 -> 0": _BY_CHANCE,
+    "CommandGate.__init__: 0 -> -1": "neither is the number of a stop",
+    "CommandGate.emergency_stop: self._stops != self._released -> self._stops > self._released": (
+        "only the last stop is ever released"
+    ),
+    "CommandGate.arm: self._episode != '' -> self._episode > ''": "every name comes after the empty one",
+    "CommandGate._not_theirs: return None -> pass": _NONE,
+    "CommandGate._check_sender: return None -> pass": _NONE,
+    "CommandGate._check_sender: command.source == 'teleop' -> command.source >= 'teleop'": (
+        "of the names of the sources teleop is the last in the alphabet"
+    ),
+    "CommandGate.applied: self._cause == 'emergency_stop' -> self._cause <= 'emergency_stop'": (
+        "of the causes emergency_stop is the first in the alphabet"
+    ),
     "CommandGate.offer: command.source != self._driver -> command.source > self._driver": (
         "who is not the driver is teleop here, and that is the last in the alphabet"
     ),
-    "CommandGate._check: ('teleop', self._driver) -> (self._driver, 'teleop')": "either is found in any order",
-    "CommandGate.offer: return None -> pass (2)": "a function that ends without a value returns None",
+    "CommandGate._check_sender: ('teleop', self._driver) -> (self._driver, 'teleop')": "either is found in any order",
+    "CommandGate.offer: return None -> pass (2)": _NONE,
     "CommandGate._check: command.tick < min(self._captured_s) -> command.tick <= min(self._captured_s)": (
         "the oldest frame that is remembered is found, so that this is not asked of it"
     ),

@@ -1,0 +1,115 @@
+"""A runner of the robot on the line, a driver that answers its frames, and time that a test lets pass."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator
+from typing import cast
+
+from schemas.base import Atom, Message, Source
+from schemas.command import Command
+from schemas.episode import Episode
+from schemas.rpc import ResetRequest
+from services.robot.gate import CommandGate
+from services.robot.loop import PERIOD_S
+from services.robot.runner import EpisodeRunner, Pace, RealTime
+from services.simulator.body import SimulatedBody
+from services.simulator.lockstep import Lockstep
+from tests.services.robot.line import Clock, LineBody, LineView, Reach
+
+Runner = EpisodeRunner[LineView]
+
+
+class SteppedRealTime(RealTime[LineView]):
+    """Real time by a test's clock: the loop has no thread, and makes a step when the test says so."""
+
+    def begin(self) -> None:
+        self.loop.start = lambda: None  # type: ignore[method-assign]
+        super().begin()
+
+
+def armed(*, attended: bool = False) -> CommandGate:
+    """Return a gate that lets commands through."""
+    gate = CommandGate(attended=attended, first_stop=1)
+    if not attended:
+        assert gate.arm(1, "") is None
+    return gate
+
+
+def runner_of(body: LineBody, gate: CommandGate | None = None, wall_clock_ns: Callable[[], int] = lambda: 5) -> Runner:
+    """Return a runner that knows lockstep, and real time by the body's clock."""
+    gate = gate or armed()
+    simulated = cast("SimulatedBody", body)
+    paces: dict[str, Callable[[], Pace[LineView]]] = {
+        "lockstep": lambda: cast("Pace[LineView]", Lockstep(simulated, body.clock)),
+        "realtime": lambda: SteppedRealTime(gate, body, body.clock, lambda: None),
+    }
+    return EpisodeRunner(
+        body,
+        Reach(),
+        gate,
+        "r",
+        "s",
+        paces=paces,  # type: ignore[arg-type]
+        clock=body.clock,
+        wall_clock_ns=wall_clock_ns,
+    )
+
+
+def begin(body: LineBody, **request: object) -> tuple[Runner, list[Message]]:
+    """Begin an episode; return its first messages too."""
+    runner = runner_of(body)
+    return runner, reset(runner, **request)
+
+
+def reset(runner: Runner, **request: object) -> list[Message]:
+    """Begin another episode."""
+    _, messages = runner.reset(ResetRequest.model_validate({"seed": 1} | request))
+    return messages
+
+
+def command(
+    runner: Runner,
+    atom: Atom = "forward",
+    tick: int | None = None,
+    sequence: int = 0,
+    speed: float = 1.0,
+    source: Source = "policy",
+) -> Command:
+    """Return an answer to the last frame, or to another one."""
+    run = runner.running
+    assert run is not None
+    header = Message(robot="r", episode=run.id, tick=run.tick if tick is None else tick, stamp_ns=0)
+    return Command.after(header, source=source, sequence=sequence, atom=atom, speed=speed)
+
+
+def answer(
+    runner: Runner,
+    atom: Atom = "forward",
+    tick: int | None = None,
+    sequence: int = 0,
+    speed: float = 1.0,
+    source: Source = "policy",
+) -> list[Message]:
+    """Answer a frame; return what comes of it at once."""
+    runner.offer(command(runner, atom, tick, sequence, speed, source))
+    return list(runner.poll())
+
+
+def stepping(runner: Runner, clock: Clock, duration_s: float) -> Iterator[Message]:
+    """Let real time pass."""
+    end_s = clock.now_s + duration_s
+    while clock.now_s < end_s - 1e-9:
+        clock.now_s += PERIOD_S
+        if runner.running is not None and isinstance(runner.running.pace, RealTime):
+            runner.running.pace.loop.step()
+        yield from runner.poll()
+
+
+def advance(runner: Runner, clock: Clock, duration_s: float) -> list[Message]:
+    """Let real time pass; return what is published meanwhile."""
+    return list(stepping(runner, clock, duration_s))
+
+
+def events(messages: Iterable[Message]) -> list[tuple[str, str | None]]:
+    """Return the events among messages, with outcomes."""
+    return [(m.event, m.outcome) for m in messages if isinstance(m, Episode)]

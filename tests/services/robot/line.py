@@ -1,0 +1,117 @@
+"""A robot on a line without pixels: a goal and a wall somewhere ahead, time as the test has it."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Collection, Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from schemas.base import Atom, Message
+from schemas.depth_image import DepthImage
+from schemas.pose import Pose
+from schemas.rpc import ResetRequest
+from schemas.topics import DEPTH, Topic
+from services.robot.body import Beginning, ImuReading, OdometryReading
+
+SPEED_M_S = 2.0
+
+
+class Clock:
+    """A clock that the test moves."""
+
+    def __init__(self) -> None:
+        self.now_s = 100.0
+
+    def __call__(self) -> float:
+        return self.now_s
+
+
+@dataclass(frozen=True, eq=False)
+class LineView:
+    """What the robot on the line sees: how far along it is."""
+
+    body: LineBody
+    x: float
+    captured_s: float
+    contact: bool
+    odometry: OdometryReading | None
+    imu: tuple[ImuReading, ...]
+
+    @property
+    def image(self) -> NDArray[np.uint8]:
+        self.body.render(self.x)
+        return np.full((24, 32, 3), int(10 * self.x) % 256, dtype=np.uint8)
+
+    def more(self, header: Message, made: Collection[str] = ()) -> Iterator[Message]:
+        if Pose.topic not in made:
+            yield Pose.after(header, x_m=self.x, y_m=0.0, heading_rad=0.0)
+        if DEPTH.name not in made and self.body.wanted(DEPTH):
+            self.body.made[DEPTH] += 1
+            yield DepthImage.after(header, width=1, height=1, data=b"\1\0")
+
+
+class LineBody:
+    """Moves by the test's clock in real time, and by ``advance`` in lockstep."""
+
+    name = "line"
+    speed_m_s = SPEED_M_S
+    focal_px: float | None = 20.0
+    watchdog_s = 0.2
+    braking_s = 0.0
+
+    def __init__(
+        self,
+        clock: Callable[[], float],
+        goal: float = 1e9,
+        wall: float = 1e9,
+        sight: float = 1e9,
+        wanted: Callable[[Topic], bool] = lambda _: False,
+    ) -> None:
+        self.clock, self.wanted = clock, wanted
+        self.x, self.goal, self.wall, self.sight = 0.0, goal, wall, sight
+        self.moves: list[tuple[Atom, float, float]] = []
+        self.orders: list[tuple[Atom, float]] = []
+        self.made: Counter[Topic] = Counter()
+        self.senses = True
+        self._order: tuple[Atom, float] = ("stop", 0.0)
+        self._at_s = clock()
+
+    def begin(self, request: ResetRequest) -> Beginning:
+        self.x = 30.0 if request.start == "anywhere" else 0.0
+        self.moves.clear()
+        self._order, self._at_s = ("stop", 0.0), self.clock()
+        return Beginning(((0.0, 0.0), (self.goal, 0.0)), 5.0)
+
+    def drive(self, atom: Atom, speed: float) -> None:
+        now = self.clock()
+        self._move(*self._order, now - self._at_s)
+        self._order, self._at_s = (atom, speed), now
+        self.orders.append(self._order)
+
+    def stand(self) -> None:
+        self.drive("stop", 0.0)
+
+    def advance(self, atom: Atom, speed: float, duration_s: float) -> None:
+        self._move(atom, speed, duration_s)
+
+    def _move(self, atom: Atom, speed: float, duration_s: float) -> None:
+        self.moves.append((atom, speed, duration_s))
+        self.x += {"forward": SPEED_M_S, "backward": -SPEED_M_S}.get(atom, 0.0) * speed * duration_s
+
+    def render(self, x: float) -> None:
+        """Take a picture; for a body that fails, or takes its time."""
+
+    def look(self, tick: int) -> LineView:
+        odometry = OdometryReading(self.x, 0.0, 0.0, SPEED_M_S, 0.0) if self.senses else None
+        imu = (ImuReading(0.02, (0.0, 0.0, 0.1), (0.0, 0.0, 9.81)),) if self.senses else ()
+        return LineView(self, self.x, self.clock(), self.x >= self.wall, odometry, imu)
+
+
+class Reach:
+    """The task of being between the goal and as far behind it as it can be seen from."""
+
+    def reached(self, view: LineView) -> bool:
+        return view.body.goal <= view.x <= view.body.goal + view.body.sight

@@ -1,0 +1,350 @@
+"""Episodes of a robot on a line: who may begin one, who ends it, and what is told meanwhile, in real time."""
+
+from __future__ import annotations
+
+from collections import Counter
+from typing import get_args
+
+import pytest
+
+from schemas.base import Message
+from schemas.camera_info import CameraInfo
+from schemas.command import CommandApplied, StopCause
+from schemas.compressed_image import CompressedImage
+from schemas.episode import Episode
+from schemas.heartbeat import Heartbeat
+from schemas.image import Image
+from schemas.imu import Imu
+from schemas.odometry import Odometry
+from schemas.pose import Pose
+from schemas.rpc import ArmRequest, EndRequest, ResetRequest, ResumeRequest
+from services.kit.node import ServiceError
+from services.robot.gate import MAX_AGE_S, CommandGate
+from services.robot.loop import PERIOD_S
+from services.robot.runner import CLIENT_S, EpisodeRunner
+from services.robot.task import OperatorsTask
+from tests.services.robot.driving import (
+    Runner,
+    SteppedRealTime,
+    advance,
+    answer,
+    armed,
+    begin,
+    command,
+    events,
+    reset,
+    runner_of,
+)
+from tests.services.robot.line import Clock, LineBody, LineView
+
+
+def beat(runner: Runner, session: str, sequence: int = 0, *, operator: bool = False) -> None:
+    header = {"robot": "r", "episode": "e", "tick": 0, "stamp_ns": 0}
+    runner.hear(Heartbeat(**header, session=session, sequence=sequence, operator=operator))
+
+
+def applied(messages: list[Message]) -> list[CommandApplied]:
+    return [m for m in messages if isinstance(m, CommandApplied)]
+
+
+# -- real time --------------------------------------------------------------------------------------------------------
+
+
+def test_ten_frames_a_second_whether_commanded_or_not() -> None:
+    clock = Clock()
+    runner, first = begin(LineBody(clock), mode="realtime")
+    assert [type(m) for m in first] == [Episode, CameraInfo, Odometry, Imu, Pose, Image, CompressedImage]
+    images = [m for m in advance(runner, clock, 2.0) if isinstance(m, Image)]
+    assert len(images) in {19, 20}
+
+
+def test_a_body_without_wheel_or_inertial_sensors_sends_no_readings() -> None:
+    body = LineBody(Clock())
+    body.senses, body.focal_px = False, None
+    _, first = begin(body, mode="realtime")
+    assert [type(m) for m in first] == [Episode, Pose, Image, CompressedImage]
+
+
+def test_silence_stops_the_robot_within_half_a_second() -> None:
+    clock = Clock()
+    body = LineBody(clock)
+    runner, _ = begin(body, mode="realtime")
+    answer(runner)
+    messages = advance(runner, clock, 1.5)
+    moving = [duration for atom, _, duration in body.moves if atom == "forward"]
+    assert MAX_AGE_S - 2 * PERIOD_S <= sum(moving) <= MAX_AGE_S + PERIOD_S + 1e-9
+    assert body.moves[-1][0] == "stop"
+    told = applied(messages)
+    assert (told[0].reason, told[-1].reason) == ("command", "silence")
+
+
+def test_stamps_are_when_frames_were_captured_whatever_happens_to_the_wall_clock() -> None:
+    clock, wall_ns = Clock(), iter([7_000_000_000])
+    runner = runner_of(LineBody(clock), wall_clock_ns=lambda: next(wall_ns))
+    reset(runner, mode="realtime")
+    captured_s = {}
+    for _ in range(3):
+        clock.now_s += 0.35  # slower than real time: the stamps are true all the same
+        captured_s |= {(m.tick, clock.now_s): m.stamp_ns for m in runner.poll() if isinstance(m, Image)}
+    assert len(captured_s) == 3
+    assert all(stamp_ns == 7_000_000_000 + round(1e9 * (now_s - 100.0)) for (_, now_s), stamp_ns in captured_s.items())
+
+
+def test_slow_pictures_put_off_the_next_ones_and_are_counted() -> None:
+    clock = Clock()
+    runner, _ = begin(LineBody(clock), mode="realtime")
+    ticks: list[int] = []
+    for _ in range(20):
+        clock.now_s += 0.35
+        ticks += [m.tick for m in runner.poll() if isinstance(m, Image)]
+    assert ticks == list(range(1, 21)), "one each time, and none is made up for"
+    assert runner.running is not None
+    assert isinstance(runner.running.pace, SteppedRealTime)
+    assert runner.running.pace.late == 20
+
+
+def test_the_order_within_a_tick_is_told() -> None:
+    clock = Clock()
+    runner, _ = begin(LineBody(clock), mode="realtime")
+    messages = answer(runner) + advance(runner, clock, 0.12)
+    messages += answer(runner, "left") + advance(runner, clock, 0.04)
+    messages += answer(runner, "right", sequence=1) + advance(runner, clock, 1.0)
+    told = applied(messages)
+    said = Counter(m.tick for m in told)
+    assert [(m.tick, m.sequence) for m in told] == [(tick, k) for tick in sorted(said) for k in range(said[tick])]
+    assert [m.atom for m in told if m.tick == 1] == ["forward", "left", "right"]
+
+
+def test_latency_belongs_to_the_frame_that_was_answered() -> None:
+    """The heartbeat of a frame goes out before that frame can have been answered."""
+    clock = Clock()
+    runner, _ = begin(LineBody(clock), mode="realtime")
+    told: list[CommandApplied] = []
+    for tick in range(5):
+        clock.now_s += 0.01 * (tick + 1)
+        runner.offer(command(runner, tick=tick))
+        while runner.running is not None and runner.running.tick == tick:
+            told += applied(advance(runner, clock, PERIOD_S))
+    latencies: dict[int | None, set[int | None]] = {}
+    for message in told:
+        latencies.setdefault(message.answered_tick, set()).add(message.latency_ns)
+    for tick in range(5):
+        assert list(latencies[tick]) == [pytest.approx(1e7 * (tick + 1))]
+
+
+class SlowLine(LineBody):
+    """A body whose pictures take 0.1 s."""
+
+    def render(self, x: float) -> None:
+        self.clock.now_s += 0.1  # type: ignore[attr-defined]
+
+
+def test_slow_pictures_do_not_prolong_a_command() -> None:
+    for answered in range(1, 30):
+        clock = Clock()
+        body = SlowLine(clock)
+        runner, _ = begin(body, mode="realtime")
+        while runner.running is not None and runner.running.tick < answered:
+            answer(runner)
+            advance(runner, clock, PERIOD_S)
+        assert runner.running is not None
+        captured_s = runner.running.episode.view.captured_s
+        runner.offer(command(runner))
+        advance(runner, clock, 2.0)
+        stood_s = max(at for at, atom in zip(order_times(body), body.orders, strict=True) if atom[0] == "forward")
+        assert captured_s < stood_s <= captured_s + MAX_AGE_S + 1e-9
+
+
+def order_times(body: LineBody) -> list[float]:
+    at_s, times = 100.0, []
+    for _, _, duration in body.moves[-len(body.orders) :]:
+        at_s += duration
+        times.append(at_s)
+    return times
+
+
+def test_a_stop_holds_from_the_next_step_on() -> None:
+    clock = Clock()
+    body = LineBody(clock)
+    runner, _ = begin(body, mode="realtime")
+    answer(runner)
+    advance(runner, clock, 0.06)
+    given = len(body.orders)
+    runner.gate.stop()
+    messages = advance(runner, clock, 0.1)
+    assert {atom for atom, _ in body.orders[given:]} == {"stop"}
+    assert applied(messages)[0].reason == "emergency_stop"
+    assert applied(messages)[0].stop_cause == "emergency_stop"
+
+
+def test_the_end_of_an_episode_is_standing_still() -> None:
+    clock = Clock()
+    body = LineBody(clock)
+    runner, _ = begin(body, mode="realtime")
+    answer(runner)
+    advance(runner, clock, 0.04)
+    assert body.orders[-1][0] == "forward"
+    runner.end()
+    assert body.orders[-1] == ("stop", 0.0)
+
+
+# -- who may ----------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("cause", get_args(StopCause))
+@pytest.mark.parametrize("driver", ["policy", "expert", "teleop"])
+def test_a_robot_that_is_stopped_begins_nothing_until_it_is_armed(cause: StopCause, driver: str) -> None:
+    runner, _ = begin(LineBody(Clock()))
+    runner.gate.stop(cause)
+    episode = runner.running
+    with pytest.raises(ServiceError, match=r"smal teleop \(n\)"):
+        reset(runner, driver=driver)
+    assert runner.running is episode, "a refused reset ends nothing"
+    with pytest.raises(ServiceError, match="another stop was latched meanwhile"):
+        runner.arm(ArmRequest(stop=runner.gate.emergency_stop + 1))
+    runner.arm(ArmRequest(stop=runner.gate.emergency_stop))
+    reset(runner, driver="teleop")
+    assert runner.running is not episode
+
+
+def test_after_a_stop_the_driver_goes_on_when_it_is_told_to() -> None:
+    clock = Clock()
+    body = LineBody(clock)
+    runner, _ = begin(body, mode="realtime")
+    answer(runner)
+    advance(runner, clock, 0.1)
+    runner.gate.stop()
+    advance(runner, clock, 0.1)
+    runner.arm(ArmRequest(stop=runner.gate.emergency_stop))
+    answer(runner)
+    advance(runner, clock, 0.1)
+    assert body.orders[-1][0] == "stop"
+    with pytest.raises(ServiceError, match="a person has taken over"):
+        reset(runner, driver="policy")
+    assert runner.running is not None
+    runner.resume(ResumeRequest(episode=runner.running.id, tick=runner.running.tick))
+    answer(runner)
+    advance(runner, clock, 0.04)
+    assert body.orders[-1][0] == "forward"
+
+
+def test_after_a_takeover_the_driver_goes_on_when_it_is_told_to() -> None:
+    clock = Clock()
+    body = LineBody(clock)
+    runner, _ = begin(body, mode="realtime")
+    answer(runner, "left", source="teleop")
+    answer(runner)
+    advance(runner, clock, 0.04)
+    assert body.orders[-1][0] == "left"
+    for _ in range(8):
+        answer(runner)
+        messages = advance(runner, clock, 0.1)
+    assert (body.orders[-1][0], applied(messages)[-1].reason) == ("stop", "taken_over")
+    run = runner.running
+    assert run is not None
+    for episode, tick in (("other", 9), (run.id, 0)):
+        answer(runner, "stop", source="teleop")
+        with pytest.raises(ServiceError, match="another episode has begun, or the person has commanded since"):
+            runner.resume(ResumeRequest(episode=episode, tick=tick))
+    runner.resume(ResumeRequest(episode=run.id, tick=run.tick))
+    advance(runner, clock, 0.1)
+    answer(runner)
+    advance(runner, clock, 0.04)
+    assert body.orders[-1][0] == "forward"
+
+
+def test_the_episode_of_a_client_who_is_there_is_nobody_elses() -> None:
+    clock = Clock()
+    runner, _ = begin(LineBody(clock), session="a", mode="realtime")
+    run = runner.running
+    for k in range(10):
+        clock.now_s += CLIENT_S / 2
+        beat(runner, "a", k)
+        beat(runner, "b", k)
+        for session in ("b", ""):
+            with pytest.raises(ServiceError, match="is another client's"):
+                reset(runner, session=session)
+    assert runner.running is run
+    reset(runner, session="a")
+    assert runner.running is not run, "whose it is may begin the next"
+    clock.now_s += CLIENT_S + 0.01
+    reset(runner, session="b")
+    assert runner.running is not None
+    assert runner.running.request.session == "b"
+
+
+def test_a_person_who_has_taken_over_begins_an_episode_whosever_runs() -> None:
+    runner, _ = begin(LineBody(Clock()), session="a", mode="realtime")
+    with pytest.raises(ServiceError, match="is another client's"):
+        reset(runner, session="o", driver="teleop")
+    answer(runner, "stop", source="teleop")
+    reset(runner, session="o", driver="teleop")
+    assert runner.running is not None
+    assert runner.running.request.session == "o"
+
+
+def test_an_operator_who_is_lost_stops_the_robot_in_every_mode() -> None:
+    for mode in ("lockstep", "realtime"):
+        clock = Clock()
+        runner, _ = begin(LineBody(clock), mode=mode)
+        beat(runner, "o", operator=True)
+        clock.now_s += 0.3
+        list(runner.poll())
+        assert runner.gate.stop_cause == "operator_lost"
+
+
+def test_the_signs_of_life_of_programs_are_not_missed() -> None:
+    clock = Clock()
+    runner, _ = begin(LineBody(clock), session="a", mode="realtime")
+    beat(runner, "a")
+    advance(runner, clock, 5.0)
+    assert runner.gate.stop_cause is None
+
+
+# -- found ------------------------------------------------------------------------------------------------------------
+
+
+def test_what_the_operator_says_was_found_was_found() -> None:
+    body = LineBody(Clock())
+    gate = CommandGate(first_stop=1)
+    runner: Runner = EpisodeRunner(body, OperatorsTask(), gate, "r", "s", paces=runner_of(body)._paces)
+    runner.arm(ArmRequest(stop=1))
+    reset(runner, purpose="drive", driver="teleop")
+    run = runner.running
+    assert run is not None
+    beat(runner, "o", operator=True)
+    with pytest.raises(ServiceError, match="an operator is there, and only they may say so"):
+        runner.end_by(EndRequest(episode=run.id, found=True, session="x"))
+    with pytest.raises(ServiceError, match="episode other is not running"):
+        runner.end_by(EndRequest(episode="other", found=True, session="o"))
+    (ended,) = runner.end_by(EndRequest(episode=run.id, found=True, session="o"))
+    assert isinstance(ended, Episode)
+    assert (ended.outcome, ended.judge) == ("found", "operator")
+    with pytest.raises(ServiceError, match="is not running"):
+        runner.end_by(EndRequest(episode=run.id))
+
+
+def test_what_the_task_says_was_found_says_so() -> None:
+    runner, _ = begin(LineBody(Clock(), goal=0.3))
+    answer(runner)
+    found, ended = (m for m in answer(runner) if isinstance(m, Episode))
+    assert (found.event, ended.outcome, ended.judge) == ("victim_found", "found", "task")
+
+
+def test_a_robot_without_a_task_goes_on_past_every_goal() -> None:
+    body = LineBody(Clock(), goal=0.3)
+    gate = armed()
+    runner: Runner = EpisodeRunner(body, OperatorsTask(), gate, "r", "s", paces=runner_of(body, gate)._paces)
+    reset(runner, max_ticks=5)
+    assert [e for _ in range(5) for e in events(answer(runner))] == [("timed_out", None), ("ended", "timeout")]
+
+
+class Real(LineBody):
+    """A body that cannot wait for commands."""
+
+
+def test_a_mode_that_the_robot_does_not_know_is_refused_in_one_line() -> None:
+    runner: EpisodeRunner[LineView] = EpisodeRunner(Real(Clock()), OperatorsTask(), armed(), "r", "s")
+    with pytest.raises(ServiceError, match="line cannot wait for commands; ask for real time"):
+        runner.reset(ResetRequest(seed=1))
+    assert runner.running is None

@@ -1,0 +1,250 @@
+"""Lockstep: each frame waits for its answer, moves the world by one tick, and ends the episode where it does."""
+
+from __future__ import annotations
+
+import pytest
+
+from schemas.base import Message
+from schemas.camera_info import CameraInfo
+from schemas.command import Command, CommandApplied
+from schemas.compressed_image import CompressedImage
+from schemas.depth_image import DepthImage
+from schemas.episode import Episode
+from schemas.image import Image
+from schemas.imu import Imu
+from schemas.odometry import Odometry
+from schemas.pose import Pose
+from schemas.rpc import ArmRequest
+from schemas.topics import DEPTH, Topic
+from services.robot.clock import TICK_S
+from services.simulator.lockstep import GIVE_UP_S, RESEND_S
+from tests.services.robot.driving import answer, armed, begin, command, events, reset, runner_of
+from tests.services.robot.line import Clock, LineBody
+
+
+def test_it_waits_for_each_answer_and_moves_exactly_one_tick() -> None:
+    clock = Clock()
+    body = LineBody(clock)
+    runner, messages = begin(body)
+    assert [type(m) for m in messages] == [Episode, CameraInfo, Odometry, Imu, Pose, Image, CompressedImage]
+    (info,) = (m for m in messages if isinstance(m, CameraInfo))
+    assert (info.width, info.height, info.focal_px, info.centre_x_px, info.centre_y_px) == (32, 24, 20.0, 16.0, 12.0)
+    clock.now_s += RESEND_S / 2
+    assert not list(runner.poll())
+    messages = answer(runner)
+    assert [type(m) for m in messages] == [CommandApplied, Odometry, Imu, Pose, Image, CompressedImage]
+    assert body.moves == [("forward", 1.0, TICK_S)]
+    assert isinstance(messages[0], CommandApplied)
+    assert messages[0].latency_ns == pytest.approx(1e9 * RESEND_S / 2)
+    assert [m.tick for m in messages] == [0, 1, 1, 1, 1, 1]
+    assert messages[1].stamp_ns == 5 + 100_000_000
+
+
+def test_it_ignores_answers_to_other_frames() -> None:
+    body = LineBody(Clock())
+    runner, _ = begin(body)
+    answer(runner)
+    for tick in (0, 2):
+        assert answer(runner, tick=tick) == []
+    assert len(body.moves) == 1
+
+
+def test_it_sends_a_lost_frame_again_and_then_gives_up() -> None:
+    clock = Clock()
+    runner, first = begin(LineBody(clock))
+    clock.now_s += RESEND_S + 0.1
+    assert list(runner.poll()) == first[4:6], "not what is recorded: its sender keeps it for whoever missed it"
+    clock.now_s += 0.1
+    assert not list(runner.poll())
+    clock.now_s += GIVE_UP_S
+    assert events(list(runner.poll())) == [("ended", "aborted")]
+
+
+def test_a_driver_that_was_started_again_is_heard_when_the_frame_is_sent_again() -> None:
+    """Time stands meanwhile: its predecessor would be waited for, for ever."""
+    clock = Clock()
+    runner, _ = begin(LineBody(clock))
+    run = runner.running
+    assert run is not None
+    answer(runner)
+    header = Message(robot="r", episode=run.id, tick=1, stamp_ns=0)
+    other = Command.after(header, source="policy", session="other", atom="left")
+    runner.offer(other)
+    assert list(runner.poll()) == []
+    clock.now_s += RESEND_S + 0.1
+    list(runner.poll())
+    runner.offer(other)
+    (said, *_) = runner.poll()
+    assert isinstance(said, CommandApplied)
+    assert said.atom == "left"
+
+
+@pytest.mark.parametrize("listened", [False, True])
+def test_costly_pictures_are_made_only_while_somebody_listens(listened: bool) -> None:
+    clock, wanted = Clock(), set[Topic]()
+    body = LineBody(clock, wanted=wanted.__contains__)
+    runner, _ = begin(body)
+    assert not [m for m in answer(runner) if isinstance(m, DepthImage)]
+    if listened:
+        wanted.add(DEPTH)
+    messages = answer(runner)
+    assert [m.tick for m in messages if isinstance(m, DepthImage)] == [2] * listened
+    assert [type(m) for m in messages][-2:] == [Image, CompressedImage], "what is answered comes last"
+    clock.now_s += RESEND_S + 0.1
+    assert [m for m in messages if isinstance(m, Pose | DepthImage | Image)] == list(runner.poll())
+    wanted.clear()
+    answer(runner)
+    assert body.made[DEPTH] == listened, "a frame that is sent again is not made again"
+
+
+def test_who_comes_after_the_frame_was_made_gets_its_picture_when_it_is_sent_again() -> None:
+    """Otherwise a features service that needs depth could never answer the first frame, and lockstep would stand."""
+    clock, wanted = Clock(), set[Topic]()
+    runner, sent = begin(LineBody(clock, wanted=wanted.__contains__))
+    assert not [m for m in sent if isinstance(m, DepthImage)]
+    wanted.add(DEPTH)
+    clock.now_s += RESEND_S + 0.1
+    pose, depth, image = runner.poll()
+    assert isinstance(depth, DepthImage)
+    assert (pose.tick, depth.tick, image.tick) == (0, 0, 0)
+    assert depth.stamp_ns == image.stamp_ns
+    assert isinstance(image, Image)
+
+
+def test_a_run_ends_when_the_goal_is_reached() -> None:
+    runner, _ = begin(LineBody(Clock(), goal=0.3))
+    assert events(answer(runner)) == []
+    assert events(answer(runner)) == [("victim_found", None), ("ended", "found")]
+    assert runner.running is None
+
+
+def test_a_demonstration_goes_on_after_the_goal_is_reached_until_it_is_ended() -> None:
+    runner, _ = begin(LineBody(Clock(), goal=0.3), purpose="drive")
+    answer(runner)
+    assert events(answer(runner)) == [("victim_found", None)]
+    assert events(answer(runner)) == []
+    assert events(runner.end()) == [("ended", "found")]
+
+
+def test_a_demonstration_that_passes_the_goal_and_goes_on_has_not_reached_it() -> None:
+    runner, _ = begin(LineBody(Clock(), goal=0.3, sight=0.2), purpose="drive")
+    answer(runner)
+    assert events(answer(runner)) == [("victim_found", None)]
+    assert events(answer(runner)) == []
+    assert events(runner.end()) == [("ended", "aborted")]
+
+
+def test_a_demonstration_that_comes_back_to_the_goal_has_reached_it_there() -> None:
+    runner, _ = begin(LineBody(Clock(), goal=0.3, sight=0.2), purpose="drive")
+    for atom in ("forward", "forward", "forward", "backward"):
+        messages = answer(runner, atom)  # type: ignore[arg-type]
+        assert events(messages) in ([], [("victim_found", None)])
+    (ended,) = runner.end()
+    assert isinstance(ended, Episode)
+    assert (ended.outcome, ended.tick) == ("found", 4)
+
+
+@pytest.mark.parametrize(
+    ("sight", "expected"), [(1.0, [("ended", "found")]), (0.2, [("timed_out", None), ("ended", "timeout")])]
+)
+@pytest.mark.parametrize("purpose", ["drive", "recovery"])
+def test_the_last_frame_allowed_is_a_goal_if_it_shows_it(
+    sight: float, expected: list[tuple[str, str | None]], purpose: str
+) -> None:
+    runner, _ = begin(LineBody(Clock(), goal=0.3, sight=sight), purpose=purpose, max_ticks=3)
+    answer(runner)
+    answer(runner)
+    assert events(answer(runner)) == expected
+
+
+@pytest.mark.parametrize(
+    ("wall", "goal", "request_", "expected"),
+    [
+        (0.1, 1e9, {}, [("collision", None), ("ended", "collision")]),
+        (0.1, 0.1, {}, [("victim_found", None), ("collision", None), ("ended", "collision")]),
+        (1e9, 1e9, {"max_ticks": 1}, [("timed_out", None), ("ended", "timeout")]),
+    ],
+)
+def test_other_ends(
+    wall: float, goal: float, request_: dict[str, object], expected: list[tuple[str, str | None]]
+) -> None:
+    runner, _ = begin(LineBody(Clock(), wall=wall, goal=goal), **request_)
+    assert events(answer(runner)) == expected
+
+
+def test_a_reset_ends_the_running_episode_first() -> None:
+    runner, _ = begin(LineBody(Clock()))
+    messages = reset(runner, seed=2)
+    assert events(messages) == [("ended", "aborted"), ("started", None)]
+    assert messages[0].episode != messages[1].episode
+
+
+def test_it_says_once_a_tick_what_moves_the_robot() -> None:
+    runner, _ = begin(LineBody(Clock()))
+    said = [m for _ in range(3) for m in answer(runner) if isinstance(m, CommandApplied)]
+    assert [(m.tick, m.sequence, m.answered_tick) for m in said] == [(0, 0, 0), (1, 0, 1), (2, 0, 2)]
+
+
+def test_a_latched_robot_stands_and_renders_nothing_for_those_who_go_on_commanding() -> None:
+    body = LineBody(Clock())
+    runner, _ = begin(body)
+    runner.gate.stop()
+    (applied,) = runner.poll()
+    assert isinstance(applied, CommandApplied)
+    assert (applied.reason, applied.answered_tick, applied.latency_ns) == ("emergency_stop", None, None)
+    for _ in range(20):
+        assert answer(runner) == []
+    assert not list(runner.poll())
+    assert body.moves == []
+    runner.arm(ArmRequest(stop=runner.gate.emergency_stop))
+    assert {atom for _ in range(3) for m in answer(runner) if isinstance(m, CommandApplied) for atom in [m.atom]} == {
+        "stop"
+    }, "released is not told to go on"
+
+
+def test_a_stop_that_comes_while_a_step_is_told_of_ends_that_step() -> None:
+    body = LineBody(Clock())
+    runner, _ = begin(body)
+    runner.offer(command(runner))
+    for message in runner.poll():
+        assert isinstance(message, CommandApplied)
+        runner.gate.stop()
+    assert body.moves == []
+    assert [m.reason for m in runner.poll() if isinstance(m, CommandApplied)] == ["emergency_stop"]
+
+
+class Broken(LineBody):
+    """A body whose picture fails once, at a place."""
+
+    fails_at: float | None = None
+
+    def render(self, x: float) -> None:
+        if self.fails_at is not None and abs(x - self.fails_at) < 0.01:
+            self.fails_at = None
+            raise RuntimeError("no picture")
+
+
+def test_an_episode_whose_next_frame_cannot_be_made_ends() -> None:
+    body = Broken(Clock())
+    body.fails_at = 0.4
+    runner, _ = begin(body)
+    answer(runner)
+    runner.offer(command(runner))
+    sent: list[Message] = []
+    with pytest.raises(RuntimeError, match="no picture"):
+        sent.extend(runner.poll())
+    assert events(sent) == [("ended", "aborted")]
+    assert runner.running is None
+    assert not list(runner.poll())
+
+
+def test_a_reset_that_fails_leaves_no_episode_that_nobody_knows_of() -> None:
+    body = Broken(Clock())
+    runner = runner_of(body, armed())
+    body.fails_at = 0.0
+    with pytest.raises(RuntimeError):
+        reset(runner)
+    assert runner.running is None
+    assert not list(runner.poll())
+    reset(runner)
+    assert runner.running is not None

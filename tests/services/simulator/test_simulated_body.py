@@ -1,0 +1,178 @@
+"""The simulated robot as a body: its world goes on by the clock, and it tells of what only a simulator sees."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from schemas.base import Message
+from schemas.depth_image import DepthImage
+from schemas.overhead_image import OverheadImage
+from schemas.pose import Pose
+from schemas.rpc import ResetRequest
+from schemas.topics import DEPTH, OVERHEAD, Topic
+from services.robot.loop import PERIOD_S
+from services.simulator.base import KinematicBase
+from services.simulator.body import WATCHDOG_S, SimulatedBody
+from services.simulator.robots import Drive
+from services.simulator.sensors.messages import FARTHEST_M, depth_message
+from services.simulator.simulation import Simulation
+from services.simulator.world import load_world
+from services.simulator.world.place import Pose as WorldPose
+from tests.services.robot.line import Clock
+from tests.services.simulator.simulator_driving import StubCamera
+
+YARD = load_world("yard")
+INDOOR = load_world("indoor")
+PERFECT = Drive(tick_sigma=0.0, radius_sigma=0.0)
+HEADER = Message(robot="r", episode="e", tick=0, stamp_ns=0)
+
+
+class CameraAbove(StubCamera):
+    """Sees something from above as well."""
+
+    def overhead(self, pose: WorldPose) -> NDArray[np.uint8]:
+        return np.zeros((30, 40, 3), np.uint8)
+
+
+def body_of(clock: Clock, mode: str = "realtime", **request: object) -> SimulatedBody:
+    body = SimulatedBody(Simulation(YARD, StubCamera(), KinematicBase(YARD.place, PERFECT)), clock)
+    body.begin(ResetRequest.model_validate({"seed": 1, "purpose": "run", "mode": mode} | request))
+    return body
+
+
+def way_m(body: SimulatedBody, start: tuple[float, float]) -> float:
+    pose = body.look(1).pose
+    return math.hypot(pose.x - start[0], pose.y - start[1])
+
+
+def start_of(body: SimulatedBody) -> tuple[float, float]:
+    pose = body.look(0).pose
+    return pose.x, pose.y
+
+
+def test_it_goes_on_by_the_clock_until_it_is_told_otherwise() -> None:
+    clock = Clock()
+    body = body_of(clock)
+    start = start_of(body)
+    for _ in range(10):
+        body.drive("forward", 0.5)
+        clock.now_s += PERIOD_S
+    body.stand()
+    assert way_m(body, start) == pytest.approx(10 * PERIOD_S * 0.5 * PERFECT.speed_m_s)
+    clock.now_s += 5.0
+    body.stand()
+    assert way_m(body, start) == pytest.approx(10 * PERIOD_S * 0.5 * PERFECT.speed_m_s)
+
+
+@pytest.mark.parametrize("frozen_s", [0.1, 0.5, 14.0])
+def test_a_frozen_process_finds_the_robot_where_its_watchdog_stopped_it(frozen_s: float) -> None:
+    clock = Clock()
+    body = body_of(clock)
+    start = start_of(body)
+    body.drive("forward", 1.0)
+    clock.now_s += frozen_s
+    body.drive("forward", 1.0)
+    moved_s = min(frozen_s, WATCHDOG_S)
+    assert way_m(body, start) == pytest.approx(moved_s * PERFECT.speed_m_s)
+
+
+def test_in_lockstep_no_clock_moves_it() -> None:
+    clock = Clock()
+    body = body_of(clock, "lockstep")
+    start = start_of(body)
+    for _ in range(10):
+        body.drive("forward", 1.0)
+        clock.now_s += PERIOD_S
+    assert way_m(body, start) == 0.0
+    body.advance("forward", 1.0, 0.1)
+    assert way_m(body, start) == pytest.approx(0.1 * PERFECT.speed_m_s)
+
+
+def test_readings_of_the_sensors_are_evenly_apart_however_uneven_the_calls() -> None:
+    clock = Clock()
+    body = body_of(clock)
+    rng = np.random.default_rng(3)
+    for _ in range(40):
+        body.drive("forward", 1.0)
+        clock.now_s += rng.uniform(0.001, 0.04)
+    body.stand()
+    after_s = [reading.after_s for reading in body.look(1).imu]
+    assert len(after_s) >= 30
+    assert np.diff(after_s) == pytest.approx(0.02)
+
+
+def test_it_begins_anywhere_and_is_carried_away_where_that_is_asked_for() -> None:
+    plain, anywhere, carried = (
+        body_of(Clock(), "lockstep", **request) for request in ({}, {"start": "anywhere"}, {"kidnap_tick": 2})
+    )
+    assert start_of(plain) == start_of(carried) != start_of(anywhere)
+    assert way_m(carried, start_of(plain)) == 0.0
+    before = start_of(carried)
+    moved = carried.look(2).pose
+    assert math.hypot(moved.x - before[0], moved.y - before[1]) > 1.0
+    assert carried.look(3).pose == moved, "once"
+
+
+def test_where_it_begins_is_told_with_the_way_to_the_victim() -> None:
+    body = SimulatedBody(Simulation(YARD, StubCamera()), Clock())
+    beginning = body.begin(ResetRequest(seed=1))
+    assert beginning.found_m == body.simulation.found_m
+    assert beginning.route[0] == pytest.approx(start_of(body))
+    assert beginning.route[-1] == pytest.approx((YARD.victim.x, YARD.victim.y))
+
+
+@pytest.mark.parametrize("listened", [set(), {DEPTH}, {OVERHEAD}, {DEPTH, OVERHEAD}], ids=len)
+def test_costly_pictures_are_made_for_who_listens(listened: set[Topic]) -> None:
+    body = SimulatedBody(Simulation(INDOOR, CameraAbove()), Clock(), listened.__contains__)
+    view = body.look(0)
+    made = list(view.more(HEADER))
+    assert isinstance(made[0], Pose)
+    assert {m.topic_name for m in made[1:]} == {topic.name for topic in listened}
+    assert list(view.more(HEADER, {m.topic_name for m in made})) == []
+    for image in (m for m in made if isinstance(m, OverheadImage)):
+        mount = INDOOR.place.overhead
+        assert mount is not None
+        told = image.calibration
+        assert (told.focal_px, told.x_m, told.y_m, told.height_m) == (mount.focal_px, mount.x, mount.y, mount.height_m)
+
+
+def test_a_place_without_a_camera_above_sends_none() -> None:
+    body = SimulatedBody(Simulation(YARD, StubCamera()), Clock(), lambda _: True)
+    assert {m.topic_name for m in body.look(0).more(HEADER)} == {"pose/truth", "camera/depth"}
+
+
+def test_listeners_are_asked_for_before_the_first_frame() -> None:
+    """The first answer is always no."""
+    asked: set[Topic] = set()
+
+    def wanted(topic: Topic) -> bool:
+        asked.add(topic)
+        return False
+
+    SimulatedBody(Simulation(YARD, StubCamera()), Clock(), wanted)
+    assert asked == {DEPTH, OVERHEAD}
+
+
+@pytest.mark.parametrize(
+    ("size", "every"), [((480, 640), 2), ((768, 1024), 4), ((48, 64), 1), ((241, 321), 2), ((3072, 4096), 13)], ids=str
+)
+def test_depth_is_told_in_millimetres_of_some_pixels(size: tuple[int, int], every: int) -> None:
+    rows, columns = np.mgrid[: size[0], : size[1]].astype(np.float32)
+    told = depth_message(HEADER, (rows + columns / 10000).astype(np.float32)).to_numpy()
+    assert told.shape[0] <= 240
+    assert told.shape[1] <= 320
+    for row, column in [(0, 0), (7, 3), (told.shape[0] - 1, told.shape[1] - 1)]:
+        from_row, from_column = row * every + every // 2, column * every + every // 2
+        far = from_row + from_column / 10000 > FARTHEST_M
+        assert told[row, column] == (0 if far else pytest.approx(1000 * (from_row + from_column / 10000), abs=0.51))
+
+
+def test_nothing_in_range_is_zero() -> None:
+    depth_m = np.array([[np.inf, 65.1, 65.0, 0.0004, 1.2345]], dtype=np.float32)
+    message = depth_message(HEADER, depth_m)
+    assert isinstance(message, DepthImage)
+    assert message.to_numpy().tolist() == [[0, 0, 65000, 0, 1234]]
