@@ -16,6 +16,7 @@ from typing import Final
 from schemas.topics import COMMANDS
 from services.robot.clock import TICK_S
 from services.simulator.base import STEP_S
+from services.simulator.body import WATCHDOG_S
 from tests.benchmarks.faults.log import Entry, Step
 from tests.benchmarks.faults.track import Interval, Track, answered
 
@@ -23,6 +24,9 @@ from tests.benchmarks.faults.track import Interval, Track, answered
 VALID_S: Final = 0.5
 #: What the stamps may be off by: one step of the physics.
 RESOLUTION_S: Final = STEP_S
+# What a simulated base does after its process was frozen, in time at full speed: until its watchdog bites, and half of
+# the 0.25 s in which it brakes.
+_MADE_UP_S: Final = WATCHDOG_S + 0.125 + 2 * RESOLUTION_S
 #: A base that does not move for so long stands; as long as from frame to frame.
 RESTS_S: Final = TICK_S
 
@@ -39,7 +43,7 @@ class Window:
 class Still:
     """How long the robot moved after the last valid command.
 
-    On a machine that leaves the simulator its processor the two differ by a few hundredths of a second.
+    On a machine that leaves the robot's process its processor the two differ by a few hundredths of a second.
 
     Parameters
     ----------
@@ -86,20 +90,18 @@ def _accepted_s(command: Entry, track: Track) -> float:
 def _ended_s(interval: Interval, stops: Iterable[Entry], fault: Window) -> tuple[float, float]:
     """Return when the movement in an interval ended at the soonest, and at the latest.
 
-    It began with the interval, or the rest of the tick, in which the robot stood, ended with it: the same where a tick
-    takes as long as it should. A simulator that was late catches up in a shorter interval, and is late in a longer
-    one. The latest is also when the actuator said that it stops, by the arrival of the message.
+    It began with the interval, and went on for as long as the way tells. Where the robot's process had no processor for
+    more than a tick, it may as well have been the end of the interval; at the latest when the actuator said that it
+    stops, by the arrival of the message.
     """
-    if_first_s = interval.begin_s + interval.moved_s
-    if_before_rest_s = interval.end_s - (TICK_S - interval.moved_s)
-    soonest_s, latest_s = sorted((if_first_s, if_before_rest_s))
-    soonest_s = max(soonest_s, interval.begin_s)
-    if interval.begin_s <= fault.begin_s < interval.end_s and interval.end_s - interval.begin_s > 2 * TICK_S:
-        # The simulator itself was frozen here. What it had no time for before, it did when it woke.
-        ended_s = soonest_s if soonest_s <= fault.begin_s + 2 * RESOLUTION_S else latest_s
-        return ended_s, ended_s
+    soonest_s = interval.begin_s + interval.moved_s
+    if interval.end_s - interval.begin_s <= 2 * TICK_S:
+        return soonest_s, soonest_s
+    if interval.begin_s <= fault.begin_s < interval.end_s and soonest_s <= fault.begin_s + _MADE_UP_S:
+        # The robot's process was frozen here: its simulated base went on until its watchdog bit.
+        return soonest_s, soonest_s
     said_s = [one.t_s for one in stops if one.tick == interval.tick]
-    return soonest_s, max(soonest_s, min([latest_s, interval.end_s, *said_s]))
+    return soonest_s, max(soonest_s, min([interval.end_s, *said_s]))
 
 
 def stale(track: Track) -> list[str]:

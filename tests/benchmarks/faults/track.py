@@ -83,12 +83,12 @@ class Track:
 
     def intervals(self) -> list[Interval]:
         """Return all pairs of successive frames whose poses are known."""
-        poses = self.poses
-        return [
-            Interval(a.tick, self.captured_s[a.tick], self.captured_s[b.tick], _moved_s(a, b))
-            for a, b in itertools.pairwise(poses)
-            if b.tick == a.tick + 1
-        ]
+        found = []
+        for a, b in itertools.pairwise(self.poses):
+            if b.tick == a.tick + 1:
+                begin_s, end_s = self.captured_s[a.tick], self.captured_s[b.tick]
+                found.append(Interval(a.tick, begin_s, end_s, _moved_s(a, b, end_s - begin_s)))
+        return found
 
 
 def answered(applied: Entry) -> int:
@@ -97,13 +97,13 @@ def answered(applied: Entry) -> int:
     return -1 if tick is None else int(tick)
 
 
-def _moved_s(before: Entry, after: Entry) -> float:
-    """Tell for how long the robot must have moved at its nominal speed."""
+def _moved_s(before: Entry, after: Entry, passed_s: float) -> float:
+    """Tell for how long of that time the robot must have moved at its nominal speed."""
     a, b = before.told, after.told
     way_s = math.hypot(b["x_m"] - a["x_m"], b["y_m"] - a["y_m"]) / _DRIVE.speed_m_s
     turn_s = abs(math.remainder(b["heading_rad"] - a["heading_rad"], math.tau)) / _DRIVE.turn_rate_rad_s
     moved_s = max(way_s, turn_s)
-    return 0.0 if moved_s < NOISE * TICK_S else min(moved_s, TICK_S)
+    return 0.0 if moved_s < NOISE * TICK_S else min(moved_s, passed_s)
 
 
 def tracks(entries: Iterable[Entry], offset_s: float | None = None) -> list[Track]:
