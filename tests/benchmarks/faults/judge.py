@@ -97,7 +97,8 @@ def _ended_s(interval: Interval, stops: Iterable[Entry], fault: Window) -> tuple
     soonest_s = interval.begin_s + interval.moved_s
     if interval.end_s - interval.begin_s <= 2 * TICK_S:
         return soonest_s, soonest_s
-    if interval.begin_s <= fault.begin_s < interval.end_s and soonest_s <= fault.begin_s + _MADE_UP_S:
+    # Less than a tick of slack: times are late by a frame's way to the observer.
+    if interval.begin_s - TICK_S < fault.begin_s < interval.end_s and soonest_s <= fault.begin_s + _MADE_UP_S:
         # The robot's process was frozen here: its simulated base went on until its watchdog bit.
         return soonest_s, soonest_s
     said_s = [one.t_s for one in stops if one.tick == interval.tick]

@@ -33,7 +33,7 @@ class Outcome:
     fault : Window
     still : Still
     stood_s, moved_again_s : float, optional
-        After the begin and the end of the fault, by the log of a moving base.
+        After the begin and the end of a fault that has to make it stand, by the log of a moving base.
     stale : list of str
         Commands that were obeyed although too old, or though nobody gave them.
     refused : int
@@ -108,7 +108,7 @@ def run_cell(cell: Cell, rig: Rig) -> Outcome:
         rig.entries, rig.notes = entries + rig.entries, notes + rig.notes
     _judge(cell, outcome, rig.tracks(), over_s)
     if rig.plan.rolling:
-        _judge_base(outcome, rig.steps())
+        _judge_base(cell, outcome, rig.steps())
     _compare(outcome, read_recordings(rig.plan.recordings), harmed if cell.next_episode else set())
     outcome.notes, outcome.load = rig.notes, os.getloadavg()[0]
     outcome.not_met = verdict(cell, outcome)
@@ -141,13 +141,14 @@ def _judge(cell: Cell, outcome: Outcome, seen: list[Track], over_s: float) -> No
         outcome.rate_hz = min(judge.rate_hz(seen, topic, fault) for topic in _RATED)
 
 
-def _judge_base(outcome: Outcome, steps: list[Step]) -> None:
+def _judge_base(cell: Cell, outcome: Outcome, steps: list[Step]) -> None:
     """Judge what the robot did by what its base did, in place of the poses that it told."""
     asked = judge.commands(outcome.tracks)
     outcome.steps = steps
     outcome.still = judge.rolled_on(steps, asked)
     outcome.stale += judge.stale_orders(steps, asked)
-    outcome.stood_s, outcome.moved_again_s = judge.stood_s(steps, outcome.fault)
+    if cell.stands:
+        outcome.stood_s, outcome.moved_again_s = judge.stood_s(steps, outcome.fault)
 
 
 def _compare(outcome: Outcome, recorded: dict[str, Recorded], excused: set[str]) -> None:

@@ -22,8 +22,8 @@ from schemas.odometry import Odometry
 from schemas.state import State
 from services.kit.node import Node
 from services.kit.settings import ServiceSettings
+from services.robot.clock import TICK_S
 from services.robot.gate import CommandGate
-from services.simulator.drive import TICK_S
 
 #: Longer than any command stays fresh.
 _LAST_ANSWER_S: Final = 1.0
@@ -73,6 +73,7 @@ class Robot:
     def __init__(self, settings: ServiceSettings, *, stages: bool = False) -> None:
         self.node = Node("bench", settings)
         self._gate = CommandGate()
+        self._gate.arm(self._gate.emergency_stop, session="")
         self._answers = Answers()
         self._sent_s: dict[int, float] = {}
         self._header = Message(robot=settings.robot, episode="none", tick=0, stamp_ns=0)
