@@ -65,8 +65,8 @@ class View(Protocol):
         """What the wheels say, if they say anything."""
 
     @property
-    def imu(self) -> tuple[ImuReading, ...]:
-        """The inertial readings since the frame before, oldest first."""
+    def imu(self) -> tuple[ImuReading, ...] | None:
+        """The inertial readings since the frame before, oldest first; None without such a unit."""
 
     def more(self, header: Message, made: Collection[str] = ()) -> Iterator[Message]:
         """Make the other messages of this moment that somebody wants, but for the topics that were made before."""

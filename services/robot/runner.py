@@ -385,7 +385,7 @@ class EpisodeRunner(Generic[V]):
             yield camera_info(header, image, self.body.focal_px)
         if view.odometry is not None:
             yield odometry_message(header, view.odometry)
-        if view.imu:
+        if view.imu is not None:
             yield imu_message(header, view.imu)
         yield from run.frame
         # After the raw image, so that its features are worked on meanwhile.

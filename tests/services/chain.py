@@ -18,6 +18,7 @@ from schemas.image import Image
 from schemas.observation import Observation
 from schemas.odometry import Odometry
 from schemas.state import State
+from services.table import SERVICES
 from smal.action_space import Atom
 from smal.features import FeatureSettings, extract
 from smal.learning import Demonstration, LearningSettings, learn
@@ -96,7 +97,7 @@ def save_model(path: Path, frames: int = 18) -> Path:
 def process(service: str, endpoint: str, *flags: str) -> Iterator[subprocess.Popen[str]]:
     """Run a service as a process; it must end with status 0 within five seconds of SIGTERM."""
     child = subprocess.Popen(
-        [sys.executable, "-m", f"services.{service}", "--router", endpoint, *flags],
+        [sys.executable, *SERVICES[service].command, "--router", endpoint, *flags],
         stderr=subprocess.PIPE,
         text=True,
         env=os.environ | {"OPENBLAS_NUM_THREADS": "1"},

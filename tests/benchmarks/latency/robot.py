@@ -72,8 +72,8 @@ class Robot:
 
     def __init__(self, settings: ServiceSettings, *, stages: bool = False) -> None:
         self.node = Node("bench", settings)
-        self._gate = CommandGate()
-        self._gate.arm(self._gate.emergency_stop, session="")
+        self._gate = CommandGate(first_stop=1)
+        self._gate.arm(1, "")
         self._answers = Answers()
         self._sent_s: dict[int, float] = {}
         self._header = Message(robot=settings.robot, episode="none", tick=0, stamp_ns=0)

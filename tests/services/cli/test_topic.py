@@ -46,7 +46,7 @@ def test_list_as_json(smal: Smal) -> None:
         "name": "camera/rgb",
         "message": "smal.Image/1",
         "rate_hz": 10,
-        "from": ["simulator"],
+        "from": ["robot"],
         "to": ["features"],
         "meaning": "",
     }

@@ -14,6 +14,8 @@ from services.robot.loop import PERIOD_S
 from services.robot.runner import EpisodeRunner, Pace, RealTime
 from services.simulator.body import SimulatedBody
 from services.simulator.lockstep import Lockstep
+from services.simulator.simulation import Simulation
+from services.simulator.view import FindVictim, SimulatedView
 from tests.services.robot.line import Clock, LineBody, LineView, Reach
 
 Runner = EpisodeRunner[LineView]
@@ -53,6 +55,12 @@ def runner_of(body: LineBody, gate: CommandGate | None = None, wall_clock_ns: Ca
         clock=body.clock,
         wall_clock_ns=wall_clock_ns,
     )
+
+
+def simulated(simulation: Simulation) -> EpisodeRunner[SimulatedView]:
+    """Return a runner of a simulated robot, as the simulator's process makes it."""
+    body = SimulatedBody(simulation)
+    return EpisodeRunner(body, FindVictim(), armed(), "rescuebot", "test", paces={"lockstep": lambda: Lockstep(body)})
 
 
 def begin(body: LineBody, **request: object) -> tuple[Runner, list[Message]]:

@@ -38,7 +38,7 @@ class LineView:
     captured_s: float
     contact: bool
     odometry: OdometryReading | None
-    imu: tuple[ImuReading, ...]
+    imu: tuple[ImuReading, ...] | None
 
     @property
     def image(self) -> NDArray[np.uint8]:
@@ -106,7 +106,7 @@ class LineBody:
 
     def look(self, tick: int) -> LineView:
         odometry = OdometryReading(self.x, 0.0, 0.0, SPEED_M_S, 0.0) if self.senses else None
-        imu = (ImuReading(0.02, (0.0, 0.0, 0.1), (0.0, 0.0, 9.81)),) if self.senses else ()
+        imu = (ImuReading(0.02, (0.0, 0.0, 0.1), (0.0, 0.0, 9.81)),) if self.senses else None
         return LineView(self, self.x, self.clock(), self.x >= self.wall, odometry, imu)
 
 

@@ -17,9 +17,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from schemas.base import ATOMS, Atom
+from services.robot.clock import TICK_S
 from services.robot.gate import MAX_AGE_S
 from services.simulator.base import STEP_S, Base, KinematicBase, Motion
-from services.simulator.drive import TICK_S, WheelSpeeds, move
+from services.simulator.drive import WheelSpeeds, move
 from services.simulator.physics import engine
 from services.simulator.physics.articulation import TYRE_FRICTION
 from services.simulator.physics.collision_shapes import hull, upright_sides
@@ -445,4 +446,4 @@ def test_following_the_route_leads_to_the_victim_without_a_collision(name: str) 
     for x, y in simulation.route()[1:]:
         drive_to(simulation, x, y)
     assert not simulation.collided
-    assert simulation.victim_found()
+    assert simulation.look().victim_found

@@ -20,7 +20,7 @@ from schemas.image import Image
 from schemas.imu import Imu
 from schemas.odometry import Odometry
 from schemas.pose import Pose
-from schemas.rpc import EndRequest, Nothing, ResetReply, ResetRequest
+from schemas.rpc import ArmRequest, EndRequest, Nothing, ResetReply, ResetRequest
 from services.kit.bus import Bus, RpcError, Take
 from tests.services.chain import process
 from tests.services.waiting import eventually, malformed, ready, status_of
@@ -48,13 +48,16 @@ def heard(client: Bus, router_endpoint: str) -> Iterator[Heard]:
     client.subscribe(topics.APPLIED, into(heard.applied, CommandApplied))  # type: ignore[arg-type]
     client.subscribe(topics.EPISODE, into(heard.events, Episode))  # type: ignore[arg-type]
     flags = ("--world", "yard", "--camera-width", "64", "--camera-height", "48")
-    with process("simulator", router_endpoint, *flags):
-        ready(client, "simulator")
+    with process("robot", router_endpoint, *flags):
+        stop = ready(client, "robot").detail["emergency_stop"]
+        with pytest.raises(RpcError, match="the robot is not armed"):
+            reset(client)
+        client.call("robot", "arm", ArmRequest(stop=int(stop or 0)), Nothing)
         yield heard
 
 
 def reset(client: Bus, **request: object) -> ResetReply:
-    return client.call("simulator", "reset", ResetRequest.model_validate({"seed": 1} | request), ResetReply, 30.0)
+    return client.call("robot", "reset", ResetRequest.model_validate({"seed": 1} | request), ResetReply, 30.0)
 
 
 def command(episode: str, tick: int, atom: str = "forward") -> Command:
@@ -70,16 +73,16 @@ def test_lockstep_episode_waits_for_commands_and_survives_malformed_ones_on_ever
     assert reply.world == "yard"
     eventually(lambda: heard.images)
     for topic in topics.COMMANDS.values():
-        malformed(client, "simulator", topic)
+        malformed(client, "robot", topic)
     assert [image.tick for image in heard.images] in ([0], [0, 0])
     for tick in range(3):
         client.publish(command(reply.episode, tick))
         eventually(lambda tick=tick: heard.images[-1].tick == tick + 1)  # type: ignore[misc]
     assert heard.images[0].data != heard.images[-1].data
-    client.call("simulator", "end", EndRequest(episode=reply.episode), Nothing)
+    client.call("robot", "end", EndRequest(episode=reply.episode), Nothing)
     eventually(lambda: heard.events[-1].event == "ended")
     with pytest.raises(RpcError, match="not running"):
-        client.call("simulator", "end", EndRequest(episode=reply.episode), Nothing)
+        client.call("robot", "end", EndRequest(episode=reply.episode), Nothing)
 
 
 def test_realtime_episode_stands_in_silence_and_times_out(client: Bus, heard: Heard) -> None:
@@ -108,7 +111,7 @@ def test_depth_comes_while_somebody_listens(client: Bus, heard: Heard, router_en
     eventually(lambda: heard.images)
 
     def published() -> dict[str, int]:
-        status = status_of(client, "simulator")
+        status = status_of(client, "robot")
         assert status is not None
         return status.published
 
@@ -163,7 +166,7 @@ def test_refusals_are_told_in_the_status(client: Bus, heard: Heard) -> None:
     client.publish(command(reply.episode, 7))
 
     def refused() -> bool:
-        status = status_of(client, "simulator")
+        status = status_of(client, "robot")
         return status is not None and status.detail.get("refused unknown frame") == 1
 
     eventually(refused)

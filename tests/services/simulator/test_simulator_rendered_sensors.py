@@ -168,19 +168,19 @@ def test_a_robot_that_drives_sees_a_shaken_picture_and_one_that_stands_does_not(
     shaken, steady = (Simulation(YARD, camera, shake=ShakeSettings(strength)) for strength in (1.0, 0.0))
     for simulation in (shaken, steady):
         simulation.reset(3, "run")
-    np.testing.assert_array_equal(shaken.render(), steady.render())
+    np.testing.assert_array_equal(shaken.look().image, steady.look().image)
     differences = []
     for _ in range(5):
         for simulation in (shaken, steady):
             simulation.advance("forward", 1.0, 0.1)
-        image = shaken.render()
-        differences.append(np.abs(image.astype(int) - steady.render()).mean())
-        np.testing.assert_array_equal(shaken.render(), image)
-        assert not np.array_equal(shaken.depth_m(), steady.depth_m())
+        image = shaken.look().image
+        differences.append(np.abs(image.astype(int) - steady.look().image).mean())
+        np.testing.assert_array_equal(shaken.look().image, image)
+        assert not np.array_equal(shaken.look().depth_m, steady.look().depth_m)
     assert np.mean(differences) > 3
     for simulation in (shaken, steady):
         simulation.advance("stop", 1.0, 1.5)
-    np.testing.assert_array_equal(shaken.render(), steady.render())
+    np.testing.assert_array_equal(shaken.look().image, steady.look().image)
 
 
 # -- overhead ---------------------------------------------------------------------------------------------------------
@@ -246,18 +246,21 @@ def test_all_pictures_of_a_frame_are_of_one_scene(capfd: pytest.CaptureFixture[s
     simulation.reset(1, "run")
     for atom in ("forward", "forward", "stop", "stop"):
         simulation.advance(atom, 1.0, 0.5)  # type: ignore[arg-type]
-        image, depth, above = simulation.render(), simulation.depth_m(), simulation.overhead()
-        np.testing.assert_array_equal(simulation.depth_m(), depth)
-        np.testing.assert_array_equal(simulation.overhead(), above)
-        np.testing.assert_array_equal(simulation.render(), image)
+        view = simulation.look()
+        image, depth, above = view.image, view.depth_m, view.overhead
+        view = simulation.look()
+        np.testing.assert_array_equal(view.depth_m, depth)
+        np.testing.assert_array_equal(view.overhead, above)
+        np.testing.assert_array_equal(view.image, image)
     simulation.advance("forward", 1.0, 0.1)
-    simulation.overhead()
-    simulation.render()
+    view = simulation.look()
+    assert view.overhead.size
+    assert view.image.size
     assert "picture" not in "".join(capfd.readouterr())
 
 
 def test_a_place_without_an_overhead_camera_says_so(camera: SceneCamera) -> None:
     simulation = Simulation(YARD, camera)
-    assert simulation.overhead_mount is None
+    assert simulation.world.place.overhead is None
     with pytest.raises(LookupError, match="no overhead camera"):
-        simulation.overhead()
+        assert simulation.look().overhead.size

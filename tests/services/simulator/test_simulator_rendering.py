@@ -68,10 +68,10 @@ def test_no_start_sees_the_victim(camera: SceneCamera) -> None:
 def test_the_simulation_finds_the_victim_by_its_own_eyes(camera: SceneCamera) -> None:
     simulation = Simulation(YARD, camera)
     simulation.reset(0, "run")
-    assert not simulation.victim_found()
+    assert not simulation.look().victim_found
     for x, y in simulation.route()[1:]:
-        drive_to(simulation, x, y, simulation.victim_found)
-    assert simulation.victim_found()
+        drive_to(simulation, x, y, lambda: simulation.look().victim_found)
+    assert simulation.look().victim_found
     assert not simulation.collided
 
 

@@ -11,10 +11,12 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from schemas.base import ATOMS, Atom
+from services.robot.body import ImuReading
+from services.robot.clock import TICK_S
 from services.simulator.base import KinematicBase, Motion
-from services.simulator.drive import TICK_S, WheelSpeeds, move
+from services.simulator.drive import WheelSpeeds, move
 from services.simulator.robots import TURTLEBOT, Drive
-from services.simulator.sensors import EncoderSettings, ImuReading, ImuSettings, Sensors, ShakeSettings
+from services.simulator.sensors import EncoderSettings, ImuSettings, Sensors, ShakeSettings
 from services.simulator.sensors.imu import GRAVITY_M_S2
 from services.simulator.sensors.suite import MOST_READINGS
 from services.simulator.simulation import Simulation
@@ -297,7 +299,8 @@ def episode(robot: Simulation, seed: int, purpose: str, atoms: list[Atom]) -> li
     said: list[object] = [robot.pose]
     for atom in atoms:
         robot.advance(atom, 1.0, TICK_S)
-        said += [robot.pose, robot.odometry(), robot.imu()]
+        view = robot.look()
+        said += [robot.pose, view.odometry, view.imu]
     return said
 
 
@@ -338,9 +341,9 @@ def test_sensors_do_not_change_how_the_robot_starts_and_drives() -> None:
 def test_a_tick_has_five_inertial_readings(tick: int) -> None:
     robot = simulation()
     robot.reset(1, "run")
-    assert robot.imu() == ()
+    assert robot.look().imu == ()
     for _ in range(tick):
         robot.advance("forward", 1.0, TICK_S)
-        readings = robot.imu()
+        readings = robot.look().imu
     expected = TICK_S * (tick - 1) + STEP_S * np.arange(1, 6)
     np.testing.assert_allclose([reading.after_s for reading in readings], expected)

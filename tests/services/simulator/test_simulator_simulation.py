@@ -36,7 +36,8 @@ def test_the_same_seed_gives_the_same_episode_however_it_is_stepped(seed: int, p
         for _ in range(5):
             sliced.advance(atom, 1.0, 0.02)
     assert (whole.pose, whole.collided) == (sliced.pose, sliced.collided)
-    assert (whole.odometry(), whole.imu()) == (sliced.odometry(), sliced.imu())
+    one, other = whole.look(), sliced.look()
+    assert (one.odometry, one.imu) == (other.odometry, other.imu)
 
 
 def test_reset_forgets_the_episode_before() -> None:
@@ -77,16 +78,16 @@ def test_a_robot_that_is_carried_away_does_not_know_it_by_its_wheels(physical: b
     for one in (simulation, again):
         one.reset(5, "run")
         one.advance("forward", 1.0, 0.5)
-    before, wheels = simulation.pose, simulation.odometry()
+    before, wheels = simulation.pose, simulation.look().odometry
     carried = simulation.carry_away()
     assert carried == simulation.pose == again.carry_away()
     assert math.hypot(carried.x - before.x, carried.y - before.y) > 1.0
-    now = simulation.odometry()
+    now = simulation.look().odometry
     assert (now.x_m, now.y_m, now.heading_rad) == (wheels.x_m, wheels.y_m, wheels.heading_rad)
     for one in (simulation, again):
         one.advance("forward", 1.0, 0.2)
     assert simulation.pose == again.pose
-    by_wheels = simulation.odometry()
+    by_wheels = simulation.look().odometry
     moved = math.hypot(by_wheels.x_m - wheels.x_m, by_wheels.y_m - wheels.y_m)
     assert moved == pytest.approx(math.hypot(simulation.pose.x - carried.x, simulation.pose.y - carried.y), abs=0.1)
     assert moved > 0.1
@@ -134,23 +135,23 @@ def test_following_the_route_leads_to_the_victim_without_a_collision(name: str) 
     simulation = Simulation(load_world(name), camera)
     simulation.reset(11, "run")
     for x, y in simulation.route()[1:]:
-        assert not simulation.victim_found() or (x, y) == tuple(simulation.route()[-1])
+        assert not simulation.look().victim_found or (x, y) == tuple(simulation.route()[-1])
         drive_to(simulation, x, y)
     assert not simulation.collided
-    assert simulation.victim_found()
+    assert simulation.look().victim_found
 
 
 def test_the_victim_is_found_only_when_near_and_seen() -> None:
     camera = StubCamera(fraction=0.5)
     simulation = Simulation(YARD, camera)
     simulation.reset(0, "run")
-    assert not simulation.victim_found()
+    assert not simulation.look().victim_found
     assert camera.asked == 0, "far away, the image is not searched at all"
     for x, y in simulation.route()[1:]:
         drive_to(simulation, x, y)
-    assert simulation.victim_found()
+    assert simulation.look().victim_found
     camera.fraction = 0.0004
-    assert not simulation.victim_found()
+    assert not simulation.look().victim_found
 
 
 def test_the_route_is_that_of_this_episode() -> None:

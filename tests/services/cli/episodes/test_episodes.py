@@ -11,7 +11,7 @@ import pytest
 from schemas.action import Action
 from schemas.base import Message
 from schemas.episode import Episode, Outcome
-from schemas.rpc import EndRequest, LoadReply, LoadRequest, ResetReply, ResetRequest
+from schemas.rpc import ArmRequest, EndRequest, LoadReply, LoadRequest, ResetReply, ResetRequest
 from services.cli.episodes.client import EpisodeClient, EpisodeRecord, check_world_of
 from services.cli.options import Camera, camera_of_own_stack
 from services.cli.run import CHAIN, _check_models, _run_all, summarise
@@ -21,7 +21,7 @@ from services.kit.errors import JobError, UsageError
 from services.kit.model_service import identity_of
 from services.kit.node import EXIT_FAILED, Node, ServiceError
 from services.kit.settings import ServiceSettings
-from services.robot.outcome import RunOutcome
+from services.robot.episode import RunOutcome
 from tests import corridor
 from tests.services.cli.conftest import Smal
 from tests.services.conftest import RunNode
@@ -35,12 +35,17 @@ class FakeSimulator:
 
     decisions = (("follow", 4), ("look_around", None), ("guess", 5), ("stop", 5), ("look_around", None))
     outcome: Outcome = "found"
+    stop_cause: str | None = "not_armed"
+    attended = False
 
     def __init__(self, node: Node) -> None:
         self._node = node
         self.ended: list[str] = []
+        self.armed: list[int] = []
+        node.serve("arm", ArmRequest, lambda request: self.armed.append(request.stop))
         node.serve("reset", ResetRequest, self.reset)
         node.serve("end", EndRequest, self.end)
+        node.detail = lambda: {"stop_cause": self.stop_cause, "emergency_stop": 7, "attended": self.attended}
 
     def reset(self, _request: ResetRequest) -> ResetReply:
         for tick, (kind, state) in enumerate(self.decisions):
@@ -60,7 +65,7 @@ class FakeSimulator:
 
 @pytest.fixture
 def simulator(settings: ServiceSettings, run_node: RunNode) -> FakeSimulator:
-    node = Node("simulator", settings)
+    node = Node("robot", settings)
     fake = FakeSimulator(node)
     run_node(node)
     return fake
@@ -92,6 +97,24 @@ def test_a_robot_that_says_that_it_has_arrived_is_judged(
     finally:
         client.close()
     assert (record.outcome, record.arrived, simulator.ended) == (outcome, True, ["e"])
+
+
+@pytest.mark.parametrize(
+    ("cause", "attended", "armed"),
+    [("not_armed", False, [7]), ("not_armed", True, []), ("emergency_stop", False, []), (None, False, [])],
+)
+def test_who_begins_a_run_arms_a_robot_that_was_just_started_and_no_other(
+    cause: str | None, attended: bool, armed: list[int], simulator: FakeSimulator, settings: ServiceSettings
+) -> None:
+    simulator.stop_cause, simulator.attended, simulator.decisions = cause, attended, (("goal", 9),)
+    client = EpisodeClient("test", settings)
+    client.node.bus.wait_connected(5.0)
+    try:
+        for _ in range(2):
+            client.run(REQUEST)
+    finally:
+        client.close()
+    assert simulator.armed == armed, "once: one that was started again meanwhile is armed by a person"
 
 
 def test_only_a_robot_that_drives_itself_arrives(simulator: FakeSimulator, settings: ServiceSettings) -> None:
@@ -177,8 +200,8 @@ def test_start_and_kidnap_reach_the_simulator(
         loaded.append(request)
         return LoadReply(states=1, templates=1, sequence_length=1, keyframes=1, scheme="filter", stride=1)
 
-    fakes = {name: Node(name, settings) for name in ("simulator", "features", *CHAIN)}
-    fakes["simulator"].serve("reset", ResetRequest, reset)
+    fakes = {name: Node(name, settings) for name in ("robot", "features", *CHAIN)}
+    fakes["robot"].serve("reset", ResetRequest, reset)
     fakes["features"].detail = lambda: {"fingerprint": corridor.FEATURES.fingerprint}
     for name in CHAIN:
         fakes[name].detail = lambda: {"checksum": identity}
@@ -187,7 +210,7 @@ def test_start_and_kidnap_reach_the_simulator(
         run_node(node)
     status, _, said = smal("run", "--model", str(path), "--world", "yard", "--episodes", "1", *flags,
                            "--connect", settings.router)  # fmt: skip
-    assert (status, said.splitlines()[-1]) == (EXIT_FAILED, "smal: simulator reset: enough seen")
+    assert (status, said.splitlines()[-1]) == (EXIT_FAILED, "smal: robot reset: enough seen")
     assert [(one.start, one.kidnap_tick, one.purpose) for one in asked] == [(start, kidnap_tick, "run")]
     assert [(one.scheme, one.stride) for one in loaded] == [("filter", None)] * 2
 

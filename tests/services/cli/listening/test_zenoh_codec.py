@@ -102,8 +102,8 @@ def test_calls_are_json() -> None:
     ("key", "value", "reason"),
     [
         ("smal/*/command/teleop", "{}", r"smal/\*/command/teleop is no topic of SMAL"),
-        (TELEOP, "nonsense", r"smal\.Command/1: message: Invalid JSON"),
-        (TELEOP, '{"robot": "rescuebot"}', r"smal\.Command/1: episode: Field required \(and \d more\)"),
+        (TELEOP, "nonsense", r"smal\.Command/2: message: Invalid JSON"),
+        (TELEOP, '{"robot": "rescuebot"}', r"smal\.Command/2: episode: Field required \(and \d more\)"),
         (TELEOP, EXAMPLES[Command].model_copy(update={"speed": 2.0}).model_dump_json(), "speed: "),
         (TELEOP, EXAMPLES[Command].model_copy(update={"source": "policy"}).model_dump_json(), "does not belong on"),
         (TELEOP, EXAMPLES[Command].model_copy(update={"robot": "other"}).model_dump_json(), "does not belong on"),
@@ -209,12 +209,12 @@ def test_zenoh_put_sends_nothing_that_is_no_message(zenoh: Zenoh) -> None:
     child = zenoh("put", "-k", TELEOP, "--encoder", "smal", "-v", '{"robot": "rescuebot"}')
     _, errors = child.communicate(timeout=20.0)
     assert child.returncode == 1
-    assert errors.splitlines()[-1] == "ValueError: smal.Command/1: episode: Field required (and 4 more)"
+    assert errors.splitlines()[-1] == "ValueError: smal.Command/2: episode: Field required (and 4 more)"
 
 
 @needs_zenoh_cli
 def test_zenoh_get_shows_a_services_status(zenoh: Zenoh, client: Bus) -> None:
-    client.serve("simulator", "status", lambda _request, reply: reply(Nothing()))
+    client.serve("robot", "status", lambda _request, reply: reply(Nothing()))
     child = zenoh("get", "-s", "smal/rescuebot/rpc/simulator/status", "--decoder", "smal")
     out, _ = child.communicate(timeout=20.0)
     assert (child.returncode, out) == (0, "{}\n")

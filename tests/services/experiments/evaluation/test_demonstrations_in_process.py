@@ -20,11 +20,11 @@ from services.expert.service import ExpertService
 from services.features.service import FeaturesService
 from services.recordings.dataset import unusable
 from services.recordings.recorded import RecordedEpisode
-from services.simulator.episode import EpisodeRunner
 from services.simulator.simulation import Simulation
 from services.simulator.world import load_world
 from smal.action_space import Atom
 from smal.features import FeatureSettings
+from tests.services.robot.driving import simulated
 from tests.services.simulator.simulator_driving import StubCamera
 
 YARD = load_world("yard")
@@ -34,7 +34,7 @@ FEATURES = FeatureSettings()
 def recorded(simulation: Simulation, seed: int, purpose: Purpose) -> RecordedEpisode:
     """Have the services' objects make one demonstration, and keep what the recorder would."""
     runner, features, expert = (
-        EpisodeRunner(simulation, "rescuebot", "test"),
+        simulated(simulation),
         FeaturesService(FEATURES),
         ExpertService(),
     )
@@ -60,9 +60,10 @@ def recorded(simulation: Simulation, seed: int, purpose: Purpose) -> RecordedEpi
         elif isinstance(message, Episode) and message.event == "ended":
             kept.outcome, kept.end_tick = message.outcome, message.tick
         if command is not None:
-            waiting.extend(runner.offer(command))
+            runner.offer(command)
+            waiting.extend(runner.poll())
         if expert.arrived and not waiting and runner.running is not None:
-            waiting.extend(runner.end(None))
+            waiting.extend(runner.end())
     return kept
 
 

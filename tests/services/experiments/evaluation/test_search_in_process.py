@@ -18,16 +18,14 @@ from schemas.observation import Observation
 from schemas.odometry import Odometry
 from schemas.pose import Pose as TruePose
 from schemas.rpc import LoadRequest, ResetRequest, Scheme
-from services.experiments.evaluation.controllers import Controller, FilterController, Move, PaperController
+from services.experiments.evaluation.controllers import Controller, FilterController, Move, PaperController, Pose
 from services.experiments.evaluation.degradation import Degradation
 from services.experiments.evaluation.demonstrations import demonstrate
-from services.experiments.evaluation.rules import Pose
 from services.experiments.evaluation.search import search
 from services.expert.driver import RouteDriver
 from services.features.service import FeaturesService
 from services.policy.service import PolicyService
 from services.recognition.service import RecognitionService
-from services.simulator.episode import EpisodeRunner
 from services.simulator.opening import open_simulation
 from services.simulator.sensors.camera import CameraSettings
 from services.simulator.simulation import Simulation
@@ -36,6 +34,7 @@ from smal.action_space import Atom
 from smal.features import FeatureSettings
 from smal.learning import LearningSettings, learn
 from smal.model import Model
+from tests.services.robot.driving import simulated
 from tests.services.simulator.simulator_driving import StubCamera
 
 YARD = load_world("yard")
@@ -67,7 +66,7 @@ def by_services(
     purpose: Purpose = "run",
 ) -> tuple[Episode, NDArray[np.float64], list[Message]]:
     """Run an episode with the simulator's own messages; return its end, its poses, and what was answered."""
-    runner = EpisodeRunner(simulation, "rescuebot", "test")
+    runner = simulated(simulation)
     _, waiting = runner.reset(ResetRequest(seed=seed, purpose=purpose, driver="policy", max_ticks=max_ticks))
     poses, answers, end = [], [], None
     while waiting:
@@ -80,7 +79,8 @@ def by_services(
             for said in answer(message):
                 answers.append(said)
                 if isinstance(said, Command):
-                    waiting.extend(runner.offer(said))
+                    runner.offer(said)
+                    waiting.extend(runner.poll())
     assert end is not None
     return end, np.array(poses), answers
 
