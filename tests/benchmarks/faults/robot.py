@@ -21,13 +21,13 @@ from services.simulator.body import SimulatedBody
 from services.simulator.config import SimulatorSettings
 from services.simulator.sensors.camera import CameraSettings
 from services.simulator.simulation import Simulation
-from services.simulator.view import FindVictim, SimulatedView
+from services.simulator.view import FindVictim
 from services.simulator.world import load_world
 from tests.benchmarks.faults.wheels import FarBase
 
 
 class FarBody(SimulatedBody):
-    """A body whose base moves by itself: what it did is taken over from it before each look, and never made up for.
+    """A body whose base moves by itself: what it did is taken over at each look.
 
     Parameters
     ----------
@@ -45,11 +45,9 @@ class FarBody(SimulatedBody):
         """Go on with a movement until told otherwise."""
         self._base.order(atom, speed)
 
-    def look(self, tick: int) -> SimulatedView:
-        """Return what is seen where the base is."""
+    def _catch_up(self, _now_s: float) -> None:
         for _ in range(self._base.fetch()):
             self.simulation.advance("stop", 0.0, STEP_S)
-        return super().look(tick)
 
 
 class Settings(SimulatorSettings):
