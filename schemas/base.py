@@ -46,6 +46,8 @@ class Message(Strict):
     reads: ClassVar[tuple[int, ...]] = ()
     #: Most bytes that this message may take on the wire.
     max_bytes: ClassVar[int] = 64 * 1024
+    #: Most maps and arrays in it; a state has 66 (one a candidate).
+    max_containers: ClassVar[int] = 128
     #: Name of the topic, after ``smal/<robot>/``; a class with several topics overrides ``topic_name``.
     topic: ClassVar[str]
 

@@ -12,8 +12,6 @@ from pydantic import ValidationError
 from schemas.base import Message
 
 ENCODING_PREFIX: Final = "application/vnd.msgpack;"
-#: Most maps and arrays in one message; the richest one, a state, has 66 (one a candidate).
-MAX_CONTAINERS: Final = 128
 #: msgpack's header of 64 KiB of bytes or more, and how long its header of no bytes is.
 _LARGE: Final = struct.Struct(">BI")
 _LARGE_CODE: Final = 0xC6
@@ -86,7 +84,7 @@ def decode(cls: type[M], payload: bytes, encoding: str) -> M:
         raise DecodeError(f"{cls.schema_name()}: {len(payload)} bytes, at most {cls.max_bytes} allowed")
     try:
         # Few and small containers: four megabytes of empty maps would otherwise cost 1 s and 280 MB.
-        count = _ContainerCount()
+        count = _ContainerCount(cls.max_containers)
         fields = msgpack.unpackb(
             payload,
             use_list=False,
@@ -119,13 +117,14 @@ def describe(error: ValidationError) -> str:
 class _ContainerCount:
     """Called by msgpack with every finished map and array; ends the unpacking when there are too many."""
 
-    def __init__(self) -> None:
+    def __init__(self, most: int) -> None:
+        self._most = most
         self._seen = 0
 
     def __call__(self, container: object) -> object:
         self._seen += 1
-        if self._seen > MAX_CONTAINERS:
-            raise ValueError(f"more than {MAX_CONTAINERS} maps and arrays")
+        if self._seen > self._most:
+            raise ValueError(f"more than {self._most} maps and arrays")
         return container
 
 

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import itertools
-from typing import Annotated, ClassVar, Self
+from typing import Annotated, ClassVar, Final, Self
 
 from pydantic import Field, model_validator
 
 from schemas.base import Message, Strict
 
+#: So many are kept of what was felt while no frame was taken.
+MAX_SAMPLES: Final = 100
 Rate = Annotated[float, Field(ge=-100, le=100)]
 Acceleration = Annotated[float, Field(ge=-1000, le=1000)]
 
@@ -28,8 +30,9 @@ class Imu(Message):
     """Readings of the inertial unit since the frame before, oldest first."""
 
     topic: ClassVar[str] = "imu"
+    max_containers: ClassVar[int] = 2 + 3 * MAX_SAMPLES
 
-    samples: Annotated[tuple[ImuSample, ...], Field(max_length=100)]
+    samples: Annotated[tuple[ImuSample, ...], Field(max_length=MAX_SAMPLES)]
     """The readings; none with the first frame of an episode."""
 
     @model_validator(mode="after")

@@ -23,7 +23,8 @@ class SimulatedBody:
     """A `Simulation` as `services.robot.body.Body` asks for it.
 
     Like a real base it goes on with its last order until it has another one, or its watchdog bites; what passed
-    meanwhile is made up for at the next order, so that a process that was frozen finds the robot where it would be.
+    meanwhile is made up for at the next order or look, so that a thread or a process that had no processor finds the
+    robot where it would be.
 
     Parameters
     ----------
@@ -95,13 +96,17 @@ class SimulatedBody:
             return
         with self._lock:
             now = self._clock()
-            self._move_on(self._order, min(now, self._ordered_s + WATCHDOG_S))
-            self._move_on(("stop", 0.0), now)
+            self._catch_up(now)
             self._order, self._ordered_s = (atom, speed), now
 
     def stand(self) -> None:
         """Stop, and stay."""
         self.drive("stop", 0.0)
+
+    def _catch_up(self, now_s: float) -> None:
+        """Move as the last order and the watchdog have it."""
+        self._move_on(self._order, min(now_s, self._ordered_s + WATCHDOG_S))
+        self._move_on(("stop", 0.0), now_s)
 
     def _move_on(self, order: tuple[Atom, float], until_s: float) -> None:
         """Move by whole steps, so that the sensors' readings are evenly apart."""
@@ -116,6 +121,9 @@ class SimulatedBody:
     def look(self, tick: int) -> SimulatedView:
         """Return what is seen and felt now; at its tick the robot is carried away before."""
         with self._lock:
+            now = self._clock()
+            if self._realtime:
+                self._catch_up(now)
             if tick and tick == self._kidnap_tick:
                 self.simulation.carry_away()
-            return self.simulation.look(self._clock(), self._wanted)
+            return self.simulation.look(now, self._wanted)

@@ -18,6 +18,7 @@ from schemas.codec import DecodeError, decode, encode, encoding_of
 from schemas.command import Command
 from schemas.episode import Episode
 from schemas.image import Image
+from schemas.imu import MAX_SAMPLES, Imu, ImuSample
 from schemas.observation import Observation
 from schemas.state import MAX_PLACES, Place, State
 from tests.schemas.messages import CLASSES, EXAMPLES, any_message
@@ -91,6 +92,13 @@ LARGEST_OF_EACH = [
         lost=0.1,
         cosine=0.1,
         tracked_m=0.1,
+    ),
+    Imu.after(
+        EXAMPLES[Image],
+        samples=tuple(
+            ImuSample(after_s=k + 0.1, angular_velocity_rad_s=(0.1,) * 3, acceleration_m_s2=(0.1,) * 3)
+            for k in range(MAX_SAMPLES)
+        ),
     ),
     Action.after(EXAMPLES[Image], kind="look_around", state=1_000_000, atoms=("backward",) * 1000),
     Episode.after(

@@ -39,15 +39,28 @@ def test_the_robot_stands_the_stack_recovers_and_the_recording_is_whole(rig: Rig
     assert outcome.recorded > 100
 
 
+@pytest.fixture(scope="module")
+def rolling_rig(taught: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Rig]:
+    with rig_for(RigPlan(taught / "model.smal", tmp_path_factory.mktemp("rolling"), rolling=True)) as rig:
+        yield rig
+
+
+@pytest.mark.parametrize("name", ["freeze router 1 s", "freeze robot 1 s", "kill -9 robot"])
+def test_a_base_that_moves_on_by_itself_stands_and_drives_again(rolling_rig: Rig, name: str) -> None:
+    outcome = run_cell(CELLS[f"{name}, moving base"], rolling_rig)
+    assert outcome.stood_s is not None
+    assert outcome.recovery_s is not None, outcome
+    assert set(outcome.not_met) <= BUSY, str(outcome.record())
+
+
 @pytest.mark.parametrize("name", stack_services())
 def test_every_service_takes_and_gives_what_the_table_of_services_says(rig: Rig, name: str) -> None:
     status, row = rig.bus.call(name, "status", Nothing(), Status), SERVICES[name]
-    # The features take depth images where their modalities need them; an emergency stop waits in no queue.
+    # The features take depth images where their modalities need them; what the robot takes at once waits in no queue.
     may_take = {topic.name for topic in row.takes}
-    assert (
-        may_take - {"camera/depth", "command/emergency_stop"}
-        <= {one for one in status.waiting if not one.startswith("rpc/")}
-        <= may_take
-    )
+    at_once = may_take if name == "robot" else {"camera/depth"}
+    waiting = {one for one in status.waiting if not one.startswith(("rpc/", "soon/"))}
+    assert may_take - at_once <= waiting <= may_take
+    assert {one for one in status.received if not one.startswith(("rpc/", "soon/"))} <= may_take
     assert set(status.published) <= {topic.name for topic in row.gives}
     assert bool(status.published) == bool(row.gives and name != "tracker")  # the yard has no camera above it

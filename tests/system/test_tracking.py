@@ -25,8 +25,8 @@ def test_the_tracker_agrees_with_the_true_pose_over_a_whole_drive(
     tmp_path: Path, record_testsuite_property: Callable[[str, object], None]
 ) -> None:
     simulator = SimulatorOptions("indoor", Camera(64, 48)).flags()
-    services = ("router", "simulator", "features", "tracker")
-    with stack_for(None, services, "turtlebot", {"simulator": simulator}, tmp_path) as access:
+    services = ("router", "robot", "features", "tracker")
+    with stack_for(None, services, "turtlebot", {"robot": simulator}, tmp_path) as access:
         client, expert = EpisodeClient("tracking", access.settings), ExpertService()
         true: dict[int, Pose] = {}
         tracked: dict[int, TrackedPose] = {}

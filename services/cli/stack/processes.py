@@ -54,6 +54,8 @@ class StackPlan:
         Command line flags of single services.
     logs
         Folder for one log file a service; None lets them write to this terminal.
+    modules
+        What ``python -m`` runs in place of a service's own module, for example a robot with another body.
     """
 
     services: tuple[str, ...]
@@ -61,6 +63,7 @@ class StackPlan:
     endpoint: str
     flags: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     logs: Path | None = None
+    modules: Mapping[str, str] = field(default_factory=dict)
 
 
 class Stack:
@@ -134,7 +137,9 @@ class Stack:
         # The solves are small: a second BLAS thread only takes the other service's core.
         environment.setdefault("OPENBLAS_NUM_THREADS", "1")
         # In a session of its own, so that Ctrl-C reaches this process alone; `tied` ends it with this one.
-        command = tied(sys.executable, *SERVICES[service].command, *self.plan.flags.get(service, ()))
+        module = self.plan.modules.get(service)
+        program = SERVICES[service].command if module is None else ("-m", module)
+        command = tied(sys.executable, *program, *self.plan.flags.get(service, ()))
         self._backoffs.setdefault(service, Backoff()).begin()
         if self._logs is None:
             self._children[service] = subprocess.Popen(command, env=environment, start_new_session=True)  # noqa: S603

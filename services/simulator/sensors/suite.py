@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import deque
 from typing import TYPE_CHECKING, Final
 
+from schemas.imu import MAX_SAMPLES
 from services.simulator.base import STEP_S
 from services.simulator.sensors.imu import ImuSettings, InertialUnit
 from services.simulator.sensors.odometry import EncoderSettings, Odometer
@@ -20,7 +21,7 @@ if TYPE_CHECKING:
     from services.simulator.world.place import Pose
 
 #: Inertial readings that are kept until somebody takes them.
-MOST_READINGS: Final = 100
+MOST_READINGS: Final = MAX_SAMPLES
 _EPS_S: Final = 1e-9
 
 

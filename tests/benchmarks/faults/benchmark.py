@@ -1,11 +1,12 @@
 """Faults: what kill -9, freezes, outages, a full disk, a jumping clock and a slow consumer cost.
 
 A whole stack of processes drives a robot in real time. Each cell does one harm while the robot moves, and is judged by
-the log of an observer, a process of its own, and by the recordings. Columns: how long the robot moved after its last
-valid command (to 0.02 s, and at most so long: on a busy machine the true time may be shorter); commands obeyed although
-too old; seconds from the end of the fault to the next frame that the loop answers; seconds until the successor of a
-killed process is ready; the longest time without a new command; frames of which a message is not recorded; messages
-recorded twice; the machine's load, which above its number of cores makes times long.
+the log of an observer, a process of its own, and by the recordings; where the base moves, by that process's log too.
+Columns: how long the robot moved after its last valid command (to 0.02 s, and at most so long: on a busy machine the
+true time may be shorter); how long a moving base went on after the begin of the fault; commands obeyed although too
+old, or that nobody gave; seconds from the end of the fault to the next frame that the loop answers; seconds until the
+successor of a killed process is ready; the longest time without a new command; frames of which a message is not
+recorded; messages recorded twice; the machine's load, which above its number of cores makes times long.
 """
 
 from __future__ import annotations
@@ -34,7 +35,7 @@ from tests.benchmarks.faults.run import Outcome, run_cell
 from tests.benchmarks.machine import machine
 from tests.benchmarks.results import Record, table, write_json
 
-_BENCHES: Final[tuple[Bench, ...]] = ("plain", "linked", "clock")
+_BENCHES: Final[tuple[Bench, ...]] = ("plain", "linked", "rolling", "clock")
 _NO_CLOCK: Final = "libfaketime is not installed (apt-get install libfaketime)"
 
 
@@ -65,7 +66,8 @@ def _plan(bench: Bench, model: Path, folder: Path) -> RigPlan:
     own = folder / bench
     own.mkdir(parents=True, exist_ok=True)
     environment = clock_environment(own / "clock") if bench == "clock" else {}
-    return RigPlan(model, own, LINKED if bench == "linked" else (), environment)
+    linked = {"linked": LINKED, "rolling": LINKED}.get(bench, ())
+    return RigPlan(model, own, linked, environment, rolling=bench == "rolling")
 
 
 def _run(cells: Sequence[Cell], plan: RigPlan, bar: tqdm[Any]) -> Iterator[Outcome]:
@@ -106,6 +108,7 @@ def _row(one: dict[str, Any]) -> Record:
     return {
         "cell": one["name"],
         "still s": round(one["still_s"], 3),
+        "stood s": one["stood_s"],
         "stale": len(one["stale"]),
         "recovery s": one["recovery_s"],
         "restart s": one["restart_s"],

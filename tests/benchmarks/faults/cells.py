@@ -14,9 +14,10 @@ from tests.benchmarks.faults import harm
 from tests.benchmarks.faults.judge import Window
 from tests.benchmarks.faults.rig import Rig
 
-#: plain: everything talks to the router; linked: some services by links that can go down; clock: with libfaketime.
-Bench = Literal["plain", "linked", "clock"]
-LINKED: Final = ("simulator", "policy", "recorder")
+#: plain: everything talks to the router; linked: some services by links that can go down; clock: with libfaketime;
+#: rolling: linked, and the robot's base is a process of its own that moves on in real time.
+Bench = Literal["plain", "linked", "clock", "rolling"]
+LINKED: Final = ("robot", "policy", "recorder")
 #: From the death of a service to the next frame that the loop answers.
 _RESTARTED_S: Final = 15.0
 #: From the return of the router, of a frozen process or of a link to the next frame that the loop answers.
@@ -38,7 +39,7 @@ class Limits:
     Parameters
     ----------
     still_s : float
-        The robot moves so long after the last valid command.
+        The robot moves so long after the last valid command, and after a fault that has to make it stand.
     recovery_s : float, optional
         Until the loop works again.
     lost_ticks : int, optional
@@ -71,6 +72,8 @@ class Cell:
         A service that must be another process, and ready, after the fault.
     drives_on : bool
         Whether episodes go on meanwhile.
+    stands : bool
+        Whether the robot has to stand in the meantime, since whoever commands or moves it is gone for longer.
     next_episode : bool
         Whether the next episode's recording is judged, in place of this one's, of which only what is there must be
         readable.
@@ -82,6 +85,7 @@ class Cell:
     bench: Bench = "plain"
     watched: str | None = None
     drives_on: bool = False
+    stands: bool = False
     next_episode: bool = False
 
 
@@ -107,11 +111,11 @@ def _kills() -> list[Cell]:
 
 
 def _freezes() -> list[Cell]:
-    return [
-        Cell(f"freeze {service} {seconds:.0f} s", partial(harm.freeze, service=service, seconds=seconds))
-        for service in stack_services()
-        for seconds in _FREEZES_S
-    ]
+    return [_freeze(service, seconds) for service in stack_services() for seconds in _FREEZES_S]
+
+
+def _freeze(service: str, seconds: float) -> Cell:
+    return Cell(f"freeze {service} {seconds:.0f} s", partial(harm.freeze, service=service, seconds=seconds))
 
 
 def _outages() -> list[Cell]:
@@ -137,6 +141,17 @@ def _links() -> list[Cell]:
     return [*cells, Cell(name, longer, Limits(lost_ticks=None), bench="linked")]
 
 
+def _rolling() -> list[Cell]:
+    """Return the faults of whatever is between the camera and the wheels, for a base that moves on by itself."""
+    chain = ("router", "robot", "features", "recognition", "policy")
+    # Features are there again before the robot has to stand.
+    gone = ("robot", "recognition", "policy")
+    kills = [replace(cell, stands=cell.watched in gone) for cell in (*_kills(), _outages()[0])]
+    freezes = [replace(_freeze(service, s), stands=True) for service in chain for s in _FREEZES_S]
+    links = [replace(cell, stands=True) for cell in _links() if cell.name.split()[2] in ("robot", "policy")]
+    return [replace(cell, name=f"{cell.name}, moving base", bench="rolling") for cell in (*kills, *freezes, *links)]
+
+
 def _others() -> list[Cell]:
     undisturbed = Limits(pause_s=_UNDISTURBED_S)
     # Between two episodes there is no command for a moment.
@@ -149,7 +164,7 @@ def _others() -> list[Cell]:
     ]
 
 
-MATRIX: Final = (*_controls(), *_kills(), *_freezes(), *_outages(), *_links(), *_others())
+MATRIX: Final = (*_controls(), *_kills(), *_freezes(), *_outages(), *_links(), *_rolling(), *_others())
 #: The short version: what tells most in a minute.
 QUICK: Final = (
     "no fault",

@@ -5,20 +5,30 @@ All times are monotonic seconds of the machine, see ``Track``.
 
 from __future__ import annotations
 
+import bisect
 import itertools
-from collections.abc import Iterable
+import math
+from collections import defaultdict
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Final
 
+from schemas.topics import COMMANDS
+from services.robot.clock import TICK_S
 from services.simulator.base import STEP_S
-from services.simulator.drive import TICK_S
-from tests.benchmarks.faults.log import Entry
+from services.simulator.body import WATCHDOG_S
+from tests.benchmarks.faults.log import Entry, Step
 from tests.benchmarks.faults.track import Interval, Track, answered
 
 #: A command may be obeyed for so long, counted from the capture of the frame that it answers.
 VALID_S: Final = 0.5
 #: What the stamps may be off by: one step of the physics.
 RESOLUTION_S: Final = STEP_S
+# What a simulated base does after its process was frozen, in time at full speed: until its watchdog bites, and half of
+# the 0.25 s in which it brakes.
+_MADE_UP_S: Final = WATCHDOG_S + 0.125 + 2 * RESOLUTION_S
+#: A base that does not move for so long stands; as long as from frame to frame.
+RESTS_S: Final = TICK_S
 
 
 @dataclass(frozen=True)
@@ -33,7 +43,7 @@ class Window:
 class Still:
     """How long the robot moved after the last valid command.
 
-    On a machine that leaves the simulator its processor the two differ by a few hundredths of a second.
+    On a machine that leaves the robot's process its processor the two differ by a few hundredths of a second.
 
     Parameters
     ----------
@@ -80,20 +90,19 @@ def _accepted_s(command: Entry, track: Track) -> float:
 def _ended_s(interval: Interval, stops: Iterable[Entry], fault: Window) -> tuple[float, float]:
     """Return when the movement in an interval ended at the soonest, and at the latest.
 
-    It began with the interval, or the rest of the tick, in which the robot stood, ended with it: the same where a tick
-    takes as long as it should. A simulator that was late catches up in a shorter interval, and is late in a longer
-    one. The latest is also when the actuator said that it stops, by the arrival of the message.
+    It began with the interval, and went on for as long as the way tells. Where the robot's process had no processor for
+    more than a tick, it may as well have been the end of the interval; at the latest when the actuator said that it
+    stops, by the arrival of the message.
     """
-    if_first_s = interval.begin_s + interval.moved_s
-    if_before_rest_s = interval.end_s - (TICK_S - interval.moved_s)
-    soonest_s, latest_s = sorted((if_first_s, if_before_rest_s))
-    soonest_s = max(soonest_s, interval.begin_s)
-    if interval.begin_s <= fault.begin_s < interval.end_s and interval.end_s - interval.begin_s > 2 * TICK_S:
-        # The simulator itself was frozen here. What it had no time for before, it did when it woke.
-        ended_s = soonest_s if soonest_s <= fault.begin_s + 2 * RESOLUTION_S else latest_s
-        return ended_s, ended_s
+    soonest_s = interval.begin_s + interval.moved_s
+    if interval.end_s - interval.begin_s <= 2 * TICK_S:
+        return soonest_s, soonest_s
+    # Less than a tick of slack: times are late by a frame's way to the observer.
+    if interval.begin_s - TICK_S < fault.begin_s < interval.end_s and soonest_s <= fault.begin_s + _MADE_UP_S:
+        # The robot's process was frozen here: its simulated base went on until its watchdog bit.
+        return soonest_s, soonest_s
     said_s = [one.t_s for one in stops if one.tick == interval.tick]
-    return soonest_s, max(soonest_s, min([latest_s, interval.end_s, *said_s]))
+    return soonest_s, max(soonest_s, min([interval.end_s, *said_s]))
 
 
 def stale(track: Track) -> list[str]:
@@ -103,6 +112,60 @@ def stale(track: Track) -> list[str]:
         for one in track.commanded
         if (age_s := track.captured_s[one.tick] - track.captured_s[answered(one)]) > VALID_S
     ]
+
+
+# -- by the log of a moving base --------------------------------------------------------------------------------------
+
+
+def commands(tracks: Iterable[Track]) -> dict[str, list[float]]:
+    """Return when the frames were captured for which the driver asked for each movement, in order.
+
+    By the driver's own messages, as the observer saw them: not by what the actuator says.
+    """
+    captured: defaultdict[str, list[float]] = defaultdict(list)
+    for track in tracks:
+        for one in track.topics[COMMANDS["policy"].name].values():
+            captured[one.told["atom"]].append(track.captured_s[one.tick])
+    return {atom: sorted(times) for atom, times in captured.items()}
+
+
+def _last_s(times: list[float], until_s: float) -> float:
+    """Return the last of the sorted times until then."""
+    before = bisect.bisect_right(times, until_s)
+    return times[before - 1] if before else -math.inf
+
+
+def rolled_on(steps: Iterable[Step], asked: Mapping[str, list[float]]) -> Still:
+    """Return the longest time that the base moved after the last valid command for just this movement."""
+    moved_s = max((one.t_s - _last_s(asked.get(one.atom, []), one.t_s) for one in steps if one.speed_m_s), default=0.0)
+    return Still(moved_s, moved_s)
+
+
+def stale_orders(steps: Iterable[Step], asked: Mapping[str, list[float]]) -> list[str]:
+    """Name the orders that moved the base and that no valid command of the driver had asked for."""
+    orders = {one.ordered_s: one.atom for one in steps if one.speed_m_s}
+    return [
+        f"the base obeyed {atom} at {at_s:.3f} s, asked for {at_s - _last_s(asked.get(atom, []), at_s):.2f} s before"
+        for at_s, atom in orders.items()
+        if at_s - _last_s(asked.get(atom, []), at_s) > VALID_S
+    ]
+
+
+def stood_s(steps: Iterable[Step], fault: Window) -> tuple[float | None, float | None]:
+    """Return how long after its begin a fault made the base stand, and how long after its end it moved again.
+
+    None where it did not move when the fault began; and where it did not move again.
+    """
+    moving = [one.t_s for one in steps if one.speed_m_s]
+    before = [t_s for t_s in moving if fault.begin_s - RESTS_S <= t_s <= fault.begin_s]
+    if not before:
+        return None, None
+    last_s = before[-1]
+    for t_s in moving:
+        if t_s > last_s + RESTS_S:
+            return max(0.0, last_s - fault.begin_s), t_s - fault.end_s
+        last_s = max(last_s, t_s)
+    return max(0.0, last_s - fault.begin_s), None
 
 
 def refused(track: Track) -> int:

@@ -1,8 +1,9 @@
-"""What an observer of a stack has seen, as lines of JSON that are only ever appended to."""
+"""What an observer of a stack, and a moving base, have seen, as lines of JSON that are only ever appended to."""
 
 from __future__ import annotations
 
 import json
+import time
 from collections.abc import Iterable
 from contextlib import closing
 from dataclasses import dataclass, field
@@ -86,6 +87,50 @@ class Tail:
     def close(self) -> None:
         """Close the file."""
         self._file.close()
+
+
+@dataclass(frozen=True)
+class Step:
+    """One step of the moving base.
+
+    Parameters
+    ----------
+    t_s : float
+        When it ended: in the file by the clock that also passes while the machine is suspended, read by the monotonic.
+    x_m, y_m, heading_rad : float
+        Where.
+    speed_m_s : float
+        Of the faster wheel, 0 where the base stands.
+    atom : str
+        What it carried out; ``stop`` as well where its watchdog made it stand.
+    ordered_s : float
+        When the last order came, by the same clock.
+    """
+
+    t_s: float
+    x_m: float
+    y_m: float
+    heading_rad: float
+    speed_m_s: float
+    atom: str
+    ordered_s: float
+
+    def line(self) -> str:
+        """Return the step as a line of JSON."""
+        return json.dumps(list(vars(self).values())) + "\n"
+
+
+def boot_ahead_s() -> float:
+    """Return how far the clock of robot and base is ahead of the monotonic one: for how long the machine slept."""
+    return time.clock_gettime(time.CLOCK_BOOTTIME) - time.monotonic()
+
+
+def read_steps(path: Path, since_s: float) -> list[Step]:
+    """Read what a base has done since then, monotonic seconds; it may be in the middle of a line."""
+    ahead_s = boot_ahead_s()
+    *whole, _rest = path.read_text().split("\n")
+    steps = (Step(t_s - ahead_s, *pose, ordered_s - ahead_s) for t_s, *pose, ordered_s in map(json.loads, whole))
+    return [step for step in steps if step.t_s > since_s]
 
 
 def read_log(path: Path) -> list[Entry]:

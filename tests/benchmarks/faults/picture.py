@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from services.simulator.robots import RESCUEBOT
 from tests.benchmarks.faults.judge import obeyed_s
 from tests.benchmarks.faults.run import Outcome
 from tests.benchmarks.soak.growth import Sample
@@ -17,6 +18,9 @@ def draw(outcome: Outcome, path: Path) -> None:
     zero_s = outcome.fault.begin_s
     figure, axes = plt.subplots(figsize=(9, 3), layout="constrained")
     axes.axvspan(0.0, max(0.02, outcome.fault.end_s - zero_s), color="tab:red", alpha=0.2, label="fault")
+    if outcome.steps:
+        speeds = [one.speed_m_s / RESCUEBOT.drive.speed_m_s for one in outcome.steps]
+        axes.plot([one.t_s - zero_s for one in outcome.steps], speeds, color="tab:orange", label="base moves")
     for number, track in enumerate(outcome.tracks):
         spans = track.intervals()
         label = {"label": "robot moves"} if number == 0 else {}

@@ -21,8 +21,8 @@ from services.recordings.writer import GAPS_METADATA
 from tests.benchmarks.faults.log import Order, order_of
 from tests.benchmarks.faults.track import Track
 
-#: What the simulator sends for every frame, so that a missing one is known although nobody saw it.
-FROM_THE_SIMULATOR: Final = (JPEG.name, POSE.name, APPLIED.name)
+#: What the robot sends for every frame, so that a missing one is known although nobody saw it.
+FROM_THE_ROBOT: Final = (JPEG.name, POSE.name, APPLIED.name)
 Place = tuple[str, Order]
 
 
@@ -172,7 +172,7 @@ def _published(track: Track, recorded: Recorded) -> set[Place]:
     seen: set[Place] = {(topic, order) for topic, of_it in track.topics.items() for order in of_it}
     seen |= set(recorded.places)
     seen = {(topic, order) for topic, order in seen if TOPICS[topic].recorded}
-    last = {name: max((int(o[0]) for t, o in seen if t == name), default=-1) for name in FROM_THE_SIMULATOR}
+    last = {name: max((int(o[0]) for t, o in seen if t == name), default=-1) for name in FROM_THE_ROBOT}
     for name in (JPEG.name, POSE.name):
         seen |= {(name, (tick,)) for tick in range(last[name] + 1)}
     return seen | {(APPLIED.name, (tick, 0)) for tick in range(1, last[APPLIED.name] + 1)}

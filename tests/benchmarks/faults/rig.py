@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Final
 
-from schemas.rpc import EndRequest, Nothing, RecordReply, ResetReply, ResetRequest, Status
+from schemas.rpc import ArmRequest, EndRequest, Nothing, RecordReply, ResetReply, ResetRequest, Status
 from schemas.topics import EPISODE
 from services.cli.stack.processes import Stack, StackPlan, flags, free_endpoint
 from services.cli.up import WATCH_S
@@ -18,10 +18,11 @@ from services.kit.bus import Bus, RpcError
 from services.kit.errors import JobError
 from services.table import stack_services
 from tests.benchmarks.faults.judge import moving
-from tests.benchmarks.faults.log import Entry, Tail
+from tests.benchmarks.faults.log import Entry, Step, Tail, boot_ahead_s, read_steps
 from tests.benchmarks.faults.observer import observing
 from tests.benchmarks.faults.proxy import link
-from tests.benchmarks.faults.track import Track
+from tests.benchmarks.faults.track import Track, tracks
+from tests.benchmarks.faults.wheels import rolling
 
 ROBOT: Final = "faulty"
 WORLD: Final = "yard"
@@ -44,12 +45,15 @@ class RigPlan:
         Services whose way to the router is a link that can go down.
     environment : dict of str to str
         More environment of the services.
+    rolling : bool
+        Whether the robot's base is a process of its own, which moves on in real time whatever is harmed.
     """
 
     model: Path
     folder: Path
     linked: tuple[str, ...] = ()
     environment: Mapping[str, str] = field(default_factory=dict)
+    rolling: bool = False
 
     @property
     def recordings(self) -> Path:
@@ -61,11 +65,16 @@ class RigPlan:
         """The observer's log."""
         return self.folder / "observer.jsonl"
 
-    def service_flags(self, links: Mapping[str, str]) -> dict[str, tuple[str, ...]]:
-        """Return the services' flags, with the addresses of the links."""
+    @property
+    def steps(self) -> Path:
+        """The moving base's log."""
+        return self.folder / "steps.jsonl"
+
+    def service_flags(self, links: Mapping[str, str], wheels: str | None = None) -> dict[str, tuple[str, ...]]:
+        """Return the services' flags, with the addresses of the links and of the moving base."""
         chain = flags(model=self.model.resolve())
         own = {
-            "simulator": flags(world=WORLD, camera_width=CAMERA[0], camera_height=CAMERA[1]),
+            "robot": flags(world=WORLD, camera_width=CAMERA[0], camera_height=CAMERA[1], wheels=wheels),
             "recognition": chain,
             "policy": chain,
             "recorder": flags(recordings=self.recordings.resolve()),
@@ -100,6 +109,9 @@ class Rig:
         self.seed = 100
         #: How many episodes have begun.
         self.begun = 0
+        #: When the account began, monotonic seconds.
+        self.since_s = time.monotonic()
+        self._armed = False
         self._tail = tail
         self._episode: str | None = None
         self._watch_s = self._begin_s = 0.0
@@ -129,8 +141,8 @@ class Rig:
                 self._episode = None
         if self.supervised and time.monotonic() >= self._watch_s:
             self._watch_s = time.monotonic() + WATCH_S
-            if "simulator" in self.stack.restart_dead():
-                self._episode = None
+            if "robot" in self.stack.restart_dead():
+                self._episode, self._armed = None, False
         if self.driven and self._episode is None and time.monotonic() >= self._begin_s:
             self._begin_s = time.monotonic() + WATCH_S
             self._begin(timeout_s=30.0)
@@ -140,7 +152,15 @@ class Rig:
     def forget(self) -> None:
         """Begin a new account; an episode that has ended meanwhile is noticed all the same."""
         self._look()
-        self.entries, self.notes = [], []
+        self.entries, self.notes, self.since_s = [], [], time.monotonic()
+
+    def tracks(self) -> list[Track]:
+        """Return what was seen since then, by episode."""
+        return tracks(self.entries, -boot_ahead_s() if self.plan.rolling else None)
+
+    def steps(self) -> list[Step]:
+        """Return what the moving base did since then; nothing without one."""
+        return read_steps(self.plan.steps, self.since_s) if self.plan.rolling else []
 
     def start_moving(self) -> None:
         """Begin an episode in which the robot moves by the commands of the policy.
@@ -164,19 +184,29 @@ class Rig:
     def _begin(self, timeout_s: float) -> bool:
         request = ResetRequest(seed=self.seed + 1, mode="realtime")
         try:
-            self._episode = self.bus.call("simulator", "reset", request, ResetReply, timeout_s).episode
+            self._arm()
+            self._episode = self.bus.call("robot", "reset", request, ResetReply, timeout_s).episode
         except RpcError:
             return False
         self.seed += 1
         self.begun += 1
         return True
 
+    def _arm(self) -> None:
+        """Arm a robot that was just started, as its operator does, who knows of that; for nothing else it is armed."""
+        if self._armed:
+            return
+        detail = self.bus.call("robot", "status", Nothing(), Status).detail
+        if detail["stop_cause"] == "not_armed":
+            self.bus.call("robot", "arm", ArmRequest(stop=int(detail["emergency_stop"] or 0)), Nothing)
+        self._armed = True
+
     def end_episode(self) -> None:
         """Have the running episode end, if any."""
         if self._episode is None:
             return
         try:
-            self.bus.call("simulator", "end", EndRequest(episode=self._episode), Nothing)
+            self.bus.call("robot", "end", EndRequest(episode=self._episode), Nothing)
         except RpcError as error:
             self.notes.append(str(error))
 
@@ -237,8 +267,10 @@ def rig_for(plan: RigPlan) -> Iterator[Rig]:
     plan.folder.mkdir(parents=True, exist_ok=True)
     with ExitStack() as stacked:
         links = {service: stacked.enter_context(link(endpoint)) for service in plan.linked}
-        service_flags = plan.service_flags({service: address for service, (address, _) in links.items()})
-        stack = Stack(StackPlan(stack_services(), ROBOT, endpoint, service_flags, plan.folder / "logs"))
+        wheels = stacked.enter_context(rolling(WORLD, plan.steps)) if plan.rolling else None
+        service_flags = plan.service_flags({service: address for service, (address, _) in links.items()}, wheels)
+        modules = {"robot": "tests.benchmarks.faults.robot"} if plan.rolling else {}
+        stack = Stack(StackPlan(stack_services(), ROBOT, endpoint, service_flags, plan.folder / "logs", modules))
         with _environment(plan.environment):
             stacked.enter_context(stack)
         stacked.enter_context(observing(ROBOT, endpoint, plan.log))

@@ -11,9 +11,10 @@ from schemas.topics import COMMANDS, JPEG, OBSERVATION, POSE, STATE
 from tests.benchmarks.faults import judge
 from tests.benchmarks.faults.cells import Cell
 from tests.benchmarks.faults.judge import Window
+from tests.benchmarks.faults.log import Step
 from tests.benchmarks.faults.recordings import Recorded, balance, read_recordings
 from tests.benchmarks.faults.rig import Rig
-from tests.benchmarks.faults.track import Track, tracks
+from tests.benchmarks.faults.track import Track
 
 #: Given up after so long; a renderer that starts anew on a busy machine has taken 50 s.
 _RECOVERY_S: Final = 60.0
@@ -31,8 +32,10 @@ class Outcome:
     name : str
     fault : Window
     still : Still
+    stood_s, moved_again_s : float, optional
+        After the begin and the end of a fault that has to make it stand, by the log of a moving base.
     stale : list of str
-        Commands that were obeyed although too old.
+        Commands that were obeyed although too old, or though nobody gave them.
     refused : int
         Commands that the actuator refused, as stale for instance.
     recovery_s, restart_s : float, optional
@@ -52,6 +55,8 @@ class Outcome:
     name: str
     fault: Window
     still: judge.Still = field(default_factory=judge.Still)
+    stood_s: float | None = None
+    moved_again_s: float | None = None
     stale: list[str] = field(default_factory=list)
     refused: int = 0
     recovery_s: float | None = None
@@ -68,6 +73,7 @@ class Outcome:
     notes: list[str] = field(default_factory=list)
     not_met: list[str] = field(default_factory=list)
     tracks: list[Track] = field(default_factory=list)
+    steps: list[Step] = field(default_factory=list)
     did_not_run: bool = False
 
     @classmethod
@@ -77,7 +83,7 @@ class Outcome:
 
     def record(self) -> dict[str, Any]:
         """Return what JSON is to hold."""
-        own = {name: value for name, value in vars(self).items() if name not in ("tracks", "fault", "still")}
+        own = {name: value for name, value in vars(self).items() if name not in ("tracks", "steps", "fault", "still")}
         own |= {"still_s": self.still.at_most_s, "still_at_least_s": self.still.at_least_s}
         return own | {"fault_s": self.fault.end_s - self.fault.begin_s, "met": not self.not_met}
 
@@ -93,14 +99,16 @@ def run_cell(cell: Cell, rig: Rig) -> Outcome:
         outcome.restart_s = _restarted(rig, cell.watched, watched, outcome.fault.end_s)
     _recover(rig, outcome.fault.end_s)
     over_s = time.monotonic()
-    harmed = {track.episode for track in tracks(rig.entries)}
+    harmed = {track.episode for track in rig.tracks()}
     rig.finish_episode()
     if cell.next_episode:
         entries, notes = rig.entries, rig.notes
         rig.start_moving()
         rig.finish_episode()
         rig.entries, rig.notes = entries + rig.entries, notes + rig.notes
-    _judge(cell, outcome, tracks(rig.entries), over_s)
+    _judge(cell, outcome, rig.tracks(), over_s)
+    if rig.plan.rolling:
+        _judge_base(cell, outcome, rig.steps())
     _compare(outcome, read_recordings(rig.plan.recordings), harmed if cell.next_episode else set())
     outcome.notes, outcome.load = rig.notes, os.getloadavg()[0]
     outcome.not_met = verdict(cell, outcome)
@@ -115,7 +123,7 @@ def _restarted(rig: Rig, service: str, dead: int, since_s: float) -> float | Non
 
 def _recover(rig: Rig, since_s: float) -> None:
     """Wait until the loop works, or does not in any reasonable time."""
-    rig.until(lambda: judge.flows(tracks(rig.entries), since_s, _AFTERWARDS), _RECOVERY_S)
+    rig.until(lambda: judge.flows(rig.tracks(), since_s, _AFTERWARDS), _RECOVERY_S)
 
 
 def _judge(cell: Cell, outcome: Outcome, seen: list[Track], over_s: float) -> None:
@@ -131,6 +139,16 @@ def _judge(cell: Cell, outcome: Outcome, seen: list[Track], over_s: float) -> No
     outcome.pause_s = judge.longest_pause_s(seen, Window(fault.begin_s - 0.5, back_s))
     if cell.limits.rate_hz is not None:
         outcome.rate_hz = min(judge.rate_hz(seen, topic, fault) for topic in _RATED)
+
+
+def _judge_base(cell: Cell, outcome: Outcome, steps: list[Step]) -> None:
+    """Judge what the robot did by what its base did, in place of the poses that it told."""
+    asked = judge.commands(outcome.tracks)
+    outcome.steps = steps
+    outcome.still = judge.rolled_on(steps, asked)
+    outcome.stale += judge.stale_orders(steps, asked)
+    if cell.stands:
+        outcome.stood_s, outcome.moved_again_s = judge.stood_s(steps, outcome.fault)
 
 
 def _compare(outcome: Outcome, recorded: dict[str, Recorded], excused: set[str]) -> None:
@@ -164,6 +182,9 @@ def verdict(cell: Cell, outcome: Outcome) -> list[str]:
         "pause": limits.pause_s is not None and outcome.pause_s > limits.pause_s,
         "rate": limits.rate_hz is not None and (outcome.rate_hz or 0.0) < limits.rate_hz,
     }
+    if cell.stands:
+        found["stand"] = outcome.stood_s is None or outcome.stood_s > still_s
+        found["drive again"] = outcome.moved_again_s is None
     if limits.recovery_s is not None and outcome.recovery_s is not None:
         found["recovery"] |= outcome.recovery_s > limits.recovery_s
     return [name for name, failed in found.items() if failed]

@@ -1,25 +1,32 @@
-"""The processes of the fault benchmark: observer, link that can go down, slow consumer; and its command line."""
+"""The processes of the fault benchmark: observer, base, link that can go down, slow consumer; and its command line."""
 
 from __future__ import annotations
 
+import math
 import os
 import signal
 from collections.abc import Iterator
 from contextlib import closing
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from schemas.rpc import Nothing, Status
 from schemas.topics import POSE
 from services.cli.stack.processes import Stack, StackPlan, free_endpoint
 from services.kit.bus import Bus, RpcError
-from services.kit.errors import UsageError
+from services.kit.errors import JobError, UsageError
+from services.simulator.base import STEP_S, KinematicBase
+from services.simulator.body import WATCHDOG_S
+from services.simulator.robots import RESCUEBOT
+from services.simulator.world import load_world
 from tests.benchmarks.faults import benchmark as faults
-from tests.benchmarks.faults.log import read_log
+from tests.benchmarks.faults.log import read_log, read_steps
 from tests.benchmarks.faults.observer import observing
 from tests.benchmarks.faults.proxy import link
 from tests.benchmarks.faults.slow import slow_consumer
+from tests.benchmarks.faults.wheels import FarBase, Wheels, rolling
 from tests.schemas.messages import EXAMPLES
 from tests.services.waiting import eventually
 
@@ -74,6 +81,51 @@ def test_a_slow_consumer_leaves_nothing_behind(endpoint: str) -> None:
         os.kill(pid, 0)
     with pytest.raises(ProcessLookupError):
         os.kill(pid, 0)
+
+
+def test_a_base_in_another_process_stands_by_its_own_watchdog_and_tells_what_it_did(tmp_path: Path) -> None:
+    log = tmp_path / "steps.jsonl"
+
+    def speeds() -> list[float]:
+        return [step.speed_m_s for step in read_steps(log, 0.0)]
+
+    with rolling("yard", log) as address:
+        base, rng = FarBase(address), np.random.default_rng(1)
+        start = load_world("yard").start
+        base.put(start, rng)
+        base.order("forward", 0.5)
+        eventually(lambda: any(speeds()) and speeds()[-1] == 0.0)
+        moving = [step for step in read_steps(log, 0.0) if step.speed_m_s]
+        told = [base.step("stop", 0.0, STEP_S) for _ in range(base.fetch())]
+        base.put(start, rng)
+        assert base.fetch() <= 1 / STEP_S  # of what was before, nothing is told
+    assert WATCHDOG_S - STEP_S <= STEP_S * len(moving) <= WATCHDOG_S
+    assert {step.atom for step in moving} == {"forward"}
+    rolled_m = sum(sum(motion.rolled_m) / 2 for motion in told)
+    assert rolled_m == pytest.approx(0.5 * RESCUEBOT.drive.speed_m_s * STEP_S * len(moving), rel=0.2)
+    assert math.dist((told[-1].pose.x, told[-1].pose.y), (start.x, start.y)) == pytest.approx(rolled_m, rel=0.01)
+
+
+def test_a_base_that_was_late_does_not_obey_backwards_in_time(tmp_path: Path) -> None:
+    log = tmp_path / "steps.jsonl"
+    with log.open("w") as file:
+        wheels = Wheels(KinematicBase(load_world("yard").place), file, 10.0)
+        wheels.take({"question": 1, "put": [*vars(load_world("yard").start).values()], "seed": 1}, 10.0)
+        wheels.roll_on(10.5)
+        wheels.take({"order": ["forward", 1.0]}, 10.5)
+        wheels.roll_on(11.0)
+        told = wheels.take({"question": 2}, 11.0)
+    assert told is not None
+    moved = [left > 0.0 for _x, _y, _heading, left, _right, _collided in told["motions"]]
+    assert moved == [False] * 25 + [True] * 10 + [False] * 15
+
+
+@system
+def test_a_plan_may_have_another_module_run_a_service(tmp_path: Path) -> None:
+    endpoint = free_endpoint()
+    plan = StackPlan(("router", "recorder"), ROBOT, endpoint, {}, tmp_path, {"recorder": "services.nothing"})
+    with pytest.raises(JobError, match=r"recorder: .*services\.nothing"), Stack(plan):
+        pass
 
 
 def test_a_cell_that_does_not_exist(tmp_path: Path) -> None:

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from typing import Final
 
 from schemas.topics import APPLIED, POSE
-from services.simulator.drive import TICK_S
+from services.robot.clock import TICK_S
 from services.simulator.robots import RESCUEBOT
 from tests.benchmarks.faults.log import Entry, Order
 
@@ -42,24 +42,27 @@ class Interval:
 class Track:
     """One episode.
 
-    Stamps tell when a frame was captured by the simulator's clock, which runs as the observer's does; how far apart
-    the two are is known by the message that arrived soonest. So a time is late by its way to the observer: about as
-    long as a frame takes to render, the same for all.
+    Stamps tell when a frame was captured by the robot's clock, which runs as the observer's does. How far apart the two
+    are is known by the message that arrived soonest, unless it is said. So a time is late by its way to the observer:
+    about as long as a frame takes to render, the same for all.
 
     Parameters
     ----------
     episode : str
     entries : iterable of Entry
         Those of the episode; of a message that came twice the first counts.
+    offset_s : float, optional
+        From stamps to monotonic seconds, where it is known.
     """
 
-    def __init__(self, episode: str, entries: Iterable[Entry]) -> None:
+    def __init__(self, episode: str, entries: Iterable[Entry], offset_s: float | None = None) -> None:
         self.episode = episode
         self.topics: defaultdict[str, dict[Order, Entry]] = defaultdict(dict)
         for entry in entries:
             self.topics[entry.topic].setdefault(entry.order, entry)
         everything = [entry for topic in self.topics.values() for entry in topic.values()]
-        offset_s = min((entry.t_s - entry.stamp_ns / 1e9 for entry in everything), default=0.0)
+        if offset_s is None:
+            offset_s = min((entry.t_s - entry.stamp_ns / 1e9 for entry in everything), default=0.0)
         #: When each frame was captured, monotonic seconds.
         self.captured_s = {entry.tick: entry.stamp_ns / 1e9 + offset_s for entry in everything}
 
@@ -80,12 +83,12 @@ class Track:
 
     def intervals(self) -> list[Interval]:
         """Return all pairs of successive frames whose poses are known."""
-        poses = self.poses
-        return [
-            Interval(a.tick, self.captured_s[a.tick], self.captured_s[b.tick], _moved_s(a, b))
-            for a, b in itertools.pairwise(poses)
-            if b.tick == a.tick + 1
-        ]
+        found = []
+        for a, b in itertools.pairwise(self.poses):
+            if b.tick == a.tick + 1:
+                begin_s, end_s = self.captured_s[a.tick], self.captured_s[b.tick]
+                found.append(Interval(a.tick, begin_s, end_s, _moved_s(a, b, end_s - begin_s)))
+        return found
 
 
 def answered(applied: Entry) -> int:
@@ -94,18 +97,18 @@ def answered(applied: Entry) -> int:
     return -1 if tick is None else int(tick)
 
 
-def _moved_s(before: Entry, after: Entry) -> float:
-    """Tell for how long the robot must have moved at its nominal speed."""
+def _moved_s(before: Entry, after: Entry, passed_s: float) -> float:
+    """Tell for how long of that time the robot must have moved at its nominal speed."""
     a, b = before.told, after.told
     way_s = math.hypot(b["x_m"] - a["x_m"], b["y_m"] - a["y_m"]) / _DRIVE.speed_m_s
     turn_s = abs(math.remainder(b["heading_rad"] - a["heading_rad"], math.tau)) / _DRIVE.turn_rate_rad_s
     moved_s = max(way_s, turn_s)
-    return 0.0 if moved_s < NOISE * TICK_S else min(moved_s, TICK_S)
+    return 0.0 if moved_s < NOISE * TICK_S else min(moved_s, passed_s)
 
 
-def tracks(entries: Iterable[Entry]) -> list[Track]:
-    """Sort a log into episodes, in order of appearance."""
+def tracks(entries: Iterable[Entry], offset_s: float | None = None) -> list[Track]:
+    """Sort a log into episodes, in order of appearance; for ``offset_s`` see ``Track``."""
     episodes: defaultdict[str, list[Entry]] = defaultdict(list)
     for entry in entries:
         episodes[entry.episode].append(entry)
-    return [Track(episode, of_it) for episode, of_it in episodes.items()]
+    return [Track(episode, of_it, offset_s) for episode, of_it in episodes.items()]

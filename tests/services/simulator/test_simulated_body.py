@@ -80,6 +80,20 @@ def test_a_frozen_process_finds_the_robot_where_its_watchdog_stopped_it(frozen_s
     assert way_m(body, start) == pytest.approx(moved_s * PERFECT.speed_m_s)
 
 
+def test_a_frame_shows_where_the_robot_is_though_its_loop_is_late() -> None:
+    clock = Clock()
+    body = body_of(clock)
+    start = start_of(body)
+    body.drive("forward", 1.0)
+    ways = []
+    for _ in range(4):
+        clock.now_s += 0.1
+        ways.append(way_m(body, start))
+    assert ways == pytest.approx([PERFECT.speed_m_s * moved_s for moved_s in (0.1, WATCHDOG_S, WATCHDOG_S, WATCHDOG_S)])
+    body.stand()
+    assert way_m(body, start) == pytest.approx(PERFECT.speed_m_s * WATCHDOG_S)
+
+
 def test_in_lockstep_no_clock_moves_it() -> None:
     clock = Clock()
     body = body_of(clock, "lockstep")

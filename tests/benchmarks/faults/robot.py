@@ -1,0 +1,89 @@
+"""The robot of the benchmark: the service as it is, with wheels in another process and a simulated camera.
+
+``python -m tests.benchmarks.faults.robot --wheels ADDRESS`` is what the stack runs in place of the simulator.
+"""
+
+from __future__ import annotations
+
+import secrets
+import time
+from collections.abc import Callable
+
+from schemas.base import Atom
+from schemas.topics import Topic
+from services.kit.node import Node, configure_logging, read_settings, run_service
+from services.robot.gate import CommandGate
+from services.robot.loop import check_stopping
+from services.robot.runner import EpisodeRunner
+from services.robot.service import ROBOT, RobotService, check_alone
+from services.simulator.base import STEP_S
+from services.simulator.body import SimulatedBody
+from services.simulator.config import SimulatorSettings
+from services.simulator.sensors.camera import CameraSettings
+from services.simulator.simulation import Simulation
+from services.simulator.view import FindVictim
+from services.simulator.world import load_world
+from tests.benchmarks.faults.wheels import FarBase
+
+
+class FarBody(SimulatedBody):
+    """A body whose base moves by itself: what it did is taken over at each look.
+
+    Parameters
+    ----------
+    simulation : Simulation
+        Moved by ``base``.
+    base : FarBase
+    wanted : callable
+    """
+
+    def __init__(self, simulation: Simulation, base: FarBase, wanted: Callable[[Topic], bool]) -> None:
+        super().__init__(simulation, wanted=wanted)
+        self._base = base
+
+    def drive(self, atom: Atom, speed: float) -> None:
+        """Go on with a movement until told otherwise."""
+        self._base.order(atom, speed)
+
+    def _catch_up(self, _now_s: float) -> None:
+        for _ in range(self._base.fetch()):
+            self.simulation.advance("stop", 0.0, STEP_S)
+
+
+class Settings(SimulatorSettings):
+    """Those of the simulator that are about world and camera, and the wheels."""
+
+    wheels: str
+    """Address of the moving base."""
+
+
+def serve() -> None:
+    """Be a robot until stopped."""
+    settings = read_settings(Settings, "simulator")
+    configure_logging(settings.log_level)
+    base = FarBase(settings.wheels)
+    camera = CameraSettings(settings.camera_width, settings.camera_height, settings.shadows)
+    simulation = Simulation(load_world(settings.world), camera, base)
+    check_alone(settings)
+    with Node(ROBOT, settings) as node:
+        node.stop_on_signals()
+        body = FarBody(simulation, base, node.bus.has_listeners)
+        check_stopping(body)
+        runner = EpisodeRunner(
+            body,
+            FindVictim(),
+            CommandGate(attended=settings.attended),
+            settings.robot,
+            secrets.token_hex(6),
+            # The stamps of its frames are of the clock that the base's log has, so that the two compare exactly.
+            wall_clock_ns=lambda: time.clock_gettime_ns(time.CLOCK_BOOTTIME),
+        )
+        RobotService(runner, node)
+        try:
+            node.spin()
+        finally:
+            node.publish(runner.end())
+
+
+if __name__ == "__main__":
+    run_service(ROBOT, serve)

@@ -1,0 +1,184 @@
+"""A moving base in a process of its own, as a real robot's is: it goes on with its last order, whoever is harmed.
+
+It has its own clock, its own watchdog and its own log; orders come as datagrams. No process of the stack that is
+frozen, killed or cut off keeps it from moving on.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import secrets
+import select
+import signal
+import socket
+from collections import deque
+from collections.abc import Iterator
+from contextlib import contextmanager
+from multiprocessing.connection import Connection
+from pathlib import Path
+from typing import IO, Any, Final
+
+import numpy as np
+
+from schemas.base import Atom
+from services.robot.clock import now_s
+from services.simulator.base import STEP_S, Base, KinematicBase, Motion
+from services.simulator.body import WATCHDOG_S
+from services.simulator.world import load_world
+from services.simulator.world.place import Pose
+from tests.benchmarks.faults.child import child
+from tests.benchmarks.faults.log import Step
+
+#: Motions kept until the robot asks: the longest freeze, 14 s, and as much again for what comes before and after.
+_KEPT: Final = round(30.0 / STEP_S)
+#: An answer with all of them, at 120 bytes each.
+_LARGEST: Final = 1 << 18
+#: The base answers within a step of its own time; on a busy machine it may have to wait for its turn.
+_ANSWER_S: Final = 2.0
+
+
+@contextmanager
+def rolling(world: str, log: Path) -> Iterator[str]:
+    """Have a base move in a world for as long as the context lasts; give the address that orders go to."""
+    address = f"smal-wheels-{os.getpid()}-{secrets.token_hex(4)}"
+    with child("the moving base", roll, world, address, log):
+        yield address
+
+
+def roll(world: str, address: str, log: Path, owner: Connection) -> None:
+    """Move until the owner of the pipe closes it, or dies."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the owner
+    base = KinematicBase(load_world(world).place)
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as orders, log.open("a", buffering=1) as file:
+        orders.bind(_abstract(address))
+        wheels = Wheels(base, file)
+        owner.send("ready")
+        while True:
+            readable, _, _ = select.select([orders, owner], [], [], max(0.0, wheels.due_s - now_s()))
+            # What was due before an order came is done before: a base that was late does not obey backwards in time.
+            wheels.roll_on(now_s())
+            if owner in readable:
+                return
+            if orders in readable:
+                payload, sender = orders.recvfrom(_LARGEST)
+                answer = wheels.take(json.loads(payload), now_s())
+                if answer is not None:
+                    with contextlib.suppress(OSError):  # whoever asked is dead, or does not listen
+                        orders.sendto(json.dumps(answer).encode(), socket.MSG_DONTWAIT, sender)
+
+
+def _abstract(address: str) -> str:
+    """Return a name of a socket that is no file."""
+    return "\0" + address
+
+
+class Wheels:
+    """A base that is moved by the clock.
+
+    Parameters
+    ----------
+    base : Base
+    log : text file
+        A line for every step.
+    begin_s : float, optional
+        When its time begins; now if not given.
+    """
+
+    def __init__(self, base: Base, log: IO[str], begin_s: float | None = None) -> None:
+        self._base = base
+        self._log = log
+        #: When the next step is complete.
+        self.due_s = (now_s() if begin_s is None else begin_s) + STEP_S
+        self._motions: deque[Motion] = deque(maxlen=_KEPT)
+        self._order: tuple[Atom, float] = ("stop", 0.0)
+        self._ordered_s = 0.0
+        self._stands_anywhere = True
+
+    def take(self, message: dict[str, Any], at_s: float) -> dict[str, Any] | None:
+        """Carry out an order, or answer a question."""
+        if "order" in message:
+            self._order, self._ordered_s = tuple(message["order"]), at_s
+            return None
+        if "put" in message:
+            self._base.put(Pose(*message["put"]), np.random.default_rng(message["seed"]))
+            self._order, self._stands_anywhere = ("stop", 0.0), False
+            self._motions.clear()
+        told = [[m.pose.x, m.pose.y, m.pose.heading, *m.rolled_m, m.collided] for m in self._motions]
+        self._motions.clear()
+        return {"question": message["question"], "motions": told}
+
+    def roll_on(self, until_s: float) -> None:
+        """Make the steps that are complete by then."""
+        while self.due_s <= until_s:
+            if not self._stands_anywhere:
+                self._step()
+            self.due_s += STEP_S
+
+    def _step(self) -> None:
+        minded = self.due_s - self._ordered_s <= WATCHDOG_S
+        atom, speed = self._order if minded else ("stop", 0.0)
+        motion = self._base.step(atom, speed, STEP_S)
+        self._motions.append(motion)
+        speed_m_s = max(map(abs, motion.rolled_m)) / STEP_S
+        pose = motion.pose
+        self._log.write(Step(self.due_s, pose.x, pose.y, pose.heading, speed_m_s, atom, self._ordered_s).line())
+
+
+class FarBase:
+    """The base in the other process, as `services.simulator.base.Base`: its steps are what that one has told.
+
+    Parameters
+    ----------
+    address : str
+        As ``rolling`` gives it.
+    """
+
+    def __init__(self, address: str) -> None:
+        self._orders, self._questions = (_connected(address) for _ in range(2))
+        self._questions.settimeout(_ANSWER_S)
+        self._orders.setblocking(False)
+        self._asked = 0
+        self._told: deque[Motion] = deque()
+
+    @property
+    def braking_s(self) -> float:
+        """Return 0: it stands at once."""
+        return 0.0
+
+    def order(self, atom: Atom, speed: float) -> None:
+        """Have it drive from now on; where the order cannot be sent at once that is an error."""
+        self._orders.send(json.dumps({"order": [atom, speed]}).encode())
+
+    def put(self, pose: Pose, rng: np.random.Generator) -> None:
+        """Stand still at a pose."""
+        self._ask(put=[pose.x, pose.y, pose.heading], seed=int(rng.integers(2**62)))
+        self._told.clear()
+
+    def fetch(self) -> int:
+        """Ask what was done since this was last called; return how many steps."""
+        self._told.extend(
+            Motion(Pose(x, y, heading), (left, right), bool(collided))
+            for x, y, heading, left, right, collided in self._ask()["motions"]
+        )
+        return len(self._told)
+
+    def step(self, _atom: Atom, _speed: float, _duration_s: float) -> Motion:
+        """Return the next of the steps that were fetched, whatever is ordered now."""
+        return self._told.popleft()
+
+    def _ask(self, **question: object) -> dict[str, Any]:
+        self._asked += 1
+        self._questions.send(json.dumps({"question": self._asked, **question}).encode())
+        while True:
+            answer: dict[str, Any] = json.loads(self._questions.recv(_LARGEST))
+            if answer["question"] == self._asked:  # not one that came too late
+                return answer
+
+
+def _connected(address: str) -> socket.socket:
+    one = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
+    one.bind("")  # a name of its own, for the answers
+    one.connect(_abstract(address))
+    return one
