@@ -45,7 +45,7 @@ def algorithm2(
     max_iterations: int = 500,
     floor: float = 1e-8,
 ) -> ReferenceResult:
-    """Minimise Eq. 7 by reweighted least squares.
+    """Minimize Eq. 7 by reweighted least squares.
 
     Parameters
     ----------

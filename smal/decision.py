@@ -30,7 +30,7 @@ class Decision:
 
 
 class DecisionMaker:
-    """Plans l atoms whenever a state is recognised, and hands them out one by one.
+    """Plans l atoms whenever a state is recognized, and hands them out one by one.
 
     Parameters
     ----------
@@ -51,7 +51,7 @@ class DecisionMaker:
         return self._plan.popleft() if self._plan else Atom.STOP
 
     def decide(self, recognition: Recognition) -> Decision:
-        """Replace the plan according to what was recognised."""
+        """Replace the plan according to what was recognized."""
         if recognition.status == "collecting":
             return Decision("wait", ())
         decision = self._decide(recognition.state)

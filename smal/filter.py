@@ -311,7 +311,7 @@ class Filter:
 
     def _leak(self, elapsed_s: float) -> None:
         """Let a little of what is known become lost."""
-        shares = _normalised(self._odds)
+        shares = _normalized(self._odds)
         leaked = shares[:2] * (elapsed_s / KIDNAP_S)
         shares[:2] -= leaked
         shares[2] += leaked.sum()
@@ -324,7 +324,7 @@ class Filter:
         """
         assert self._tracked is not None
         assert self._scouts is not None
-        shares = _normalised(self._odds)
+        shares = _normalized(self._odds)
         new = round(_PARTICLES * float(shares[1] / max(shares[0] + shares[1], 1e-12)))
         if new:
             old, scouts = self._tracked, self._scouts
@@ -344,7 +344,7 @@ class Filter:
 
     def _belief(self) -> Belief:
         assert self._tracked is not None
-        shares = _normalised(self._odds)
+        shares = _normalized(self._odds)
         sets = [(self._tracked, float(shares[0])), (self._scouts, float(shares[1]))]
         present = [(particles, share) for particles, share in sets if particles is not None]
         total = sum(share for _, share in present)
@@ -362,7 +362,7 @@ class Filter:
 _TRIAL = 1.5
 
 
-def _normalised(log_odds: NDArray[np.float64]) -> NDArray[np.float64]:
+def _normalized(log_odds: NDArray[np.float64]) -> NDArray[np.float64]:
     shares = np.exp(log_odds - log_odds.max())
-    normalised: NDArray[np.float64] = shares / shares.sum()
-    return normalised
+    normalized: NDArray[np.float64] = shares / shares.sum()
+    return normalized

@@ -1,4 +1,4 @@
-"""What was learned: Omega = (S, A, T, R, gamma) of the paper with the templates that recognise S, as one file."""
+"""What was learned: Omega = (S, A, T, R, gamma) of the paper with the templates that recognize S, as one file."""
 
 import os
 from dataclasses import dataclass, fields

@@ -46,7 +46,7 @@ class Match:
 
 
 def describe_match(solution: Solution, correlate: Callable[[slice], NDArray[Any]], query_norms: NDArray[Any]) -> Match:
-    """Summarise a solution.
+    """Summarize a solution.
 
     Parameters
     ----------

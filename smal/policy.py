@@ -1,4 +1,4 @@
-"""Policy (Eq. 13): maximise the discounted reward over the actions that were seen in a state."""
+"""Policy (Eq. 13): maximize the discounted reward over the actions that were seen in a state."""
 
 from dataclasses import dataclass
 

@@ -1,6 +1,6 @@
 """Reward by inverse reinforcement learning: the linear program of Ng & Russell (2000) for a known finite model.
 
-    maximise   sum_s min_{a != a1} [(P_a1(s) - P_a(s)) V] - lambda ||R||_1
+    maximize   sum_s min_{a != a1} [(P_a1(s) - P_a(s)) V] - lambda ||R||_1
     such that  (P_a1(s) - P_a(s)) V >= 0 for every s and a,   V = R + gamma P_a1 V,   |R| <= Rmax
 
 with a1 the action that the expert took most often in s (`Transitions.expert_pairs`). We keep V as a variable instead
@@ -86,7 +86,7 @@ class _Program:
         self.margin_bound = np.where(expert >= 0, np.inf, 0.0)
 
     def solve(self, penalty: float, r_max: float, total: float = np.inf) -> tuple[Array, float]:
-        """Maximise the margins less `penalty` ||R||_1, with |R| <= r_max and ||R||_1 <= total: variables, optimum."""
+        """Maximize the margins less `penalty` ||R||_1, with |R| <= r_max and ||R||_1 <= total: variables, optimum."""
         n = self.n
         sum_of_reward = np.repeat([0.0, 1.0, 0.0], [n, 2 * n, n])[None]
         limited = sparse.vstack([self.inequality, sparse.csr_array(sum_of_reward)], format="csr")

@@ -41,7 +41,7 @@ class Place:
     probability: float
 
 
-class Localiser:
+class Localizer:
     """Follows a robot from frame to frame by its features, and by its odometry or what its atoms usually do.
 
     Parameters
@@ -140,13 +140,13 @@ class Robot:
 
     def __init__(self, model: Model, goal: str | None = None, seed: int = 0) -> None:
         self._map = model.mapped
-        self._localiser = Localiser(model, seed)
+        self._localizer = Localizer(model, seed)
         self._planner = Planner(self._map, goal)
         self.reset()
 
     def reset(self) -> None:
         """Forget everything, for a new episode."""
-        self._localiser.reset()
+        self._localizer.reset()
         self._planner.reset()
         self._atom = Atom.STOP
 
@@ -169,8 +169,8 @@ class Robot:
         Atom
             To make until the next image.
         """
-        raw = extract(image, self._localiser.features)
-        self.belief = self._localiser.observe(raw, odometry, [self._atom], elapsed_s)
+        raw = extract(image, self._localizer.features)
+        self.belief = self._localizer.observe(raw, odometry, [self._atom], elapsed_s)
         self.decision = self._planner.decide(self.belief, elapsed_s)
         self._atom = self.decision.atom
         return self._atom

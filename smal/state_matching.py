@@ -1,4 +1,4 @@
-"""State matching (paper, section III-A and Algorithm 2): find the weights W that minimise Eq. 7, with a certificate.
+"""State matching (paper, section III-A and Algorithm 2): find the weights W that minimize Eq. 7, with a certificate.
 
 Both penalties separate over template sequences and most sequences get no weight. So we solve Eq. 7 on a working
 set of few sequences, extend its dual point to all of them, add the sequences that violate it, and stop when the
@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from smal.matching.products import Columns, Known, Products
-from smal.matching.working_set import Penalty, minimise
+from smal.matching.working_set import Penalty, minimize
 
 Array = NDArray[np.float64]
 
@@ -106,7 +106,7 @@ def solve(
     tolerance: float = 1e-4,
     known: Known | None = None,
 ) -> Solution:
-    """Match a query sequence against template sequences: minimise Eq. 7.
+    """Match a query sequence against template sequences: minimize Eq. 7.
 
     Parameters
     ----------
@@ -154,7 +154,7 @@ def solve(
         if known.correlations.shape != (n, q) or known.gram.shape != (n, n):
             raise ValueError(f"known products do not fit: {known.correlations.shape}, {known.gram.shape}")
         known = Known(known.correlations[:, seen], known.gram)
-    found = minimise(Products(rows, frames[seen], known), penalty)
+    found = minimize(Products(rows, frames[seen], known), penalty)
     used = np.flatnonzero(found.weights.any(axis=1))
     weights, residuals = np.zeros((used.size, q)), np.zeros(q)
     weights[:, seen], residuals[seen] = found.weights[used], found.residual_norms

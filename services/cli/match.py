@@ -52,9 +52,9 @@ def match(
         Path, typer.Argument(metavar="REFERENCE_DIR", help="Folder with the images of the traverse that is known.")
     ],
     query_dir: Annotated[
-        Path, typer.Argument(metavar="QUERY_DIR", help="Folder with the images of the traverse to be recognised.")
+        Path, typer.Argument(metavar="QUERY_DIR", help="Folder with the images of the traverse to be recognized.")
     ],
-    method: Annotated[str, typer.Option(metavar="NAME", help=f"How places are recognised. {_METHODS}.")] = "smal",
+    method: Annotated[str, typer.Option(metavar="NAME", help=f"How places are recognized. {_METHODS}.")] = "smal",
     length: Annotated[
         int | None, typer.Option(min=1, help=f"Frames of a window, l. {_DEFAULT_LENGTHS}", show_default=False)
     ] = None,
@@ -75,7 +75,7 @@ def match(
     penalty: Annotated[
         float | None,
         typer.Option(
-            help="Weight of the regularisation, above 0 and below 1 (smal and image: as a share of the one for which "
+            help="Weight of the regularization, above 0 and below 1 (smal and image: as a share of the one for which "
             f"nothing matches; paper: a in lambda1 = lambda2 = a sqrt(l)). {_DEFAULT_PENALTIES}",
             show_default=False,
         ),

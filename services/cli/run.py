@@ -112,8 +112,8 @@ def run(
     finally:
         # Also when a later run fails, or is interrupted: the finished ones have cost their time.
         if json_file is not None and records:
-            outputs.write_json(json_file, "--json", summarise(world, records))
-    summary = summarise(world, records)
+            outputs.write_json(json_file, "--json", summarize(world, records))
+    summary = summarize(world, records)
     if report is not None:
         from services.cli.episodes.report import write_report  # noqa: PLC0415 - matplotlib takes a second to import
 
@@ -123,7 +123,7 @@ def run(
     typer.echo(f"found the victim in {found} of {len(records)} runs (95 % interval {low:.2f} to {high:.2f})")
 
 
-def summarise(world: str, records: list[EpisodeRecord]) -> dict[str, object]:
+def summarize(world: str, records: list[EpisodeRecord]) -> dict[str, object]:
     """Return the results as ``--json`` writes them."""
     found = sum(record.outcome == "found" for record in records)
     latencies = [ms for record in records for ms in record.decision_latencies_ms]

@@ -9,7 +9,7 @@ from services.recognition.service import RecognitionService
 
 
 def serve() -> None:
-    """Recognise states until stopped."""
+    """Recognize states until stopped."""
     service = RecognitionService()
 
     def wire(node: Node) -> None:

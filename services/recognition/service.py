@@ -16,7 +16,7 @@ from smal.action_space import Atom
 from smal.features import select
 from smal.filter import Belief
 from smal.recognition import Recognizer
-from smal.robot import Localiser
+from smal.robot import Localizer
 
 #: Odometry and commands that are kept until the observation of their frame comes, frames.
 _KEPT: Final = 100
@@ -35,7 +35,7 @@ class RecognitionService:
         #: Whether newer observations wait.
         self.behind: Callable[[], bool] = lambda: False
         self._loaded: LoadedModel | None = None
-        self._localiser: _ByFilter | _ByPaper | None = None
+        self._localizer: _ByFilter | _ByPaper | None = None
         self._last: State | None = None
         self._odometry: dict[tuple[str, int], Pose] = {}
         self._applied: dict[tuple[str, int], CommandApplied] = {}
@@ -50,8 +50,8 @@ class RecognitionService:
             When the file is no model, or cannot be used so.
         """
         loaded = LoadedModel.read(request)
-        localiser = _ByFilter(loaded) if loaded.scheme == "filter" else _ByPaper(loaded)
-        self._loaded, self._localiser, self._last, self._waiting = loaded, localiser, None, None
+        localizer = _ByFilter(loaded) if loaded.scheme == "filter" else _ByPaper(loaded)
+        self._loaded, self._localizer, self._last, self._waiting = loaded, localizer, None, None
         return loaded.reply()
 
     def see(self, odometry: Odometry) -> State | None:
@@ -86,7 +86,7 @@ class RecognitionService:
         ServiceError
             When the observation was made with other features than the model.
         """
-        if self._loaded is None or self._localiser is None:
+        if self._loaded is None or self._localizer is None:
             return State.after(observation, status="idle")
         wanted = self._loaded.model.feature_settings.fingerprint
         if observation.fingerprint != wanted:
@@ -99,20 +99,20 @@ class RecognitionService:
             return last
         again = waiting is not None and (waiting.episode, waiting.tick) == (observation.episode, observation.tick)
         known = (observation.episode, observation.tick) in self._odometry
-        if self._localiser.by_odometry and not known and not again:
+        if self._localizer.by_odometry and not known and not again:
             self._waiting = observation
             return None
         return self._answer(observation)
 
     def _answer(self, observation: Observation) -> State | None:
-        assert self._localiser is not None  # noqa: S101 - without a model nothing waits
+        assert self._localizer is not None  # noqa: S101 - without a model nothing waits
         self._waiting = None
         if self._last is None or self._last.episode != observation.episode:
-            self._localiser.reset()
+            self._localizer.reset()
         since = self._last.tick if self._last is not None and self._last.episode == observation.episode else 0
-        atoms = [] if self._localiser.by_odometry else self._atoms(observation.episode, since, observation.tick)
+        atoms = [] if self._localizer.by_odometry else self._atoms(observation.episode, since, observation.tick)
         odometry = self._odometry.get((observation.episode, observation.tick))
-        found = self._localiser.observe(observation, odometry, atoms, behind=self.behind())
+        found = self._localizer.observe(observation, odometry, atoms, behind=self.behind())
         self._last = found or self._last
         return found
 
@@ -132,12 +132,12 @@ def _forget(kept: dict[tuple[str, int], Any]) -> None:
 class _ByFilter:
     def __init__(self, loaded: LoadedModel) -> None:
         self._held, self._identity = loaded.model.feature_settings, loaded.identity
-        self._localiser = Localiser(loaded.model)
+        self._localizer = Localizer(loaded.model)
         self.by_odometry = loaded.model.mapped.odometry
         self.reset()
 
     def reset(self) -> None:
-        self._localiser.reset()
+        self._localizer.reset()
         self._stamp_ns: int | None = None
 
     def observe(
@@ -146,8 +146,8 @@ class _ByFilter:
         if behind:
             return None
         elapsed_s = None if self._stamp_ns is None else max(observation.stamp_ns - self._stamp_ns, 0) / 1e9
-        raw = select(observation.features.to_numpy(), self._held, self._localiser.features)
-        belief = self._localiser.observe(raw, odometry, atoms, elapsed_s)
+        raw = select(observation.features.to_numpy(), self._held, self._localizer.features)
+        belief = self._localizer.observe(raw, odometry, atoms, elapsed_s)
         self._stamp_ns = observation.stamp_ns
         return self._state(observation, belief.summary(MAX_PLACES))
 

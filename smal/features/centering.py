@@ -1,4 +1,4 @@
-"""Centring: what all frames share says nothing about where the robot is.
+"""Centering: what all frames share says nothing about where the robot is.
 
 The paper matches uncentred descriptors. Their entries are all non-negative, so that any two frames have a
 cosine of 0.88, and no threshold separates places; without the mean it is -0.03.
@@ -65,7 +65,7 @@ class Centering:
         return Centering(select(self.mean, self.settings, settings), settings)
 
     def apply(self, raw: NDArray[Any]) -> NDArray[np.float32]:
-        """Centre, normalise and weight raw features.
+        """Centre, normalize and weight raw features.
 
         Parameters
         ----------

@@ -51,7 +51,7 @@ def gist_descriptor(image: NDArray[np.uint8]) -> NDArray[np.float32]:
 
 
 def prefiltered(grey: NDArray[np.uint8]) -> NDArray[np.float32]:
-    """Take away illumination and equalise contrast (rows, columns).
+    """Take away illumination and equalize contrast (rows, columns).
 
     With c = log(1 + I) - g * log(1 + I) and a Gaussian g, the result is c / (0.2 + sqrt(g * c^2)).
     """

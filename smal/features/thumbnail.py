@@ -1,4 +1,4 @@
-"""Thumbnail modality: the small patch-normalised image of SeqSLAM (Milford & Wyeth 2012)."""
+"""Thumbnail modality: the small patch-normalized image of SeqSLAM (Milford & Wyeth 2012)."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,5 +31,5 @@ def thumbnail_descriptor(image: NDArray[np.uint8]) -> NDArray[np.float32]:
     # Exact for a patch of one grey: its sum is a whole number, far below 2^24.
     centred = patches - patches.mean(axis=(1, 3), keepdims=True)
     deviation = np.sqrt(np.square(centred).mean(axis=(1, 3), keepdims=True))
-    normalised = np.divide(centred, deviation, out=np.zeros_like(centred), where=deviation > 0.0)
-    return unit_length(normalised)
+    normalized = np.divide(centred, deviation, out=np.zeros_like(centred), where=deviation > 0.0)
+    return unit_length(normalized)

@@ -1,6 +1,6 @@
 r"""Upper bounds that make a dual point of Eq. 7 feasible.
 
-The dual of Eq. 7 is: maximise <Theta, Y> subject to ||theta_i||_2 <= 1 for every query frame i, and, for every
+The dual of Eq. 7 is: maximize <Theta, Y> subject to ||theta_i||_2 <= 1 for every query frame i, and, for every
 template sequence j, G = X_j^T Theta (l x q) in lambda1 * {rows in the unit ball} + lambda2 * {columns in the unit
 ball}. The polar of the penalty of one sequence, ||W||_{2,1} times lambda1 plus the column norms times lambda2, is
 the smallest s for which G / s is in that set. Dividing Theta by the largest upper bound of all polars or by the

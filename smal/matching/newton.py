@@ -253,8 +253,8 @@ def _move_dual(problem: BlockProblem, now: Iterate, images: tuple[Array, Array],
 
 
 @compiled
-def _minimise(problem: BlockProblem, found: Iterate, epsilon: float, tolerance: float) -> tuple[float, int]:
-    """Minimise in place; the smoothing, the steps.
+def _minimize(problem: BlockProblem, found: Iterate, epsilon: float, tolerance: float) -> tuple[float, int]:
+    """Minimize in place; the smoothing, the steps.
 
     Nothing but numbers is returned: making Python objects of arrays runs Python code, which an interrupt (Ctrl-C)
     would break off in the middle.
@@ -296,7 +296,7 @@ def _minimise(problem: BlockProblem, found: Iterate, epsilon: float, tolerance: 
 
 
 def solve_blocks(problem: BlockProblem, start: Iterate, epsilon: float, tolerance: float) -> tuple[Iterate, float, int]:
-    """Minimise Eq. 7 over the weights of a few template frames.
+    """Minimize Eq. 7 over the weights of a few template frames.
 
     Parameters
     ----------
@@ -316,4 +316,4 @@ def solve_blocks(problem: BlockProblem, start: Iterate, epsilon: float, toleranc
         The smoothing at the end, and Newton steps.
     """
     found = Iterate(*(part.copy() for part in start))
-    return found, *_minimise(problem, found, epsilon, tolerance)
+    return found, *_minimize(problem, found, epsilon, tolerance)

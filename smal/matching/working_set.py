@@ -237,7 +237,7 @@ class _Search:
         self.columns, self.worst = np.union1d(stay, lacking), 1.0
 
 
-def minimise(products: Products, penalty: Penalty) -> Outcome:
+def minimize(products: Products, penalty: Penalty) -> Outcome:
     """Grow a working set until the gap of the full problem is within the tolerance.
 
     Rounding may keep it from getting there; then it ends early.

@@ -1,6 +1,6 @@
 """The paper's matching as it stands, on two traverses: Eq. 7 with sequences cut at fixed phases, and Eq. 9.
 
-Beside the method of `traverse_matching`, to show what order, speeds and centring add.
+Beside the method of `traverse_matching`, to show what order, speeds and centering add.
 """
 
 import math

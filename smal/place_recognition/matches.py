@@ -26,7 +26,7 @@ class Matches:
     Parameters
     ----------
     reference : int64 array (q,)
-        Reference frame, 0 to n - 1; `NONE` before the first whole window, and where nothing was recognised.
+        Reference frame, 0 to n - 1; `NONE` before the first whole window, and where nothing was recognized.
     score : float64 array (q,)
         How sure the match is: higher is surer, comparable between the queries of one method only. 0 where there is no
         match.
@@ -50,7 +50,7 @@ class Matches:
 
     @classmethod
     def none(cls, queries: int) -> Self:
-        """Return the answer that recognises no query of `queries`."""
+        """Return the answer that recognizes no query of `queries`."""
         return cls(np.full(queries, NONE, dtype=np.int64), np.zeros(queries))
 
     def above(self, threshold: float) -> Self:

@@ -12,7 +12,7 @@ from smal.place_recognition.as_published import LAMBDA_SCALE, match_as_in_the_pa
 from smal.place_recognition.matches import Matches, Progress
 from smal.place_recognition.nearest_sequence import match_nearest_sequence
 from smal.place_recognition.seqslam import SeqSlamSettings, match_seqslam
-from smal.place_recognition.traverse_centring import centre_traverses
+from smal.place_recognition.traverse_centering import centre_traverses
 from smal.place_recognition.traverse_matching import OrderedSettings, match_traverses
 
 Features = NDArray[np.float32]
@@ -43,7 +43,7 @@ Match = Callable[[Features, Features, MatchSettings, Progress], Matches]
 
 @dataclass(frozen=True)
 class Method:
-    """One way to recognise places.
+    """One way to recognize places.
 
     Parameters
     ----------
@@ -56,7 +56,7 @@ class Method:
     match : callable
         See `Match`. Of fewer than `length` references or queries it finds no match.
     penalty : float, optional
-        Weight of its regularisation unless told otherwise; None if it has none.
+        Weight of its regularization unless told otherwise; None if it has none.
     any_features : bool
         Whether it works with other features than its own.
     any_length : bool

@@ -54,7 +54,7 @@ def combine(
 
 
 @compiled
-def minimise(
+def minimize(
     blocks: NDArray[np.float64],
     linear: NDArray[np.float64],
     squares: NDArray[np.float64],
@@ -66,7 +66,7 @@ def minimise(
     """Solve the program over p sequences, from `weights`, in place.
 
     Each residual norm is majorised by the parabola that touches it (as in Algorithm 2), and the parabolas' sum is
-    minimised by cyclic coordinate descent; the objective falls in every round.
+    minimized by cyclic coordinate descent; the objective falls in every round.
     """
     length, count = linear.shape
     curvature, slope = np.empty((count, count)), np.empty(count)
@@ -100,7 +100,7 @@ def minimise(
 
 @compiled
 def _descend(curvature: NDArray[np.float64], gradient: NDArray[np.float64], weights: NDArray[np.float64]) -> float:
-    """Minimise 1/2 c'Hc - g'c over c >= 0 by cyclic coordinate descent; `gradient` is g - Hc and kept so.
+    """Minimize 1/2 c'Hc - g'c over c >= 0 by cyclic coordinate descent; `gradient` is g - Hc and kept so.
 
     Returns the largest step of the first sweep, which is small where the weights were good already.
     """

@@ -22,7 +22,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from smal.place_recognition.ordered_descent import FLOOR, combine, gather, minimise
+from smal.place_recognition.ordered_descent import FLOOR, combine, gather, minimize
 from smal.place_recognition.template_sequences import TemplateSequences
 
 #: Sequences that the first working set holds, and that a later round adds at most.
@@ -78,7 +78,7 @@ def solve_ordered(
         x_a . x_b.
     template_sequences : TemplateSequences
     surcharge : float64 array (speeds,)
-        What a sequence of that speed is penalised beyond lambda, at least 0.
+        What a sequence of that speed is penalized beyond lambda, at least 0.
     relative_penalty : float
         lambda as a share, above 0 and below 1, of the smallest one for which c = 0.
     tolerance : float
@@ -145,7 +145,7 @@ class _Problem:
         penalties = self._penalties[working // self._gram.shape[0]]
         blocks, linear = gather(self._gram, self._products, frames)
         residuals = np.empty(self._norms.size)
-        minimise(blocks, linear, self._squares, penalties, weights, residuals, 0.1 * self._tolerance)
+        minimize(blocks, linear, self._squares, penalties, weights, residuals, 0.1 * self._tolerance)
         active = np.flatnonzero(weights)
         prices = self._prices(frames[active], weights[active], residuals)
         primal = float(residuals.mean() + penalties @ weights)

@@ -105,7 +105,7 @@ def match_seqslam(
     Parameters
     ----------
     references : float32 array (n, m)
-        Patch-normalised thumbnails in order. A common factor does not matter.
+        Patch-normalized thumbnails in order. A common factor does not matter.
     queries : float32 array (q, m)
         Likewise.
     settings : SeqSlamSettings

@@ -33,7 +33,7 @@ class OrderedSettings:
     relative_penalty : float
         lambda as a share of the smallest one for which W = 0, above 0 and below 1.
     speed_penalty : float
-        What a sequence is penalised for each octave between its speed and the expected one, at least 0; half of it in
+        What a sequence is penalized for each octave between its speed and the expected one, at least 0; half of it in
         the first round, which can expect nothing but equal speeds. A frame that agrees entirely has a price of 1.
     tolerance : float
         Relative duality gap.
@@ -103,7 +103,7 @@ def match_traverses(
     Parameters
     ----------
     references : float32 array (n, m)
-        In order, centred and weighted (`smal.place_recognition.traverse_centring`).
+        In order, centred and weighted (`smal.place_recognition.traverse_centering`).
     queries : float32 array (q, m)
     settings : OrderedSettings
     progress : callable

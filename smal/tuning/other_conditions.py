@@ -1,7 +1,7 @@
 """Views of a place under another light and from beside: a declared degradation for tuning without a second traverse.
 
 Of one traverse the right answers are known, but its frames resemble their neighbours so much that every setting
-recognises all of them. Half of the frames are therefore shown as another day might show them: other exposure, colour
+recognizes all of them. Half of the frames are therefore shown as another day might show them: other exposure, colour
 of the light and gradient of brightness, taken a little to the side and nearer, blurred, with noise, each frame's view
 and exposure a little different. This stands for another traverse and is none: it knows no shadows, seasons or things
 that were moved.

@@ -5,7 +5,7 @@ chose it than on any others, so that the search is cross-validated: it is done o
 winner is held against the defaults on the other half, then the other way round. Successive queries see nearly the
 same, so a half is made of blocks of successive queries, and queries whose windows share frames with the other half do
 not choose. Queries before the first of the longest windows that are tried do not count: a traverse begins once, and
-how early a setting answers then says nothing of how well it recognises. Only if the difference is above 0 in 97.5 % of
+how early a setting answers then says nothing of how well it recognizes. Only if the difference is above 0 in 97.5 % of
 the bootstrap's draws are the tuned settings recommended.
 """
 

@@ -11,7 +11,7 @@ from smal.features import FeatureSettings, select
 from smal.place_recognition import Matches
 from smal.place_recognition.matches import ignore
 from smal.place_recognition.methods import METHODS, MatchSettings
-from smal.place_recognition.traverse_centring import centre_traverses
+from smal.place_recognition.traverse_centering import centre_traverses
 from smal.place_recognition.traverse_matching import OrderedSettings, TraverseProducts, match_products
 
 #: Methods that need only inner products, of which those of a weighted sum of modalities are made fast.

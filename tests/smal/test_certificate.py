@@ -57,7 +57,7 @@ def test_bounds_are_above_the_exact_polar(lambdas: tuple[float, float], shape: t
 
 
 @pytest.mark.parametrize("lambdas", LAMBDAS)
-def test_a_block_inside_the_dual_set_is_recognised(lambdas: tuple[float, float]) -> None:
+def test_a_block_inside_the_dual_set_is_recognized(lambdas: tuple[float, float]) -> None:
     rng = np.random.default_rng(7)
     for _ in range(5):
         G = sparse_block(rng, (5, 5))

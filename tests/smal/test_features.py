@@ -1,4 +1,4 @@
-"""Features: sizes, unit length, centring, and what is refused."""
+"""Features: sizes, unit length, centering, and what is refused."""
 
 import subprocess
 import sys
@@ -163,7 +163,7 @@ def test_features_that_are_not_held_are_refused() -> None:
         select(raw[1:], BOTH, BOTH)
 
 
-def test_centring_weights_and_normalises() -> None:
+def test_centering_weights_and_normalizes() -> None:
     raw = np.stack([extract(image(48, 64, seed), BOTH) for seed in range(6)])
     chosen = FeatureSettings(weights=(1.0, 2.0))
     centred = Centering.fit(raw, chosen).apply(raw)

@@ -7,7 +7,7 @@ import pytest
 from smal import Atom, Robot
 from smal.features import extract
 from smal.learning import LearningSettings, fit
-from smal.robot import Localiser
+from smal.robot import Localizer
 from tests.corridor import FEATURES, FRAMES, LENGTH, STEP_M, Pose, model, moved, pose, view
 
 
@@ -55,7 +55,7 @@ def test_a_model_without_a_map_is_refused_in_one_line() -> None:
 
 def test_a_frame_that_is_refused_does_not_move_the_robot() -> None:
     known = model()
-    one, other = Localiser(known), Localiser(known)
+    one, other = Localizer(known), Localizer(known)
     raw = extract(view(0.0), FEATURES)
     one.observe(raw, (0.0, 0.0, 0.0))
     other.observe(raw, (0.0, 0.0, 0.0))
@@ -67,9 +67,9 @@ def test_a_frame_that_is_refused_does_not_move_the_robot() -> None:
 
 
 def test_where_odometry_comes_with_every_second_frame_atoms_fill_the_gaps() -> None:
-    localiser = Localiser(model())
+    localizer = Localizer(model())
     for frame in range(9):
         place = pose(frame)
         raw = extract(view(*place), FEATURES)
-        belief = localiser.observe(raw, place if frame % 2 == 0 else None, [Atom.FORWARD])
+        belief = localizer.observe(raw, place if frame % 2 == 0 else None, [Atom.FORWARD])
     assert belief.tracked == pytest.approx(8 * STEP_M, rel=0.1)

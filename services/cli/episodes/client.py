@@ -51,8 +51,8 @@ class EpisodeRecord:
         Whether the robot said that it was at the goal.
     decisions
         Kind of every decision, by tick.
-    unrecognised
-        Ticks of the decisions that were taken without a recognised state.
+    unrecognized
+        Ticks of the decisions that were taken without a recognized state.
     latencies_ms
         From a frame's readiness to the acceptance of its command, by tick.
     frames
@@ -66,14 +66,14 @@ class EpisodeRecord:
     poses: dict[int, tuple[float, float]] = field(default_factory=dict)
     arrived: bool = False
     decisions: dict[int, str] = field(default_factory=dict)
-    unrecognised: set[int] = field(default_factory=set)
+    unrecognized: set[int] = field(default_factory=set)
     latencies_ms: dict[int, float] = field(default_factory=dict)
     frames: dict[int, NDArray[np.uint8]] = field(default_factory=dict)
 
     @property
     def unknown(self) -> int:
-        """Decisions that were taken without a recognised state."""
-        return len(self.unrecognised)
+        """Decisions that were taken without a recognized state."""
+        return len(self.unrecognized)
 
     @property
     def decision_latencies_ms(self) -> list[float]:
@@ -231,7 +231,7 @@ class EpisodeClient:
             record.ticks, record.outcome = event.tick, event.outcome or "aborted"
             # What is decided about the last frame moves nothing any more, and may or may not have arrived by now.
             record.decisions = {tick: kind for tick, kind in record.decisions.items() if tick < event.tick}
-            record.unrecognised = {tick for tick in record.unrecognised if tick < event.tick}
+            record.unrecognized = {tick for tick in record.unrecognized if tick < event.tick}
             self._ended = True
 
     def _on_applied(self, applied: CommandApplied) -> None:
@@ -249,4 +249,4 @@ class EpisodeClient:
             self._record.arrived |= action.arrived and self._record.request.driver == "policy"
             # Not the kind says so: the robot also looks around where the state is known but has no way on.
             if action.state is None:
-                self._record.unrecognised.add(action.tick)
+                self._record.unrecognized.add(action.tick)

@@ -46,7 +46,7 @@ def _tiles(model: Model, records: list[EpisodeRecord], summary: Mapping[str, obj
     found = sum(record.outcome == "found" for record in records)
     low, high = np.array(summary["wilson_95"])
     latency = summary["decision_latency_ms"]
-    assert isinstance(latency, dict)  # noqa: S101 - made by run.summarise
+    assert isinstance(latency, dict)  # noqa: S101 - made by run.summarize
     p50, p95 = (f"{latency[key]:.0f} ms" if latency[key] is not None else "none taken" for key in ("p50", "p95"))
     values = {
         "victim found": f"{found} of {len(records)}",

@@ -47,7 +47,7 @@ class Spread:
 
     @classmethod
     def of(cls, durations_s: Iterable[float]) -> Spread:
-        """Summarise at least one duration."""
+        """Summarize at least one duration."""
         ms = 1e3 * np.fromiter(durations_s, float)
         p50, p95 = np.percentile(ms, [50, 95])
         return cls(len(ms), float(p50), float(p95), float(ms.max()))

@@ -16,7 +16,7 @@ from smal.action_space import Atom
 from smal.decision import DecisionMaker
 from smal.evaluation.baselines.behaviour_cloning import ClonedBehaviour
 from smal.evaluation.baselines.nearest_neighbour_imitation import NearestNeighbourImitation
-from smal.evaluation.baselines.seqslam_localisation import SeqSlamLocaliser
+from smal.evaluation.baselines.seqslam_localization import SeqSlamLocalizer
 from smal.evaluation.baselines.teach_and_repeat import TaughtDrive, TeachAndRepeat
 from smal.evaluation.baselines.thumbnails import thumbnail
 from smal.features import FeatureSettings
@@ -24,7 +24,7 @@ from smal.model import Model
 from smal.place_recognition.seqslam import SeqSlamSettings
 from smal.planning import Planner
 from smal.recognition import Recognizer
-from smal.robot import Localiser
+from smal.robot import Localizer
 
 #: The paper's trajectories of 10 frames. Its neighbourhood of 10 frames is too small for ten frames a second, in which
 #: neighbours hardly differ, and what is enhanced is noise: on drives of the indoor world the place was off by more than
@@ -58,7 +58,7 @@ class Move:
     decision
         Kind of the decision that was taken at this frame (`smal.planning.Decision`, `smal.decision.Decision`), or None
         where none was due.
-    recognised
+    recognized
         Whether that decision knew where the robot is.
     arrived
         Whether the robot says that it is at the goal, which ends the search.
@@ -68,7 +68,7 @@ class Move:
 
     atom: Atom
     decision: str | None = None
-    recognised: bool = True
+    recognized: bool = True
     arrived: bool = False
     place: Place | None = None
 
@@ -114,17 +114,17 @@ class FilterController:
 
     def __init__(self, model: Model, goal: str | None = None) -> None:
         self._map = model.mapped
-        self._localiser, self._planner = Localiser(model), Planner(model.mapped, goal)
+        self._localizer, self._planner = Localizer(model), Planner(model.mapped, goal)
         self.reset()
 
     @property
     def features(self) -> FeatureSettings:
         """Those of the map."""
-        return self._localiser.features
+        return self._localizer.features
 
     def reset(self) -> None:
         """Forget the belief, and what was being done."""
-        self._localiser.reset()
+        self._localizer.reset()
         self._planner.reset()
         self._made = [Atom.STOP]
 
@@ -134,7 +134,7 @@ class FilterController:
         """Decide at every frame."""
         assert raw_features is not None  # noqa: S101 - it asks for them
         # The policy hears of so many places and no more.
-        belief = self._localiser.observe(raw_features, odometry, self._made).summary(MAX_PLACES)
+        belief = self._localizer.observe(raw_features, odometry, self._made).summary(MAX_PLACES)
         decision = self._planner.decide(belief)
         self._made = [decision.atom]
         ahead, left, turned = belief.offsets[0].tolist()
@@ -289,16 +289,16 @@ class SeqSlamController:
     def __init__(self, drives: Sequence[Drive], settings: SeqSlamSettings = SEQSLAM) -> None:
         thumbnails = {one.demonstration.name: one.thumbnails for one in drives if one.thumbnails is not None}
         names = tuple(one.demonstration.name for one in drives)
-        self._localiser = SeqSlamLocaliser(thumbnails, names, settings, shorten=True)
+        self._localizer = SeqSlamLocalizer(thumbnails, names, settings, shorten=True)
         self._atoms = [one.demonstration.atoms for one in drives]
 
     def reset(self) -> None:
         """Forget all frames."""
-        self._localiser.reset()
+        self._localizer.reset()
 
     def act(
         self, tick: int, image: NDArray[np.uint8], raw_features: NDArray[np.float32] | None, odometry: Pose
     ) -> Move:
         """Continue the demonstration from the place that the last frames end at."""
-        place = self._localiser.observe(thumbnail(image))
+        place = self._localizer.observe(thumbnail(image))
         return Move(Atom.STOP if place is None else Atom(int(self._atoms[place.demonstration][place.frame])))

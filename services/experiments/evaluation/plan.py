@@ -15,13 +15,13 @@ from smal.learning import LearningSettings
 
 #: Sequences have this length by default; the filter has none.
 DEFAULT_LENGTH: Final = LearningSettings().sequence_length
-#: Seeds of what is learned from begin here, as in the README; those of what is recognised beyond all of them.
+#: Seeds of what is learned from begin here, as in the README; those of what is recognized beyond all of them.
 TEACHING_SEED, QUERY_SEED, RUN_SEED = 1, 1000, 1
 
 
 @dataclass(frozen=True)
 class Criterion:
-    """When a place is recognised: the demonstrated frame that was taken for it was taken so near to the true pose."""
+    """When a place is recognized: the demonstrated frame that was taken for it was taken so near to the true pose."""
 
     distance_m: float
     angle_deg: float
@@ -32,7 +32,7 @@ class Criterion:
         return f"within {self.distance_m:g} m and {self.angle_deg:g}°"
 
 
-#: Frames from one that is to be recognised to the next: ten frames a second show nearly the same.
+#: Frames from one that is to be recognized to the next: ten frames a second show nearly the same.
 JUDGED_TICKS: Final = 4
 #: Who searches, and how each decides, in a line for people. Peers have the same drives.
 CONTROLLERS: Final = {
@@ -49,7 +49,7 @@ VARIATIONS: Final = ("dark", "overcast", "evening", "other-day")
 
 
 @dataclass(frozen=True)
-class Recogniser:
+class Recognizer:
     """A way to say which demonstrated frame the robot is at: Eq. 9 ("smal") of a length, or a peer."""
 
     name: Literal["smal", "nearest", "seqslam"]
@@ -61,11 +61,11 @@ class Recogniser:
         return f"{self.name}-{self.length}"
 
 
-#: Peers that recognise, beside Eq. 9 at all lengths of the plan (l = 1 is the single image).
-PEER_RECOGNISERS: Final = (
-    Recogniser("nearest", 1),
-    Recogniser("nearest", 5),
-    *(Recogniser("seqslam", length) for length in (10, 20, 40)),
+#: Peers that recognize, beside Eq. 9 at all lengths of the plan (l = 1 is the single image).
+PEER_RECOGNIZERS: Final = (
+    Recognizer("nearest", 1),
+    Recognizer("nearest", 5),
+    *(Recognizer("seqslam", length) for length in (10, 20, 40)),
 )
 
 
@@ -147,10 +147,10 @@ class WorldPlan:
     drives
         That recognition is learned from.
     queries
-        Held-out drives whose frames are to be recognised, every `JUDGED_TICKS`.
+        Held-out drives whose frames are to be recognized, every `JUDGED_TICKS`.
     lengths
         l for precision and recall.
-    recognised
+    recognized
         Degradations of the queries.
     trials
         Searches.
@@ -165,13 +165,13 @@ class WorldPlan:
     drives: int = 1
     queries: int = 0
     lengths: tuple[int, ...] = (DEFAULT_LENGTH,)
-    recognised: tuple[str, ...] = ()
+    recognized: tuple[str, ...] = ()
     trials: tuple[Trial, ...] = ()
     errands: tuple[Errand, ...] = ()
     template_frames: int = 1000
 
     def __post_init__(self) -> None:
-        for name in self.recognised:
+        for name in self.recognized:
             degradation_named(name)
         if len({replace(trial, runs=1) for trial in self.trials}) < len(self.trials):
             raise ValueError(f"{self.world}: a trial stands in the plan twice")
@@ -200,12 +200,12 @@ class WorldPlan:
     @property
     def first_judged_tick(self) -> int:
         """Frame of a held-out drive from which on every method has a whole window, and all are judged."""
-        return max(one.length for one in self.recognisers) - 1
+        return max(one.length for one in self.recognizers) - 1
 
     @property
-    def recognisers(self) -> tuple[Recogniser, ...]:
-        """Who recognises."""
-        return (*(Recogniser("smal", length) for length in self.lengths), *PEER_RECOGNISERS)
+    def recognizers(self) -> tuple[Recognizer, ...]:
+        """Who recognizes."""
+        return (*(Recognizer("smal", length) for length in self.lengths), *PEER_RECOGNIZERS)
 
 
 @dataclass(frozen=True)
@@ -235,7 +235,7 @@ class Plan:
     @property
     def fingerprint(self) -> str:
         """Fingerprint of the whole plan, and of what all plans have in common."""
-        everything = [asdict(self), CONTROLLERS, [asdict(one) for one in PEER_RECOGNISERS], JUDGED_TICKS]
+        everything = [asdict(self), CONTROLLERS, [asdict(one) for one in PEER_RECOGNIZERS], JUDGED_TICKS]
         return hashlib.sha256(json.dumps(everything, sort_keys=True).encode()).hexdigest()[:12]
 
 
@@ -282,7 +282,7 @@ FULL: Final = Plan(
         *(
             WorldPlan(
                 world, criteria, drives=4, queries=3, lengths=(1, 5, 10, 20, 40),
-                recognised=("clean", "occluded", "poor"), trials=_trials((1, 2, 4, 12), RUNS, 5, (1, 5, 20)),
+                recognized=("clean", "occluded", "poor"), trials=_trials((1, 2, 4, 12), RUNS, 5, (1, 5, 20)),
                 template_frames=2000,
             )
             for world, criteria in (("indoor", _INDOOR), ("campus", _OUTDOOR))
@@ -301,7 +301,7 @@ QUICK: Final = Plan(
     "quick",
     (
         WorldPlan(
-            "indoor", _INDOOR, drives=2, queries=1, lengths=(1, 5, 20), recognised=_BOTH,
+            "indoor", _INDOOR, drives=2, queries=1, lengths=(1, 5, 20), recognized=_BOTH,
             trials=_trials((1, 2), 3, 3, (1, 5)),
         ),
     ),

@@ -1,4 +1,4 @@
-"""Precision and recall of recognising where the robot is, as in the paper's experiments.
+"""Precision and recall of recognizing where the robot is, as in the paper's experiments.
 
 Queries are frames of drives that were not learned from, clean or degraded. Every method says at which demonstrated
 frame the robot is, and how sure it is; that is right if the frame was taken near the true pose.
@@ -16,15 +16,15 @@ from schemas.rpc import ResetRequest
 from services.experiments.evaluation.controllers import SEQSLAM
 from services.experiments.evaluation.degradation import Degradation, Degrader, degradation_named
 from services.experiments.evaluation.demonstrations import expert_of
-from services.experiments.evaluation.plan import JUDGED_TICKS, Criterion, Recogniser
+from services.experiments.evaluation.plan import JUDGED_TICKS, Criterion, Recognizer
 from services.experiments.evaluation.workplace import Workplace, query_file, replace_file
 from services.expert.driver import DRIVE_TICKS
 from services.simulator.lockstep import LockstepEpisode
 from services.simulator.simulation import Simulation
-from smal.evaluation.baselines.seqslam_localisation import SeqSlamLocaliser
+from smal.evaluation.baselines.seqslam_localization import SeqSlamLocalizer
 from smal.evaluation.baselines.thumbnails import thumbnail
 from smal.evaluation.ground_truth import PoseTruth, judge
-from smal.evaluation.localisation import DemonstratedFrames, nearest_windows
+from smal.evaluation.localization import DemonstratedFrames, nearest_windows
 from smal.features import Centering, FeatureSettings, extract
 from smal.matching.streaming import StreamingMatcher
 from smal.model import Model
@@ -87,10 +87,10 @@ def make_queries(workplace: Workplace, world: str, seed: int, degradations: tupl
     return {"frames": len(arrays["poses"]), "files": [query_file(world, seed)]}
 
 
-def recognise(
-    workplace: Workplace, world: str, drives: int, recogniser: Recogniser, degradation: str, seed: int
+def recognize(
+    workplace: Workplace, world: str, drives: int, recognizer: Recognizer, degradation: str, seed: int
 ) -> tuple[Matches, NDArray[np.float64]]:
-    """Have a method recognise every `JUDGED_TICKS`-th frame of a held-out drive.
+    """Have a method recognize every `JUDGED_TICKS`-th frame of a held-out drive.
 
     Returns
     -------
@@ -99,38 +99,38 @@ def recognise(
     poses : float64 array (q, 3)
         The true ones.
     """
-    matches, poses = _recognise_all(workplace, world, drives, recogniser, degradation, seed)
+    matches, poses = _recognize_all(workplace, world, drives, recognizer, degradation, seed)
     judged = slice(JUDGED_TICKS - 1, None, JUDGED_TICKS)
     return Matches(matches.reference[judged], matches.score[judged]), poses[judged]
 
 
-def _recognise_all(
-    workplace: Workplace, world: str, drives: int, recogniser: Recogniser, degradation: str, seed: int
+def _recognize_all(
+    workplace: Workplace, world: str, drives: int, recognizer: Recognizer, degradation: str, seed: int
 ) -> tuple[Matches, NDArray[np.float64]]:
     with np.load(workplace.folder / query_file(world, seed), allow_pickle=False) as held:
         poses = held["poses"]
-        part = "thumbnails" if recogniser.name == "seqslam" else "features"
+        part = "thumbnails" if recognizer.name == "seqslam" else "features"
         views = held[f"{part}_{degradation}"]
-    if recogniser.name == "smal":
-        model = workplace.model(world, drives, recogniser.length)
+    if recognizer.name == "smal":
+        model = workplace.model(world, drives, recognizer.length)
         if sum(map(len, model.atoms)) != len(workplace.poses(world, drives)):
             raise ValueError(f"the drives in {workplace.folder} are not those that the model was learned from")
-        return recognise_states(model, views, JUDGED_TICKS), poses
+        return recognize_states(model, views, JUDGED_TICKS), poses
     taught = workplace.drives(world, drives)
-    if recogniser.name == "seqslam":
+    if recognizer.name == "seqslam":
         small = {one.demonstration.name: one.thumbnails for one in taught if one.thumbnails is not None}
-        localiser = SeqSlamLocaliser(small, tuple(small), replace(SEQSLAM, length=recogniser.length))
-        matches = _by_seqslam(localiser, [len(one.poses) for one in taught], views)
+        localizer = SeqSlamLocalizer(small, tuple(small), replace(SEQSLAM, length=recognizer.length))
+        matches = _by_seqslam(localizer, [len(one.poses) for one in taught], views)
     else:
         raw = [one.demonstration.features for one in taught]
         centering = Centering.fit(raw, workplace.features)
         templates = [centering.apply(each) for each in raw]
-        matches = Matches(*nearest_windows(templates, centering.apply(views), recogniser.length))
+        matches = Matches(*nearest_windows(templates, centering.apply(views), recognizer.length))
     return matches, poses
 
 
-def recognise_states(model: Model, views: NDArray[np.float32], every: int = 1) -> Matches:
-    """Recognise states (Eq. 9) at every so many frames, and where in them the robot is by W.
+def recognize_states(model: Model, views: NDArray[np.float32], every: int = 1) -> Matches:
+    """Recognize states (Eq. 9) at every so many frames, and where in them the robot is by W.
 
     The score is the weight of the best sequence (left side of Eq. 8, for each query frame).
     """
@@ -148,12 +148,12 @@ def recognise_states(model: Model, views: NDArray[np.float32], every: int = 1) -
     return matches
 
 
-def _by_seqslam(localiser: SeqSlamLocaliser, lengths: list[int], views: NDArray[np.uint8]) -> Matches:
+def _by_seqslam(localizer: SeqSlamLocalizer, lengths: list[int], views: NDArray[np.uint8]) -> Matches:
     """Take the mean enhanced difference, whose least is the best, as the score with its sign changed."""
     starts = np.cumsum([0, *lengths])
     matches = Matches.none(len(views))
     for tick, view in enumerate(views):
-        place = localiser.observe(view)
+        place = localizer.observe(view)
         if place is not None:
             matches.reference[tick] = starts[place.demonstration] + place.frame
             matches.score[tick] = -place.cost

@@ -51,8 +51,8 @@ class Search:
         Frames that passed; frame 0 is the start.
     decisions
         Kind of every decision, by tick; empty for a controller that makes none.
-    unrecognised
-        Ticks of the decisions that were taken without a recognised state.
+    unrecognized
+        Ticks of the decisions that were taken without a recognized state.
     poses
         (ticks + 1, 3) float64: x, y in metres, heading in radians.
     atoms
@@ -71,7 +71,7 @@ class Search:
     outcome: RunOutcome
     ticks: int
     decisions: dict[int, str]
-    unrecognised: frozenset[int]
+    unrecognized: frozenset[int]
     poses: NDArray[np.float64]
     atoms: NDArray[np.int8]
     shortest_m: float
@@ -90,8 +90,8 @@ class Search:
 
     @property
     def unknown(self) -> int:
-        """Decisions that were taken without a recognised state."""
-        return len(self.unrecognised)
+        """Decisions that were taken without a recognized state."""
+        return len(self.unrecognized)
 
 
 def search(
@@ -135,7 +135,7 @@ def search(
     poses = [episode.view.pose]
     atoms: list[int] = []
     decisions: dict[int, str] = {}
-    unrecognised: set[int] = set()
+    unrecognized: set[int] = set()
     places: list[Place | None] = []
     pictures: dict[int, NDArray[np.uint8]] = {}
     outcome: RunOutcome | None = None
@@ -149,8 +149,8 @@ def search(
         places.append(move.place)
         if move.decision is not None:
             decisions[tick] = move.decision
-            if not move.recognised:
-                unrecognised.add(tick)
+            if not move.recognized:
+                unrecognized.add(tick)
             if move.arrived:
                 outcome = "found" if episode.reached else "false_goal"
                 break
@@ -165,7 +165,7 @@ def search(
         outcome,
         last,
         decisions,
-        frozenset(unrecognised),
+        frozenset(unrecognized),
         np.array([[pose.x, pose.y, pose.heading] for pose in poses]),
         np.array(atoms, dtype=np.int8),
         shortest_m,

@@ -131,7 +131,7 @@ def _finding(found: Search, taught: NDArray[np.float64], criterion: Criterion) -
     }
     if any(place is not None for place in found.places):
         right = np.array([_is_right(*pair, taught, criterion) for pair in zip(found.places, found.poses, strict=False)])
-        sure = ~np.isin(np.arange(right.size), list(found.unrecognised))
+        sure = ~np.isin(np.arange(right.size), list(found.unrecognized))
         said["wrong_share"] = round(float((sure & ~right).mean()), 4)
         if 0 < found.kidnap_tick <= found.ticks:
             said["right_after_s"] = _right_after_s((sure & right)[found.kidnap_tick :])

@@ -14,13 +14,13 @@ from services.experiments.evaluation.plan import (
     RUNS,
     TEACHING_SEED,
     Plan,
-    Recogniser,
+    Recognizer,
     Trial,
     WorldPlan,
 )
 
 Settings = tuple[tuple[str, str | int], ...]
-Kind = Literal["teach", "learn", "queries", "recognise", "objective", "search", "errand"]
+Kind = Literal["teach", "learn", "queries", "recognize", "objective", "search", "errand"]
 
 
 @dataclass(frozen=True)
@@ -73,7 +73,7 @@ class _Costs:
 
     @property
     def drive_s(self) -> float:
-        """A drive that teaches, or is recognised."""
+        """A drive that teaches, or is recognized."""
         return 1.1 * self.drive_frames * self.frame_s
 
     def match_s(self, length: int, drives: int) -> float:
@@ -85,11 +85,11 @@ class _Costs:
         frames = drives * self.drive_frames
         return 1.0 + 1.5e-3 * frames + (0.04 * frames if length == DEFAULT_LENGTH else 0.0)
 
-    def recognise_s(self, recogniser: Recogniser, drives: int) -> float:
-        """Return what recognising a drive costs; its frames are far apart, and the first match prepares templates."""
-        if recogniser.name != "smal":
+    def recognize_s(self, recognizer: Recognizer, drives: int) -> float:
+        """Return what recognizing a drive costs; its frames are far apart, and the first match prepares templates."""
+        if recognizer.name != "smal":
             return 1.0
-        return 2.5 + self.drive_frames / JUDGED_TICKS * (0.02 + self.match_s(recogniser.length, drives))
+        return 2.5 + self.drive_frames / JUDGED_TICKS * (0.02 + self.match_s(recognizer.length, drives))
 
     def errand_s(self) -> float:
         """Return what an errand costs: two drives, learned and followed."""
@@ -144,20 +144,20 @@ def _of_world(plan: Plan, world: WorldPlan, cloning: bool) -> Iterator[Unit]:
     ]
     yield from queries
 
-    # Who recognises or searches needs the drives beside the model: their poses, or to imitate them.
+    # Who recognizes or searches needs the drives beside the model: their poses, or to imitate them.
     def needed(drives: int, length: int | None) -> tuple[str, ...]:
         models = () if length is None else (learned[drives, length].key,)
         return (*models, *(unit.key for unit in taught[:drives]))
 
-    for recogniser in world.recognisers:
-        model = recogniser.length if recogniser.name == "smal" else None
-        for degradation in world.recognised:
+    for recognizer in world.recognizers:
+        model = recognizer.length if recognizer.name == "smal" else None
+        for degradation in world.recognized:
             for k, query in enumerate(queries):
-                asked: Settings = (camera, ("drives", world.drives), ("method", recogniser.name),
-                            ("length", recogniser.length), ("degradation", degradation),
+                asked: Settings = (camera, ("drives", world.drives), ("method", recognizer.name),
+                            ("length", recognizer.length), ("degradation", degradation),
                             ("seed", QUERY_SEED + k))  # fmt: skip
-                cost_s = costs.recognise_s(recogniser, world.drives)
-                yield Unit("recognise", world.world, asked, (*needed(world.drives, model), query.key), cost_s)
+                cost_s = costs.recognize_s(recognizer, world.drives)
+                yield Unit("recognize", world.world, asked, (*needed(world.drives, model), query.key), cost_s)
     if queries:
         at = (camera, ("drives", world.drives), ("length", DEFAULT_LENGTH), ("seed", QUERY_SEED),
               ("templates", world.template_frames))  # fmt: skip

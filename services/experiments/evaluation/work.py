@@ -12,8 +12,8 @@ import numpy as np
 from services.experiments.evaluation.demonstrations import demonstrate, save_drives
 from services.experiments.evaluation.errands import run_errand
 from services.experiments.evaluation.objective_experiment import objectives
-from services.experiments.evaluation.plan import DEFAULT_LENGTH, ERRANDS, RUN_SEED, Plan, Recogniser, Trial
-from services.experiments.evaluation.recognition_experiment import judged, make_queries, recognise
+from services.experiments.evaluation.plan import DEFAULT_LENGTH, ERRANDS, RUN_SEED, Plan, Recognizer, Trial
+from services.experiments.evaluation.recognition_experiment import judged, make_queries, recognize
 from services.experiments.evaluation.search_experiment import Drivers, run_search
 from services.experiments.evaluation.units import Unit
 from services.experiments.evaluation.workplace import Workplace, model_file, query_file, teach_file
@@ -41,7 +41,7 @@ class Work:
             "teach": self._teach,
             "learn": self._learn,
             "queries": self._queries,
-            "recognise": self._recognise,
+            "recognize": self._recognize,
             "objective": self._objective,
             "search": self._search,
             "errand": self._errand,
@@ -74,14 +74,14 @@ class Work:
 
     def _queries(self, unit: Unit) -> dict[str, Any]:
         # The query of the objective is a clear one.
-        degradations = tuple(dict.fromkeys(("clean", *self._worlds[unit.world].recognised)))
+        degradations = tuple(dict.fromkeys(("clean", *self._worlds[unit.world].recognized)))
         return make_queries(self._place, unit.world, unit.number("seed"), degradations)
 
-    def _recognise(self, unit: Unit) -> dict[str, Any]:
+    def _recognize(self, unit: Unit) -> dict[str, Any]:
         method, drives = unit.text("method"), unit.number("drives")
-        recogniser = Recogniser(method, unit.number("length"))  # type: ignore[arg-type]  # of this plan
+        recognizer = Recognizer(method, unit.number("length"))  # type: ignore[arg-type]  # of this plan
         degradation, seed = unit.text("degradation"), unit.number("seed")
-        matches, true = recognise(self._place, unit.world, drives, recogniser, degradation, seed)
+        matches, true = recognize(self._place, unit.world, drives, recognizer, degradation, seed)
         return judged(matches, self._place.poses(unit.world, drives), true, self._worlds[unit.world].criteria)
 
     def _objective(self, unit: Unit) -> dict[str, Any]:

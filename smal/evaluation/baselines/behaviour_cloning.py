@@ -219,15 +219,15 @@ def _epochs(
 ) -> Iterator[int]:
     """Train, and yield the number of each epoch."""
     images, labels = part
-    optimiser = torch.optim.AdamW(network.parameters(), lr=settings.learning_rate, weight_decay=settings.weight_decay)
+    optimizer = torch.optim.AdamW(network.parameters(), lr=settings.learning_rate, weight_decay=settings.weight_decay)
     for epoch in range(1, settings.epochs + 1):
         network.train()
         for batch in torch.randperm(len(labels)).split(settings.batch):
             if len(batch) < 2:
-                continue  # one image has no variance to normalise by
-            optimiser.zero_grad()
+                continue  # one image has no variance to normalize by
+            optimizer.zero_grad()
             loss_of(network(_scaled(images[batch])), labels[batch]).backward()
-            optimiser.step()
+            optimizer.step()
         network.eval()
         yield epoch
 

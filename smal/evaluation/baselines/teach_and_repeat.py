@@ -1,7 +1,7 @@
 """Teach and repeat as the field does it: wheels tell the place along one drive, images correct it and the heading.
 
 D. Dall'Osto, T. Fischer, M. Milford, "Fast and Robust Bio-inspired Teach and Repeat Navigation", IROS 2021 (github
-QVPR/teach-repeat), after T. Krajnik et al., "Navigation without localisation: reliable teach and repeat based on the
+QVPR/teach-repeat), after T. Krajnik et al., "Navigation without localization: reliable teach and repeat based on the
 convergence theorem", IROS 2018: odometry replays the drive, and correcting the heading alone by the horizontal shift
 of the image keeps the error across the way bounded. Numbers without another reason are the authors' for their Jackal,
 whose camera sees 75 degrees too. It departs from them where the robot or its task does:
@@ -10,7 +10,7 @@ whose camera sees 75 degrees too. It departs from them where the robot or its ta
 - Their controller's speeds become atoms: a turn on the spot if the goal is off by more than one turning atom. Half of
   that takes one and a half times as long for the same error, for with each turn the robot loses its speed.
 - It may begin beside any keyframe of any drive and turned (theirs too may begin at any, but on the way). So the heading
-  by the best keyframe counts in full at the start, first keyframes have an advantage, and a robot that recognises
+  by the best keyframe counts in full at the start, first keyframes have an advantage, and a robot that recognizes
   nothing looks round once, where theirs refuses to begin.
 """
 
@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 from smal.action_space import Atom
 from smal.movement import atom_movements, placed, seen_from
 
-#: Pixels of the images that are compared, and of the square within which each of their pixels is normalised.
+#: Pixels of the images that are compared, and of the square within which each of their pixels is normalized.
 COLUMNS, ROWS, PATCH = 115, 44, 9
 #: Forward atoms between keyframes: theirs are 0.2 m apart, about five atoms (0.5 s) of a slow indoor robot.
 SPACING_ATOMS: Final = 5.0
@@ -36,7 +36,7 @@ LOOKAHEAD, TURNING = 1.3, 0.2
 #: Keyframes before and after the current two that are compared.
 SEARCH: Final = 3
 #: Correlation below which a keyframe says nothing.
-RECOGNISED: Final = 0.1
+RECOGNIZED: Final = 0.1
 #: Fraction by which one image corrects the heading (theirs for the MiRo; 0.01 leaves three times the error) and the way
 #: along (theirs; with 0.05 fewer searches succeed).
 TURN_GAIN, WAY_GAIN = 0.1, 0.01
@@ -216,9 +216,9 @@ class TeachAndRepeat:
         leg = seen_from(self._goal, self._last)[:2]
         done = float(leg @ seen_from(here, self._last)[:2]) / max(float(leg @ leg), np.finfo(float).tiny)
         turn = 0.0
-        if 0.0 <= done <= 1.0 and correlations[reach : reach + 2].max() >= RECOGNISED:
+        if 0.0 <= done <= 1.0 and correlations[reach : reach + 2].max() >= RECOGNIZED:
             turn = TURN_GAIN * float((1.0 - done) * offs[reach] + done * offs[reach + 1])
-        weights = np.maximum(correlations - RECOGNISED, 0.0)
+        weights = np.maximum(correlations - RECOGNIZED, 0.0)
         nearer = 0.0
         if weights.any():
             looks = float(weights @ np.arange(-reach, reach + 2)) / float(weights.sum())

@@ -97,7 +97,7 @@ def _burst(wire: Wire, send: Send, plan: Plan) -> NDArray[np.float64]:
 
 
 def _figures(ours: NDArray[np.float64], plain: NDArray[np.float64]) -> Record:
-    """Summarise times (turns, messages, 2) of which the last axis is one way and processor, nanoseconds."""
+    """Summarize times (turns, messages, 2) of which the last axis is one way and processor, nanoseconds."""
     one_way, worked = np.moveaxis(ours, -1, 0) / 1e3
     by_turn = np.median(ours, axis=1) / np.median(plain, axis=1)
     ratio, processor_ratio = np.median(by_turn, axis=0)

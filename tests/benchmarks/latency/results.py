@@ -16,7 +16,7 @@ _SHOWN: Final = ("count", "missing", "p50_ms", "p95_ms", "p99_ms", "max_ms")
 
 
 def figures_of(answers: Sequence[Answers], loaded: LoadReply) -> dict[str, Any]:
-    """Summarise; a frame without a command counts as one that took for ever."""
+    """Summarize; a frame without a command counts as one that took for ever."""
     every = [one.latency_s.get(tick) for one in answers for tick in range(one.ticks)]
     decided = [one.latency_s.get(tick) for one in answers for tick in sorted(one.decided)]
     first = 1 if loaded.scheme == "filter" else loaded.sequence_length

@@ -172,7 +172,7 @@ def _along(world: World, count: int) -> list[Pose]:
 
 
 def _figures(name: str, world: World, size: tuple[int, int], built_s: float, times: NDArray[np.float64]) -> Record:
-    """Summarise times (turns, 2, 2): the trivial scene and this one, wall and processor milliseconds."""
+    """Summarize times (turns, 2, 2): the trivial scene and this one, wall and processor milliseconds."""
     ratios = np.median(times[:, 1] / times[:, 0], axis=0)
     return {
         "scene": name,

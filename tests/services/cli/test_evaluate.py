@@ -22,7 +22,7 @@ TINY = Plan(
     (
         WorldPlan(
             "yard", (Criterion(3.0, 25.0), Criterion(1.5, 15.0)), drives=1, queries=1, lengths=(1, 5),
-            recognised=("clean", "occluded"), template_frames=50,
+            recognized=("clean", "occluded"), template_frames=50,
             trials=(
                 *(Trial(name, 1, 1) for name in CONTROLLERS if name != "cloning"),
                 Trial("smal", 1, 1, kidnap_tick=5), Trial("nearest-1", 2, 1), Trial("paper", 1, 1, 1),
@@ -90,7 +90,7 @@ def test_an_evaluation_goes_on_where_it_was_interrupted(
     assert smal("evaluate", "--out", str(out), "--quick")[0] == 0
     assert lines_of(out) == after
     everything = finding_by_key(out)
-    lost = [line for line in after if json.loads(line)["key"].startswith(("recognise", "search", "objective"))]
+    lost = [line for line in after if json.loads(line)["key"].startswith(("recognize", "search", "objective"))]
     (out / "units.jsonl").write_text("".join(f"{line}\n" for line in after if line not in lost[::2]))
     assert smal("evaluate", "--out", str(out), "--quick", "--workers", "1")[0] == 0
     assert finding_by_key(out) == everything

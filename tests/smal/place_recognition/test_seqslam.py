@@ -96,7 +96,7 @@ def test_a_shifted_copy_is_found_exactly() -> None:
 
 
 @pytest.mark.parametrize("velocity", [0.8, 0.9, 1.0, 1.1, 1.2])
-def test_other_speeds_are_recognised(velocity: float) -> None:
+def test_other_speeds_are_recognized(velocity: float) -> None:
     """The queries come at another speed, under other light: every match ends where the query is."""
     rng = np.random.default_rng(1)
     road = Road(rng)
@@ -209,7 +209,7 @@ def test_other_layouts_of_memory_give_the_same() -> None:
 
 
 @pytest.mark.parametrize(("references", "queries"), [(9, 30), (30, 9), (0, 5), (30, 0)])
-def test_of_too_few_frames_none_is_recognised(references: int, queries: int) -> None:
+def test_of_too_few_frames_none_is_recognized(references: int, queries: int) -> None:
     features, done = random_features(np.random.default_rng(6), 30), list[int]()
     matches = match_seqslam(features[:references], features[:queries], SeqSlamSettings(), done.append)
     assert not matches.matched.any()

@@ -10,7 +10,7 @@ import numpy as np
 from scipy.stats import binomtest
 
 from services.experiments.evaluation.plan import CONTROLLERS, DEFAULT_LENGTH, Trial
-from services.experiments.evaluation.report.summary import Recognised, Results, Success, success_of
+from services.experiments.evaluation.report.summary import Recognized, Results, Success, success_of
 
 _CERTAIN: Final = 0.05
 #: Frames from which on a sequence is a long one.
@@ -39,20 +39,20 @@ def comparisons(found: Results) -> list[Comparison]:
     """Return all that the report says of a world."""
     name = found.world.title
     return [
-        *compare_recognition(name, found.recognised[0]),
+        *compare_recognition(name, found.recognized[0]),
         *compare_searches(name, found.successes),
         *long_sequences(name, found.successes),
     ]
 
 
-def compare_recognition(world: str, found: Sequence[Recognised]) -> list[Comparison]:
+def compare_recognition(world: str, found: Sequence[Recognized]) -> list[Comparison]:
     """Compare the areas under the curves: Eq. 9 at its default length against every other method."""
     compared = []
     for ours in found:
-        if (ours.recogniser.name, ours.recogniser.length) != ("smal", DEFAULT_LENGTH):
+        if (ours.recognizer.name, ours.recognizer.length) != ("smal", DEFAULT_LENGTH):
             continue
         for peer in found:
-            if peer.degradation != ours.degradation or (peer.recogniser.name == "smal" and peer.recogniser.length != 1):
+            if peer.degradation != ours.degradation or (peer.recognizer.name == "smal" and peer.recognizer.length != 1):
                 continue
             low, high = np.nanpercentile(ours.areas - peer.areas, [2.5, 97.5])
             verdict: Literal["ahead", "behind", "open"] = "ahead" if low > 0.0 else "behind" if high < 0.0 else "open"

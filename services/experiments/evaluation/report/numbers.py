@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-from services.experiments.evaluation.report.summary import Recognised, Results, Success
+from services.experiments.evaluation.report.summary import Recognized, Results, Success
 from services.experiments.evaluation.units import settings_of
 
 
@@ -14,8 +14,8 @@ def as_json(found: Sequence[Results]) -> dict[str, Any]:
     return {
         one.world.title: {
             "recognition": [
-                _recognised_json(each, criterion.meaning)
-                for criterion, judged in zip(one.world.criteria, one.recognised, strict=True)
+                _recognized_json(each, criterion.meaning)
+                for criterion, judged in zip(one.world.criteria, one.recognized, strict=True)
                 for each in judged
             ],
             "searches": [_success_json(each) for each in one.successes],
@@ -29,11 +29,11 @@ def as_json(found: Sequence[Results]) -> dict[str, Any]:
     }
 
 
-def _recognised_json(one: Recognised, criterion: str) -> dict[str, Any]:
+def _recognized_json(one: Recognized, criterion: str) -> dict[str, Any]:
     curve = one.curve
     return {
-        "method": one.recogniser.name,
-        "length": one.recogniser.length,
+        "method": one.recognizer.name,
+        "length": one.recognizer.length,
         "degradation": one.degradation,
         "criterion": criterion,
         "queries": int(one.judgement.score.size),

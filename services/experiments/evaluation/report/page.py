@@ -66,7 +66,7 @@ def write_page(plan: Plan, units: Sequence[Unit], store: ResultStore) -> Path:
     body += _summary(compared)
     for each in found:
         body.append(f"<h2>{escape(each.world.title.capitalize())}</h2>")
-        if each.recognised[0]:
+        if each.recognized[0]:
             body += recognition_section(each, put)
         if each.successes:
             body += search_section(each, store, put, cloning=cloning)

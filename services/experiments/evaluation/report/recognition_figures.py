@@ -1,4 +1,4 @@
-"""Figures about recognition: precision and recall, and the objective that it minimises."""
+"""Figures about recognition: precision and recall, and the objective that it minimizes."""
 
 from __future__ import annotations
 
@@ -11,40 +11,40 @@ import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from services.experiments.evaluation.plan import DEFAULT_LENGTH, Recogniser
+from services.experiments.evaluation.plan import DEFAULT_LENGTH, Recognizer
 from services.experiments.evaluation.report.figure_style import CYCLE, OURS, PALE, PEER_COLOURS, SINGLE, plain, seen
-from services.experiments.evaluation.report.summary import Recognised
+from services.experiments.evaluation.report.summary import Recognized
 from services.experiments.evaluation.results import Finding
 
 
-def precision_recall(found: Sequence[Recognised], title: str) -> Figure:
+def precision_recall(found: Sequence[Recognized], title: str) -> Figure:
     """Draw Eq. 9 at its default length against the single image and the peers, a panel for each degradation."""
-    shown = [one for one in found if one.recogniser.name != "smal" or one.recogniser.length in (1, DEFAULT_LENGTH)]
-    shown.sort(key=lambda one: (one.recogniser.name != "smal", one.recogniser.length == 1))
+    shown = [one for one in found if one.recognizer.name != "smal" or one.recognizer.length in (1, DEFAULT_LENGTH)]
+    shown.sort(key=lambda one: (one.recognizer.name != "smal", one.recognizer.length == 1))
 
-    def style(recogniser: Recogniser) -> dict[str, Any]:
-        if recogniser.name != "smal":
-            return {"color": PEER_COLOURS[recogniser.key], "lw": 1.6, "ls": "--", "zorder": 2}
-        if recogniser.length == 1:
+    def style(recognizer: Recognizer) -> dict[str, Any]:
+        if recognizer.name != "smal":
+            return {"color": PEER_COLOURS[recognizer.key], "lw": 1.6, "ls": "--", "zorder": 2}
+        if recognizer.length == 1:
             return {"color": SINGLE, "lw": 2.4, "zorder": 3}
         return {"color": OURS, "lw": 2.8, "zorder": 4}
 
     return _curves(shown, style, title)
 
 
-def precision_recall_by_length(found: Sequence[Recognised], title: str) -> Figure:
+def precision_recall_by_length(found: Sequence[Recognized], title: str) -> Figure:
     """Draw Eq. 9 at every length, darker the longer, a panel for each degradation."""
-    shown = [one for one in found if one.recogniser.name == "smal"]
-    lengths = sorted({one.recogniser.length for one in shown})
+    shown = [one for one in found if one.recognizer.name == "smal"]
+    lengths = sorted({one.recognizer.length for one in shown})
     colours = mpl.colormaps["viridis_r"](np.linspace(0.12, 0.95, len(lengths)))
 
-    def style(recogniser: Recogniser) -> dict[str, Any]:
-        return {"color": colours[lengths.index(recogniser.length)], "lw": 2.2}
+    def style(recognizer: Recognizer) -> dict[str, Any]:
+        return {"color": colours[lengths.index(recognizer.length)], "lw": 2.2}
 
     return _curves(shown, style, title)
 
 
-def _curves(shown: Sequence[Recognised], style: Callable[[Recogniser], dict[str, Any]], title: str) -> Figure:
+def _curves(shown: Sequence[Recognized], style: Callable[[Recognizer], dict[str, Any]], title: str) -> Figure:
     """Draw curves in one panel for each degradation."""
     degradations = list(dict.fromkeys(one.degradation for one in shown))
     figure = Figure(figsize=(5.2 * len(degradations), 5.4), layout="constrained")
@@ -57,7 +57,7 @@ def _curves(shown: Sequence[Recognised], style: Callable[[Recogniser], dict[str,
             recall = np.concatenate([[0.0], one.curve.recall])
             precision = np.concatenate([one.curve.precision[:1], one.curve.precision])
             label = f"{one.name}  (area {one.curve.auc:.3f})"
-            axes.step(recall[: precision.size], precision, where="pre", label=label, **style(one.recogniser))
+            axes.step(recall[: precision.size], precision, where="pre", label=label, **style(one.recognizer))
         axes.set(
             xlim=(0, 1.015),
             ylim=(floor, 1.0 + 0.03 * (1.0 - floor)),
@@ -71,14 +71,14 @@ def _curves(shown: Sequence[Recognised], style: Callable[[Recogniser], dict[str,
     return figure
 
 
-def area_by_length(found: Sequence[Recognised], title: str) -> Figure:
+def area_by_length(found: Sequence[Recognized], title: str) -> Figure:
     """Draw the area under the curve over l, with its interval, for every degradation."""
     figure = Figure(figsize=(7.2, 4.4), layout="constrained")
     axes = figure.add_subplot()
-    lengths = sorted({one.recogniser.length for one in found if one.recogniser.name == "smal"})
+    lengths = sorted({one.recognizer.length for one in found if one.recognizer.name == "smal"})
     for degradation, colour in zip(dict.fromkeys(one.degradation for one in found), CYCLE, strict=False):
-        each = {one.recogniser.length: one for one in found
-                if one.recogniser.name == "smal" and one.degradation == degradation}  # fmt: skip
+        each = {one.recognizer.length: one for one in found
+                if one.recognizer.name == "smal" and one.degradation == degradation}  # fmt: skip
         if not each:
             continue
         area = np.array([one.curve.auc for one in each.values()])

@@ -10,23 +10,23 @@ from services.experiments.evaluation.degradation import degradation_named
 from services.experiments.evaluation.plan import JUDGED_TICKS, WorldPlan
 from services.experiments.evaluation.report import recognition_figures as figures
 from services.experiments.evaluation.report.embedding import EmbeddedFigures
-from services.experiments.evaluation.report.summary import Recognised, Results
+from services.experiments.evaluation.report.summary import Recognized, Results
 
 
 def recognition_section(found: Results, put: EmbeddedFigures) -> Iterator[str]:
     """Write it as HTML, piece by piece."""
     world = found.world
     name = world.title
-    yield f"<h3>Recognising where the robot is</h3>{_criterion(world)}"
+    yield f"<h3>Recognizing where the robot is</h3>{_criterion(world)}"
     yield put(
         f"precision-recall-{name}",
-        figures.precision_recall(found.recognised[0], f"State recognition, {name}"),
+        figures.precision_recall(found.recognized[0], f"State recognition, {name}"),
         f"Precision over recall as the score's threshold falls, {_figure_of_the_paper(name)}. "
         "Closer to the top right is better.",
     )
-    if any(one.recogniser.name == "smal" for one in found.recognised[0]):
+    if any(one.recognizer.name == "smal" for one in found.recognized[0]):
         yield from _lengths(found, put)
-    for criterion, judged in zip(world.criteria, found.recognised, strict=True):
+    for criterion, judged in zip(world.criteria, found.recognized, strict=True):
         yield f"<p>By the criterion <b>{escape(criterion.meaning)}</b>:</p>{_table(judged)}"
 
 
@@ -34,13 +34,13 @@ def _lengths(found: Results, put: EmbeddedFigures) -> Iterator[str]:
     name = found.world.title
     yield put(
         f"precision-recall-lengths-{name}",
-        figures.precision_recall_by_length(found.recognised[0], f"Sequence lengths, {name}"),
+        figures.precision_recall_by_length(found.recognized[0], f"Sequence lengths, {name}"),
         "The same for Eq. 9 with sequences of l frames (the paper's figure of precision-recall curves in its parameter "
         "analysis).",
     )
     yield put(
         f"area-lengths-{name}",
-        figures.area_by_length(found.recognised[0], f"Area under the curve over l, {name}"),
+        figures.area_by_length(found.recognized[0], f"Area under the curve over l, {name}"),
         "Areas of the curves above; bars are 95 % intervals of a block bootstrap over the held-out frames.",
     )
 
@@ -48,7 +48,7 @@ def _lengths(found: Results, put: EmbeddedFigures) -> Iterator[str]:
 def _criterion(world: WorldPlan) -> str:
     first = world.criteria[0]
     others = " and ".join(escape(one.meaning) for one in world.criteria[1:])
-    views = "; ".join(f"<b>{name}</b>: {escape(degradation_named(name).meaning)}" for name in world.recognised)
+    views = "; ".join(f"<b>{name}</b>: {escape(degradation_named(name).meaning)}" for name in world.recognized)
     return (
         "<p><b>One criterion for all methods:</b> an answer is right if the demonstrated frame that the method takes "
         f"the robot to be at was taken {escape(first.meaning)} of the robot's true pose"
@@ -70,7 +70,7 @@ def _figure_of_the_paper(world: str) -> str:
     return f"as in the paper's figure of precision-recall curves of {scene}"
 
 
-def _table(found: Sequence[Recognised]) -> str:
+def _table(found: Sequence[Recognized]) -> str:
     rows = [
         [
             one.name,

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from services.experiments.evaluation.plan import JUDGED_TICKS, Errand, Recogniser, Trial, WorldPlan
+from services.experiments.evaluation.plan import JUDGED_TICKS, Errand, Recognizer, Trial, WorldPlan
 from services.experiments.evaluation.results import Finding
 from services.experiments.evaluation.units import Settings, Unit, settings_of
 from smal.evaluation.ground_truth import Judgement
@@ -20,12 +20,12 @@ Findings = Mapping[str, Finding]
 
 
 @dataclass(frozen=True, eq=False)
-class Recognised:
-    """How well one method recognises in one world, by one criterion.
+class Recognized:
+    """How well one method recognizes in one world, by one criterion.
 
     Attributes
     ----------
-    recogniser, degradation
+    recognizer, degradation
         Who, and what it saw.
     judgement
         Of all held-out drives, one after another, from the frame on at which every method has a whole window.
@@ -37,7 +37,7 @@ class Recognised:
         The areas of the bootstrap's draws, which are paired between methods.
     """
 
-    recogniser: Recogniser
+    recognizer: Recognizer
     degradation: str
     judgement: Judgement
     curve: PrecisionRecall
@@ -49,7 +49,7 @@ class Recognised:
     @property
     def name(self) -> str:
         """For people."""
-        return recogniser_name(self.recogniser)
+        return recognizer_name(self.recognizer)
 
 
 @dataclass(frozen=True, eq=False)
@@ -135,22 +135,22 @@ class Success:
 
 @dataclass(frozen=True)
 class Results:
-    """What the report shows of one world: who recognised, by each criterion; who searched; errands; the objective."""
+    """What the report shows of one world: who recognized, by each criterion; who searched; errands; the objective."""
 
     world: WorldPlan
-    recognised: list[list[Recognised]]
+    recognized: list[list[Recognized]]
     successes: list[Success]
     objective: Finding | None
     errands: Mapping[Errand, Finding]
 
 
-def recogniser_name(recogniser: Recogniser) -> str:
-    """Name a recogniser for people."""
-    if recogniser.name == "smal":
-        return "single image (l = 1)" if recogniser.length == 1 else f"Eq. 9, l = {recogniser.length}"
-    if recogniser.name == "seqslam":
-        return f"SeqSLAM, {recogniser.length} frames"
-    return "nearest frame" if recogniser.length == 1 else f"nearest {recogniser.length} frames"
+def recognizer_name(recognizer: Recognizer) -> str:
+    """Name a recognizer for people."""
+    if recognizer.name == "smal":
+        return "single image (l = 1)" if recognizer.length == 1 else f"Eq. 9, l = {recognizer.length}"
+    if recognizer.name == "seqslam":
+        return f"SeqSLAM, {recognizer.length} frames"
+    return "nearest frame" if recognizer.length == 1 else f"nearest {recognizer.length} frames"
 
 
 def controller_name(controller: str, length: int) -> str:
@@ -170,7 +170,7 @@ def controller_name(controller: str, length: int) -> str:
 def results_of(world: WorldPlan, units: Sequence[Unit], findings: Findings) -> Results:
     """Put together what was found out in a world."""
     objective = [findings[unit.key] for unit in units if unit.kind == "objective" and unit.world == world.world]
-    judged = [recognised(world, units, findings, number) for number in range(len(world.criteria))]
+    judged = [recognized(world, units, findings, number) for number in range(len(world.criteria))]
     errands = {
         errand: findings[unit.key]
         for errand in world.errands
@@ -180,34 +180,34 @@ def results_of(world: WorldPlan, units: Sequence[Unit], findings: Findings) -> R
     return Results(world, judged, successes(world, units, findings), objective[0] if objective else None, errands)
 
 
-def recognised(world: WorldPlan, units: Sequence[Unit], findings: Findings, criterion: int = 0) -> list[Recognised]:
+def recognized(world: WorldPlan, units: Sequence[Unit], findings: Findings, criterion: int = 0) -> list[Recognized]:
     """Judge every method of a world under every degradation, by one of the criteria."""
     found = []
-    for degradation in world.recognised:
-        for recogniser in world.recognisers:
+    for degradation in world.recognized:
+        for recognizer in world.recognizers:
             parts = [
                 findings[unit.key]
                 for unit in units
-                if unit.kind == "recognise"
+                if unit.kind == "recognize"
                 and (unit.world, unit["method"], unit["length"], unit["degradation"])
-                == (world.world, recogniser.name, recogniser.length, degradation)
+                == (world.world, recognizer.name, recognizer.length, degradation)
             ]
             if parts:
-                found.append(_recognised(world, recogniser, degradation, parts, criterion))
+                found.append(_recognized(world, recognizer, degradation, parts, criterion))
     return found
 
 
-def _recognised(
-    world: WorldPlan, recogniser: Recogniser, degradation: str, parts: list[Finding], criterion: int
-) -> Recognised:
+def _recognized(
+    world: WorldPlan, recognizer: Recognizer, degradation: str, parts: list[Finding], criterion: int
+) -> Recognized:
     whole = _joined(parts, criterion)
     late = np.concatenate([_ticks(len(part["score"])) >= world.first_judged_tick for part in parts])
     judgement = _of(whole, late)
     curve = PrecisionRecall.of(judgement)
     draws = bootstrap(judgement, block_of(world, judgement))
     intervals = intervals_of(draws)
-    return Recognised(
-        recogniser,
+    return Recognized(
+        recognizer,
         degradation,
         judgement,
         curve,

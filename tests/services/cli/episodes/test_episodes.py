@@ -14,7 +14,7 @@ from schemas.episode import Episode, Outcome
 from schemas.rpc import ArmRequest, EndRequest, LoadReply, LoadRequest, ResetReply, ResetRequest
 from services.cli.episodes.client import EpisodeClient, EpisodeRecord, check_world_of
 from services.cli.options import Camera, camera_of_own_stack
-from services.cli.run import CHAIN, _check_models, _run_all, summarise
+from services.cli.run import CHAIN, _check_models, _run_all, summarize
 from services.cli.simulator_options import simulator_of_own_stack
 from services.cli.stack.processes import Access
 from services.kit.errors import JobError, UsageError
@@ -155,7 +155,7 @@ def test_an_aborted_run_is_an_error_after_the_finished_ones(settings: ServiceSet
     assert str(caught.value) == (
         f"run with seed 3: no command came; see the logs of recognition and policy ({tmp_path})"
     )
-    assert [one["seed"] for one in summarise("yard", records)["episodes"]] == [1, 2]  # type: ignore[attr-defined]
+    assert [one["seed"] for one in summarize("yard", records)["episodes"]] == [1, 2]  # type: ignore[attr-defined]
 
 
 @pytest.mark.parametrize("others", ["fedcba9876543210", None])

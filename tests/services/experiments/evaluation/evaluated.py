@@ -20,7 +20,7 @@ SMALL = Plan(
     (
         WorldPlan(
             "yard", (Criterion(1.0, 25.0), Criterion(0.5, 15.0)), drives=2, queries=1, lengths=(1, 5, 20),
-            recognised=BOTH, template_frames=100, errands=("shorter way", "nobody there"),
+            recognized=BOTH, template_frames=100, errands=("shorter way", "nobody there"),
             trials=(
                 *(Trial(name, drives, 8) for drives in (1, 2) for name in CONTROLLERS),
                 *(Trial("paper", 2, 8, length) for length in (1, 20)),

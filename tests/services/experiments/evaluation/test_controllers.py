@@ -85,8 +85,8 @@ def test_decisions_of_the_paper_come_with_every_whole_window(model: Model) -> No
     views = [*one.demonstration.features, *[model.mean] * LENGTH]
     moves = [controller.act(tick, np.zeros(0, np.uint8), view, STILL) for tick, view in enumerate(views)]
     assert [tick for tick, move in enumerate(moves) if move.decision] == list(range(LENGTH - 1, len(views), LENGTH))
-    assert (moves[-1].atom, moves[-1].decision, moves[-1].recognised) == (Atom.STOP, "stop", False)
-    assert {move.recognised for move in moves[:-1]} == {True}
+    assert (moves[-1].atom, moves[-1].decision, moves[-1].recognized) == (Atom.STOP, "stop", False)
+    assert {move.recognized for move in moves[:-1]} == {True}
 
 
 def test_seqslam_wants_thumbnails() -> None:

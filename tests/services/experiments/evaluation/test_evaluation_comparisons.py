@@ -8,7 +8,7 @@ import pytest
 
 from services.experiments.evaluation.plan import Trial
 from services.experiments.evaluation.report.comparisons import compare_recognition, compare_searches, long_sequences
-from services.experiments.evaluation.report.summary import Success, recognised, successes
+from services.experiments.evaluation.report.summary import Success, recognized, successes
 from tests.services.experiments.evaluation.evaluated import SMALL, finished
 
 (WORLD,) = SMALL.worlds
@@ -16,7 +16,7 @@ from tests.services.experiments.evaluation.evaluated import SMALL, finished
 
 def test_words_follow_the_numbers(tmp_path: Path) -> None:
     planned, store = finished(tmp_path)
-    recognition = compare_recognition("yard", recognised(WORLD, planned, store.findings))
+    recognition = compare_recognition("yard", recognized(WORLD, planned, store.findings))
     verdicts = {one.text.split(" of ")[2].split(",")[0] + one.text.split(":")[0]: one.verdict for one in recognition}
     assert verdicts["single image (l = 1)recognition, occluded"] == "ahead"
     # All are judged on frames at which every method has a whole window: with a clear view nothing tells them apart.

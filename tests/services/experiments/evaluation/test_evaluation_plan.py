@@ -73,7 +73,7 @@ def test_the_quick_plan_says_what_it_leaves_out_and_is_much_shorter() -> None:
 
 def test_what_all_plans_have_in_common_is_part_of_their_fingerprint(monkeypatch: pytest.MonkeyPatch) -> None:
     before = FULL.fingerprint
-    for name, other in (("JUDGED_TICKS", 1), ("PEER_RECOGNISERS", ())):
+    for name, other in (("JUDGED_TICKS", 1), ("PEER_RECOGNIZERS", ())):
         with monkeypatch.context() as patch:
             patch.setattr(plan, name, other)
             assert FULL.fingerprint != before, name
@@ -94,12 +94,12 @@ def test_keys_change_with_what_was_taught_and_with_when_searches_time_out() -> N
     (world,) = SMALL.worlds
     otherwise_taught = replace(SMALL, worlds=(replace(world, drives=4),))
     seen_larger = replace(SMALL, camera=(128, 96))
-    assert not keys(SMALL, "recognise") & keys(otherwise_taught, "recognise")
-    for kind in ("teach", "learn", "recognise", "objective", "search"):
+    assert not keys(SMALL, "recognize") & keys(otherwise_taught, "recognize")
+    for kind in ("teach", "learn", "recognize", "objective", "search"):
         assert not keys(SMALL, kind) & keys(seen_larger, kind)
     shorter = replace(SMALL, patience=1.5)
     assert not keys(SMALL, "search") & keys(shorter, "search")
-    assert keys(SMALL, "recognise") == keys(shorter, "recognise")
+    assert keys(SMALL, "recognize") == keys(shorter, "recognize")
     assert len({one.fingerprint for one in (SMALL, otherwise_taught, seen_larger, shorter)}) == 4
 
 
@@ -120,7 +120,7 @@ def test_conditions_are_said_in_words() -> None:
 
 def test_plans_that_cannot_be() -> None:
     with pytest.raises(ValueError, match="unknown degradation 'foggy'"):
-        WorldPlan("yard", CRITERIA, recognised=("foggy",))
+        WorldPlan("yard", CRITERIA, recognized=("foggy",))
     with pytest.raises(ValueError, match="unknown degradation 'foggy'"):
         Trial("smal", 1, 1, degradation="foggy")
     with pytest.raises(ValueError, match="unknown variation 'night'"):

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from services.experiments.evaluation.plan import Recogniser, Trial
-from services.experiments.evaluation.report.summary import recognised, success_of, successes
+from services.experiments.evaluation.plan import Recognizer, Trial
+from services.experiments.evaluation.report.summary import recognized, success_of, successes
 from smal.evaluation.success import wilson_interval
 from tests.services.experiments.evaluation.evaluated import QUERIES, SMALL, finished
 
@@ -16,7 +16,7 @@ from tests.services.experiments.evaluation.evaluated import QUERIES, SMALL, fini
 
 def test_areas(tmp_path: Path) -> None:
     planned, store = finished(tmp_path)
-    found = {(one.recogniser.key, one.degradation): one for one in recognised(WORLD, planned, store.findings)}
+    found = {(one.recognizer.key, one.degradation): one for one in recognized(WORLD, planned, store.findings)}
     assert len(found) == 2 * 8
     ours = found["smal-5", "occluded"]
     # All answers are right, and the first frame, which no window precedes, has none.
@@ -30,7 +30,7 @@ def test_areas(tmp_path: Path) -> None:
     assert single.curve.recall_at_100_precision == pytest.approx(34 / 51)
     assert single.auc_95[0] < single.curve.auc < single.auc_95[1]
     assert single.name == "single image (l = 1)"
-    assert found["nearest-1", "clean"].recogniser == Recogniser("nearest", 1)
+    assert found["nearest-1", "clean"].recognizer == Recognizer("nearest", 1)
 
 
 def test_searches_come_in_the_order_of_the_plan(tmp_path: Path) -> None:

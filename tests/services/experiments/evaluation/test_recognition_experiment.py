@@ -1,4 +1,4 @@
-"""Every recogniser, asked about what it was taught, answers with the frame itself; held-out drives are as declared."""
+"""Every recognizer, asked about what it was taught, answers with the frame itself; held-out drives are as declared."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import pytest
 from services.experiments.evaluation.degradation import CLEAN, DEGRADATIONS
 from services.experiments.evaluation.demonstrations import drive
 from services.experiments.evaluation.plan import Criterion
-from services.experiments.evaluation.recognition_experiment import judged, query_drive, recognise_states
+from services.experiments.evaluation.recognition_experiment import judged, query_drive, recognize_states
 from services.simulator.simulation import Simulation
 from services.simulator.world import load_world
 from smal.features import FeatureSettings, extract
@@ -43,7 +43,7 @@ def test_states_that_were_taught_are_where_they_were_taught(novelty: str) -> Non
     atoms = np.ones(40, dtype=np.int8)
     settings = LearningSettings(sequence_length=4, novelty=novelty)
     model, _ = learn([Demonstration("drive", views, atoms)], settings)
-    matches = recognise_states(model, views)
+    matches = recognize_states(model, views)
     assert not matches.matched[:3].any()
     assert matches.matched[3:].all()
     assert np.abs(matches.reference[3:] - np.arange(3, 40)).max() <= 1

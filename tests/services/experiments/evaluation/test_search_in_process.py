@@ -193,5 +193,5 @@ def test_smal_in_this_process_and_as_services_drives_alike_to_the_last_bit(taugh
         assert commands == found.atoms.tolist()
         actions = {one.tick: one for one in carried_out if isinstance(one, Action)}
         assert {tick: one.kind for tick, one in actions.items()} == found.decisions
-        assert found.unrecognised == {tick for tick, one in actions.items() if one.state is None}
+        assert found.unrecognized == {tick for tick, one in actions.items() if one.state is None}
         assert len(found.decisions) >= found.ticks // model.sequence_length

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from smal.features import Centering, FeatureSettings
-from smal.place_recognition.traverse_centring import PRIOR_FRAMES, centre_traverses
+from smal.place_recognition.traverse_centering import PRIOR_FRAMES, centre_traverses
 
 SETTINGS = FeatureSettings.of(("color", "thumbnail"))
 RNG = np.random.default_rng(0)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from smal.evaluation.baselines.seqslam_localisation import SeqSlamLocaliser
+from smal.evaluation.baselines.seqslam_localization import SeqSlamLocalizer
 from smal.features.thumbnail import thumbnail_descriptor
 from smal.place_recognition.seqslam import SeqSlamSettings, match_seqslam
 
@@ -30,8 +30,8 @@ def descriptors(images: NDArray[np.uint8]) -> NDArray[np.float32]:
 def test_one_demonstration_is_matched_as_by_seqslam_over_the_whole_traverse(noise: float) -> None:
     references, queries = traverse(40, 1), traverse(40, 1, noise, 7)[5:30]
     whole = match_seqslam(descriptors(references), descriptors(queries), SETTINGS, lambda _done: None)
-    localiser = SeqSlamLocaliser({"a": references}, ("a",), SETTINGS)
-    found = [localiser.observe(image) for image in queries]
+    localizer = SeqSlamLocalizer({"a": references}, ("a",), SETTINGS)
+    found = [localizer.observe(image) for image in queries]
     assert [-1 if place is None else place.frame for place in found] == whole.reference.tolist()
     if noise < 100:
         assert whole.reference[SETTINGS.length - 1 :].tolist() == list(range(5 + SETTINGS.length - 1, 30))
@@ -39,7 +39,7 @@ def test_one_demonstration_is_matched_as_by_seqslam_over_the_whole_traverse(nois
 
 def test_shortened_it_answers_from_the_first_frame_on_and_then_the_same() -> None:
     references, queries = traverse(40, 1), traverse(40, 1, 20.0, 7)[5:30]
-    patient, early = (SeqSlamLocaliser({"a": references}, ("a",), SETTINGS, shorten) for shorten in (False, True))
+    patient, early = (SeqSlamLocalizer({"a": references}, ("a",), SETTINGS, shorten) for shorten in (False, True))
     waited, found = ([one.observe(image) for image in queries] for one in (patient, early))
     assert [place is None for place in waited] == [tick < SETTINGS.length - 1 for tick in range(25)]
     assert [None if place is None else place.frame for place in found] == list(range(5, 30))
@@ -48,11 +48,11 @@ def test_shortened_it_answers_from_the_first_frame_on_and_then_the_same() -> Non
 
 def test_the_place_is_in_the_right_demonstration_and_no_trajectory_spans_two() -> None:
     shown = {"a": traverse(30, 1), "b": traverse(20, 2), "c": traverse(25, 3)}
-    localiser = SeqSlamLocaliser(shown, ("c", "a", "b"), SETTINGS)
+    localizer = SeqSlamLocalizer(shown, ("c", "a", "b"), SETTINGS)
     for number, name in enumerate(("c", "a", "b")):
-        localiser.reset()
+        localizer.reset()
         seen = traverse(len(shown[name]), {"a": 1, "b": 2, "c": 3}[name], 20.0, 5)
-        found = [localiser.observe(image) for image in seen]
+        found = [localizer.observe(image) for image in seen]
         assert found[: SETTINGS.length - 1] == [None] * (SETTINGS.length - 1)
         places = [place for place in found if place is not None]
         assert [place.demonstration for place in places] == [number] * len(places)
@@ -60,15 +60,15 @@ def test_the_place_is_in_the_right_demonstration_and_no_trajectory_spans_two() -
         shortest = SETTINGS.trajectories()[0][-1]
         assert all(place.frame >= shortest for place in places)
     # The end of one demonstration followed by the start of the next is no place.
-    localiser.reset()
+    localizer.reset()
     for image in [*shown["c"][-3:], *shown["a"][:3]]:
-        place = localiser.observe(image)
+        place = localizer.observe(image)
     assert place is not None
     assert (place.demonstration, place.frame) != (1, 2)
 
 
 def test_what_is_missing_is_named() -> None:
     with pytest.raises(ValueError, match="demonstration b has no thumbnails"):
-        SeqSlamLocaliser({"a": traverse(30, 1)}, ("a", "b"), SETTINGS)
+        SeqSlamLocalizer({"a": traverse(30, 1)}, ("a", "b"), SETTINGS)
     with pytest.raises(ValueError, match="no demonstration is long enough"):
-        SeqSlamLocaliser({"a": traverse(3, 1)}, ("a",), SETTINGS)
+        SeqSlamLocalizer({"a": traverse(3, 1)}, ("a",), SETTINGS)

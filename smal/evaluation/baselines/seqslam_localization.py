@@ -24,7 +24,7 @@ class Place(NamedTuple):
     cost: float
 
 
-class SeqSlamLocaliser:
+class SeqSlamLocalizer:
     """Finds the demonstrated frame at which the last d_s frames end.
 
     There is no novelty test: SeqSLAM's uniqueness asks whether a second place matches as well, and with many

@@ -1,4 +1,4 @@
-"""From what a method recognises to the demonstrated frame that it takes the robot to be at.
+"""From what a method recognizes to the demonstrated frame that it takes the robot to be at.
 
 With it methods that answer in states, and those that answer in frames, are judged by one criterion: how far from the
 true pose that frame was taken.

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from smal.action_space import Atom
-from smal.evaluation.localisation import DemonstratedFrames, nearest_windows
+from smal.evaluation.localization import DemonstratedFrames, nearest_windows
 from smal.features import FeatureSettings
 from smal.learning import Demonstration, LearningSettings, learn
 from smal.model import Model
