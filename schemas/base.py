@@ -14,7 +14,7 @@ RobotId = Annotated[str, Field(pattern=ROBOT_ID_PATTERN, description="Which robo
 EpisodeId = Annotated[str, Field(pattern=EPISODE_ID_PATTERN, description="Which episode: one reset to one end.")]
 SessionId = Annotated[
     str,
-    Field(pattern=r"^[0-9a-z]{0,32}$", description="Which process sends: drawn anew at its start; empty if unsaid."),
+    Field(pattern=r"^[0-9a-z_-]{0,32}$", description="Which process sends: drawn anew at its start; empty if unsaid."),
 ]
 Tick = Annotated[int, Field(ge=0, le=MAX_TICK, description="Number of the camera frame in the episode, from 0.")]
 Atom = Literal["forward", "backward", "left", "right", "stop"]

@@ -118,7 +118,7 @@ _images = _sizes.flatmap(
         }
     )
 )
-_sessions = st.from_regex(r"[0-9a-z]{0,32}", fullmatch=True)
+_sessions = st.from_regex(r"[0-9a-z_-]{0,32}", fullmatch=True)
 _lengths = st.floats(-1e6, 1e6)
 _beside = st.builds(
     Place,

@@ -67,7 +67,7 @@ def test_a_new_service_is_in_the_table_of_topics_and_in_the_picture(toy: Service
     assert "| `odometry` |" in markdown_table()
     assert "toy" in takers(topics.ODOMETRY)
     assert ", ".join(takers(topics.ODOMETRY)) in markdown_table()
-    assert '    simulator -- "odometry" --> toy' in graph().splitlines()
+    assert '    robot -- "odometry" --> toy' in graph().splitlines()
 
 
 def test_a_new_service_starts_with_the_stack_and_the_doctor_finds_it(

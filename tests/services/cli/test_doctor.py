@@ -82,7 +82,7 @@ def test_a_free_port(free_endpoint: str) -> None:
 def test_a_port_of_a_running_stack(router_endpoint: str, settings: ServiceSettings, run_node: RunNode) -> None:
     run_node(Node("robot", settings))
     check = check_port(router_endpoint)
-    assert check == Check("port", True, f"{router_endpoint} is used by the running stack of rescuebot: simulator")
+    assert check == Check("port", True, f"{router_endpoint} is used by the running stack of rescuebot: robot")
 
 
 @pytest.mark.zenoh

@@ -25,6 +25,9 @@ from tests.services.conftest import RunNode
 from tests.services.teleop.console import Console
 from tests.services.waiting import eventually
 
+# Teleoperation is a process here.
+pytestmark = pytest.mark.zenoh
+
 
 @dataclass(frozen=True)
 class GreyView:
