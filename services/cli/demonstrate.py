@@ -24,7 +24,7 @@ from services.kit.errors import UsageError
 
 
 def demonstrate(
-    world: options.World = "campus",
+    world: options.WorldOfStack = None,
     episodes: Annotated[int, typer.Option(min=0, help="Full drives from the start to the victim.")] = 1,
     recoveries: Annotated[
         int, typer.Option(min=0, help="Short drives that begin off the route and come back, for the paper's scheme.")
@@ -47,9 +47,9 @@ def demonstrate(
 
     Example: smal demonstrate --world campus --seed 1 --out drives
     """
-    simulator = simulator_of_own_stack(world, camera, connect, shake=shake, base=base, variation=variation)
+    chosen, name = options.world_of_stack(world, connect)
+    simulator = simulator_of_own_stack(chosen, camera, connect, shake=shake, base=base, variation=variation)
     features = features_of_own_stack(modalities, connect)
-    name = options.check_world(world)
     requests = list(_requests(episodes, recoveries, seed, options.check_goal(goal)))
     if not requests:
         raise UsageError("--episodes 0 --recoveries 0: nothing to demonstrate")
@@ -57,7 +57,7 @@ def demonstrate(
     services = ("router", "robot", "features", "recorder")
     own = {"robot": simulator.flags(), "features": feature_flags(features)}
     with stack_for(connect, services, robot, own) as access:
-        recorded = _record(requests, access, out, world, name)
+        recorded = _record(requests, access, out, name and chosen, name)
     typer.echo(f"recorded {recorded} drives in {out}; next: smal learn {out} --out MODEL")
 
 
@@ -68,7 +68,7 @@ def _requests(episodes: int, recoveries: int, seed: int, goal: str) -> Iterator[
         yield ResetRequest(seed=seed + k, purpose="recovery", goal=goal, driver="expert", max_ticks=RECOVERY_TICKS)
 
 
-def _record(requests: list[ResetRequest], access: Access, out: Path, world: str, name: str) -> int:
+def _record(requests: list[ResetRequest], access: Access, out: Path, world: str | None, name: str | None) -> int:
     """Have every drive driven and recorded; return how many."""
     client = EpisodeClient("demonstrate", access.settings)
     expert = ExpertService()
@@ -95,7 +95,7 @@ def _record(requests: list[ResetRequest], access: Access, out: Path, world: str,
     return len(recorded.files)
 
 
-def _begin(expert: ExpertService, world: str, reply: ResetReply) -> None:
+def _begin(expert: ExpertService, world: str | None, reply: ResetReply) -> None:
     check_world_of(reply, world)
     expert.begin(reply)
 
@@ -116,7 +116,7 @@ def _with_progress(requests: list[ResetRequest]) -> Iterator[tuple[ResetRequest,
         bar.total = driven
 
 
-def _draw(world: str, records: list[EpisodeRecord], picture: Path) -> None:
+def _draw(world: str | None, records: list[EpisodeRecord], picture: Path) -> None:
     from services.cli.episodes.route_map import draw_routes  # noqa: PLC0415 - matplotlib takes a second to import
 
     draw_routes(world, records).savefig(picture, dpi=110)

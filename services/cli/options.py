@@ -21,12 +21,21 @@ from services.simulator.world.place import World as LoadedWorld
 from smal import model as smal_model
 
 DEFAULT_ROBOT: Final = "rescuebot"
+DEFAULT_WORLD: Final = "campus"
 
 Robot = Annotated[str, typer.Option(envvar="SMAL_ROBOT", help="Robot id, part of every topic's key.")]
 Router = Annotated[str, typer.Option(envvar="SMAL_ROUTER", help="Address of the stack's Zenoh router.")]
 Json = Annotated[bool, typer.Option("--json", help="Print JSON.")]
 World = Annotated[
     str, typer.Option(help="World: a name in deploy/worlds, or the path of an OpenStreetMap or world file.")
+]
+WorldOfStack = Annotated[
+    str | None,
+    typer.Option(
+        "--world",
+        help="World: a name in deploy/worlds, or the path of an OpenStreetMap or world file. [default: campus; with "
+        "--connect whatever the robot is in]",
+    ),
 ]
 Seed = Annotated[int, typer.Option(min=0, help="Seed of the first episode; episode k uses SEED + k.")]
 CameraSize = Annotated[str, typer.Option("--camera", help="Camera image, WIDTHxHEIGHT; smaller renders faster.")]
@@ -132,6 +141,18 @@ def check_goal(goal: str) -> str:
         return ResetRequest(seed=0, goal=goal).goal
     except ValidationError as error:
         raise UsageError(f"--goal: {describe(error)}") from None
+
+
+def world_of_stack(world: str | None, connect: str | None) -> tuple[str, str | None]:
+    """Return the world of a stack that is started, and the name that the robot's world must have, if any.
+
+    Raises
+    ------
+    UsageError
+        When there is no such world, or its file is no map.
+    """
+    chosen = world or DEFAULT_WORLD
+    return chosen, None if world is None and connect is not None else check_world(chosen)
 
 
 def check_world(world: str) -> str:

@@ -35,7 +35,7 @@ CHAIN = ("recognition", "policy")
 
 def run(
     model: options.Model,
-    world: options.World = "campus",
+    world: options.WorldOfStack = None,
     episodes: Annotated[int, typer.Option(min=1, help="Runs.")] = 20,
     seed: options.Seed = 1,
     scheme: options.SchemeOption = "filter",
@@ -76,9 +76,9 @@ def run(
     mode: Mode = "realtime" if realtime else "lockstep"
     loaded = options.read_model(model, scheme, stride, goal)
     identity = identity_of(loaded)
-    simulator = simulator_of_own_stack(world, camera, connect, shake=shake, base=base, variation=variation)
-    name = options.check_world(world)
-    outputs.check_file(json_file, "--json", (world, model))
+    chosen, name = options.world_of_stack(world, connect)
+    simulator = simulator_of_own_stack(chosen, camera, connect, shake=shake, base=base, variation=variation)
+    outputs.check_file(json_file, "--json", (chosen, model))
     for folder, option in ((report, "--report"), (record, "--record")):
         if folder is not None:
             outputs.make_folder(folder, option)
@@ -112,24 +112,24 @@ def run(
     finally:
         # Also when a later run fails, or is interrupted: the finished ones have cost their time.
         if json_file is not None and records:
-            outputs.write_json(json_file, "--json", summarize(world, records))
-    summary = summarize(world, records)
+            outputs.write_json(json_file, "--json", summarize(name and chosen, records))
+    summary = summarize(name and chosen, records)
     if report is not None:
         from services.cli.episodes.report import write_report  # noqa: PLC0415 - matplotlib takes a second to import
 
-        typer.echo(f"results: {write_report(report, world, loaded, records, summary)}")
+        typer.echo(f"results: {write_report(report, name and chosen, loaded, records, summary)}")
     found = sum(r.outcome == "found" for r in records)
     low, high = wilson_interval(found, len(records))
     typer.echo(f"found the victim in {found} of {len(records)} runs (95 % interval {low:.2f} to {high:.2f})")
 
 
-def summarize(world: str, records: list[EpisodeRecord]) -> dict[str, object]:
-    """Return the results as ``--json`` writes them."""
+def summarize(world: str | None, records: list[EpisodeRecord]) -> dict[str, object]:
+    """Return the results as ``--json`` writes them; the robot says where it is unless a world was asked for."""
     found = sum(record.outcome == "found" for record in records)
     latencies = [ms for record in records for ms in record.decision_latencies_ms]
     p50, p95 = np.percentile(latencies, [50, 95]) if latencies else (None, None)
     return {
-        "world": world,
+        "world": world or records[0].world,
         "episodes": [
             {
                 "seed": record.request.seed,
@@ -203,7 +203,7 @@ def _check_models(client: EpisodeClient, identity: str, goal: str | None) -> Non
 
 
 def _run_all(
-    client: EpisodeClient, requests: list[ResetRequest], access: Access, world: str
+    client: EpisodeClient, requests: list[ResetRequest], access: Access, world: str | None
 ) -> Iterator[EpisodeRecord]:
     """Give every run as it ends; one that was aborted is an error, since it says nothing of the model."""
     outcomes: list[str] = []

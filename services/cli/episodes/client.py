@@ -41,6 +41,8 @@ class EpisodeRecord:
     ----------
     request
         How it was asked for.
+    world
+        Where it was: name of the world, or of a real robot's body.
     ticks
         Frames that passed.
     outcome
@@ -60,6 +62,7 @@ class EpisodeRecord:
     """
 
     request: ResetRequest
+    world: str = ""
     ticks: int = 0
     outcome: RunOutcome = "aborted"
     route: tuple[tuple[float, float], ...] = ()
@@ -81,15 +84,15 @@ class EpisodeRecord:
         return [ms for tick, ms in self.latencies_ms.items() if tick in self.decisions]
 
 
-def check_world_of(reply: ResetReply, wanted: str) -> None:
-    """Compare the world of the stack with the one that was asked for.
+def check_world_of(reply: ResetReply, wanted: str | None) -> None:
+    """Compare the world of the stack with the one that was asked for, if one was.
 
     Raises
     ------
     JobError
         When they differ: the results would be those of another world.
     """
-    if reply.world != wanted:
+    if wanted is not None and reply.world != wanted:
         raise JobError(f"the stack runs {reply.world}, not {wanted}; start it with --world {wanted}")
 
 
@@ -171,7 +174,7 @@ class EpisodeClient:
         # Rendering may be compiling its pipelines: the first reset takes seconds.
         asked = request.model_copy(update={"session": self.node.session})
         reply = self.node.bus.call("robot", "reset", asked, ResetReply, timeout_s=60.0)
-        self._episode, record.route = reply.episode, reply.route
+        self._episode, record.world, record.route = reply.episode, reply.world, reply.route
         self._alive_s = time.monotonic()
         try:
             on_begin(reply)

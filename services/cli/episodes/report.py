@@ -21,7 +21,7 @@ STRIP: Final = 6
 
 
 def write_report(
-    folder: Path, world: str, model: Model, records: list[EpisodeRecord], summary: Mapping[str, object]
+    folder: Path, world: str | None, model: Model, records: list[EpisodeRecord], summary: Mapping[str, object]
 ) -> Path:
     """Write ``index.html`` into a folder and return its path."""
     folder.mkdir(parents=True, exist_ok=True)
@@ -29,7 +29,7 @@ def write_report(
     parts = [
         _tiles(model, records, summary),
         "<h2>Where the robot went</h2>",
-        _picture(draw_routes(world, records), "routes on the map"),
+        _routes(world, records),
         f"<h2>What it saw on the run with seed {shown.request.seed}</h2>",
         _strip(shown),
         "<h2>How long a decision takes</h2>",
@@ -38,8 +38,14 @@ def write_report(
         _table(records),
     ]
     path = folder / "index.html"
-    path.write_text(page(f"SMAL: {world}, {len(records)} runs", "\n".join(parts)), encoding="utf-8")
+    path.write_text(page(f"SMAL: {world or records[0].world}, {len(records)} runs", "\n".join(parts)), encoding="utf-8")
     return path
+
+
+def _routes(world: str | None, records: list[EpisodeRecord]) -> str:
+    if not any(record.poses for record in records):
+        return "<p>The robot does not tell where it truly is.</p>"
+    return _picture(draw_routes(world, records), "routes on the map")
 
 
 def _tiles(model: Model, records: list[EpisodeRecord], summary: Mapping[str, object]) -> str:

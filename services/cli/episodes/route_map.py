@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Sequence
 from typing import Final
 
 import numpy as np
@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from services.cli.episodes.client import EpisodeRecord
-from services.simulator.world import load_world
+from services.simulator.world import World, known_worlds, load_world
 from services.simulator.world.map_view import draw_map
 
 #: Half the side of what is shown, in sizes of what happened.
@@ -21,13 +21,24 @@ OUTCOME_COLOURS: Final = {
 }  # fmt: skip
 
 
-def draw_routes(world: str, records: Iterable[EpisodeRecord]) -> Figure:
-    """Return the map of a world with the way of every episode, coloured by how it ended."""
+def draw_routes(world: str | None, records: Sequence[EpisodeRecord]) -> Figure:
+    """Return the map of a world with the way of every episode, coloured by how it ended.
+
+    Parameters
+    ----------
+    world
+        Its name or path; without one that of the episodes, if that is one that is known here. The ways of a robot that
+        is nowhere that has a map are drawn by themselves.
+    records
+        At least one.
+    """
     figure = Figure(figsize=(9, 9), layout="constrained")
     axes = figure.add_subplot()
-    there = load_world(world)
-    draw_map(there, axes)
-    seen = [np.array([(there.start.x, there.start.y), (there.victim.x, there.victim.y)])]
+    there = _map_of(world, records[0].world)
+    seen: list[NDArray[np.float64]] = []
+    if there is not None:
+        draw_map(there, axes)
+        seen.append(np.array([(there.start.x, there.start.y), (there.victim.x, there.victim.y)]))
     labelled: set[str] = set()
     for record in records:
         if not record.poses:
@@ -38,10 +49,20 @@ def draw_routes(world: str, records: Iterable[EpisodeRecord]) -> Figure:
         labelled.add(record.outcome)
         axes.plot(*xy.T, color=OUTCOME_COLOURS[record.outcome], lw=1.6, alpha=0.75, label=label, zorder=3)
         axes.plot(*xy[-1], "x", color=OUTCOME_COLOURS[record.outcome], ms=6, zorder=3)
-    _look_at(axes, np.concatenate(seen), there.place.bounds)
+    if there is None:
+        axes.set(aspect="equal", xlabel="m", ylabel="m")
+    else:
+        _look_at(axes, np.concatenate(seen), there.place.bounds)
     # Beside the map, where it hides nothing.
     figure.legend(loc="outside lower center", ncols=6)
     return figure
+
+
+def _map_of(asked: str | None, told: str) -> World | None:
+    """Return the world that was asked for; what a robot tells may be a name of ours, but never a path to be read."""
+    if asked is not None:
+        return load_world(asked)
+    return load_world(told) if told in known_worlds() else None
 
 
 def _look_at(axes: Axes, points: NDArray[np.float64], bounds: tuple[float, float, float, float]) -> None:
