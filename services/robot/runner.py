@@ -93,6 +93,10 @@ class Pace(Protocol[V]):
         """Leave the robot standing."""
 
 
+#: How time passes, by mode; each episode has a pace of its own.
+Paces = Mapping[Mode, Callable[[], Pace[V]]]
+
+
 class RealTime(Generic[V]):
     """The clock runs: ten frames a second, or as many as can be made, and a loop that moves the robot meanwhile.
 
@@ -177,7 +181,7 @@ class EpisodeRunner(Generic[V]):
         robot: str,
         session: str,
         *,
-        paces: Mapping[Mode, Callable[[], Pace[V]]] | None = None,
+        paces: Paces[V] | None = None,
         clock: Callable[[], float] = now_s,
         wall_clock_ns: Callable[[], int] = time.time_ns,
     ) -> None:

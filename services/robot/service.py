@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+import secrets
+import time
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import closing, suppress
 from typing import Final, TypeVar
 
@@ -14,9 +16,12 @@ from schemas.topics import COMMANDS, HEARTBEAT
 from services.kit.bus import Bus, RpcError
 from services.kit.node import Detail, Node, ServiceError
 from services.kit.settings import ServiceSettings
-from services.robot.body import View
-from services.robot.loop import PERIOD_S
-from services.robot.runner import EpisodeRunner, RealTime
+from services.robot.body import Body, View
+from services.robot.config import RobotSettings
+from services.robot.gate import CommandGate
+from services.robot.loop import PERIOD_S, check_stopping
+from services.robot.runner import EpisodeRunner, Paces, RealTime
+from services.robot.task import Task
 
 #: Name on the bus, whatever body it has.
 ROBOT: Final = "robot"
@@ -138,3 +143,51 @@ class RobotService:
             return
         self._timed = answered
         self._node.metrics.decision(applied.source, applied.latency_ns / 1e9)
+
+
+def serve_robot(
+    settings: RobotSettings,
+    open_body: Callable[[Node], tuple[Body[V], Paces[V]]],
+    task: Task[V],
+    *,
+    wall_clock_ns: Callable[[], int] = time.time_ns,
+) -> None:
+    """Drive a body until stopped.
+
+    Parameters
+    ----------
+    settings
+        Robot, router, and whether an operator has to be there.
+    open_body
+        Makes the body, and how time passes for it in other modes than real time; called when no other robot of this id
+        is there.
+    task
+        Who says that the goal is reached.
+    wall_clock_ns
+        Nanoseconds since 1970.
+
+    Raises
+    ------
+    ServiceError
+        Another process is this robot, or the body cannot stand in time.
+    """
+    check_alone(settings)
+    with Node(ROBOT, settings) as node:
+        node.stop_on_signals()
+        body, paces = open_body(node)
+        check_stopping(body)
+        runner = EpisodeRunner(
+            body,
+            task,
+            CommandGate(attended=settings.attended),
+            settings.robot,
+            # Episode ids stay unique when the robot is started again, whatever the wall clock says.
+            secrets.token_hex(6),
+            paces=paces,
+            wall_clock_ns=wall_clock_ns,
+        )
+        RobotService(runner, node)
+        try:
+            node.spin()
+        finally:
+            node.publish(runner.end())

@@ -5,17 +5,13 @@
 
 from __future__ import annotations
 
-import secrets
 import time
 from collections.abc import Callable
 
 from schemas.base import Atom
 from schemas.topics import Topic
-from services.kit.node import Node, configure_logging, read_settings, run_service
-from services.robot.gate import CommandGate
-from services.robot.loop import check_stopping
-from services.robot.runner import EpisodeRunner
-from services.robot.service import ROBOT, RobotService, check_alone
+from services.kit.node import configure_logging, read_settings, run_service
+from services.robot.service import ROBOT, serve_robot
 from services.simulator.base import STEP_S
 from services.simulator.body import SimulatedBody
 from services.simulator.config import SimulatorSettings
@@ -64,25 +60,13 @@ def serve() -> None:
     base = FarBase(settings.wheels)
     camera = CameraSettings(settings.camera_width, settings.camera_height, settings.shadows)
     simulation = Simulation(load_world(settings.world), camera, base)
-    check_alone(settings)
-    with Node(ROBOT, settings) as node:
-        node.stop_on_signals()
-        body = FarBody(simulation, base, node.bus.has_listeners)
-        check_stopping(body)
-        runner = EpisodeRunner(
-            body,
-            FindVictim(),
-            CommandGate(attended=settings.attended),
-            settings.robot,
-            secrets.token_hex(6),
-            # The stamps of its frames are of the clock that the base's log has, so that the two compare exactly.
-            wall_clock_ns=lambda: time.clock_gettime_ns(time.CLOCK_BOOTTIME),
-        )
-        RobotService(runner, node)
-        try:
-            node.spin()
-        finally:
-            node.publish(runner.end())
+    serve_robot(
+        settings,
+        lambda node: (FarBody(simulation, base, node.bus.has_listeners), {}),
+        FindVictim(),
+        # The stamps of its frames are of the clock that the base's log has, so that the two compare exactly.
+        wall_clock_ns=lambda: time.clock_gettime_ns(time.CLOCK_BOOTTIME),
+    )
 
 
 if __name__ == "__main__":
