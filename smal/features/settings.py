@@ -87,8 +87,10 @@ class FeatureSettings:
     @property
     def unit_weights(self) -> tuple[float, ...]:
         """The weights, scaled so that their squares sum to 1."""
-        norm = math.sqrt(sum(weight * weight for weight in self.weights))
-        return tuple(weight / norm for weight in self.weights)
+        # Squares of very small weights are zero, and of very large ones infinite.
+        largest = max(self.weights)
+        norm = math.hypot(*(weight / largest for weight in self.weights))
+        return tuple(weight / largest / norm for weight in self.weights)
 
     @property
     def fingerprint(self) -> str:

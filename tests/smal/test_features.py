@@ -5,7 +5,7 @@ import sys
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from smal.features import MODALITIES, Centering, FeatureSettings, extract, modality_named, select
@@ -101,6 +101,15 @@ def test_other_images_are_refused(bad: np.ndarray, words: str) -> None:
 def test_bad_settings_are_refused(modalities: tuple[str, ...], weights: tuple[float, ...], words: str) -> None:
     with pytest.raises(ValueError, match=words):
         FeatureSettings(modalities, weights)
+
+
+@given(st.lists(st.floats(0, exclude_min=True, allow_infinity=False), min_size=2, max_size=2))
+@example([5e-324, 5e-324])
+@example([1.7e308, 1.7e308])
+@example([5e-324, 1.7e308])
+def test_whatever_the_weights_their_squares_sum_to_one(weights: list[float]) -> None:
+    unit = FeatureSettings(weights=(weights[0], weights[1])).unit_weights
+    assert np.hypot(*unit) == pytest.approx(1.0)
 
 
 def test_fingerprint_names_the_raw_features() -> None:

@@ -3,7 +3,7 @@
 ::
 
     zenoh --mode client --connect tcp/127.0.0.1:7447 subscribe -k 'smal/**' --decoder smal --line '{key} {value}'
-    zenoh --mode client --connect tcp/127.0.0.1:7447 get -s smal/rescuebot/rpc/simulator/status --decoder smal
+    zenoh --mode client --connect tcp/127.0.0.1:7447 get -s smal/rescuebot/rpc/robot/status --decoder smal
     zenoh --mode client --connect tcp/127.0.0.1:7447 put -k smal/rescuebot/command/teleop --encoder smal -v \
         '{"robot": "rescuebot", "episode": "drive-1-x-1", "tick": 3, "stamp_ns": 0, "source": "teleop", "atom": "stop"}'
 

@@ -69,8 +69,8 @@ def test_binary_data_is_its_length() -> None:
         (TELEOP, b"", "not msgpack"),
         (TELEOP, encode(EXAMPLES[Image]), "at most|Field required"),
         ("smal/stranger/command/teleop", encode(EXAMPLES[Command]), "holds a message of rescuebot/command/teleop"),
-        ("smal/rescuebot/rpc/simulator/status", b"\xff", "not JSON"),
-        ("smal/rescuebot/rpc/simulator/status", b"[" * 100_000, "not JSON"),
+        ("smal/rescuebot/rpc/robot/status", b"\xff", "not JSON"),
+        ("smal/rescuebot/rpc/robot/status", b"[" * 100_000, "not JSON"),
     ],
 )
 def test_a_bad_payload_is_an_error_object(key: str, payload: bytes, reason: str) -> None:
@@ -94,8 +94,8 @@ def test_a_key_that_is_no_string() -> None:
 
 
 def test_calls_are_json() -> None:
-    assert decode_to_json("smal/rescuebot/rpc/simulator/status", b'{"a":\n1}') == '{"a": 1}'
-    assert encode_from_json("smal/rescuebot/rpc/simulator/end", '{"a":1}') == b'{"a": 1}'
+    assert decode_to_json("smal/rescuebot/rpc/robot/status", b'{"a":\n1}') == '{"a": 1}'
+    assert encode_from_json("smal/rescuebot/rpc/robot/end", '{"a":1}') == b'{"a": 1}'
 
 
 @pytest.mark.parametrize(
@@ -107,7 +107,7 @@ def test_calls_are_json() -> None:
         (TELEOP, EXAMPLES[Command].model_copy(update={"speed": 2.0}).model_dump_json(), "speed: "),
         (TELEOP, EXAMPLES[Command].model_copy(update={"source": "policy"}).model_dump_json(), "does not belong on"),
         (TELEOP, EXAMPLES[Command].model_copy(update={"robot": "other"}).model_dump_json(), "does not belong on"),
-        ("smal/rescuebot/rpc/simulator/end", "nonsense", "Expecting value"),
+        ("smal/rescuebot/rpc/robot/end", "nonsense", "Expecting value"),
     ],
 )
 def test_what_is_no_message_is_not_encoded(key: str, value: str, reason: str) -> None:
@@ -218,6 +218,6 @@ def test_zenoh_put_sends_nothing_that_is_no_message(zenoh: Zenoh) -> None:
 @needs_zenoh_cli
 def test_zenoh_get_shows_a_services_status(zenoh: Zenoh, client: Bus) -> None:
     client.serve("robot", "status", lambda _request, reply: reply(Nothing()))
-    child = zenoh("get", "-s", "smal/rescuebot/rpc/simulator/status", "--decoder", "smal")
+    child = zenoh("get", "-s", "smal/rescuebot/rpc/robot/status", "--decoder", "smal")
     out, _ = child.communicate(timeout=20.0)
     assert (child.returncode, out) == (0, "{}\n")
