@@ -66,5 +66,8 @@ class CommandApplied(Message):
     latency_ns: Annotated[int | None, Field(ge=0, lt=2**63)] = None
     """From the readiness of frame ``answered_tick`` (rendered, about to be sent) to the acceptance of the obeyed
     command, on the actuator's clock."""
+    delay_ns: Annotated[int | None, Field(ge=0, lt=2**63)] = None
+    """From the capture of frame ``answered_tick`` to the moment when the obeyed command began to move the robot, on the
+    clock of its world: 0 in lockstep."""
     refused: Annotated[int, Field(ge=0, lt=2**63)] = 0
     """Commands refused so far in this episode."""

@@ -68,7 +68,13 @@ SERVICES: Final = {
             (topics.STATE,),
             image="recognition",
         ),
-        Service("policy", "decides", (topics.STATE,), (topics.ACTION, COMMANDS["policy"]), image="recognition"),
+        Service(
+            "policy",
+            "decides",
+            (topics.STATE, topics.APPLIED),
+            (topics.ACTION, COMMANDS["policy"]),
+            image="recognition",
+        ),
         Service("recorder", "writes recordings", tuple(topic for topic in TOPICS.values() if topic.recorded)),
         Service("tracker", "measures the robot's pose from above", (topics.OVERHEAD,), (topics.TRACKED,)),
         Service(

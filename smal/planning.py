@@ -159,7 +159,7 @@ class Planner:
         self._looked_rad = self._guessed_s = self._followed_m = 0.0
         self.done = False
 
-    def decide(self, belief: Belief, elapsed_s: float | None = None) -> Decision:
+    def decide(self, belief: Belief, elapsed_s: float | None = None, delay_s: float = 0.0) -> Decision:
         """Say what to do until the next frame.
 
         Parameters
@@ -167,8 +167,12 @@ class Planner:
         belief : Belief
         elapsed_s : float, optional
             Time since the frame before; a taught tick if not given.
+        delay_s : float, optional
+            Time from the frame to the moment when what is decided begins to move the robot; until then it goes on
+            turning, if it turns, and would turn too far where that is not reckoned with.
         """
         elapsed_s = self._map.tick_s if elapsed_s is None else elapsed_s
+        self._pending_rad = self._turn_rad * min(delay_s / self._map.tick_s, 1.0)
         directions, left_to_go = self._directions(belief)
         # Places from which no way leads to the goal have no say.
         with_way = belief.weights * np.isfinite(self._to_go_s[belief.keyframes])
@@ -222,6 +226,8 @@ class Planner:
 
     def _steer(self, error: float) -> Atom:
         """Turn on the spot while the direction is off by more than an atom of turning; drive otherwise."""
+        if self._turning is not None:
+            error -= self._pending_rad if self._turning is Atom.LEFT else -self._pending_rad
         wanted = Atom.LEFT if error > 0.0 else Atom.RIGHT
         begins = self._turning is not wanted and abs(error) > self._turn_rad
         goes_on = self._turning is wanted and abs(error) > self._turn_rad / 2.0

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import logging
+from collections import deque
+from statistics import median
+from typing import Final
 
 import numpy as np
 
 from schemas.action import Action
 from schemas.base import Message
-from schemas.command import Command
+from schemas.command import Command, CommandApplied
 from schemas.rpc import LoadReply, LoadRequest
 from schemas.state import State
 from services.kit.model_service import LoadedModel
@@ -18,6 +21,8 @@ from smal.filter import Belief
 from smal.planning import Planner
 from smal.recognition import Recognition
 
+#: Reports of the actuator of whose delays the median is taken: those of a second.
+DELAYS_KEPT: Final = 10
 _log = logging.getLogger("policy")
 
 
@@ -33,6 +38,8 @@ class PolicyService:
         self._last: tuple[State, list[Message]] | None = None
         self._foreign = 0
         self._complaints = Throttle()
+        #: How long its commands take to move the robot, by what the actuator has told lately.
+        self._delays_s: deque[float] = deque([0.0], maxlen=DELAYS_KEPT)
 
     def load(self, request: LoadRequest) -> LoadReply:
         """Load a model; the one before stays when it is refused.
@@ -46,6 +53,11 @@ class PolicyService:
         maker = _ByFilter(loaded) if loaded.scheme == "filter" else _ByPaper(loaded)
         self._loaded, self._maker, self._last, self._foreign = loaded, maker, None, 0
         return loaded.reply()
+
+    def see_applied(self, applied: CommandApplied) -> None:
+        """Take what the actuator tells of how long a command took."""
+        if applied.source == "policy" and applied.delay_ns is not None:
+            self._delays_s.append(applied.delay_ns / 1e9)
 
     def handle(self, state: State) -> list[Message]:
         """Return the decision, if one is due at this frame, and the command for it."""
@@ -61,7 +73,7 @@ class PolicyService:
                 return answer
             if last.episode != state.episode:
                 self._maker.reset()
-        answer = self._maker.answer(state)
+        answer = self._maker.answer(state, median(self._delays_s))
         self._last = (state, answer)
         return answer
 
@@ -99,7 +111,7 @@ class _ByFilter:
         self._planner.reset()
         self._stamp_ns: int | None = None
 
-    def answer(self, state: State) -> list[Message]:
+    def answer(self, state: State, delay_s: float) -> list[Message]:
         elapsed_s = None if self._stamp_ns is None else max(state.stamp_ns - self._stamp_ns, 0) / 1e9
         self._stamp_ns = state.stamp_ns
         places = state.places
@@ -111,7 +123,7 @@ class _ByFilter:
             state.cosine,
             state.tracked_m,
         )
-        decision = self._planner.decide(belief, elapsed_s)
+        decision = self._planner.decide(belief, elapsed_s, delay_s)
         atom = decision.atom.name.lower()
         known = places[0].keyframe if state.status == "recognized" else None
         return [
@@ -133,7 +145,7 @@ class _ByPaper:
     def reset(self) -> None:
         self._maker.reset()
 
-    def answer(self, state: State) -> list[Message]:
+    def answer(self, state: State, _delay_s: float) -> list[Message]:
         answer: list[Message] = []
         if state.status in {"recognized", "unknown"}:
             decision = self._maker.decide(Recognition(state.status, state.tick, state.state))

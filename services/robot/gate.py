@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 import secrets
 from collections import Counter
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from threading import Lock
 from typing import Final, Literal
 
@@ -48,6 +48,8 @@ class Applied:
     source: Source | None
     reason: Reason
     answered_tick: int | None = None
+    #: Age of the command, since the capture of its frame.
+    age_s: float = field(default=0.0, compare=False)
 
 
 @dataclass(frozen=True)
@@ -287,5 +289,6 @@ class CommandGate:
             latest = self._latest.get(source)
             if latest is not None and now_s - latest.captured_s <= self.max_age_s:
                 command = latest.command
-                return Applied(command.atom, command.speed, source, "command", command.tick)
+                age_s = now_s - latest.captured_s
+                return Applied(command.atom, command.speed, source, "command", command.tick, age_s)
             return Applied("stop", 0.0, None, "taken_over" if self._taken_over else "silence")

@@ -82,6 +82,9 @@ class ActuatorLoop:
         self._thread = threading.Thread(target=self._run, name="actuator", daemon=True)
         #: How many steps began later than the next one was due.
         self.late = 0
+        #: How old the command that is carried out was, from the capture of its frame, when it began to be.
+        self.delay_s = 0.0
+        self._answered: int | None = None
 
     def start(self) -> None:
         """Begin to move the robot."""
@@ -112,6 +115,8 @@ class ActuatorLoop:
             self._body.stand()
         else:
             self._body.drive(applied.atom, applied.speed)
+        if applied.answered_tick not in (None, self._answered):
+            self._answered, self.delay_s = applied.answered_tick, applied.age_s
         what = (applied.atom, applied.speed, applied.source, applied.reason)
         if what != self._told:
             self._told = what

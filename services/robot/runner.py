@@ -83,6 +83,10 @@ class Pace(Protocol[V]):
     def gate_s(self, tick: int) -> float:
         """Return the gate's time, by which commands grow old, while ``tick`` is the last frame."""
 
+    @property
+    def delay_s(self) -> float:
+        """Time from the capture of a frame to the moment when the command that answers it began to move the robot."""
+
     def begin(self) -> None:
         """Begin, with frame 0 taken."""
 
@@ -117,6 +121,11 @@ class RealTime(Generic[V]):
         self.loop = ActuatorLoop(gate, body, self._note, clock)
         self._due_s = 0.0
         self.late = 0
+
+    @property
+    def delay_s(self) -> float:
+        """As the loop has measured it."""
+        return self.loop.delay_s
 
     def _note(self, applied: Applied) -> None:
         self._changes.append(applied)
@@ -413,6 +422,7 @@ class EpisodeRunner(Generic[V]):
             reason=applied.reason,
             answered_tick=applied.answered_tick,
             latency_ns=None if latency_s is None else round(latency_s * 1e9),
+            delay_ns=None if applied.answered_tick is None else round(run.pace.delay_s * 1e9),
             emergency_stop=self.gate.emergency_stop,
             stop_cause=self.gate.stop_cause,
             refused=sum(self.gate.refused.values()),

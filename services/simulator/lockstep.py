@@ -67,6 +67,11 @@ class Lockstep:
         """Return simulated time, so that a slow machine makes no command stale."""
         return tick * TICK_S
 
+    @property
+    def delay_s(self) -> float:
+        """Return 0: the world waits."""
+        return 0.0
+
     def begin(self) -> None:
         """Wait for the first answer."""
         self._sent_s = self._clock()

@@ -87,6 +87,7 @@ EXAMPLES: dict[type[Message], Message] = {
         reason="command",
         answered_tick=299,
         latency_ns=12_000_000,
+        delay_ns=45_000_000,
         refused=3,
     ),
     Episode: Episode(
@@ -294,6 +295,7 @@ _fields: dict[type[Message], st.SearchStrategy[dict[str, object]]] = {
             "stop_cause": st.sampled_from([None, "not_armed", "emergency_stop", "operator_lost", "fault"]),
             "answered_tick": st.none() | st.integers(0, MAX_TICK),
             "latency_ns": st.none() | st.integers(0, 2**63 - 1),
+            "delay_ns": st.none() | st.integers(0, 2**63 - 1),
             "refused": st.integers(0, 2**63 - 1),
         }
     ),

@@ -9,7 +9,7 @@ import pytest
 
 from schemas.action import Action
 from schemas.base import Message
-from schemas.command import Command
+from schemas.command import Command, CommandApplied
 from schemas.rpc import LoadRequest
 from schemas.state import Place, State
 from services.policy.service import PolicyService
@@ -64,6 +64,22 @@ def test_a_belief_becomes_an_action_and_a_command(
     if "keyframe" in where:
         where, expected = {"keyframe": last}, (expected[0], last, expected[2])
     assert made(policy.handle(belief(0, model, **where))) == expected
+
+
+def test_how_long_its_commands_take_is_heard_from_the_actuator(model: Path) -> None:
+    atoms = {}
+    for delay_ms in (0, 60):
+        service = PolicyService()
+        service.load(LoadRequest(path=str(model)))
+        for tick in range(12):
+            told = {"atom": "left", "speed": 1.0, "reason": "command", "answered_tick": tick}
+            for source, ms in (("policy", delay_ms), ("teleop", 90)):
+                service.see_applied(
+                    CommandApplied.after(belief(tick, model), **told, source=source, delay_ns=ms * 1_000_000)
+                )
+        service.handle(belief(12, model, turned_rad=-0.15))
+        atoms[delay_ms] = made(service.handle(belief(13, model, turned_rad=-0.07)))[2]
+    assert atoms == {0: "left", 60: "forward"}
 
 
 def test_a_lost_robot_looks_all_round_and_then_guesses(policy: PolicyService, model: Path) -> None:

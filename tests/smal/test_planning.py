@@ -195,6 +195,17 @@ def test_a_turn_goes_on_until_another_atom_would_not_help() -> None:
     assert planner.decide(belief((10, 0.0, 0.0, -2.0))).atom is Atom.FORWARD
 
 
+@pytest.mark.parametrize("side", [1.0, -1.0])
+def test_a_turn_that_is_still_under_way_is_reckoned_with(side: float) -> None:
+    """Until its decision moves the robot it goes on turning: without that it would turn too far, and back again."""
+    turns = Atom.LEFT if side > 0.0 else Atom.RIGHT
+    for delay_s, then in ((0.0, turns), (0.6 * STRAIGHT.tick_s, Atom.FORWARD), (9.0, Atom.FORWARD)):
+        planner = Planner(STRAIGHT)
+        first = planner.decide(belief((10, 0.0, 0.0, -8.0 * side)), delay_s=delay_s)
+        assert first.atom is turns, "a robot that does not turn yet turns no less"
+        assert planner.decide(belief((10, 0.0, 0.0, -4.0 * side)), delay_s=delay_s).atom is then
+
+
 @pytest.mark.parametrize("ahead", [0.0, -0.3, -0.6])
 def test_behind_the_start_of_a_second_drive_it_goes_to_that_start(ahead: float) -> None:
     two = map_of(2.0, 3.0)

@@ -474,6 +474,13 @@ def test_what_is_applied_names_the_frame_that_was_answered(gate: CommandGate) ->
     assert gate.applied(11.0).answered_tick is None
 
 
+def test_how_old_the_command_is_that_moves_the_robot_is_told(gate: CommandGate) -> None:
+    assert gate.applied(10.1).age_s == 0.0
+    gate.offer(command(0), 10.05)
+    assert gate.applied(10.1).age_s == pytest.approx(0.1)
+    assert gate.applied(10.2).age_s == pytest.approx(0.2)
+
+
 def test_a_frame_is_answered_by_a_command_for_it(gate: CommandGate) -> None:
     for tick in (1, 2):
         gate.captured(tick, 10.0)

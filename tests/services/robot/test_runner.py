@@ -132,6 +132,29 @@ def test_latency_belongs_to_the_frame_that_was_answered() -> None:
         assert list(latencies[tick]) == [pytest.approx(1e7 * (tick + 1))]
 
 
+def test_the_time_until_a_command_moves_the_robot_is_told() -> None:
+    clock = Clock()
+    runner, _ = begin(LineBody(clock), mode="realtime")
+    told: list[CommandApplied] = []
+    for tick in range(6):
+        told += applied(advance(runner, clock, 0.04))
+        runner.offer(command(runner, tick=tick))
+        while runner.running is not None and runner.running.tick == tick:
+            told += applied(advance(runner, clock, PERIOD_S))
+    answered = [m for m in told if m.answered_tick is not None]
+    assert len(answered) >= 6
+    # Offered 0.04 s after the capture, carried out with the next step of the loop, and no older when it is told again.
+    assert all(m.delay_ns == pytest.approx(1e9 * (0.04 + PERIOD_S), abs=1e7) for m in answered)
+    assert all(m.delay_ns is None for m in told if m.answered_tick is None)
+
+
+def test_in_lockstep_no_time_passes_until_a_command_moves_the_robot() -> None:
+    clock = Clock()
+    runner, _ = begin(LineBody(clock))
+    clock.now_s += 1.0
+    assert [m.delay_ns for m in applied(answer(runner))] == [0]
+
+
 class SlowLine(LineBody):
     """A body whose pictures take 0.1 s."""
 
