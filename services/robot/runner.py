@@ -225,7 +225,9 @@ class EpisodeRunner(Generic[V]):
         ServiceError
             By whoever may not, or in another situation than they know of.
         """
-        self._unless(self.gate.resume(request.episode, request.tick, request.session))
+        # Between two episodes there is nothing to have missed, and a person who has just come has heard of neither.
+        episode = None if self._running is None else request.episode
+        self._unless(self.gate.resume(episode, request.tick, request.session))
 
     def check_reset(self, request: ResetRequest) -> None:
         """Say whether an episode may begin.
@@ -350,19 +352,17 @@ class EpisodeRunner(Generic[V]):
     def poll(self) -> Iterator[Message]:
         """Let time pass: frames are taken when they are due, and what moves the robot is told."""
         self.gate.watch(self._clock())
-        if self._running is not None:
-            yield from self._running.pace.poll(self, self._running)
-
-    def next_frame(self, run: Running[V]) -> Iterator[Message]:
-        """Take the next frame, and end the episode if it ends with it."""
+        if self._running is None:
+            return
         try:
-            yield from self._go_on(run)
+            yield from self._running.pace.poll(self, self._running)
         except Exception:
-            # Half a frame cannot be answered: nobody would ever go on.
+            # Half a frame cannot be answered, nor half a step made up for: nobody would ever go on.
             yield from self.end("aborted")
             raise
 
-    def _go_on(self, run: Running[V]) -> Iterator[Message]:
+    def next_frame(self, run: Running[V]) -> Iterator[Message]:
+        """Take the next frame, and end the episode if it ends with it."""
         run.episode.next_frame()
         run.said = 0
         yield from self._frame(run)

@@ -228,6 +228,20 @@ def test_after_a_stop_the_driver_goes_on_when_it_is_told_to() -> None:
     assert body.orders[-1][0] == "forward"
 
 
+def test_a_stop_between_two_episodes_is_undone_by_a_person_who_knew_of_neither() -> None:
+    """Theirs is a teleop that was just started: it has heard of no frame."""
+    runner, _ = begin(LineBody(Clock()), mode="realtime")
+    runner.end()
+    runner.gate.stop()
+    runner.arm(ArmRequest(stop=runner.gate.emergency_stop))
+    with pytest.raises(ServiceError, match="a person has taken over"):
+        reset(runner)
+    runner.resume(ResumeRequest(episode="none", tick=0))
+    reset(runner)
+    with pytest.raises(ServiceError, match="another episode has begun"):
+        runner.resume(ResumeRequest(episode="none", tick=0))
+
+
 def test_after_a_takeover_the_driver_goes_on_when_it_is_told_to() -> None:
     clock = Clock()
     body = LineBody(clock)
