@@ -6,6 +6,7 @@ is, and an ``ActuatorLoop`` moves the robot meanwhile; another pace (the simulat
 
 from __future__ import annotations
 
+import math
 import time
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping
@@ -347,7 +348,7 @@ class EpisodeRunner(Generic[V]):
         if beat.operator:
             self.gate.hear(beat, now)
         if run is not None and beat.session == run.request.session:
-            run.client_s = now
+            run.client_s = now if beat.present else -math.inf
 
     def poll(self) -> Iterator[Message]:
         """Let time pass: frames are taken when they are due, and what moves the robot is told."""
@@ -375,7 +376,9 @@ class EpisodeRunner(Generic[V]):
 
     def _frame(self, run: Running[V]) -> Iterator[Message]:
         view, tick = run.episode.view, run.tick
-        captured_s = view.captured_s if run.request.mode == "realtime" else run.pace.gate_s(tick)
+        now_s = run.pace.gate_s(tick)
+        # A body whose clock is ahead must not keep commands fresh for longer.
+        captured_s = min(view.captured_s, now_s) if run.request.mode == "realtime" else now_s
         self.gate.captured(tick, captured_s)
         elapsed_s = captured_s - run.begun_s if run.request.mode == "realtime" else captured_s
         run.stamp_ns = run.begun_ns + round(elapsed_s * 1e9)
