@@ -107,8 +107,12 @@ class CommandGate:
         return self._cause if self.emergency_stop else None
 
     def stop(self, cause: StopCause = "emergency_stop") -> None:
-        """Latch a stop. Takes no lock: it waits for nobody."""
-        self._cause = cause
+        """Latch a stop. Takes no lock: it waits for nobody.
+
+        A latched emergency stop stays one, whatever stops the robot as well: whoever arms it has to know.
+        """
+        if self.stop_cause != "emergency_stop":
+            self._cause = cause
         self._stops += 1
 
     def arm(self, stop: int, session: str) -> str | None:

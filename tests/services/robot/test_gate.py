@@ -372,6 +372,18 @@ def test_what_a_person_asked_for_before_a_release_no_longer_counts(gate: Command
     assert gate.applied(10.0).source == "teleop"
 
 
+@pytest.mark.parametrize("other", ["operator_lost", "fault"])
+def test_a_latched_emergency_stop_is_not_hidden_by_another_stop(gate: CommandGate, other: StopCause) -> None:
+    gate.stop(other)
+    gate.stop()
+    assert gate.stop_cause == "emergency_stop"
+    gate.stop(other)
+    assert (gate.stop_cause, gate.emergency_stop) == ("emergency_stop", 4)
+    assert gate.arm(4, "") is None
+    gate.stop(other)
+    assert gate.stop_cause == other
+
+
 def test_a_robot_that_is_armed_before_its_first_episode_is_taken_over_by_nobody() -> None:
     assert not armed().taken_over
 
@@ -525,6 +537,7 @@ class GateMachine(RuleBasedStateMachine):
         """Kill the process and start it again."""
         self.gate = CommandGate(attended=self.attended)
         self.stop = self.gate.emergency_stop
+        self.emergency = False
         self.operator: str | None = None
         self.heard_s = 0.0
         self.beats = getattr(self, "beats", 0)
@@ -549,7 +562,8 @@ class GateMachine(RuleBasedStateMachine):
 
     def latched(self, cause: StopCause) -> None:
         assert self.gate.emergency_stop not in (0, self.stop), "every stop has a number of its own"
-        assert self.gate.stop_cause == cause
+        self.emergency = cause == "emergency_stop" or (self.stop != 0 and self.emergency)
+        assert self.gate.stop_cause == ("emergency_stop" if self.emergency else cause)
         self.stop = self.gate.emergency_stop
 
     @rule()
@@ -584,6 +598,7 @@ class GateMachine(RuleBasedStateMachine):
         if done:
             self.stop = 0
             self.taken_over = self.episode != "none"
+            self.expired = len(self.accepted)
 
     @rule(back=st.integers(0, 2), episode=st.sampled_from(["e", "e", "old"]), session=SESSIONS)
     def resume(self, back: int, episode: str, session: str) -> None:
