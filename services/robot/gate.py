@@ -109,15 +109,19 @@ class CommandGate:
         return self._cause if self.emergency_stop else None
 
     def stop(self, cause: StopCause = "emergency_stop") -> None:
-        """Latch a stop. Takes no lock: it waits for nobody."""
-        self._cause = cause
+        """Latch a stop. Takes no lock: it waits for nobody.
+
+        A latched emergency stop stays one, whatever stops the robot as well: whoever arms it has to know.
+        """
+        if self.stop_cause != "emergency_stop":
+            self._cause = cause
         self._stops += 1
 
     def arm(self, stop: int, session: str) -> str | None:
         """Release a stop by its number, or say why not.
 
-        Whoever releases one does not release another that came meanwhile. A driver that drove before does not go on:
-        that takes ``resume``, or the next episode.
+        Whoever releases one does not release another that came meanwhile. Nothing that was asked before counts, and a
+        driver that drove before does not go on: that takes ``resume``, or the next episode.
         """
         with self._lock:
             refusal = self._not_theirs(session)
@@ -128,6 +132,7 @@ class CommandGate:
             if stop != self.emergency_stop:
                 return "another stop was latched meanwhile" if self.emergency_stop else "no stop is latched"
             self._taken_over = self._episode != ""
+            self._expire()
             self._released = stop
             return None
 
@@ -189,26 +194,29 @@ class CommandGate:
         self._latest: dict[Source, _Accepted] = {}
         self.refused: Counter[Refusal] = Counter()
 
-    def resume(self, episode: str, tick: int, session: str) -> str | None:
+    def resume(self, episode: str | None, tick: int, session: str) -> str | None:
         """Let the driver go on after a person had taken over, or say why not; what was asked before no longer counts.
 
         Parameters
         ----------
         episode, tick
-            The newest frame that the person had heard of.
+            The newest frame that the person had heard of; None for the episode where none runs.
         session
             Theirs.
         """
         with self._lock:
             mine = self._latest.get("teleop")
-            if episode != self._episode or (mine is not None and mine.command.tick > tick):
+            if episode is not None and (episode != self._episode or (mine is not None and mine.command.tick > tick)):
                 return "another episode has begun, or the person has commanded since"
             refusal = self._not_theirs(session)
             if refusal is None:
                 self._taken_over = False
-                # Their order goes on to count: a command that comes twice is refused.
-                self._latest = {source: replace(one, captured_s=-math.inf) for source, one in self._latest.items()}
+                self._expire()
             return refusal
+
+    def _expire(self) -> None:
+        # Their order goes on to count: a command that comes twice is refused.
+        self._latest = {source: replace(one, captured_s=-math.inf) for source, one in self._latest.items()}
 
     def captured(self, tick: int, now_s: float) -> None:
         """Remember when a frame was captured; older frames than any fresh command may name are forgotten."""

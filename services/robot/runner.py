@@ -6,6 +6,7 @@ is, and an ``ActuatorLoop`` moves the robot meanwhile; another pace (the simulat
 
 from __future__ import annotations
 
+import math
 import time
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping
@@ -234,7 +235,9 @@ class EpisodeRunner(Generic[V]):
         ServiceError
             By whoever may not, or in another situation than they know of.
         """
-        self._unless(self.gate.resume(request.episode, request.tick, request.session))
+        # Between two episodes there is nothing to have missed, and a person who has just come has heard of neither.
+        episode = None if self._running is None else request.episode
+        self._unless(self.gate.resume(episode, request.tick, request.session))
 
     def check_reset(self, request: ResetRequest) -> None:
         """Say whether an episode may begin.
@@ -354,24 +357,22 @@ class EpisodeRunner(Generic[V]):
         if beat.operator:
             self.gate.hear(beat, now)
         if run is not None and beat.session == run.request.session:
-            run.client_s = now
+            run.client_s = now if beat.present else -math.inf
 
     def poll(self) -> Iterator[Message]:
         """Let time pass: frames are taken when they are due, and what moves the robot is told."""
         self.gate.watch(self._clock())
-        if self._running is not None:
-            yield from self._running.pace.poll(self, self._running)
-
-    def next_frame(self, run: Running[V]) -> Iterator[Message]:
-        """Take the next frame, and end the episode if it ends with it."""
+        if self._running is None:
+            return
         try:
-            yield from self._go_on(run)
+            yield from self._running.pace.poll(self, self._running)
         except Exception:
-            # Half a frame cannot be answered: nobody would ever go on.
+            # Half a frame cannot be answered, nor half a step made up for: nobody would ever go on.
             yield from self.end("aborted")
             raise
 
-    def _go_on(self, run: Running[V]) -> Iterator[Message]:
+    def next_frame(self, run: Running[V]) -> Iterator[Message]:
+        """Take the next frame, and end the episode if it ends with it."""
         run.episode.next_frame()
         run.said = 0
         yield from self._frame(run)
@@ -384,7 +385,9 @@ class EpisodeRunner(Generic[V]):
 
     def _frame(self, run: Running[V]) -> Iterator[Message]:
         view, tick = run.episode.view, run.tick
-        captured_s = view.captured_s if run.request.mode == "realtime" else run.pace.gate_s(tick)
+        now_s = run.pace.gate_s(tick)
+        # A body whose clock is ahead must not keep commands fresh for longer.
+        captured_s = min(view.captured_s, now_s) if run.request.mode == "realtime" else now_s
         self.gate.captured(tick, captured_s)
         elapsed_s = captured_s - run.begun_s if run.request.mode == "realtime" else captured_s
         run.stamp_ns = run.begun_ns + round(elapsed_s * 1e9)

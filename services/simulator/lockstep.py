@@ -84,11 +84,12 @@ class Lockstep:
 
         While a stop is latched the robot stands, and nothing is rendered.
         """
-        applied = runner.gate.applied(self.gate_s(run.tick))
+        # Asked in this order: of an answer that comes between the two, the next poll makes a step.
+        answered, applied = runner.gate.answered(run.tick), runner.gate.applied(self.gate_s(run.tick))
         if runner.gate.emergency_stop:
             if run.applied is None or run.applied.reason != "emergency_stop":
                 yield runner.tell(run, applied)
-        elif runner.gate.answered(run.tick):
+        elif answered:
             yield runner.tell(run, applied)
             if runner.gate.stop_cause is not None:
                 return  # it came while that was being said

@@ -250,6 +250,15 @@ def test_the_driver_goes_on_only_from_what_the_person_knew(gate: CommandGate) ->
     assert not gate.taken_over
 
 
+def test_where_no_episode_runs_nobody_has_to_know_the_last_one(gate: CommandGate) -> None:
+    gate.offer(command(0, source="teleop"), 10.0)
+    gate.hear(beat("o", 0), 10.0)
+    assert gate.resume(None, 0, "another") == "an operator is there, and only they may say so"
+    assert gate.taken_over
+    assert gate.resume(None, 0, "o") is None
+    assert not gate.taken_over
+
+
 def test_a_person_who_drives_takes_over_from_nobody() -> None:
     gate = armed()
     gate.begin("e", "teleop")
@@ -347,6 +356,32 @@ def test_who_drove_before_a_stop_does_not_go_on_by_being_released(gate: CommandG
     gate.captured(1, 10.1)
     gate.offer(command(1), 10.1)
     assert gate.applied(10.1).source == "policy"
+
+
+@pytest.mark.parametrize("latched", [False, True])
+def test_what_a_person_asked_for_before_a_release_no_longer_counts(gate: CommandGate, latched: bool) -> None:
+    if latched:
+        gate.stop()
+    gate.offer(command(0, source="teleop"), 10.0)
+    if not latched:
+        gate.stop()
+    assert gate.arm(2, "") is None
+    assert gate.applied(10.0) == Applied("stop", 0.0, None, "taken_over"), "released, nothing moves yet"
+    assert gate.offer(command(0, source="teleop"), 10.0) == "out of order"
+    assert gate.offer(command(0, sequence=1, source="teleop"), 10.0) is None
+    assert gate.applied(10.0).source == "teleop"
+
+
+@pytest.mark.parametrize("other", ["operator_lost", "fault"])
+def test_a_latched_emergency_stop_is_not_hidden_by_another_stop(gate: CommandGate, other: StopCause) -> None:
+    gate.stop(other)
+    gate.stop()
+    assert gate.stop_cause == "emergency_stop"
+    gate.stop(other)
+    assert (gate.stop_cause, gate.emergency_stop) == ("emergency_stop", 4)
+    assert gate.arm(4, "") is None
+    gate.stop(other)
+    assert gate.stop_cause == other
 
 
 def test_a_robot_that_is_armed_before_its_first_episode_is_taken_over_by_nobody() -> None:
@@ -509,6 +544,7 @@ class GateMachine(RuleBasedStateMachine):
         """Kill the process and start it again."""
         self.gate = CommandGate(attended=self.attended)
         self.stop = self.gate.emergency_stop
+        self.emergency = False
         self.operator: str | None = None
         self.heard_s = 0.0
         self.beats = getattr(self, "beats", 0)
@@ -533,7 +569,8 @@ class GateMachine(RuleBasedStateMachine):
 
     def latched(self, cause: StopCause) -> None:
         assert self.gate.emergency_stop not in (0, self.stop), "every stop has a number of its own"
-        assert self.gate.stop_cause == cause
+        self.emergency = cause == "emergency_stop" or (self.stop != 0 and self.emergency)
+        assert self.gate.stop_cause == ("emergency_stop" if self.emergency else cause)
         self.stop = self.gate.emergency_stop
 
     @rule()
@@ -568,6 +605,7 @@ class GateMachine(RuleBasedStateMachine):
         if done:
             self.stop = 0
             self.taken_over = self.episode != "none"
+            self.expired = len(self.accepted)
 
     @rule(back=st.integers(0, 2), episode=st.sampled_from(["e", "e", "old"]), session=SESSIONS)
     def resume(self, back: int, episode: str, session: str) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
+from dataclasses import replace
 from typing import get_args
 
 import pytest
@@ -38,9 +39,9 @@ from tests.services.robot.driving import (
 from tests.services.robot.line import Clock, LineBody, LineView
 
 
-def beat(runner: Runner, session: str, sequence: int = 0, *, operator: bool = False) -> None:
+def beat(runner: Runner, session: str, sequence: int = 0, *, operator: bool = False, present: bool = True) -> None:
     header = {"robot": "r", "episode": "e", "tick": 0, "stamp_ns": 0}
-    runner.hear(Heartbeat(**header, session=session, sequence=sequence, operator=operator))
+    runner.hear(Heartbeat(**header, session=session, sequence=sequence, operator=operator, present=present))
 
 
 def applied(messages: list[Message]) -> list[CommandApplied]:
@@ -200,6 +201,23 @@ def test_a_stop_holds_from_the_next_step_on() -> None:
     assert applied(messages)[0].stop_cause == "emergency_stop"
 
 
+class Ahead(LineBody):
+    """A body whose camera's clock is ahead of the actuator's."""
+
+    def look(self, tick: int) -> LineView:
+        view = super().look(tick)
+        return replace(view, captured_s=view.captured_s + 5.0)
+
+
+def test_a_camera_whose_clock_is_ahead_does_not_prolong_a_command() -> None:
+    clock = Clock()
+    body = Ahead(clock)
+    runner, _ = begin(body, mode="realtime")
+    answer(runner)
+    advance(runner, clock, 1.5)
+    assert sum(duration for atom, _, duration in body.moves if atom == "forward") <= MAX_AGE_S + PERIOD_S + 1e-9
+
+
 def test_the_end_of_an_episode_is_standing_still() -> None:
     clock = Clock()
     body = LineBody(clock)
@@ -251,6 +269,20 @@ def test_after_a_stop_the_driver_goes_on_when_it_is_told_to() -> None:
     assert body.orders[-1][0] == "forward"
 
 
+def test_a_stop_between_two_episodes_is_undone_by_a_person_who_knew_of_neither() -> None:
+    """Theirs is a teleop that was just started: it has heard of no frame."""
+    runner, _ = begin(LineBody(Clock()), mode="realtime")
+    runner.end()
+    runner.gate.stop()
+    runner.arm(ArmRequest(stop=runner.gate.emergency_stop))
+    with pytest.raises(ServiceError, match="a person has taken over"):
+        reset(runner)
+    runner.resume(ResumeRequest(episode="none", tick=0))
+    reset(runner)
+    with pytest.raises(ServiceError, match="another episode has begun"):
+        runner.resume(ResumeRequest(episode="none", tick=0))
+
+
 def test_after_a_takeover_the_driver_goes_on_when_it_is_told_to() -> None:
     clock = Clock()
     body = LineBody(clock)
@@ -294,6 +326,15 @@ def test_the_episode_of_a_client_who_is_there_is_nobody_elses() -> None:
     reset(runner, session="b")
     assert runner.running is not None
     assert runner.running.request.session == "b"
+
+
+def test_the_episode_of_a_client_who_has_said_good_bye_is_anybodys() -> None:
+    runner, _ = begin(LineBody(Clock()), mode="realtime", session="a")
+    beat(runner, "a")
+    with pytest.raises(ServiceError, match="another client's"):
+        reset(runner, session="b")
+    beat(runner, "a", 1, present=False)
+    reset(runner, session="b")
 
 
 def test_a_person_who_has_taken_over_begins_an_episode_whosever_runs() -> None:

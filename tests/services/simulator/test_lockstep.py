@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import pytest
 
-from schemas.base import Message
+from schemas.base import Atom, Message
 from schemas.camera_info import CameraInfo
 from schemas.command import Command, CommandApplied
 from schemas.compressed_image import CompressedImage
@@ -17,6 +19,7 @@ from schemas.pose import Pose
 from schemas.rpc import ArmRequest
 from schemas.topics import DEPTH, Topic
 from services.robot.clock import TICK_S
+from services.robot.gate import Applied, CommandGate
 from services.simulator.lockstep import GIVE_UP_S, RESEND_S
 from tests.services.robot.driving import answer, armed, begin, command, events, reset, runner_of
 from tests.services.robot.line import Clock, LineBody
@@ -236,6 +239,48 @@ def test_an_episode_whose_next_frame_cannot_be_made_ends() -> None:
     assert events(sent) == [("ended", "aborted")]
     assert runner.running is None
     assert not list(runner.poll())
+
+
+class Stuck(LineBody):
+    """A body that cannot be moved."""
+
+    def advance(self, atom: Atom, speed: float, duration_s: float) -> None:
+        raise RuntimeError("no wheels")
+
+
+def test_an_episode_whose_step_cannot_be_made_ends() -> None:
+    runner, _ = begin(Stuck(Clock()))
+    runner.offer(command(runner))
+    sent: list[Message] = []
+    with pytest.raises(RuntimeError, match="no wheels"):
+        sent.extend(runner.poll())
+    assert events(sent) == [("ended", "aborted")]
+    assert not list(runner.poll())
+
+
+class Meanwhile(CommandGate):
+    """A gate that something happens to just after it was asked what to carry out."""
+
+    happens: Callable[[], None] | None = None
+
+    def applied(self, now_s: float) -> Applied:
+        applied = super().applied(now_s)
+        if self.happens is not None:
+            happens, self.happens = self.happens, None
+            happens()
+        return applied
+
+
+def test_an_answer_that_comes_while_it_is_asked_for_is_carried_out() -> None:
+    gate = Meanwhile(first_stop=1)
+    assert gate.arm(1, "") is None
+    body = LineBody(Clock())
+    runner = runner_of(body, gate)
+    reset(runner)
+    gate.happens = lambda: runner.offer(command(runner))
+    for _ in range(2):
+        list(runner.poll())
+    assert body.moves == [("forward", 1.0, TICK_S)]
 
 
 def test_a_reset_that_fails_leaves_no_episode_that_nobody_knows_of() -> None:
