@@ -77,7 +77,7 @@ class ActuatorLoop:
         self._tell = tell
         self._clock = clock
         self._told: tuple[object, ...] | None = None
-        self._complaints = Throttle()
+        self._complaints, self._last_complaints = Throttle(), Throttle()
         self._ended = threading.Event()
         self._thread = threading.Thread(target=self._run, name="actuator", daemon=True)
         #: How many steps began later than the next one was due.
@@ -134,5 +134,5 @@ class ActuatorLoop:
         try:
             self._body.stand()
         except Exception:  # noqa: BLE001 - nothing more can be done here
-            if self._complaints.due():
+            if self._last_complaints.due():
                 _log.exception("the body does not take the order to stand; its own watchdog has to stop it")

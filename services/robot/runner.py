@@ -295,10 +295,10 @@ class EpisodeRunner(Generic[V]):
         messages.append(self._event(run, "started"))
         try:
             messages.extend(self._frame(run))
+            pace.begin()
         except Exception:
             self._running = None  # who asked is told that there is none
             raise
-        pace.begin()
         reply = ResetReply(
             episode=name,
             world=self.body.name,

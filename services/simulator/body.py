@@ -18,6 +18,9 @@ from services.simulator.view import SimulatedView
 #: Silence after which the simulated base stands by itself, as those of real robots do.
 WATCHDOG_S: Final = 0.2
 
+#: Time within which a base that was told to stand does so and is at rest, with much to spare.
+STOOD_S: Final = 2.0
+
 
 class SimulatedBody:
     """A `Simulation` as `services.robot.body.Body` asks for it.
@@ -105,8 +108,11 @@ class SimulatedBody:
 
     def _catch_up(self, now_s: float) -> None:
         """Move as the last order and the watchdog have it."""
-        self._move_on(self._order, min(now_s, self._ordered_s + WATCHDOG_S))
-        self._move_on(("stop", 0.0), now_s)
+        stops_s = min(now_s, self._ordered_s + WATCHDOG_S)
+        self._move_on(self._order, stops_s)
+        self._move_on(("stop", 0.0), min(now_s, stops_s + STOOD_S))
+        if now_s - self._moved_s > STEP_S:
+            self._moved_s = now_s  # it stands since: hours of suspension need no steps
 
     def _move_on(self, order: tuple[Atom, float], until_s: float) -> None:
         """Move by whole steps, so that the sensors' readings are evenly apart."""

@@ -67,6 +67,7 @@ def test_a_body_that_does_not_even_stand_is_left_to_its_own_watchdog(caplog: pyt
         ActuatorLoop(gate, body, told.append, body.clock).step()
     assert gate.stop_cause == "fault"
     assert "the body has failed" in caplog.text
+    assert "the body does not take the order to stand; its own watchdog has to stop it" in caplog.text
     assert not told
 
 
