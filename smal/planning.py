@@ -156,7 +156,7 @@ class Planner:
     def reset(self) -> None:
         """Forget what was being done, for a new episode."""
         self._turning: Atom | None = None
-        self._looked_rad = self._guessed_s = self._followed_m = 0.0
+        self._looked_rad = self._guessed_s = self._followed_m = self._pending_rad = 0.0
         self.done = False
 
     def decide(self, belief: Belief, elapsed_s: float | None = None, delay_s: float = 0.0) -> Decision:

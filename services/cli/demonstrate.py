@@ -48,6 +48,7 @@ def demonstrate(
     Example: smal demonstrate --world campus --seed 1 --out drives
     """
     chosen, name = options.world_of_stack(world, connect)
+    asked = None if name is None else chosen
     simulator = simulator_of_own_stack(chosen, camera, connect, shake=shake, base=base, variation=variation)
     features = features_of_own_stack(modalities, connect)
     requests = list(_requests(episodes, recoveries, seed, options.check_goal(goal)))
@@ -57,7 +58,7 @@ def demonstrate(
     services = ("router", "robot", "features", "recorder")
     own = {"robot": simulator.flags(), "features": feature_flags(features)}
     with stack_for(connect, services, robot, own) as access:
-        recorded = _record(requests, access, out, name and chosen, name)
+        recorded = _record(requests, access, out, asked, name)
     typer.echo(f"recorded {recorded} drives in {out}; next: smal learn {out} --out MODEL")
 
 

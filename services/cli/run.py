@@ -77,6 +77,7 @@ def run(
     loaded = options.read_model(model, scheme, stride, goal)
     identity = identity_of(loaded)
     chosen, name = options.world_of_stack(world, connect)
+    asked = None if name is None else chosen
     simulator = simulator_of_own_stack(chosen, camera, connect, shake=shake, base=base, variation=variation)
     outputs.check_file(json_file, "--json", (chosen, model))
     for folder, option in ((report, "--report"), (record, "--record")):
@@ -112,12 +113,12 @@ def run(
     finally:
         # Also when a later run fails, or is interrupted: the finished ones have cost their time.
         if json_file is not None and records:
-            outputs.write_json(json_file, "--json", summarize(name and chosen, records))
-    summary = summarize(name and chosen, records)
+            outputs.write_json(json_file, "--json", summarize(asked, records))
+    summary = summarize(asked, records)
     if report is not None:
         from services.cli.episodes.report import write_report  # noqa: PLC0415 - matplotlib takes a second to import
 
-        typer.echo(f"results: {write_report(report, name and chosen, loaded, records, summary)}")
+        typer.echo(f"results: {write_report(report, asked, loaded, records, summary)}")
     found = sum(r.outcome == "found" for r in records)
     low, high = wilson_interval(found, len(records))
     typer.echo(f"found the victim in {found} of {len(records)} runs (95 % interval {low:.2f} to {high:.2f})")

@@ -38,13 +38,16 @@ class Episode(Generic[V]):
         self.outcome: Outcome | None = None
         self._body = body
         self._task = task
+        self._reached: bool | None = None
         self.tick = 0
         self.view = body.look(0)
 
     @property
     def reached(self) -> bool:
-        """Whether the last frame shows that the goal is reached."""
-        return self._task.reached(self.view)
+        """Whether the last frame shows that the goal is reached; looked at once a frame."""
+        if self._reached is None:
+            self._reached = self._task.reached(self.view)
+        return self._reached
 
     def next_frame(self) -> V:
         """Take the next frame, and set ``outcome`` if the episode ends with it.
@@ -53,7 +56,7 @@ class Episode(Generic[V]):
         its driver has arrived, or the time is out. Frame 0 ends nothing.
         """
         self.tick += 1
-        self.view = self._body.look(self.tick)
+        self.view, self._reached = self._body.look(self.tick), None
         timed_out = self.tick >= self.request.max_ticks
         if self.view.contact:
             self.outcome = "collision"

@@ -19,7 +19,7 @@ from schemas.command import Command, StopCause
 from schemas.heartbeat import Heartbeat
 
 #: Age at which a command is no longer obeyed, seconds since the capture of the frame that it descends from. The robot
-#: must stand 0.5 s after the last command; the rest is for braking, see `services.robot.stopping`.
+#: must stand 0.5 s after the last command; the rest is for braking, see `services.robot.loop`.
 MAX_AGE_S: Final = 0.25
 #: Silence after which an operator is lost, seconds; five of their heartbeats.
 OPERATOR_S: Final = 0.25
@@ -124,7 +124,7 @@ class CommandGate:
         driver that drove before does not go on: that takes ``resume``, or the next episode.
         """
         with self._lock:
-            refusal = self._not_theirs(session)
+            refusal = self.not_theirs(session)
             if refusal is not None:
                 return refusal
             if self.attended and self._operator is None:
@@ -169,8 +169,10 @@ class CommandGate:
                 self._operator = None
                 self.stop("operator_lost")
 
-    def _not_theirs(self, session: str) -> str | None:
-        if self._operator is not None and session != self._operator.session:
+    def not_theirs(self, session: str) -> str | None:
+        """Say why something is not theirs to say: where an operator is there, it is the operator's alone."""
+        operator = self.operator
+        if operator is not None and operator != session:
             return "an operator is there, and only they may say so"
         return None
 
@@ -208,7 +210,7 @@ class CommandGate:
             mine = self._latest.get("teleop")
             if episode is not None and (episode != self._episode or (mine is not None and mine.command.tick > tick)):
                 return "another episode has begun, or the person has commanded since"
-            refusal = self._not_theirs(session)
+            refusal = self.not_theirs(session)
             if refusal is None:
                 self._taken_over = False
                 self._expire()
@@ -269,7 +271,7 @@ class CommandGate:
             return "wrong episode"
         if command.source not in ("teleop", self._driver):
             return "not the driver"
-        if command.source == "teleop" and self._not_theirs(command.session):
+        if command.source == "teleop" and self.not_theirs(command.session):
             return "not the operator"
         last = self._latest.get(command.source)
         if last is not None and last.command.session != command.session and now_s - last.offered_s <= LEASE_S:
@@ -295,8 +297,7 @@ class CommandGate:
                 return Applied("stop", 0.0, cause, "emergency_stop")
             source: Source = "teleop" if self._taken_over else self._driver
             latest = self._latest.get(source)
-            if latest is not None and now_s - latest.captured_s <= self.max_age_s:
+            if latest is not None and (age_s := now_s - latest.captured_s) <= self.max_age_s:
                 command = latest.command
-                age_s = now_s - latest.captured_s
                 return Applied(command.atom, command.speed, source, "command", command.tick, age_s)
             return Applied("stop", 0.0, None, "taken_over" if self._taken_over else "silence")

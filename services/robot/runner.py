@@ -22,7 +22,7 @@ from schemas.heartbeat import Heartbeat
 from schemas.image import Image
 from schemas.rpc import ArmRequest, EndRequest, Mode, ResetReply, ResetRequest, ResumeRequest
 from services.kit.jpeg import encode_jpeg
-from services.kit.node import ServiceError
+from services.kit.node import Detail, ServiceError
 from services.robot.body import Body, View
 from services.robot.clock import TICK_S, now_s
 from services.robot.episode import Episode
@@ -49,15 +49,15 @@ class Running(Generic[V]):
     id: str
     episode: Episode[V]
     pace: Pace[V]
+    #: When it began, by the gate's time and by the wall clock.
     begun_s: float
     begun_ns: int
     #: When the last frame was captured; the wall clock is read once an episode, since it may be set meanwhile.
     stamp_ns: int
     #: When the client that began it was last heard of.
     client_s: float
-    #: Whether the goal has been reached at all, and whether it is in the last frame.
+    #: Whether the goal has been reached at all.
     found: bool = False
-    reached: bool = False
     applied: Applied | None = None
     #: How many times it was said in this tick what moves the robot.
     said: int = 0
@@ -84,9 +84,15 @@ class Pace(Protocol[V]):
     def gate_s(self, tick: int) -> float:
         """Return the gate's time, by which commands grow old, while ``tick`` is the last frame."""
 
+    def captured_s(self, view: V, tick: int) -> float:
+        """Return the gate's time at which the frame of a tick was captured."""
+
     @property
     def delay_s(self) -> float:
         """Time from the capture of a frame to the moment when the command that answers it began to move the robot."""
+
+    def detail(self) -> Detail:
+        """Tell how time passes, for the robot's status."""
 
     def begin(self) -> None:
         """Begin, with frame 0 taken."""
@@ -136,6 +142,14 @@ class RealTime(Generic[V]):
         """Return the clock's time."""
         return self._clock()
 
+    def captured_s(self, view: V, _tick: int) -> float:
+        """Return what the body says; one whose clock is ahead must not keep commands fresh for longer."""
+        return min(view.captured_s, self._clock())
+
+    def detail(self) -> Detail:
+        """Tell how often a frame, or a step of the loop, came late."""
+        return {"late_frames": self.late, "late_steps": self.loop.late}
+
     def begin(self) -> None:
         """Start the loop."""
         self._due_s = self._clock() + TICK_S
@@ -179,6 +193,9 @@ class EpisodeRunner(Generic[V]):
         How time passes in other modes than real time.
     clock, wall_clock_ns
         The actuator's seconds, and nanoseconds since 1970.
+
+    Attributes
+    ----------
     wake
         Called when ``poll`` has something to do; must return at once.
     """
@@ -290,8 +307,8 @@ class EpisodeRunner(Generic[V]):
         # From here on nothing that was said before counts.
         self.gate.begin(name, request.driver)
         episode = Episode(self.body, self._task, request)
-        now, now_ns = self._clock(), self._wall_clock_ns()
-        self._running = run = Running(name, episode, pace, now, now_ns, now_ns, now)
+        now, now_ns = pace.gate_s(0), self._wall_clock_ns()
+        self._running = run = Running(name, episode, pace, now, now_ns, now_ns, client_s=self._clock())
         messages.append(self._event(run, "started"))
         try:
             messages.extend(self._frame(run))
@@ -321,8 +338,7 @@ class EpisodeRunner(Generic[V]):
             raise ServiceError(f"episode {request.episode} is not running")
         if not request.found:
             return self.end()
-        if self.gate.operator is not None and self.gate.operator != request.session:
-            raise ServiceError("an operator is there, and only they may say so")
+        self._unless(self.gate.not_theirs(request.session))
         return self.end("found", "operator")
 
     def end(self, outcome: Outcome | None = None, judge: Judge = "task") -> list[Message]:
@@ -335,7 +351,7 @@ class EpisodeRunner(Generic[V]):
             return []
         self._running = None
         run.pace.end()
-        outcome = outcome or ("found" if run.reached else "aborted")
+        outcome = outcome or ("found" if run.episode.reached else "aborted")
         return [self._event(run, "ended", outcome, judge)]
 
     # -- what happens ---------------------------------------------------------------------------------------------
@@ -343,8 +359,7 @@ class EpisodeRunner(Generic[V]):
     def offer(self, command: Command) -> None:
         """Take a command to the gate."""
         run = self._running
-        tick = 0 if run is None else run.tick
-        refusal = self.gate.offer(command, self._clock() if run is None else run.pace.gate_s(tick))
+        refusal = self.gate.offer(command, self._clock() if run is None else run.pace.gate_s(run.tick))
         if run is None or refusal is not None or command.source == "emergency_stop":
             return
         ready_s = run.ready_s.get(command.tick)
@@ -385,12 +400,9 @@ class EpisodeRunner(Generic[V]):
 
     def _frame(self, run: Running[V]) -> Iterator[Message]:
         view, tick = run.episode.view, run.tick
-        now_s = run.pace.gate_s(tick)
-        # A body whose clock is ahead must not keep commands fresh for longer.
-        captured_s = min(view.captured_s, now_s) if run.request.mode == "realtime" else now_s
+        captured_s = run.pace.captured_s(view, tick)
         self.gate.captured(tick, captured_s)
-        elapsed_s = captured_s - run.begun_s if run.request.mode == "realtime" else captured_s
-        run.stamp_ns = run.begun_ns + round(elapsed_s * 1e9)
+        run.stamp_ns = run.begun_ns + round((captured_s - run.begun_s) * 1e9)
         header = self.header(run)
         image = view.image
         height, width, _ = image.shape
@@ -406,8 +418,7 @@ class EpisodeRunner(Generic[V]):
         yield from run.frame
         # After the raw image, so that its features are worked on meanwhile.
         yield CompressedImage.after(header, width=width, height=height, data=encode_jpeg(image))
-        run.reached = run.episode.reached
-        if run.reached and not run.found:
+        if run.episode.reached and not run.found:
             run.found = True
             yield self._event(run, "victim_found")
 

@@ -20,7 +20,7 @@ from services.robot.body import Body, View
 from services.robot.config import RobotSettings
 from services.robot.gate import CommandGate
 from services.robot.loop import PERIOD_S, check_stopping
-from services.robot.runner import EpisodeRunner, Paces, RealTime
+from services.robot.runner import EpisodeRunner, Paces
 from services.robot.task import Task
 
 #: Name on the bus, whatever body it has.
@@ -118,8 +118,8 @@ class RobotService:
             "attended": gate.attended,
             "operator": gate.operator is not None,
         }
-        if running is not None and isinstance(running.pace, RealTime):
-            detail |= {"late_frames": running.pace.late, "late_steps": running.pace.loop.late}
+        if running is not None:
+            detail |= running.pace.detail()
         # This runs on a thread of the bus: list() takes the counts at one moment.
         detail |= {f"refused {reason}": count for reason, count in list(gate.refused.items())}
         return detail

@@ -10,6 +10,7 @@ from typing import Final
 
 from schemas.base import Atom, Message
 from schemas.rpc import ResetRequest
+from services.kit.node import Detail
 from services.robot.clock import TICK_S, now_s
 from services.robot.episode import Episode
 from services.robot.runner import EpisodeRunner, Running
@@ -67,10 +68,18 @@ class Lockstep:
         """Return simulated time, so that a slow machine makes no command stale."""
         return tick * TICK_S
 
+    def captured_s(self, _view: SimulatedView, tick: int) -> float:
+        """Return the time of the frame."""
+        return self.gate_s(tick)
+
     @property
     def delay_s(self) -> float:
         """Return 0: the world waits."""
         return 0.0
+
+    def detail(self) -> Detail:
+        """Tell how often a frame was sent again."""
+        return {"resent": self.resent}
 
     def begin(self) -> None:
         """Wait for the first answer."""

@@ -65,7 +65,6 @@ class EpisodeRecord:
     world: str = ""
     ticks: int = 0
     outcome: RunOutcome = "aborted"
-    route: tuple[tuple[float, float], ...] = ()
     poses: dict[int, tuple[float, float]] = field(default_factory=dict)
     arrived: bool = False
     decisions: dict[int, str] = field(default_factory=dict)
@@ -174,7 +173,7 @@ class EpisodeClient:
         # Rendering may be compiling its pipelines: the first reset takes seconds.
         asked = request.model_copy(update={"session": self.node.session})
         reply = self.node.bus.call("robot", "reset", asked, ResetReply, timeout_s=60.0)
-        self._episode, record.world, record.route = reply.episode, reply.world, reply.route
+        self._episode, record.world = reply.episode, reply.world
         self._alive_s = time.monotonic()
         try:
             on_begin(reply)

@@ -131,7 +131,7 @@ def search(
     episode = LockstepEpisode(simulation, request)
     controller.reset()
     # The search ends where the victim counts as found.
-    shortest_m = max(route_length_m(simulation.route()) - simulation.found_m, 0.0)
+    shortest_m = max(route_length_m(np.array(episode.beginning.route)) - simulation.found_m, 0.0)
     poses = [episode.view.pose]
     atoms: list[int] = []
     decisions: dict[int, str] = {}

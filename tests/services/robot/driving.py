@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
-from typing import cast
+from typing import Any, cast
 
 from schemas.base import Atom, Message, Source
 from schemas.command import Command
@@ -90,16 +90,9 @@ def command(
     return Command.after(header, source=source, sequence=sequence, atom=atom, speed=speed)
 
 
-def answer(
-    runner: Runner,
-    atom: Atom = "forward",
-    tick: int | None = None,
-    sequence: int = 0,
-    speed: float = 1.0,
-    source: Source = "policy",
-) -> list[Message]:
-    """Answer a frame; return what comes of it at once."""
-    runner.offer(command(runner, atom, tick, sequence, speed, source))
+def answer(runner: Runner, atom: Atom = "forward", **how: Any) -> list[Message]:
+    """Answer a frame with a ``command``; return what comes of it at once."""
+    runner.offer(command(runner, atom, **how))
     return list(runner.poll())
 
 

@@ -39,7 +39,7 @@ EQUIVALENT: Final = {
         "only the last stop is ever released"
     ),
     "CommandGate.arm: self._episode != '' -> self._episode > ''": "every name comes after the empty one",
-    "CommandGate._not_theirs: return None -> pass": _NONE,
+    "CommandGate.not_theirs: return None -> pass": _NONE,
     "CommandGate._check_sender: return None -> pass": _NONE,
     "CommandGate._check_sender: command.source == 'teleop' -> command.source >= 'teleop'": (
         "of the names of the sources teleop is the last in the alphabet"

@@ -3,18 +3,14 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Collection, Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
-import numpy as np
 import pytest
-from numpy.typing import NDArray
 
-from schemas.base import Atom, Message
-from schemas.rpc import ResetRequest
+from schemas.base import Atom
 from services.kit.node import Node
 from services.kit.settings import ServiceSettings
-from services.robot.body import Beginning, ImuReading
 from services.robot.clock import now_s
 from services.robot.gate import CommandGate
 from services.robot.loop import STAND_WITHIN_S, check_stopping
@@ -22,6 +18,7 @@ from services.robot.runner import EpisodeRunner
 from services.robot.service import RobotService
 from services.robot.task import OperatorsTask
 from tests.services.conftest import RunNode
+from tests.services.robot.line import LineBody
 from tests.services.teleop.console import Console
 from tests.services.waiting import eventually
 
@@ -29,46 +26,21 @@ from tests.services.waiting import eventually
 pytestmark = pytest.mark.zenoh
 
 
-@dataclass(frozen=True)
-class GreyView:
-    """A grey picture."""
-
-    captured_s: float
-    contact: bool = False
-    odometry: None = None
-    imu: tuple[ImuReading, ...] = ()
-
-    @property
-    def image(self) -> NDArray[np.uint8]:
-        return np.full((24, 32, 3), 128, dtype=np.uint8)
-
-    def more(self, _header: Message, _made: Collection[str] = ()) -> Iterator[Message]:
-        return iter(())
-
-
-class Wheels:
+class Wheels(LineBody):
     """A body that notes when it was told to move, and when to stand."""
 
-    name, speed_m_s, focal_px = "line", 1.0, None
-    watchdog_s, braking_s = 0.2, 0.1
+    braking_s = 0.1
 
     def __init__(self) -> None:
+        super().__init__(now_s)
         self.told: list[tuple[float, Atom]] = []
 
-    def drive(self, atom: Atom, _speed: float) -> None:
+    def drive(self, atom: Atom, speed: float) -> None:
+        super().drive(atom, speed)
         self.told.append((time.monotonic(), atom))
 
-    def stand(self) -> None:
-        self.told.append((time.monotonic(), "stop"))
-
-    def begin(self, _request: ResetRequest) -> Beginning:
-        return Beginning()
-
-    def look(self, _tick: int) -> GreyView:
-        return GreyView(now_s())
-
     @property
-    def moves(self) -> bool:
+    def driven(self) -> bool:
         return bool(self.told) and self.told[-1][1] != "stop"
 
     @property
@@ -113,19 +85,25 @@ def open_console(router_endpoint: str) -> Iterator[Callable[[], Console]]:
 
 
 def drive(console: Console, robot: Robot) -> None:
-    eventually(lambda: (console.type(b"\x1b[119u"), robot.wheels.moves)[1])
+    eventually(lambda: (console.type(b"\x1b[119u"), robot.wheels.driven)[1])
 
 
-def test_kill_9_of_the_teleoperation_while_it_drives(robot: Robot, open_console: Callable[[], Console]) -> None:
+def driving(open_console: Callable[[], Console], robot: Robot) -> Console:
+    """Sit down, begin an episode, and drive."""
     console = open_console()
     console.wait_for(r"robot: not armed  \|")
     console.type(b"n")
     console.wait_for(r"robot: stop \(nobody drives\)")
     drive(console, robot)
+    return console
+
+
+def test_kill_9_of_the_teleoperation_while_it_drives(robot: Robot, open_console: Callable[[], Console]) -> None:
+    console = driving(open_console, robot)
     console.process.kill()
     killed_s = time.monotonic()
     eventually(lambda: robot.gate.stop_cause == "operator_lost")
-    eventually(lambda: not robot.wheels.moves)
+    eventually(lambda: not robot.wheels.driven)
     assert robot.wheels.stands_s - killed_s <= STAND_WITHIN_S
     # Who sits down again is told, and goes on when they say so; no sooner.
     again = open_console()
@@ -137,11 +115,7 @@ def test_kill_9_of_the_teleoperation_while_it_drives(robot: Robot, open_console:
 
 
 def test_an_emergency_stop_stands_until_the_next_episode(robot: Robot, open_console: Callable[[], Console]) -> None:
-    console = open_console()
-    console.wait_for(r"robot: not armed  \|")
-    console.type(b"n")
-    console.wait_for(r"robot: stop \(nobody drives\)")
-    drive(console, robot)
+    console = driving(open_console, robot)
     console.type(b"\x1b[101u")
     pressed_s = time.monotonic()
     console.wait_for(r"EMERGENCY STOP  \|  .*robot: stop \(emergency stop\)")
