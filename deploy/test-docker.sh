@@ -93,7 +93,7 @@ check "docker compose build" "$took s" true
 for service in prepare "${SERVICES[@]}" demo; do
   bytes=$(docker image inspect -f '{{.Size}}' "$COMPOSE_PROJECT_NAME-$service")
   case $service in
-    simulator | demo) check "image of $service" "$((bytes / 1000000)) MB" true ;;
+    robot | demo) check "image of $service" "$((bytes / 1000000)) MB" true ;;
     *) check "image of $service is under 500 MB" "$((bytes / 1000000)) MB" test "$bytes" -lt 500000000 ;;
   esac
 done
