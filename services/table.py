@@ -25,18 +25,27 @@ class Service:
         What it does, in a few words.
     takes, gives
         Topics that it may subscribe to, and publish.
+    serves
+        Verbs that it answers beside ``status``.
+    calls
+        What it may call of others, ``<service>/<verb>``.
     image
         Target of the Dockerfile that it runs in; None for what is no process of its own in a stack.
     module
         What ``python -m`` runs; ``services.<name>`` if not given.
+    role
+        Whose certificate it shows to the router; its own if not given.
     """
 
     name: str
     meaning: str
     takes: tuple[Topic, ...] = ()
     gives: tuple[Topic, ...] = ()
+    serves: tuple[str, ...] = ()
+    calls: tuple[str, ...] = ()
     image: Literal["services", "recognition", "simulator"] | None = "services"
     module: str = ""
+    role: str = ""
 
     @property
     def command(self) -> tuple[str, str]:
@@ -57,6 +66,9 @@ SERVICES: Final = {
                 *(topics.CAMERA, topics.JPEG, topics.CAMERA_INFO, topics.DEPTH, topics.OVERHEAD),
                 *(topics.ODOMETRY, topics.IMU, topics.POSE, topics.APPLIED, topics.EPISODE),
             ),
+            serves=("arm", "reset", "resume", "end"),
+            # Whether there is another robot of its id.
+            calls=("robot/status",),
             image="simulator",
             module="services.simulator",
         ),
@@ -66,6 +78,7 @@ SERVICES: Final = {
             "knows where the robot is",
             (topics.OBSERVATION, topics.ODOMETRY, topics.APPLIED),
             (topics.STATE,),
+            serves=("load",),
             image="recognition",
         ),
         Service(
@@ -73,9 +86,15 @@ SERVICES: Final = {
             "decides",
             (topics.STATE, topics.APPLIED),
             (topics.ACTION, COMMANDS["policy"]),
+            serves=("load",),
             image="recognition",
         ),
-        Service("recorder", "writes recordings", tuple(topic for topic in TOPICS.values() if topic.recorded)),
+        Service(
+            "recorder",
+            "writes recordings",
+            tuple(topic for topic in TOPICS.values() if topic.recorded),
+            serves=("start", "flush", "stop"),
+        ),
         Service("tracker", "measures the robot's pose from above", (topics.OVERHEAD,), (topics.TRACKED,)),
         Service(
             "teleop",
@@ -83,6 +102,7 @@ SERVICES: Final = {
             (topics.APPLIED, topics.EPISODE),
             (COMMANDS["teleop"], COMMANDS["emergency_stop"], topics.HEARTBEAT),
             image=None,
+            role="operator",
         ),
         Service(
             "expert",
@@ -90,6 +110,7 @@ SERVICES: Final = {
             (topics.POSE, topics.OBSERVATION),
             (COMMANDS["expert"],),
             image=None,
+            role="operator",
         ),
     )
 }
@@ -130,3 +151,55 @@ def _graph() -> Iterator[str]:
                 yield f"    {giver.name} -.-> recorder"
             elif shared:
                 yield f'    {giver.name} -- "{"<br>".join(shared)}" --> {taker.name}'
+
+
+@dataclass(frozen=True)
+class Role:
+    """What the holder of a certificate may do on a robot's bus; all else is refused by the router.
+
+    Attributes
+    ----------
+    name
+        Common name of the certificate, or the user of a password.
+    takes, gives
+        Topics that it may subscribe to, and publish.
+    serves, calls
+        Queryables that it may be, and may ask, ``<service>/<verb>``.
+    person
+        Whether somebody holds it who also listens to key expressions, and not a service, which subscribes to topics.
+    """
+
+    name: str
+    takes: tuple[Topic, ...]
+    gives: tuple[Topic, ...]
+    serves: tuple[str, ...]
+    calls: tuple[str, ...]
+    person: bool = False
+
+
+def role_of(name: str) -> str:
+    """Return the role of a service, or of what is none: a person's command."""
+    service = SERVICES.get(name)
+    return "operator" if service is None else service.role or name
+
+
+def roles() -> dict[str, Role]:
+    """Return the roles by name: one for each service of a stack, and those of people.
+
+    An operator drives, and calls whatever is served; so does the console, for whoever is at its page. A watcher looks.
+    """
+    named: dict[str, Role] = {}
+    everything = tuple(TOPICS.values())
+    for service in SERVICES.values():
+        serves = tuple(f"{service.name}/{verb}" for verb in ("status", *service.serves))
+        if service.image is not None:
+            named[service.name] = Role(service.name, service.takes, service.gives, serves, service.calls)
+    own = [service for service in SERVICES.values() if service.role == "operator"]
+    served = tuple(key for role in named.values() for key in role.serves)
+    given = tuple(topic for topic in everything if any(topic in service.gives for service in own))
+    statuses = tuple(f"{service.name}/status" for service in own)
+    for name in ("operator", "console"):
+        named[name] = Role(name, everything, given, statuses, served, person=True)
+    asks = tuple(key for key in served if key.endswith("/status"))
+    named["watcher"] = Role("watcher", everything, (), (), asks, person=True)
+    return named

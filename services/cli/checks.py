@@ -22,7 +22,9 @@ from schemas.base import Strict
 from schemas.command import Command
 from schemas.rpc import Nothing, Status
 from services.cli.stack.processes import free_endpoint
-from services.kit.bus import DEFAULT_ROUTER, Bus, BusError, Router, RpcError, host_and_port
+from services.kit.bus import Bus, BusError, Router, RpcError, host_and_port
+from services.kit.credentials import how_secure
+from services.kit.settings import ServiceSettings
 from services.table import stack_services
 
 PYTHONS: Final = ((3, 11), (3, 13))
@@ -109,26 +111,31 @@ def _time_message(sender: Bus, arrived: threading.Event, sequence: int) -> float
     raise TimeoutError
 
 
-def check_port(endpoint: str = DEFAULT_ROUTER, robot: str = "rescuebot") -> Check:
-    """Look who listens on the router's port: nobody, a running stack, or somebody else."""
+def check_port(settings: ServiceSettings) -> Check:
+    """Look who listens on the router's port: nobody, a running stack, or somebody else; and who gets in there."""
+    endpoint, robot = settings.router, settings.robot
+    try:
+        secured = how_secure(settings.credentials("watcher"))
+    except BusError as error:
+        return Check("port", False, str(error))
     try:
         host, port = host_and_port(endpoint)
         socket.create_connection((host, port), 1.0).close()
     except ConnectionRefusedError:
-        return Check("port", True, f"{endpoint} is free")
+        return Check("port", True, f"{endpoint} is free, {secured}")
     except BusError as error:
         return Check("port", False, str(error))
     except OSError as error:
         return Check("port", False, f"{endpoint}: {error}; give another with --router or SMAL_ROUTER")
     elsewhere = f"stop it (ss -ltnp 'sport = :{port}' names it), or set SMAL_ROUTER to another port"
     try:
-        with closing(Bus(robot, endpoint, patience_s=1.0)) as bus:
+        with closing(settings.open_bus("watcher", patience_s=1.0)) as bus:
             running = [service for service in stack_services() if _runs(bus, service)]
-    except BusError:
-        return Check("port", False, f"{endpoint} is used by something that is no Zenoh router; {elsewhere}")
+    except BusError as error:
+        return Check("port", False, f"{error}; {elsewhere}")
     if not running:
         return Check("port", False, f"{endpoint} is used by a Zenoh router without services of {robot}; {elsewhere}")
-    return Check("port", True, f"{endpoint} is used by the running stack of {robot}: {', '.join(running)}")
+    return Check("port", True, f"{endpoint} is used by the running stack of {robot}, {secured}: {', '.join(running)}")
 
 
 def _runs(bus: Bus, service: str) -> bool:

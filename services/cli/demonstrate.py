@@ -38,6 +38,7 @@ def demonstrate(
     variation: options.Variation = None,
     modalities: Modalities = None,
     connect: options.Connect = None,
+    secure: options.Secure = None,
     robot: options.Robot = options.DEFAULT_ROBOT,
 ) -> None:
     """Have the scripted expert demonstrate the search, and record it.
@@ -57,7 +58,7 @@ def demonstrate(
     outputs.make_folder(out, "--out")
     services = ("router", "robot", "features", "recorder")
     own = {"robot": simulator.flags(), "features": feature_flags(features)}
-    with stack_for(connect, services, robot, own) as access:
+    with stack_for(connect, services, robot, own, secure) as access:
         recorded = _record(requests, access, out, asked, name)
     typer.echo(f"recorded {recorded} drives in {out}; next: smal learn {out} --out MODEL")
 

@@ -9,12 +9,11 @@ from dataclasses import asdict
 import typer
 
 from services.cli.checks import Check, check_disk, check_port, check_python, check_rendering, check_zenoh
-from services.cli.options import DEFAULT_ROBOT, Json, Robot, Router
-from services.kit.bus import DEFAULT_ROUTER
+from services.cli.options import DEFAULT_ROBOT, Json, Robot, Router, Secure, settings_for
 from services.kit.node import EXIT_FAILED
 
 
-def doctor(as_json: Json = False, robot: Robot = DEFAULT_ROBOT, router: Router = DEFAULT_ROUTER) -> None:
+def doctor(as_json: Json = False, robot: Robot = DEFAULT_ROBOT, router: Router = None, secure: Secure = None) -> None:
     """Check rendering, Zenoh, the router's port, Python and disk space; says what to install.
 
     Example: smal doctor
@@ -23,7 +22,7 @@ def doctor(as_json: Json = False, robot: Robot = DEFAULT_ROBOT, router: Router =
         check_python,
         check_disk,
         check_zenoh,
-        lambda: check_port(router, robot),
+        lambda: check_port(settings_for(robot, router, secure)),
         check_rendering,
     )
     results = []

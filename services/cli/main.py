@@ -31,6 +31,7 @@ COMMANDS: Final = {
     "match": ("services.cli.match:match", "Match the places of two image folders."),
     "tune": ("services.cli.tune:tune", "Choose settings for matching and learning."),
     "topic": ("services.cli.topic:app", "List the topics; listen to them."),
+    "secure": ("services.cli.secure:app", "Make and check certificates: who may do what."),
     "world": ("services.cli.world:app", "Make worlds out of maps; draw them."),
     "bench": ("services.cli.bench:bench", "Run a benchmark of the project."),
 }

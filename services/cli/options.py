@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Final, Self
+from typing import Annotated, Any, Final, Self
 
 import typer
 from pydantic import ValidationError
@@ -15,6 +15,7 @@ from schemas.topics import check_robot_id
 from services.kit.bus import DEFAULT_ROUTER
 from services.kit.errors import UsageError
 from services.kit.model_service import refused
+from services.kit.settings import DEFAULT_SECURE_ROUTER, ServiceSettings
 from services.simulator.variation import VARIATIONS
 from services.simulator.world import WorldError, load_world
 from services.simulator.world.place import World as LoadedWorld
@@ -24,7 +25,17 @@ DEFAULT_ROBOT: Final = "rescuebot"
 DEFAULT_WORLD: Final = "campus"
 
 Robot = Annotated[str, typer.Option(envvar="SMAL_ROBOT", help="Robot id, part of every topic's key.")]
-Router = Annotated[str, typer.Option(envvar="SMAL_ROUTER", help="Address of the stack's Zenoh router.")]
+Router = Annotated[
+    str | None,
+    typer.Option(
+        envvar="SMAL_ROUTER",
+        help=f"Address of the stack's Zenoh router. [default: {DEFAULT_ROUTER}; with --secure {DEFAULT_SECURE_ROUTER}]",
+    ),
+]
+Secure = Annotated[
+    Path | None,
+    typer.Option(envvar="SMAL_SECURE", help="Folder of certificates or passwords, made by `smal secure init`."),
+]
 Json = Annotated[bool, typer.Option("--json", help="Print JSON.")]
 World = Annotated[
     str, typer.Option(help="World: a name in deploy/worlds, or the path of an OpenStreetMap or world file.")
@@ -113,6 +124,22 @@ def camera_of_own_stack(camera: str | None, connect: str | None) -> Camera:
     if camera is not None and connect is not None:
         raise UsageError("--camera: with --connect the running stack has its camera; give it to `smal up`")
     return Camera.parse(camera or "1024x768")
+
+
+def settings_for(robot: str, router: str | None, secure: Path | None) -> ServiceSettings:
+    """Return how a stack is reached.
+
+    Raises
+    ------
+    UsageError
+        When the robot's id cannot be part of a key, or the environment has settings that cannot be used.
+    """
+    check_robot(robot)
+    try:
+        given: dict[str, Any] = {"robot": robot, "secure": secure} | ({} if router is None else {"router": router})
+        return ServiceSettings(**given)
+    except ValidationError as error:
+        raise UsageError(describe(error)) from None
 
 
 def check_robot(robot: str) -> str:

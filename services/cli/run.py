@@ -65,6 +65,7 @@ def run(
     base: options.Base = None,
     variation: options.Variation = None,
     connect: options.Connect = None,
+    secure: options.Secure = None,
     robot: options.Robot = options.DEFAULT_ROBOT,
 ) -> None:
     """Let the robot find the victim by itself, and count how often it does.
@@ -102,7 +103,7 @@ def run(
     records: list[EpisodeRecord] = []
     try:
         with (
-            stack_for(connect, services, robot, own) as access,
+            stack_for(connect, services, robot, own, secure) as access,
             _client(access.settings, load, identity) as client,
             recording(client.node.bus, record) if record else nullcontext(),
         ):

@@ -8,8 +8,7 @@ import typer
 from pydantic import ValidationError
 
 from schemas.codec import describe
-from services.cli.options import DEFAULT_ROBOT, GoalOfDrives, Robot, Router
-from services.kit.bus import DEFAULT_ROUTER
+from services.cli.options import DEFAULT_ROBOT, GoalOfDrives, Robot, Router, Secure, settings_for
 from services.kit.errors import UsageError
 from services.teleop.config import TeleopSettings
 from services.teleop.session import run
@@ -18,7 +17,8 @@ from services.teleop.terminal import NoTerminalError, require_terminal
 
 def teleop(
     robot: Robot = DEFAULT_ROBOT,
-    router: Router = DEFAULT_ROUTER,
+    router: Router = None,
+    secure: Secure = None,
     seed: Annotated[int | None, typer.Option(min=0, help="Seed of the first episode; random if not given.")] = None,
     goal: GoalOfDrives = "victim",
 ) -> None:
@@ -30,7 +30,8 @@ def teleop(
     """
     try:
         require_terminal()
-        settings = TeleopSettings(robot=robot, router=router, seed=seed, goal=goal)
+        reached = settings_for(robot, router, secure)
+        settings = TeleopSettings(**reached.model_dump(), seed=seed, goal=goal)
     except NoTerminalError as error:
         raise UsageError(str(error)) from None
     except ValidationError as error:

@@ -17,7 +17,8 @@ from services.cli.interrupts import interrupted_by_signals
 from services.cli.options import Camera
 from services.cli.simulator_options import SimulatorOptions
 from services.cli.stack.processes import Stack, StackPlan, flags
-from services.kit.bus import DEFAULT_ROUTER, Router
+from services.kit.bus import Router
+from services.kit.credentials import how_secure
 from services.kit.errors import UsageError
 from services.kit.node import configure_logging
 from services.table import stack_services
@@ -48,7 +49,11 @@ def up(
         ),
     ] = None,
     robot: options.Robot = options.DEFAULT_ROBOT,
-    router: options.Router = DEFAULT_ROUTER,
+    router: options.Router = None,
+    secure: options.Secure = None,
+    insecure: Annotated[
+        bool, typer.Option("--insecure", help="Listen where other machines reach it, and let everybody in.")
+    ] = False,
 ) -> None:
     """Start the services, from the router to the recorder, and keep them running.
 
@@ -62,16 +67,18 @@ def up(
     """
     simulator = SimulatorOptions(world, Camera.parse(camera), shake=shake, base=base, variation=variation)
     options.check_world(world)
-    options.check_robot(robot)
+    reached = options.settings_for(robot, router, secure)
     if recordings is not None:
         outputs.make_folder(recordings, "--recordings")
     chain, learned_on = _chain_flags(model, scheme, stride, goal)
     features = features_for_model(modalities, learned_on)
     # Said here, in one line, before the processes start and one of them fails.
-    Router(router).close()
+    credentials = reached.credentials("router")
+    Router(reached.router, credentials, robot, insecure=insecure).close()
     configure_logging("info")
     log = logging.getLogger("up")
     own = {
+        "router": ("--insecure",) if insecure else (),
         "robot": simulator.flags(),
         "features": feature_flags(features),
         "recognition": chain,
@@ -81,10 +88,14 @@ def up(
     services = stack_services()
     addresses = _http_addresses(services, metrics_port)
     plan = StackPlan(
-        services, robot, router, {name: own.get(name, ()) + flags(http=addresses.get(name)) for name in services}
+        services,
+        robot,
+        reached.router,
+        {name: own.get(name, ()) + flags(http=addresses.get(name)) for name in services},
+        secure=secure,
     )
     with interrupted_by_signals(), Stack(plan) as stack:
-        log.info("ready: robot %s in %s on %s; Ctrl-C stops", robot, world, router)
+        log.info("ready: robot %s in %s on %s, %s; Ctrl-C stops", robot, world, reached.router, how_secure(credentials))
         if addresses:
             where = ", ".join(f"{name} {address.rpartition(':')[2]}" for name, address in addresses.items())
             log.info("GET /healthz and /metrics on 127.0.0.1: %s", where)

@@ -16,9 +16,10 @@ from schemas.base import Message, Strict
 from schemas.codec import describe, encode, printable
 from schemas.rpc import Failure
 from schemas.topics import TOPICS, Topic, rpc_key
+from services.kit.credentials import Credentials
 from services.kit.memory_wire import MEMORY, MemoryRouter, MemoryWire
 from services.kit.wire import Answer, BusError, Take, Wire
-from services.kit.zenoh_wire import DEFAULT_ROUTER, PATIENCE_S, Router, ZenohWire, host_and_port
+from services.kit.zenoh_wire import DEFAULT_ROUTER, PATIENCE_S, Router, ZenohWire, host_and_port, zenohd_configuration
 
 __all__ = [
     "DEFAULT_ROUTER",
@@ -30,6 +31,7 @@ __all__ = [
     "RpcError",
     "Take",
     "host_and_port",
+    "zenohd_configuration",
 ]
 
 #: Largest request of a service, bytes.
@@ -53,18 +55,28 @@ class Bus:
         of a ``MemoryRouter`` of this process.
     patience_s
         How long to wait for the router.
+    credentials
+        Who this is to the router; None where it lets everybody in.
 
     Raises
     ------
     BusError
-        When the address is malformed, or no router is there within ``patience_s``.
+        When the address is malformed, or no router is there within ``patience_s`` that lets us in.
     """
 
-    def __init__(self, robot: str, endpoint: str = DEFAULT_ROUTER, patience_s: float = PATIENCE_S) -> None:
+    def __init__(
+        self,
+        robot: str,
+        endpoint: str = DEFAULT_ROUTER,
+        patience_s: float = PATIENCE_S,
+        credentials: Credentials = None,
+    ) -> None:
         self.robot = robot
         self.endpoint = endpoint
         self._wire: Wire = (
-            MemoryWire(robot, endpoint) if endpoint.startswith(MEMORY) else ZenohWire(robot, endpoint, patience_s)
+            MemoryWire(robot, endpoint)
+            if endpoint.startswith(MEMORY)
+            else ZenohWire(robot, endpoint, patience_s, credentials)
         )
 
     def connected(self) -> bool:

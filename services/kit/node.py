@@ -27,12 +27,13 @@ from schemas.codec import DecodeError, decode, describe
 from schemas.command import Command
 from schemas.rpc import Failure, Nothing, Status
 from schemas.topics import Topic, key_of
-from services.kit.bus import PATIENCE_S, Bus, BusError
+from services.kit.bus import PATIENCE_S, BusError
 from services.kit.health import ailment
 from services.kit.http import HttpError, HttpServer
 from services.kit.inbox import Inbox, Item
 from services.kit.metrics import Metrics
 from services.kit.settings import ServiceSettings
+from services.table import role_of
 
 REQUEST_QUEUE: Final = 64
 EXIT_FAILED: Final = 1
@@ -125,7 +126,7 @@ class Node:
         #: Which process this is: drawn anew at every start, for those who have to tell two of a name apart.
         self.session = secrets.token_hex(8)
         self.log = logging.getLogger(name)
-        self.bus = Bus(settings.robot, settings.router, patience_s)
+        self.bus = settings.open_bus(role_of(name), patience_s)
         self.detail: Callable[[], Detail] = dict
         self._inbox = Inbox()
         self._handlers: dict[str, Callable[[object], None]] = {}

@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from pathlib import Path
+from typing import Annotated, Final, Literal, Self
 
-from pydantic import Field
+from pydantic import Field, model_validator
 from pydantic_settings import BaseSettings, SettingsConfigDict
 
 from schemas.base import ROBOT_ID_PATTERN
-from services.kit.bus import DEFAULT_ROUTER
+from services.kit.bus import DEFAULT_ROUTER, PATIENCE_S, Bus
+from services.kit.credentials import Credentials, certificate_of, credentials_in
+
+#: Where a router is that takes certificates, unless something else is said.
+DEFAULT_SECURE_ROUTER: Final = DEFAULT_ROUTER.replace("tcp/", "tls/")
 
 
 class ServiceSettings(BaseSettings):
@@ -19,8 +24,47 @@ class ServiceSettings(BaseSettings):
     robot: Annotated[str, Field(pattern=ROBOT_ID_PATTERN)] = "rescuebot"
     """Robot id, part of every topic's key."""
     router: str = DEFAULT_ROUTER
-    """Address of the Zenoh router."""
+    """Address of the Zenoh router; with certificates it begins with tls/."""
+    secure: Path | None = None
+    """Folder of certificates, or passwords, that `smal secure init` made."""
+    tls_ca: Path | None = None
+    """Certificate by whose signature others are known, in place of the folder's."""
+    tls_cert: Path | None = None
+    """Certificate of this process."""
+    tls_key: Path | None = None
+    """Its key."""
     http: Annotated[str | None, Field(pattern=r"^[^\s/:]*:\d{1,5}$")] = None
     """Where to answer GET /healthz and GET /metrics, HOST:PORT; nowhere if not given."""
     log_level: Literal["debug", "info", "warning", "error"] = "info"
     """Least severe messages that are logged."""
+
+    @model_validator(mode="after")
+    def _check(self) -> Self:
+        given = [name for name in ("tls_ca", "tls_cert", "tls_key") if getattr(self, name) is not None]
+        if 0 < len(given) < 3:
+            raise ValueError("tls_ca, tls_cert and tls_key go together")
+        if (given or self.secure) and "router" not in self.model_fields_set:
+            self.router = DEFAULT_SECURE_ROUTER
+        return self
+
+    def credentials(self, role: str) -> Credentials:
+        """Return what to show the router, as one of the roles of the table of services.
+
+        Raises
+        ------
+        BusError
+            When it is asked for, and not there.
+        """
+        if self.tls_ca and self.tls_cert and self.tls_key:
+            return certificate_of(self.tls_ca, self.tls_cert, self.tls_key)
+        return None if self.secure is None else credentials_in(self.secure, role, self.router)
+
+    def open_bus(self, role: str, patience_s: float = PATIENCE_S) -> Bus:
+        """Connect to the router, as one of the roles of the table of services.
+
+        Raises
+        ------
+        BusError
+            When there is no router, or it does not let us in.
+        """
+        return Bus(self.robot, self.router, patience_s, self.credentials(role))

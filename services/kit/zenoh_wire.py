@@ -7,15 +7,18 @@ from __future__ import annotations
 
 import json
 import re
+import socket
 import time
 from collections.abc import Callable
-from typing import Final, cast
+from typing import Any, Final, cast
 
 import zenoh
 import zenoh.ext
 
 from schemas.codec import encoding_of
 from schemas.topics import KEPT_S, Topic
+from services.kit.access import access_control
+from services.kit.credentials import Certificate, Credentials, Password, encrypted, others_reach
 from services.kit.heap import keep_freed_memory
 from services.kit.replay import Replay
 from services.kit.wire import Answer, BusError, Serve, Take, Wire
@@ -39,8 +42,12 @@ _CALL_PRIORITY: Final = zenoh.Priority.INTERACTIVE_LOW
 JSON_ENCODING: Final = zenoh.Encoding("application/json")
 
 
-def _configuration(mode: str, where: str, endpoint: str) -> zenoh.Config:
-    config = zenoh.Config()
+def settings_of(mode: str, endpoint: str, credentials: Credentials) -> dict[str, object]:
+    """Return what a router, or a client of one, tells Zenoh, by the paths of Zenoh's own settings."""
+    where = "listen" if mode == "router" else "connect"
+    if mode == "client":
+        # Every address of this machine is one to listen on; no certificate has that name.
+        endpoint = re.sub(r"/(0\.0\.0\.0|\[::\]):", "/localhost:", endpoint)
     settings: dict[str, object] = {
         "mode": mode,
         f"{where}/endpoints": [endpoint],
@@ -66,9 +73,51 @@ def _configuration(mode: str, where: str, endpoint: str) -> zenoh.Config:
         settings["connect/timeout_ms"] = ATTEMPT_MS
         settings["connect/exit_on_failure"] = False
         settings["connect/retry"] = {"period_init_ms": 100, "period_max_ms": 500, "period_increase_factor": 1.5}
+    if isinstance(credentials, Certificate):
+        settings |= {
+            "transport/link/tls/root_ca_certificate": str(credentials.ca),
+            f"transport/link/tls/{where}_certificate": str(credentials.certificate),
+            f"transport/link/tls/{where}_private_key": str(credentials.key),
+            "transport/link/tls/enable_mtls": True,
+            "transport/link/tls/verify_name_on_connect": True,
+            "transport/link/tls/close_link_on_expiration": True,
+        }
+    elif isinstance(credentials, Password):
+        settings |= {
+            "transport/auth/usrpwd/user": credentials.user,
+            "transport/auth/usrpwd/password": credentials.password,
+        }
+        if mode == "router":
+            settings["transport/auth/usrpwd/dictionary_file"] = str(credentials.dictionary)
+    return settings
+
+
+def _configuration(settings: dict[str, object]) -> zenoh.Config:
+    config = zenoh.Config()
     for key, value in settings.items():
         config.insert_json5(key, json.dumps(value))
     return config
+
+
+def router_settings(endpoint: str, robot: str, credentials: Credentials) -> dict[str, object]:
+    """Return what a router tells Zenoh: who comes with credentials may do what the table of services says."""
+    settings = settings_of("router", endpoint, credentials)
+    if credentials is not None:
+        settings["access_control"] = access_control(robot)
+        settings["adminspace"] = {"enabled": True, "permissions": {"read": True, "write": False}}
+    return settings
+
+
+def zenohd_configuration(endpoint: str, robot: str, credentials: Credentials) -> dict[str, object]:
+    """Return what makes Eclipse's own router, a program of its own, the same router as ``Router``."""
+    tree: dict[str, Any] = {}
+    for path, value in router_settings(endpoint, robot, credentials).items():
+        *folders, last = path.split("/")
+        at = tree
+        for folder in folders:
+            at = at.setdefault(folder, {})
+        at[last] = value
+    return tree
 
 
 def host_and_port(endpoint: str) -> tuple[str, int]:
@@ -85,14 +134,32 @@ def host_and_port(endpoint: str) -> tuple[str, int]:
     return match[1].strip("[]"), int(match[2])
 
 
-def _open_client(endpoint: str, patience_s: float) -> zenoh.Session:
+def _check_credentials(endpoint: str, credentials: Credentials) -> None:
+    if encrypted(endpoint) and not isinstance(credentials, Certificate):
+        raise BusError(f"{endpoint} needs a certificate: give --secure DIR, or set SMAL_TLS_CA, _CERT and _KEY")
+    if isinstance(credentials, Certificate) and not encrypted(endpoint):
+        raise BusError(f"{endpoint} is not encrypted: with a certificate give an address that begins with tls/")
+
+
+def _open_client(endpoint: str, credentials: Credentials, patience_s: float) -> zenoh.Session:
     deadline = time.monotonic() + patience_s
     while True:
         try:
-            return zenoh.open(_configuration("client", "connect", endpoint))
+            return zenoh.open(_configuration(settings_of("client", endpoint, credentials)))
         except zenoh.ZError:
             if time.monotonic() > deadline:
-                raise BusError(f"no router at {endpoint}; start the stack with `smal up`") from None
+                raise BusError(_why_no_router(endpoint, credentials)) from None
+
+
+def _why_no_router(endpoint: str, credentials: Credentials) -> str:
+    """Tell a router that refuses us, for whatever reason of its own, from none."""
+    try:
+        socket.create_connection(host_and_port(endpoint), 1.0).close()
+    except OSError:
+        return f"no router at {endpoint}; start the stack with `smal up`"
+    shown = {Certificate: "who shows this certificate", Password: "who gives this password"}
+    who = shown.get(type(credentials), "without a certificate or a password")
+    return f"what listens at {endpoint} is no router, or takes nobody in {who}"
 
 
 class Router:
@@ -102,18 +169,38 @@ class Router:
     ----------
     endpoint
         Where to listen, for example ``tcp/127.0.0.1:7447``.
+    credentials
+        Who it is to its clients. With them it lets in who has credentials, and these may do what their role may with
+        ``robot``; without them everybody may do everything.
+    robot
+        Whose bus it is, where there are credentials.
+    insecure
+        Whether it may listen without credentials where other machines reach it.
 
     Raises
     ------
     BusError
-        When the endpoint is malformed or its port is taken.
+        When the endpoint is malformed, its port is taken, or strangers would get in.
     """
 
-    def __init__(self, endpoint: str = DEFAULT_ROUTER) -> None:
-        host_and_port(endpoint)
+    def __init__(
+        self,
+        endpoint: str = DEFAULT_ROUTER,
+        credentials: Credentials = None,
+        robot: str = "",
+        *,
+        insecure: bool = False,
+    ) -> None:
+        host, _ = host_and_port(endpoint)
+        _check_credentials(endpoint, credentials)
+        if credentials is None and not insecure and others_reach(host):
+            raise BusError(
+                f"{endpoint} can be reached from other machines, and whoever reaches it could drive the robot: "
+                "give --secure DIR (`smal secure init` makes it), or --insecure"
+            )
         keep_freed_memory()
         try:
-            self._session = zenoh.open(_configuration("router", "listen", endpoint))
+            self._session = zenoh.open(_configuration(router_settings(endpoint, robot, credentials)))
         except zenoh.ZError as error:
             reason = "the port is in use" if "in use" in str(error) else str(error).partition(" at /")[0][:200]
             raise BusError(
@@ -136,18 +223,23 @@ class ZenohWire(Wire):
         Robot id and the router's address; after an outage the connection is made again in the background.
     patience_s
         How long to wait for the router.
+    credentials
+        Who this is to the router.
 
     Raises
     ------
     BusError
-        When the address is malformed, or no router is there within ``patience_s``.
+        When the address is malformed, or no router is there within ``patience_s`` that lets us in.
     """
 
-    def __init__(self, robot: str, endpoint: str, patience_s: float = PATIENCE_S) -> None:
+    def __init__(
+        self, robot: str, endpoint: str, patience_s: float = PATIENCE_S, credentials: Credentials = None
+    ) -> None:
         host_and_port(endpoint)
+        _check_credentials(endpoint, credentials)
         keep_freed_memory()
         self._robot = robot
-        self.sessions = {urgent: _open_client(endpoint, patience_s) for urgent in (False, True)}
+        self.sessions = {urgent: _open_client(endpoint, credentials, patience_s) for urgent in (False, True)}
         self._publishers: dict[str, zenoh.Publisher | zenoh.ext.AdvancedPublisher] = {}
         self._declared: list[zenoh.Subscriber[None] | zenoh.ext.AdvancedSubscriber[None] | zenoh.Queryable[None]] = []
 

@@ -13,7 +13,7 @@ from schemas.command import Command, CommandApplied
 from schemas.episode import Episode
 from schemas.rpc import ArmRequest, EndRequest, Nothing, ResetReply, ResetRequest, ResumeRequest, Status
 from schemas.topics import COMMANDS, HEARTBEAT
-from services.kit.bus import Bus, RpcError
+from services.kit.bus import RpcError
 from services.kit.node import Detail, Node, ServiceError
 from services.kit.settings import ServiceSettings
 from services.robot.body import Body, View
@@ -38,7 +38,7 @@ def check_alone(settings: ServiceSettings) -> None:
     ServiceError
         When another process answers for this robot.
     """
-    with closing(Bus(settings.robot, settings.router)) as bus, suppress(RpcError):
+    with closing(settings.open_bus(ROBOT)) as bus, suppress(RpcError):
         other = bus.call(ROBOT, "status", Nothing(), Status, ANSWER_S)
         raise ServiceError(f"robot {settings.robot} is there already (process {other.pid}); give this one another id")
 

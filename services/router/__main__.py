@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from services.kit.bus import Router
+from services.kit.credentials import how_secure
 from services.kit.node import Node, configure_logging, read_settings, run_service
 from services.router.config import RouterSettings
 
@@ -11,11 +12,12 @@ def serve() -> None:
     """Route until stopped; the status queryable is a client of the router like any other."""
     settings = read_settings(RouterSettings, "router")
     configure_logging(settings.log_level)
-    router = Router(settings.router)
+    credentials = settings.credentials("router")
+    router = Router(settings.router, credentials, settings.robot, insecure=settings.insecure)
     try:
         with Node("router", settings) as node:
             node.stop_on_signals()
-            node.log.info("listening on %s", settings.router)
+            node.log.info("listening on %s, %s", settings.router, how_secure(credentials))
             node.spin()
     finally:
         router.close()

@@ -7,3 +7,6 @@ from services.kit.settings import ServiceSettings
 
 class RouterSettings(ServiceSettings):
     """Listens on ``--router``."""
+
+    insecure: bool = False
+    """Whether it may listen without certificates or passwords where other machines reach it."""

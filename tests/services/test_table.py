@@ -11,6 +11,7 @@ from schemas.topics import TOPICS, Topic
 from services.cli.checks import check_port
 from services.cli.stack.processes import Stack, StackPlan
 from services.cli.topic import markdown_table
+from services.kit.settings import ServiceSettings
 from services.table import SERVICES, Service, givers, graph, stack_services, takers
 from tests.services.cli.conftest import ROOT
 
@@ -76,6 +77,6 @@ def test_a_new_service_starts_with_the_stack_and_the_doctor_finds_it(
     assert stack_services()[-1] == "toy"
     plan = StackPlan(("router", "toy"), "toybot", free_endpoint, logs=tmp_path / "logs")
     with Stack(plan):
-        found = check_port(free_endpoint, "toybot")
+        found = check_port(ServiceSettings(robot="toybot", router=free_endpoint))
     assert found.ok
     assert found.text.endswith("router, toy")

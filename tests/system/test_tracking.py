@@ -26,7 +26,7 @@ def test_the_tracker_agrees_with_the_true_pose_over_a_whole_drive(
 ) -> None:
     simulator = SimulatorOptions("indoor", Camera(64, 48)).flags()
     services = ("router", "robot", "features", "tracker")
-    with stack_for(None, services, "turtlebot", {"robot": simulator}, tmp_path) as access:
+    with stack_for(None, services, "turtlebot", {"robot": simulator}, logs=tmp_path) as access:
         client, expert = EpisodeClient("tracking", access.settings), ExpertService()
         true: dict[int, Pose] = {}
         tracked: dict[int, TrackedPose] = {}

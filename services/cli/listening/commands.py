@@ -9,6 +9,7 @@ import time
 from collections import defaultdict
 from collections.abc import Iterator
 from contextlib import closing, contextmanager
+from pathlib import Path
 from typing import Annotated, Final, cast
 
 import typer
@@ -17,23 +18,29 @@ from schemas.topics import ROOT
 from services.cli.listening.bandwidth import Sizes, bandwidth_lines, total
 from services.cli.listening.rates import Rate, rate_lines
 from services.cli.listening.samples import Sample
-from services.cli.options import DEFAULT_ROBOT, Json, Robot, Router, check_robot
-from services.kit.bus import DEFAULT_ROUTER, Bus
+from services.cli.options import DEFAULT_ROBOT, Json, Robot, Router, Secure, settings_for
+from services.kit.bus import Bus
 from services.kit.inbox import Inbox
 
 #: Samples kept while the terminal is slower than the bus; a raw frame takes 2.4 MB.
 QUEUE: Final = 64
 CONNECT_S: Final = 2.0
-Keys = Annotated[str, typer.Argument(help="Key expression, or a topic's name such as camera/rgb.", metavar="KEYEXPR")]
+Keys = Annotated[
+    str | None,
+    typer.Argument(
+        help="Key expression, or a topic's name such as camera/rgb. [default: all of the robot]", metavar="[KEYEXPR]"
+    ),
+]
 Seconds = Annotated[float, typer.Option(min=0.1, max=86400, help="How long to listen; Ctrl-C ends it earlier.")]
 
 
 def echo(
-    keys: Keys = f"{ROOT}/**",
+    keys: Keys = None,
     count: Annotated[int | None, typer.Option(min=1, help="End after this many messages.")] = None,
     as_json: Json = False,
     robot: Robot = DEFAULT_ROBOT,
-    router: Router = DEFAULT_ROUTER,
+    router: Router = None,
+    secure: Secure = None,
 ) -> None:
     """Print every message until Ctrl-C.
 
@@ -43,7 +50,7 @@ def echo(
     """
     inbox = Inbox()
     inbox.open("samples", QUEUE)
-    with listening(robot, router) as bus:
+    with listening(robot, router, secure) as bus:
         bus.listen(key_expression(keys, robot), lambda *sample: inbox.put("samples", Sample(*sample)))
         printed = 0
         while printed != count:
@@ -57,11 +64,12 @@ def echo(
 
 
 def hz(
-    keys: Keys = f"{ROOT}/**",
+    keys: Keys = None,
     seconds: Seconds = 5.0,
     as_json: Json = False,
     robot: Robot = DEFAULT_ROBOT,
-    router: Router = DEFAULT_ROUTER,
+    router: Router = None,
+    secure: Secure = None,
 ) -> None:
     """Measure rate and regularity of each key.
 
@@ -71,7 +79,7 @@ def hz(
     """
     expression = key_expression(keys, robot)
     rates: defaultdict[str, Rate] = defaultdict(Rate)
-    with listening(robot, router) as bus:
+    with listening(robot, router, secure) as bus:
         # Counted on Zenoh's thread, where the time of arrival is true; one subscription, so one thread.
         bus.listen(expression, lambda key, payload, _: rates[key].add(len(payload), time.monotonic()))
         wait(expression, seconds)
@@ -84,11 +92,12 @@ def hz(
 
 
 def bw(
-    keys: Keys = f"{ROOT}/**",
+    keys: Keys = None,
     seconds: Seconds = 5.0,
     as_json: Json = False,
     robot: Robot = DEFAULT_ROBOT,
-    router: Router = DEFAULT_ROUTER,
+    router: Router = None,
+    secure: Secure = None,
 ) -> None:
     """Measure bandwidth and size of messages.
 
@@ -100,7 +109,7 @@ def bw(
     expression = key_expression(keys, robot)
     sizes: defaultdict[str, Sizes] = defaultdict(Sizes)
     started_s = time.monotonic()
-    with listening(robot, router) as bus:
+    with listening(robot, router, secure) as bus:
         bus.listen(expression, lambda key, payload, _: sizes[key].add(len(payload)))
         started_s = time.monotonic()
         wait(expression, seconds)
@@ -114,15 +123,17 @@ def bw(
         say("\n".join(bandwidth_lines(sizes, elapsed_s)))
 
 
-def key_expression(keys: str, robot: str) -> str:
-    """Return a key expression as it is, or that of a topic's short name for one robot."""
+def key_expression(keys: str | None, robot: str) -> str:
+    """Return a key expression as it is, or that of a topic's short name, or of everything, for one robot."""
+    if keys is None:
+        return f"{ROOT}/{robot}/**"
     return keys if keys == ROOT or keys.startswith((f"{ROOT}/", "*")) else f"{ROOT}/{robot}/{keys}"
 
 
 @contextmanager
-def listening(robot: str, router: str) -> Iterator[Bus]:
+def listening(robot: str, router: str | None, secure: Path | None) -> Iterator[Bus]:
     """Connect to the bus; Ctrl-C, and a reader that closed the pipe, end the listening and nothing else."""
-    with closing(Bus(check_robot(robot), router, CONNECT_S)) as bus:
+    with closing(settings_for(robot, router, secure).open_bus("watcher", CONNECT_S)) as bus:
         try:
             yield bus
         except KeyboardInterrupt:

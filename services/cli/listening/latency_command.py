@@ -16,8 +16,8 @@ from schemas.topics import ACTION, APPLIED, CAMERA, COMMANDS, OBSERVATION, POSE,
 from services.cli.listening.commands import Seconds, listening, say, wait
 from services.cli.listening.latency import ACCEPTED, LatencyTrace, record, rows
 from services.cli.listening.samples import header_of
-from services.cli.options import DEFAULT_ROBOT, Json, Robot, Router
-from services.kit.bus import DEFAULT_ROUTER, Bus
+from services.cli.options import DEFAULT_ROBOT, Json, Robot, Router, Secure
+from services.kit.bus import Bus
 from services.kit.errors import JobError
 from services.kit.tables import table
 
@@ -29,7 +29,8 @@ def latency(
     ] = False,
     as_json: Json = False,
     robot: Robot = DEFAULT_ROBOT,
-    router: Router = DEFAULT_ROUTER,
+    router: Router = None,
+    secure: Secure = None,
 ) -> None:
     """Break down the time from frame to command.
 
@@ -45,7 +46,7 @@ def latency(
     """
     trace = LatencyTrace()
     frames = CAMERA if camera else POSE
-    with listening(robot, router) as bus:
+    with listening(robot, router, secure) as bus:
         _listen(bus, frames, trace)
         wait(f"frames ({frames.name}) and commands of {robot}", seconds)
     trace.finish()

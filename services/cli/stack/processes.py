@@ -19,7 +19,7 @@ from typing import Final, Self
 
 from schemas.rpc import Nothing, Status
 from services.cli.interrupts import interrupted_by_signals
-from services.cli.options import check_robot
+from services.cli.options import check_robot, settings_for
 from services.cli.stack.backoff import Backoff
 from services.cli.stack.child import tied
 from services.kit.bus import Bus, BusError, RpcError
@@ -30,6 +30,8 @@ from services.table import SERVICES
 #: The first frame of a software renderer compiles its pipelines; on a busy machine that has taken 20 s.
 READY_TIMEOUT_S: Final = 60.0
 STOP_TIMEOUT_S: Final = 5.0
+#: What a process is told of its certificate: each service of a stack has another one.
+_KEYS: Final = ("SMAL_SECURE", "SMAL_TLS_CA", "SMAL_TLS_CERT", "SMAL_TLS_KEY")
 _log = logging.getLogger("stack")
 
 
@@ -52,6 +54,8 @@ class StackPlan:
         Robot id, and the address of the stack's own router.
     flags
         Command line flags of single services.
+    secure
+        Folder of certificates or passwords; without one whoever reaches the router gets in.
     logs
         Folder for one log file a service; None lets them write to this terminal.
     modules
@@ -62,6 +66,7 @@ class StackPlan:
     robot: str
     endpoint: str
     flags: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    secure: Path | None = None
     logs: Path | None = None
     modules: Mapping[str, str] = field(default_factory=dict)
 
@@ -74,6 +79,14 @@ class Stack:
         self._children: dict[str, subprocess.Popen[bytes]] = {}
         self._backoffs: dict[str, Backoff] = {}
         self._logs = plan.logs
+
+    @property
+    def settings(self) -> ServiceSettings:
+        """How to reach it; nothing but the plan says who gets in."""
+        return ServiceSettings(
+            robot=self.plan.robot, router=self.plan.endpoint, secure=self.plan.secure, tls_ca=None, tls_cert=None,
+            tls_key=None,
+        )  # fmt: skip
 
     def __enter__(self) -> Self:
         try:
@@ -133,7 +146,12 @@ class Stack:
         self._children.clear()
 
     def _start(self, service: str) -> None:
-        environment = os.environ | {"SMAL_ROBOT": self.plan.robot, "SMAL_ROUTER": self.plan.endpoint}
+        environment = {name: value for name, value in os.environ.items() if name not in _KEYS} | {
+            "SMAL_ROBOT": self.plan.robot,
+            "SMAL_ROUTER": self.plan.endpoint,
+        }
+        if self.plan.secure is not None:
+            environment["SMAL_SECURE"] = str(self.plan.secure.resolve())
         # The solves are small: a second BLAS thread only takes the other service's core.
         environment.setdefault("OPENBLAS_NUM_THREADS", "1")
         # In a session of its own, so that Ctrl-C reaches this process alone; `tied` ends it with this one.
@@ -155,7 +173,7 @@ class Stack:
         while True:
             self.check()
             try:
-                return Bus(self.plan.robot, self.plan.endpoint, patience_s=0.0)
+                return self.settings.open_bus("watcher", patience_s=0.0)
             except BusError:
                 if time.monotonic() > deadline_s:
                     raise JobError(f"not ready after {READY_TIMEOUT_S:.0f} s: router") from None
@@ -230,15 +248,15 @@ def stack_for(
     services: tuple[str, ...],
     robot: str,
     service_flags: Mapping[str, tuple[str, ...]],
+    secure: Path | None = None,
     logs: Path | None = None,
 ) -> Iterator[Access]:
     """Use the running stack at ``connect``, or start one for as long as the context lasts."""
-    endpoint = free_endpoint() if connect is None else connect
-    settings = ServiceSettings(robot=check_robot(robot), router=endpoint)
     with interrupted_by_signals():
         if connect is not None:
-            yield Access(settings, lambda: None, None)
+            yield Access(settings_for(robot, connect, secure), lambda: None, None)
             return
         logs = logs or Path(tempfile.mkdtemp(prefix="smal-logs-"))
-        with Stack(StackPlan(services, robot, endpoint, service_flags, logs)) as stack:
-            yield Access(settings, stack.check, logs)
+        # Not secured: it lasts as long as this command, and only this machine reaches it.
+        with Stack(StackPlan(services, check_robot(robot), free_endpoint(), service_flags, logs=logs)) as stack:
+            yield Access(stack.settings, stack.check, logs)

@@ -270,7 +270,9 @@ def rig_for(plan: RigPlan) -> Iterator[Rig]:
         wheels = stacked.enter_context(rolling(WORLD, plan.steps)) if plan.rolling else None
         service_flags = plan.service_flags({service: address for service, (address, _) in links.items()}, wheels)
         modules = {"robot": "tests.benchmarks.faults.robot"} if plan.rolling else {}
-        stack = Stack(StackPlan(stack_services(), ROBOT, endpoint, service_flags, plan.folder / "logs", modules))
+        stack = Stack(
+            StackPlan(stack_services(), ROBOT, endpoint, service_flags, logs=plan.folder / "logs", modules=modules)
+        )
         with _environment(plan.environment):
             stacked.enter_context(stack)
         stacked.enter_context(observing(ROBOT, endpoint, plan.log))

@@ -123,7 +123,9 @@ def test_a_base_that_was_late_does_not_obey_backwards_in_time(tmp_path: Path) ->
 @system
 def test_a_plan_may_have_another_module_run_a_service(tmp_path: Path) -> None:
     endpoint = free_endpoint()
-    plan = StackPlan(("router", "recorder"), ROBOT, endpoint, {}, tmp_path, {"recorder": "services.nothing"})
+    plan = StackPlan(
+        ("router", "recorder"), ROBOT, endpoint, {}, logs=tmp_path, modules={"recorder": "services.nothing"}
+    )
     with pytest.raises(JobError, match=r"recorder: .*services\.nothing"), Stack(plan):
         pass
 

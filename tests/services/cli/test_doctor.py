@@ -75,19 +75,23 @@ def test_zenoh() -> None:
 
 
 def test_a_free_port(free_endpoint: str) -> None:
-    assert check_port(free_endpoint) == Check("port", True, f"{free_endpoint} is free")
+    assert check_port(ServiceSettings(router=free_endpoint)) == Check(
+        "port", True, f"{free_endpoint} is free, for whoever reaches it"
+    )
 
 
 @pytest.mark.zenoh
 def test_a_port_of_a_running_stack(router_endpoint: str, settings: ServiceSettings, run_node: RunNode) -> None:
     run_node(Node("robot", settings))
-    check = check_port(router_endpoint)
-    assert check == Check("port", True, f"{router_endpoint} is used by the running stack of rescuebot: robot")
+    check = check_port(ServiceSettings(router=router_endpoint))
+    assert check == Check(
+        "port", True, f"{router_endpoint} is used by the running stack of rescuebot, for whoever reaches it: robot"
+    )
 
 
 @pytest.mark.zenoh
 def test_a_port_of_a_router_without_services(router_endpoint: str) -> None:
-    check = check_port(router_endpoint)
+    check = check_port(ServiceSettings(router=router_endpoint))
     assert not check.ok
     assert "a Zenoh router without services of rescuebot; stop it (ss -ltnp" in check.text
 
@@ -101,15 +105,15 @@ def stranger() -> Iterator[str]:
 
 
 def test_a_port_of_something_else(stranger: str) -> None:
-    check = check_port(stranger)
+    check = check_port(ServiceSettings(router=stranger))
     assert not check.ok
-    assert "used by something that is no Zenoh router; stop it" in check.text
+    assert "is no router, or takes nobody in without a certificate or a password; stop it" in check.text
     assert "SMAL_ROUTER" in check.text
 
 
 @pytest.mark.parametrize("endpoint", ["nonsense", "tcp/127.0.0.1:99999", "tcp/no-such-host.invalid:7447"])
 def test_an_address_that_cannot_be(endpoint: str) -> None:
-    check = check_port(endpoint)
+    check = check_port(ServiceSettings(router=endpoint))
     assert not check.ok
     assert endpoint in check.text
 

@@ -26,7 +26,7 @@ from services.cli.main import main
 from services.cli.stack.processes import stack_for
 import services.cli.main, time
 def work():
-    with stack_for(None, ("router", "recorder"), sys.argv[1], {}, Path(sys.argv[2])):
+    with stack_for(None, ("router", "recorder"), sys.argv[1], {}, logs=Path(sys.argv[2])):
         print("ready", flush=True)
         time.sleep(60)
 services.cli.main.app = lambda **_: work()
@@ -54,7 +54,7 @@ def robot(request: pytest.FixtureRequest) -> str:
 
 
 def plan(robot: str, endpoint: str, tmp_path: Path, *services: str, **flags_of: tuple[str, ...]) -> StackPlan:
-    return StackPlan(("router", *services), robot, endpoint, flags_of, tmp_path / "logs")
+    return StackPlan(("router", *services), robot, endpoint, flags_of, logs=tmp_path / "logs")
 
 
 def test_stop_leaves_no_child(robot: str, free_endpoint: str, tmp_path: Path) -> None:

@@ -1,0 +1,271 @@
+"""Certificates of a robot's bus: one of each role, signed by an authority of the robot's own."""
+
+from __future__ import annotations
+
+import ipaddress
+import os
+import secrets
+from collections.abc import Iterable, Iterator
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+from typing import Final, NamedTuple
+
+from cryptography import x509
+from cryptography.exceptions import InvalidSignature
+from cryptography.hazmat.primitives import hashes, serialization
+from cryptography.hazmat.primitives.asymmetric import ec
+from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
+
+from services.kit.credentials import CA_FILE, CERTIFICATE_SUFFIX, KEY_SUFFIX, PASSWORD_SUFFIX, PASSWORDS_FILE
+from services.kit.errors import UsageError
+from services.table import roles
+
+CA_KEY_FILE: Final = "ca.key"
+#: An authority must outlive what it signs; a robot is not used for longer.
+CA_DAYS: Final = 3650.0
+#: A certificate that was stolen unnoticed is of no use after a year.
+DAYS: Final = 365.0
+#: Clocks of two machines may differ.
+SKEW: Final = timedelta(minutes=5)
+#: So long before its end a certificate is named by `check`.
+SOON: Final = timedelta(days=30)
+#: Names by which clients on the router's own machine, and in its compose file, go to it.
+HOSTS: Final = ("localhost", "127.0.0.1", "::1", "router")
+ROUTER: Final = "router"
+
+
+class Authority(NamedTuple):
+    """Who signs."""
+
+    certificate: x509.Certificate
+    key: ec.EllipticCurvePrivateKey
+
+
+class Finding(NamedTuple):
+    """What `check` found of one file."""
+
+    file: str
+    ok: bool
+    text: str
+
+
+def begin(folder: Path, robot: str) -> None:
+    """Make an authority; one that is there before stays known, so that what it has signed goes on to be taken.
+
+    Raises
+    ------
+    OSError
+        When the folder cannot be written to.
+    """
+    authority = _authority(robot)
+    folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+    known = (folder / CA_FILE).read_bytes() if (folder / CA_FILE).exists() else b""
+    _write(folder / CA_KEY_FILE, _pem_of(authority.key))
+    # The newest first: it is the one that signs.
+    _write(folder / CA_FILE, authority.certificate.public_bytes(serialization.Encoding.PEM) + known, mode=0o644)
+
+
+def issue(folder: Path, hosts: Iterable[str], days: float = DAYS) -> None:
+    """Make a certificate of every role, signed by the newest authority, in place of what is there.
+
+    Raises
+    ------
+    UsageError
+        When the authority's key is not there or is not the newest authority's.
+    """
+    authority = read_authority(folder)
+    for role in roles():
+        key = ec.generate_private_key(ec.SECP256R1())
+        certificate = certificate_of(authority, role, key.public_key(), hosts if role == ROUTER else (), days)
+        _write(folder / f"{role}{KEY_SUFFIX}", _pem_of(key))
+        pem = certificate.public_bytes(serialization.Encoding.PEM)
+        _write(folder / f"{role}{CERTIFICATE_SUFFIX}", pem, mode=0o644)
+
+
+def retire(folder: Path) -> int:
+    """Forget all authorities but the newest; return how many were forgotten.
+
+    Raises
+    ------
+    UsageError
+        When a certificate in the folder would be of no use any more.
+    """
+    newest, *others = _authorities(folder)
+    for role in roles():
+        path = folder / f"{role}{CERTIFICATE_SUFFIX}"
+        if path.exists():
+            ok, text = _verdict(path, role, [newest])
+            if not ok:
+                raise UsageError(f"{path}: {text}; run `smal secure renew` first")
+    _write(folder / CA_FILE, newest.public_bytes(serialization.Encoding.PEM), mode=0o644)
+    return len(others)
+
+
+def give_passwords(folder: Path) -> None:
+    """Make a password for every role, and for the router the file of all of them."""
+    passwords = {role: secrets.token_urlsafe(24) for role in roles()}
+    for role, password in passwords.items():
+        _write(folder / f"{role}{PASSWORD_SUFFIX}", f"{password}\n".encode())
+    lines = "".join(f"{role}:{password}\n" for role, password in passwords.items())
+    _write(folder / PASSWORDS_FILE, lines.encode())
+
+
+def certificate_of(
+    authority: Authority, role: str, key: ec.EllipticCurvePublicKey, hosts: Iterable[str], days: float
+) -> x509.Certificate:
+    """Return a certificate of a role; with hosts it is a router's as well."""
+    uses = [ExtendedKeyUsageOID.CLIENT_AUTH]
+    names: list[x509.GeneralName] = [x509.DNSName(role)]
+    for host in hosts:
+        uses = [ExtendedKeyUsageOID.CLIENT_AUTH, ExtendedKeyUsageOID.SERVER_AUTH]
+        names.append(_general_name(host))
+    return (
+        _builder(role, authority.certificate.subject, key, days)
+        .add_extension(x509.BasicConstraints(ca=False, path_length=None), critical=True)
+        .add_extension(x509.ExtendedKeyUsage(uses), critical=True)
+        .add_extension(x509.SubjectAlternativeName(dict.fromkeys(names)), critical=False)
+        .sign(authority.key, hashes.SHA256())
+    )
+
+
+def read_authority(folder: Path) -> Authority:
+    """Read the newest authority and its key.
+
+    Raises
+    ------
+    UsageError
+        When they are not there, or do not belong together.
+    """
+    newest, *_ = _authorities(folder)
+    path = folder / CA_KEY_FILE
+    try:
+        key = serialization.load_pem_private_key(path.read_bytes(), None)
+    except OSError as error:
+        raise UsageError(f"cannot read {path}, which signs: {error.strerror or error}") from None
+    except ValueError:
+        raise UsageError(f"{path}: no private key") from None
+    if not isinstance(key, ec.EllipticCurvePrivateKey) or key.public_key() != newest.public_key():
+        raise UsageError(f"{path} is not the key of the first authority in {folder / CA_FILE}")
+    return Authority(newest, key)
+
+
+def check(folder: Path) -> Iterator[Finding]:
+    """Look at every certificate in a folder.
+
+    Raises
+    ------
+    UsageError
+        When it has no authority.
+    """
+    authorities = _authorities(folder)
+    for k, authority in enumerate(authorities):
+        name = CA_FILE if k == 0 else f"{CA_FILE}, older"
+        yield Finding(name, *_validity(authority))
+    for role in roles():
+        path = folder / f"{role}{CERTIFICATE_SUFFIX}"
+        if path.exists():
+            yield Finding(path.name, *_verdict(path, role, authorities))
+
+
+def _verdict(path: Path, role: str, authorities: list[x509.Certificate]) -> tuple[bool, str]:
+    try:
+        certificate = x509.load_pem_x509_certificate(path.read_bytes())
+        key = serialization.load_pem_private_key(path.with_suffix(KEY_SUFFIX).read_bytes(), None)
+    except (OSError, ValueError) as error:
+        return False, f"it or its key cannot be read: {error}"
+    names = [str(one.value) for one in certificate.subject.get_attributes_for_oid(NameOID.COMMON_NAME)]
+    if names != [role]:
+        return False, f"it is the certificate of {', '.join(names) or 'nobody'}, not of {role}"
+    if not any(_signed(certificate, authority) for authority in authorities):
+        return False, f"no authority in {CA_FILE} has signed it"
+    if key.public_key() != certificate.public_key():
+        return False, "its key is another certificate's"
+    if path.with_suffix(KEY_SUFFIX).stat().st_mode & 0o077:
+        return False, f"its key can be read by others; run: chmod 600 {path.with_suffix(KEY_SUFFIX)}"
+    uses = certificate.extensions.get_extension_for_class(x509.ExtendedKeyUsage).value
+    if (ExtendedKeyUsageOID.SERVER_AUTH in uses) != (role == ROUTER):
+        return False, "it lets its holder be a router" if role != ROUTER else "it does not let its holder be a router"
+    return _validity(certificate)
+
+
+def _validity(certificate: x509.Certificate) -> tuple[bool, str]:
+    now, end = datetime.now(UTC), certificate.not_valid_after_utc
+    if now > end:
+        return False, f"it expired on {end:%Y-%m-%d %H:%M} UTC; run: smal secure renew"
+    if now < certificate.not_valid_before_utc:
+        return False, f"it is valid from {certificate.not_valid_before_utc:%Y-%m-%d %H:%M} UTC on; is this clock right?"
+    return True, f"valid until {end:%Y-%m-%d}" + (": soon; run: smal secure renew" if end - now < SOON else "")
+
+
+def _signed(certificate: x509.Certificate, authority: x509.Certificate) -> bool:
+    try:
+        certificate.verify_directly_issued_by(authority)
+    except (ValueError, TypeError, InvalidSignature):
+        return False
+    return True
+
+
+def _authority(robot: str) -> Authority:
+    key = ec.generate_private_key(ec.SECP256R1())
+    # Named apart, so that of two only the one that has signed is tried.
+    name = f"smal {robot} {secrets.token_hex(4)}"
+    builder = _builder(name, _name(name), key.public_key(), CA_DAYS)
+    usage = dict.fromkeys(
+        ("digital_signature", "content_commitment", "key_encipherment", "data_encipherment", "key_agreement",
+         "encipher_only", "decipher_only"), False
+    )  # fmt: skip
+    certificate = (
+        builder.add_extension(x509.BasicConstraints(ca=True, path_length=0), critical=True)
+        .add_extension(x509.KeyUsage(key_cert_sign=True, crl_sign=True, **usage), critical=True)
+        .sign(key, hashes.SHA256())
+    )
+    return Authority(certificate, key)
+
+
+def _builder(name: str, issuer: x509.Name, key: ec.EllipticCurvePublicKey, days: float) -> x509.CertificateBuilder:
+    now = datetime.now(UTC)
+    return (
+        x509.CertificateBuilder()
+        .subject_name(_name(name))
+        .issuer_name(issuer)
+        .public_key(key)
+        .serial_number(x509.random_serial_number())
+        .not_valid_before(now - SKEW)
+        .not_valid_after(now + timedelta(days=days))
+    )
+
+
+def _authorities(folder: Path) -> list[x509.Certificate]:
+    path = folder / CA_FILE
+    try:
+        return x509.load_pem_x509_certificates(path.read_bytes())
+    except OSError as error:
+        raise UsageError(f"cannot read {path}: {error.strerror or error}; `smal secure init` makes it") from None
+    except ValueError:
+        raise UsageError(f"{path}: no certificate") from None
+
+
+def _name(common: str) -> x509.Name:
+    return x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, common)])
+
+
+def _general_name(host: str) -> x509.GeneralName:
+    try:
+        return x509.IPAddress(ipaddress.ip_address(host))
+    except ValueError:
+        return x509.DNSName(host)
+
+
+def _pem_of(key: ec.EllipticCurvePrivateKey) -> bytes:
+    return key.private_bytes(
+        serialization.Encoding.PEM, serialization.PrivateFormat.PKCS8, serialization.NoEncryption()
+    )
+
+
+def _write(path: Path, content: bytes, mode: int = 0o600) -> None:
+    """Replace a file at once; a secret is nobody else's at any moment."""
+    new = path.with_name(f".{path.name}.new")
+    new.unlink(missing_ok=True)
+    with os.fdopen(os.open(new, os.O_WRONLY | os.O_CREAT | os.O_EXCL, mode), "wb") as file:
+        file.write(content)
+    new.replace(path)

@@ -1,0 +1,122 @@
+"""``smal secure``: who may do what on a robot's bus, by certificates."""
+
+from __future__ import annotations
+
+import json
+import socket
+from pathlib import Path
+from typing import Annotated, Final
+
+import typer
+
+from services.cli import certificates, options
+from services.cli.certificates import DAYS, HOSTS
+from services.kit.bus import zenohd_configuration
+from services.kit.credentials import Certificate
+from services.kit.errors import UsageError
+from services.kit.node import EXIT_FAILED
+from services.table import roles
+
+#: Where the compose file shows Eclipse's router this folder.
+ZENOHD_FOLDER: Final = Path("/secure")
+ZENOHD_FILE: Final = "zenohd.json5"
+Folder = Annotated[Path, typer.Argument(help="Folder of the certificates.", metavar="DIR")]
+Hosts = Annotated[
+    list[str] | None,
+    typer.Option("--host", help="Name or address by which other machines go to the router; may be repeated."),
+]
+Days = Annotated[float, typer.Option(min=0, max=3650, help="How long the certificates are valid.")]
+
+app = typer.Typer(
+    help="Make and check the certificates by which the router knows who may do what.\n\n"
+    "Example: smal secure init keys, and then: smal up --secure keys",
+    no_args_is_help=True,
+    add_completion=False,
+    rich_markup_mode=None,
+    pretty_exceptions_enable=False,
+)
+
+
+@app.command("init")
+def init(
+    folder: Folder,
+    robot: options.Robot = options.DEFAULT_ROBOT,
+    host: Hosts = None,
+    days: Days = DAYS,
+    passwords: Annotated[
+        bool, typer.Option("--passwords", help="Also make passwords, for connections that are not encrypted.")
+    ] = False,
+) -> None:
+    """Make a certificate authority, a certificate of every role, and the rules of Eclipse's router.
+
+    Give each machine ca.pem and the certificate and key of what runs there, and keep ca.key where no robot is: whoever
+    has it can be anybody.
+
+    Example: smal secure init keys --host robot.example
+    """
+    options.check_robot(robot)
+    if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
+        raise UsageError(f"{folder}: is there already; `smal secure renew` makes new certificates")
+    try:
+        certificates.begin(folder, robot)
+        certificates.issue(folder, _hosts(host), days)
+        if passwords:
+            certificates.give_passwords(folder)
+        own = Certificate(*(ZENOHD_FOLDER / name for name in ("ca.pem", "router.pem", "router.key")))
+        settings = zenohd_configuration("tls/0.0.0.0:7447", robot, own)
+        (folder / ZENOHD_FILE).write_text(json.dumps(settings, indent=2) + "\n")
+    except OSError as error:
+        raise UsageError(f"cannot write to {folder}: {error.strerror or error}") from None
+    typer.echo(f"certificates of {', '.join(roles())} in {folder}; next: smal up --secure {folder}")
+
+
+@app.command("check")
+def check(folder: Folder) -> None:
+    """Look at every certificate in a folder; exit status 1 where one is expired, or not what it should be.
+
+    Example: smal secure check keys
+    """
+    findings = list(certificates.check(folder))
+    for one in findings:
+        typer.echo(f"{'ok' if one.ok else 'problem':8} {one.file:16} {one.text}")
+    if not all(one.ok for one in findings):
+        raise typer.Exit(EXIT_FAILED)
+
+
+@app.command("renew")
+def renew(folder: Folder, host: Hosts = None, days: Days = DAYS) -> None:
+    """Make new certificates of every role, signed by the newest authority.
+
+    A process shows its new one when it connects again; the router, when it is started again.
+
+    Example: smal secure renew keys
+    """
+    certificates.issue(folder, _hosts(host), days)
+    typer.echo(f"new certificates in {folder}; start the router again, so that it shows its own")
+
+
+@app.command("rotate")
+def rotate(folder: Folder, robot: options.Robot = options.DEFAULT_ROBOT) -> None:
+    """Make a new authority beside the one there is, so that the certificates of both are taken.
+
+    Then: start the router again, `smal secure renew`, start the router again, `smal secure retire`, start the router
+    again. The robot stands while the router starts, for less than a second each time, and goes on.
+
+    Example: smal secure rotate keys
+    """
+    certificates.read_authority(folder)
+    certificates.begin(folder, options.check_robot(robot))
+    typer.echo(f"{folder} knows the old authority and a new one; start the router again, then: smal secure renew")
+
+
+@app.command("retire")
+def retire(folder: Folder) -> None:
+    """Forget every authority but the newest: what the others have signed is taken no more.
+
+    Example: smal secure retire keys
+    """
+    typer.echo(f"{certificates.retire(folder)} authorities forgotten; start the router again")
+
+
+def _hosts(more: list[str] | None) -> tuple[str, ...]:
+    return (*HOSTS, socket.gethostname(), *(more or ()))

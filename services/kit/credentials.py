@@ -1,0 +1,112 @@
+"""How a process shows the router who it is: by a certificate, or by a user name and a password, the weaker way.
+
+With a certificate the whole connection is encrypted, and the router shows one as well. A password is not sent itself,
+but what is said after it can be read and changed by whoever is on the way.
+"""
+
+from __future__ import annotations
+
+import ipaddress
+import socket
+import stat
+from pathlib import Path
+from typing import Final, NamedTuple
+
+from services.kit.wire import BusError
+
+#: Addresses whose connections are encrypted begin so.
+ENCRYPTED: Final = ("tls", "quic")
+#: Files of a folder that `smal secure init` makes: `CA_FILE`, and for each role its name with one of these ends.
+CA_FILE: Final = "ca.pem"
+CERTIFICATE_SUFFIX: Final = ".pem"
+KEY_SUFFIX: Final = ".key"
+PASSWORD_SUFFIX: Final = ".password"  # noqa: S105 - of a file
+#: User and password of every role, a line each, for the router.
+PASSWORDS_FILE: Final = "passwords"
+
+
+class Certificate(NamedTuple):
+    """A certificate, its key, and by whose signature others are known; all are PEM files."""
+
+    ca: Path
+    certificate: Path
+    key: Path
+
+
+class Password(NamedTuple):
+    """A user and a password; for a router, the file of all of them."""
+
+    user: str
+    password: str
+    dictionary: Path | None = None
+
+
+Credentials = Certificate | Password | None
+
+
+def credentials_in(folder: Path, role: str, endpoint: str) -> Certificate | Password:
+    """Return what a folder has for a role: for an encrypted address a certificate, for any other a password.
+
+    Raises
+    ------
+    BusError
+        When it has none, or others can read the secret.
+    """
+    if encrypted(endpoint):
+        return certificate_of(folder / CA_FILE, folder / f"{role}{CERTIFICATE_SUFFIX}", folder / f"{role}{KEY_SUFFIX}")
+    path = folder / f"{role}{PASSWORD_SUFFIX}"
+    if not path.is_file():
+        raise BusError(
+            f"{endpoint} is not encrypted and {folder} has no password of {role}: give an address that begins with "
+            "tls/, or make passwords with `smal secure init --passwords`"
+        )
+    dictionary = folder / PASSWORDS_FILE
+    return Password(role, _secret(path), dictionary if dictionary.is_file() else None)
+
+
+def certificate_of(ca: Path, certificate: Path, key: Path) -> Certificate:
+    """Return a certificate whose files are there.
+
+    Raises
+    ------
+    BusError
+        When one is not, or others can read the key.
+    """
+    for path in (ca, certificate):
+        if not path.is_file():
+            raise BusError(f"no certificate {path}; `smal secure init` makes a folder of them")
+    _secret(key)
+    return Certificate(ca, certificate, key)
+
+
+def encrypted(endpoint: str) -> bool:
+    """Whether an address is one of encrypted connections."""
+    return endpoint.partition("/")[0] in ENCRYPTED
+
+
+def how_secure(credentials: Credentials) -> str:
+    """Say who gets in."""
+    if isinstance(credentials, Certificate):
+        return "for holders of a certificate, encrypted"
+    if isinstance(credentials, Password):
+        return "for those who have a password, not encrypted"
+    return "for whoever reaches it"
+
+
+def others_reach(host: str) -> bool:
+    """Whether another machine might reach a host, by any of its addresses; none does where it has no address."""
+    try:
+        found = {str(one[4][0]).partition("%")[0] for one in socket.getaddrinfo(host, None)}
+    except OSError:
+        return False
+    return not all(ipaddress.ip_address(address).is_loopback for address in found)
+
+
+def _secret(path: Path) -> str:
+    """Read a file that is nobody else's business."""
+    try:
+        if path.stat().st_mode & (stat.S_IRWXG | stat.S_IRWXO):
+            raise BusError(f"{path} can be read by others; run: chmod 600 {path}")
+        return path.read_text().strip()
+    except OSError as error:
+        raise BusError(f"cannot read {path}: {error.strerror or error}") from None

@@ -1,0 +1,283 @@
+"""Every role against every key and verb, by real sessions and a real router; and whoever has no business there.
+
+What must be allowed is told by the tables; what the router does is tried. The same attempts against a router without
+rules all go through, so that an attempt that could not succeed proves nothing here.
+"""
+
+from __future__ import annotations
+
+import json
+import shutil
+import threading
+from collections.abc import Iterator
+from contextlib import closing
+from pathlib import Path
+from typing import Final
+
+import pytest
+import zenoh
+
+from schemas.topics import TOPICS, rpc_key
+from services.cli import certificates
+from services.kit.bus import Bus, BusError, Router
+from services.kit.credentials import Credentials, Password, credentials_in
+from services.kit.zenoh_wire import router_settings
+from services.table import Role, roles
+from tests.services.secured import ROBOT, certificate_in, make_keys, open_session, secured_router
+from tests.services.waiting import eventually
+
+VERBS: Final = ("put", "delete", "subscribe", "query", "serve", "token")
+TOPIC_KEYS: Final = {topic.key(ROBOT): topic for topic in TOPICS.values()}
+SERVED: Final = {rpc_key(ROBOT, *name.split("/")): name for role in roles().values() for name in role.serves}
+KEPT: Final = {f"{topic.key(ROBOT)}/@adv/pub/1/2/_": topic for topic in TOPICS.values() if topic.recorded}
+#: What nobody may name: other robots, the administration of the router, and keys that stand for many.
+ADMINISTRATION: Final = "@/1/router/config/adminspace"
+FOREIGN: Final = (
+    *(ADMINISTRATION, "elsewhere", "smal/other/command/teleop", "smal/other/rpc/robot/arm"),
+    f"smal/{ROBOT}/rpc/robot/nothing",
+)
+WILD: Final = ("**", f"smal/{ROBOT}/**", f"smal/{ROBOT}/command/*", f"smal/{ROBOT}/rpc/**", "smal/*/heartbeat")
+KEYS: Final = (*TOPIC_KEYS, *SERVED, *KEPT, *FOREIGN, *WILD)
+Cell = tuple[str, str]
+
+
+def allowed(role: Role, verb: str, key: str) -> bool:
+    """Whether the tables say that a role may."""
+    if key in KEPT:
+        topic = KEPT[key]
+        if verb in {"put", "serve", "token"}:
+            return topic in role.gives
+        return verb in {"subscribe", "query"} and topic in role.takes
+    if verb == "put":
+        return key in TOPIC_KEYS and TOPIC_KEYS[key] in role.gives
+    if verb == "subscribe":
+        # People also listen to key expressions of their robot, and hear the topics among them.
+        wild = role.person and key in (f"smal/{ROBOT}/**", f"smal/{ROBOT}/command/*")
+        return wild or (key in TOPIC_KEYS and TOPIC_KEYS[key] in role.takes)
+    if verb == "query":
+        return SERVED.get(key) in role.calls or (key == ADMINISTRATION and role.name == "operator")
+    return verb == "serve" and SERVED.get(key) in role.serves
+
+
+class Trial:
+    """One session tries everything; another one, the router's own, sees what comes of it."""
+
+    def __init__(self, session: zenoh.Session, within: zenoh.Session) -> None:
+        self._session, self._within = session, within
+        self._lock = threading.Lock()
+        self.done: set[Cell] = set()
+
+    def note(self, verb: str, key: str) -> None:
+        with self._lock:
+            self.done.add((verb, key))
+
+    def settle(self, session: zenoh.Session) -> None:
+        """Wait until the router has handled all that a session has sent, and the session what it was sent."""
+        list(session.get(f"smal/{ROBOT}/rpc/nobody/nothing", timeout=5.0))
+
+    def say(self) -> None:
+        """Publish, delete, ask and declare tokens."""
+
+        def on_sample(sample: zenoh.Sample) -> None:
+            self.note("put" if sample.kind == zenoh.SampleKind.PUT else "delete", str(sample.attachment))
+
+        def on_query(query: zenoh.Query) -> None:
+            with query:
+                self.note("query", str(query.attachment))
+
+        def on_token(sample: zenoh.Sample) -> None:
+            self.note("token", str(sample.key_expr))
+
+        direct = zenoh.handlers.Callback
+        # `**` stands for no key with @ in it: what senders keep is named.
+        everything = ("**", *KEPT, ADMINISTRATION)
+        made = [self._within.declare_subscriber(key, direct(on_sample, indirect=False)) for key in everything]
+        made += [self._within.declare_queryable(key, direct(on_query, indirect=False)) for key in everything]
+        liveliness = self._within.liveliness()
+        made += [liveliness.declare_subscriber(key, direct(on_token, indirect=False)) for key in everything]
+        tokens = []
+        for key in KEYS:
+            self._session.put(key, b"x", attachment=key)
+            self._session.delete(key, attachment=key)
+            list(self._session.get(key, attachment=key, timeout=5.0))
+            if key not in WILD:
+                tokens.append(self._session.liveliness().declare_token(key))
+        self.settle(self._session)
+        for one in (*made, *tokens):
+            one.undeclare()
+
+    def hear(self) -> None:
+        """Subscribe to each key by itself: two subscribers of one session hear what only one of them may."""
+        for key in KEYS:
+            heard = threading.Event()
+            told = zenoh.handlers.Callback(lambda _sample, heard=heard: heard.set(), indirect=False)
+            subscriber = self._session.declare_subscriber(key, told)
+            self.settle(self._session)
+            for one in (*TOPIC_KEYS, *KEPT, *FOREIGN) if key in WILD else (key,):
+                self._within.put(one, b"x")
+            self.settle(self._session)
+            if heard.is_set():
+                self.note("subscribe", key)
+            subscriber.undeclare()
+
+    def serve(self) -> None:
+        """Answer queries."""
+        for key in KEYS:
+
+            def answer(query: zenoh.Query) -> None:
+                with query:
+                    query.reply(query.key_expr, b"forged")
+
+            served = self._session.declare_queryable(key, zenoh.handlers.Callback(answer, indirect=False))
+            self.settle(self._session)
+            for one in (*SERVED, *TOPIC_KEYS, *KEPT, *FOREIGN) if key in WILD else (key,):
+                if any(reply.ok for reply in self._within.get(one, timeout=5.0)):
+                    self.note("serve", key)
+            served.undeclare()
+
+
+@pytest.fixture(scope="module")
+def keys(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Give a folder of certificates."""
+    return make_keys(tmp_path_factory.mktemp("keys"))
+
+
+@pytest.fixture(params=["tls", "tcp"])
+def endpoint(request: pytest.FixtureRequest, free_endpoint: str) -> str:
+    """Give an address where certificates are asked for, and one where passwords are."""
+    return free_endpoint.replace("tcp/", f"{request.param}/")
+
+
+@pytest.fixture
+def within(endpoint: str, keys: Path) -> Iterator[zenoh.Session]:
+    """Run a router that knows who is who."""
+    with secured_router(endpoint, keys) as session:
+        yield session
+
+
+def tried(session: zenoh.Session, within: zenoh.Session) -> set[Cell]:
+    trial = Trial(session, within)
+    trial.say()
+    trial.hear()
+    trial.serve()
+    return trial.done
+
+
+def permitted(role: Role) -> set[Cell]:
+    return {(verb, key) for verb in VERBS for key in KEYS if allowed(role, verb, key)}
+
+
+@pytest.mark.parametrize("role", roles().values(), ids=lambda role: role.name)
+def test_a_role_can_do_what_the_tables_say_and_nothing_else(
+    role: Role, endpoint: str, keys: Path, within: zenoh.Session
+) -> None:
+    with closing(open_session(endpoint, credentials_in(keys, role.name, endpoint))) as session:
+        done = tried(session, within)
+    assert done - permitted(role) == set()
+    assert permitted(role) - done == set()
+
+
+def test_without_rules_every_attempt_goes_through(free_endpoint: str) -> None:
+    with closing(Router(free_endpoint)) as router, closing(open_session(free_endpoint, None)) as session:
+        done = tried(session, router._session)
+    could = {(verb, key) for verb in VERBS for key in KEYS if verb != "token" or key not in WILD}
+    assert could - done == set()
+
+
+@pytest.mark.parametrize("mode", ["peer", "router"])
+def test_a_stolen_certificate_of_a_watcher_does_no_more_as_a_router(
+    mode: str, endpoint: str, keys: Path, within: zenoh.Session
+) -> None:
+    more = {"listen/endpoints": []}
+    with closing(open_session(endpoint, credentials_in(keys, "watcher", endpoint), more, mode)) as session:
+        eventually(lambda: bool(session.info.routers_zid()))
+        done = tried(session, within)
+    assert done - permitted(roles()["watcher"]) == set()
+
+
+def test_only_the_operator_sees_who_is_connected(endpoint: str, keys: Path, within: zenoh.Session) -> None:
+    for role in roles():
+        with closing(open_session(endpoint, credentials_in(keys, role, endpoint))) as session:
+            told = [reply for reply in session.get("@/*/router", timeout=5.0) if reply.ok]
+            assert bool(told) == (role == "operator")
+
+
+def _router_configuration(endpoint: str, credentials: Credentials) -> zenoh.Config:
+    config = zenoh.Config()
+    for key, value in router_settings(endpoint, ROBOT, credentials).items():
+        config.insert_json5(key, json.dumps(value))
+    return config
+
+
+def _refused(endpoint: str, credentials: Credentials) -> bool:
+    try:
+        open_session(endpoint, credentials).close()
+    except zenoh.ZError:
+        return True
+    return False
+
+
+def test_who_has_no_certificate_or_another_one_does_not_get_in(free_endpoint: str, keys: Path, tmp_path: Path) -> None:
+    endpoint = free_endpoint.replace("tcp/", "tls/")
+    foreign, old = make_keys(tmp_path / "foreign"), tmp_path / "old"
+    shutil.copytree(keys, old)
+    certificates.issue(old, certificates.HOSTS, days=-1 / 1440)
+    operator = certificate_in(keys, "operator")
+    with secured_router(endpoint, keys):
+        assert not _refused(endpoint, operator)
+        # A foreign one, whose owner knows our authority; one that has expired; none; no encryption; another's key.
+        assert _refused(endpoint, certificate_in(foreign, "operator")._replace(ca=operator.ca))
+        assert _refused(endpoint, certificate_in(old, "operator"))
+        assert _refused(endpoint, None)
+        assert _refused(free_endpoint, None)
+        assert _refused(endpoint, operator._replace(key=certificate_in(keys, "watcher").key))
+        # Nor is a client taken in by a router that is not ours, or that shows another role's certificate.
+    with secured_router(endpoint, foreign):
+        assert _refused(endpoint, operator)
+    with closing(zenoh.open(_router_configuration(endpoint, certificate_in(keys, "operator")))):
+        assert _refused(endpoint, operator)
+
+
+def test_who_has_no_password_or_a_wrong_one_does_not_get_in(free_endpoint: str, keys: Path) -> None:
+    with secured_router(free_endpoint, keys):
+        assert not _refused(free_endpoint, credentials_in(keys, "operator", free_endpoint))
+        assert _refused(free_endpoint, None)
+        assert _refused(free_endpoint, Password("operator", "guessed"))
+        assert _refused(free_endpoint, Password("stranger", "guessed"))
+
+
+def test_a_connection_ends_with_its_certificate(free_endpoint: str, keys: Path, tmp_path: Path) -> None:
+    endpoint, brief = free_endpoint.replace("tcp/", "tls/"), tmp_path / "brief"
+    shutil.copytree(keys, brief)
+    certificates.issue(brief, certificates.HOSTS, days=3 / 86400)
+    with (
+        secured_router(endpoint, keys),
+        closing(open_session(endpoint, certificate_in(brief, "operator"))) as session,
+    ):
+        assert session.info.routers_zid()
+        eventually(lambda: not session.info.routers_zid(), timeout_s=10.0)
+        # And it stays out.
+        assert _refused(endpoint, certificate_in(brief, "operator"))
+
+
+@pytest.mark.parametrize("host", ["0.0.0.0", "[::]", "192.0.2.1"])  # noqa: S104 - refused
+def test_a_router_that_others_reach_lets_nobody_in_unless_it_is_told_to(host: str) -> None:
+    with pytest.raises(BusError, match="can be reached from other machines"):
+        Router(f"tcp/{host}:7447")
+
+
+def test_a_router_that_others_reach_runs_when_it_is_told_to(free_endpoint: str) -> None:
+    everywhere = free_endpoint.replace("127.0.0.1", "0.0.0.0")  # noqa: S104 - what is tried
+    with closing(Router(everywhere, insecure=True)), closing(Bus(ROBOT, everywhere)) as bus:
+        assert bus.connected()
+
+
+def test_an_encrypted_address_without_a_certificate_is_one_line(free_endpoint: str, keys: Path) -> None:
+    endpoint = free_endpoint.replace("tcp/", "tls/")
+    with pytest.raises(BusError, match="needs a certificate"):
+        Bus(ROBOT, endpoint)
+    with pytest.raises(BusError, match="is not encrypted"):
+        Bus(ROBOT, free_endpoint, credentials=certificate_in(keys, "operator"))
+    with secured_router(endpoint, keys), pytest.raises(BusError, match="takes nobody in") as error:
+        Bus(ROBOT, free_endpoint, patience_s=0.0)
+    assert "\n" not in str(error.value)

@@ -1,0 +1,61 @@
+"""A router that knows who is who, and raw sessions with the certificates of each role."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from contextlib import ExitStack, closing, contextmanager
+from pathlib import Path
+from typing import Final
+
+import zenoh
+
+from services.cli import certificates
+from services.kit.bus import Router
+from services.kit.credentials import Certificate, Credentials, credentials_in
+from services.kit.zenoh_wire import settings_of
+
+ROBOT: Final = "rescuebot"
+
+
+def make_keys(folder: Path, days: float = certificates.DAYS) -> Path:
+    """Make certificates and passwords of every role."""
+    certificates.begin(folder, ROBOT)
+    certificates.issue(folder, certificates.HOSTS, days)
+    certificates.give_passwords(folder)
+    return folder
+
+
+def open_session(
+    endpoint: str, credentials: Credentials, more: dict[str, object] | None = None, mode: str = "client"
+) -> zenoh.Session:
+    """Open a session as a stranger's program might: with our settings, and whatever else it likes."""
+    config = zenoh.Config()
+    for key, value in (settings_of("client", endpoint, credentials) | {"mode": mode} | (more or {})).items():
+        config.insert_json5(key, json.dumps(value))
+    return zenoh.open(config)
+
+
+@contextmanager
+def secured_router(endpoint: str, keys: Path) -> Iterator[zenoh.Session]:
+    """Run a router; gives its own session, which no rule holds back."""
+    credentials = credentials_in(keys, "router", endpoint)
+    with closing(Router(endpoint, credentials, ROBOT)) as router:
+        yield router._session
+
+
+@contextmanager
+def sessions(endpoint: str, keys: Path, roles: list[str]) -> Iterator[dict[str, zenoh.Session]]:
+    """Open a session of each role."""
+    with ExitStack() as stack:
+        yield {
+            role: stack.enter_context(closing(open_session(endpoint, credentials_in(keys, role, endpoint))))
+            for role in roles
+        }
+
+
+def certificate_in(keys: Path, role: str) -> Certificate:
+    """Return the certificate of a role."""
+    found = credentials_in(keys, role, "tls/")
+    assert isinstance(found, Certificate)
+    return found
