@@ -190,6 +190,25 @@ done
 check "all stopped" "$took s" test "$took" -lt 15
 check "no recording was left unfinished" "" test -z "$(find "$SMAL_OUT" -name '*.partial')"
 
+# -- with certificates
+
+began=$SECONDS
+timed docker compose run --rm --no-deps -T demo smal secure init /out/keys
+export COMPOSE_FILE=docker-compose.yml:deploy/secure.yml SMAL_SECURE=$SMAL_OUT/keys
+timed docker compose up -d --wait "${SERVICES[@]}"
+check "with certificates: all healthy" "$took s" true
+timed docker compose up --no-log-prefix --exit-code-from demo demo
+check "and the demo ends with exit status 0" "$took s" true
+listens() { docker compose run --rm --no-deps -T demo env "$@" smal topic hz --seconds 1; }
+check "who has a certificate listens" "" sh -c "$(declare -f listens); listens >/dev/null 2>&1"
+message=$(listens -u SMAL_TLS_CA -u SMAL_TLS_CERT -u SMAL_TLS_KEY SMAL_ROUTER=tcp/router:7447 2>&1) && status=0 || status=$?
+check "who has none is told so in one line" "exit status $status" \
+  test "$status" != 0 -a "$(grep -c 'takes nobody in without a certificate' <<<"$message")" = 1
+seen=$(docker compose exec -T policy ls /run/secrets | xargs)
+check "a container sees its own key alone" "$seen" test "$seen" = "ca.pem cert.pem key.pem"
+timed docker compose stop
+unset COMPOSE_FILE
+
 # Somebody else's folder is not taken over.
 message=$(SMAL_UID=$((SMAL_UID + 1)) docker compose run --rm --no-deps -T prepare 2>&1) && status=0 || status=$?
 check "another user's folder is left alone, in one line" "exit status $status" \

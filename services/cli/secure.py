@@ -17,8 +17,8 @@ from services.kit.errors import UsageError
 from services.kit.node import EXIT_FAILED
 from services.table import roles
 
-#: Where the compose file shows Eclipse's router this folder.
-ZENOHD_FOLDER: Final = Path("/secure")
+#: What deploy/secure.yml shows Eclipse's router.
+ZENOHD_SEES: Final = Certificate(*(Path("/run/secrets") / name for name in ("ca.pem", "cert.pem", "key.pem")))
 ZENOHD_FILE: Final = "zenohd.json5"
 Folder = Annotated[Path, typer.Argument(help="Folder of the certificates.", metavar="DIR")]
 Hosts = Annotated[
@@ -62,8 +62,7 @@ def init(
         certificates.issue(folder, _hosts(host), days)
         if passwords:
             certificates.give_passwords(folder)
-        own = Certificate(*(ZENOHD_FOLDER / name for name in ("ca.pem", "router.pem", "router.key")))
-        settings = zenohd_configuration("tls/0.0.0.0:7447", robot, own)
+        settings = zenohd_configuration("tls/0.0.0.0:7447", robot, ZENOHD_SEES)
         (folder / ZENOHD_FILE).write_text(json.dumps(settings, indent=2) + "\n")
     except OSError as error:
         raise UsageError(f"cannot write to {folder}: {error.strerror or error}") from None

@@ -64,6 +64,14 @@ def test_the_compose_file_runs_every_service_in_its_image(name: str) -> None:
     assert f"*{row.image}_image" in before[before.rindex("<<: [") :].splitlines()[0]
 
 
+@pytest.mark.parametrize("name", stack_services())
+def test_every_container_has_a_certificate_of_its_own(name: str) -> None:
+    compose = (ROOT / "deploy" / "secure.yml").read_text()
+    own = compose.partition(f"\n  {name}:\n")[2].partition("\n  ")[2].partition("\n  r")[0]
+    assert f"{{source: {name}-cert, target: cert.pem}}" in own
+    assert f"{{source: {name}-key, target: key.pem}}" in own
+
+
 def test_a_new_service_is_in_the_table_of_topics_and_in_the_picture(toy: Service) -> None:
     assert "| `odometry` |" in markdown_table()
     assert "toy" in takers(topics.ODOMETRY)

@@ -1,0 +1,172 @@
+"""``smal secure`` as a user has it: make, check, renew and replace certificates, and a stack that uses them."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import threading
+from contextlib import closing
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+
+import pytest
+from cryptography.hazmat.primitives.asymmetric import ec
+
+from schemas import topics
+from schemas.state import State
+from services.cli import certificates
+from services.cli.stack.processes import Stack, StackPlan
+from services.kit.bus import BusError, Router
+from services.kit.credentials import credentials_in
+from services.kit.node import Node
+from services.kit.settings import ServiceSettings
+from services.table import roles
+from tests.schemas.messages import EXAMPLES
+from tests.services.cli.conftest import Smal
+from tests.services.secured import ROBOT, make_keys
+from tests.services.waiting import eventually
+
+
+@pytest.fixture
+def keys(tmp_path: Path, smal: Smal) -> Path:
+    """Make certificates as a user does."""
+    assert smal("secure", "init", str(tmp_path / "keys"))[0] == 0
+    return tmp_path / "keys"
+
+
+@pytest.fixture
+def tls_endpoint(free_endpoint: str) -> str:
+    """Give an address for encrypted connections."""
+    return free_endpoint.replace("tcp/", "tls/")
+
+
+def test_init_makes_what_check_finds_good(keys: Path, smal: Smal) -> None:
+    status, out, err = smal("secure", "check", str(keys))
+    assert (status, err) == (0, "")
+    assert all(f"{role}.pem" in out for role in roles())
+    assert "problem" not in out
+    assert all(path.stat().st_mode & 0o077 == 0 for path in keys.glob("*.key"))
+
+
+def test_init_leaves_a_folder_alone_that_is_there(keys: Path, smal: Smal) -> None:
+    before = (keys / "ca.key").read_bytes()
+    status, _out, err = smal("secure", "init", str(keys))
+    assert status == 2
+    assert "is there already" in err
+    assert (keys / "ca.key").read_bytes() == before
+
+
+def test_eclipses_router_gets_the_rules_of_ours(keys: Path) -> None:
+    settings = json.loads((keys / "zenohd.json5").read_text())
+    assert settings["access_control"]["default_permission"] == "deny"
+    subjects = {name for one in settings["access_control"]["subjects"] for name in one.get("cert_common_names", ())}
+    assert subjects == set(roles())
+    assert settings["transport"]["link"]["tls"]["enable_mtls"]
+    assert "plugins" not in settings
+
+
+def _replace(keys: Path, role: str, **how: object) -> None:
+    """Have the authority sign something odd."""
+    authority = certificates.read_authority(keys)
+    key = ec.generate_private_key(ec.SECP256R1())
+    odd = certificates.certificate_of(authority, str(how.get("name", role)), key.public_key(),
+                                      how.get("hosts", ()), how.get("days", 1.0))  # type: ignore[arg-type]  # fmt: skip
+    (keys / f"{role}.pem").write_bytes(odd.public_bytes(certificates.serialization.Encoding.PEM))
+    (keys / f"{role}.key").write_bytes(certificates._pem_of(key))
+    (keys / f"{role}.key").chmod(0o600)
+
+
+def test_check_names_what_is_wrong(keys: Path, smal: Smal, tmp_path: Path) -> None:
+    _replace(keys, "features", days=-1 / 1440)
+    _replace(keys, "policy", name="operator")
+    _replace(keys, "robot", hosts=("localhost",))
+    _replace(keys, "router")
+    foreign = make_keys(tmp_path / "foreign")
+    for end in ("pem", "key"):
+        shutil.copy(foreign / f"tracker.{end}", keys)
+    shutil.copy(keys / "watcher.key", keys / "recorder.key")
+    (keys / "console.key").chmod(0o644)
+    (keys / "recognition.pem").write_text("nothing")
+    status, out, _err = smal("secure", "check", str(keys))
+    assert status == 1
+    said = {line.split()[1].partition(".")[0]: line for line in out.splitlines()}
+    for role, words in {
+        "features": "it expired on", "policy": "certificate of operator, not of policy", "robot": "be a router",
+        "router": "does not let its holder be a router", "tracker": "no authority in ca.pem has signed it",
+        "recorder": "its key is another certificate's", "console": "can be read by others",
+        "recognition": "cannot be read",
+    }.items():  # fmt: skip
+        assert said[role].startswith("problem"), said[role]
+        assert words in said[role]
+    assert said["operator"].startswith("ok")
+
+
+def test_check_says_when_the_end_is_near(keys: Path, smal: Smal) -> None:
+    _replace(keys, "features", days=5.0)
+    status, out, _err = smal("secure", "check", str(keys))
+    assert status == 0
+    end = datetime.now(UTC) + timedelta(days=5)
+    assert f"valid until {end:%Y-%m-%d}: soon" in out
+
+
+def test_a_folder_without_an_authority_is_one_line(tmp_path: Path, smal: Smal) -> None:
+    for verb in ("check", "renew", "rotate", "retire"):
+        status, _out, err = smal("secure", verb, str(tmp_path))
+        assert status == 2
+        assert err.count("\n") == 1
+        assert "ca.pem" in err
+
+
+def test_an_authority_is_not_forgotten_while_it_is_needed(keys: Path, smal: Smal) -> None:
+    assert smal("secure", "rotate", str(keys))[0] == 0
+    status, _out, err = smal("secure", "retire", str(keys))
+    assert status == 2
+    assert "smal secure renew" in err
+
+
+def test_two_authorities_replace_each_other_while_a_driver_goes_on(
+    tls_endpoint: str, tmp_path: Path, smal: Smal
+) -> None:
+    """After each step the router is started again: the driver's next word is heard at once, by old keys or new ones."""
+    keys = make_keys(tmp_path / "keys")
+    settings = ServiceSettings(robot=ROBOT, router=tls_endpoint, secure=keys)
+
+    def router() -> Router:
+        return Router(tls_endpoint, credentials_in(keys, "router", tls_endpoint), ROBOT)
+
+    running = router()
+    heard = threading.Event()
+    with Node("recognition", settings) as speaker, Node("policy", settings) as listener:
+        listener.at_once(topics.STATE, lambda _state: heard.set())
+
+        def speaks() -> bool:
+            heard.clear()
+            speaker.publish(EXAMPLES[State])
+            return heard.wait(0.1)
+
+        eventually(speaks)
+        for verb in ("rotate", "renew", "retire"):
+            assert smal("secure", verb, str(keys))[0] == 0
+            running.close()
+            running = router()
+            eventually(speaks)
+        assert smal("secure", "check", str(keys))[1].count("ca.pem") == 1
+    running.close()
+
+
+@pytest.mark.system
+def test_a_stack_with_certificates_runs_and_a_stranger_does_not_get_in(
+    tls_endpoint: str, keys: Path, tmp_path: Path, smal: Smal
+) -> None:
+    plan = StackPlan(("router", "recorder"), ROBOT, tls_endpoint, secure=keys, logs=tmp_path / "logs")
+    with Stack(plan) as stack:
+        status, out, err = smal("doctor", "--router", tls_endpoint, "--secure", str(keys))
+        assert "for holders of a certificate, encrypted: router, recorder" in out
+        with closing(stack.settings.open_bus("watcher")) as bus:
+            assert bus.connected()
+        status, out, err = smal("topic", "hz", "--seconds", "0.1", "--router", tls_endpoint)
+        assert status != 0
+        assert "needs a certificate" in err
+        stranger = tls_endpoint.replace("tls/", "tcp/")
+        with pytest.raises(BusError, match="takes nobody in"):
+            ServiceSettings(robot=ROBOT, router=stranger).open_bus("operator", patience_s=0.0)
