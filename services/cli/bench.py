@@ -37,7 +37,8 @@ def bench(
     recognition: --recordings DIR (drives made by smal demonstrate --camera 320x240; without it some are driven),
     --images DIR (real frames; may be repeated), and to run less --part and --dataset.
 
-    bus: time of a message from process to process over that of plain Zenoh; --rate HZ.
+    bus: time of a message from process to process over that of plain Zenoh; --rate HZ;
+    --secure: what certificates cost.
 
     latency: from the capture of a frame to its command, in real time; --model FILE and --recordings DIR (without them
     both are made), --stride, --camera, --ticks, --stages.

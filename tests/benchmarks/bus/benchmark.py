@@ -15,25 +15,38 @@ import argparse
 import itertools
 import sys
 import time
-from collections.abc import Mapping
-from contextlib import closing
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import ExitStack, closing, contextmanager
 from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 from tqdm import tqdm
 
+from schemas import topics
+from schemas.base import Message
+from services.cli import certificates
 from services.cli.stack.processes import Stack, StackPlan, free_endpoint
+from services.kit.settings import ServiceSettings
+from services.table import givers
 from tests.benchmarks.bus.messages import CASES, Case
-from tests.benchmarks.bus.receiver import CALLBACK
-from tests.benchmarks.bus.sender import Send, Senders, Wire, receiver
+from tests.benchmarks.bus.receiver import CALLBACK, NODE
+from tests.benchmarks.bus.sender import Exchange, Senders, receiver
 from tests.benchmarks.command_line import Parser
 from tests.benchmarks.machine import machine
 from tests.benchmarks.results import Record, table, write_json
 
 #: What the target is about; the other ways tell where the time goes.
 _JUDGED: Final = "ours"
+#: What certificates may cost, by topic.
+SECURE_LIMITS: Final = {
+    topics.CAMERA.name: ("times the time", 1.5),
+    topics.COMMANDS["policy"].name: ("ms more", 0.3),
+}
 
 
 @dataclass(frozen=True)
@@ -67,32 +80,87 @@ def benchmark(plan: Plan) -> dict[str, Any]:
         closing(Senders(endpoint)) as senders,
         tqdm(total=len(CASES) * plan.turns, desc="sending", unit="turn", dynamic_ncols=True) as bar,
     ):
-        messages = [_measure(case, senders.of(case), wire, plan, bar) for case in CASES]
+        messages = [
+            _measure(case, {way: partial(wire.exchange, send) for way, send in senders.of(case).items()}, plan, bar)
+            for case in CASES
+        ]
     results = {"benchmark": "bus", "machine": machine(), "plan": vars(plan), "messages": messages}
     return results | {"targets": [_judge(one) for one in messages]}
 
 
-def _measure(case: Case, ways: Mapping[str, Send], wire: Wire, plan: Plan, bar: tqdm[Any]) -> dict[str, Any]:
+def benchmark_secure(plan: Plan) -> dict[str, Any]:
+    """Measure what certificates and access rules cost: messages through a router without and one with them."""
+    with (
+        TemporaryDirectory() as folder,
+        _node_and_receiver(None) as open_exchange,
+        _node_and_receiver(_keys(Path(folder))) as secure_exchange,
+        tqdm(total=len(CASES) * plan.turns, desc="sending", unit="turn", dynamic_ncols=True) as bar,
+    ):
+        messages = [
+            _measure(case, {"open": open_exchange(case), "secure": secure_exchange(case)}, plan, bar) for case in CASES
+        ]
+    results = {"benchmark": "bus, secure", "machine": machine(), "plan": vars(plan), "messages": messages}
+    return results | {"targets": [_judge_secure(one) for one in messages if one["topic"] in SECURE_LIMITS]}
+
+
+def _keys(folder: Path) -> Path:
+    certificates.begin(folder, NODE)
+    certificates.issue(folder, certificates.HOSTS)
+    return folder
+
+
+@contextmanager
+def _node_and_receiver(keys: Path | None) -> Iterator[Callable[[Case], Exchange]]:
+    """Run a router and both ends; gives how a case is sent by the role that sends it in a stack."""
+    endpoint = free_endpoint() if keys is None else free_endpoint().replace("tcp/", "tls/")
+    settings = ServiceSettings(robot=NODE, router=endpoint, secure=keys)
+    with (
+        Stack(StackPlan(("router",), NODE, endpoint, secure=keys)),
+        receiver(endpoint, keys) as wire,
+        ExitStack() as stack,
+    ):
+
+        def exchange(case: Case) -> Exchange:
+            bus = stack.enter_context(closing(settings.open_bus(givers(case.topic)[0])))
+            message = case.build(Message(robot=NODE, episode="e", tick=7, stamp_ns=time.time_ns()))
+            return partial(wire.exchange, partial(bus.publish, message))
+
+        yield exchange
+
+
+def _judge_secure(one: dict[str, Any]) -> Record:
+    open_us, secure_us = (one["ways"][way]["median_us"] for way in ("open", "secure"))
+    kind, limit = SECURE_LIMITS[one["topic"]]
+    measured = (secure_us - open_us) / 1e3 if kind == "ms more" else secure_us / open_us
+    return {
+        "target": f"{one['message']}, with certificates",
+        "measured": measured,
+        "limit": f"at most {limit:g} {kind}",
+        "verdict": "met" if measured <= limit else "not met",
+    }
+
+
+def _measure(case: Case, ways: Mapping[str, Exchange], plan: Plan, bar: tqdm[Any]) -> dict[str, Any]:
     """Let all ways take turns, each turn in another order."""
     bar.set_postfix_str(case.name)
     times = np.zeros((plan.turns, len(ways), plan.messages, 2))
     orders = itertools.cycle(np.random.default_rng(1).permuted(np.tile(np.arange(len(ways)), (50, 1)), axis=1))
-    sends = list(ways.values())
+    exchanges = list(ways.values())
     for turn, order in zip(range(plan.turns), orders, strict=False):
         for way in order:
-            times[turn, way] = _burst(wire, sends[way], plan)
+            times[turn, way] = _burst(exchanges[way], plan)
         bar.update()
     figures = {name: _figures(times[:, k], times[:, 0]) for k, name in enumerate(ways)}
     return {"message": case.name, "topic": case.topic.name, "limit": case.limit, "ways": figures}
 
 
-def _burst(wire: Wire, send: Send, plan: Plan) -> NDArray[np.float64]:
+def _burst(exchange: Exchange, plan: Plan) -> NDArray[np.float64]:
     """Send some messages one after the other; the first pays for what came before."""
     times = []
     for _ in range(plan.messages + 1):
         if plan.rate_hz:
             time.sleep(1.0 / plan.rate_hz)
-        times.append(wire.exchange(send))
+        times.append(exchange())
     return np.array(times[1:], dtype=np.float64)
 
 
@@ -138,9 +206,11 @@ def main(arguments: list[str]) -> None:
     parser = Parser("bus", __doc__)
     parser.formatter_class = argparse.RawDescriptionHelpFormatter
     parser.add_argument("--rate", type=float, default=0.0, metavar="HZ", help="messages in a second, at most")
+    parser.add_argument("--secure", action="store_true", help="measure what certificates cost, in place of the rest")
     flags = parser.parse(arguments)
     shape = QUICK if flags.quick else Plan()
-    results = benchmark(Plan(shape.turns, shape.messages, flags.rate))
+    measure = benchmark_secure if flags.secure else benchmark
+    results = measure(Plan(shape.turns, shape.messages, flags.rate))
     if flags.json is not None:
         write_json(flags.json, {"quick": flags.quick, **results})
     sys.stdout.write(as_text(results))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import multiprocessing
+import os
 import subprocess
 import sys
 import time
@@ -10,6 +11,7 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import replace
 from multiprocessing.connection import Connection
+from pathlib import Path
 from typing import Final
 
 from schemas.base import Message
@@ -27,6 +29,8 @@ _PATIENCE_S: Final = 5.0
 _STARTING_S: Final = 60.0
 _RECEIVE: Final = "import sys; sys.path.insert(0, sys.argv[1]); from tests.benchmarks.bus.receiver import main; main()"
 Send = Callable[[], object]
+#: Sends a message and waits for it; returns the time one way and what both processes worked, nanoseconds.
+Exchange = Callable[[], tuple[int, int]]
 
 
 class Wire:
@@ -67,12 +71,13 @@ class Wire:
 
 
 @contextmanager
-def receiver(endpoint: str) -> Iterator[Wire]:
-    """Run the receiving process for as long as the context lasts."""
+def receiver(endpoint: str, secure: Path | None = None) -> Iterator[Wire]:
+    """Run the receiving process for as long as the context lasts, with certificates if a folder of them is given."""
     ours, theirs = multiprocessing.Pipe()
     pipe = theirs.fileno()
     command = tied(sys.executable, "-P", "-c", _RECEIVE, str(FOLDER.parents[1]), endpoint, str(pipe))
-    with subprocess.Popen(command, pass_fds=(pipe,)) as process:
+    environment = os.environ | ({} if secure is None else {"SMAL_SECURE": str(secure)})
+    with subprocess.Popen(command, pass_fds=(pipe,), env=environment) as process:
         theirs.close()
         try:
             yield _connect(ours)

@@ -35,3 +35,14 @@ def test_everything_is_measured(
     text = capsys.readouterr().out
     assert "frame 1024x768, ours over plain" in text
     assert str(file) in text
+
+
+@pytest.mark.system
+def test_what_certificates_cost_is_measured(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(bus, "QUICK", bus.Plan(turns=2, messages=1))
+    file = tmp_path / "results.json"
+    bus.main(["--quick", "--secure", "--json", str(file)])
+    results: dict[str, Any] = json.loads(file.read_text())
+    assert [one["message"] for one in results["messages"]] == [case.name for case in CASES]
+    assert all(one["ways"][way]["median_us"] > 10.0 for one in results["messages"] for way in ("open", "secure"))
+    assert [one["limit"] for one in results["targets"]] == ["at most 1.5 times the time", "at most 0.3 ms more"]
