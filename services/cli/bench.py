@@ -38,7 +38,7 @@ def bench(
     --images DIR (real frames; may be repeated), and to run less --part and --dataset.
 
     bus: time of a message from process to process over that of plain Zenoh; --rate HZ;
-    --secure: what certificates cost.
+    --secure: what certificates cost; --flood: what a flood costs commands.
 
     latency: from the capture of a frame to its command, in real time; --model FILE and --recordings DIR (without them
     both are made), --stride, --camera, --ticks, --stages.

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import argparse
 import itertools
+import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator, Mapping
@@ -21,7 +22,7 @@ from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,9 +31,12 @@ from tqdm import tqdm
 from schemas import topics
 from schemas.base import Message
 from services.cli import certificates
+from services.cli.bench import FOLDER
+from services.cli.stack.child import tied
 from services.cli.stack.processes import Stack, StackPlan, free_endpoint
 from services.kit.settings import ServiceSettings
 from services.table import givers
+from tests.benchmarks.bus.flood import RATE_HZ
 from tests.benchmarks.bus.messages import CASES, Case
 from tests.benchmarks.bus.receiver import CALLBACK, NODE
 from tests.benchmarks.bus.sender import Exchange, Senders, receiver
@@ -47,6 +51,10 @@ SECURE_LIMITS: Final = {
     topics.CAMERA.name: ("times the time", 1.5),
     topics.COMMANDS["policy"].name: ("ms more", 0.3),
 }
+FLOOD_LIMIT_MS: Final = 20.0
+#: Of the robot's loop.
+COMMAND_PERIOD_S: Final = 0.02
+_FLOOD: Final = "import sys; sys.path.insert(0, sys.argv[1]); from tests.benchmarks.bus.flood import main; main()"
 
 
 @dataclass(frozen=True)
@@ -92,15 +100,66 @@ def benchmark_secure(plan: Plan) -> dict[str, Any]:
     """Measure what certificates and access rules cost: messages through a router without and one with them."""
     with (
         TemporaryDirectory() as folder,
-        _node_and_receiver(None) as open_exchange,
-        _node_and_receiver(_keys(Path(folder))) as secure_exchange,
+        _node_and_receiver(None) as openly,
+        _node_and_receiver(_keys(Path(folder))) as secured,
         tqdm(total=len(CASES) * plan.turns, desc="sending", unit="turn", dynamic_ncols=True) as bar,
     ):
         messages = [
-            _measure(case, {"open": open_exchange(case), "secure": secure_exchange(case)}, plan, bar) for case in CASES
+            _measure(case, {"open": openly.exchange(case), "secure": secured.exchange(case)}, plan, bar)
+            for case in CASES
         ]
     results = {"benchmark": "bus, secure", "machine": machine(), "plan": vars(plan), "messages": messages}
     return results | {"targets": [_judge_secure(one) for one in messages if one["topic"] in SECURE_LIMITS]}
+
+
+def benchmark_flood(plan: Plan) -> dict[str, Any]:
+    """Time commands, a message every 20 ms, while a watcher publishes some of its own that nobody may take."""
+    case = next(case for case in CASES if case.topic is topics.COMMANDS["policy"])
+    with (
+        TemporaryDirectory() as folder,
+        _node_and_receiver(keys := _keys(Path(folder))) as link,
+        tqdm(total=2 * plan.turns, desc="sending", unit="turn", dynamic_ncols=True) as bar,
+    ):
+        quiet = _command_times_ms(link.exchange(case), plan, bar)
+        with _flooding(link.endpoint, keys) as rates:
+            flooded = _command_times_ms(link.exchange(case), plan, bar)
+    rate = rates[-1]
+    cost_ms = float(np.percentile(flooded, 95) - np.percentile(quiet, 95))
+    rows = [
+        {"commands": name, "median ms": float(np.median(some)), "p95 ms": float(np.percentile(some, 95))}
+        for name, some in (("alone", quiet), (f"beside {rate} a second", flooded))
+    ]
+    target = {
+        "target": f"p95 of a command beside a flood of {rate} a second, ms more",
+        "measured": cost_ms,
+        "limit": f"at most {FLOOD_LIMIT_MS:g}",
+        "verdict": "met" if cost_ms <= FLOOD_LIMIT_MS and rate >= 0.99 * RATE_HZ else "not met",
+    }
+    return {"benchmark": "bus, flood", "machine": machine(), "commands": rows, "targets": [target]}
+
+
+def _command_times_ms(exchange: Exchange, plan: Plan, bar: tqdm[Any]) -> NDArray[np.float64]:
+    times = []
+    for _ in range(plan.turns):
+        for _ in range(plan.messages):
+            time.sleep(COMMAND_PERIOD_S)
+            times.append(exchange()[0] / 1e6)
+        bar.update()
+    return np.array(times)
+
+
+@contextmanager
+def _flooding(endpoint: str, keys: Path) -> Iterator[list[int]]:
+    """Run the flood, which has begun when it has said how fast it is; gives what it has said, in the end all of it."""
+    command = tied(sys.executable, "-P", "-c", _FLOOD, str(FOLDER.parents[1]), endpoint, str(keys))
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
+        assert process.stdout is not None
+        rates = [int(process.stdout.readline())]
+        try:
+            yield rates
+        finally:
+            process.kill()
+            rates += map(int, process.stdout.read().split())
 
 
 def _keys(folder: Path) -> Path:
@@ -109,9 +168,16 @@ def _keys(folder: Path) -> Path:
     return folder
 
 
+class _Link(NamedTuple):
+    """A router with both ends: how a case is sent by the role that sends it in a stack."""
+
+    endpoint: str
+    exchange: Callable[[Case], Exchange]
+
+
 @contextmanager
-def _node_and_receiver(keys: Path | None) -> Iterator[Callable[[Case], Exchange]]:
-    """Run a router and both ends; gives how a case is sent by the role that sends it in a stack."""
+def _node_and_receiver(keys: Path | None) -> Iterator[_Link]:
+    """Run a router and both ends."""
     endpoint = free_endpoint() if keys is None else free_endpoint().replace("tcp/", "tls/")
     settings = ServiceSettings(robot=NODE, router=endpoint, secure=keys)
     with (
@@ -125,7 +191,7 @@ def _node_and_receiver(keys: Path | None) -> Iterator[Callable[[Case], Exchange]
             message = case.build(Message(robot=NODE, episode="e", tick=7, stamp_ns=time.time_ns()))
             return partial(wire.exchange, partial(bus.publish, message))
 
-        yield exchange
+        yield _Link(endpoint, exchange)
 
 
 def _judge_secure(one: dict[str, Any]) -> Record:
@@ -192,6 +258,8 @@ def _judge(one: dict[str, Any]) -> Record:
 
 def as_text(results: dict[str, Any]) -> str:
     """Write the tables."""
+    if "commands" in results:
+        return table("Commands, milliseconds", results["commands"]) + table("Targets", results["targets"])
     rows = [
         {"message": one["message"], "way": way, "median us": f["median_us"], "p95 us": f["p95_us"],
          "ratio": f["ratio"], "ratio of medians": f["ratio_of_medians"], "processor us": f["processor_us"],
@@ -207,9 +275,10 @@ def main(arguments: list[str]) -> None:
     parser.formatter_class = argparse.RawDescriptionHelpFormatter
     parser.add_argument("--rate", type=float, default=0.0, metavar="HZ", help="messages in a second, at most")
     parser.add_argument("--secure", action="store_true", help="measure what certificates cost, in place of the rest")
+    parser.add_argument("--flood", action="store_true", help="measure commands beside a flood, in place of the rest")
     flags = parser.parse(arguments)
     shape = QUICK if flags.quick else Plan()
-    measure = benchmark_secure if flags.secure else benchmark
+    measure = benchmark_secure if flags.secure else benchmark_flood if flags.flood else benchmark
     results = measure(Plan(shape.turns, shape.messages, flags.rate))
     if flags.json is not None:
         write_json(flags.json, {"quick": flags.quick, **results})

@@ -38,6 +38,16 @@ def test_everything_is_measured(
 
 
 @pytest.mark.system
+def test_commands_are_timed_beside_a_flood(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(bus, "QUICK", bus.Plan(turns=5, messages=5))
+    file = tmp_path / "results.json"
+    bus.main(["--quick", "--flood", "--json", str(file)])
+    results: dict[str, Any] = json.loads(file.read_text())
+    assert [one["commands"].split()[0] for one in results["commands"]] == ["alone", "beside"]
+    assert all(0.01 < one["median ms"] <= one["p95 ms"] for one in results["commands"])
+
+
+@pytest.mark.system
 def test_what_certificates_cost_is_measured(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(bus, "QUICK", bus.Plan(turns=2, messages=1))
     file = tmp_path / "results.json"
