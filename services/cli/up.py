@@ -21,7 +21,7 @@ from services.kit.bus import Router
 from services.kit.credentials import how_secure
 from services.kit.errors import UsageError
 from services.kit.node import configure_logging
-from services.table import stack_services
+from services.table import role_of, stack_services
 from smal.features import FeatureSettings
 
 #: How often dead services are looked for, seconds.
@@ -73,6 +73,8 @@ def up(
     chain, learned_on = _chain_flags(model, scheme, stride, goal)
     features = features_for_model(modalities, learned_on)
     # Said here, in one line, before the processes start and one of them fails.
+    for service in stack_services():
+        reached.credentials(role_of(service))
     credentials = reached.credentials("router")
     Router(reached.router, credentials, robot, insecure=insecure).close()
     configure_logging("info")
