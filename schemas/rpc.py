@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import re
 from typing import Annotated, Final, Literal
 
-from pydantic import Field
+from pydantic import AfterValidator, Field
 
 from schemas.base import MAX_TICK, EpisodeId, SessionId, Strict
 from schemas.episode import GoalName, Purpose
@@ -17,6 +18,25 @@ Scheme = Literal["filter", "paper"]
 #: The sources that can drive; an emergency stop only ever makes the robot stand.
 Driver = Literal["teleop", "expert", "policy"]
 
+
+#: Part of a path below the root of a service: it hides nothing (leading dot, and with it ``.`` and ``..``), separates
+#: nothing, and moves no log or terminal.
+_PART: Final = r"[^./\\\x00-\x1f\x7f-\x9f][^/\\\x00-\x1f\x7f-\x9f]*"
+_NAME: Final = re.compile(rf"{_PART}(/{_PART})*")
+#: Most characters of it: at 4 bytes each, what Linux takes.
+_MAX_NAME: Final = 1023
+
+
+def _is_below(name: str) -> str:
+    if name and _NAME.fullmatch(name) is None:
+        raise ValueError("must be a path below the root of the service, relative, and no part may begin with a dot")
+    return name
+
+
+#: A folder below the root of a service; empty for the root itself.
+FolderName = Annotated[str, Field(max_length=_MAX_NAME), AfterValidator(_is_below)]
+#: A file below the root of a service.
+FileName = Annotated[str, Field(min_length=1, max_length=_MAX_NAME), AfterValidator(_is_below)]
 
 #: Most frames of an episode: a day and more.
 MAX_TICKS: Final = 1_000_000
@@ -143,8 +163,8 @@ class ResumeRequest(Strict):
 class LoadRequest(Strict):
     """Load a model (recognition, policy)."""
 
-    path: str
-    """Path of the model file, as the service sees it."""
+    model: FileName
+    """The model file: its path below the service's root, without a part that begins with a dot."""
     scheme: Scheme = "filter"
     """How the robot is to know where it is, and decide."""
     goal: GoalName | None = None
@@ -173,14 +193,14 @@ class LoadReply(Strict):
 class RecordRequest(Strict):
     """Record every episode from now on (recorder)."""
 
-    folder: str
-    """Folder for the recordings, one file an episode."""
+    folder: FolderName
+    """Folder for the recordings, one file an episode: its path below the recorder's root; empty for the root itself."""
 
 
 class RecordReply(Strict):
     """What was recorded (recorder ``stop``, ``flush``)."""
 
     files: tuple[str, ...]
-    """Finished recordings since ``start``, oldest first."""
+    """Names of the finished recordings since ``start``, in the folder that it named; oldest first."""
     dropped: int
     """Messages that could not be recorded."""

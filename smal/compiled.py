@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any, ParamSpec, TypeVar, cast
 
 import numba
+from numba.core.caching import _CacheLocator
 
 P = ParamSpec("P")
 R = TypeVar("R")
@@ -26,8 +27,9 @@ _made_of: dict[Any, frozenset[str]] = {}
 def compiled(function: Callable[P, R]) -> Callable[P, R]:
     """Compile a function of arrays and numbers at its first call, and keep the machine code on disk.
 
-    Where no folder for it can be written (`NUMBA_CACHE_DIR` names one), each process compiles for itself, which
-    costs its start a few seconds and nothing else. The global interpreter lock is released while it runs.
+    Where its folder (`NUMBA_CACHE_DIR` names one) can be read only, what is there is used. What is not, each process
+    compiles for itself, which costs its start up to a minute and nothing else. The global interpreter lock is released
+    while it runs.
     """
     compiler = partial(numba.njit, fastmath=_FAST_MATH, nogil=True, error_model="numpy")
     file = function.__code__.co_filename
@@ -40,7 +42,8 @@ def compiled(function: Callable[P, R]) -> Callable[P, R]:
     usual, config.CACHE_DIR = config.CACHE_DIR, str(folder)
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        made = compiler(cache=True)(function)
+        make = compiler(cache=True)
+        made = make(function) if os.access(folder, os.W_OK) else _reading_only(make, function)
     except (OSError, RuntimeError) as error:
         if isinstance(error, RuntimeError) and "cannot cache" not in str(error):
             raise
@@ -49,6 +52,18 @@ def compiled(function: Callable[P, R]) -> Callable[P, R]:
         config.CACHE_DIR = usual
     _made_of[made] = frozenset(parts)
     return cast("Callable[P, R]", made)
+
+
+def _reading_only(make: Callable[[Any], Any], function: Any) -> Any:  # noqa: ANN401 - numba has no types
+    """Compile a function whose machine code is only read: numba itself reads from no folder that it cannot write to."""
+    locator: Any = _CacheLocator
+    check, locator.ensure_cache_path = locator.ensure_cache_path, lambda _: None
+    try:
+        made = make(function)
+    finally:
+        locator.ensure_cache_path = check
+    made._cache.save_overload = lambda *_: None
+    return made
 
 
 @lru_cache

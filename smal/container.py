@@ -21,11 +21,20 @@ from numpy.typing import NDArray
 
 MAGIC = b"SMAL\x00MDL"
 _FIXED = struct.Struct("<8sIQ")
+#: Most bytes of a model. While a service loads one it holds three times that, the model before, the file and its
+#: arrays, and its container has 4 GiB. There is room for 32,000 template frames of the usual features, 50 minutes.
+LARGEST = 2**30
+#: Most bytes of its header, which takes 30 times as much memory once it is understood; a demonstration has 100 in it.
+LARGEST_HEADER = 2**24
 _DTYPES = {name: np.dtype(name) for name in ("<f4", "<f8", "<i8", "<i4", "|i1", "|b1")}
 
 
 class ModelError(ValueError):
     """A file is not a usable model; the message says in one line why."""
+
+
+class NoModelError(ModelError):
+    """A file cannot be opened, is too large, or does not begin as a model does."""
 
 
 def one_line(error: Exception) -> str:
@@ -69,31 +78,49 @@ def checksum(version: int, meta: Mapping[str, Any], arrays: Mapping[str, NDArray
     return digest.hexdigest()
 
 
-def read(path: Path, version: int) -> tuple[dict[str, Any], dict[str, NDArray[Any]], str]:
+def read(file: IO[bytes], name: str, version: int) -> tuple[dict[str, Any], dict[str, NDArray[Any]], str]:
     """Read a file that `write` wrote: what it says, its arrays, and its checksum in hex.
+
+    Parameters
+    ----------
+    file : binary file
+        At its beginning.
+    name : str
+        What errors call it.
+    version : int
+        Of the format.
 
     Raises
     ------
+    NoModelError
+        The file cannot be read, is too large, or is of another kind.
     ModelError
-        The file cannot be read, is no model, is of another version, truncated or altered.
+        It is of another version, truncated or altered.
     """
     try:
-        content = path.read_bytes()
+        size = os.fstat(file.fileno()).st_size
+        if size > LARGEST:
+            raise NoModelError(f"{name}: too large for a model: {size} bytes, at most {LARGEST}")
+        # The beginning alone, before memory is taken for the rest.
+        if size < _FIXED.size or file.read(len(MAGIC)) != MAGIC:
+            raise NoModelError(f"{name}: not a SMAL model")
+        file.seek(0)
+        content = file.read(size)
     except OSError as error:
-        raise ModelError(f"{path}: cannot be read: {error.strerror}") from error
-    if len(content) < _FIXED.size or content[: len(MAGIC)] != MAGIC:
-        raise ModelError(f"{path}: not a SMAL model")
+        raise NoModelError(f"{name}: cannot be read: {error.strerror}") from error
     _, found, header_size = _FIXED.unpack_from(content)
     if found != version:
-        raise ModelError(f"{path}: model of format {found}, this program reads format {version}; learn it again")
+        raise ModelError(f"{name}: model of format {found}, this program reads format {version}; learn it again")
+    if header_size > LARGEST_HEADER:
+        raise ModelError(f"{name}: a header of {header_size} bytes, at most {LARGEST_HEADER} are read")
     body, digest = memoryview(content)[:-32], content[-32:]
     if hashlib.sha256(body).digest() != digest:
-        raise ModelError(f"{path}: truncated or altered: its checksum does not match")
+        raise ModelError(f"{name}: truncated or altered: its checksum does not match")
     try:
         header = json.loads(bytes(body[_FIXED.size : _FIXED.size + header_size]))
         return header["meta"], _arrays(header["arrays"], body[_FIXED.size + header_size :]), digest.hex()
     except (LookupError, TypeError, ValueError, ArithmeticError, RecursionError) as error:
-        raise ModelError(f"{path}: the header does not describe a model: {one_line(error)}") from error
+        raise ModelError(f"{name}: the header does not describe a model: {one_line(error)}") from error
 
 
 def _parts(version: int, meta: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -> list[bytes | memoryview]:

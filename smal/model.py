@@ -4,19 +4,20 @@ import os
 from dataclasses import dataclass, fields
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Self
+from typing import IO, Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
 from smal import container
-from smal.container import ModelError
+from smal.container import ModelError, NoModelError
 from smal.features import Centering, FeatureSettings
 from smal.novelty import novelty_test
+from smal.regular_file import open_regular
 from smal.transitions import Transitions
 from smal.visual_map import VisualMap
 
-__all__ = ["FORMAT_VERSION", "Model", "ModelError"]
+__all__ = ["FORMAT_VERSION", "Model", "ModelError", "NoModelError"]
 
 FORMAT_VERSION = 2
 
@@ -193,15 +194,29 @@ class Model:
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> Self:
-        """Read a model.
+        """Read the model in a file; see `read`."""
+        try:
+            descriptor = open_regular(Path(path))
+        except OSError as error:
+            raise NoModelError(f"{path}: cannot be read: {error.strerror}") from error
+        with os.fdopen(descriptor, "rb") as file:
+            return cls.read(file, str(path))
+
+    @classmethod
+    def read(cls, file: IO[bytes], name: str) -> Self:
+        """Read a model from an open file, which errors call `name`.
+
+        Nothing but this file is opened, whatever it says.
 
         Raises
         ------
+        NoModelError
+            The file cannot be read, is too large, or does not begin as a model does.
         ModelError
-            The file is missing, no model, of another version, truncated, altered or inconsistent, or was
-            learned on features that this program computes differently.
+            It is of another version, truncated, altered or inconsistent, or was learned on features that this
+            program computes differently.
         """
-        meta, arrays, checksum = container.read(Path(path), FORMAT_VERSION)
+        meta, arrays, checksum = container.read(file, name, FORMAT_VERSION)
         try:
             _check_numbers(meta)
             settings = FeatureSettings(tuple(meta["modalities"]), tuple(meta["modality_weights"]))
@@ -228,7 +243,7 @@ class Model:
                 **streams,
             )
         except (LookupError, TypeError, ValueError, ArithmeticError) as error:
-            raise ModelError(f"{path}: {container.one_line(error)}") from error
+            raise ModelError(f"{name}: {container.one_line(error)}") from error
         # Known from the file: hashing all templates again would delay the start of a service.
         vars(model)["checksum"] = checksum
         return model

@@ -17,7 +17,7 @@ from services.cli.episodes.client import EpisodeClient, EpisodeRecord, check_wor
 from services.cli.episodes.recording import recording
 from services.cli.feature_options import Modalities, feature_flags, features_of_own_stack
 from services.cli.simulator_options import simulator_of_own_stack
-from services.cli.stack.processes import Access, stack_for
+from services.cli.stack.processes import Access, flags, stack_for
 from services.expert.driver import DRIVE_TICKS, RECOVERY_TICKS
 from services.expert.service import ExpertService
 from services.kit.errors import UsageError
@@ -57,7 +57,11 @@ def demonstrate(
         raise UsageError("--episodes 0 --recoveries 0: nothing to demonstrate")
     outputs.make_folder(out, "--out")
     services = ("router", "robot", "features", "recorder")
-    own = {"robot": simulator.flags(), "features": feature_flags(features)}
+    own = {
+        "robot": simulator.flags(),
+        "features": feature_flags(features),
+        "recorder": flags(root=out.resolve()),
+    }
     with stack_for(connect, services, robot, own, secure) as access:
         recorded = _record(requests, access, out, asked, name)
     typer.echo(f"recorded {recorded} drives in {out}; next: smal learn {out} --out MODEL")
@@ -79,7 +83,7 @@ def _record(requests: list[ResetRequest], access: Access, out: Path, world: str 
     client.node.subscribe(topics.OBSERVATION, expert.handle, depth=4)
     try:
         client.node.bus.wait_connected(5.0)
-        with recording(client.node.bus, out) as recorded:
+        with recording(client.node.bus, out, "--out") as recorded:
             for request, progress in _with_progress(requests):
                 record = client.run(
                     request,

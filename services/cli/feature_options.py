@@ -50,7 +50,7 @@ def with_weights(features: FeatureSettings, weights: str) -> FeatureSettings:
         When they are no positive numbers, or not as many as the modalities.
     """
     try:
-        return FeatureSettings.parse(",".join(features.modalities), weights)
+        return FeatureSettings.parse(features.text, weights)
     except ValueError as error:
         raise UsageError(f"--weights {weights}: {error}") from None
 
@@ -87,5 +87,14 @@ def features_for_model(modalities: str | None, model: FeatureSettings | None) ->
 
 
 def feature_flags(features: FeatureSettings) -> tuple[str, ...]:
-    """Return the flags of the features service."""
-    return "--modalities", ",".join(features.modalities)
+    """Return the flags of the features service.
+
+    Raises
+    ------
+    UsageError
+        When a model names a network whose file the user has not given: what a model says makes nothing run.
+    """
+    try:
+        return "--modalities", features.text
+    except ValueError as error:
+        raise UsageError(f"the model was learned on {','.join(features.modalities)}: {error} (--modalities)") from None

@@ -12,13 +12,14 @@ import numpy as np
 import typer
 from tqdm import tqdm
 
-from schemas.rpc import LoadReply, LoadRequest, Mode, Nothing, ResetRequest, Start, Status
+from schemas.rpc import LoadReply, LoadRequest, Mode, Nothing, ResetRequest, Scheme, Start, Status
 from services.cli import options, outputs
 from services.cli.episodes.client import EpisodeClient, EpisodeRecord, check_world_of
+from services.cli.episodes.names import name_for
 from services.cli.episodes.recording import recording
-from services.cli.feature_options import feature_flags
+from services.cli.feature_options import ModalitiesOrOfModel, feature_flags, features_for_model, features_of_own_stack
 from services.cli.simulator_options import simulator_of_own_stack
-from services.cli.stack.processes import Access, stack_for
+from services.cli.stack.processes import Access, flags, stack_for
 from services.kit.errors import JobError
 from services.kit.model_service import identity_of
 from services.kit.settings import ServiceSettings
@@ -64,6 +65,7 @@ def run(
     shake: options.Shake = None,
     base: options.Base = None,
     variation: options.Variation = None,
+    modalities: ModalitiesOrOfModel = None,
     connect: options.Connect = None,
     secure: options.Secure = None,
     robot: options.Robot = options.DEFAULT_ROBOT,
@@ -85,7 +87,11 @@ def run(
         if folder is not None:
             outputs.make_folder(folder, option)
     services = ("router", "robot", "features", "recognition", "policy", *(["recorder"] if record else []))
-    own = {"robot": simulator.flags(), "features": feature_flags(loaded.feature_settings)}
+    own = {"robot": simulator.flags()}
+    if connect is None:
+        own |= _own_flags(model, loaded.feature_settings, modalities, record)
+    else:
+        features_of_own_stack(modalities, connect)
     requests = [
         ResetRequest(
             seed=seed + k,
@@ -99,13 +105,12 @@ def run(
         )
         for k in range(episodes)
     ]
-    load = LoadRequest(path=str(model.resolve()), scheme=scheme, stride=stride, goal=goal)
     records: list[EpisodeRecord] = []
     try:
         with (
             stack_for(connect, services, robot, own, secure) as access,
-            _client(access.settings, load, identity) as client,
-            recording(client.node.bus, record) if record else nullcontext(),
+            _client(access.settings, model, identity, scheme, stride, goal) as client,
+            recording(client.node.bus, record, "--record") if record else nullcontext(),
         ):
             _check_features(client, loaded.feature_settings)
             for one in _run_all(client, requests, access, name):
@@ -151,8 +156,23 @@ def summarize(world: str | None, records: list[EpisodeRecord]) -> dict[str, obje
     }
 
 
+def _own_flags(
+    model: Path, learned_on: FeatureSettings, modalities: str | None, record: Path | None
+) -> dict[str, tuple[str, ...]]:
+    """Return the flags of the services of an own stack that make the features, and read and write files."""
+    chain = flags(root=model.resolve().parent)
+    return {
+        "features": feature_flags(features_for_model(modalities, learned_on)),
+        "recognition": chain,
+        "policy": chain,
+        "recorder": flags(root=record and record.resolve()),
+    }
+
+
 @contextmanager
-def _client(settings: ServiceSettings, request: LoadRequest, identity: str) -> Iterator[EpisodeClient]:
+def _client(
+    settings: ServiceSettings, model: Path, identity: str, scheme: Scheme, stride: int | None, goal: str | None
+) -> Iterator[EpisodeClient]:
     """Connect, and have recognition and policy load the model."""
     client = EpisodeClient("run", settings)
     try:
@@ -160,8 +180,10 @@ def _client(settings: ServiceSettings, request: LoadRequest, identity: str) -> I
         client.watch_frames(FRAMES_APART)
         client.node.bus.wait_connected(5.0)
         for service in CHAIN:
+            name = name_for(client.node.bus, service, model, "--model")
+            request = LoadRequest(model=name, scheme=scheme, stride=stride, goal=goal)
             client.node.bus.call(service, "load", request, LoadReply, timeout_s=60.0)
-        _check_models(client, identity, request.goal)
+        _check_models(client, identity, goal)
         yield client
     finally:
         client.close()

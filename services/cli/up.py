@@ -34,6 +34,15 @@ def up(
     scheme: options.SchemeOption = "filter",
     stride: options.Stride = None,
     goal: options.Goal = None,
+    root: Annotated[
+        Path,
+        typer.Option(
+            envvar="SMAL_ROOT",
+            help="Folder below which clients of the stack, such as smal run --connect, may have models read and "
+            "recordings written. [default: the current one]",
+            show_default=False,
+        ),
+    ] = Path(),
     recordings: Annotated[Path | None, typer.Option(help="Record every episode into this folder.")] = None,
     camera: options.CameraSize = "640x480",
     shake: options.Shake = None,
@@ -70,6 +79,8 @@ def up(
     reached = options.settings_for(robot, router, secure)
     if recordings is not None:
         outputs.make_folder(recordings, "--recordings")
+    if not root.is_dir():
+        raise UsageError(f"--root {root}: no such folder")
     chain, learned_on = _chain_flags(model, scheme, stride, goal)
     features = features_for_model(modalities, learned_on)
     # Said here, in one line, before the processes start and one of them fails.
@@ -79,13 +90,14 @@ def up(
     Router(reached.router, credentials, robot, insecure=insecure).close()
     configure_logging("info")
     log = logging.getLogger("up")
+    below = flags(root=root.resolve())
     own = {
         "router": ("--insecure",) if insecure else (),
         "robot": simulator.flags(),
         "features": feature_flags(features),
-        "recognition": chain,
-        "policy": chain,
-        "recorder": flags(recordings=recordings),
+        "recognition": (*chain, *below),
+        "policy": (*chain, *below),
+        "recorder": flags(recordings=recordings) + below,
     }
     services = stack_services()
     addresses = _http_addresses(services, metrics_port)

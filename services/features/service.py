@@ -33,7 +33,7 @@ class FeaturesService:
         self.needs_depth = "depth" in features.needs
         self.without_depth = 0
         self._features = features
-        # Where a network's file lies is nobody else's business; its contents are in the fingerprint.
+        # A message has the names of our own only; which network it is stands in the fingerprint.
         self._names = features.modalities if MODALITIES.keys() >= set(features.modalities) else ()
         self._complain = complain
         self._throttle = Throttle()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,21 +11,23 @@ from typing import Annotated, Final, Protocol, Self, TypeVar
 from pydantic import Field
 
 from schemas.base import Message
+from schemas.codec import printable
 from schemas.episode import GoalName
 from schemas.rpc import LoadReply, LoadRequest, Scheme
 from schemas.topics import Topic
 from services.kit.node import Detail, Node, ServiceError, configure_logging, read_settings
-from services.kit.settings import ServiceSettings
-from smal.model import Model, ModelError
+from services.kit.root import RootSettings, open_below
+from smal.model import Model, ModelError, NoModelError
 from smal.planning import chosen_goal
 
 #: So many hex digits of a model's checksum tell one model from another.
 _DIGITS: Final = 16
+_log = logging.getLogger("models")
 M_contra = TypeVar("M_contra", bound=Message, contravariant=True)
 
 
-class ModelSettings(ServiceSettings):
-    """The model to start with; another is loaded by the queryable ``load``."""
+class ModelSettings(RootSettings):
+    """The model to start with, wherever it lies; another, below the root, is loaded by the queryable ``load``."""
 
     model: Path | None = None
     """Model file, made by `smal learn`."""
@@ -72,8 +75,8 @@ class LoadedModel:
         The model.
     identity
         See ``identity_of``.
-    path
-        Its file.
+    name
+        Its file: the path in the settings, or the name that a call gave.
     scheme
         How to work with it.
     stride
@@ -84,14 +87,31 @@ class LoadedModel:
 
     model: Model
     identity: str
-    path: str
+    name: str
     scheme: Scheme
     stride: int
     goal: str | None
 
     @classmethod
-    def read(cls, request: LoadRequest) -> Self:
-        """Read a model.
+    def of(
+        cls, model: Model, name: str, scheme: Scheme = "filter", stride: int | None = None, goal: str | None = None
+    ) -> Self:
+        """Work with a model.
+
+        Raises
+        ------
+        ServiceError
+            When it cannot be used so.
+        """
+        refusal = refused(model, scheme, stride, goal)
+        if refusal is not None:
+            raise ServiceError(refusal)
+        stride = 1 if scheme == "filter" else stride or model.sequence_length
+        return cls(model, identity_of(model), name, scheme, stride, goal)
+
+    @classmethod
+    def read(cls, path: Path, scheme: Scheme = "filter", stride: int | None = None, goal: str | None = None) -> Self:
+        """Read the model that whoever started the service named.
 
         Raises
         ------
@@ -99,14 +119,30 @@ class LoadedModel:
             When the file is no model, or cannot be used so.
         """
         try:
-            model = Model.load(Path(request.path))
+            model = Model.load(path)
         except ModelError as error:
             raise ServiceError(str(error)) from None
-        refusal = refused(model, request.scheme, request.stride, request.goal)
-        if refusal is not None:
-            raise ServiceError(refusal)
-        stride = 1 if request.scheme == "filter" else request.stride or model.sequence_length
-        return cls(model, identity_of(model), request.path, request.scheme, stride, request.goal)
+        return cls.of(model, str(path), scheme, stride, goal)
+
+    @classmethod
+    def named(cls, request: LoadRequest, root: Path) -> Self:
+        """Read the model that a call names.
+
+        Raises
+        ------
+        ServiceError
+            When the file is no model, or cannot be used so. What is no model at all is answered as what is not there:
+            whoever asks learns nothing of other files.
+        """
+        try:
+            with open_below(root, request.model) as file:
+                model = Model.read(file, request.model)
+        except (OSError, NoModelError) as error:
+            _log.warning("model %r: %s", request.model, error)
+            raise ServiceError(f"no model {printable(request.model)!r} below the root of this service") from None
+        except ModelError as error:
+            raise ServiceError(str(error)) from None
+        return cls.of(model, request.model, request.scheme, request.stride, request.goal)
 
     def reply(self) -> LoadReply:
         """Tell who asked for it what was loaded."""
@@ -122,7 +158,7 @@ class LoadedModel:
     def detail(self) -> Detail:
         """Tell of the model in the service's status."""
         return {
-            "model": self.path,
+            "model": self.name,
             "checksum": self.identity,
             "states": self.model.states,
             "scheme": self.scheme,
@@ -133,14 +169,20 @@ class LoadedModel:
 class ModelService(Protocol[M_contra]):
     """What ``serve_model`` needs of a service."""
 
-    def load(self, request: LoadRequest) -> LoadReply:
-        """Load a model; when it is refused, go on with the one before."""
+    def load(self, loaded: LoadedModel) -> LoadReply:
+        """Work with another model from now on."""
 
     def handle(self, message: M_contra, /) -> Message | list[Message] | None:
         """Answer a message."""
 
     def detail(self) -> Detail:
         """Tell how the service is."""
+
+
+def serve_loads(node: Node, service: ModelService[M_contra], root: Path) -> None:
+    """Load the models that calls name below a root; when one is refused, go on with the one before."""
+    node.serve("load", LoadRequest, lambda request: service.load(LoadedModel.named(request, root)))
+    node.detail = lambda: {"root": str(root)} | service.detail()
 
 
 def serve_model(
@@ -153,13 +195,10 @@ def serve_model(
     settings = read_settings(ModelSettings, name)
     configure_logging(settings.log_level)
     if settings.model is not None:
-        service.load(
-            LoadRequest(path=str(settings.model), scheme=settings.scheme, stride=settings.stride, goal=settings.goal)
-        )
+        service.load(LoadedModel.read(settings.model, settings.scheme, settings.stride, settings.goal))
     with Node(name, settings) as node:
         node.stop_on_signals()
-        node.detail = service.detail
-        node.serve("load", LoadRequest, service.load)
+        serve_loads(node, service, settings.root)
         wire(node)
         node.subscribe(topic, service.handle)
         node.log.info("model %s", settings.model or f"not loaded yet; waiting for rpc/{name}/load")

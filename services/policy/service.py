@@ -12,7 +12,7 @@ import numpy as np
 from schemas.action import Action
 from schemas.base import Message
 from schemas.command import Command, CommandApplied
-from schemas.rpc import LoadReply, LoadRequest
+from schemas.rpc import LoadReply
 from schemas.state import State
 from services.kit.model_service import LoadedModel
 from services.kit.node import Detail, Throttle
@@ -41,15 +41,8 @@ class PolicyService:
         #: How long its commands take to move the robot, by what the actuator has told lately.
         self._delays_s: deque[float] = deque([0.0], maxlen=DELAYS_KEPT)
 
-    def load(self, request: LoadRequest) -> LoadReply:
-        """Load a model; the one before stays when it is refused.
-
-        Raises
-        ------
-        ServiceError
-            When the file is no model, or cannot be used so.
-        """
-        loaded = LoadedModel.read(request)
+    def load(self, loaded: LoadedModel) -> LoadReply:
+        """Work with another model from now on."""
         maker = _ByFilter(loaded) if loaded.scheme == "filter" else _ByPaper(loaded)
         self._loaded, self._maker, self._last, self._foreign = loaded, maker, None, 0
         return loaded.reply()
@@ -85,7 +78,7 @@ class PolicyService:
         if self._complaints.due():
             _log.warning(
                 "stopping: recognition has model %s, policy has %s (%s); load the same into both (%d states so far)",
-                state.model, loaded.identity, loaded.path, self._foreign,
+                state.model, loaded.identity, loaded.name, self._foreign,
             )  # fmt: skip
         return Command.after(state, source="policy", atom="stop")
 

@@ -8,7 +8,7 @@ from typing import Any, Final
 from schemas.command import CommandApplied
 from schemas.observation import Observation
 from schemas.odometry import Odometry
-from schemas.rpc import LoadReply, LoadRequest
+from schemas.rpc import LoadReply
 from schemas.state import MAX_PLACES, Place, State
 from services.kit.model_service import LoadedModel
 from services.kit.node import Detail, ServiceError
@@ -41,15 +41,8 @@ class RecognitionService:
         self._applied: dict[tuple[str, int], CommandApplied] = {}
         self._waiting: Observation | None = None
 
-    def load(self, request: LoadRequest) -> LoadReply:
-        """Load a model; the one before stays when it is refused.
-
-        Raises
-        ------
-        ServiceError
-            When the file is no model, or cannot be used so.
-        """
-        loaded = LoadedModel.read(request)
+    def load(self, loaded: LoadedModel) -> LoadReply:
+        """Work with another model from now on."""
         localizer = _ByFilter(loaded) if loaded.scheme == "filter" else _ByPaper(loaded)
         self._loaded, self._localizer, self._last, self._waiting = loaded, localizer, None, None
         return loaded.reply()

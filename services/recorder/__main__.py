@@ -13,7 +13,7 @@ def serve() -> None:
     configure_logging(settings.log_level)
     with Node("recorder", settings) as node:
         node.stop_on_signals()
-        recorder = RecorderService(node, settings.recordings)
+        recorder = RecorderService(node, settings.root, settings.recordings)
         try:
             node.spin()
             node.drain()

@@ -11,10 +11,12 @@ from pathlib import Path
 from typing import Final, Self
 
 from schemas.base import Message
+from schemas.codec import printable
 from schemas.episode import Episode
 from schemas.rpc import Nothing, RecordReply, RecordRequest
 from schemas.topics import TOPICS
 from services.kit.node import Detail, Node, ServiceError
+from services.kit.root import below
 from services.recordings.sink import PARTIAL_SUFFIX, leftovers
 from services.recordings.writer import EpisodeWriter, RecoveryError
 
@@ -95,6 +97,8 @@ class RecorderService:
     ----------
     node
         Where to listen and serve.
+    root
+        Below it are the folders that the call ``start`` may name.
     folder
         Folder to record in from the start; None waits for the call ``start``.
     clock
@@ -106,8 +110,11 @@ class RecorderService:
         When the folder cannot be used.
     """
 
-    def __init__(self, node: Node, folder: Path | None = None, clock: Callable[[], float] = time.monotonic) -> None:
+    def __init__(
+        self, node: Node, root: Path, folder: Path | None = None, clock: Callable[[], float] = time.monotonic
+    ) -> None:
         self._node = node
+        self._root = root
         self._clock = clock
         self._folder: Path | None = None
         self._open: dict[str, _Recording] = {}
@@ -119,7 +126,10 @@ class RecorderService:
         self._dropped_before = 0
         self._last_error: str | None = None
         if folder is not None:
-            self._record_in(folder)
+            try:
+                self._record_in(folder)
+            except OSError as error:
+                raise ServiceError(f"cannot record in {folder}: {error.strerror or error}") from None
         for topic in TOPICS.values():
             if topic.recorded:
                 node.subscribe(topic, self.handle, depth=QUEUE_FACTOR * topic.kept, replay=True)
@@ -133,7 +143,14 @@ class RecorderService:
 
     def start(self, request: RecordRequest) -> None:
         """Record every episode that begins from now on; one that is being recorded ends up where it began."""
-        self._record_in(Path(request.folder))
+        try:
+            self._record_in(below(self._root, request.folder))
+        except OSError as error:
+            self._node.log.warning("cannot record in %r: %s", request.folder, error)
+            # Why not would tell whoever asks what else there is.
+            raise ServiceError(
+                f"cannot record in {printable(request.folder)!r} below the root of the recorder"
+            ) from None
 
     def flush(self, _request: Nothing) -> RecordReply:
         """Finish the files of the episodes that have ended, and name all files since ``start``."""
@@ -156,12 +173,9 @@ class RecorderService:
             self._seal(episode)
 
     def _record_in(self, folder: Path) -> None:
-        try:
-            folder.mkdir(parents=True, exist_ok=True)
-            for partial in leftovers(folder):
-                self._resume(partial)
-        except OSError as error:
-            raise ServiceError(f"cannot record in {folder}: {error.strerror or error}") from None
+        folder.mkdir(parents=True, exist_ok=True)
+        for partial in leftovers(folder):
+            self._resume(partial)
         self._folder = folder.resolve()
         self._files, self._lost = [], 0
         self._dropped_before = self._dropped_by_node()
@@ -187,7 +201,7 @@ class RecorderService:
 
     def _reply(self) -> RecordReply:
         dropped = self._lost + self._dropped_by_node() - self._dropped_before
-        return RecordReply(files=tuple(str(path) for path in self._files), dropped=dropped)
+        return RecordReply(files=tuple(path.name for path in self._files), dropped=dropped)
 
     def _dropped_by_node(self) -> int:
         return sum(count for name, count in self._node.status().dropped.items() if name in TOPICS)
@@ -301,6 +315,7 @@ class RecorderService:
         writers = [recording.writer for recording in list(self._open.values())]
         totals = sum((Totals.of(writer) for writer in writers if writer is not None), self._sealed)
         return {
+            "root": str(self._root),
             "folder": str(self._folder) if self._folder else None,
             "recording": " ".join(list(self._open)) or None,
             "files": len(self._files),

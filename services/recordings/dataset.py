@@ -21,6 +21,7 @@ from services.recordings.encoding import decode_image, is_image
 from services.recordings.reader import RecordingError, read_recording
 from services.recordings.recorded import Piece, RecordedEpisode
 from services.recordings.recorded_features import features_in
+from services.recordings.records import Allowance
 from smal.action_space import Atom
 from smal.features import FeatureSettings, extract, select
 from smal.learning import Demonstration
@@ -72,12 +73,14 @@ class Teacher:
         self._shortest = shortest
         self._include_runs = include_runs
         self._seen: dict[tuple[str, str], Path] = {}
+        self._allowance = Allowance()
 
     def read(self, path: Path) -> None:
         """Take what a file teaches; what it lacks becomes a remark, never an exception."""
         held = recorded_with(path, self._features)
+        free, taught = self._allowance.left, len(self.teaching.demonstrations)
         try:
-            recording = read_recording(path, held.fingerprint)
+            recording = read_recording(path, held.fingerprint, self._allowance)
         except RecordingError as error:
             self._remark(str(error))
             return
@@ -90,6 +93,8 @@ class Teacher:
         for episode in recording.episodes:
             take_out(episode, held, self._features)
             self._take(path, episode)
+        if len(self.teaching.demonstrations) == taught:
+            self._allowance.left = free  # nothing of it is kept
 
     def _take(self, path: Path, episode: RecordedEpisode) -> None:
         other = self._seen.setdefault((episode.robot, episode.episode), path)

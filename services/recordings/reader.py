@@ -6,6 +6,7 @@ itself).
 
 from __future__ import annotations
 
+import re
 import struct
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -17,7 +18,7 @@ from mcap.records import Channel, McapRecord
 from mcap.records import Message as StoredMessage
 from pydantic import ValidationError
 
-from schemas.base import Message
+from schemas.base import EPISODE_ID_PATTERN, ROBOT_ID_PATTERN, Message
 from schemas.camera_info import CameraInfo
 from schemas.command import CommandApplied
 from schemas.episode import Episode
@@ -26,11 +27,15 @@ from schemas.odometry import Odometry
 from schemas.pose import Pose
 from schemas.topics import APPLIED, CAMERA, CAMERA_INFO, EPISODE, JPEG, OBSERVATION, ODOMETRY, POSE, Topic, topic_of
 from services.recordings.recorded import RecordedEpisode
-from services.recordings.records import MAGIC, mapped, records
+from services.recordings.records import MAGIC, Allowance, MemoryLimitError, mapped, records
 from services.recordings.sink import PARTIAL_SUFFIX, is_being_recorded, parts_of
 
 #: Where images are; recordings of older versions have them, as JPEG too, on the key of the raw ones.
 _IMAGES: Final = (JPEG, CAMERA)
+
+
+#: Memory that a message takes beside its bytes, which may be few: its object, the numbers in it, and its place.
+_OBJECTS: Final = 2048
 
 
 class RecordingError(Exception):
@@ -59,7 +64,7 @@ class Recording:
     bad: int
 
 
-def read_recording(path: Path, fingerprint: str | None = None) -> Recording:
+def read_recording(path: Path, fingerprint: str | None = None, allowance: Allowance | None = None) -> Recording:
     """Read a recording.
 
     Parameters
@@ -68,18 +73,27 @@ def read_recording(path: Path, fingerprint: str | None = None) -> Recording:
         An MCAP file, finished or left behind; with it are read the parts that were recorded after a kill.
     fingerprint
         Which feature vectors to take from the observations; none of them if not given.
+    allowance
+        For the memory that it takes; one of its own if not given.
 
     Raises
     ------
     RecordingError
-        When the file cannot be read, is no MCAP file, holds no episode or no frame, or is still being recorded.
+        When the file cannot be read, is no MCAP file, holds no episode or no frame, is still being recorded, or takes
+        too much memory.
     """
     parts = _open(path)
-    reader = _Reader(fingerprint)
+    allowance = allowance or Allowance()
+    before = allowance.left
+    reader = _Reader(fingerprint, allowance)
     try:
         for part in parts:
-            for record in records(part):
+            for record in records(part, allowance):
                 reader.take(record)
+    except MemoryLimitError as error:
+        # It is left out, and what it took is free again.
+        allowance.left = before
+        raise RecordingError(f"{path}: {error}; unpack it first (mcap decompress), or read fewer at once") from None
     except (McapError, ValueError, struct.error) as error:
         raise RecordingError(f"{path}: damaged: {str(error) or type(error).__name__}") from None
     episodes = tuple(episode for episode in reader.episodes.values() if episode.purpose is not None)
@@ -108,7 +122,8 @@ def _open(path: Path) -> list[memoryview]:
 class _Reader:
     """Sorts the records of a file into episodes."""
 
-    def __init__(self, fingerprint: str | None) -> None:
+    def __init__(self, fingerprint: str | None, allowance: Allowance) -> None:
+        self._allowance = allowance
         self.episodes: dict[tuple[str, str], RecordedEpisode] = {}
         self.bad = 0
         self._fingerprint = fingerprint
@@ -133,12 +148,13 @@ class _Reader:
         topic = topic_of(channel.topic)
         robot, episode = channel.metadata.get("robot"), channel.metadata.get("episode")
         # Anything else in the file is other people's.
-        if topic is not None and robot is not None and episode is not None:
-            self._channels[channel.id] = (topic, robot, episode)
+        if topic is not None and _is_id(ROBOT_ID_PATTERN, robot) and _is_id(EPISODE_ID_PATTERN, episode):
+            self._channels[channel.id] = (topic, str(robot), str(episode))
         else:
             self._channels.pop(channel.id, None)
 
     def _take_message(self, topic: Topic, robot: str, episode: str, tick: int, payload: memoryview) -> None:
+        self._allowance.take(_OBJECTS)
         record = self.episodes.setdefault((robot, episode), RecordedEpisode(robot, episode))
         if topic in _IMAGES:
             record.images.setdefault(tick, payload)
@@ -186,3 +202,7 @@ class _Reader:
     def _take_camera_info(self, record: RecordedEpisode, info: Message) -> None:
         assert isinstance(info, CameraInfo)  # noqa: S101 - by the table of topics
         record.focal = info.focal_px / info.width
+
+
+def _is_id(pattern: str, text: str | None) -> bool:
+    return text is not None and re.fullmatch(pattern, text) is not None

@@ -14,6 +14,8 @@ import threading
 from pathlib import Path
 from typing import Final
 
+from smal.regular_file import open_regular
+
 PARTIAL_SUFFIX: Final = ".partial"
 SYNC_PERIOD_S: Final = 1.0
 
@@ -26,9 +28,9 @@ def claim(path: Path, flags: int = os.O_RDWR) -> int:
     BlockingIOError
         When another recorder holds it.
     OSError
-        When it cannot be opened.
+        When it cannot be opened, or is no regular file.
     """
-    descriptor = os.open(path, os.O_CLOEXEC | flags, 0o644)
+    descriptor = open_regular(path, flags)
     try:
         fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
         # In between another recorder may have put something else in its place.
@@ -70,15 +72,15 @@ def finished(partial: Path) -> Path:
 
 
 def leftovers(folder: Path) -> list[Path]:
-    """Return the first parts of the unfinished recordings in a folder, those of living recorders too."""
-    return sorted(folder.glob(f"*.mcap{PARTIAL_SUFFIX}"))
+    """Return the first parts of the unfinished recordings in a folder, those of living recorders too; never a link."""
+    return sorted(part for part in folder.glob(f"*.mcap{PARTIAL_SUFFIX}") if not part.is_symlink())
 
 
 def parts_of(path: Path) -> list[Path]:
     """Return the files of a recording in their order: an unfinished one has more where its recorder was killed."""
     if path.suffix != PARTIAL_SUFFIX:
         return [path]
-    others = path.parent.glob(f"{glob.escape(path.name)}-*")
+    others = (part for part in path.parent.glob(f"{glob.escape(path.name)}-*") if not part.is_symlink())
     return [path, *sorted(others, key=lambda part: (len(part.name), part.name))]
 
 

@@ -26,16 +26,16 @@ MODALITY_NAMES = (*MODALITIES, f"{onnx.PREFIX}FILE")
 
 
 def modality_named(name: str) -> Modality:
-    """Return a modality: one of `MODALITIES`, or for ``onnx:FILE`` that of a network's file, which is read once.
+    """Return a modality: one of `MODALITIES`, or a network by its contents (see `smal.features.onnx`). No file is read.
 
     Raises
     ------
     ValueError
-        In one line: there is none of this name, or the file cannot be used (see `smal.features.onnx`).
+        In one line: there is none of this name.
     """
     if name in MODALITIES:
         return MODALITIES[name]
     # A damaged model may name a number.
     if str(name).startswith(onnx.PREFIX):
-        return onnx.onnx_modality(name.removeprefix(onnx.PREFIX))
+        return onnx.onnx_modality(str(name))
     raise ValueError(f"unknown feature modality {name!r}; known are {', '.join(MODALITY_NAMES)}")

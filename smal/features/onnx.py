@@ -1,11 +1,16 @@
 """Network modality: the embedding of an image by any network in an ONNX file.
 
+A user gives the file, as ``onnx:FILE``. Everything else, models above all, names the network by what it is:
+``onnx:``, the SHA-256 of the file, ``:`` and the size of the embedding. Such a name opens no file: the network runs
+only in a process that was given its file.
+
 The file needs one input, float32 (1 or any, 3, height, width), for RGB: values 0 to 1, less the mean and divided by
 the standard deviation of each channel. These two are those of ImageNet unless the metadata of the file has `mean` and
 `std`, each three numbers separated by commas. Weights must be inside the file.
 """
 
 import hashlib
+import os
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -18,6 +23,7 @@ from numpy.typing import NDArray
 
 from smal.features.modality import Modality, unit_length
 from smal.features.resizing import resized
+from smal.regular_file import open_regular
 
 if TYPE_CHECKING:
     from onnxruntime import InferenceSession
@@ -25,6 +31,8 @@ if TYPE_CHECKING:
 PREFIX = "onnx:"
 # Of a network that takes any height or width.
 SIDE = 224
+# No embedding has more entries than a raw image.
+_NAME = re.compile(r"onnx:([0-9a-f]{64}):([1-9][0-9]{0,6})")
 IMAGENET_MEAN, IMAGENET_STD = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)
 
 
@@ -84,9 +92,13 @@ class Network:
         return unit_length(pooled)
 
 
+#: The networks that the user gave to this process, by their names.
+_given: dict[str, Network] = {}
+
+
 @cache
-def onnx_modality(file: str) -> Modality:
-    """Return the modality of a network's file, as it is the first time.
+def open_network(file: str) -> str:
+    """Read a network's file, as it is the first time; return the name of its modality.
 
     Raises
     ------
@@ -95,16 +107,62 @@ def onnx_modality(file: str) -> Modality:
     """
     if not file:
         raise ValueError(f"the feature modality {PREFIX!r} names no file; write {PREFIX}FILE")
-    if not Path(file).is_file():
-        raise ValueError(f"{file}: there is no such file for the feature modality {PREFIX}FILE")
     try:
-        data = Path(file).read_bytes()
+        with os.fdopen(open_regular(Path(file)), "rb") as opened:
+            data = opened.read()
+    except FileNotFoundError:
+        raise ValueError(f"{file}: there is no such file for the feature modality {PREFIX}FILE") from None
     except OSError as error:
         raise ValueError(f"{file}: cannot read the network's file: {error.strerror or error}") from error
     network = _network(file, _session(file, data))
     # Only running it tells the size of an output whose shape depends on that of the input.
     size = network.describe(np.zeros((network.rows, network.columns, 3), dtype=np.uint8)).size
-    return Modality(f"{PREFIX}{hashlib.sha256(data).hexdigest()}", size, "color", network.describe)
+    name = f"{PREFIX}{hashlib.sha256(data).hexdigest()}:{size}"
+    _given[name] = network
+    return name
+
+
+def given_as(name: str) -> str:
+    """Return how the user gave a network to this process, ``onnx:FILE``.
+
+    Raises
+    ------
+    ValueError
+        In one line: nobody did, or this names no network.
+    """
+    _parts(name)
+    if name not in _given:
+        raise ValueError(f"the network {name} is run only where its file is given, as {PREFIX}FILE")
+    return f"{PREFIX}{_given[name].file}"
+
+
+def is_digest(name: str) -> bool:
+    """Whether a name is that of a network by its contents."""
+    return _NAME.fullmatch(name) is not None
+
+
+def onnx_modality(name: str) -> Modality:
+    """Return the modality of a network by its contents; without its file it can be named, but describes nothing.
+
+    Raises
+    ------
+    ValueError
+        In one line: this is no such name.
+    """
+    digest, size = _parts(name)
+
+    def describe(image: NDArray[np.uint8]) -> NDArray[np.float32]:
+        given_as(name)
+        return _given[name].describe(image)
+
+    return Modality(f"{PREFIX}{digest}", size, "color", describe)
+
+
+def _parts(name: str) -> tuple[str, int]:
+    match = _NAME.fullmatch(name)
+    if match is None:
+        raise ValueError(f"a network is named by its contents, {PREFIX}SHA-256:SIZE, not {name[:100]!r}")
+    return match[1], int(match[2])
 
 
 def _session(file: str, data: bytes) -> "InferenceSession":

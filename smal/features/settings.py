@@ -9,6 +9,7 @@ from typing import Self
 
 import numpy as np
 
+from smal.features import onnx
 from smal.features.modalities import modality_named
 from smal.features.modality import Input
 
@@ -23,14 +24,14 @@ class FeatureSettings:
     Parameters
     ----------
     modalities : tuple of str
-        Names that `modality_named` knows, each at most once. ``onnx:FILE`` reads the file.
+        Names that `modality_named` knows, each at most once.
     weights : tuple of float
         Relative weight of each modality, finite and positive; only their ratios matter.
 
     Raises
     ------
     ValueError
-        An unknown or repeated modality, a network's file that cannot be used, or weights that do not fit.
+        An unknown or repeated modality, or weights that do not fit.
     """
 
     modalities: tuple[str, ...] = ("color", "hog")
@@ -57,16 +58,33 @@ class FeatureSettings:
 
     @classmethod
     def parse(cls, modalities: str, weights: str | None = None) -> Self:
-        """Read names separated by commas, for example ``color,hog``, and as many weights in the same order.
+        """Read what a user says: names separated by commas, for example ``color,hog``, and as many weights.
 
-        The name of a network's file has no comma and no blank at its end.
+        For ``onnx:FILE`` the file is read, and the network gets the name that its contents have. The name of the file
+        has no comma and no blank at its end.
+
+        Raises
+        ------
+        ValueError
+            As above, or a network's file cannot be used, or was not given.
         """
-        names = [name.strip() for name in modalities.split(",")]
+        names = [_given(name.strip()) for name in modalities.split(",")]
         try:
             numbers = None if weights is None else [float(weight) for weight in weights.split(",")]
         except ValueError:
             raise ValueError(f"modality weights must be numbers separated by commas, got {weights!r}") from None
         return cls.of(names, numbers)
+
+    @property
+    def text(self) -> str:
+        """The modalities as `parse` reads them, in this process or another.
+
+        Raises
+        ------
+        ValueError
+            In one line: a network is among them whose file was not given to this process.
+        """
+        return ",".join(onnx.given_as(name) if name.startswith(onnx.PREFIX) else name for name in self.modalities)
 
     @property
     def size(self) -> int:
@@ -101,3 +119,13 @@ class FeatureSettings:
         modalities = [modality_named(name) for name in self.modalities]
         text = json.dumps([DESCRIPTOR_VERSION, [[modality.name, modality.size] for modality in modalities]])
         return hashlib.sha256(text.encode()).hexdigest()[:12]
+
+
+def _given(name: str) -> str:
+    """Return the name of a modality that a user names."""
+    if not name.startswith(onnx.PREFIX):
+        return name
+    if onnx.is_digest(name):
+        onnx.given_as(name)
+        return name
+    return onnx.open_network(name.removeprefix(onnx.PREFIX))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import TypeVar
@@ -152,7 +153,8 @@ def test_recognition_without_a_model_is_idle_and_refuses_a_bad_one(
     client: Bus, router_endpoint: str, listen: Listen[State], tmp_path: Path, model: Path
 ) -> None:
     heard = listen(topics.STATE, State)
-    with process("recognition", router_endpoint):
+    shutil.copy(model, tmp_path / "whole.smal")
+    with process("recognition", router_endpoint, "--root", str(tmp_path)):
         ready(client, "recognition")
         introduce(client, "recognition", observation(0))
         client.publish(observation(1))
@@ -161,8 +163,8 @@ def test_recognition_without_a_model_is_idle_and_refuses_a_bad_one(
         truncated = tmp_path / "truncated.smal"
         truncated.write_bytes(model.read_bytes()[:-7])
         with pytest.raises(RpcError, match="truncated"):
-            client.call("recognition", "load", LoadRequest(path=str(truncated)), LoadReply)
-        reply = client.call("recognition", "load", LoadRequest(path=str(model), scheme="paper"), LoadReply)
+            client.call("recognition", "load", LoadRequest(model="truncated.smal"), LoadReply)
+        reply = client.call("recognition", "load", LoadRequest(model="whole.smal", scheme="paper"), LoadReply)
         assert reply.sequence_length == LENGTH
 
 
@@ -222,7 +224,8 @@ def test_robot_stands_while_recognition_and_policy_have_different_models(
     commands = listen(topics.COMMANDS["policy"], Command)
     actions = listen(topics.ACTION, Action)
     other = save_model(tmp_path / "longer.smal", frames=21)
-    with process("policy", router_endpoint, "--model", str(other), "--scheme", "paper"):
+    flags = ("--model", str(other), "--scheme", "paper", "--root", str(model.parent))
+    with process("policy", router_endpoint, *flags):
         ready(client, "policy")
         introduce(client, "policy", state(0, other, episode="hello", status="collecting"))
         for tick in range(LENGTH):
@@ -233,7 +236,7 @@ def test_robot_stands_while_recognition_and_policy_have_different_models(
         status = status_of(client, "policy")
         assert status is not None
         assert status.detail["states_of_another_model"] == LENGTH
-        client.call("policy", "load", LoadRequest(path=str(model), scheme="paper"), LoadReply)
+        client.call("policy", "load", LoadRequest(model=model.name, scheme="paper"), LoadReply)
         for tick in range(LENGTH, 2 * LENGTH):
             client.publish(observation(tick, place=3 + tick, episode="next"))
             eventually(lambda tick=tick: tick in commands)  # type: ignore[misc]

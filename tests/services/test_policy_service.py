@@ -10,8 +10,8 @@ import pytest
 from schemas.action import Action
 from schemas.base import Message
 from schemas.command import Command, CommandApplied
-from schemas.rpc import LoadRequest
 from schemas.state import Place, State
+from services.kit.model_service import LoadedModel
 from services.policy.service import PolicyService
 from tests import corridor
 from tests.services.chain import save_model, state
@@ -25,7 +25,7 @@ def model(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture
 def policy(model: Path) -> PolicyService:
     service = PolicyService()
-    service.load(LoadRequest(path=str(model)))
+    service.load(LoadedModel.read(model))
     return service
 
 
@@ -70,7 +70,7 @@ def test_how_long_its_commands_take_is_heard_from_the_actuator(model: Path) -> N
     atoms = {}
     for delay_ms in (0, 60):
         service = PolicyService()
-        service.load(LoadRequest(path=str(model)))
+        service.load(LoadedModel.read(model))
         for tick in range(12):
             told = {"atom": "left", "speed": 1.0, "reason": "command", "answered_tick": tick}
             for source, ms in (("policy", delay_ms), ("teleop", 90)):
@@ -113,7 +113,7 @@ def test_it_stops_for_a_state_of_another_model(policy: PolicyService, model: Pat
 @pytest.mark.parametrize("fields", [{"status": "recognized", "state": 2}, {"status": "unknown"}], ids=str)
 def test_it_stops_for_a_state_of_another_scheme(policy: PolicyService, model: Path, fields: dict[str, object]) -> None:
     papers = PolicyService()
-    papers.load(LoadRequest(path=str(model), scheme="paper"))
+    papers.load(LoadedModel.read(model, "paper"))
     for service, theirs in ((policy, state(0, model, **fields)), (papers, belief(0, model))):
         (command,) = service.handle(theirs)
         assert isinstance(command, Command)
@@ -123,7 +123,7 @@ def test_it_stops_for_a_state_of_another_scheme(policy: PolicyService, model: Pa
 def test_it_stops_for_a_place_that_its_model_does_not_have(policy: PolicyService, model: Path) -> None:
     """States come over the network: one that names the right model may still be wrong."""
     papers = PolicyService()
-    papers.load(LoadRequest(path=str(model), scheme="paper"))
+    papers.load(LoadedModel.read(model, "paper"))
     beyond = state(0, model, status="recognized", state=1_000_000)
     for service, wrong in ((policy, belief(0, model, keyframe=1_000_000)), (papers, beyond)):
         (command,) = service.handle(wrong)

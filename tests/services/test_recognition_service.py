@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 
 from schemas.array import Float32Array
-from schemas.rpc import LoadRequest
 from schemas.state import State
+from services.kit.model_service import LoadedModel
 from services.kit.node import ServiceError
 from services.recognition.service import RecognitionService
 from smal.features import extract
@@ -25,7 +25,7 @@ def model(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture
 def service(model: Path) -> RecognitionService:
     made = RecognitionService()
-    made.load(LoadRequest(path=str(model)))
+    made.load(LoadedModel.read(model))
     return made
 
 
@@ -70,7 +70,7 @@ def test_a_view_of_nowhere_is_unknown(service: RecognitionService) -> None:
 
 def test_odometry_may_come_before_its_observation_or_after_it(service: RecognitionService, model: Path) -> None:
     other = RecognitionService()
-    other.load(LoadRequest(path=str(model)))
+    other.load(LoadedModel.read(model))
     for tick in range(5):
         expected = at(service, tick)
         assert other.handle(seen(tick)) is None
@@ -107,7 +107,7 @@ def test_taught_without_odometry_it_goes_by_what_the_actuator_did(tmp_path: Path
     path = tmp_path / "unmeasured.smal"
     corridor.model(odometry=False).save(path)
     service = RecognitionService()
-    service.load(LoadRequest(path=str(path)))
+    service.load(LoadedModel.read(path))
     for tick in range(9):
         # Two commands in one frame: the last one counts. Odometry is in metres, and does not.
         for sequence, atom in ((1, "forward"), (0, "stop")):
@@ -150,7 +150,7 @@ def test_features_of_another_fingerprint_are_refused_in_one_line(service: Recogn
 
 def test_a_new_episode_starts_afresh(service: RecognitionService, model: Path) -> None:
     other = RecognitionService()
-    other.load(LoadRequest(path=str(model)))
+    other.load(LoadedModel.read(model))
     for tick in range(8):
         at(service, tick, episode="first")
     for tick in range(3):
@@ -161,7 +161,7 @@ def test_a_new_episode_starts_afresh(service: RecognitionService, model: Path) -
 
 def test_an_observation_that_waits_is_forgotten_with_its_model(service: RecognitionService, model: Path) -> None:
     assert service.handle(seen(0)) is None
-    service.load(LoadRequest(path=str(model)))
+    service.load(LoadedModel.read(model))
     assert service.see(wheels(0)) is None
 
 
@@ -175,8 +175,8 @@ def test_odometry_of_old_frames_is_forgotten(service: RecognitionService) -> Non
 def test_a_model_without_a_map_is_for_the_papers_scheme_alone(tmp_path: Path) -> None:
     unmapped, service = save_model(tmp_path / "unmapped.smal"), RecognitionService()
     with pytest.raises(ServiceError, match="no map of views") as refused:
-        service.load(LoadRequest(path=str(unmapped)))
+        service.load(LoadedModel.read(unmapped))
     assert "\n" not in str(refused.value)
-    assert service.load(LoadRequest(path=str(unmapped), scheme="paper")).keyframes == 0
+    assert service.load(LoadedModel.read(unmapped, "paper")).keyframes == 0
     # The paper's scheme needs no odometry.
     assert [service.handle(observation(tick, place=6 + tick)) is None for tick in range(3)] == [False] * 3

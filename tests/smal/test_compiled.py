@@ -26,7 +26,18 @@ print(outer(1.0), sum(outer.stats.cache_hits.values()))
 """
 
 
-def run(folder: Path) -> list[float]:
+#: A file system that is mounted read-only, as far as a process sees it: rights do not bind root, who may run the tests.
+_READ_ONLY = """
+import os, tempfile
+def refuse(*_, **__):
+    raise OSError(30, "Read-only file system")
+os.access = lambda *_, **__: False
+os.replace = tempfile.TemporaryFile = refuse
+import caller
+"""
+
+
+def run(folder: Path, code: str = "import caller") -> list[float]:
     """Return what the function says, and whether it was found on disk."""
     paths = os.pathsep.join([str(folder), str(Path.cwd())])
     settings = os.environ | {
@@ -35,7 +46,7 @@ def run(folder: Path) -> list[float]:
         "PYTHONDONTWRITEBYTECODE": "1",
     }
     done = subprocess.run(
-        [sys.executable, "-c", "import caller"], capture_output=True, text=True, timeout=120, check=True, env=settings
+        [sys.executable, "-c", code], capture_output=True, text=True, timeout=120, check=True, env=settings
     )
     return [float(one) for one in done.stdout.split()]
 
@@ -51,6 +62,21 @@ def test_functions_that_were_compiled_into_another_one_are_not_forgotten(tmp_pat
     callee.write_text(_CALLEE.format(limit=2.5, added=2.0))
     assert run(tmp_path) == [2.5, 0.0]
     assert run(tmp_path) == [2.5, 1.0]
+
+
+def test_what_can_only_be_read_is_used_and_what_is_not_there_is_no_error(tmp_path: Path) -> None:
+    """As with a volume that is mounted read-only: who could write it could have others run what they like."""
+    (tmp_path / "caller.py").write_text(_CALLER)
+    callee = tmp_path / "callee.py"
+    callee.write_text(_CALLEE.format(limit=100.0, added=10.0))
+    assert run(tmp_path) == [11.0, 0.0]
+    kept = sorted(tmp_path.glob("kept/**/*"))
+    assert run(tmp_path, _READ_ONLY) == [11.0, 1.0]
+    callee.write_text(_CALLEE.format(limit=100.0, added=3.0))
+    for folder in tmp_path.glob("kept/*"):
+        folder.chmod(0o555)
+    assert run(tmp_path, _READ_ONLY) == [4.0, 0.0]
+    assert [path for path in sorted(tmp_path.glob("kept/**/*")) if path.is_file()] == [p for p in kept if p.is_file()]
 
 
 def test_the_library_runs_without_compilation() -> None:

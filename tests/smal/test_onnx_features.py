@@ -1,13 +1,20 @@
 """Networks as modalities: what is calculated, what names it, and the files that are refused."""
 
+import hashlib
+import os
 import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
+from smal import container
 from smal.features import FeatureSettings, extract, modality_named
+from smal.features import onnx as onnx_features
+from smal.model import FORMAT_VERSION, Model, ModelError
+from tests.fuzz.targets.model import smallest_model
 
 pytest.importorskip("onnxruntime")
 onnx = pytest.importorskip("onnx")
@@ -43,6 +50,12 @@ def network(
     return f"onnx:{path}"
 
 
+def given(text: str) -> str:
+    """Have this process run a network that a user names, and return its own name."""
+    (name,) = FeatureSettings.parse(text).modalities
+    return name
+
+
 def picture(rows: int, columns: int, seed: int = 0) -> np.ndarray:
     return np.random.default_rng(seed).integers(0, 256, (rows, columns, 3), dtype=np.uint8)
 
@@ -55,7 +68,7 @@ def mixed(image: np.ndarray, mean: np.ndarray = MEAN, std: np.ndarray = STD) -> 
 
 
 def test_a_map_of_features_is_averaged_over_the_image(tmp_path: Path) -> None:
-    modality = modality_named(network(tmp_path / "mix.onnx"))
+    modality = modality_named(given(network(tmp_path / "mix.onnx")))
     image = picture(224, 224)
     vector = modality.describe(image)
     assert (modality.size, modality.needs, vector.dtype, vector.shape) == (4, "color", np.float32, (4,))
@@ -63,14 +76,14 @@ def test_a_map_of_features_is_averaged_over_the_image(tmp_path: Path) -> None:
 
 
 def test_mean_and_deviation_of_the_file_count(tmp_path: Path) -> None:
-    name = network(tmp_path / "mix.onnx", meta={"mean": "[0.5, 0.25, 0.0]", "std": "1,0.5 2"})
+    name = given(network(tmp_path / "mix.onnx", meta={"mean": "[0.5, 0.25, 0.0]", "std": "1,0.5 2"}))
     image = picture(224, 224, 1)
     expected = mixed(image, np.array([0.5, 0.25, 0.0]), np.array([1.0, 0.5, 2.0]))
     np.testing.assert_allclose(modality_named(name).describe(image), expected, atol=1e-5)
 
 
 def test_other_outputs_are_flattened_and_keep_their_order(tmp_path: Path) -> None:
-    name = network(tmp_path / "flat.onnx", [1, 3, 24, 32], op="Flatten")
+    name = given(network(tmp_path / "flat.onnx", [1, 3, 24, 32], op="Flatten"))
     image = picture(24, 32)
     vector = modality_named(name).describe(image)
     expected = ((image / 255.0 - MEAN) / STD).transpose(2, 0, 1).ravel()
@@ -79,7 +92,7 @@ def test_other_outputs_are_flattened_and_keep_their_order(tmp_path: Path) -> Non
 
 @pytest.mark.parametrize("shape", [ANY, [1, 3, 48, 64], [1, 3, "h", 64]])
 def test_images_of_any_size_fit_the_input(tmp_path: Path, shape: list[Any]) -> None:
-    modality = modality_named(network(tmp_path / "mix.onnx", shape))
+    modality = modality_named(given(network(tmp_path / "mix.onnx", shape)))
     for rows, columns in ((24, 32), (480, 640)):
         image = np.empty((rows, columns, 3), dtype=np.uint8)
         image[:] = (200, 30, 90)
@@ -87,8 +100,8 @@ def test_images_of_any_size_fit_the_input(tmp_path: Path, shape: list[Any]) -> N
 
 
 def test_a_network_is_one_modality_among_others(tmp_path: Path) -> None:
-    name = network(tmp_path / "mix.onnx")
-    chosen = FeatureSettings.parse(f"hog,{name}", "1,2")
+    text = network(tmp_path / "mix.onnx")
+    name, chosen = given(text), FeatureSettings.parse(f"hog,{text}", "1,2")
     image = picture(60, 80)
     assert (chosen.modalities, chosen.size, chosen.needs) == (("hog", name), 5944, {"color"})
     vector = extract(image, chosen)
@@ -100,18 +113,21 @@ def test_the_fingerprint_is_that_of_the_contents(tmp_path: Path) -> None:
     (tmp_path / "else").mkdir()
     names = [network(tmp_path / "one.onnx"), network(tmp_path / "else" / "two.onnx")]
     names.append(network(tmp_path / "three.onnx", kernel=KERNEL + np.float32(1e-3)))
-    one, two, three = (FeatureSettings.of(["color", name]).fingerprint for name in names)
-    assert one == two != three
-    assert FeatureSettings.of([names[0], "color"]).fingerprint != one
+    one, two, three = (FeatureSettings.parse(f"color,{name}") for name in names)
+    assert one == two
+    assert one.fingerprint == two.fingerprint != three.fingerprint
+    assert FeatureSettings.parse(f"{names[0]},color").fingerprint != one.fingerprint
+    digest = hashlib.sha256((tmp_path / "one.onnx").read_bytes()).hexdigest()
+    assert one.modalities == ("color", f"onnx:{digest}:4")
+    assert FeatureSettings.parse(one.text) == one
 
 
 def test_a_file_is_read_once(tmp_path: Path) -> None:
-    name = network(tmp_path / "mix.onnx")
-    before = FeatureSettings.of([name])
+    text = network(tmp_path / "mix.onnx")
+    before = FeatureSettings.parse(text)
     fingerprint, vector = before.fingerprint, extract(picture(48, 64), before)
     (tmp_path / "mix.onnx").unlink()
-    assert modality_named(name) is modality_named(name)
-    assert FeatureSettings.of([name]).fingerprint == fingerprint
+    assert FeatureSettings.parse(text).fingerprint == fingerprint
     np.testing.assert_array_equal(extract(picture(48, 64), before), vector)
 
 
@@ -153,8 +169,10 @@ def test_a_file_that_is_no_network_is_named_in_one_line(tmp_path: Path) -> None:
     cut.write_bytes(whole.read_bytes()[:-40])
     for path in (text, empty, cut):
         assert refusal(f"onnx:{path}").startswith(f"{path}: no ONNX network that can be used: ")
-    for path in (tmp_path / "none.onnx", tmp_path):
-        assert refusal(f"onnx:{path}").startswith(f"{path}: there is no such file")
+    assert refusal(f"onnx:{tmp_path}/none").startswith(f"{tmp_path}/none: there is no such file")
+    assert refusal(f"onnx:{tmp_path}") == f"{tmp_path}: cannot read the network's file: Is a directory"
+    os.mkfifo(tmp_path / "fifo")
+    assert refusal(f"onnx:{tmp_path}/fifo") == f"{tmp_path}/fifo: cannot read the network's file: Not a regular file"
     assert refusal("onnx:") == "the feature modality 'onnx:' names no file; write onnx:FILE"
 
 
@@ -176,4 +194,67 @@ def test_without_onnxruntime_the_line_says_what_to_install(tmp_path: Path, monke
     assert line.endswith("pip install -e '.[onnx]'")
     # The refusal is not remembered once it is installed.
     monkeypatch.undo()
-    assert modality_named(name).size == 4
+    assert modality_named(given(name)).size == 4
+
+
+# -- what a stranger names --------------------------------------------------------------------------------------------
+
+STRANGE = f"onnx:{'0123456789abcdef' * 4}:4"
+
+
+def test_a_network_that_nobody_gave_can_be_named_and_not_run() -> None:
+    named = FeatureSettings((STRANGE,), (1.0,))
+    assert (named.size, named.needs) == (4, {"color"})
+    line = f"the network {STRANGE} is run only where its file is given, as onnx:FILE"
+    for use in (
+        lambda: extract(picture(48, 64), named),
+        lambda: FeatureSettings.parse(STRANGE),
+        lambda: named.text,
+    ):
+        with pytest.raises(ValueError, match=f"^{line}$"):
+            use()
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        "onnx:",
+        "onnx:FILE",
+        "onnx:/dev/zero",
+        f"{STRANGE}/..",
+        STRANGE.upper(),
+        STRANGE[:-1] + "0",
+        STRANGE + "\n",
+        "onnx",
+    ],
+)
+def test_no_other_name_is_one(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Not even that of a file which is there."""
+    monkeypatch.chdir(tmp_path)
+    network(tmp_path / "FILE")
+    with pytest.raises(ValueError, match=r"\A(a network is named by its contents|unknown feature modality)[^\n]+\Z"):
+        FeatureSettings((name,), (1.0,))
+
+
+def test_a_model_opens_no_file_and_runs_no_network(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A model that names a FIFO is refused at once; one that names a network by its contents is used without it."""
+    text = network(tmp_path / "mix.onnx")
+    path = tmp_path / "x.smal"
+    seed = smallest_model("weight", {"tau": 0.5})
+    settings = FeatureSettings.parse(text)
+    replace(seed, feature_settings=settings, mean=np.zeros(4, np.float32), templates=np.zeros((4, 2), np.float32)).save(
+        path
+    )
+    assert str(tmp_path).encode() not in path.read_bytes()
+    monkeypatch.setattr(onnx_features, "_given", {})
+    monkeypatch.setattr("onnxruntime.InferenceSession", None)
+    (tmp_path / "mix.onnx").unlink()
+    model = Model.load(path)
+    assert model.feature_settings == settings
+    os.mkfifo(tmp_path / "fifo")
+    for named in (f"onnx:{tmp_path}/fifo", "onnx:/dev/zero", text):
+        with path.open("rb") as file:
+            meta, arrays, _ = container.read(file, "x", FORMAT_VERSION)
+        container.write(path, FORMAT_VERSION, meta | {"modalities": [named]}, arrays)
+        with pytest.raises(ModelError, match="a network is named by its contents, onnx:SHA-256:SIZE, not 'onnx:/"):
+            Model.load(path)

@@ -11,6 +11,7 @@ from typing import Final
 from tqdm import tqdm
 
 from schemas.rpc import Nothing, RecordReply, RecordRequest
+from services.cli.episodes.names import name_for
 from services.kit.bus import Bus, RpcError
 
 #: The last file's disk may be slow; after a failure nobody wants to wait for it as long.
@@ -32,9 +33,16 @@ class Recorded:
 
 
 @contextmanager
-def recording(bus: Bus, folder: Path) -> Iterator[Recorded]:
-    """Record every episode into a folder; a stack that goes on running is told to stop after a failure as well."""
-    bus.call("recorder", "start", RecordRequest(folder=str(folder.resolve())), Nothing)
+def recording(bus: Bus, folder: Path, option: str) -> Iterator[Recorded]:
+    """Record every episode into a folder; a stack that goes on running is told to stop after a failure as well.
+
+    Raises
+    ------
+    UsageError
+        When the recorder does not write there; `option` names the folder then.
+    """
+    request = RecordRequest(folder=name_for(bus, "recorder", folder, option))
+    bus.call("recorder", "start", request, Nothing)
     recorded = Recorded()
     try:
         yield recorded

@@ -112,7 +112,7 @@ class Report:
 
 def _feature_flags(settings: MatchSettings) -> list[str]:
     weights = ",".join(f"{weight:g}" for weight in settings.features.weights)
-    return ["--modalities", ",".join(settings.features.modalities), "--weights", weights]
+    return ["--modalities", settings.features.text, "--weights", weights]
 
 
 def as_json(report: Report) -> dict[str, object]:

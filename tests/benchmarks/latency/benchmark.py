@@ -21,7 +21,7 @@ from tqdm import tqdm
 
 from schemas.rpc import LoadReply, LoadRequest, Scheme
 from services.cli.options import Camera, read_model
-from services.cli.stack.processes import Stack, StackPlan, free_endpoint
+from services.cli.stack.processes import Stack, StackPlan, flags, free_endpoint
 from services.kit.errors import UsageError
 from services.kit.settings import ServiceSettings
 from services.recordings.dataset import find_recordings
@@ -66,10 +66,10 @@ class Plan:
 
 def benchmark(plan: Plan, model: Path, recordings: Path, logs: Path) -> dict[str, Any]:
     """Measure every case; return what the JSON file holds."""
-    endpoint = free_endpoint()
+    endpoint, below = free_endpoint(), flags(root=model.resolve().parent)
     total = plan.ticks * len(plan.schemes) * len(plan.cameras)
     with (
-        Stack(StackPlan(SERVICES, _ROBOT, endpoint, logs=logs)) as stack,
+        Stack(StackPlan(SERVICES, _ROBOT, endpoint, dict.fromkeys(("recognition", "policy"), below), logs)) as stack,
         closing(Robot(ServiceSettings(robot=_ROBOT, router=endpoint), stages=plan.stages)) as robot,
         tqdm(total=total, desc="driving", unit="frame", dynamic_ncols=True) as bar,
     ):
@@ -85,7 +85,7 @@ def benchmark(plan: Plan, model: Path, recordings: Path, logs: Path) -> dict[str
 
 def _load(robot: Robot, model: Path, scheme: Scheme) -> LoadReply:
     """Have recognition and policy load the model; return what both have loaded."""
-    request, bus = LoadRequest(path=str(model.resolve()), scheme=scheme), robot.node.bus
+    request, bus = LoadRequest(model=model.resolve().name, scheme=scheme), robot.node.bus
     bus.call("policy", "load", request, LoadReply, timeout_s=_LOADING_S)
     return bus.call("recognition", "load", request, LoadReply, timeout_s=_LOADING_S)
 

@@ -131,7 +131,8 @@ def mutate(data: bytes, rng: random.Random) -> bytes | None:
 def with_arrays(data: bytes, change: Callable[[dict[str, np.ndarray]], None]) -> bytes:
     """Return an input with other arrays, and a header that tells their types and shapes."""
     path = scratch.file_of(data + hashlib.sha256(data).digest(), "x.smal")
-    meta, arrays, _ = container.read(path, FORMAT_VERSION)
+    with path.open("rb") as file:
+        meta, arrays, _ = container.read(file, path.name, FORMAT_VERSION)
     change(arrays)
     container.write(path, FORMAT_VERSION, meta, arrays)
     return path.read_bytes()[:-_CHECKSUM_BYTES]

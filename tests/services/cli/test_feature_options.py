@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import pytest
 
 from services.cli.episodes.client import EpisodeClient
@@ -21,6 +23,22 @@ ALL = FeatureSettings.of(("color", "hog", "depth"))
 def test_the_features_of_a_stack_become_the_flags_of_its_service() -> None:
     assert feature_flags(features_of_own_stack(None, None)) == ("--modalities", "color,hog")
     assert feature_flags(features_of_own_stack("color, hog,depth", None)) == ("--modalities", "color,hog,depth")
+
+
+def test_what_a_model_says_makes_no_network_run(tmp_path: Path) -> None:
+    named = FeatureSettings.of(("color", f"onnx:{'ab' * 32}:4"))
+    with pytest.raises(UsageError) as caught:
+        feature_flags(features_for_model(None, named))
+    assert str(caught.value) == (
+        f"the model was learned on color,onnx:{'ab' * 32}:4: the network onnx:{'ab' * 32}:4 is run only where its file "
+        "is given, as onnx:FILE (--modalities)"
+    )
+    onnx = pytest.importorskip("tests.smal.test_onnx_features", exc_type=ImportError)
+    text = f"color,{onnx.network(tmp_path / 'mix.onnx')}"
+    learned_on = FeatureSettings.parse(text)
+    assert feature_flags(features_for_model(text, learned_on)) == ("--modalities", text)
+    with pytest.raises(UsageError, match=r"the model was learned on color,onnx:abab"):
+        features_for_model(text, named)
 
 
 def test_a_running_stack_has_its_features() -> None:

@@ -15,6 +15,7 @@ from schemas.action import Action
 from schemas.base import Message
 from schemas.command import Command
 from schemas.rpc import LoadReply, LoadRequest
+from services.kit.model_service import LoadedModel
 from services.kit.node import ServiceError, Throttle
 from services.policy.service import PolicyService
 from services.recognition.service import RecognitionService
@@ -25,7 +26,7 @@ from tests.services.chain import LENGTH, identity, observation, save_model, stat
 Service = PolicyService | RecognitionService
 SERVICES = (PolicyService, RecognitionService)
 REFUSALS = {
-    "missing": "none.smal: cannot be read",
+    "missing": "^no model 'none.smal' below the root of this service$",
     "truncated": "truncated.smal: truncated or altered",
     "stride": f"^stride must be 1 to the sequence length {LENGTH}, got {LENGTH + 1}$",
     "stride of the filter": "^stride 2: the filter decides at every frame; only the paper's scheme has a stride$",
@@ -44,34 +45,38 @@ def other(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(params=REFUSALS)
-def refused(request: pytest.FixtureRequest, tmp_path: Path, other: Path) -> tuple[LoadRequest, str]:
-    """Give a request that must be refused, and what the refusal says."""
+def refused(request: pytest.FixtureRequest, tmp_path: Path, other: Path) -> tuple[Path, LoadRequest, str]:
+    """Give a root, a request that must be refused, and what the refusal says."""
     name = request.param
-    path, scheme, stride = {
-        "missing": (tmp_path / "none.smal", "paper", None),
-        "truncated": (tmp_path / "truncated.smal", "filter", None),
-        "stride": (other, "paper", LENGTH + 1),
-        "stride of the filter": (tmp_path / "mapped.smal", "filter", 2),
-        "no map": (other, "filter", None),
+    root, file, scheme, stride = {
+        "missing": (tmp_path, "none.smal", "paper", None),
+        "truncated": (tmp_path, "truncated.smal", "filter", None),
+        "stride": (other.parent, other.name, "paper", LENGTH + 1),
+        "stride of the filter": (tmp_path, "mapped.smal", "filter", 2),
+        "no map": (other.parent, other.name, "filter", None),
     }[name]
     if name == "truncated":
-        path.write_bytes(other.read_bytes()[:-7])
+        (tmp_path / file).write_bytes(other.read_bytes()[:-7])
     if name == "stride of the filter":
-        corridor.save_model(path)
-    return LoadRequest(path=str(path), scheme=scheme, stride=stride), REFUSALS[name]
+        corridor.save_model(tmp_path / file)
+    return root, LoadRequest(model=file, scheme=scheme, stride=stride), REFUSALS[name]
+
+
+def load_by_name(service: Service, root: Path, request: LoadRequest) -> None:
+    service.load(LoadedModel.named(request, root))
 
 
 @pytest.fixture
 def policy(model: Path) -> PolicyService:
     service = PolicyService()
-    service.load(LoadRequest(path=str(model), scheme="paper"))
+    service.load(LoadedModel.read(model, "paper"))
     return service
 
 
 @pytest.fixture
 def recognition(model: Path) -> RecognitionService:
     service = RecognitionService()
-    service.load(LoadRequest(path=str(model), scheme="paper"))
+    service.load(LoadedModel.read(model, "paper"))
     return service
 
 
@@ -92,7 +97,7 @@ def decisions(answer: list[Message]) -> list[Message]:
 def test_the_loaded_model_is_told(cls: type[Service], stride: int | None, got: int, model: Path) -> None:
     service = cls()
     assert service.detail() == {"model": None}
-    reply = service.load(LoadRequest(path=str(model), scheme="paper", stride=stride))
+    reply = service.load(LoadedModel.read(model, "paper", stride))
     assert reply == LoadReply(
         states=6, templates=18, sequence_length=LENGTH, keyframes=0, scheme="paper", stride=got
     )  # fmt: skip
@@ -104,7 +109,7 @@ def test_the_loaded_model_is_told(cls: type[Service], stride: int | None, got: i
 @pytest.mark.parametrize("stride", [None, 1])
 def test_a_model_with_a_map_is_for_the_filter(cls: type[Service], stride: int | None, tmp_path: Path) -> None:
     mapped, service = corridor.save_model(tmp_path / "mapped.smal"), cls()
-    reply = service.load(LoadRequest(path=str(mapped), stride=stride))
+    reply = service.load(LoadedModel.read(mapped, stride=stride))
     keyframes = len(Model.load(mapped).mapped.keyframes)
     assert keyframes > 10
     assert (reply.keyframes, reply.scheme, reply.stride) == (keyframes, "filter", 1)
@@ -112,34 +117,36 @@ def test_a_model_with_a_map_is_for_the_filter(cls: type[Service], stride: int | 
 
 
 @pytest.mark.parametrize("cls", SERVICES)
-def test_without_a_model_a_refused_one_changes_nothing(cls: type[Service], refused: tuple[LoadRequest, str]) -> None:
+def test_without_a_model_a_refused_one_changes_nothing(
+    cls: type[Service], refused: tuple[Path, LoadRequest, str]
+) -> None:
     service = cls()
-    with pytest.raises(ServiceError, match=refused[1]):
-        service.load(refused[0])
+    with pytest.raises(ServiceError, match=refused[2]):
+        load_by_name(service, *refused[:2])
     assert service.detail() == {"model": None}
 
 
 def test_policy_goes_on_with_its_plan_after_a_refused_load(
-    policy: PolicyService, refused: tuple[LoadRequest, str], model: Path
+    policy: PolicyService, refused: tuple[Path, LoadRequest, str], model: Path
 ) -> None:
     known = state(0, model, status="recognized", state=2)
     first = policy.handle(known)
     before = policy.detail()
-    with pytest.raises(ServiceError, match=refused[1]):
-        policy.load(refused[0])
+    with pytest.raises(ServiceError, match=refused[2]):
+        load_by_name(policy, *refused[:2])
     assert policy.detail() == before
     assert policy.handle(known) == first
     assert atom(policy.handle(state(1, model, status="collecting"))) == "left"
 
 
 def test_recognition_keeps_its_window_after_a_refused_load(
-    recognition: RecognitionService, refused: tuple[LoadRequest, str]
+    recognition: RecognitionService, refused: tuple[Path, LoadRequest, str]
 ) -> None:
     for tick in range(LENGTH - 1):
         recognition.handle(observation(tick, place=6 + tick))
     before = recognition.detail()
-    with pytest.raises(ServiceError, match=refused[1]):
-        recognition.load(refused[0])
+    with pytest.raises(ServiceError, match=refused[2]):
+        load_by_name(recognition, *refused[:2])
     assert recognition.detail() == before
     answer = recognition.handle(observation(LENGTH - 1, place=5 + LENGTH))
     assert (answer.status, answer.state) == ("recognized", 2)
@@ -151,7 +158,7 @@ def test_recognition_keeps_its_window_after_a_refused_load(
 def test_states_name_the_model_that_they_are_of(recognition: RecognitionService, model: Path, other: Path) -> None:
     assert RecognitionService().handle(observation(0)).model is None
     assert recognition.handle(observation(0)).model == identity(model)
-    recognition.load(LoadRequest(path=str(other), scheme="paper"))
+    recognition.load(LoadedModel.read(other, "paper"))
     assert recognition.handle(observation(1)).model == identity(other)
     assert identity(model) != identity(other)
 
@@ -177,7 +184,7 @@ def test_policy_obeys_the_states_of_the_other_model_once_it_has_loaded_it(
 ) -> None:
     theirs = state(0, other, status="recognized", state=2)
     assert atom(policy.handle(theirs)) == "stop"
-    policy.load(LoadRequest(path=str(other), scheme="paper"))
+    policy.load(LoadedModel.read(other, "paper"))
     assert policy.detail()["states_of_another_model"] == 0
     assert atom(policy.handle(theirs)) == "forward"
     assert atom(policy.handle(state(1, model, status="collecting"))) == "stop"

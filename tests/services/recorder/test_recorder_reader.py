@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 import numpy as np
@@ -220,6 +221,16 @@ def test_files_that_are_no_recordings_say_so_in_one_line(tmp_path: Path) -> None
         read_recording(tmp_path / "none.mcap")
     with pytest.raises(RecordingError, match="Is a directory"):
         read_recording(tmp_path)
+
+
+def test_a_fifo_or_a_device_is_not_waited_for(tmp_path: Path) -> None:
+    for name in ("fifo.mcap", "fifo.mcap.partial"):
+        os.mkfifo(tmp_path / name)
+        with pytest.raises(RecordingError, match=f"^{tmp_path / name}: Not a regular file$"):
+            read_recording(tmp_path / name)
+    (tmp_path / "zero.mcap").symlink_to("/dev/zero")
+    with pytest.raises(RecordingError, match=r"Not a regular file$"):
+        read_recording(tmp_path / "zero.mcap")
 
 
 def test_a_living_recording_is_refused_and_a_dead_one_read(tmp_path: Path) -> None:

@@ -68,7 +68,7 @@ def sealed(bus: Bus, count: int) -> bool:
 @pytest.fixture
 def recorder(settings: ServiceSettings, run_node: RunNode, client: Bus, tmp_path: Path) -> Iterator[RecorderService]:
     node = Node("recorder", settings)
-    service = RecorderService(node, tmp_path)
+    service = RecorderService(node, tmp_path, tmp_path)
     run_node(node)
     introduce(client, "recorder", *introductions())
     return service
@@ -90,7 +90,7 @@ def test_one_file_an_episode_with_every_message(recorder: RecorderService, clien
         assert (read.episode, read.outcome, read.purpose) == (name, "found", "drive")
     assert ready(client, "recorder").detail["duplicates"] == 0
     reply = stop(client)
-    assert [Path(file).name for file in reply.files] == ["drive-1.mcap", "drive-2.mcap"]
+    assert list(reply.files) == ["drive-1.mcap", "drive-2.mcap"]
     assert reply.dropped == 0
 
 
@@ -118,17 +118,17 @@ def test_nothing_is_recorded_before_start_and_after_stop(
     settings: ServiceSettings, run_node: RunNode, client: Bus, tmp_path: Path
 ) -> None:
     node = Node("recorder", settings)
-    RecorderService(node)
+    RecorderService(node, tmp_path)
     run_node(node)
     introduce(client, "recorder", *introductions())
     send(client, list(episode("before", frames=1)))
     folder = tmp_path / "new" / "folder"
-    client.call("recorder", "start", RecordRequest(folder=str(folder)), Nothing)
+    client.call("recorder", "start", RecordRequest(folder="new/folder"), Nothing)
     publish(client, list(episode("during", frames=2)))
     eventually(lambda: sealed(client, 1))
     send(client, [event("cut", 0, "started"), *frame("cut", 0)])
     reply = stop(client)
-    assert [Path(file).name for file in reply.files] == ["during.mcap", "cut.mcap"]
+    assert list(reply.files) == ["during.mcap", "cut.mcap"]
     send(client, list(episode("after", frames=1)))
     assert sorted(path.name for path in folder.iterdir()) == ["cut.mcap", "during.mcap"]
     assert read_recording(folder / "cut.mcap", FINGERPRINT).episodes[0].outcome is None
@@ -138,7 +138,7 @@ def test_flush_names_the_files_and_recording_goes_on(recorder: RecorderService, 
     for name in ("first", "second"):
         send(client, [event(name, 0, "started"), *frame(name, 0), event(name, 0, "ended", "found")])
         reply = client.call("recorder", "flush", Nothing(), RecordReply)
-        assert reply.files[-1] == str(tmp_path / f"{name}.mcap")
+        assert reply.files[-1] == f"{name}.mcap"
         assert not read_recording(tmp_path / f"{name}.mcap", FINGERPRINT).truncated
 
 
@@ -178,10 +178,12 @@ def test_a_folder_that_cannot_be_is_refused_in_one_line(
     recorder: RecorderService, client: Bus, tmp_path: Path, settings: ServiceSettings
 ) -> None:
     (tmp_path / "file").write_text("")
-    with pytest.raises(RpcError, match=r"^recorder start: cannot record in .*file/folder: Not a directory$"):
-        client.call("recorder", "start", RecordRequest(folder=str(tmp_path / "file" / "folder")), Nothing)
+    with pytest.raises(
+        RpcError, match=r"^recorder start: cannot record in 'file/folder' below the root of the recorder$"
+    ):
+        client.call("recorder", "start", RecordRequest(folder="file/folder"), Nothing)
     with Node("other", settings) as node, pytest.raises(ServiceError, match="Not a directory"):
-        RecorderService(node, tmp_path / "file" / "folder")
+        RecorderService(node, tmp_path, tmp_path / "file" / "folder")
     publish(client, list(episode("on")))
     eventually(lambda: sealed(client, 1))
 
@@ -226,7 +228,7 @@ def test_a_file_that_could_not_be_finished_is_when_there_is_room(
     eventually(lambda: sealed(client, 2))
     assert contents(tmp_path / "full.mcap") == wanted(list(episode("full"))[:-1])
     assert sorted(path.name for path in tmp_path.iterdir()) == ["full.mcap", "room.mcap"]
-    assert [Path(file).name for file in stop(client).files] == ["full.mcap", "room.mcap"]
+    assert list(stop(client).files) == ["full.mcap", "room.mcap"]
 
 
 def test_stop_does_not_wait_for_an_episode_that_goes_on(recorder: RecorderService, client: Bus, tmp_path: Path) -> None:
@@ -246,13 +248,13 @@ def test_stop_does_not_wait_for_an_episode_that_goes_on(recorder: RecorderServic
     finally:
         going.set()
         thread.join()
-    assert [Path(file).name for file in reply.files] == ["on.mcap"]
+    assert list(reply.files) == ["on.mcap"]
     assert len(read_all(tmp_path / "on.mcap")) > 10
 
 
 def test_a_folder_that_vanishes_loses_one_episode_only(recorder: RecorderService, client: Bus, tmp_path: Path) -> None:
     folder = tmp_path / "recordings"
-    client.call("recorder", "start", RecordRequest(folder=str(folder)), Nothing)
+    client.call("recorder", "start", RecordRequest(folder="recordings"), Nothing)
     shutil.rmtree(folder)
     send(client, list(episode("gone", frames=1)))
     eventually(lambda: "cannot record episode gone" in str(ready(client, "recorder").detail["last_error"]))
@@ -294,7 +296,7 @@ def test_kill_loses_nothing_that_was_taken(
     partial = tmp_path / "killed.mcap.partial"
     assert len(read_recording(partial, FINGERPRINT).episodes[0].features) == 5
     with Node("other", settings) as node:
-        RecorderService(node, tmp_path).close()
+        RecorderService(node, tmp_path, tmp_path).close()
     assert len(read_all(tmp_path / "killed.mcap")) == len(sent)
     assert not partial.exists()
 
@@ -335,7 +337,7 @@ def test_a_recording_left_behind_whose_episode_does_not_go_on_is_finished(
     sent = list(episode("left", frames=2))[:-1]
     leave(tmp_path, sent)
     node = Node("recorder", settings)
-    RecorderService(node, tmp_path)
+    RecorderService(node, tmp_path, tmp_path)
     run_node(node)
     eventually(lambda: sealed(client, 1))
     assert contents(tmp_path / "left.mcap") == wanted(sent)
@@ -346,7 +348,7 @@ def test_what_two_recorders_of_one_episode_left_is_finished_apart(settings: Serv
     leave(tmp_path, sent[:20])
     leave(tmp_path, sent[:10])
     with Node("recorder", settings) as node:
-        recorder = RecorderService(node, tmp_path)
+        recorder = RecorderService(node, tmp_path, tmp_path)
         for message in sent:
             recorder.handle(message)
         recorder.close()
@@ -364,7 +366,7 @@ def test_what_is_replayed_late_is_waited_for(
     leave(tmp_path, sent[:15])
     now_s = 0.0
     with Node("recorder", settings) as node:
-        recorder = RecorderService(node, tmp_path, lambda: now_s)
+        recorder = RecorderService(node, tmp_path, tmp_path, lambda: now_s)
         for message in sent:
             if message not in late:
                 recorder.handle(message)
@@ -381,7 +383,7 @@ def test_what_is_replayed_late_is_waited_for(
 def test_an_outage_of_the_router_leaves_no_gap(free_endpoint: str, tmp_path: Path) -> None:
     router = Router(free_endpoint)
     node = Node("recorder", ServiceSettings(router=free_endpoint))
-    RecorderService(node, tmp_path)
+    RecorderService(node, tmp_path, tmp_path)
     thread = threading.Thread(target=node.spin)
     thread.start()
     sender = Bus("rescuebot", free_endpoint)
@@ -417,7 +419,7 @@ def test_bad_settings_are_one_line(tmp_path: Path, router_endpoint: str) -> None
 
 def test_images_wait_in_a_queue_that_is_bounded(settings: ServiceSettings, tmp_path: Path) -> None:
     with Node("recorder", settings) as node:
-        recorder = RecorderService(node, tmp_path)
+        recorder = RecorderService(node, tmp_path, tmp_path)
         frames = 2 * JPEG.kept + 6
         for _ in range(frames):
             node._inbox.put("camera/jpeg", (b"", ""))

@@ -22,7 +22,7 @@ from services.cli.stack.processes import Access
 from services.expert.service import ExpertService
 from services.kit.errors import JobError, UsageError
 from services.kit.model_service import identity_of
-from services.kit.node import EXIT_FAILED, Node, ServiceError
+from services.kit.node import EXIT_FAILED, EXIT_USAGE, Node, ServiceError
 from services.kit.settings import ServiceSettings
 from services.robot.episode import RunOutcome
 from services.simulator.world.loading import WORLDS_FOLDER
@@ -208,7 +208,7 @@ def test_start_and_kidnap_reach_the_simulator(
     fakes["robot"].serve("reset", ResetRequest, reset)
     fakes["features"].detail = lambda: {"fingerprint": corridor.FEATURES.fingerprint}
     for name in CHAIN:
-        fakes[name].detail = lambda: {"checksum": identity}
+        fakes[name].detail = lambda: {"checksum": identity, "root": str(tmp_path)}
         fakes[name].serve("load", LoadRequest, load)
     for node in fakes.values():
         run_node(node)
@@ -216,7 +216,25 @@ def test_start_and_kidnap_reach_the_simulator(
                            "--connect", settings.router)  # fmt: skip
     assert (status, said.splitlines()[-1]) == (EXIT_FAILED, "smal: robot reset: enough seen")
     assert [(one.start, one.kidnap_tick, one.purpose) for one in asked] == [(start, kidnap_tick, "run")]
-    assert [(one.scheme, one.stride) for one in loaded] == [("filter", None)] * 2
+    assert [(one.model, one.scheme, one.stride) for one in loaded] == [("mapped.smal", "filter", None)] * 2
+
+
+def test_a_model_that_the_stack_does_not_read_is_one_line_that_says_what_to_do(
+    settings: ServiceSettings, run_node: RunNode, tmp_path: Path, smal: Smal
+) -> None:
+    path, root = corridor.save_model(tmp_path / "mapped.smal"), tmp_path / "root"
+    for name in CHAIN:
+        node = Node(name, settings)
+        node.detail = lambda: {"root": str(root)}
+        run_node(node)
+    status, _, said = smal("run", "--model", str(path), "--world", "yard", "--connect", settings.router)
+    assert status == EXIT_USAGE
+    assert said == (
+        f"smal: --model {path}: the recognition of this stack takes only what is below {root}; put it there, or start "
+        "the stack with --root\n"
+    )
+    status, _, said = smal("run", "--model", str(path), "--modalities", "color", "--connect", settings.router)
+    assert (status, said.split(":")[1]) == (EXIT_USAGE, " --modalities")
 
 
 def test_the_simulator_s_options_become_its_flags() -> None:

@@ -9,6 +9,7 @@ import pytest
 from schemas.rpc import Nothing, RecordReply, RecordRequest
 from services.cli.episodes.recording import recording
 from services.kit.bus import Bus, RpcError
+from services.kit.errors import UsageError
 from services.kit.node import Node, ServiceError
 from services.kit.settings import ServiceSettings
 from tests.services.conftest import RunNode
@@ -17,10 +18,11 @@ from tests.services.conftest import RunNode
 class FakeRecorder:
     """Notes what it is told; refuses one verb if asked to."""
 
-    def __init__(self, node: Node) -> None:
+    def __init__(self, node: Node, root: Path) -> None:
         self.told: list[str] = []
         self.refuses: str | None = None
         self.dropped = 0
+        node.detail = lambda: {"root": str(root)}
         node.serve("start", RecordRequest, self.start)
         node.serve("stop", Nothing, self.stop)
 
@@ -38,9 +40,9 @@ class FakeRecorder:
 
 
 @pytest.fixture
-def recorder(settings: ServiceSettings, run_node: RunNode) -> FakeRecorder:
+def recorder(settings: ServiceSettings, run_node: RunNode, tmp_path: Path) -> FakeRecorder:
     node = Node("recorder", settings)
-    fake = FakeRecorder(node)
+    fake = FakeRecorder(node, tmp_path)
     run_node(node)
     return fake
 
@@ -48,8 +50,8 @@ def recorder(settings: ServiceSettings, run_node: RunNode) -> FakeRecorder:
 def test_files_are_known_at_the_end(
     recorder: FakeRecorder, client: Bus, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    with recording(client, tmp_path) as recorded:
-        assert recorder.told == [f"start {tmp_path}"]
+    with recording(client, tmp_path / "drives", "--out") as recorded:
+        assert recorder.told == ["start drives"]
     assert recorder.told[1:] == ["stop"]
     assert recorded.files == ("a.mcap", "b.mcap")
     assert capsys.readouterr().out == ""
@@ -59,7 +61,7 @@ def test_lost_messages_are_told(
     recorder: FakeRecorder, client: Bus, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     recorder.dropped = 7
-    with recording(client, tmp_path):
+    with recording(client, tmp_path / "drives", "--out"):
         pass
     assert "warning: the recorder dropped 7 messages" in capsys.readouterr().out
 
@@ -70,7 +72,7 @@ def test_recorder_is_stopped_after_a_failure_which_remains_the_news(
     recorder: FakeRecorder, client: Bus, tmp_path: Path, failure: BaseException, refuses: str | None
 ) -> None:
     recorder.refuses = refuses
-    with pytest.raises(type(failure), match="sic"), recording(client, tmp_path):
+    with pytest.raises(type(failure), match="sic"), recording(client, tmp_path / "drives", "--out"):
         raise failure
     assert recorder.told[1:] == ["stop"]
 
@@ -79,12 +81,31 @@ def test_a_recorder_that_refuses_the_folder_goes_on_with_its_own(
     recorder: FakeRecorder, client: Bus, tmp_path: Path
 ) -> None:
     recorder.refuses = "start"
-    with pytest.raises(RpcError, match="recorder start: no disk"), recording(client, tmp_path):
+    with pytest.raises(RpcError, match="recorder start: no disk"), recording(client, tmp_path / "drives", "--out"):
         pytest.fail("nothing is recorded")
-    assert recorder.told == [f"start {tmp_path}"]
+    assert recorder.told == ["start drives"]
 
 
 def test_files_that_cannot_be_finished_are_an_error(recorder: FakeRecorder, client: Bus, tmp_path: Path) -> None:
     recorder.refuses = "stop"
-    with pytest.raises(RpcError, match="recorder stop: no disk"), recording(client, tmp_path):
+    with pytest.raises(RpcError, match="recorder stop: no disk"), recording(client, tmp_path / "drives", "--out"):
         pass
+
+
+def test_a_folder_that_the_recorder_does_not_write_to_is_one_line_that_says_what_to_do(
+    recorder: FakeRecorder, client: Bus, tmp_path: Path
+) -> None:
+    link = tmp_path / "link"
+    link.symlink_to(tmp_path.parent)
+    for folder in (tmp_path.parent, link, Path("/")):
+        with pytest.raises(UsageError) as caught, recording(client, folder, "--out"):
+            pytest.fail("nothing is recorded")
+        assert str(caught.value) == (
+            f"--out {folder}: the recorder of this stack takes only what is below {tmp_path}; put it there, or start "
+            "the stack with --root"
+        )
+    with pytest.raises(UsageError, match="no part may begin with a dot"), recording(client, tmp_path / ".x", "--out"):
+        pytest.fail("nothing is recorded")
+    assert recorder.told == []
+    with recording(client, tmp_path, "--out"):
+        assert recorder.told == ["start "]

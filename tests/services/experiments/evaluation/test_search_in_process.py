@@ -17,12 +17,13 @@ from schemas.image import Image
 from schemas.observation import Observation
 from schemas.odometry import Odometry
 from schemas.pose import Pose as TruePose
-from schemas.rpc import LoadRequest, ResetRequest, Scheme
+from schemas.rpc import ResetRequest, Scheme
 from services.experiments.evaluation.controllers import Controller, FilterController, Move, PaperController, Pose
 from services.experiments.evaluation.degradation import Degradation
 from services.experiments.evaluation.search import search
 from services.expert.driver import RouteDriver
 from services.features.service import FeaturesService
+from services.kit.model_service import LoadedModel
 from services.policy.service import PolicyService
 from services.recognition.service import RecognitionService
 from services.simulator.opening import open_simulation
@@ -169,7 +170,7 @@ def test_smal_in_this_process_and_as_services_drives_alike_to_the_last_bit(taugh
     simulation, model = open_simulation("yard", CameraSettings(160, 120)), Model.load(path)
     features, recognition, policy = FeaturesService(FEATURES), RecognitionService(), PolicyService()
     for service in (recognition, policy):
-        service.load(LoadRequest(path=str(path), scheme=scheme))
+        service.load(LoadedModel.read(path, scheme))
 
     def answer(message: Image | Odometry) -> Iterator[Message]:
         if isinstance(message, Image):

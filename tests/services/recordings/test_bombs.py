@@ -1,0 +1,195 @@
+"""Small recordings that unpack to much: what reading them takes in memory is bounded in total."""
+
+from __future__ import annotations
+
+import os
+import struct
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+import zstandard
+from mcap.data_stream import RecordBuilder
+from mcap.opcode import Opcode
+from mcap.records import Channel, Chunk, McapRecord, Message
+from mcap.writer import CompressionType, Writer
+
+from schemas.episode import Purpose
+from schemas.topics import key_of
+from services.recordings.encoding import payload_of
+from services.recordings.reader import RecordingError, read_recording
+from services.recordings.records import MAGIC, MOST_UNPACKED, Allowance
+from tests.services.recordings.recorded_messages import FINGERPRINT, applied, episode, event, frame
+
+MIB = 2**20
+ALLOWED = 256 * MIB
+#: What reading may take beside what is allowed: the largest chunk while it is unpacked and checked, and the reader.
+BESIDE = 160 * MIB
+CHUNKS, PADDING = 40, 48 * MIB
+_KEYS = {"episode": 1, "camera/jpeg": 2, "padding": 3, "pose/truth": 4}
+
+_READ = """
+import sys
+from pathlib import Path
+from services.recordings.dataset import Teacher
+from services.recordings.records import Allowance
+from smal.features import FeatureSettings
+
+def peak():
+    (line,) = [line for line in Path("/proc/self/status").read_text().splitlines() if line.startswith("VmHWM")]
+    return int(line.split()[1]) * 1024
+
+teacher = Teacher(FeatureSettings(), 5)
+teacher._allowance = Allowance(int(sys.argv[1]))
+before = peak()
+for path in sys.argv[2:]:
+    teacher.read(Path(path))
+print(peak() - before)
+print(*teacher.teaching.remarks, sep=chr(10))
+"""
+
+
+def raw(*parts: McapRecord) -> bytes:
+    builder = RecordBuilder()
+    for part in parts:
+        part.write(builder)
+    return bytes(builder.end())
+
+
+def channels(**more: str) -> bytes:
+    metadata = {"robot": "rescuebot", "episode": "e"}
+    return raw(*(Channel(number, f"smal/rescuebot/{key}", "json", metadata | more, 0) for key, number in _KEYS.items()))
+
+
+def message(key: str, tick: int, data: bytes) -> bytes:
+    return raw(Message(_KEYS[key], tick, data, tick, tick))
+
+
+def packed(data: bytes) -> bytes:
+    return raw(Chunk("zstd", zstandard.compress(data), 0, 0, 0, len(data)))
+
+
+def began() -> bytes:
+    return channels() + message("episode", 0, event("e", 0, "started").model_dump_json().encode())
+
+
+def write(path: Path, *chunks: bytes) -> Path:
+    path.write_bytes(MAGIC + began() + b"".join(chunks))
+    return path
+
+
+def reading(*paths: Path) -> tuple[int, list[str]]:
+    """Return by how much reading files as `smal learn` does raises the peak of memory, and what it remarks."""
+    done = subprocess.run(
+        [sys.executable, "-c", _READ, str(ALLOWED), *map(str, paths)],
+        capture_output=True, text=True, timeout=120, check=True, env=os.environ | {"NUMBA_DISABLE_JIT": "1"},
+    )  # fmt: skip
+    peak, *remarks = done.stdout.splitlines()
+    return int(peak), remarks
+
+
+def test_chunks_that_an_image_keeps_are_bounded_in_total(tmp_path: Path) -> None:
+    padding = message("padding", 0, bytes(PADDING))
+    bomb = write(
+        tmp_path / "bomb.mcap", *(packed(message("camera/jpeg", tick, b"x") + padding) for tick in range(CHUNKS))
+    )
+    size = bomb.stat().st_size
+    assert size < MIB
+    assert CHUNKS * PADDING > 1800 * MIB
+    peak, remarks = reading(bomb)
+    assert peak < ALLOWED + BESIDE
+    assert remarks[0] == (
+        f"{bomb}: takes more than 0.25 GiB of memory, with what was read before; unpack it first (mcap decompress), "
+        "or read fewer at once"
+    )
+
+
+def test_many_recordings_share_what_is_allowed(tmp_path: Path) -> None:
+    """Each teaches, and none alone is too much."""
+    drives = [drive(tmp_path / f"{k}.mcap", f"e{k}") for k in range(12)]
+    peak, remarks = reading(*drives)
+    assert peak < ALLOWED + BESIDE
+    too_much = [remark for remark in remarks if "takes more than 0.25 GiB" in remark]
+    assert len(too_much) == 12 - ALLOWED // PADDING
+    runs = [drive(tmp_path / f"run{k}.mcap", f"r{k}", "run") for k in range(12)]
+    assert not [remark for remark in reading(*runs, drives[0])[1] if "takes more" in remark], "what is not kept is free"
+
+
+def drive(path: Path, name: str, purpose: Purpose = "drive") -> Path:
+    """Write a drive as one packed chunk, with padding."""
+    with path.open("wb") as file:
+        writer = Writer(file, chunk_size=2 * PADDING, compression=CompressionType.ZSTD)
+        writer.start(profile="", library="")
+        schema = writer.register_schema("any", "jsonschema", b"{}")
+        metadata = {"robot": "rescuebot", "episode": name}
+        numbers: dict[str, int] = {}
+        for one in episode(name, frames=8, purpose=purpose):
+            key = key_of(one)
+            if key not in numbers:
+                numbers[key] = writer.register_channel(key, "json", schema, metadata)
+            writer.add_message(numbers[key], one.stamp_ns, payload_of(one), one.stamp_ns, one.tick)
+        number = writer.register_channel("padding", "none", schema, {})
+        writer.add_message(number, 0, bytes(PADDING), 0, 0)
+        writer.finish()
+    return path
+
+
+def test_messages_that_are_small_count_by_what_they_become(tmp_path: Path) -> None:
+    """Two hundred thousand true poses, each of 100 bytes in a file, and of 1.2 kB in memory."""
+    pose = '{"robot":"rescuebot","episode":"e","tick":%d,"stamp_ns":1,"x_m":0,"y_m":0,"heading_rad":0}'
+    ticks = range(200_000)
+    chunks = [
+        packed(b"".join(message("pose/truth", tick, (pose % tick).encode()) for tick in ticks[at : at + 50_000]))
+        for at in range(0, len(ticks), 50_000)
+    ]
+    peak, remarks = reading(write(tmp_path / "poses.mcap", *chunks))
+    assert peak < ALLOWED + BESIDE
+    assert "takes more than 0.25 GiB" in remarks[0]
+
+
+def test_an_index_is_passed_over_and_what_is_taken_apart_is_small(tmp_path: Path) -> None:
+    entries = struct.pack("<QQ", 1, 1) * (2 * MIB)
+    index = struct.pack("<BQHI", Opcode.MESSAGE_INDEX, len(entries) + 6, 1, len(entries)) + entries
+    numbers = bytes(10) * (3 * MIB)
+    statistics = struct.pack("<BQ", Opcode.STATISTICS, len(numbers)) + numbers
+    beyond = struct.pack("<BQ", Opcode.CHUNK_INDEX, 2**62)
+    path = write(tmp_path / "index.mcap", index, packed(index), statistics, packed(statistics), packed(beyond))
+    peak, remarks = reading(path)
+    assert peak < BESIDE
+    assert remarks == [f"{path}: holds no camera frame"]
+    pairs = {str(number): "" for number in range(MIB + MIB // 2)}
+    channel = raw(Channel(1, "smal/rescuebot/episode", "json", pairs, 0))
+    path = write(tmp_path / "map.mcap", packed(channel))
+    peak, remarks = reading(path)
+    assert peak < BESIDE
+    assert remarks == [f"{path}: damaged: a record of {len(channel) - 9} bytes, at most {16 * MIB} are read"]
+
+
+def test_a_chunk_is_not_unpacked_that_says_that_it_is_large(tmp_path: Path) -> None:
+    for size in (64 * MIB + 1, 2**63):
+        lie = raw(Chunk("zstd", zstandard.compress(b"x"), 0, 0, 0, size))
+        with pytest.raises(RecordingError, match=f"damaged: a chunk of {size} bytes, at most {64 * MIB} are read"):
+            read_recording(write(tmp_path / "lie.mcap", lie))
+
+
+def test_what_is_left_out_leaves_room_for_the_next(tmp_path: Path) -> None:
+    records = b"".join(
+        message(one.topic_name, one.tick, one.model_dump_json().encode())
+        for one in [*frame("e", 0), applied("e", 0)] if one.topic_name in _KEYS and one.topic_name != "camera/jpeg"
+    )  # fmt: skip
+    image = message("camera/jpeg", 0, b"x")
+    small = write(tmp_path / "small.mcap", packed(records + image))
+    large = write(tmp_path / "large.mcap", packed(image), packed(message("padding", 0, bytes(MIB))))
+    allowance = Allowance(MIB)
+    with pytest.raises(RecordingError, match=r"takes more than .* GiB of memory"):
+        read_recording(large, FINGERPRINT, allowance)
+    assert allowance.left == MIB
+    assert read_recording(small, FINGERPRINT, allowance).episodes[0].frames == 1
+    assert 0 < allowance.left < MIB
+
+
+def test_a_real_set_of_drives_fits_twice() -> None:
+    """12 drives of 550 frames, 1024x768: 240 kB and 10 messages each, all of it packed."""
+    twelve = 12 * 550 * (240_000 + 10 * 2048)
+    assert 2 * twelve < MOST_UNPACKED
