@@ -42,6 +42,12 @@ def check_encoding(message: type[Message], encoding: str) -> None:
         raise DecodeError(f"expected {encoding_of(message)}, got {encoding[:80]!r}")
 
 
+def check_size(message: type[Message], size: int) -> None:
+    """Raise DecodeError when a payload is larger than any message of a class."""
+    if size > message.max_bytes:
+        raise DecodeError(f"{message.schema_name()}: {size} bytes, at most {message.max_bytes} allowed")
+
+
 def encode(message: Message) -> bytes:
     """Pack a message as msgpack.
 
@@ -80,8 +86,7 @@ def decode(cls: type[M], payload: bytes, encoding: str) -> M:
         For any payload that is not a valid message; no other exception leaves this function.
     """
     check_encoding(cls, encoding)
-    if len(payload) > cls.max_bytes:
-        raise DecodeError(f"{cls.schema_name()}: {len(payload)} bytes, at most {cls.max_bytes} allowed")
+    check_size(cls, len(payload))
     try:
         # Few and small containers: four megabytes of empty maps would otherwise cost 1 s and 280 MB.
         count = _ContainerCount(cls.max_containers)

@@ -81,7 +81,7 @@ class Status(Strict):
     dropped: dict[str, int]
     """Messages replaced by newer ones before they were taken, by topic."""
     bad: dict[str, int]
-    """Messages refused as malformed, by topic."""
+    """Messages and requests refused as malformed, by topic."""
     failed: int
     """Requests and messages whose handling failed; each is in the log."""
     detail: dict[str, str | int | float | bool | None]

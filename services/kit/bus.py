@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from typing import Final, TypeVar
+from typing import TypeVar
 
 from pydantic import ValidationError
 
@@ -18,7 +18,7 @@ from schemas.rpc import Failure
 from schemas.topics import TOPICS, Topic, rpc_key
 from services.kit.credentials import Credentials
 from services.kit.memory_wire import MEMORY, MemoryRouter, MemoryWire
-from services.kit.wire import Answer, BusError, Take, Wire
+from services.kit.wire import Answer, BusError, Refused, Take, Wire
 from services.kit.zenoh_wire import DEFAULT_ROUTER, PATIENCE_S, Router, ZenohWire, host_and_port, zenohd_configuration
 
 __all__ = [
@@ -27,6 +27,7 @@ __all__ = [
     "Bus",
     "BusError",
     "MemoryRouter",
+    "Refused",
     "Router",
     "RpcError",
     "Take",
@@ -34,13 +35,15 @@ __all__ = [
     "zenohd_configuration",
 ]
 
-#: Largest request of a service, bytes.
-MAX_RPC_BYTES: Final = 1_000_000
 Reply = TypeVar("Reply", bound=Strict)
 
 
 class RpcError(Exception):
     """A call was refused by the service or not answered; the text says why in one line."""
+
+
+def _ignore(_why: str) -> None:
+    """Tell nobody."""
 
 
 class Bus:
@@ -112,8 +115,11 @@ class Bus:
         """
         return self._wire.has_listeners(topic)
 
-    def subscribe(self, topic: Topic, take: Take, *, replay: bool = False) -> None:
+    def subscribe(self, topic: Topic, take: Take, refused: Refused = _ignore, *, replay: bool = False) -> None:
         """Call ``take`` for every sample of a topic, on the bus's thread; it must return at once.
+
+        A sample comes on the topic's very key, with an encoding and of a size that its message may have; the rest of it
+        is not looked at.
 
         Parameters
         ----------
@@ -122,12 +128,14 @@ class Bus:
         take
             Called with payload, encoding, and the seconds that the sample took from its sender, by the clocks of both
             machines (None where it does not tell).
+        refused
+            Called, on the same thread, with why what came is no such sample, and whose it is as far as that is known.
         replay
             Whether to have those samples sent, in order, that were published in the last ``topics.KEPT_S`` before
             this subscription, and those that get lost on the way, in an outage of the router too. For what keeps a
             record; never for what moves a robot.
         """
-        self._wire.subscribe(topic, take, replay=replay)
+        self._wire.subscribe(topic, take, refused, replay=replay)
 
     def listen(self, keys: str, take: Callable[[str, bytes, str], None], *, urgent: bool = False) -> None:
         """Call ``take(key, payload, encoding)`` for every sample on matching keys, on the bus's thread.
@@ -139,19 +147,26 @@ class Bus:
         """
         self._wire.listen(keys, take, urgent=urgent)
 
-    def serve(self, service: str, verb: str, answer: Callable[[bytes, Callable[[Strict], None]], None]) -> None:
+    def serve(
+        self,
+        service: str,
+        verb: str,
+        answer: Callable[[bytes, Callable[[Strict], None]], None],
+        refused: Refused = _ignore,
+    ) -> None:
         """Answer calls: ``answer(request_json, reply)`` runs on the bus's thread and may pass ``reply`` on.
 
-        A ``Failure`` given to ``reply`` reaches the caller as an error.
+        A ``Failure`` given to ``reply`` reaches the caller as an error; so does why a request is too large, or not for
+        this service alone, of which ``refused`` is told.
         """
 
         def on_call(request: bytes, send: Callable[[Answer], None]) -> None:
             def reply(message: Strict) -> None:
                 send(Answer(message.model_dump_json().encode(), isinstance(message, Failure)))
 
-            answer(request[:MAX_RPC_BYTES], reply)
+            answer(request, reply)
 
-        self._wire.serve(rpc_key(self.robot, service, verb), on_call)
+        self._wire.serve(rpc_key(self.robot, service, verb), on_call, refused)
 
     def call(self, service: str, verb: str, request: Strict, reply_type: type[Reply], timeout_s: float = 10.0) -> Reply:
         """Call a service and wait for its reply.

@@ -20,7 +20,7 @@ from weakref import WeakSet
 
 from schemas.codec import encoding_of
 from schemas.topics import KEPT_S, Topic
-from services.kit.wire import TIMEOUT, Answer, BusError, Serve, Take, Wire
+from services.kit.wire import TIMEOUT, Answer, BusError, Envelope, Refused, Serve, Take, Wire, flaw
 
 MEMORY: Final = "memory/"
 _logger = logging.getLogger("bus")
@@ -185,13 +185,17 @@ class MemoryWire(Wire):
         with self._routing() as wires:
             return any(matches(one.keys, parts) for wire in wires for one in wire.subscriptions)
 
-    def subscribe(self, topic: Topic, take: Take, *, replay: bool) -> None:
+    def subscribe(self, topic: Topic, take: Take, refused: Refused, *, replay: bool) -> None:
         """Call ``take`` for every sample of a topic."""
+        key, lane = topic.key(self._robot), self._lanes[topic.urgent]
 
         def on_sample(sample: Sample) -> None:
-            take(sample.payload, sample.encoding, time.time() - sample.sent_s)
+            envelope = Envelope(sample.key, len(sample.payload), sample.encoding)
+            if (why := flaw(envelope, key, topic.message)) is not None:
+                refused(why)
+            else:
+                take(sample.payload, sample.encoding, time.time() - sample.sent_s)
 
-        key, lane = topic.key(self._robot), self._lanes[topic.urgent]
         with self._routing() as wires:
             oldest_s = time.time() - KEPT_S
             for wire in wires if replay else ():
@@ -210,10 +214,18 @@ class MemoryWire(Wire):
         with self._routing():
             self.subscriptions.append(_Subscription(parts, self._lanes[urgent], on_sample))
 
-    def serve(self, key: str, answer: Serve) -> None:
+    def serve(self, key: str, answer: Serve, refused: Refused) -> None:
         """Answer calls of a key."""
+
+        def on_request(request: bytes, send: Callable[[Answer], None]) -> None:
+            if (why := flaw(Envelope(key, len(request)), key, None)) is not None:
+                refused(why)
+                send(Answer.refusal(why))
+            else:
+                answer(request, send)
+
         with self._routing():
-            self._services[key] = answer
+            self._services[key] = on_request
 
     def call(self, key: str, request: bytes, timeout_s: float) -> Answer | None:
         """Call a key and wait for the answer."""
@@ -225,9 +237,11 @@ class MemoryWire(Wire):
                 return None
             answers = server._ask(key, request)
         try:
-            return answers.get(timeout=timeout_s)
+            answer = answers.get(timeout=timeout_s)
         except Empty:
             return Answer(TIMEOUT, failed=True)
+        why = None if answer is None else flaw(Envelope(key, len(answer.payload)), key, None)
+        return answer if why is None else Answer(f"unfit reply: {why}".encode(), failed=True)
 
     def _ask(self, key: str, request: bytes) -> SimpleQueue[Answer | None]:
         query = _Query()

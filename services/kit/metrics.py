@@ -22,7 +22,7 @@ _COUNTS: Final = {
     "received": "Messages taken.",
     "published": "Messages sent.",
     "dropped": "Messages replaced by newer ones before they were taken.",
-    "bad": "Messages refused as malformed.",
+    "bad": "Messages and requests refused as malformed.",
 }
 
 

@@ -15,8 +15,10 @@ import sys
 import threading
 import time
 from collections import Counter, defaultdict
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import partial
 from types import FrameType, TracebackType
 from typing import Final, Literal, Self, TypeVar, cast
 
@@ -40,6 +42,7 @@ EXIT_FAILED: Final = 1
 EXIT_USAGE: Final = 2
 M = TypeVar("M", bound=Message)
 R = TypeVar("R", bound=Strict)
+A = TypeVar("A")
 S = TypeVar("S", bound="ServiceSettings")
 Detail = dict[str, str | int | float | bool | None]
 
@@ -138,13 +141,17 @@ class Node:
         self._received: Counter[str] = Counter()
         self._published: Counter[str] = Counter()
         self._bad: Counter[str] = Counter()
-        self._complaints: defaultdict[str, Throttle] = defaultdict(Throttle)
+        self._complaints: defaultdict[tuple[str, str], Throttle] = defaultdict(Throttle)
+        #: Held to count what goes wrong, which is noticed on several threads.
+        self._counting = threading.Lock()
         self._failed = 0
         self.metrics = Metrics(name, settings.robot, self.status)
         self._http: HttpServer | None = None
         if settings.http is not None:
             self._http = HttpServer(settings.http, lambda: ailment(self.status()), self.metrics.text)
-        self.bus.serve(name, "status", lambda _request, reply: reply(self.status()))
+        self.bus.serve(
+            name, "status", lambda _request, reply: reply(self.status()), partial(self._refuse, "rpc/status")
+        )
 
     # -- wiring ---------------------------------------------------------------------------------------------------
 
@@ -168,33 +175,41 @@ class Node:
             Whether to be sent what was missed, see ``Bus.subscribe``.
         """
         self._inbox.open(topic.name, depth or topic.queue)
-
-        def work(item: object) -> None:
-            payload, encoding = cast("tuple[bytes, str]", item)
-            message = self._decode(topic, payload, encoding)
-            if message is not None:
-                self._received[topic.name] += 1
-                self.publish(handler(cast("M", message)))
-
-        self._handlers[topic.name] = work
+        read = self._reader(topic, handler)
+        self._handlers[topic.name] = lambda item: self.publish(read(*cast("tuple[bytes, str]", item)))
 
         def take(payload: bytes, encoding: str, transit_s: float | None) -> None:
-            self._inbox.put(topic.name, (payload, encoding))
+            self._inbox.put(topic.name, (payload, encoding), len(payload))
             if transit_s is not None:
                 self.metrics.transit(topic.name, transit_s)
 
-        self.bus.subscribe(topic, take, replay=replay)
+        self.bus.subscribe(topic, take, partial(self._refuse, topic.name), replay=replay)
 
-    def at_once(self, topic: Topic, handler: Callable[[M], object]) -> None:
+    def at_once(self, topic: Topic, handler: Callable[[M], None]) -> None:
         """Handle every message of a topic on the bus's own thread, before all that waits; it must return at once."""
+        read = self._reader(topic, handler)
 
         def take(payload: bytes, encoding: str, _transit_s: float | None) -> None:
-            message = self._decode(topic, payload, encoding)
-            if message is not None:
-                self._received[topic.name] += 1
-                handler(cast("M", message))
+            with self._surviving(topic.name):
+                read(payload, encoding)
 
-        self.bus.subscribe(topic, take)
+        self.bus.subscribe(topic, take, partial(self._refuse, topic.name))
+
+    def _reader(self, topic: Topic, handler: Callable[[M], A]) -> Callable[[bytes, str], A | None]:
+        """Make what hands a payload to a handler, and counts it, as received or as bad."""
+
+        def read(payload: bytes, encoding: str) -> A | None:
+            try:
+                message = decode(topic.message, payload, encoding)
+                if key_of(message) != topic.key(self.robot):
+                    raise DecodeError(f"message of {message.robot}/{message.topic_name} on the key of {self.robot}")
+            except DecodeError as error:
+                self._refuse(topic.name, str(error))
+                return None
+            self._received[topic.name] += 1
+            return handler(cast("M", message))
+
+        return read
 
     def serve(self, verb: str, request_type: type[R], handler: Callable[[R], Strict | None]) -> None:
         """Answer the calls of ``rpc/<name>/<verb>``; a ``ServiceError`` in the handler is the caller's to read."""
@@ -206,16 +221,23 @@ class Node:
             try:
                 reply(handler(request_type.model_validate_json(payload)) or Nothing())
             except ValidationError as error:
+                self._refuse(name, describe(error))
                 reply(Failure(error=describe(error)))
             except ServiceError as error:
-                self.log.warning("%s refused: %s", verb, error)
+                if self._complaints["refused", name].due():
+                    self.log.warning("%s refused: %s", verb, error)
                 reply(Failure(error=str(error)))
             except Exception as error:
                 reply(Failure(error=f"internal error: {type(error).__name__}: {error}"))
                 raise
 
         self._handlers[name] = work
-        self.bus.serve(self.name, verb, lambda payload, reply: self._inbox.put(name, (payload, reply)))
+        self.bus.serve(
+            self.name,
+            verb,
+            lambda payload, reply: self._inbox.put(name, (payload, reply), len(payload)),
+            partial(self._refuse, name),
+        )
 
     def soon(self, handler: Callable[[], object]) -> Callable[[], None]:
         """Return what any thread may call to have ``handler`` called on the node's thread, once for all that called."""
@@ -226,7 +248,7 @@ class Node:
             handler()
 
         self._handlers[name] = work
-        return lambda: self._inbox.put(name, None)
+        return lambda: self._inbox.put(name, None, 0)
 
     def waits(self, topic: Topic) -> bool:
         """Whether a message of a topic has come that is not yet handled."""
@@ -290,7 +312,7 @@ class Node:
                 signal.signal(number, on_signal)
 
     def _handle(self, item: Item | None) -> None:
-        try:
+        with self._surviving(item.name if item is not None else "a timer"):
             if item is not None:
                 self._work(item)
             for timer in self._timers:
@@ -299,16 +321,7 @@ class Node:
                     self._began_s = time.monotonic()
                     timer.handler()
                     self._worked_s = time.monotonic()
-        except ServiceError as error:
-            self._failed += 1
-            name = item.name if item else "a timer"
-            if self._complaints[name].due():
-                self.log.warning("handling %s failed (%d failures so far): %s", name, self._failed, error)
-        except Exception:
-            self._failed += 1
-            self.log.exception("handling %s failed", item.name if item else "a timer")
-        finally:
-            self._began_s = None
+        self._began_s = None
 
     def _work(self, item: Item) -> None:
         began_s = self._began_s = time.monotonic()
@@ -316,19 +329,30 @@ class Node:
         self._worked_s = time.monotonic()
         self.metrics.hop(item.name, item.waited_s, self._worked_s - began_s)
 
-    def _decode(self, topic: Topic, payload: bytes, encoding: str) -> Message | None:
+    @contextmanager
+    def _surviving(self, name: str) -> Iterator[None]:
+        """Count and tell of what a handler raises, and go on."""
         try:
-            message = decode(topic.message, payload, encoding)
-            if key_of(message) != topic.key(self.robot):
-                raise DecodeError(f"message of {message.robot}/{message.topic_name} on the key of {self.robot}")
-        except DecodeError as error:
-            self._bad[topic.name] += 1
-            if self._complaints[topic.name].due():
-                self.log.warning(
-                    "dropped a bad message on %s (%d so far): %s", topic.name, self._bad[topic.name], error
+            yield
+        except Exception as error:
+            with self._counting:
+                self._failed += 1
+                due = self._complaints["failed", name].due()
+            if due:
+                # A bug is told with its place; what a service says of itself is enough as it is.
+                bug = None if isinstance(error, ServiceError) else error
+                level = logging.WARNING if bug is None else logging.ERROR
+                self.log.log(
+                    level, "handling %s failed (%d failures so far): %s", name, self._failed, error, exc_info=bug
                 )
-            return None
-        return message
+
+    def _refuse(self, name: str, why: str) -> None:
+        """Count and tell of what is no message or request; any thread may call."""
+        with self._counting:
+            self._bad[name] += 1
+            count, due = self._bad[name], self._complaints["bad", name].due()
+        if due:
+            self.log.warning("dropped a bad message on %s (%d so far): %s", name, count, why)
 
     # -- health ---------------------------------------------------------------------------------------------------
 

@@ -18,18 +18,40 @@ T = TypeVar("T")
 _KNOWN: Final = 64
 
 
+class Budget:
+    """Bytes that may be held at one time by all who share them; any thread may call."""
+
+    def __init__(self, most: int) -> None:
+        self._left = most
+        self._lock = threading.Lock()
+
+    def take(self, size: int) -> bool:
+        """Whether there is room for so much more, which is then taken."""
+        with self._lock:
+            if size > self._left:
+                return False
+            self._left -= size
+            return True
+
+    def give(self, size: int) -> None:
+        """Make room again."""
+        with self._lock:
+            self._left += size
+
+
 @dataclass
 class _Sender(Generic[T]):
-    """Number of the last sample passed on, and, until what was kept has come, the live samples."""
+    """Number of the last sample passed on, and, until what was kept has come, the live samples and their sizes."""
 
     last: int = -1
-    held: list[tuple[int, T]] | None = field(default_factory=list)
+    held: list[tuple[int, T, int]] | None = field(default_factory=list)
 
 
 class Replay(Generic[T]):
     """Asks each sender that it hears of, once, for what it kept; what is live waits until that has come.
 
-    Any thread may call. Of a sender that does not answer, samples are held until its query ends.
+    Any thread may call. Of a sender that does not answer, samples are held until its query ends, or until there is no
+    room for them: then they are passed on, and what they waited for is left out.
 
     Parameters
     ----------
@@ -37,11 +59,19 @@ class Replay(Generic[T]):
         Called with each sample, by one thread at a time; must return at once, and not raise.
     ask : callable
         Called with a sender's name: `replayed` and then `ended` must follow, on any thread.
+    budget : Budget
+        Room for what is held.
+    overdue : callable
+        Called with a sender's name where there was no room; must return at once, and not raise.
     """
 
-    def __init__(self, take: Callable[[T], None], ask: Callable[[str], None]) -> None:
+    def __init__(
+        self, take: Callable[[T], None], ask: Callable[[str], None], budget: Budget, overdue: Callable[[str], None]
+    ) -> None:
         self._take = take
         self._ask = ask
+        self._budget = budget
+        self._overdue = overdue
         self._lock = threading.Lock()
         self._senders: dict[str, _Sender[T]] = {}
 
@@ -52,18 +82,21 @@ class Replay(Generic[T]):
                 return sender
             sender = self._senders[name] = _Sender()
             if len(self._senders) > _KNOWN:
-                del self._senders[next(iter(self._senders))]
+                self._release(self._senders.pop(next(iter(self._senders))))
         self._ask(name)
         return sender
 
-    def live(self, name: str, number: int, sample: T) -> None:
-        """Take a sample that was just sent, the `number`-th of its sender; numbers grow, but for what is lost."""
+    def live(self, name: str, number: int, sample: T, size: int) -> None:
+        """Take a sample of `size` bytes that was just sent, the `number`-th of its sender; numbers grow."""
         sender = self.met(name)
         with self._lock:
-            if sender.held is None:
-                self._pass(sender, number, sample)
-            else:
-                sender.held.append((number, sample))
+            if sender.held is not None:
+                if self._budget.take(size):
+                    sender.held.append((number, sample, size))
+                    return
+                self._release(sender)
+                self._overdue(name)
+            self._pass(sender, number, sample)
 
     def replayed(self, name: str, number: int, sample: T) -> None:
         """Take a sample that was kept, in the order of numbers."""
@@ -74,10 +107,14 @@ class Replay(Generic[T]):
     def ended(self, name: str) -> None:
         """Note that all that was kept has come, or that the sender does not answer."""
         with self._lock:
-            if (sender := self._senders.get(name)) is not None and sender.held is not None:
-                held, sender.held = sender.held, None
-                for number, sample in held:
-                    self._pass(sender, number, sample)
+            if (sender := self._senders.get(name)) is not None:
+                self._release(sender)
+
+    def _release(self, sender: _Sender[T]) -> None:
+        held, sender.held = sender.held or [], None
+        for number, sample, size in held:
+            self._budget.give(size)
+            self._pass(sender, number, sample)
 
     def _pass(self, sender: _Sender[T], number: int, sample: T) -> None:
         if number > sender.last:

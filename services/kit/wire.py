@@ -4,6 +4,8 @@
 
 - What one bus sends arrives in the order in which it was sent, over all topics that are as urgent and as reliable.
   There is no other order, and any sample may be lost.
+- Nothing is copied before its key, kind, encoding and size are looked at: see ``flaw``. What is refused is told to who
+  listens, with its sender where that is known; an unfit request is answered with a ``Failure``.
 - Handlers run on the bus's own threads, one for what is urgent and one for all else, and hold up what follows there
   until they return. A publisher never waits for one, but for its own bus's. What a handler raises is logged.
 - A handler must not call on its own bus: the answer comes on the thread that waits for it.
@@ -15,18 +17,64 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable
-from typing import Final, NamedTuple
+from typing import Final, NamedTuple, Self
 
-from schemas.topics import Topic
+from schemas.base import Message
+from schemas.codec import DecodeError, check_encoding, check_size, printable
+from schemas.rpc import Failure
+from schemas.topics import TOPICS, Topic
 
 #: What a caller hears when its time is over.
 TIMEOUT: Final = b"Timeout"
+#: Largest request of a service, and largest reply, bytes.
+MAX_RPC_BYTES: Final = 1_000_000
+#: Largest message of any topic, bytes.
+LARGEST_BYTES: Final = max(topic.message.max_bytes for topic in TOPICS.values())
 #: What a subscriber is called with: payload, encoding, seconds on the way.
 Take = Callable[[bytes, str, float | None], None]
+#: What is called with why a sample or a request is refused, in one line.
+Refused = Callable[[str], None]
 
 
 class BusError(Exception):
     """The bus cannot be used as asked; the text says why in one line."""
+
+
+class Envelope(NamedTuple):
+    """What is known of a sample, a request or a reply before its bytes are copied."""
+
+    key: str
+    size: int
+    encoding: str = ""
+    put: bool = True
+    """False where it deletes the key."""
+
+
+def flaw(envelope: Envelope, key: str, message: type[Message] | None) -> str | None:
+    """Say in one line why something is refused, None where it may be taken.
+
+    Parameters
+    ----------
+    envelope
+        What came.
+    key
+        The one key that is taken: whoever sends to ``**`` reaches every subscriber.
+    message
+        What a sample has to be; None for requests and replies, whose JSON needs no other check of its encoding.
+    """
+    if envelope.key != key:
+        return f"its key is {printable(envelope.key)}, not {key}"
+    if not envelope.put:
+        return f"it deletes {key}"
+    if message is None:
+        too_large = envelope.size > MAX_RPC_BYTES
+        return f"{envelope.size} bytes, at most {MAX_RPC_BYTES} allowed" if too_large else None
+    try:
+        check_encoding(message, envelope.encoding)
+        check_size(message, envelope.size)
+    except DecodeError as error:
+        return str(error)
+    return None
 
 
 class Answer(NamedTuple):
@@ -35,6 +83,11 @@ class Answer(NamedTuple):
     payload: bytes
     failed: bool
     """Whether it is a failure's."""
+
+    @classmethod
+    def refusal(cls, why: str) -> Self:
+        """Return the answer to a request that is refused."""
+        return cls(Failure(error=why).model_dump_json().encode(), failed=True)
 
 
 #: What a service is called with: the request, and what takes the answer, once, from any thread.
@@ -57,8 +110,8 @@ class Wire(ABC):
         """Whether anybody takes a topic that is not recorded, as far as is known yet."""
 
     @abstractmethod
-    def subscribe(self, topic: Topic, take: Take, *, replay: bool) -> None:
-        """Call ``take`` for every sample of a topic.
+    def subscribe(self, topic: Topic, take: Take, refused: Refused, *, replay: bool) -> None:
+        """Call ``take`` for every sample of a topic, and ``refused`` for each that is none.
 
         With ``replay`` also for those that were published in the last ``topics.KEPT_S`` by senders that are still
         there (``Topic.kept`` of each at most), in each sender's order, before what is new, each once.
@@ -68,7 +121,8 @@ class Wire(ABC):
     def listen(self, keys: str, take: Callable[[str, bytes, str], None], *, urgent: bool) -> None:
         """Call ``take(key, payload, encoding)`` for every sample on matching keys, on the thread for ``urgent``.
 
-        In ``keys``, ``*`` stands for one part of a key and ``**`` for any number of them.
+        In ``keys``, ``*`` stands for one part of a key and ``**`` for any number of them. Whatever is on them is taken
+        as it is; between processes at most ``LARGEST_BYTES`` of it, and a little.
 
         Raises
         ------
@@ -77,12 +131,15 @@ class Wire(ABC):
         """
 
     @abstractmethod
-    def serve(self, key: str, answer: Serve) -> None:
-        """Answer calls of a key."""
+    def serve(self, key: str, answer: Serve, refused: Refused) -> None:
+        """Answer calls of a key; ``refused`` is called for each that is unfit, which is answered already."""
 
     @abstractmethod
     def call(self, key: str, request: bytes, timeout_s: float) -> Answer | None:
-        """Call a key and wait for the answer; None where nobody serves it, or who served it dropped it or failed."""
+        """Call a key and wait for the answer, the first that comes; an unfit one is a failure.
+
+        None where nobody serves it, or who served it dropped it or failed.
+        """
 
     @abstractmethod
     def close(self) -> None:

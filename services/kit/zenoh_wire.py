@@ -15,13 +15,13 @@ from typing import Any, Final, cast
 import zenoh
 import zenoh.ext
 
-from schemas.codec import encoding_of
+from schemas.codec import encoding_of, printable
 from schemas.topics import KEPT_S, Topic
 from services.kit.access import access_control
 from services.kit.credentials import Certificate, Credentials, Password, encrypted, others_reach
 from services.kit.heap import keep_freed_memory
-from services.kit.replay import Replay
-from services.kit.wire import Answer, BusError, Serve, Take, Wire
+from services.kit.replay import Budget, Replay
+from services.kit.wire import LARGEST_BYTES, Answer, BusError, Envelope, Refused, Serve, Take, Wire, flaw
 
 DEFAULT_ROUTER: Final = "tcp/127.0.0.1:7447"
 ENDPOINT_PATTERN: Final = r"(?:tcp|tls|quic|udp|ws)/([^\s/]+):(\d{1,5})"
@@ -37,8 +37,16 @@ HEARTBEAT_S: Final = 0.25
 REPLAY_PRIORITY: Final = zenoh.Priority.DATA
 #: How long a sender that does not answer can hold up its own samples.
 REPLAY_TIMEOUT_S: Final = 10.0
+#: Bytes that samples may take while they wait for what their senders kept, over all topics: for ten seconds, six
+#: megabytes a second, which is frames as JPEG at 10 Hz and all else.
+HELD_BYTES: Final = 64 << 20
+#: What a message takes beside its payload: key, encoding and Zenoh's own fields are 300 bytes.
+_OVERHEAD_BYTES: Final = 1024
+LINK_BYTES: Final = LARGEST_BYTES + _OVERHEAD_BYTES
 #: Of calls: ahead of images and of what is replayed.
 _CALL_PRIORITY: Final = zenoh.Priority.INTERACTIVE_LOW
+#: How a publisher that keeps samples calls itself: its session, and its number there.
+_SENDER_PATTERN: Final = r"[0-9a-f]{1,32}/[0-9]+(?=/|$)"
 JSON_ENCODING: Final = zenoh.Encoding("application/json")
 
 
@@ -57,6 +65,8 @@ def settings_of(mode: str, endpoint: str, credentials: Credentials) -> dict[str,
         "scouting/delay": 0,
         "transport/link/tx/lease": 2000,
         "transport/shared_memory/enabled": False,
+        # What is larger is dropped while it comes in, and not passed on: otherwise a message takes up to 1 GiB here.
+        "transport/link/rx/max_message_size": LINK_BYTES,
         # Every sample tells when it was sent: the receiver's metrics want it, and so does replay.
         "timestamping/enabled": True,
         # A full-size frame is 40 fragments; a machine busy with rendering may not drain them within the default 50 ms.
@@ -241,6 +251,7 @@ class ZenohWire(Wire):
         self._robot = robot
         self.sessions = {urgent: _open_client(endpoint, credentials, patience_s) for urgent in (False, True)}
         self._publishers: dict[str, zenoh.Publisher | zenoh.ext.AdvancedPublisher] = {}
+        self._held = Budget(HELD_BYTES)
         self._declared: list[zenoh.Subscriber[None] | zenoh.ext.AdvancedSubscriber[None] | zenoh.Queryable[None]] = []
 
     def connected(self) -> bool:
@@ -290,21 +301,26 @@ class ZenohWire(Wire):
             publisher_detection=True,
         )
 
-    def subscribe(self, topic: Topic, take: Take, *, replay: bool) -> None:
+    def subscribe(self, topic: Topic, take: Take, refused: Refused, *, replay: bool) -> None:
         """Call ``take`` for every sample of a topic, with ``replay`` also for what got lost in an outage."""
+        key, session = topic.key(self._robot), self.sessions[topic.urgent]
 
         def on_sample(sample: zenoh.Sample) -> None:
+            if (why := flaw(_envelope(sample), key, topic.message)) is not None:
+                refused(f"{why}; {_origin(sample)}")
+                return
             stamp = sample.timestamp
             transit_s = None if stamp is None else time.time() - stamp.get_time().timestamp()
             take(sample.payload.to_bytes(), str(sample.encoding), transit_s)
 
-        key, session = topic.key(self._robot), self.sessions[topic.urgent]
         if replay:
-            self._subscribe_replayed(session, key, on_sample)
+            self._subscribe_replayed(session, key, on_sample, refused)
         else:
             self._declared.append(session.declare_subscriber(key, _in_order(on_sample)))
 
-    def _subscribe_replayed(self, session: zenoh.Session, key: str, take: Callable[[zenoh.Sample], None]) -> None:
+    def _subscribe_replayed(
+        self, session: zenoh.Session, key: str, take: Callable[[zenoh.Sample], None], refused: Refused
+    ) -> None:
         senders = f"{key}/@adv/pub"
 
         def ask(name: str) -> None:
@@ -320,19 +336,26 @@ class ZenohWire(Wire):
                 timeout=REPLAY_TIMEOUT_S,
             )
 
-        replay = Replay(take, ask)
+        def overdue(name: str) -> None:
+            refused(f"{HELD_BYTES} bytes waited for what {name} kept; the rest of that is left out")
+
+        replay = Replay(take, ask, self._held, overdue)
 
         def on_live(sample: zenoh.Sample) -> None:
             source = sample.source_info
             if source is None:  # of a stranger, who keeps nothing
                 take(sample)
             else:
-                replay.live(f"{source.source_id.zid}/{source.source_id.eid}", source.source_sn, sample)
+                name = f"{source.source_id.zid}/{source.source_id.eid}"
+                replay.live(name, source.source_sn, sample, len(sample.payload))
 
         def on_sender(token: zenoh.Sample) -> None:
             if token.kind == zenoh.SampleKind.PUT:
-                zid, eid, *_ = str(token.key_expr).removeprefix(f"{senders}/").split("/")
-                replay.met(f"{zid}/{eid}")
+                name = re.match(_SENDER_PATTERN, str(token.key_expr).removeprefix(f"{senders}/"))
+                if name is None:
+                    refused(f"no sender's sign of life: {printable(str(token.key_expr))}")
+                else:
+                    replay.met(name[0])
 
         # First the subscription: nothing is lost between what a sender kept and what it sends from then on. What gets
         # lost on the way, and in an outage, is noticed by its number, and asked for by Zenoh, in order.
@@ -353,7 +376,7 @@ class ZenohWire(Wire):
         except zenoh.ZError as error:
             raise BusError(str(error).partition(" at /")[0]) from None  # without the place in Zenoh's source
 
-    def serve(self, key: str, answer: Serve) -> None:
+    def serve(self, key: str, answer: Serve, refused: Refused) -> None:
         """Answer calls of a key."""
 
         def on_query(query: zenoh.Query) -> None:
@@ -362,10 +385,16 @@ class ZenohWire(Wire):
                     if message.failed:
                         query.reply_err(message.payload, encoding=JSON_ENCODING)
                     else:
-                        query.reply(query.key_expr, message.payload, encoding=JSON_ENCODING)
+                        query.reply(key, message.payload, encoding=JSON_ENCODING)
 
+            payload = query.payload
+            envelope = Envelope(str(query.key_expr), 0 if payload is None else len(payload))
+            if (why := flaw(envelope, key, None)) is not None:
+                refused(why)
+                reply(Answer.refusal(why))
+                return
             try:
-                answer(query.payload.to_bytes() if query.payload is not None else b"{}", reply)
+                answer(b"{}" if payload is None else payload.to_bytes(), reply)
             except Exception:
                 # Who logs the error may keep its traceback, and with it the query.
                 query.drop()
@@ -376,12 +405,22 @@ class ZenohWire(Wire):
     def call(self, key: str, request: bytes, timeout_s: float) -> Answer | None:
         """Call a key and wait for the answer."""
         replies = self.sessions[False].get(
-            key, payload=request, encoding=JSON_ENCODING, timeout=timeout_s, priority=_CALL_PRIORITY
+            key,
+            # Room for one reply, and the first is taken: whoever answers a thousand times fills no memory.
+            zenoh.handlers.FifoChannel(1),
+            payload=request,
+            encoding=JSON_ENCODING,
+            timeout=timeout_s,
+            priority=_CALL_PRIORITY,
+            consolidation=zenoh.ConsolidationMode.NONE,
         )
         for reply in replies:
-            if reply.ok is not None:
-                return Answer(reply.ok.payload.to_bytes(), failed=False)
-            return Answer(reply.err.payload.to_bytes() if reply.err is not None else b"no reason given", failed=True)
+            result = reply.result
+            failed = isinstance(result, zenoh.ReplyError)
+            envelope = _envelope(result) if isinstance(result, zenoh.Sample) else Envelope(key, len(result.payload))
+            if (why := flaw(envelope, key, None)) is not None:
+                return Answer(f"unfit reply: {why}".encode(), failed=True)
+            return Answer(result.payload.to_bytes(), failed)
         return None
 
     def close(self) -> None:
@@ -400,6 +439,18 @@ def _priority(topic: Topic) -> zenoh.Priority:
     if topic.urgent:
         return zenoh.Priority.REAL_TIME
     return zenoh.Priority.INTERACTIVE_LOW if topic.reliable else zenoh.Priority.DATA_HIGH
+
+
+def _envelope(sample: zenoh.Sample) -> Envelope:
+    put = sample.kind == zenoh.SampleKind.PUT
+    return Envelope(str(sample.key_expr), len(sample.payload), str(sample.encoding), put)
+
+
+def _origin(sample: zenoh.Sample) -> str:
+    """Say whose a sample is, as far as that is said; a router stamps what came without a time."""
+    if sample.source_info is not None:
+        return f"sent by {sample.source_info.source_id.zid}"
+    return "stamped by nobody" if sample.timestamp is None else f"stamped by {sample.timestamp.get_id()}"
 
 
 def _in_order(on_sample: Callable[[zenoh.Sample], None]) -> zenoh.handlers.Callback[zenoh.Sample]:

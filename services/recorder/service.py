@@ -8,10 +8,10 @@ from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Final, Self
+from typing import Final, NamedTuple, Self
 
 from schemas.base import Message
-from schemas.codec import printable
+from schemas.codec import encode, printable
 from schemas.episode import Episode
 from schemas.rpc import Nothing, RecordReply, RecordRequest
 from schemas.topics import TOPICS
@@ -33,6 +33,8 @@ SEAL_PERIOD_S: Final = 0.05
 #: between topics, and less so in a replay.
 EARLY_QUEUE: Final = 4096
 EARLY_S: Final = 5.0
+#: And how many bytes of them: frames as JPEG of half a megabyte, at 10 Hz, are 25 MB in that time.
+EARLY_BYTES: Final = 64 << 20
 
 
 @dataclass(frozen=True)
@@ -90,6 +92,14 @@ class _Recording:
         )
 
 
+class _Early(NamedTuple):
+    """A message of an episode whose beginning has not arrived."""
+
+    arrived_s: float
+    message: Message
+    size: int
+
+
 class RecorderService:
     """Records episodes, each from its ``started`` to its ``ended``.
 
@@ -118,7 +128,8 @@ class RecorderService:
         self._clock = clock
         self._folder: Path | None = None
         self._open: dict[str, _Recording] = {}
-        self._early: deque[tuple[float, Message]] = deque(maxlen=EARLY_QUEUE)
+        self._early: deque[_Early] = deque()
+        self._early_bytes = 0
         self._files: list[Path] = []
         self._unfinished = False
         self._sealed = Totals()
@@ -219,15 +230,25 @@ class RecorderService:
                 self._write_early(recording, message.episode)
             recording.closing |= isinstance(message, Episode) and message.event == "ended"
         elif self._folder is not None and not self._is_recorded(message.episode, self._folder):
-            self._early.append((self._clock(), message))
+            self._hold(_Early(self._clock(), message, len(encode(message))))
+            while len(self._early) > EARLY_QUEUE or self._early_bytes > EARLY_BYTES:
+                self._forget()
+                self._lost += 1
 
     def seal_complete(self) -> None:
         """Finish the files of episodes of which nothing more is to be expected."""
         now_s = self._clock()
         for episode in [episode for episode, recording in self._open.items() if recording.complete(now_s)]:
             self._seal(episode)
-        while self._early and now_s - self._early[0][0] > EARLY_S:
-            self._early.popleft()
+        while self._early and now_s - self._early[0].arrived_s > EARLY_S:
+            self._forget()
+
+    def _hold(self, early: _Early) -> None:
+        self._early.append(early)
+        self._early_bytes += early.size
+
+    def _forget(self) -> None:
+        self._early_bytes -= self._early.popleft().size
 
     def _is_recorded(self, episode: str, folder: Path) -> bool:
         """Whether there is a recording of an episode: what is replayed of it is in that."""
@@ -247,13 +268,12 @@ class RecorderService:
         self._open[started.episode] = _Recording(writer, self._clock())
 
     def _write_early(self, recording: _Recording, episode: str) -> None:
-        held = list(self._early)
-        self._early.clear()
-        for arrived_s, message in held:
-            if message.episode == episode:
-                self._write(recording, message)
+        held, self._early, self._early_bytes = self._early, deque(), 0
+        for early in held:
+            if early.message.episode == episode:
+                self._write(recording, early.message)
             else:
-                self._early.append((arrived_s, message))
+                self._hold(early)
 
     def _write(self, recording: _Recording, message: Message) -> None:
         recording.touched_s = self._clock()

@@ -51,7 +51,10 @@ def echo(
     inbox = Inbox()
     inbox.open("samples", QUEUE)
     with listening(robot, router, secure) as bus:
-        bus.listen(key_expression(keys, robot), lambda *sample: inbox.put("samples", Sample(*sample)))
+        bus.listen(
+            key_expression(keys, robot),
+            lambda key, payload, encoding: inbox.put("samples", Sample(key, payload, encoding), len(payload)),
+        )
         printed = 0
         while printed != count:
             item = inbox.take(None)

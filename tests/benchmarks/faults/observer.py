@@ -60,7 +60,7 @@ def _listen(bus: Bus, topic: Topic, arrived: SimpleQueue[_Arrived | None]) -> No
     def take(payload: bytes, encoding: str, *_transit: object) -> None:
         arrived.put((topic, payload, encoding, time.monotonic()))
 
-    bus.subscribe(topic, take, replay=topic.recorded)
+    bus.subscribe(topic, take, lambda why: sys.stderr.write(f"observer: {why}\n"), replay=topic.recorded)
 
 
 def _write(log: Path, arrived: SimpleQueue[_Arrived | None]) -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import threading
-from collections import deque
 
 import pytest
 from hypothesis import given
@@ -19,36 +18,68 @@ def taken(inbox: Inbox, timeout_s: float = 0.0) -> tuple[str, object] | None:
     return None if item is None else (item.name, item.content)
 
 
-@given(st.lists(st.sampled_from([*NAMES, None]), max_size=60), st.tuples(*[st.integers(1, 5) for _ in NAMES]))
-def test_inbox_gives_the_oldest_and_counts_what_gave_way(steps: list[str | None], depths: tuple[int, ...]) -> None:
-    """Compare with one list that holds everything in order of arrival; None takes, a name puts."""
-    inbox = Inbox()
+Step = tuple[str, int] | None
+
+
+@given(
+    st.lists(st.none() | st.tuples(st.sampled_from(NAMES), st.integers(0, 12)), max_size=60),
+    st.tuples(*[st.integers(1, 5) for _ in NAMES]),
+    st.integers(0, 30),
+)
+def test_inbox_gives_the_oldest_and_counts_what_gave_way(
+    steps: list[Step], depths: tuple[int, ...], most_bytes: int
+) -> None:
+    """Compare with one list that holds everything in order of arrival; None takes, a name and a size put."""
+    inbox = Inbox(most_bytes=most_bytes)
     depth = dict(zip(NAMES, depths, strict=True))
     for name in NAMES:
         inbox.open(name, depth[name])
-    model: deque[tuple[str, int]] = deque()
+    model: list[tuple[str, int, int]] = []
     dropped = dict.fromkeys(NAMES, 0)
-    for number, name in enumerate(steps):
-        if name is None:
-            assert taken(inbox) == (model.popleft() if model else None)
+
+    def held(name: str) -> int:
+        return sum(size for n, _, size in model if n == name)
+
+    def give_up(name: str) -> None:
+        model.remove(next(entry for entry in model if entry[0] == name))
+        dropped[name] += 1
+
+    for number, step in enumerate(steps):
+        if step is None:
+            assert taken(inbox) == (model.pop(0)[:2] if model else None)
             continue
-        inbox.put(name, number)
-        model.append((name, number))
-        mine = [entry for entry in model if entry[0] == name]
-        if len(mine) > depth[name]:
-            model.remove(mine[0])
-            dropped[name] += 1
+        name, size = step
+        inbox.put(name, number, size)
+        model.append((name, number, size))
+        if sum(n == name for n, _, _ in model) > depth[name]:
+            give_up(name)
+        while sum(map(held, NAMES)) > most_bytes:
+            give_up(max(NAMES, key=held))
         assert inbox.waiting() == {n: sum(entry[0] == n for entry in model) for n in NAMES}
     while model:
-        assert taken(inbox) == model.popleft()
+        assert taken(inbox) == model.pop(0)[:2]
     assert taken(inbox) is None
     assert {name: inbox.dropped[name] for name in NAMES} == dropped
+
+
+def test_who_fills_an_inbox_loses_their_own() -> None:
+    """A flood of images as large as they may be, as long as nothing is handled; commands and one small image wait."""
+    inbox = Inbox()
+    inbox.open("images", 10_000)
+    inbox.open("commands", 8)
+    for _ in range(8):
+        inbox.put("commands", "command", 1024)
+    for number in range(1000):
+        inbox.put("images", number, 16 << 20)
+    assert inbox.waiting() == {"images": 15, "commands": 8}, "256 MiB in all"
+    assert inbox.dropped == {"images": 985}
+    assert [taken(inbox) for _ in range(9)] == [("commands", "command")] * 8 + [("images", 985)]
 
 
 def test_inbox_wakes_a_reader_from_another_thread() -> None:
     inbox = Inbox()
     inbox.open("queue", 1)
-    writer = threading.Timer(0.02, inbox.put, ("queue", "item"))
+    writer = threading.Timer(0.02, inbox.put, ("queue", "item", 1))
     writer.start()
     assert taken(inbox, timeout_s=5.0) == ("queue", "item")
     writer.join()
@@ -60,9 +91,9 @@ def test_inbox_tells_how_long_items_wait() -> None:
     inbox.open("a", 2)
     inbox.open("b", 1)
     assert inbox.oldest_s() == 0.0
-    inbox.put("b", 0)
+    inbox.put("b", 0, 1)
     now_s = 1.0
-    inbox.put("a", 1)
+    inbox.put("a", 1, 1)
     now_s = 3.5
     assert inbox.oldest_s() == 3.5
     first, second = inbox.take(0.0), inbox.take(0.0)

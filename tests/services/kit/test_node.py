@@ -47,7 +47,7 @@ def status(client: Bus) -> Status:
 
 def send_raw(node: Node, topic: Topic, payload: bytes, encoding: str) -> None:
     """Hand over a sample as Zenoh's thread does."""
-    node._inbox.put(topic.name, (payload, encoding))
+    node._inbox.put(topic.name, (payload, encoding), len(payload))
 
 
 @pytest.fixture

@@ -6,22 +6,30 @@ import threading
 from hypothesis import given
 from hypothesis import strategies as st
 
-from services.kit.replay import Replay
+from services.kit.replay import Budget, Replay
 
 
 class Bench:
-    """A replay, what it passed on, and whom it asked."""
+    """A replay, what it passed on, whom it asked, and of whom it held too much."""
 
-    def __init__(self) -> None:
+    def __init__(self, most_bytes: int = 1000) -> None:
         self.passed: list[tuple[str, int]] = []
         self.asked: list[str] = []
-        self.replay: Replay[tuple[str, int]] = Replay(self.passed.append, self.asked.append)
+        self.overdue: list[str] = []
+        self.budget = Budget(most_bytes)
+        self.replay: Replay[tuple[str, int]] = Replay(
+            self.passed.append, self.asked.append, self.budget, self.overdue.append
+        )
 
-    def live(self, name: str, number: int) -> None:
-        self.replay.live(name, number, (name, number))
+    def live(self, name: str, number: int, size: int = 1) -> None:
+        self.replay.live(name, number, (name, number), size)
 
     def replayed(self, name: str, number: int) -> None:
         self.replay.replayed(name, number, (name, number))
+
+    def ended_all(self, *names: str) -> None:
+        for name in names:
+            self.replay.ended(name)
 
 
 @given(
@@ -72,6 +80,31 @@ def test_who_does_not_answer_holds_up_nobody_else() -> None:
     assert bench.passed[-1] == ("dead", 0)
 
 
+def test_what_waits_is_bounded_over_all_senders_and_nothing_of_it_is_lost() -> None:
+    """Two senders who do not answer: the one for whose sample there is no room waits no longer, and that is told."""
+    bench = Bench(most_bytes=10)
+    bench.live("a", 5, size=4)
+    bench.live("b", 7, size=4)
+    bench.live("a", 6, size=2)
+    assert (bench.passed, bench.overdue) == ([], [])
+    bench.live("b", 8, size=1)
+    assert (bench.passed, bench.overdue) == ([("b", 7), ("b", 8)], ["b"])
+    bench.replayed("b", 3)
+    bench.ended_all("a", "b")
+    assert bench.passed == [("b", 7), ("b", 8), ("a", 5), ("a", 6)], "what was waited for is left out: order is kept"
+    assert bench.budget.take(10), "all room is given back"
+
+
+def test_a_sender_that_is_forgotten_leaves_nothing_behind() -> None:
+    bench = Bench(most_bytes=1000)
+    for number in range(200):
+        bench.live(f"sender-{number}", 0, size=1)
+    assert len(bench.passed) == 200 - 64
+    bench.ended_all(*(f"sender-{number}" for number in range(200)))
+    assert len(bench.passed) == 200
+    assert bench.budget.take(1000)
+
+
 def test_samples_are_taken_by_one_thread_at_a_time() -> None:
     entered, proceed, done = threading.Event(), threading.Event(), []
 
@@ -84,8 +117,8 @@ def test_samples_are_taken_by_one_thread_at_a_time() -> None:
     def ask(name: str) -> None:
         replay.ended(name)
 
-    replay: Replay[int] = Replay(take, ask)
-    threads = [threading.Thread(target=replay.live, args=("a", number, number)) for number in (0, 1)]
+    replay: Replay[int] = Replay(take, ask, Budget(1000), print)
+    threads = [threading.Thread(target=replay.live, args=("a", number, number, 1)) for number in (0, 1)]
     threads[0].start()
     assert entered.wait(10.0)
     threads[1].start()

@@ -1,0 +1,429 @@
+"""What a stranger sends is refused before it is copied, counted, and told with its sender; all others go on."""
+
+from __future__ import annotations
+
+import json
+import logging
+import re
+import threading
+import time
+import tracemalloc
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from queue import Empty, SimpleQueue
+
+import pytest
+import zenoh
+
+from schemas import topics
+from schemas.base import Message
+from schemas.codec import encode, encoding_of
+from schemas.command import Command
+from schemas.compressed_image import CompressedImage
+from schemas.image import Image
+from schemas.rpc import EndRequest, Failure, Nothing, Status
+from schemas.state import State
+from schemas.topics import rpc_key
+from services.kit.bus import Bus, RpcError
+from services.kit.node import Node, ServiceError
+from services.kit.settings import ServiceSettings
+from services.kit.wire import LARGEST_BYTES, MAX_RPC_BYTES, Envelope, flaw
+from services.kit.zenoh_wire import LINK_BYTES
+from tests.schemas.messages import EXAMPLES
+from tests.services.conftest import RunNode
+from tests.services.waiting import eventually, introduce, ready, send_as_stranger, status_of
+
+ROOT = Path(__file__).parents[3]
+TELEOP = topics.COMMANDS["teleop"]
+KEY = TELEOP.key("rescuebot")
+COMMAND = Command(robot="rescuebot", episode="e", tick=1, stamp_ns=0, source="teleop", atom="left")
+ENCODING = encoding_of(Command)
+
+
+def status(client: Bus) -> Status:
+    answer = status_of(client, "sample")
+    assert answer is not None
+    return answer
+
+
+def bad(client: Bus, name: str, count: int) -> None:
+    """Wait until so many were counted, and no message with them."""
+    eventually(lambda: status(client).bad.get(name, 0) >= count)
+    assert status(client).bad == {name: count}
+
+
+@contextmanager
+def stranger(endpoint: str, **settings: object) -> Iterator[zenoh.Session]:
+    """Connect as anybody can who has Zenoh; large messages on the link, as ours."""
+    config = zenoh.Config()
+    facts = {
+        "mode": "client",
+        "connect/endpoints": [endpoint],
+        "scouting/multicast/enabled": False,
+        "transport/shared_memory/enabled": False,
+        "timestamping/enabled": True,
+    }
+    for key, value in (facts | settings).items():
+        config.insert_json5(key, json.dumps(value))
+    with zenoh.open(config) as session:
+        yield session
+
+
+def plain(node: Node, handled: list[Message]) -> None:
+    node.subscribe(TELEOP, handled.append)
+
+
+def replayed(node: Node, handled: list[Message]) -> None:
+    node.subscribe(TELEOP, handled.append, replay=True)
+
+
+def at_once(node: Node, handled: list[Message]) -> None:
+    node.at_once(TELEOP, handled.append)
+
+
+WAYS = pytest.mark.parametrize("subscribe", [plain, replayed, at_once], ids=lambda way: way.__name__)
+
+
+@pytest.fixture
+def node(settings: ServiceSettings) -> Node:
+    return Node("sample", settings)
+
+
+@pytest.mark.parametrize(
+    ("envelope", "message", "why"),
+    [
+        (Envelope(KEY, 1024, ENCODING), Command, None),
+        (Envelope(KEY, 1025, ENCODING), Command, "smal.Command/2: 1025 bytes, at most 1024 allowed"),
+        (Envelope(KEY, 10, "zenoh/bytes"), Command, f"expected {ENCODING}, got 'zenoh/bytes'"),
+        (Envelope("**", 10, ENCODING), Command, f"its key is **, not {KEY}"),
+        (Envelope("smal/*\n" + "x" * 300, 1, ENCODING), Command, f"its key is smal/*?{'x' * 193}, not {KEY}"),
+        (Envelope(KEY, 0, ENCODING, put=False), Command, f"it deletes {KEY}"),
+        (Envelope(KEY, MAX_RPC_BYTES), None, None),
+        (Envelope(KEY, MAX_RPC_BYTES + 1), None, "1000001 bytes, at most 1000000 allowed"),
+        (Envelope("smal/**", 0), None, f"its key is smal/**, not {KEY}"),
+    ],
+)
+def test_why_something_is_refused(envelope: Envelope, message: type[Message] | None, why: str | None) -> None:
+    assert flaw(envelope, KEY, message) == why
+
+
+@WAYS
+def test_another_encoding_and_a_size_that_no_message_has(
+    node: Node,
+    run_node: RunNode,
+    client: Bus,
+    subscribe: Callable[[Node, list[Message]], None],
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    handled: list[Message] = []
+    subscribe(node, handled)
+    run_node(node)
+    introduce(client, "sample", COMMAND)
+    eventually(lambda: handled)
+    handled.clear()
+    send_as_stranger(client, TELEOP, encode(COMMAND), "application/json")
+    send_as_stranger(client, TELEOP, bytes(1025), ENCODING)
+    bad(client, TELEOP.name, 2)
+    assert handled == []
+    client.publish(COMMAND)
+    eventually(lambda: handled)
+    assert len([line for line in caplog.messages if line.startswith("dropped a bad message on command/teleop")]) == 1
+
+
+@pytest.mark.zenoh
+@WAYS
+def test_forged_samples_are_refused_and_their_sender_named(
+    router_endpoint: str,
+    node: Node,
+    run_node: RunNode,
+    client: Bus,
+    subscribe: Callable[[Node, list[Message]], None],
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    """A command that is right in itself, sent to everybody; and a command's key deleted."""
+    handled: list[Message] = []
+    subscribe(node, handled)
+    run_node(node)
+    introduce(client, "sample", COMMAND)
+    eventually(lambda: handled)
+    handled.clear()
+    with stranger(router_endpoint) as session:
+        for key in ("**", "smal/**", "smal/*/command/teleop", KEY.replace("teleop", "*")):
+            session.put(key, encode(COMMAND), encoding=ENCODING)
+        session.delete(KEY)
+        session.delete("**")
+        name = str(session.info.zid())
+        bad(client, TELEOP.name, 6)
+    assert handled == []
+    assert f"its key is **, not {KEY}; stamped by {name}" in caplog.text
+
+
+@pytest.mark.zenoh
+def test_who_stamps_nothing_is_named_by_whose_router_it_came(
+    router_endpoint: str, node: Node, run_node: RunNode, client: Bus, caplog: pytest.LogCaptureFixture
+) -> None:
+    plain(node, [])
+    run_node(node)
+    introduce(client, "sample", COMMAND)
+    with stranger(router_endpoint, **{"timestamping/enabled": False}) as session:
+        [router] = session.info.routers_zid()
+        session.put("**", b"")
+        bad(client, TELEOP.name, 1)
+    assert f"its key is **, not {KEY}; stamped by {router}" in caplog.text
+
+
+@pytest.mark.zenoh
+@WAYS
+def test_nothing_of_what_is_too_large_is_copied(
+    router_endpoint: str, node: Node, run_node: RunNode, client: Bus, subscribe: Callable[[Node, list[Message]], None]
+) -> None:
+    subscribe(node, [])
+    run_node(node)
+    introduce(client, "sample", COMMAND)
+    payload = bytes(30_000_000)
+    with stranger(router_endpoint) as session:
+        tracemalloc.start()
+        try:
+            while status(client).bad.get(TELEOP.name, 0) < 5:  # a busy machine may lose some
+                session.put(KEY, payload, encoding=ENCODING, congestion_control=zenoh.CongestionControl.BLOCK)
+            _, most = tracemalloc.get_traced_memory()
+        finally:
+            tracemalloc.stop()
+    assert most < 2_000_000, "bytes that Python held at one time"
+
+
+@pytest.mark.zenoh
+@pytest.mark.parametrize("name", ["x", "**", "*/1", "0f/1x"])
+def test_a_forged_sign_of_life_is_refused(
+    router_endpoint: str, node: Node, run_node: RunNode, client: Bus, name: str
+) -> None:
+    """Whoever kept something is asked for it by that name, so it must be one, and no pattern."""
+    heard: list[int] = []
+    node.subscribe(topics.STATE, lambda state: heard.append(state.tick), replay=True)
+    run_node(node)
+    client.publish(EXAMPLES[State].model_copy(update={"tick": 3}))
+    eventually(lambda: heard)
+    with stranger(router_endpoint) as session:
+        token = session.liveliness().declare_token(f"{topics.STATE.key('rescuebot')}/@adv/pub/{name}")
+        bad(client, "state", 1)
+        client.publish(EXAMPLES[State].model_copy(update={"tick": 4}))
+        eventually(lambda: heard[-1] == 4)
+        assert heard == [3, 4], "nothing is replayed twice"
+        token.undeclare()
+
+
+def taken_until(send: Callable[[], object], size: int, sizes: SimpleQueue[int]) -> set[int]:
+    """Send until something of a size arrives, for a busy machine may lose some; return all sizes that arrived."""
+    taken: set[int] = set()
+    deadline_s = time.monotonic() + 30.0
+    while size not in taken:
+        assert time.monotonic() < deadline_s
+        send()
+        with suppress(Empty):
+            while size not in taken:
+                taken.add(sizes.get(timeout=1.0))
+    return taken
+
+
+@pytest.mark.zenoh
+def test_a_message_larger_than_any_topic_s_reaches_nobody(router_endpoint: str, client: Bus) -> None:
+    """The router drops it while it comes in; the largest image passes, and nobody's link is closed."""
+    camera, sizes = topics.CAMERA.key("rescuebot"), SimpleQueue[int]()
+    with stranger(router_endpoint) as sender, stranger(router_endpoint) as witness:
+        _held = witness.declare_subscriber(camera, lambda sample: sizes.put(len(sample.payload)))
+
+        def send(size: int) -> None:
+            sender.put(camera, bytes(size), congestion_control=zenoh.CongestionControl.BLOCK)
+
+        taken_until(lambda: send(1), 1, sizes)
+        image = EXAMPLES[Image].after(EXAMPLES[Image], width=4096, height=3072, data=bytes(3 * 4096 * 3072))
+        for size in (2 * LARGEST_BYTES, 1 << 28):
+            send(size)
+            assert taken_until(lambda: send(2), 2, sizes) <= {1, 2}
+        assert taken_until(lambda: send(LARGEST_BYTES), LARGEST_BYTES, sizes) <= {2, LARGEST_BYTES}
+        taken_until(lambda: client.publish(image), len(encode(image)), sizes)
+        assert sender.info.routers_zid()
+
+
+@pytest.mark.zenoh
+def test_a_client_of_a_router_without_bounds_has_its_own(free_endpoint: str) -> None:
+    config = zenoh.Config()
+    for key, value in {
+        "mode": "router",
+        "listen/endpoints": [free_endpoint],
+        "scouting/multicast/enabled": False,
+        "transport/shared_memory/enabled": False,
+    }.items():
+        config.insert_json5(key, json.dumps(value))
+    with zenoh.open(config), stranger(free_endpoint) as sender:
+        bus, sizes = Bus("rescuebot", free_endpoint), SimpleQueue[int]()
+        try:
+            bus.listen("smal/**", lambda _key, payload, _encoding: sizes.put(len(payload)))
+            taken_until(lambda: sender.put(KEY, b"1"), 1, sizes)
+            sender.put(KEY, bytes(2 * LARGEST_BYTES), congestion_control=zenoh.CongestionControl.BLOCK)
+            assert taken_until(lambda: sender.put(KEY, b"12"), 2, sizes) <= {1, 2}
+        finally:
+            bus.close()
+
+
+def test_the_other_router_has_the_same_bound() -> None:
+    configured = re.search(r"rx: \{ max_message_size: (\d+) \}", (ROOT / "deploy" / "zenohd.json5").read_text())
+    assert configured is not None
+    assert int(configured[1]) == LINK_BYTES
+
+
+def test_what_waits_in_a_node_is_bounded(settings: ServiceSettings) -> None:
+    """Frames as large as they may be come faster than they are handled; their queue alone would take 14 GB."""
+    topic = topics.JPEG
+    sender = Bus("rescuebot", settings.router)
+    with Node("sample", settings) as node:
+        node.subscribe(topic, lambda _: None, depth=2 * topic.kept)
+        node.subscribe(TELEOP, lambda _: None)
+        eventually(lambda: (sender.publish(COMMAND), node.waits(TELEOP))[1])
+        payload = bytes(CompressedImage.max_bytes)
+
+        def send() -> int:
+            send_as_stranger(sender, topic, payload, encoding_of(topic.message))
+            return node.status().dropped.get(topic.name, 0)
+
+        eventually(lambda: send() > 0, timeout_s=60.0)
+        assert node.status().waiting[topic.name] == 256 // 16 - 1, "256 MiB, less a command"
+        assert node.waits(TELEOP), "what others send is not lost"
+    sender.close()
+
+
+# -- calls ------------------------------------------------------------------------------------------------------------
+
+
+def test_a_request_that_is_too_large_is_refused(node: Node, run_node: RunNode, client: Bus) -> None:
+    asked: list[Failure] = []
+    node.serve("end", Failure, asked.append)
+    run_node(node)
+    ready(client, "sample")
+    with pytest.raises(RpcError, match=r"^sample end: 2000012 bytes, at most 1000000 allowed$"):
+        client.call("sample", "end", Failure(error="x" * 2_000_000), Nothing)
+    bad(client, "rpc/end", 1)
+    assert asked == []
+    assert client.call("sample", "end", Failure(error="x"), Nothing) == Nothing()
+
+
+def test_a_reply_that_is_too_large_is_an_error(client: Bus, node: Node, run_node: RunNode) -> None:
+    def error(request: EndRequest) -> Failure:
+        if request.episode == "fails":
+            raise ServiceError("x" * 2_000_000)
+        return Failure(error="x" * 2_000_000)
+
+    node.serve("end", EndRequest, error)
+    run_node(node)
+    ready(client, "sample")
+    for episode in ("fails", "e"):
+        with pytest.raises(RpcError, match=r"^sample end: unfit reply: 2000012 bytes, at most 1000000 allowed$"):
+            client.call("sample", "end", EndRequest(episode=episode), Failure)
+
+
+def test_malformed_requests_are_counted_and_told_once(
+    node: Node, run_node: RunNode, client: Bus, caplog: pytest.LogCaptureFixture
+) -> None:
+    node.serve("end", EndRequest, lambda request: request)
+    run_node(node)
+    ready(client, "sample")
+    for _ in range(20):
+        with pytest.raises(RpcError, match="episode: Field required"):
+            client.call("sample", "end", Nothing(), Nothing)
+    bad(client, "rpc/end", 20)
+    assert len([line for line in caplog.messages if "rpc/end" in line]) <= 2
+
+
+@pytest.mark.zenoh
+@pytest.mark.parametrize("key", ["**", "smal/**", "smal/*/rpc/*/stop", "smal/rescuebot/rpc/**"])
+def test_a_call_of_everybody_is_nobody_s(
+    router_endpoint: str, node: Node, run_node: RunNode, client: Bus, key: str
+) -> None:
+    stopped: list[Nothing] = []
+    node.serve("stop", Nothing, stopped.append)
+    run_node(node)
+    ready(client, "sample")
+    with stranger(router_endpoint) as session:
+        replies = list(session.get(key, timeout=10.0))
+        assert replies
+        assert all(reply.err is not None and b"its key is" in reply.err.payload.to_bytes() for reply in replies)
+    eventually(lambda: status(client).bad.get("rpc/stop"))
+    assert stopped == []
+
+
+@pytest.mark.zenoh
+@pytest.mark.parametrize("way", ["key", "delete", "many"])
+def test_forged_replies(router_endpoint: str, client: Bus, way: str) -> None:
+    """A thousand replies of nearly a megabyte: the first is taken, and a call of somebody else goes on beside it."""
+    key, sent = rpc_key("rescuebot", "sim", "end"), threading.Event()
+
+    def on_query(query: zenoh.Query) -> None:
+        with query:
+            if way == "key":
+                query.reply("smal/rescuebot/rpc/*/end", b"{}")
+            elif way == "delete":
+                query.reply_del(key)
+            for _ in range(1000 if way == "many" else 0):
+                query.reply(key, b'{"episode":"first"}' + b" " * 900_000)
+        sent.set()
+
+    with stranger(router_endpoint) as session:
+        _held = session.declare_queryable(key, on_query, complete=True)
+        other = Bus("rescuebot", router_endpoint)
+        other.serve("other", "end", lambda _request, reply: reply(EndRequest(episode="e")))
+        eventually(lambda: _called(client, "other") == "e")
+        tracemalloc.start()
+        try:
+            told = eventually(lambda: _called(client, "sim"))
+            _, most = tracemalloc.get_traced_memory()
+        finally:
+            tracemalloc.stop()
+        assert _called(client, "other") == "e"
+        assert sent.wait(30.0)
+        other.close()
+    expected = {"key": "unfit reply: its key is smal", "delete": "unfit reply: it deletes", "many": "first"}
+    assert expected[way] in told
+    assert most < 5_000_000
+
+
+def _called(bus: Bus, service: str) -> str:
+    """Return the answer, or the error; nothing while nobody serves it."""
+    try:
+        return bus.call(service, "end", Nothing(), EndRequest, timeout_s=10.0).episode
+    except RpcError as error:
+        return "" if "is the service running" in str(error) else str(error)
+
+
+# -- the log ----------------------------------------------------------------------------------------------------------
+
+
+def test_whoever_goes_on_and_on_does_not_fill_the_log(
+    node: Node, run_node: RunNode, client: Bus, caplog: pytest.LogCaptureFixture
+) -> None:
+    """Refused requests, bugs in handlers of requests, of messages, and of what is handled at once."""
+
+    def refuse(_: Nothing) -> None:
+        raise ServiceError("not now")
+
+    def fail(_: object) -> None:
+        raise ZeroDivisionError("a bug")
+
+    node.serve("refuse", Nothing, refuse)
+    node.serve("fail", Nothing, fail)
+    node.subscribe(topics.STATE, fail)
+    node.at_once(TELEOP, fail)
+    run_node(node)
+    introduce(client, "sample", COMMAND, EXAMPLES[State])
+    before = status(client).failed
+    for _ in range(20):
+        for verb in ("refuse", "fail"):
+            with pytest.raises(RpcError):
+                client.call("sample", verb, Nothing(), Nothing)
+        client.publish(COMMAND)
+        client.publish(EXAMPLES[State])
+    eventually(lambda: status(client).failed == before + 60)
+    lines = [record.getMessage() for record in caplog.records if record.levelno >= logging.WARNING]
+    for text in ("refuse refused: not now", "handling rpc/fail", "handling state", "handling command/teleop"):
+        assert 1 <= len([line for line in lines if text in line]) <= 3, "one a second"
+    assert "ZeroDivisionError" in caplog.text

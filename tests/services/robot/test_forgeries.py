@@ -1,0 +1,56 @@
+"""What reaches the gate of a robot: commands on their own keys, and nothing else."""
+
+from __future__ import annotations
+
+import pytest
+
+from schemas.base import SOURCES
+from schemas.codec import encode, encoding_of
+from schemas.command import Command
+from schemas.topics import COMMANDS, HEARTBEAT
+from services.kit.bus import Bus
+from services.kit.node import Node
+from services.kit.settings import ServiceSettings
+from services.robot.clock import now_s
+from services.robot.gate import CommandGate
+from services.robot.loop import check_stopping
+from services.robot.runner import EpisodeRunner
+from services.robot.service import RobotService
+from services.robot.task import OperatorsTask
+from tests.services.conftest import RunNode
+from tests.services.kit.test_refusals import stranger
+from tests.services.robot.line import LineBody
+from tests.services.waiting import eventually, ready, status_of
+
+
+class Body(LineBody):
+    braking_s = 0.1
+
+
+@pytest.mark.zenoh
+def test_no_forged_command_reaches_the_gate(
+    settings: ServiceSettings, router_endpoint: str, run_node: RunNode, client: Bus
+) -> None:
+    """Sent to everybody, deleted, of another encoding, too large: each is counted on each topic that it reaches."""
+    body, gate = Body(now_s), CommandGate(first_stop=7)
+    check_stopping(body)
+    node = Node("robot", settings)
+    RobotService(EpisodeRunner(body, OperatorsTask(), gate, settings.robot, "s"), node)
+    run_node(node)
+    ready(client, "robot")
+    encoding = encoding_of(Command)
+    latched = gate.emergency_stop
+    with stranger(router_endpoint) as session:
+        for source in SOURCES:
+            key = COMMANDS[source].key("rescuebot")
+            command = Command(robot="rescuebot", episode="e", tick=1, stamp_ns=0, source=source, atom="forward")
+            session.put("**", encode(command), encoding=encoding)
+            session.delete(key)
+            session.put(key, encode(command), encoding="application/json")
+            session.put(key, bytes(2_000), encoding=encoding)
+        each = {COMMANDS[source].name: len(SOURCES) + 3 for source in SOURCES} | {HEARTBEAT.name: len(SOURCES)}
+        eventually(lambda: (status := status_of(client, "robot")) is not None and status.bad == each)
+    status = status_of(client, "robot")
+    assert status is not None
+    assert status.received == {}
+    assert gate.emergency_stop == latched
