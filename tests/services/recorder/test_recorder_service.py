@@ -434,11 +434,11 @@ def test_images_wait_in_a_queue_that_is_bounded(settings: ServiceSettings, tmp_p
 def test_what_waits_for_its_episode_is_bounded_and_counted(settings: ServiceSettings, tmp_path: Path) -> None:
     """Frames of an episode that nobody began, as large as they may be; of those that fit none is lost."""
     with Node("recorder", settings) as node:
-        recorder = RecorderService(node, tmp_path)
+        recorder = RecorderService(node, tmp_path, tmp_path)
         largest = CompressedImage.after(header("e", 0), width=4096, height=3072, data=b"\xff\xd8" + bytes(15 << 20))
         for tick in range(10):
             recorder.handle(largest.model_copy(update={"tick": tick}))
         recorder.handle(event("e", 0, "started"))
         reply = recorder.stop(Nothing())
         assert reply.dropped == 6, "four of 15 MiB in 64 MiB"
-    assert len(read_all(Path(reply.files[0]))) == 1 + 4
+    assert len(read_all(tmp_path / reply.files[0])) == 1 + 4
