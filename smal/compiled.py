@@ -6,14 +6,15 @@ arrays are small).
 """
 
 import os
+import shutil
 from collections.abc import Callable
 from functools import lru_cache, partial
 from hashlib import sha256
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any, ParamSpec, TypeVar, cast
 
 import numba
-from numba.core.caching import _CacheLocator
 
 P = ParamSpec("P")
 R = TypeVar("R")
@@ -39,11 +40,11 @@ def compiled(function: Callable[P, R]) -> Callable[P, R]:
     # all that it is made of.
     folder /= sha256("".join(sorted(parts)).encode()).hexdigest()[:12]
     config: Any = numba.config
-    usual, config.CACHE_DIR = config.CACHE_DIR, str(folder)
+    usual = config.CACHE_DIR
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        make = compiler(cache=True)
-        made = make(function) if os.access(folder, os.W_OK) else _reading_only(make, function)
+        config.CACHE_DIR = str(folder if os.access(folder, os.W_OK) else _copied(folder))
+        made = compiler(cache=True)(function)
     except (OSError, RuntimeError) as error:
         if isinstance(error, RuntimeError) and "cannot cache" not in str(error):
             raise
@@ -54,16 +55,14 @@ def compiled(function: Callable[P, R]) -> Callable[P, R]:
     return cast("Callable[P, R]", made)
 
 
-def _reading_only(make: Callable[[Any], Any], function: Any) -> Any:  # noqa: ANN401 - numba has no types
-    """Compile a function whose machine code is only read: numba itself reads from no folder that it cannot write to."""
-    locator: Any = _CacheLocator
-    check, locator.ensure_cache_path = locator.ensure_cache_path, lambda _: None
-    try:
-        made = make(function)
-    finally:
-        locator.ensure_cache_path = check
-    made._cache.save_overload = lambda *_: None
-    return made
+def _copied(folder: Path) -> Path:
+    """Copy a folder to where this process can write: numba reads from no folder that it cannot write to."""
+    return Path(shutil.copytree(folder, Path(_own_folder().name) / folder.name, dirs_exist_ok=True))
+
+
+@lru_cache
+def _own_folder() -> TemporaryDirectory[str]:
+    return TemporaryDirectory(prefix="smal-compiled-")
 
 
 @lru_cache
