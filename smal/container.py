@@ -21,9 +21,9 @@ from numpy.typing import NDArray
 
 MAGIC = b"SMAL\x00MDL"
 _FIXED = struct.Struct("<8sIQ")
-#: Most bytes of a model. While a service loads one it holds three times that, the model before, the file and its
-#: arrays, and its container has 4 GiB. There is room for 32,000 template frames of the usual features, 50 minutes.
-LARGEST = 2**30
+#: Most bytes of a model: room for 64,000 template frames of the usual features, 100 minutes of driving. While a
+#: service loads one it holds the file and its arrays, and its container has 4 GiB.
+LARGEST = 2**31
 #: Most bytes of its header, which takes 30 times as much memory once it is understood; a demonstration has 100 in it.
 LARGEST_HEADER = 2**24
 _DTYPES = {name: np.dtype(name) for name in ("<f4", "<f8", "<i8", "<i4", "|i1", "|b1")}
@@ -60,7 +60,16 @@ def replacing(path: Path) -> Iterator[IO[bytes]]:
 
 
 def write(path: Path, version: int, meta: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -> None:
-    """Write a file, all of it or none."""
+    """Write a file, all of it or none.
+
+    Raises
+    ------
+    ModelError
+        It would be larger than what is read.
+    """
+    size = sum(array.nbytes for array in arrays.values())
+    if size > LARGEST - LARGEST_HEADER:
+        raise ModelError(f"{path}: a model of {size / 1e9:.1f} GB, at most {LARGEST / 1e9:.1f} GB; learn fewer drives")
     parts = _parts(version, meta, arrays)
     digest = hashlib.sha256()
     with replacing(path) as file:

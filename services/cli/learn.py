@@ -21,7 +21,7 @@ from services.recordings.recorded_features import features_of_recordings
 from smal.features import FeatureSettings
 from smal.learning import LearningReport, LearningSettings
 from smal.learning import learn as learn_model
-from smal.model import Model
+from smal.model import Model, ModelError
 from smal.novelty import WeightTest
 from smal.reward import RewardError
 from smal.template_store import MemoryBoundError
@@ -84,6 +84,8 @@ def learn(
         model.save(out)
         if json_file is not None:
             outputs.write_json(json_file, "--json", _as_json(teaching, settings, report, out))
+    except ModelError as error:
+        raise JobError(str(error)) from None
     except OSError as error:
         raise JobError(f"cannot write {error.filename or out}: {error.strerror}") from None
     typer.echo(_as_text(teaching, settings, report, out, time.perf_counter() - began_s))

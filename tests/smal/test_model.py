@@ -65,6 +65,16 @@ def test_saving_replaces_atomically(model: Model, saved: Path, monkeypatch: pyte
     assert list(saved.parent.iterdir()) == [saved]
 
 
+def test_what_would_be_too_large_to_read_is_not_written(
+    model: Model, saved: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    before = saved.read_bytes()
+    monkeypatch.setattr(container, "LARGEST", container.LARGEST_HEADER + len(before) // 2)
+    with pytest.raises(ModelError, match="learn fewer drives"):
+        model.save(saved)
+    assert saved.read_bytes() == before
+
+
 def test_every_truncation_is_refused(saved: Path) -> None:
     content = saved.read_bytes()
     for size in [*range(64), *range(64, len(content), 997), *range(len(content) - 64, len(content))]:
