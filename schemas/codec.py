@@ -36,16 +36,13 @@ def _readable(message: type[Message]) -> frozenset[str]:
     return frozenset(ENCODING_PREFIX + name for name in names)
 
 
-def check_encoding(message: type[Message], encoding: str) -> None:
-    """Raise DecodeError unless an encoding names a message class and its version."""
+def misfit(message: type[Message], encoding: str, size: int) -> str | None:
+    """Say why a payload of an encoding and a size cannot be a message of a class; None where it may be."""
     if encoding not in _readable(message):
-        raise DecodeError(f"expected {encoding_of(message)}, got {encoding[:80]!r}")
-
-
-def check_size(message: type[Message], size: int) -> None:
-    """Raise DecodeError when a payload is larger than any message of a class."""
+        return f"expected {encoding_of(message)}, got {encoding[:80]!r}"
     if size > message.max_bytes:
-        raise DecodeError(f"{message.schema_name()}: {size} bytes, at most {message.max_bytes} allowed")
+        return f"{message.schema_name()}: {size} bytes, at most {message.max_bytes} allowed"
+    return None
 
 
 def encode(message: Message) -> bytes:
@@ -85,8 +82,8 @@ def decode(cls: type[M], payload: bytes, encoding: str) -> M:
     DecodeError
         For any payload that is not a valid message; no other exception leaves this function.
     """
-    check_encoding(cls, encoding)
-    check_size(cls, len(payload))
+    if (why := misfit(cls, encoding, len(payload))) is not None:
+        raise DecodeError(why)
     try:
         # Few and small containers: four megabytes of empty maps would otherwise cost 1 s and 280 MB.
         count = _ContainerCount(cls.max_containers)

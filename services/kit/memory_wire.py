@@ -20,7 +20,7 @@ from weakref import WeakSet
 
 from schemas.codec import encoding_of
 from schemas.topics import KEPT_S, Topic
-from services.kit.wire import TIMEOUT, Answer, BusError, Envelope, Refused, Serve, Take, Wire, flaw
+from services.kit.wire import TIMEOUT, Answer, BusError, Refused, Serve, Take, Wire, flaw
 
 MEMORY: Final = "memory/"
 _logger = logging.getLogger("bus")
@@ -190,8 +190,7 @@ class MemoryWire(Wire):
         key, lane = topic.key(self._robot), self._lanes[topic.urgent]
 
         def on_sample(sample: Sample) -> None:
-            envelope = Envelope(sample.key, len(sample.payload), sample.encoding)
-            if (why := flaw(envelope, key, topic.message)) is not None:
+            if (why := flaw(key, topic.message, sample.key, len(sample.payload), sample.encoding)) is not None:
                 refused(why)
             else:
                 take(sample.payload, sample.encoding, time.time() - sample.sent_s)
@@ -218,7 +217,7 @@ class MemoryWire(Wire):
         """Answer calls of a key."""
 
         def on_request(request: bytes, send: Callable[[Answer], None]) -> None:
-            if (why := flaw(Envelope(key, len(request)), key, None)) is not None:
+            if (why := flaw(key, None, key, len(request))) is not None:
                 refused(why)
                 send(Answer.refusal(why))
             else:
@@ -240,7 +239,7 @@ class MemoryWire(Wire):
             answer = answers.get(timeout=timeout_s)
         except Empty:
             return Answer(TIMEOUT, failed=True)
-        why = None if answer is None else flaw(Envelope(key, len(answer.payload)), key, None)
+        why = None if answer is None else flaw(key, None, key, len(answer.payload))
         return answer if why is None else Answer(f"unfit reply: {why}".encode(), failed=True)
 
     def _ask(self, key: str, request: bytes) -> SimpleQueue[Answer | None]:

@@ -20,7 +20,7 @@ from collections.abc import Callable
 from typing import Final, NamedTuple, Self
 
 from schemas.base import Message
-from schemas.codec import DecodeError, check_encoding, check_size, printable
+from schemas.codec import misfit, printable
 from schemas.rpc import Failure
 from schemas.topics import TOPICS, Topic
 
@@ -40,41 +40,29 @@ class BusError(Exception):
     """The bus cannot be used as asked; the text says why in one line."""
 
 
-class Envelope(NamedTuple):
-    """What is known of a sample, a request or a reply before its bytes are copied."""
-
-    key: str
-    size: int
-    encoding: str = ""
-    put: bool = True
-    """False where it deletes the key."""
-
-
-def flaw(envelope: Envelope, key: str, message: type[Message] | None) -> str | None:
-    """Say in one line why something is refused, None where it may be taken.
+def flaw(
+    wanted: str, message: type[Message] | None, key: str, size: int, encoding: str = "", *, put: bool = True
+) -> str | None:
+    """Say in one line why something is refused, before its bytes are copied; None where it may be taken.
 
     Parameters
     ----------
-    envelope
-        What came.
-    key
+    wanted
         The one key that is taken: whoever sends to ``**`` reaches every subscriber.
     message
         What a sample has to be; None for requests and replies, whose JSON needs no other check of its encoding.
+    key, size, encoding
+        What came.
+    put
+        False where it deletes the key.
     """
-    if envelope.key != key:
-        return f"its key is {printable(envelope.key)}, not {key}"
-    if not envelope.put:
-        return f"it deletes {key}"
-    if message is None:
-        too_large = envelope.size > MAX_RPC_BYTES
-        return f"{envelope.size} bytes, at most {MAX_RPC_BYTES} allowed" if too_large else None
-    try:
-        check_encoding(message, envelope.encoding)
-        check_size(message, envelope.size)
-    except DecodeError as error:
-        return str(error)
-    return None
+    if key != wanted:
+        return f"its key is {printable(key)}, not {wanted}"
+    if not put:
+        return f"it deletes {wanted}"
+    if message is not None:
+        return misfit(message, encoding, size)
+    return f"{size} bytes, at most {MAX_RPC_BYTES} allowed" if size > MAX_RPC_BYTES else None
 
 
 class Answer(NamedTuple):

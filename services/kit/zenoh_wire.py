@@ -21,7 +21,7 @@ from services.kit.access import access_control
 from services.kit.credentials import Certificate, Credentials, Password, encrypted, others_reach
 from services.kit.heap import keep_freed_memory
 from services.kit.replay import Budget, Replay
-from services.kit.wire import LARGEST_BYTES, Answer, BusError, Envelope, Refused, Serve, Take, Wire, flaw
+from services.kit.wire import LARGEST_BYTES, Answer, BusError, Refused, Serve, Take, Wire, flaw
 
 DEFAULT_ROUTER: Final = "tcp/127.0.0.1:7447"
 ENDPOINT_PATTERN: Final = r"(?:tcp|tls|quic|udp|ws)/([^\s/]+):(\d{1,5})"
@@ -47,6 +47,7 @@ LINK_BYTES: Final = LARGEST_BYTES + _OVERHEAD_BYTES
 _CALL_PRIORITY: Final = zenoh.Priority.INTERACTIVE_LOW
 #: How a publisher that keeps samples calls itself: its session, and its number there.
 _SENDER_PATTERN: Final = r"[0-9a-f]{1,32}/[0-9]+(?=/|$)"
+_PUT: Final = zenoh.SampleKind.PUT
 JSON_ENCODING: Final = zenoh.Encoding("application/json")
 
 
@@ -306,12 +307,13 @@ class ZenohWire(Wire):
         key, session = topic.key(self._robot), self.sessions[topic.urgent]
 
         def on_sample(sample: zenoh.Sample) -> None:
-            if (why := flaw(_envelope(sample), key, topic.message)) is not None:
+            payload, encoding, put = sample.payload, str(sample.encoding), sample.kind == _PUT
+            if (why := flaw(key, topic.message, str(sample.key_expr), len(payload), encoding, put=put)) is not None:
                 refused(f"{why}; {_origin(sample)}")
                 return
             stamp = sample.timestamp
             transit_s = None if stamp is None else time.time() - stamp.get_time().timestamp()
-            take(sample.payload.to_bytes(), str(sample.encoding), transit_s)
+            take(payload.to_bytes(), encoding, transit_s)
 
         if replay:
             self._subscribe_replayed(session, key, on_sample, refused)
@@ -350,7 +352,7 @@ class ZenohWire(Wire):
                 replay.live(name, source.source_sn, sample, len(sample.payload))
 
         def on_sender(token: zenoh.Sample) -> None:
-            if token.kind == zenoh.SampleKind.PUT:
+            if token.kind == _PUT:
                 name = re.match(_SENDER_PATTERN, str(token.key_expr).removeprefix(f"{senders}/"))
                 if name is None:
                     refused(f"no sender's sign of life: {printable(str(token.key_expr))}")
@@ -388,8 +390,7 @@ class ZenohWire(Wire):
                         query.reply(key, message.payload, encoding=JSON_ENCODING)
 
             payload = query.payload
-            envelope = Envelope(str(query.key_expr), 0 if payload is None else len(payload))
-            if (why := flaw(envelope, key, None)) is not None:
+            if (why := flaw(key, None, str(query.key_expr), 0 if payload is None else len(payload))) is not None:
                 refused(why)
                 reply(Answer.refusal(why))
                 return
@@ -416,11 +417,13 @@ class ZenohWire(Wire):
         )
         for reply in replies:
             result = reply.result
-            failed = isinstance(result, zenoh.ReplyError)
-            envelope = _envelope(result) if isinstance(result, zenoh.Sample) else Envelope(key, len(result.payload))
-            if (why := flaw(envelope, key, None)) is not None:
+            if isinstance(result, zenoh.Sample):
+                why = flaw(key, None, str(result.key_expr), len(result.payload), put=result.kind == _PUT)
+            else:
+                why = flaw(key, None, key, len(result.payload))
+            if why is not None:
                 return Answer(f"unfit reply: {why}".encode(), failed=True)
-            return Answer(result.payload.to_bytes(), failed)
+            return Answer(result.payload.to_bytes(), failed=not isinstance(result, zenoh.Sample))
         return None
 
     def close(self) -> None:
@@ -439,11 +442,6 @@ def _priority(topic: Topic) -> zenoh.Priority:
     if topic.urgent:
         return zenoh.Priority.REAL_TIME
     return zenoh.Priority.INTERACTIVE_LOW if topic.reliable else zenoh.Priority.DATA_HIGH
-
-
-def _envelope(sample: zenoh.Sample) -> Envelope:
-    put = sample.kind == zenoh.SampleKind.PUT
-    return Envelope(str(sample.key_expr), len(sample.payload), str(sample.encoding), put)
 
 
 def _origin(sample: zenoh.Sample) -> str:

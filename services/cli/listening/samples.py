@@ -9,7 +9,7 @@ import msgpack
 from pydantic import ValidationError
 
 from schemas.base import Message
-from schemas.codec import DecodeError, check_encoding, decode, describe, printable
+from schemas.codec import DecodeError, decode, describe, misfit, printable
 from schemas.topics import Topic, key_of, topic_of
 
 MOST_ITEMS: Final = 12
@@ -67,7 +67,8 @@ def header_of(topic: Topic, payload: bytes, encoding: str) -> Message:
     DecodeError
         When the payload does not begin as a message of the topic does.
     """
-    check_encoding(topic.message, encoding)
+    if (why := misfit(topic.message, encoding, len(payload))) is not None:
+        raise DecodeError(why)
     unpacker = msgpack.Unpacker(max_buffer_size=HEADER_BYTES)
     unpacker.feed(payload[:HEADER_BYTES])
     fields: dict[str, object] = {}

@@ -28,7 +28,7 @@ from schemas.topics import rpc_key
 from services.kit.bus import Bus, RpcError
 from services.kit.node import Node, ServiceError
 from services.kit.settings import ServiceSettings
-from services.kit.wire import LARGEST_BYTES, MAX_RPC_BYTES, Envelope, flaw
+from services.kit.wire import LARGEST_BYTES, MAX_RPC_BYTES, flaw
 from services.kit.zenoh_wire import LINK_BYTES
 from tests.schemas.messages import EXAMPLES
 from tests.services.conftest import RunNode
@@ -91,21 +91,23 @@ def node(settings: ServiceSettings) -> Node:
 
 
 @pytest.mark.parametrize(
-    ("envelope", "message", "why"),
+    ("message", "key", "size", "encoding", "put", "why"),
     [
-        (Envelope(KEY, 1024, ENCODING), Command, None),
-        (Envelope(KEY, 1025, ENCODING), Command, "smal.Command/2: 1025 bytes, at most 1024 allowed"),
-        (Envelope(KEY, 10, "zenoh/bytes"), Command, f"expected {ENCODING}, got 'zenoh/bytes'"),
-        (Envelope("**", 10, ENCODING), Command, f"its key is **, not {KEY}"),
-        (Envelope("smal/*\n" + "x" * 300, 1, ENCODING), Command, f"its key is smal/*?{'x' * 193}, not {KEY}"),
-        (Envelope(KEY, 0, ENCODING, put=False), Command, f"it deletes {KEY}"),
-        (Envelope(KEY, MAX_RPC_BYTES), None, None),
-        (Envelope(KEY, MAX_RPC_BYTES + 1), None, "1000001 bytes, at most 1000000 allowed"),
-        (Envelope("smal/**", 0), None, f"its key is smal/**, not {KEY}"),
+        (Command, KEY, 1024, ENCODING, True, None),
+        (Command, KEY, 1025, ENCODING, True, "smal.Command/2: 1025 bytes, at most 1024 allowed"),
+        (Command, KEY, 10, "zenoh/bytes", True, f"expected {ENCODING}, got 'zenoh/bytes'"),
+        (Command, "**", 10, ENCODING, True, f"its key is **, not {KEY}"),
+        (Command, "smal/*\n" + "x" * 300, 1, ENCODING, True, f"its key is smal/*?{'x' * 193}, not {KEY}"),
+        (Command, KEY, 0, ENCODING, False, f"it deletes {KEY}"),
+        (None, KEY, MAX_RPC_BYTES, "", True, None),
+        (None, KEY, MAX_RPC_BYTES + 1, "", True, "1000001 bytes, at most 1000000 allowed"),
+        (None, "smal/**", 0, "", True, f"its key is smal/**, not {KEY}"),
     ],
 )
-def test_why_something_is_refused(envelope: Envelope, message: type[Message] | None, why: str | None) -> None:
-    assert flaw(envelope, KEY, message) == why
+def test_why_something_is_refused(
+    message: type[Message] | None, key: str, size: int, encoding: str, put: bool, why: str | None
+) -> None:
+    assert flaw(KEY, message, key, size, encoding, put=put) == why
 
 
 @WAYS
