@@ -1,0 +1,140 @@
+"""Reads files of a folder that somebody else filled, and none outside of it.
+
+Names in such a folder, and links in it, may lead anywhere: to a private file, whose content would then be in the
+recording, or to a pipe that nobody ever writes to.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import stat
+from collections.abc import Iterator
+from pathlib import Path
+from typing import IO, Any, Final
+
+from schemas.codec import printable
+from services.importers.drive import ImportFailure
+
+#: Most bytes of a file that is read as a whole; the episodes of a thousand hours are described in less.
+MOST_BYTES: Final = 256 * 2**20
+#: Most characters of a line; of a row of numbers it has a few hundred.
+LONGEST_LINE: Final = 1_000_000
+
+
+class Outside(ImportFailure):
+    """A name leads out of the folder."""
+
+
+class Inside:
+    """A folder, or one file, to read from.
+
+    Parameters
+    ----------
+    path
+        As the user gave it; a link in it is the user's own.
+
+    Raises
+    ------
+    ImportFailure
+        When there is nothing.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        try:
+            self._root = path.resolve(strict=True)
+        except (OSError, RuntimeError) as error:
+            raise ImportFailure(f"{path}: {getattr(error, 'strerror', None) or 'no such file or folder'}") from None
+
+    @property
+    def is_folder(self) -> bool:
+        """Whether it is a folder."""
+        return self._root.is_dir()
+
+    def called(self, name: str) -> str:
+        """Return how a file in it is named to the user."""
+        return printable(str(self.path / name if name else self.path))
+
+    def regular(self, name: str = "") -> Path:
+        """Return the path of a regular file without links, for those who open it themselves; errors as of `open`."""
+        try:
+            with self.open(name):
+                return (self._root / name).resolve(strict=True)
+        except FileNotFoundError as error:
+            raise ImportFailure(str(error)) from None
+
+    def open(self, name: str = "") -> IO[bytes]:
+        """Open a file for reading.
+
+        Raises
+        ------
+        Outside
+            When the name, or a link, leads out of the folder.
+        FileNotFoundError
+            When there is none.
+        ImportFailure
+            When it is no regular file, or cannot be read.
+        """
+        try:
+            real = (self._root / name).resolve(strict=True)
+            if not real.is_relative_to(self._root):
+                raise Outside(f"{self.called(name)} leads out of {self.path}; copy links as files first (cp -rL)")
+            # Not a link any more; and a pipe must not be waited for.
+            descriptor = os.open(real, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC)
+        except (FileNotFoundError, NotADirectoryError):
+            raise FileNotFoundError(f"{self.called(name)}: no such file") from None
+        except (OSError, ValueError, RuntimeError) as error:
+            raise ImportFailure(f"{self.called(name)}: {getattr(error, 'strerror', None) or 'no file name'}") from None
+        if not stat.S_ISREG(os.fstat(descriptor).st_mode):
+            os.close(descriptor)
+            raise ImportFailure(f"{self.called(name)}: is no regular file")
+        return os.fdopen(descriptor, "rb")
+
+    def read(self, name: str = "", most: int = MOST_BYTES) -> bytes:
+        """Return the bytes of a file; errors are those of `open`, and one that is too large is another."""
+        with self.open(name) as file:
+            data = file.read(most + 1)
+        if len(data) > most:
+            raise ImportFailure(f"{self.called(name)}: larger than {most} bytes")
+        return data
+
+    def needed(self, name: str, most: int = MOST_BYTES) -> bytes:
+        """Return the bytes of a file without which nothing can be done."""
+        try:
+            return self.read(name, most)
+        except FileNotFoundError as error:
+            raise ImportFailure(str(error)) from None
+
+    def lines(self, name: str) -> Iterator[bytes]:
+        """Yield the lines of a file."""
+        try:
+            file = self.open(name)
+        except FileNotFoundError as error:
+            raise ImportFailure(str(error)) from None
+        with file:
+            while line := file.readline(LONGEST_LINE + 1):
+                if len(line) > LONGEST_LINE:
+                    raise ImportFailure(f"{self.called(name)}: a line of more than {LONGEST_LINE} characters")
+                yield line
+
+    def names(self, folder: str = "") -> list[str]:
+        """Return the names of what is in a folder, sorted; of none nothing."""
+        try:
+            real = (self._root / folder).resolve(strict=True)
+            if not real.is_relative_to(self._root):
+                raise Outside(f"{self.called(folder)} leads out of {self.path}; copy links as files first (cp -rL)")
+            return sorted(path.name for path in real.iterdir())
+        except (FileNotFoundError, NotADirectoryError):
+            return []
+        except OSError as error:
+            raise ImportFailure(f"{self.called(folder)}: {error.strerror}") from None
+
+
+def parsed(data: bytes, called: str) -> Any:  # noqa: ANN401 - any JSON value
+    """Return a JSON value; one that is none, or nested beyond reason, is an `ImportFailure`."""
+    try:
+        return json.loads(data)
+    except (ValueError, RecursionError) as error:
+        reason = "nested too deeply" if isinstance(error, RecursionError) else printable(str(error))
+        raise ImportFailure(f"{called}: not JSON: {reason}") from None

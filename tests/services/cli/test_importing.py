@@ -1,0 +1,123 @@
+"""``smal import`` as a user runs it."""
+
+from __future__ import annotations
+
+import json
+import os
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from services.cli import importing
+from services.recordings.reader import read_recording
+from tests.services.importers import sources
+
+KEY = "observation.images.front"
+
+
+def test_a_folder_becomes_recordings_that_teach(smal, tmp_path: Path) -> None:  # noqa: ANN001
+    folder, out = sources.csv_folder(tmp_path / "set"), tmp_path / "drives"
+    report = tmp_path / "report.json"
+    status, said, errors = smal(
+        "import",
+        "folder",
+        str(folder),
+        "--out",
+        str(out),
+        "--goal",
+        "dock",
+        "--json",
+        str(report),
+        "--field-of-view",
+        "60",
+    )
+    assert status == 0
+    assert "drives        1 (1 reached dock)" in said
+    assert "nominal       2 m/s, 0.8 rad/s" in said
+    assert "atoms         forward 74%, left 12%, right 12%, stop 3%" in said
+    assert f"recordings in {out}; next: smal learn {out} --out MODEL" in said
+    assert "frames between two ticks are not needed" in errors
+    (file,) = out.iterdir()
+    (episode,) = read_recording(file).episodes
+    assert (episode.goal, episode.outcome, episode.focal) == ("dock", "found", pytest.approx(0.866, abs=1e-3))
+    assert json.loads(report.read_text())["files"] == [str(file)]
+    status, said, errors = smal("learn", str(out), "--out", str(tmp_path / "m.smal"), "--modalities", "thumbnail")
+    assert status == 0, errors
+    assert "goal states   1" in said
+
+
+@pytest.mark.parametrize(
+    ("arguments", "status", "said"),
+    [
+        (("bagpipe", "x"), 2, "no format 'bagpipe'; known are: rosbag2, lerobot, donkeycar, folder"),
+        (("folder", "no-such"), 1, "no-such: No such file or directory"),
+        (("folder", "x", "--goal", "\n"), 2, "--goal: "),
+        (("folder", "x", "--robot", "Burger"), 2, "--robot: "),
+        (("folder", "x", "--from", "5", "--to", "5"), 2, "--to 5: is not after --from 5"),
+        (("folder", "x", "--speed", "-1"), 2, "speed"),
+        (("folder", "x", "--still", "nan"), 2, "still"),
+        (("folder", "x", "--turning", "7"), 2, "turning"),
+    ],
+)
+def test_bad_use_is_one_line(smal, arguments: tuple[str, ...], status: int, said: str, tmp_path: Path) -> None:  # noqa: ANN001
+    ended, _, errors = smal("import", *arguments, "--out", str(tmp_path / "out"))
+    assert (ended, errors.count("\n")) == (status, 1)
+    assert said in errors
+
+
+def test_missing_packages_are_named_in_one_line(smal, monkeypatch: pytest.MonkeyPatch) -> None:  # noqa: ANN001
+    monkeypatch.setitem(sys.modules, "pyarrow", None)
+    monkeypatch.setattr(importing, "missing_packages", lambda _form: ["pyarrow", "av"])
+    status, _, errors = smal("import", "lerobot", "x")
+    assert (status, errors) == (2, "smal: lerobot needs pyarrow and av: pip install 'smal[importers]'\n")
+
+
+def test_a_failed_import_leaves_nothing_behind(smal, tmp_path: Path) -> None:  # noqa: ANN001
+    tub = sources.donkeycar(tmp_path / "tub")
+    (tub / "manifest.json").write_bytes(b"PK\x05\x06" + bytes(18))
+    out = tmp_path / "out"
+    status, _, errors = smal("import", "donkeycar", str(tub), "--out", str(out))
+    assert (status, errors.count("\n")) == (1, 1)
+    assert list(out.iterdir()) == []
+
+
+@pytest.mark.parametrize("end", ["os.kill(os.getpid(), 11)", "os._exit(3)", "x = [bytes(2**29) for _ in range(9)]"])
+def test_a_decoder_that_breaks_down_is_one_line(
+    smal, end: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch  # noqa: ANN001
+) -> None:  # fmt: skip
+    program = f"import os, services.importers.job as job\njob.run = lambda *_: exec('import os; {end}')\n"
+    program += "from services.importers.__main__ import main\nraise SystemExit(main())"
+    monkeypatch.setattr(importing, "_COMMAND", (sys.executable, "-c", program))
+    program = program.replace("job.run =", "import services.importers.__main__ as m; m.run =")
+    monkeypatch.setattr(importing, "_COMMAND", (sys.executable, "-c", program))
+    status, _, errors = smal("import", "folder", str(tmp_path), "--out", str(tmp_path / "out"))
+    assert (status, errors.count("\n")) == (1, 1)
+    assert "the source is damaged, or hostile" in errors or "takes more than 2 GiB of memory" in errors
+    assert list((tmp_path / "out").iterdir()) == []
+
+
+def test_a_table_that_unpacks_to_all_memory_is_one_line(smal, tmp_path: Path) -> None:  # noqa: ANN001
+    pa = pytest.importorskip("pyarrow", reason="needs the extra importers")
+    import pyarrow.parquet as pq  # noqa: PLC0415
+
+    dataset = sources.lerobot(tmp_path / "set", episodes=1)
+    count = 600
+    bomb = pa.array([np.zeros(1_000_000, np.float32)] * count)
+    table = pa.table({"action": bomb, "timestamp": np.arange(count) / 20.0, "episode_index": np.zeros(count, np.int64)})
+    path = dataset / "data/chunk-000/file-000.parquet"
+    pq.write_table(table, path, compression="zstd")
+    assert path.stat().st_size < 10_000_000
+    status, _, errors = smal("import", "lerobot", str(dataset), "--out", str(tmp_path / "out"))
+    assert (status, errors.count("\n")) == (1, 1)
+    assert str(dataset) in errors
+
+
+def test_the_real_tub_says_that_its_times_are_wrong(smal, tmp_path: Path) -> None:  # noqa: ANN001
+    tub = Path(os.environ.get("SMAL_SHARED", "../shared")) / "data/donkeycar_tub"
+    if not tub.is_dir():
+        pytest.skip(f"{tub} is not here")
+    status, _, errors = smal("import", "donkeycar", str(tub), "--out", str(tmp_path))
+    assert status == 1
+    assert "--rate 20" in errors

@@ -1,0 +1,288 @@
+"""Every format gives the drive that was put in: its views, its movements, where it went."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from schemas.base import ATOMS
+from services.importers.drive import Tally
+from services.importers.job import Job, Report, run
+from services.importers.source_options import Wishes
+from services.recordings.dataset import Teacher
+from services.recordings.encoding import decode_image
+from services.recordings.reader import read_recording
+from services.recordings.recorded import RecordedEpisode
+from smal.features import extract
+from smal.learning import LearningSettings, learn
+from smal.robot import Localizer
+from tests import corridor
+from tests.services.importers import sources
+
+pytest.importorskip("rosbags", reason="needs the extra importers")
+
+#: The legs of the drive in ticks.
+LEGS = ["forward"] * 15 + ["left"] * 4 + ["right"] * 4 + ["forward"] * 10
+
+
+def imported(path: Path, form: str, folder: Path, **fields: object) -> tuple[Report, Tally]:
+    folder.mkdir(exist_ok=True)
+    tally = Tally()
+    job = Job.model_validate({"format": form, "path": str(path), "folder": str(folder), "robot": "burger"} | fields)
+    return run(job, tally), tally
+
+
+def episode_of(report: Report) -> RecordedEpisode:
+    (episode,) = read_recording(Path(report.files[0])).episodes
+    return episode
+
+
+def atoms_of(episode: RecordedEpisode) -> list[str]:
+    return [episode.applied[tick].atom for tick in sorted(episode.applied)]
+
+
+def check_views(episode: RecordedEpisode) -> None:
+    """Check that the image of every tick is the view of that moment: nearer to it than to that of any other."""
+    views = np.stack([moment.image for moment in sources.drive(10.0)]).astype(float)
+    for tick, payload in episode.images.items():
+        seen = decode_image(bytes(payload))
+        off = np.abs(views - seen).mean(axis=(1, 2, 3))
+        # In turning back the robot sees some views again.
+        assert off[tick] < min(off.min() + 0.5, 10.0)
+
+
+def check_way(episode: RecordedEpisode, within_m: float = 0.03) -> None:
+    moments = sources.drive(10.0)
+    for tick, (x_m, y_m, heading_rad) in episode.odometry.items():
+        assert np.hypot(x_m - moments[tick].pose[0], y_m - moments[tick].pose[1]) < within_m
+        assert abs(heading_rad - moments[tick].pose[2]) < 0.03
+
+
+def test_ticks_and_legs_fit() -> None:
+    assert len(sources.drive(10.0)) == len(LEGS) + 1
+
+
+BAGS: dict[str, Callable[[Path], Path]] = {
+    "mcap": sources.rosbag2,
+    "sqlite": partial(sources.rosbag2, sqlite=True),
+    "mcap-packed": partial(sources.rosbag2, packed=True),
+    "sqlite-packed": partial(sources.rosbag2, sqlite=True, packed=True),
+    "stamped": partial(sources.rosbag2, stamped=True),
+    "rgb8": partial(sources.rosbag2, raw="rgb8"),
+    "bgr8": partial(sources.rosbag2, raw="bgr8"),
+    "yuv422": partial(sources.rosbag2, raw="yuv422"),
+}
+
+
+@pytest.mark.parametrize("kind", BAGS)
+def test_a_bag_is_imported(kind: str, tmp_path: Path) -> None:
+    bag = BAGS[kind](tmp_path / "bag")
+    report, tally = imported(bag, "rosbag2", tmp_path / "out")
+    episode = episode_of(report)
+    # Commands come between frames, so that a tick at the change of two legs is a little of each.
+    differing = sum(one != other for one, other in zip(atoms_of(episode), [*LEGS, "stop"], strict=True))
+    assert differing <= 3
+    assert (episode.outcome, episode.goal, episode.purpose, episode.robot) == ("found", "victim", "drive", "burger")
+    assert episode.focal == pytest.approx(45.0 / 64.0)
+    assert report.odometry == "of the source"
+    check_views(episode)
+    check_way(episode)
+    assert "images are those of /camera/image, velocities those of /cmd_vel" in tally.lines()
+
+
+@pytest.mark.parametrize("suffix", ["mcap", "db3"])
+def test_the_bare_file_of_a_bag_is_imported_too(suffix: str, tmp_path: Path) -> None:
+    (file,) = sources.rosbag2(tmp_path / "bag", sqlite=suffix == "db3").glob(f"*.{suffix}")
+    report, _ = imported(file, "rosbag2", tmp_path / "out")
+    assert report.ticks == len(LEGS) + 1
+
+
+def test_a_grey_camera_is_a_camera(tmp_path: Path) -> None:
+    report, _ = imported(sources.rosbag2(tmp_path / "bag", raw="mono8"), "rosbag2", tmp_path / "out")
+    pixels = decode_image(bytes(episode_of(report).images[0]))
+    assert np.abs(pixels[..., 0].astype(int) - pixels[..., 2]).max() <= 2
+
+
+def test_a_bag_without_commands_has_those_of_its_odometry(tmp_path: Path) -> None:
+    report, tally = imported(sources.rosbag2(tmp_path / "bag", command=False), "rosbag2", tmp_path / "out")
+    assert atoms_of(episode_of(report)) == [*LEGS, "stop"]
+    assert "images are those of /camera/image, velocities those of /odom" in tally.lines()
+
+
+def test_a_bag_without_odometry_has_a_way_reckoned_from_commands(tmp_path: Path) -> None:
+    bag = sources.rosbag2(tmp_path / "bag", odometry=False)
+    report, _ = imported(bag, "rosbag2", tmp_path / "out")
+    assert report.odometry == "reckoned from velocities"
+    check_way(episode_of(report), within_m=0.15)  # a command is up to 0.1 s late
+    report, _ = imported(bag, "rosbag2", tmp_path / "without", reckon=False)
+    assert report.odometry == "none"
+    assert episode_of(report).odometry == {}
+
+
+@pytest.mark.parametrize("video", [True, False], ids=["video", "images"])
+@pytest.mark.parametrize("version", ["v2.1", "v3.0"])
+def test_a_lerobot_data_set_is_imported(version: str, video: bool, tmp_path: Path) -> None:
+    dataset = sources.lerobot(tmp_path / "set", version, video=video)
+    report, tally = imported(dataset, "lerobot", tmp_path / "out")
+    assert len(report.files) == 2
+    assert report.turn_rate == pytest.approx(0.8, rel=0.01)  # LeKiwi's degrees became radians
+    for file in report.files:
+        (episode,) = read_recording(Path(file)).episodes
+        assert atoms_of(episode) == [*LEGS, "stop"]
+        check_views(episode)
+        check_way(episode)
+    assert not [line for line in tally.lines() if "announces" in line]
+
+
+def test_one_episode_of_a_data_set_is_imported(tmp_path: Path) -> None:
+    dataset = sources.lerobot(tmp_path / "set", episodes=3)
+    report, _ = imported(dataset, "lerobot", tmp_path / "out", wishes=Wishes(episodes=("1",)))
+    assert [Path(file).name[:2] for file in report.files] == ["1-"]
+    check_views(episode_of(report))
+
+
+def test_velocities_of_a_data_set_can_be_named(tmp_path: Path) -> None:
+    dataset = sources.lerobot(tmp_path / "set", video=False, episodes=1)
+    info = dataset / "meta/info.json"
+    info.write_text(info.read_text().replace("x.vel", "thrust").replace("theta.vel", "yaw"))
+    wishes = Wishes(velocity="thrust,yaw", turn_rate=float(np.radians(1.0)))
+    report, _ = imported(dataset, "lerobot", tmp_path / "out", wishes=wishes)
+    check_way(episode_of(report))
+
+
+def test_going_sideways_is_counted(tmp_path: Path) -> None:
+    dataset = sources.lerobot(tmp_path / "set", video=False, episodes=1)
+    info = dataset / "meta/info.json"
+    info.write_text(info.read_text().replace("arm_wrist.pos", "y.vel").replace(', "y.vel", "theta', ', "z", "theta'))
+    _, tally = imported(dataset, "lerobot", tmp_path / "out")
+    assert f"{len(sources.drive(20.0))} frames go sideways, for which there is no atom" in tally.lines()
+
+
+def test_a_tub_is_imported(tmp_path: Path) -> None:
+    report, tally = imported(sources.donkeycar(tmp_path / "tub"), "donkeycar", tmp_path / "out")
+    episode = episode_of(report)
+    assert atoms_of(episode) == [*LEGS, "stop"]
+    assert (report.odometry, report.metric) == ("none", False)
+    assert tally.lines() == [f"{len(sources.drive(20.0)) - len(LEGS) - 1} frames between two ticks are not needed"]
+    # What was JPEG is the same JPEG, to the byte.
+    first = (tmp_path / "tub/images/0_cam_image_array_.jpg").read_bytes()
+    assert first in bytes(episode.images[0])
+    check_views(episode)
+
+
+def test_a_tub_with_its_speeds_has_a_way(tmp_path: Path) -> None:
+    tub = sources.donkeycar(tmp_path / "tub")
+    report, _ = imported(tub, "donkeycar", tmp_path / "out", wishes=Wishes(speed=4.0, turn_rate=0.8 / 0.3))
+    assert report.odometry == "reckoned from velocities"
+    way = episode_of(report).odometry
+    assert way[15][0] == pytest.approx(3.0, abs=0.02)
+    assert way[19][2] == pytest.approx(0.32, abs=0.02)
+
+
+def test_deleted_records_are_left_out_and_their_time_is_a_gap(tmp_path: Path) -> None:
+    tub = sources.donkeycar(tmp_path / "tub", deleted=tuple(range(10, 20)))
+    report, tally = imported(tub, "donkeycar", tmp_path / "out")
+    assert "10 records were deleted by their owner" in tally.lines()
+    ticks = sorted(episode_of(report).images)
+    assert not {6, 7, 8} & set(ticks)
+    assert max(ticks) == len(LEGS)
+
+
+def test_sessions_of_a_tub_are_drives(tmp_path: Path) -> None:
+    tub = sources.donkeycar(
+        tmp_path / "tub", change=lambda record: record.update(_session_id=f"s{int(record['_index'] >= 30)}")
+    )
+    report, _ = imported(tub, "donkeycar", tmp_path / "out")
+    assert [Path(file).name[:2] for file in report.files] == ["s0", "s1"]
+
+
+def test_a_tub_with_the_times_of_its_copying_wants_a_rate(tmp_path: Path) -> None:
+    tub = sources.donkeycar(tmp_path / "tub", change=lambda record: record.update(_timestamp_ms=3 * record["_index"]))
+    with pytest.raises(Exception, match="its times say 333 frames a second"):
+        imported(tub, "donkeycar", tmp_path / "out")
+    report, _ = imported(tub, "donkeycar", tmp_path / "out", wishes=Wishes(rate_hz=20.0))
+    assert atoms_of(episode_of(report)) == [*LEGS, "stop"]
+
+
+def test_what_an_autopilot_drove_is_left_out(tmp_path: Path) -> None:
+    def change(record: dict[str, object]) -> None:
+        if int(str(record["_index"])) < 20:
+            record["user/mode"] = "local"
+
+    _, tally = imported(sources.donkeycar(tmp_path / "tub", change=change), "donkeycar", tmp_path / "out")
+    assert "20 records were not driven by a person" in tally.lines()
+
+
+@pytest.mark.parametrize("png", [False, True], ids=["jpeg", "png"])
+@pytest.mark.parametrize("rate_hz", [10.0, 20.0, 30.0])
+def test_a_folder_is_imported(rate_hz: float, png: bool, tmp_path: Path) -> None:
+    report, _ = imported(sources.csv_folder(tmp_path / "set", rate_hz, png=png), "folder", tmp_path / "out")
+    episode = episode_of(report)
+    assert report.odometry == "of the source"
+    assert len(episode.images) == len(LEGS) + 1
+    assert sum(one != other for one, other in zip(atoms_of(episode), [*LEGS, "stop"], strict=True)) <= 2
+    check_views(episode)
+    check_way(episode)
+
+
+def test_a_slow_camera_shows_frames_twice(tmp_path: Path) -> None:
+    report, tally = imported(sources.csv_folder(tmp_path / "set", 5.0), "folder", tmp_path / "out")
+    repeated = [line for line in tally.lines() if "show the frame of the tick before" in line]
+    assert repeated == [f"{report.ticks - len(sources.drive(5.0))} ticks show the frame of the tick before"]
+    assert sorted(episode_of(report).images) == list(range(report.ticks))
+
+
+def test_success_is_what_the_source_or_the_user_says(tmp_path: Path) -> None:
+    folder = sources.csv_folder(tmp_path / "set")
+    text = (folder / "drive.csv").read_text().splitlines()
+    (folder / "drive.csv").write_text("\n".join([text[0] + ",success", *(line + ",0" for line in text[1:])]))
+    for success, outcome in ((None, "aborted"), (True, "found"), (False, "aborted")):
+        report, _ = imported(folder, "folder", tmp_path / f"out-{success}", success=success)
+        assert episode_of(report).outcome == outcome
+
+
+def test_a_part_of_a_drive_can_be_cut_out(tmp_path: Path) -> None:
+    report, _ = imported(sources.csv_folder(tmp_path / "set"), "folder", tmp_path / "out", from_s=1.5, to_s=2.25)
+    assert set(atoms_of(episode_of(report))) == {"left", "right"}
+
+
+FORMATS: dict[str, Callable[[Path], Path]] = {
+    "rosbag2": sources.rosbag2,
+    "lerobot": partial(sources.lerobot, episodes=1),
+    "donkeycar": sources.donkeycar,
+    "folder": sources.csv_folder,
+}
+
+
+@pytest.mark.parametrize("form", FORMATS)
+def test_an_imported_drive_teaches_where_the_robot_is(form: str, tmp_path: Path) -> None:
+    """Learn from what was imported; then a drive in the same corridor is followed, place by place."""
+    report, _ = imported(FORMATS[form](tmp_path / "source"), form, tmp_path / "out")
+    teacher = Teacher(corridor.FEATURES, shortest=corridor.LENGTH)
+    teacher.read(Path(report.files[0]))
+    (demonstration,) = teacher.teaching.demonstrations
+    assert demonstration.successful
+    model, _ = learn([demonstration], LearningSettings(corridor.FEATURES, corridor.LENGTH))
+    localizer, visual_map = Localizer(model), model.mapped
+    errors = []
+    for tick, moment in enumerate(sources.drive(10.0)):
+        raw = extract(moment.image, corridor.FEATURES)
+        belief = localizer.observe(raw, moment.pose, [demonstration.atoms[max(tick - 1, 0)]])
+        best = belief.summary(1)
+        errors.append(abs(int(visual_map.keyframes[best.keyframes[0]]) - tick))
+        assert belief.lost < 0.5
+    assert np.mean(errors[5:]) < 3.0
+
+
+def test_an_import_is_the_same_every_time_and_another_source_is_another(tmp_path: Path) -> None:
+    one, other = sources.csv_folder(tmp_path / "one"), sources.csv_folder(tmp_path / "other", 30.0)
+    names = [
+        Path(imported(folder, "folder", tmp_path / out)[0].files[0]).name
+        for folder, out in ((one, "a"), (one, "b"), (other, "c"))
+    ]
+    assert names[0] == names[1] != names[2]
+    assert set(ATOMS) > set(LEGS)
