@@ -6,7 +6,7 @@ import logging
 import time
 from contextlib import suppress
 from pathlib import Path
-from typing import Annotated, Final
+from typing import Annotated, Final, Literal
 
 import typer
 
@@ -26,6 +26,7 @@ from smal.features import FeatureSettings
 
 #: How often dead services are looked for, seconds.
 WATCH_S: Final = 0.5
+RobotBody = Literal["simulator", "ros2"]
 
 
 def up(
@@ -57,6 +58,12 @@ def up(
             help="First of the ports for health and metrics over HTTP, one a service.",
         ),
     ] = None,
+    robot_body: Annotated[
+        RobotBody, typer.Option(help="What the robot drives: the simulator, or a real base that speaks ROS 2.")
+    ] = "simulator",
+    ros2_config: Annotated[
+        Path | None, typer.Option(help="File that says which ROS 2 base; it may begin with a preset.")
+    ] = None,
     robot: options.Robot = options.DEFAULT_ROBOT,
     router: options.Router = None,
     secure: options.Secure = None,
@@ -76,6 +83,7 @@ def up(
     """
     simulator = SimulatorOptions(world, Camera.parse(camera), shake=shake, base=base, variation=variation)
     options.check_world(world)
+    base_name = _check_base(robot_body, ros2_config)
     reached = options.settings_for(robot, router, secure)
     if recordings is not None:
         outputs.make_folder(recordings, "--recordings")
@@ -93,7 +101,7 @@ def up(
     below = flags(root=root.resolve())
     own = {
         "router": ("--insecure",) if insecure else (),
-        "robot": simulator.flags(),
+        "robot": simulator.flags() if ros2_config is None else flags(ros2_config=ros2_config.resolve()),
         "features": feature_flags(features),
         "recognition": (*chain, *below),
         "policy": (*chain, *below),
@@ -107,9 +115,11 @@ def up(
         reached.router,
         {name: own.get(name, ()) + flags(http=addresses.get(name)) for name in services},
         secure=secure,
+        modules={} if base_name is None else {"robot": "services.ros2"},
     )
     with interrupted_by_signals(), Stack(plan) as stack:
-        log.info("ready: robot %s in %s on %s, %s; Ctrl-C stops", robot, world, reached.router, how_secure(credentials))
+        where = base_name or world
+        log.info("ready: robot %s in %s on %s, %s; Ctrl-C stops", robot, where, reached.router, how_secure(credentials))
         if addresses:
             where = ", ".join(f"{name} {address.rpartition(':')[2]}" for name, address in addresses.items())
             log.info("GET /healthz and /metrics on 127.0.0.1: %s", where)
@@ -118,6 +128,22 @@ def up(
                 time.sleep(WATCH_S)
                 stack.restart_dead()
     log.info("stopped")
+
+
+def _check_base(body: RobotBody, config: Path | None) -> str | None:
+    """Return the name of the real base; None for the simulated robot."""
+    if (body == "ros2") != (config is not None):
+        raise UsageError("--robot-body ros2 and --ros2-config FILE go together")
+    if config is None:
+        return None
+    try:
+        from services.ros2.config import ConfigError, read_config  # noqa: PLC0415 - only this needs its packages
+    except ModuleNotFoundError as error:
+        raise UsageError(f"--robot-body ros2 needs the package {error.name}: pip install smal[ros2]") from None
+    try:
+        return read_config(config).name
+    except ConfigError as error:
+        raise UsageError(str(error)) from None
 
 
 def _http_addresses(services: tuple[str, ...], first_port: int | None) -> dict[str, str]:

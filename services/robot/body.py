@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from schemas.base import Atom, Message
 from schemas.rpc import ResetRequest
+from services.kit.node import Detail
 
 
 class OdometryReading(NamedTuple):
@@ -135,3 +136,6 @@ class Body(Protocol[V_co]):
 
     def look(self, tick: int) -> V_co:
         """Return what is seen and felt now, for the frame of a tick; the first of an episode is 0."""
+
+    def detail(self) -> Detail:
+        """Tell how it is, for the robot's status; called on any thread."""

@@ -101,10 +101,11 @@ class ActuatorLoop:
         """Carry out what the gate lets through now."""
         try:
             self._carry_out()
-        except Exception:  # noqa: BLE001 - whatever it is, the robot stands
+        except Exception as error:  # noqa: BLE001 - whatever it is, the robot stands
             self._gate.stop("fault")
             if self._complaints.due():
-                _log.exception("the body has failed: it stands until it is armed again")
+                expected = isinstance(error, ServiceError)
+                _log.error("the body has failed: it stands until it is armed again: %s", error, exc_info=not expected)
             self._stand()
 
     def _carry_out(self) -> None:

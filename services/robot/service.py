@@ -120,6 +120,7 @@ class RobotService:
         }
         if running is not None:
             detail |= running.pace.detail()
+        detail |= self._runner.body.detail()
         # This runs on a thread of the bus: list() takes the counts at one moment.
         detail |= {f"refused {reason}": count for reason, count in list(gate.refused.items())}
         return detail

@@ -9,6 +9,7 @@ from typing import Final
 from schemas.base import Atom
 from schemas.rpc import ResetRequest
 from schemas.topics import DEPTH, OVERHEAD, Topic
+from services.kit.node import Detail
 from services.robot.body import Beginning
 from services.robot.clock import now_s
 from services.simulator.base import STEP_S
@@ -133,3 +134,7 @@ class SimulatedBody:
             if tick and tick == self._kidnap_tick:
                 self.simulation.carry_away()
             return self.simulation.look(now, self._wanted)
+
+    def detail(self) -> Detail:
+        """Tell nothing more."""
+        return {}

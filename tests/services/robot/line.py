@@ -109,6 +109,9 @@ class LineBody:
         imu = (ImuReading(0.02, (0.0, 0.0, 0.1), (0.0, 0.0, 9.81)),) if self.senses else None
         return LineView(self, self.x, self.clock(), self.x >= self.wall, odometry, imu)
 
+    def detail(self) -> dict[str, str | int | float | bool | None]:
+        return {"goal": self.goal}
+
 
 class Reach:
     """The task of being between the goal and as far behind it as it can be seen from."""

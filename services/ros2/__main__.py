@@ -1,0 +1,35 @@
+"""Run a robot with a ROS 2 base: ``python -m services.ros2 --ros2-config turtlebot4.yaml``."""
+
+from __future__ import annotations
+
+from services.kit.node import Node, ServiceError, configure_logging, read_settings, run_service
+from services.robot.runner import Paces
+from services.robot.service import ROBOT, serve_robot
+from services.robot.task import OperatorsTask, Task
+from services.ros2.body import Ros2Body, Ros2View
+from services.ros2.config import ConfigError, Ros2Settings, read_config
+from services.ros2.senses import Senses
+from services.ros2.session import Ros2Session
+
+
+def serve() -> None:
+    """Drive until stopped."""
+    settings = read_settings(Ros2Settings, "ros2")
+    configure_logging(settings.log_level)
+    try:
+        config = read_config(settings.ros2_config)
+    except ConfigError as error:
+        raise ServiceError(str(error)) from None
+
+    def open_body(node: Node) -> tuple[Ros2Body, Paces[Ros2View]]:
+        senses = Senses(config)
+        session = Ros2Session(config, senses)
+        node.log.info("%s at %s, in the dialect %s", config.name, config.router, config.dialect)
+        return Ros2Body(config, senses, session), {}
+
+    task: Task[Ros2View] = OperatorsTask()
+    serve_robot(settings, open_body, task)
+
+
+if __name__ == "__main__":
+    run_service(ROBOT, serve)

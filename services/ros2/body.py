@@ -1,0 +1,230 @@
+"""A ROS 2 base as a body: velocities out, frames in. Knows nothing of Zenoh."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Iterator
+from dataclasses import dataclass
+from typing import Final, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from schemas.base import Atom, Message
+from schemas.rpc import ResetRequest
+from services.kit.node import Detail, ServiceError
+from services.robot.body import Beginning, ImuReading, OdometryReading
+from services.robot.clock import now_s
+from services.robot.gate import MAX_AGE_S
+from services.ros2.config import Ros2Config
+from services.ros2.messages import MessageError
+from services.ros2.senses import Frame, Senses, Wheels, pixels, reading
+
+_DIRECTIONS: Final[dict[Atom, tuple[int, int]]] = {
+    "forward": (1, 0),
+    "backward": (-1, 0),
+    "left": (0, 1),
+    "right": (0, -1),
+    "stop": (0, 0),
+}
+
+
+class Link(Protocol):
+    """The way to the base."""
+
+    def send(self, ahead_m_s: float, turn_rad_s: float, robot_s: float | None) -> None:
+        """Send a velocity; return at once. The robot's time is that of its stamp, if it is known."""
+
+    def lacks(self) -> str | None:
+        """Say what is missing for the base to take velocities; None where nothing is."""
+
+    def detail(self) -> Detail:
+        """Tell how the link is."""
+
+
+@dataclass(frozen=True, eq=False)
+class Ros2View:
+    """One moment of a ROS 2 base, as `services.robot.body.View` asks for it."""
+
+    image: NDArray[np.uint8]
+    captured_s: float
+    contact: bool
+    odometry: OdometryReading | None
+    imu: tuple[ImuReading, ...] | None
+
+    def more(self, _header: Message, made: Collection[str] = ()) -> Iterator[Message]:
+        """Make nothing more: it has no other sensors that we know."""
+        del made
+        yield from ()
+
+
+class Ros2Body:
+    """A real base, as `services.robot.body.Body` asks for it.
+
+    It is moved while the camera and all that must be heard (wheels, scanner, bumpers) are heard. Where something
+    forbids to go on, the movement fails: the robot then stands until a person has looked at it and armed it again.
+
+    Parameters
+    ----------
+    config
+        Which base.
+    senses
+        What its messages say.
+    link
+        Where velocities go.
+    clock
+        The actuator's seconds.
+    """
+
+    def __init__(self, config: Ros2Config, senses: Senses, link: Link, clock: Callable[[], float] = now_s) -> None:
+        self._config = config
+        self._senses = senses
+        self._link = link
+        self._clock = clock
+        self._frame: Frame | None = None
+        self._image = np.zeros((1, 1, 3), np.uint8)
+        self._begun_s = clock()
+        self._felt_s = 0.0
+        self._since: Wheels | None = None
+        self._last: Wheels | None = None
+
+    @property
+    def name(self) -> str:
+        """As the configuration has it."""
+        return self._config.name
+
+    @property
+    def speed_m_s(self) -> float:
+        """As the configuration has it."""
+        return self._config.speed_m_s
+
+    @property
+    def focal_px(self) -> float | None:
+        """As the camera has told it, for the last frame's size."""
+        return self._senses.focal_px(self._image.shape[1])
+
+    @property
+    def watchdog_s(self) -> float:
+        """As the configuration has it."""
+        return self._config.watchdog_s
+
+    @property
+    def braking_s(self) -> float:
+        """As the configuration has it."""
+        return self._config.braking_s
+
+    def drive(self, atom: Atom, speed: float) -> None:
+        """Go on with a movement; stand where somebody who must be heard is silent.
+
+        Raises
+        ------
+        ServiceError
+            Something forbids it.
+        """
+        why = self._senses.forbids(atom)
+        if why is not None:
+            self.stand()
+            raise ServiceError(f"{self.name} must not go {atom}: {why}; it stands until it is armed again")
+        if self._lacks() is not None:
+            self.stand()
+            return
+        ahead, turn = _DIRECTIONS[atom]
+        self._send(ahead * speed * self._config.speed_m_s, turn * speed * self._config.turn_rate_rad_s)
+
+    def stand(self) -> None:
+        """Stop, and stay."""
+        self._send(0.0, 0.0)
+
+    def _send(self, ahead_m_s: float, turn_rad_s: float) -> None:
+        offset_s = self._senses.camera_clock.offset_s
+        self._link.send(ahead_m_s, turn_rad_s, None if offset_s is None else self._clock() - offset_s)
+
+    def _lacks(self) -> str | None:
+        return self._senses.silent() or self._link.lacks()
+
+    def begin(self, request: ResetRequest) -> Beginning:
+        """Be ready where it stands: a person has put it there.
+
+        Raises
+        ------
+        ServiceError
+            Something that it needs is not heard, or it was asked for what only a simulated robot can do.
+        """
+        if request.kidnap_tick is not None:
+            raise ServiceError(f"{self.name} is real: it cannot be carried away at a frame; carry it by hand")
+        frame = self._senses.frame()
+        topic = self._config.full(self._config.camera.topic)
+        if frame is None:
+            raise ServiceError(f"{self.name}: no picture has come from {topic}; {self._hint()}")
+        age_s = self._clock() - frame.captured_s
+        if age_s > MAX_AGE_S:
+            raise ServiceError(f"{self.name}: the last picture of {topic} is {age_s:.1f} s old")
+        lacks = self._lacks()
+        if lacks is not None:
+            raise ServiceError(f"{self.name}: {lacks}; {self._hint()}")
+        self._begun_s = self._felt_s = self._clock()
+        self._senses.touched = False
+        self._senses.imu_since_last()
+        self._frame = None
+        self._since = self._last = self._senses.wheels_at(frame.captured_s)
+        return Beginning()
+
+    def _hint(self) -> str:
+        return f"does {self._config.router} reach it, and do dialect, domain, namespace and distribution fit?"
+
+    def look(self, tick: int) -> Ros2View:
+        """Return the newest frame, and what belongs to its moment.
+
+        While somebody who must be heard is silent, no frame is new: its commands expire, as they do without a camera.
+        """
+        del tick
+        self._take_newest()
+        assert self._frame is not None  # noqa: S101 - begin has seen one, and _take_newest would have raised
+        captured_s = self._frame.captured_s
+        if self._senses.silent() is not None:
+            captured_s = min(captured_s, self._clock() - MAX_AGE_S)
+        return Ros2View(self._image, captured_s, self._senses.touched, self._odometry(captured_s), self._imu())
+
+    def _take_newest(self) -> None:
+        frame = self._senses.frame()
+        if frame is None or frame is self._frame:
+            return
+        try:
+            self._image, self._frame = pixels(frame.message), frame
+        except MessageError as error:
+            topic = self._config.full(self._config.camera.topic)
+            self._senses.refuse(topic, str(error))
+            if self._frame is None:
+                raise ServiceError(f"{self.name}: {topic}: {error}") from None
+
+    def _odometry(self, at_s: float) -> OdometryReading | None:
+        now = self._senses.wheels_at(at_s)
+        if now is None or self._since is None or self._last is None:
+            return None
+        told = reading(now, self._since, self._last)
+        self._last = now
+        return told
+
+    def _imu(self) -> tuple[ImuReading, ...] | None:
+        if self._config.imu is None:
+            return None
+        new = []
+        for one in self._senses.imu_since_last():
+            if one.after_s > self._felt_s:
+                self._felt_s = one.after_s
+                new.append(one._replace(after_s=one.after_s - self._begun_s))
+        return tuple(new)
+
+    def detail(self) -> Detail:
+        """Tell how the base is heard, and how its clock stands."""
+        clock = self._senses.camera_clock
+        frame = self._senses.frame()
+        return {
+            "lacks": self._lacks(),
+            "camera_age_s": None if frame is None else round(self._clock() - frame.captured_s, 3),
+            "camera_delay_s": round(clock.delay_s, 3),
+            "camera_clock_offset_s": None if clock.offset_s is None else round(clock.offset_s, 3),
+            "camera_clock_set_back": clock.set_back,
+            "odometry_leaps": self._senses.track.leaps,
+            **{f"refused {topic}": count for topic, count in list(self._senses.refused.items())},
+            **self._link.detail(),
+        }

@@ -1,0 +1,103 @@
+"""ROS 2 messages: their bytes (CDR) and the hashes of their types, both by the `rosbags` package."""
+
+from __future__ import annotations
+
+from functools import cache
+from typing import Any, Final, Literal, TypeAlias
+
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+Distribution = Literal["humble", "iron", "jazzy", "kilted", "lyrical"]
+#: A message, or a part of one: its class is made of its definition when that is read.
+RosMessage: TypeAlias = Any
+
+TWIST: Final = "geometry_msgs/msg/Twist"
+TWIST_STAMPED: Final = "geometry_msgs/msg/TwistStamped"
+COMPRESSED_IMAGE: Final = "sensor_msgs/msg/CompressedImage"
+IMAGE: Final = "sensor_msgs/msg/Image"
+CAMERA_INFO: Final = "sensor_msgs/msg/CameraInfo"
+ODOMETRY: Final = "nav_msgs/msg/Odometry"
+IMU: Final = "sensor_msgs/msg/Imu"
+LASER_SCAN: Final = "sensor_msgs/msg/LaserScan"
+BOOL: Final = "std_msgs/msg/Bool"
+HAZARDS: Final = "irobot_create_msgs/msg/HazardDetectionVector"
+SENSOR_STATE: Final = "turtlebot3_msgs/msg/SensorState"
+
+# Of bases whose messages are not among those of the distributions.
+_MORE: Final = {
+    "irobot_create_msgs/msg/HazardDetection": "std_msgs/Header header\nuint8 type\n",
+    HAZARDS: "std_msgs/Header header\nirobot_create_msgs/HazardDetection[] detections\n",
+    SENSOR_STATE: "std_msgs/Header header\nuint8 bumper\nfloat32 cliff\nfloat32 sonar\nfloat32 illumination\n"
+    "uint8 led\nuint8 button\nbool torque\nint32 left_encoder\nint32 right_encoder\nfloat32 battery\n",
+}
+
+
+class MessageError(Exception):
+    """Bytes are not what their type says; the text says why in one line."""
+
+
+@cache
+def _store(distribution: Distribution) -> RosMessage:
+    store = get_typestore(Stores(f"ros2_{distribution}"))
+    types: dict[str, Any] = {}
+    for name, text in _MORE.items():
+        types |= get_types_from_msg(text, name)
+    store.register(types)
+    return store
+
+
+class Messages:
+    """Writes and reads the messages of a distribution.
+
+    Parameters
+    ----------
+    distribution
+        Name of the ROS 2 distribution that the robot runs.
+    """
+
+    def __init__(self, distribution: Distribution) -> None:
+        self._store = _store(distribution)
+
+    def type_hash(self, type_name: str) -> str:
+        """Return the hash of a type's definition, ``RIHS01_…``."""
+        return str(self._store.hash_rihs01(type_name))
+
+    def knows(self, type_name: str) -> bool:
+        """Whether a type can be written and read."""
+        return type_name in self._store.types
+
+    def write(self, type_name: str, message: object) -> bytes:
+        """Return the bytes of a message."""
+        return bytes(self._store.serialize_cdr(message, type_name))
+
+    def read(self, type_name: str, payload: bytes) -> RosMessage:
+        """Return the message in some bytes.
+
+        Raises
+        ------
+        MessageError
+            There is none in them.
+        """
+        try:
+            return self._store.deserialize_cdr(payload, type_name)
+        except Exception as error:  # noqa: BLE001 - the package does not say which ones; these are bytes of a stranger
+            raise MessageError(f"not a {type_name}: {type(error).__name__}") from None
+
+    def velocity(self, ahead_m_s: float, turn_rad_s: float, stamp_ns: int | None) -> bytes:
+        """Return a Twist or, with a stamp, a TwistStamped.
+
+        Parameters
+        ----------
+        ahead_m_s, turn_rad_s
+            Speed ahead, and counter-clockwise.
+        stamp_ns
+            By the robot's clock, nanoseconds since 1970; 0 where it is not known.
+        """
+        types = self._store.types
+        vector = types["geometry_msgs/msg/Vector3"]
+        twist = types[TWIST](vector(ahead_m_s, 0.0, 0.0), vector(0.0, 0.0, turn_rad_s))
+        if stamp_ns is None:
+            return self.write(TWIST, twist)
+        stamp = types["builtin_interfaces/msg/Time"](*divmod(stamp_ns, 1_000_000_000))
+        header = types["std_msgs/msg/Header"](stamp, "base_link")
+        return self.write(TWIST_STAMPED, types[TWIST_STAMPED](header, twist))

@@ -1,0 +1,240 @@
+"""The session with the robot's own router, apart from the stack's; the one file here that imports zenoh."""
+
+from __future__ import annotations
+
+import json
+import logging
+import time
+from collections.abc import Callable
+from threading import Lock
+from typing import Any, Final
+
+import zenoh
+
+from schemas.codec import printable
+from services.kit.node import Detail, ServiceError, Throttle
+from services.ros2 import messages
+from services.ros2.config import Ros2Config
+from services.ros2.messages import Messages
+from services.ros2.senses import Senses
+from services.ros2.wire import (
+    Bridge,
+    Dialect,
+    Endpoint,
+    Kind,
+    Qos,
+    RmwZenoh,
+    gid_of,
+    read_attachment,
+    velocity_type,
+)
+
+#: How long the robot's router is waited for at the start; after an outage the connection is made again by itself.
+PATIENCE_MS: Final = 5000
+_VELOCITIES: Final = (messages.TWIST, messages.TWIST_STAMPED)
+#: Sensors' topics are best effort, as `rmw_qos_profile_sensor_data`; commands are reliable.
+_SENSOR, _COMMAND = Qos(reliable=False, depth=5), Qos(reliable=True, depth=10)
+_log = logging.getLogger("ros2")
+
+
+def dialect_of(config: Ros2Config) -> Dialect:
+    """Return how a base is spoken to."""
+    if config.dialect == "zenoh-bridge-ros2dds":
+        return Bridge()
+    own = Messages(config.distribution)
+    return RmwZenoh(own, config.domain, config.namespace, hashed=config.distribution != "humble")
+
+
+def _settings(config: Ros2Config) -> zenoh.Config:
+    settings: dict[str, object] = {
+        # A client: rmw_zenohd does not route between peers.
+        "mode": "client",
+        "connect/endpoints": [config.router],
+        "connect/timeout_ms": PATIENCE_MS,
+        "connect/exit_on_failure": True,
+        "connect/retry": {"period_init_ms": 100, "period_max_ms": 500, "period_increase_factor": 1.5},
+        "scouting/multicast/enabled": False,
+        "transport/link/tx/lease": 2000,
+        "transport/shared_memory/enabled": False,
+    }
+    made = zenoh.Config()
+    for key, value in settings.items():
+        made.insert_json5(key, json.dumps(value))
+    return made
+
+
+class Ros2Session:
+    """The way to a base: hears what it says, sends it velocities, and shows us to `ros2 node list`.
+
+    Parameters
+    ----------
+    config
+        Which base.
+    senses
+        Takes what is heard.
+
+    Raises
+    ------
+    ServiceError
+        Its router does not answer.
+    """
+
+    def __init__(self, config: Ros2Config, senses: Senses) -> None:
+        self._config = config
+        self._senses = senses
+        self._messages = Messages(config.distribution)
+        self._dialect = dialect_of(config)
+        self._topic = config.full(config.velocity.topic)
+        self._lock = Lock()
+        self._tokens: dict[str, Endpoint] = {}
+        self._heard: dict[tuple[str, bytes], int] = {}
+        self._type: str | None = None if config.velocity.type == "auto" else str(config.velocity.type)
+        self._complaints = Throttle()
+        try:
+            self._session = zenoh.open(_settings(config))
+        except zenoh.ZError:
+            raise ServiceError(
+                f"{config.name}: no Zenoh router at {config.router}; on the robot start rmw_zenohd "
+                "(`ros2 run rmw_zenoh_cpp rmw_zenohd`), or zenoh-bridge-ros2dds"
+            ) from None
+        self._zid = str(self._session.info.zid())
+        self._declared: list[Any] = []
+        self._publishers: dict[str, tuple[zenoh.Publisher, bytes]] = {}
+        self._sequence = 0
+        token = self._dialect.node_token(self._zid)
+        if token is not None:
+            self._declared.append(self._session.liveliness().declare_token(token))
+        self._number = 0
+        for topic, (type_name, _) in senses.inputs.items():
+            self._listen(topic, type_name)
+        self._declared.append(
+            self._session.liveliness().declare_subscriber(self._dialect.tokens, self._on_token, history=True)
+        )
+
+    def _announce(self, kind: Kind, topic: str, type_name: str, qos: Qos) -> str:
+        self._number += 1
+        endpoint = Endpoint(kind, topic, type_name, self._dialect.type_hash(type_name))
+        token = self._dialect.endpoint_token(self._zid, self._number, endpoint, qos)
+        if token is None:
+            return ""
+        self._declared.append(self._session.liveliness().declare_token(token))
+        return token
+
+    # -- what is heard --------------------------------------------------------------------------------------------
+
+    def _listen(self, topic: str, type_name: str) -> None:
+        def on_sample(sample: zenoh.Sample) -> None:
+            if self._in_order(topic, sample):
+                self._senses.take(topic, sample.payload.to_bytes())
+
+        key = self._dialect.key(topic, type_name)
+        self._declared.append(self._session.declare_subscriber(key, _called(on_sample)))
+        self._announce("MS", topic, type_name, _SENSOR)
+
+    def _in_order(self, topic: str, sample: zenoh.Sample) -> bool:
+        """Whether a message is newer than all that its publisher has sent before, as far as the dialect tells."""
+        if not self._dialect.attached:
+            return True
+        attached = None if sample.attachment is None else read_attachment(sample.attachment.to_bytes())
+        if attached is None:
+            self._senses.refuse(topic, "without the attachment that rmw_zenoh sends")
+            return False
+        sender = topic, attached.gid
+        if attached.sequence <= self._heard.get(sender, -1):
+            self._senses.refuse(topic, f"number {attached.sequence} of its publisher came after a later one")
+            return False
+        # Of each topic the publisher that is heard now; one that was started again has another id.
+        self._heard = {who: last for who, last in self._heard.items() if who[0] != topic} | {sender: attached.sequence}
+        return True
+
+    # -- who is there ---------------------------------------------------------------------------------------------
+
+    def _on_token(self, sample: zenoh.Sample) -> None:
+        token = str(sample.key_expr)
+        endpoint = self._dialect.read_token(token)
+        if endpoint is None or (endpoint.kind, endpoint.topic) != ("MS", self._topic):
+            return
+        with self._lock:
+            if sample.kind == zenoh.SampleKind.DELETE:
+                self._tokens.pop(token, None)
+            else:
+                self._tokens[token] = endpoint
+            self._choose(list(self._tokens.values()))
+
+    def _choose(self, endpoints: list[Endpoint]) -> None:
+        wanted = velocity_type(endpoints, self._topic, _VELOCITIES)
+        if wanted is None:
+            if endpoints:
+                types = ", ".join(sorted({printable(one.type_name) for one in endpoints}))
+                _log.error("%s takes %s; known are Twist and TwistStamped", self._topic, types)
+            return
+        hashes = {one.type_hash for one in endpoints if one.type_name == wanted}
+        own = self._dialect.type_hash(wanted)
+        if own not in hashes:
+            _log.error(
+                "%s: the robot's %s is %s, that of %s is %s: set distribution to the robot's",
+                self._topic, wanted, printable(min(hashes)), self._config.distribution, own,
+            )  # fmt: skip
+        if self._config.velocity.type != "auto":
+            if wanted != self._config.velocity.type:
+                _log.error("%s takes %s, and velocity.type is %s: it will not move", self._topic, wanted, self._type)
+            return
+        if wanted != self._type:
+            self._type = wanted
+            _log.info("%s takes %s: that is what is sent", self._topic, wanted)
+
+    # -- what is sent ---------------------------------------------------------------------------------------------
+
+    def lacks(self) -> str | None:
+        """Say what is missing for the base to take velocities."""
+        if not self._session.info.routers_zid():
+            return f"no connection to {self._config.router}"
+        if self._type is None or (not self._tokens and self._config.velocity.type == "auto"):
+            return f"nobody subscribes to {self._topic}"
+        return None
+
+    def send(self, ahead_m_s: float, turn_rad_s: float, robot_s: float | None) -> None:
+        """Send a velocity; what the link does not take at once is dropped, for the next one is newer."""
+        type_name = self._type
+        if type_name is None:
+            return
+        stamp_ns = None if type_name == messages.TWIST else 0 if robot_s is None else max(0, round(robot_s * 1e9))
+        publisher, gid = self._publisher(type_name)
+        self._sequence += 1
+        publisher.put(
+            self._messages.velocity(ahead_m_s, turn_rad_s, stamp_ns),
+            attachment=self._dialect.attachment(self._sequence, time.time_ns(), gid),
+        )
+
+    def _publisher(self, type_name: str) -> tuple[zenoh.Publisher, bytes]:
+        made = self._publishers.get(type_name)
+        if made is None:
+            publisher = self._session.declare_publisher(
+                self._dialect.key(self._topic, type_name),
+                congestion_control=zenoh.CongestionControl.DROP,
+                priority=zenoh.Priority.REAL_TIME,
+                express=True,
+            )
+            token = self._announce("MP", self._topic, type_name, _COMMAND)
+            made = self._publishers[type_name] = publisher, gid_of(token)
+        return made
+
+    def detail(self) -> Detail:
+        """Tell the type of the commands."""
+        return {"velocity_type": self._type, "robot_router": bool(self._session.info.routers_zid())}
+
+    def close(self) -> None:
+        """Leave."""
+        self._session.close()
+
+
+def _called(handler: Callable[[zenoh.Sample], None]) -> Callable[[zenoh.Sample], None]:
+    """Log what goes wrong in a callback; Zenoh would end its thread's loop, or say nothing."""
+
+    def call(sample: zenoh.Sample) -> None:
+        try:
+            handler(sample)
+        except Exception:  # noqa: BLE001 - whatever it is, the next sample is taken
+            _log.exception("%s", sample.key_expr)
+
+    return call

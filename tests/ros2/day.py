@@ -1,0 +1,52 @@
+"""Teach the fake TurtleBot one way, and let it search: ``python -m tests.ros2.day --world yard --folder out``."""
+
+# ruff: noqa: T201 - what it prints is what it is for
+
+from __future__ import annotations
+
+import argparse
+import json
+import signal
+from collections import Counter
+from pathlib import Path
+
+from schemas.rpc import Nothing, Status
+from tests.command import run_smal
+from tests.ros2.field import Robot, day_with
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser()
+    parser.add_argument("--world", default="yard")
+    parser.add_argument("--dialect", default="rmw_zenoh")
+    parser.add_argument("--size", default="160x120")
+    parser.add_argument("--rate", default="15")
+    parser.add_argument("--runs", type=int, default=10)
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--model", type=Path, help="of another drive, in place of one of this day")
+    parser.add_argument("--folder", type=Path, required=True)
+    parser.add_argument("more", nargs="*", help="for the fake robot, for example --clock-offset 3600 after --")
+    options = parser.parse_args()
+    robot = Robot(options.folder, options.world, options.dialect, options.size, ("--rate", options.rate, *options.more))
+    outcomes: Counter[str] = Counter()
+    with day_with(robot) as (place, _, person):
+        model = options.model or options.folder / "model.smal"
+        if options.model is None:
+            drive = person.demonstrate(options.seed, options.folder / "drives")
+            print("drive:", drive.outcome, drive.ticks, "frames", flush=True)
+            place.children["camera"].send_signal(signal.SIGSTOP)  # learning wants the processor
+            learned = run_smal("learn", options.folder / "drives", "--out", model)
+            print(learned.stdout[-300:], learned.stderr[-300:], flush=True)
+            place.children["camera"].send_signal(signal.SIGCONT)
+        person.load(model)
+        for k in range(options.runs):
+            record = person.run(options.seed + k, max_ticks=3000)
+            outcomes[record.outcome] += 1
+            detail = person.client.node.bus.call("robot", "status", Nothing(), Status).detail
+            told = {name: value for name, value in detail.items() if "camera" in name or "refused" in name}
+            print(k, record.outcome, record.ticks, "frames", json.dumps(told), flush=True)
+    print(f"{options.world}, {options.dialect}: found {outcomes['found']} of {options.runs}", dict(outcomes))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,317 @@
+"""A robot that speaks ROS 2 over Zenoh, and shares no code with services/ros2: wheels, camera, router, each a process.
+
+``python -m tests.ros2.fake_turtlebot {router,base,camera} …``. It moves and sees in a world of the simulator. Its
+wheels have a watchdog, and their odometry drifts; its clock may be off, its messages late or lost.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import random
+import struct
+import time
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import xxhash
+import zenoh
+import zenoh.ext
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+from services.simulator.drive import WheelSpeeds, move
+from services.simulator.sensors.camera import CameraSettings
+from services.simulator.world import load_world
+from services.simulator.world.collision import obstacles_of
+from services.simulator.world.place import Pose
+from tests.ros2.truth import Truth
+
+STEP_S = 0.02
+WATCHDOG_S = 0.2
+#: As controllers of ros2_control do: a stamped velocity that is older is not carried out.
+OLDEST_S = 0.5
+
+
+def now_s() -> float:
+    """Return the seconds of the log, which the tests compare with their own."""
+    return time.clock_gettime(time.CLOCK_BOOTTIME)
+
+
+def opened(mode: str, endpoint: str) -> zenoh.Session:
+    config = zenoh.Config()
+    config.insert_json5("mode", json.dumps(mode))
+    config.insert_json5("listen/endpoints" if mode == "router" else "connect/endpoints", json.dumps([endpoint]))
+    config.insert_json5("scouting/multicast/enabled", "false")
+    if mode == "client":
+        config.insert_json5("connect/timeout_ms", "-1")
+        config.insert_json5("connect/retry", '{"period_init_ms": 100, "period_max_ms": 500}')
+    return zenoh.open(config)
+
+
+class Ros:
+    """The robot's side of ROS 2, as it is written down for rmw_zenoh and for zenoh-bridge-ros2dds."""
+
+    def __init__(self, node: str, options: argparse.Namespace) -> None:
+        self.session = opened("client", options.endpoint)
+        self.options = options
+        self.random = random.Random(options.seed)  # noqa: S311
+        self.types = get_typestore(Stores.ROS2_HUMBLE if options.humble else Stores.ROS2_JAZZY)
+        detection = get_types_from_msg("std_msgs/Header header\nuint8 type", "irobot_create_msgs/msg/HazardDetection")
+        vector = get_types_from_msg(
+            "std_msgs/Header header\nirobot_create_msgs/HazardDetection[] detections",
+            "irobot_create_msgs/msg/HazardDetectionVector",
+        )
+        self.types.register({**detection, **vector})
+        self.node = node
+        self.count = 0
+        self.kept: list[Any] = []
+        zid = str(self.session.info.zid())
+        if options.dialect == "rmw_zenoh":
+            self._alive(f"@ros2_lv/0/{zid}/0/0/NN/%/%/{node}")
+
+    def _alive(self, token: str) -> None:
+        self.kept.append(self.session.liveliness().declare_token(token))
+
+    def _names(self, kind: str, topic: str, type_name: str) -> tuple[str, str]:
+        """Return the key and the token of an endpoint."""
+        zid, (package, _, name) = self.session.info.zid(), type_name.split("/")
+        if self.options.dialect != "rmw_zenoh":
+            escaped = type_name.replace("/", "§")
+            return topic, f"@/{zid}/@ros2_lv/{kind}/{topic.replace('/', '§')}/{escaped}/:::"
+        self.count += 1
+        digest = "TypeHashNotSupported" if self.options.humble else self.types.hash_rihs01(type_name)
+        kept = f"{package}::msg::dds_::{name}_/{digest}"
+        mangled = "%" + topic.replace("/", "%")
+        return (
+            f"0/{topic}/{kept}",
+            f"@ros2_lv/0/{zid}/0/{self.count}/{kind}/%/%/{self.node}/{mangled}/{kept}/::,10:,:,:,,",
+        )
+
+    def stamp(self) -> Any:
+        at = time.time() + self.options.clock_offset
+        return self.types.types["builtin_interfaces/msg/Time"](int(at), int(at % 1 * 1e9))
+
+    def header(self, frame: str) -> Any:
+        return self.types.types["std_msgs/msg/Header"](self.stamp(), frame)
+
+    def publisher(self, topic: str, type_name: str) -> Any:
+        key, token = self._names("MP", topic, type_name)
+        self._alive(token)
+        publisher = self.session.declare_publisher(key, congestion_control=zenoh.CongestionControl.DROP)
+        digest = xxhash.xxh3_128(token.encode()).intdigest()
+        gid = struct.pack("<QQ", digest % 2**64, digest >> 64)
+        sent = 0
+
+        def publish(message: Any) -> None:
+            nonlocal sent
+            sent += 1
+            attachment = None
+            if self.options.dialect == "rmw_zenoh":
+                values = (zenoh.ext.Int64(sent), zenoh.ext.Int64(time.time_ns()), gid)
+                attachment = zenoh.ext.z_serialize(values)
+            if self.random.random() < self.options.loss:
+                return
+            if self.options.jitter:
+                time.sleep(self.random.random() * self.options.jitter)
+            publisher.put(bytes(self.types.serialize_cdr(message, type_name)), attachment=attachment)
+
+        return publish
+
+    def subscribe(self, topic: str, type_name: str, take: Any) -> None:
+        key, token = self._names("MS", topic, type_name)
+
+        def on_sample(sample: zenoh.Sample) -> None:
+            if self.options.dialect == "rmw_zenoh":
+                if sample.attachment is None:
+                    return  # as rmw_zenoh does
+                size = len(sample.attachment.to_bytes())
+                assert size == 33, size
+            take(self.types.deserialize_cdr(sample.payload.to_bytes(), type_name))
+
+        self.kept.append(self.session.declare_subscriber(key, on_sample))
+        self._alive(token)
+
+
+class Base:
+    """Two wheels with a watchdog. It knows nothing of who drives it."""
+
+    def __init__(self, options: argparse.Namespace) -> None:
+        self.options = options
+        self.world = load_world(options.world)
+        self.track_m = self.world.robot.drive.track_m
+        self.obstacles = obstacles_of(self.world.place)
+        self.truth = Truth(Path(options.truth))
+        self.pose = self.world.start
+        self.odometry = Pose(0.0, 0.0, 0.0)
+        self.rng = np.random.default_rng(options.seed)
+        # Its wheels are not quite what it believes: so its odometry drifts.
+        self.scale = 1.0 + 0.005 * self.rng.standard_normal(2)
+        self.order = (0.0, 0.0, -math.inf)
+        self.moves = (0.0, 0.0)
+        self.due_s = now_s() + STEP_S
+
+    def take(self, message: Any) -> None:
+        twist = getattr(message, "twist", message)
+        if twist is not message:
+            stamp = message.header.stamp.sec + message.header.stamp.nanosec / 1e9
+            if abs(time.time() + self.options.clock_offset - stamp) > OLDEST_S:
+                return
+        self.order = (float(twist.linear.x), float(twist.angular.z), now_s())
+        self.truth["orders"] += 1
+
+    def step(self) -> None:
+        ahead, turn, ordered_s = self.order
+        if self.due_s - ordered_s > WATCHDOG_S:
+            ahead = turn = 0.0
+        self.moves = ahead, turn
+        half = turn * self.track_m / 2
+        errors = 1.0 + 0.03 * self.rng.standard_normal(2)
+        wheels = WheelSpeeds(float((ahead - half) * errors[0]), float((ahead + half) * errors[1]))
+        there = move(self.pose, wheels, self.track_m, STEP_S)
+        if self.obstacles.is_free(there.x, there.y):
+            self.pose = there
+        else:
+            self.truth["collided"] = 1.0
+        believed = WheelSpeeds(wheels.left * self.scale[0], wheels.right * self.scale[1])
+        self.odometry = move(self.odometry, believed, self.track_m, STEP_S)
+        if self.truth["put"] != self.truth["was_put"]:
+            self.pose = Pose(self.truth["put_x"], self.truth["put_y"], self.truth["put_heading"])
+            self.truth["collided"], self.truth["was_put"] = 0.0, self.truth["put"]
+        truth = self.truth
+        truth["x"], truth["y"], truth["heading"] = self.pose.x, self.pose.y, self.pose.heading
+        truth["ahead_m_s"], truth["turn_rad_s"], truth["ordered_s"] = ahead, turn, ordered_s
+        truth["t_s"] = self.due_s
+
+    def run(self, ros: Ros) -> None:
+        types = ros.types.types
+        ros.subscribe("cmd_vel", f"geometry_msgs/msg/{self.options.twist}", self.take)
+        roll = ros.publisher("odom", "nav_msgs/msg/Odometry")
+        feel = ros.publisher("imu", "sensor_msgs/msg/Imu")
+        warn = ros.publisher("hazard_detection", "irobot_create_msgs/msg/HazardDetectionVector")
+        vector, quaternion = types["geometry_msgs/msg/Vector3"], types["geometry_msgs/msg/Quaternion"]
+        hazard, hazards = (types[f"irobot_create_msgs/msg/HazardDetection{end}"] for end in ("", "Vector"))
+        nothing, number = np.zeros(36), 0
+        with Path(self.options.log).open("a", buffering=1) as log:
+            while True:
+                time.sleep(max(0.0, self.due_s - now_s()))
+                while self.due_s <= now_s():
+                    self.step()
+                    log.write(json.dumps([self.due_s, self.pose.x, self.pose.y, *self.moves, self.order[2]]) + "\n")
+                    self.due_s += STEP_S
+                number += 1
+                ahead, turn = self.moves
+                half = self.odometry.heading / 2
+                turned = quaternion(0.0, 0.0, math.sin(half), math.cos(half))
+                where = types["geometry_msgs/msg/Pose"](
+                    types["geometry_msgs/msg/Point"](self.odometry.x, self.odometry.y, 0.0), turned
+                )
+                speeds = types["geometry_msgs/msg/Twist"](vector(ahead, 0.0, 0.0), vector(0.0, 0.0, turn))
+                roll(
+                    types["nav_msgs/msg/Odometry"](
+                        ros.header("odom"),
+                        "base_link",
+                        types["geometry_msgs/msg/PoseWithCovariance"](where, nothing),
+                        types["geometry_msgs/msg/TwistWithCovariance"](speeds, nothing),
+                    )
+                )
+                nine = np.zeros(9)
+                feel(
+                    types["sensor_msgs/msg/Imu"](
+                        ros.header("imu_link"), turned, nine, vector(0.0, 0.0, turn), nine, vector(0.0, 0.0, 9.81), nine
+                    )
+                )
+                if number % 2 == 0:
+                    found = [hazard(ros.header("bump"), 1)] if self.truth["collided"] else []
+                    warn(hazards(ros.header("base_link"), found))
+
+
+def see(options: argparse.Namespace, ros: Ros) -> None:
+    """Send pictures of where the robot truly is, for ever."""
+    from services.simulator.scene.rendering import SceneCamera  # noqa: PLC0415 - only the camera needs a renderer
+
+    width, height = options.size
+    world = load_world(options.world)
+    camera = SceneCamera(world, CameraSettings(width, height))
+    truth = Truth(Path(options.truth))
+    types = ros.types.types
+    raw = options.encoding != "jpeg"
+    show = ros.publisher(
+        "camera/image_raw" if raw else "camera/image_raw/compressed",
+        "sensor_msgs/msg/Image" if raw else "sensor_msgs/msg/CompressedImage",
+    )
+    tell = ros.publisher("camera/camera_info", "sensor_msgs/msg/CameraInfo")
+    focal, number, due_s = camera.focal_px, 0, now_s()
+    while True:
+        time.sleep(max(0.0, due_s - now_s()))
+        due_s = max(due_s + 1.0 / options.rate, now_s())
+        header = ros.header("camera")
+        pose = Pose(truth["x"], truth["y"], truth["heading"])
+        image = camera.render(pose)
+        near = math.hypot(world.victim.x - pose.x, world.victim.y - pose.y) <= world.scale.found_m
+        truth["victim"] = camera.victim_pixels(pose) if near else 0.0
+        if raw:
+            rows, step = encoded(image, options.encoding)
+            show(types["sensor_msgs/msg/Image"](header, height, width, options.encoding, 0, step, rows))
+        else:
+            _, jpeg = cv2.imencode(".jpg", cv2.cvtColor(image, cv2.COLOR_RGB2BGR), [cv2.IMWRITE_JPEG_QUALITY, 85])
+            show(types["sensor_msgs/msg/CompressedImage"](header, "rgb8; jpeg compressed bgr8", jpeg.ravel()))
+        truth["frames"] += 1
+        if number % options.rate == 0:
+            k = np.array([focal, 0, width / 2, 0, focal, height / 2, 0, 0, 1.0])
+            region = types["sensor_msgs/msg/RegionOfInterest"](0, 0, 0, 0, False)
+            p = np.zeros(12)
+            tell(
+                types["sensor_msgs/msg/CameraInfo"](
+                    header, height, width, "plumb_bob", np.zeros(5), k, np.eye(3).ravel(), p, 0, 0, region
+                )
+            )
+        number += 1
+
+
+def encoded(image: np.ndarray, encoding: str) -> tuple[np.ndarray, int]:
+    """Return the bytes of an RGB image in another encoding, with a few bytes after each row, and how many a row has."""
+    if encoding == "yuv422":
+        yuv = cv2.cvtColor(image, cv2.COLOR_RGB2YUV).astype(np.int32)
+        pairs = (yuv[:, 0::2, 1:] + yuv[:, 1::2, 1:]) // 2
+        rows = np.stack([pairs[..., 0], yuv[:, 0::2, 0], pairs[..., 1], yuv[:, 1::2, 0]], axis=-1)
+    else:
+        rows = {"rgb8": image, "bgr8": image[..., ::-1], "mono8": cv2.cvtColor(image, cv2.COLOR_RGB2GRAY)}[encoding]
+    flat = np.asarray(rows, dtype=np.uint8).reshape(image.shape[0], -1)
+    padded = np.pad(flat, ((0, 0), (0, 4)))
+    return padded.ravel(), padded.shape[1]
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser()
+    parser.add_argument("part", choices=["router", "base", "camera"])
+    parser.add_argument("--endpoint", required=True)
+    parser.add_argument("--dialect", default="rmw_zenoh")
+    parser.add_argument("--world", default="yard")
+    parser.add_argument("--truth")
+    parser.add_argument("--log", default="/dev/null")
+    parser.add_argument("--twist", default="Twist")
+    parser.add_argument("--humble", action="store_true")
+    parser.add_argument("--size", type=lambda text: tuple(map(int, text.split("x"))), default=(160, 120))
+    parser.add_argument("--rate", type=int, default=15)
+    parser.add_argument("--encoding", default="jpeg")
+    parser.add_argument("--clock-offset", type=float, default=0.0)
+    parser.add_argument("--loss", type=float, default=0.0)
+    parser.add_argument("--jitter", type=float, default=0.0)
+    parser.add_argument("--seed", type=int, default=1)
+    options = parser.parse_args()
+    if options.part == "router":
+        session = opened("router", options.endpoint)
+        while True:
+            time.sleep(1.0)
+            session.info.zid()
+    ros = Ros(options.part, options)
+    if options.part == "base":
+        Base(options).run(ros)
+    see(options, ros)
+
+
+if __name__ == "__main__":
+    main()

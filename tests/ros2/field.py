@@ -1,0 +1,281 @@
+"""A fake TurtleBot, and a stack that drives it: processes that a test may harm."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from schemas import topics
+from schemas.base import Message
+from schemas.observation import Observation
+from schemas.pose import Pose as PoseMessage
+from schemas.rpc import ArmRequest, EndRequest, LoadReply, LoadRequest, Nothing, ResetReply, ResetRequest, Status
+from services.cli.episodes.client import EpisodeClient, EpisodeRecord
+from services.cli.episodes.recording import recording
+from services.cli.stack.processes import Stack, StackPlan, flags, free_endpoint
+from services.expert.service import ExpertService
+from services.kit.bus import RpcError
+from services.simulator.view import VISIBLE_FRACTION
+from services.simulator.world import load_world
+from services.simulator.world.place import Pose
+from services.simulator.world.route import plan_route
+from services.simulator.world.starts import sample_start
+from services.table import stack_services
+from tests.ros2.truth import Truth
+
+STARTED_S = 60.0
+
+
+@dataclass(frozen=True)
+class Robot:
+    """What the fake robot is."""
+
+    folder: Path
+    world: str = "yard"
+    dialect: str = "rmw_zenoh"
+    size: str = "160x120"
+    more: tuple[str, ...] = ()
+    humble: bool = False
+    encoding: str = "jpeg"
+
+
+class Field:
+    """The robot's processes, and its truth."""
+
+    def __init__(self, robot: Robot, endpoint: str) -> None:
+        self.robot, self.endpoint = robot, endpoint
+        self.world = load_world(robot.world)
+        robot.folder.mkdir(parents=True, exist_ok=True)
+        self.truth = Truth(robot.folder / "truth")
+        self.log = robot.folder / "steps.jsonl"
+        self.children: dict[str, subprocess.Popen[bytes]] = {}
+
+    def start(self, part: str) -> None:
+        """Start a process of the robot, or start it again."""
+        robot = self.robot
+        command = [sys.executable, "-m", "tests.ros2.fake_turtlebot", part, "--endpoint", self.endpoint]
+        command += ["--dialect", robot.dialect, "--world", robot.world, "--truth", str(robot.folder / "truth")]
+        command += ["--log", str(self.log), "--size", robot.size, "--encoding", robot.encoding]
+        command += ["--humble"] if robot.humble else []
+        with (robot.folder / f"{part}.log").open("ab") as log:
+            self.children[part] = subprocess.Popen([*command, *robot.more], stdout=log, stderr=log)
+
+    def stop(self) -> None:
+        """End them all."""
+        for child in self.children.values():
+            child.send_signal(signal.SIGCONT)
+            child.kill()
+            child.wait()
+
+    def config(self) -> Path:
+        """Write what the service is told of this robot."""
+        robot, drive = self.robot, self.world.robot.drive
+        raw = robot.encoding != "jpeg"
+        told: dict[str, Any] = {
+            "preset": "generic",
+            "name": "fake",
+            "router": self.endpoint,
+            "dialect": robot.dialect,
+            "distribution": "humble" if robot.humble else "jazzy",
+            "speed_m_s": drive.speed_m_s,
+            "turn_rate_rad_s": drive.turn_rate_rad_s,
+            "braking_s": 0.0,
+            "watchdog_s": 0.2,
+            "camera": {
+                "topic": "camera/image_raw" if raw else "camera/image_raw/compressed",
+                "type": "sensor_msgs/msg/Image" if raw else "sensor_msgs/msg/CompressedImage",
+                "latency_s": 0.0,
+            },
+            "imu": {"topic": "imu"},
+            "stops": [{"topic": "hazard_detection", "type": "irobot_create_msgs/msg/HazardDetectionVector"}],
+        }
+        path = robot.folder / "fake.yaml"
+        path.write_text(json.dumps(told))  # JSON is YAML
+        return path
+
+    def steps(self, since_s: float) -> list[list[float]]:
+        """Return what the wheels did: when, where, their velocities, and when the order came."""
+        lines = self.log.read_text().splitlines()
+        # The last line may be half written; of a day's work the end is enough.
+        return [step for step in map(json.loads, lines[-4000:-1]) if step[0] >= since_s]
+
+    def carry(self, pose: Pose) -> None:
+        """Carry the robot somewhere, as a person does; wait until its camera sees that."""
+        self.truth.put(pose.x, pose.y, pose.heading)
+        frames = self.truth["frames"]
+        until(lambda: self.truth["was_put"] == self.truth["put"] and self.truth["frames"] > frames + 3)
+
+    def begin_at(self, seed: int, purpose: str) -> Pose:
+        """Carry it to where the simulator would begin an episode."""
+        number = {"drive": 0, "run": 1}[purpose]
+        pose = sample_start(self.world, np.random.default_rng([seed, number, 0]), purpose)  # type: ignore[arg-type]
+        self.carry(pose)
+        return pose
+
+    def found(self) -> bool:
+        """Whether the victim is near, and in view."""
+        x, y = self.truth["x"], self.truth["y"]
+        near = math.hypot(self.world.victim.x - x, self.world.victim.y - y) <= self.world.scale.found_m
+        return near and self.truth["victim"] >= VISIBLE_FRACTION
+
+    @property
+    def moving(self) -> bool:
+        """Whether it moves."""
+        return self.truth["ahead_m_s"] != 0.0 or self.truth["turn_rad_s"] != 0.0
+
+
+def until(holds: Callable[[], object], timeout_s: float = STARTED_S) -> None:
+    """Wait until something holds."""
+    deadline_s = time.monotonic() + timeout_s
+    while not holds():
+        assert time.monotonic() < deadline_s, f"not within {timeout_s} s: {holds}"
+        time.sleep(0.005)
+
+
+@contextmanager
+def robot_for(robot: Robot) -> Iterator[Field]:
+    """Have a robot for as long as the context lasts."""
+    place = Field(robot, free_endpoint())
+    try:
+        for part in ("router", "base", "camera"):
+            place.start(part)
+        until(lambda: place.truth["t_s"] and place.truth["frames"])
+        yield place
+    finally:
+        place.stop()
+
+
+@contextmanager
+def stack_with(place: Field, *, link: str | None = None) -> Iterator[Stack]:
+    """Have a stack with that robot; ``link`` is the address by which its robot's router is reached."""
+    config = place.config()
+    if link is not None:
+        config.write_text(config.read_text().replace(place.endpoint, link))
+    services = stack_services()
+    plan = StackPlan(
+        services,
+        "fake",
+        free_endpoint(),
+        {"robot": flags(ros2_config=config)},
+        logs=place.robot.folder / "logs",
+        modules={"robot": "services.ros2"},
+    )
+    os.environ["SMAL_ATTENDED"] = "false"  # nobody sits at a console in a test
+    try:
+        with Stack(plan) as stack:
+            yield stack
+    finally:
+        del os.environ["SMAL_ATTENDED"]
+
+
+@dataclass
+class Person:
+    """Who carries the robot, drives it by the map, and says when it has found the victim."""
+
+    place: Field
+    client: EpisodeClient
+    expert: ExpertService = field(default_factory=ExpertService)
+    _said: bool = False
+
+    def __post_init__(self) -> None:
+        self.client.watch_poses()
+        self.client.node.subscribe(topics.OBSERVATION, self._drive, depth=4)
+        self.client.node.bus.wait_connected(5.0)
+
+    def _drive(self, observation: Observation) -> Message | None:
+        truth = self.place.truth
+        pose = PoseMessage.after(observation, x_m=truth["x"], y_m=truth["y"], heading_rad=truth["heading"])
+        self.expert.see(pose)
+        return self.expert.handle(observation)
+
+    def _say(self, holds: Callable[[], bool]) -> Callable[[], bool]:
+        def look() -> bool:
+            if holds() and not self._said:
+                self._said = True
+                bus, episode = self.client.node.bus, self._episode
+                bus.call(
+                    "robot", "end", EndRequest(episode=episode, found=True, session=self.client.node.session), Nothing
+                )
+            return False
+
+        return look
+
+    def demonstrate(self, seed: int, folder: Path) -> EpisodeRecord:
+        """Drive to the victim once, and have that recorded."""
+        start = self.place.begin_at(seed, "drive")
+        route = plan_route(self.place.world, (start.x, start.y))
+
+        def begin(reply: ResetReply) -> None:
+            self._episode, self._said = reply.episode, False
+            way = tuple((float(x), float(y)) for x, y in route)
+            self.expert.begin(reply.model_copy(update={"route": way, "found_m": self.place.world.scale.found_m}))
+
+        request = ResetRequest(seed=seed, purpose="drive", driver="expert", mode="realtime", max_ticks=20000)
+        with recording(self.client.node.bus, folder):
+            return self.client.run(request, on_begin=begin, done=self._say(lambda: self.expert.arrived))
+
+    def load(self, model: Path) -> None:
+        """Have recognition and policy work with a model."""
+        for service in ("recognition", "policy"):
+            self.client.node.bus.call(
+                service, "load", LoadRequest(path=str(model.resolve())), LoadReply, timeout_s=60.0
+            )
+
+    def run(self, seed: int, max_ticks: int) -> EpisodeRecord:
+        """Let it search by itself."""
+        self.place.begin_at(seed, "run")
+        self.arm()
+
+        def begin(reply: ResetReply) -> None:
+            self._episode, self._said = reply.episode, False
+
+        request = ResetRequest(seed=seed, driver="policy", mode="realtime", max_ticks=max_ticks)
+        return self.client.run(request, on_begin=begin, done=self._say(self.place.found))
+
+    def arm(self) -> None:
+        """Arm the robot where it stands for something, and wait until it is heard again."""
+        bus = self.client.node.bus
+        until(lambda: bus.call("robot", "status", Nothing(), Status).detail["lacks"] is None)
+        detail = bus.call("robot", "status", Nothing(), Status).detail
+        if detail["emergency_stop"]:
+            bus.call("robot", "arm", ArmRequest(stop=int(detail["emergency_stop"] or 0)), Nothing)
+
+    def begins(self, **fields: object) -> ResetReply:
+        """Begin an episode as soon as the robot is ready for it."""
+        request = ResetRequest.model_validate(
+            {"seed": 1, "mode": "realtime", "session": self.client.node.session} | fields
+        )
+        replies: list[ResetReply] = []
+
+        def asked() -> bool:
+            try:
+                replies.append(self.client.node.bus.call("robot", "reset", request, ResetReply, timeout_s=5.0))
+            except RpcError:
+                return False
+            return True
+
+        until(asked)
+        return replies[0]
+
+
+@contextmanager
+def day_with(robot: Robot) -> Iterator[tuple[Field, Stack, Person]]:
+    """Have a robot, a stack and a person."""
+    with ExitStack() as stacked:
+        place = stacked.enter_context(robot_for(robot))
+        stack = stacked.enter_context(stack_with(place))
+        client = EpisodeClient("person", stack.settings)
+        stacked.callback(client.close)
+        yield place, stack, Person(place, client)
