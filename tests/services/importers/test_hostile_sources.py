@@ -179,7 +179,9 @@ def jpeg_that_claims(pixels: int) -> bytes:
     "data",
     [
         png_that_claims(30_000, 30_000), png_that_claims(4000, 3000), png_that_claims(0, 0), png_that_claims(2**31, 1),
-        jpeg_that_claims(32_700), encode_jpeg(sources.drive()[0].image)[:-300], encode_jpeg(np.zeros((8, 8, 3), np.uint8)),
+        jpeg_that_claims(32_700),
+        encode_jpeg(sources.drive()[0].image)[:-300],
+        encode_jpeg(np.zeros((8, 8, 3), np.uint8)),
         encode_jpeg(np.zeros((24, 5000, 3), np.uint8)), b"GIF89a", b"", b"\xff\xd8", NOTHING_ZIPPED,
     ],
     ids=["png-900-megapixels", "png-4000x3000-of-nothing", "png-0x0", "png-two-billion-wide", "jpeg-one-gigapixel",
@@ -304,7 +306,8 @@ def test_a_bag_whose_end_is_missing_gives_its_whole_messages(tmp_path: Path) -> 
     ("statement", "said"),
     [
         ("DROP TABLE messages", "no tables of topics and messages"),
-        ("ALTER TABLE messages RENAME TO real; CREATE VIEW messages AS WITH RECURSIVE r(n) AS (SELECT 1 UNION ALL SELECT "
+        ("ALTER TABLE messages RENAME TO real; "
+         "CREATE VIEW messages AS WITH RECURSIVE r(n) AS (SELECT 1 UNION ALL SELECT "
          "n + 1 FROM r) SELECT n AS id, 1 AS topic_id, n AS timestamp, zeroblob(9) AS data FROM r",
          "no tables of topics and messages"),
         ("UPDATE topics SET serialization_format = 'json'", "no topic of image"),
