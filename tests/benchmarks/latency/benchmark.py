@@ -69,7 +69,9 @@ def benchmark(plan: Plan, model: Path, recordings: Path, logs: Path) -> dict[str
     endpoint, below = free_endpoint(), flags(root=model.resolve().parent)
     total = plan.ticks * len(plan.schemes) * len(plan.cameras)
     with (
-        Stack(StackPlan(SERVICES, _ROBOT, endpoint, dict.fromkeys(("recognition", "policy"), below), logs)) as stack,
+        Stack(
+            StackPlan(SERVICES, _ROBOT, endpoint, dict.fromkeys(("recognition", "policy"), below), logs=logs)
+        ) as stack,
         closing(Robot(ServiceSettings(robot=_ROBOT, router=endpoint), stages=plan.stages)) as robot,
         tqdm(total=total, desc="driving", unit="frame", dynamic_ncols=True) as bar,
     ):

@@ -114,7 +114,7 @@ def test_a_table_is_aligned() -> None:
 def test_hz_measures_each_key_until_ctrl_c(listen: Listen) -> None:
     listening = listen("hz", "--json", "--seconds", "60")
     assert listening.process.stderr is not None
-    assert listening.process.stderr.readline() == "listening to smal/** for 60 s\n"
+    assert listening.process.stderr.readline() == "listening to smal/rescuebot/** for 60 s\n"
     # The subscription was there before that line was printed, but the router passes it on in the background: it knows
     # the later listener's only after this one's.
     listen("echo", "--count", "20").lines_until(20, EXAMPLES[Command], EXAMPLES[Image])
