@@ -89,7 +89,7 @@ def _records(
 def _record(values: dict[str, Any], rate_hz: float | None) -> _Record | None:
     index = int(values["_index"])
     time_s = float(values["_timestamp_ms"]) / 1000.0 if rate_hz is None else index / rate_hz
-    angle, throttle = (min(1.0, max(-1.0, float(values[name]))) for name in (_ANGLE, _THROTTLE))
+    angle, throttle = (float(values[name]) for name in (_ANGLE, _THROTTLE))
     if not all(map(math.isfinite, (time_s, angle, throttle))) or not isinstance(values[_IMAGE], str):
         raise ValueError("no number")
     if values.get(_MODE, "user") != "user":
@@ -100,8 +100,9 @@ def _record(values: dict[str, Any], rate_hz: float | None) -> _Record | None:
 def _drive(inside: Inside, name: str, session: list[_Record], wishes: Wishes, tally: Tally) -> Drive:
     check_rate(np.array([record.time_s for record in session]), inside)
     speed, turn_rate = wishes.speed or 1.0, wishes.turn_rate or 1.0
-    # Of donkeycar -1 is full left.
-    rows = [(r.time_s, speed * r.throttle, -turn_rate * r.angle * r.throttle) for r in session]
+    # Of donkeycar -1 is full left; no car does more than all, whatever the joystick says.
+    shares = [(r.time_s, *np.clip((r.throttle, r.angle), -1.0, 1.0).tolist()) for r in session]
+    rows = [(time_s, speed * throttle, -turn_rate * angle * throttle) for time_s, throttle, angle in shares]
 
     def frames() -> Iterator[Frame]:
         for record in session:

@@ -34,7 +34,7 @@ def frames_at(file: IO[bytes], called: str, times_s: Array, tolerance_s: float) 
             yield from _nearest(
                 _decoded(container, container.streams.video[0], float(times_s[0])), times_s, tolerance_s
             )
-    except (av.FFmpegError, ValueError, OverflowError, MemoryError) as error:
+    except (av.FFmpegError, OSError, ValueError, OverflowError, MemoryError) as error:
         raise ImportFailure(f"{called}: not a video that can be read: {_said(error)}") from None
 
 

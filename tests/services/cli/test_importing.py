@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 import sys
 from pathlib import Path
 
@@ -87,10 +86,7 @@ def test_a_failed_import_leaves_nothing_behind(smal, tmp_path: Path) -> None:  #
 def test_a_decoder_that_breaks_down_is_one_line(
     smal, end: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch  # noqa: ANN001
 ) -> None:  # fmt: skip
-    program = f"import os, services.importers.job as job\njob.run = lambda *_: exec('import os; {end}')\n"
-    program += "from services.importers.__main__ import main\nraise SystemExit(main())"
-    monkeypatch.setattr(importing, "_COMMAND", (sys.executable, "-c", program))
-    program = program.replace("job.run =", "import services.importers.__main__ as m; m.run =")
+    program = f"import services.importers.__main__ as m; m.run = lambda *_: exec('import os; {end}'); m.main()"
     monkeypatch.setattr(importing, "_COMMAND", (sys.executable, "-c", program))
     status, _, errors = smal("import", "folder", str(tmp_path), "--out", str(tmp_path / "out"))
     assert (status, errors.count("\n")) == (1, 1)
@@ -112,12 +108,3 @@ def test_a_table_that_unpacks_to_all_memory_is_one_line(smal, tmp_path: Path) ->
     status, _, errors = smal("import", "lerobot", str(dataset), "--out", str(tmp_path / "out"))
     assert (status, errors.count("\n")) == (1, 1)
     assert str(dataset) in errors
-
-
-def test_the_real_tub_says_that_its_times_are_wrong(smal, tmp_path: Path) -> None:  # noqa: ANN001
-    tub = Path(os.environ.get("SMAL_SHARED", "../shared")) / "data/donkeycar_tub"
-    if not tub.is_dir():
-        pytest.skip(f"{tub} is not here")
-    status, _, errors = smal("import", "donkeycar", str(tub), "--out", str(tmp_path))
-    assert status == 1
-    assert "--rate 20" in errors

@@ -30,7 +30,7 @@ def test_every_tick_shows_the_nearest_frame_and_none_that_is_far(times_s: list[f
     for tick in made:
         due_s = times_s[0] + TICK_S * tick.number
         off = abs(tick.frame.time_s - due_s)
-        assert off <= min(GAP_S, min(abs(time_s - due_s) for time_s in times_s)) + 1e-4
+        assert off <= min(GAP_S, *(abs(time_s - due_s) for time_s in times_s)) + 1e-4
     # And no tick is missing that a frame is near to.
     span = max(0, math.floor((times_s[-1] - times_s[0]) / TICK_S))
     for number in set(range(span)) - set(numbers):
@@ -51,8 +51,8 @@ def test_a_camera_of_ten_hertz_that_jitters_has_each_frame_once(jitter_s: float)
 def test_a_gap_is_a_gap_and_counted() -> None:
     tally = Tally()
     made = list(ticks(iter(frames([0.0, 0.1, 0.2, 5.0, 5.1])), 0.0, 1e9, tally))
-    assert [tick.number for tick in made] == [0, 1, 2, 3, 49, 50, 51][:3] + [3] * (len(made) == 7) + [49, 50, 51]
-    assert tally.counts["ticks have no frame"] >= 45
+    assert [tick.number for tick in made] == [0, 1, 2, 3, 49, 50, 51]
+    assert tally.counts == {"ticks have no frame": 45, "ticks show the frame of the tick before": 2}
 
 
 @pytest.mark.parametrize("late_s", [1e9, 1e30, 1e308])
@@ -72,7 +72,7 @@ ROWS = st.lists(st.tuples(st.floats(0.0, 20.0), st.floats(-2.0, 2.0), st.floats(
 
 
 @given(ROWS)
-def test_a_velocity_holds_until_the_next_and_no_longer_than_a_base_obeys(
+def test_a_velocity_holds_until_the_next_and_as_long_as_a_base_obeys(
     rows: list[tuple[float, float, float]],
 ) -> None:
     motion = Motion.of(rows)
@@ -125,7 +125,7 @@ def test_where_odometry_was_silent_there_is_none() -> None:
     drive = Drive("lap", Motion.of([]), lambda: iter(()), 0, Track.of(rows))
     found = odometry(drive, 0.1 * np.arange(40), None)
     assert found is not None
-    assert np.flatnonzero(~found[1]).tolist() == list(range(15, 25))
+    assert set(range(15, 25)) <= set(np.flatnonzero(~found[1]).tolist()) <= set(range(14, 26))
 
 
 @pytest.mark.parametrize("scale", [0.2, 1.0, 30.0])
