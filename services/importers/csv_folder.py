@@ -97,9 +97,9 @@ def _drive(inside: Inside, name: str, rows: list[_Row], tally: Tally) -> Drive:
 
     return Drive(
         name,
-        Motion.of([(row.time_s, *row.velocity) for row in rows]),
+        Motion.of([(row.time_s, *row.velocity) for row in rows], tally),
         frames,
         len(rows),
-        Track.of([(row.time_s, *row.pose) for row in rows if row.pose is not None]),
+        Track.of([(row.time_s, *row.pose) for row in rows if row.pose is not None], tally),
         success=next((row.success for row in reversed(rows) if row.success is not None), None),
     )

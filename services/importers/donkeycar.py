@@ -108,4 +108,4 @@ def _drive(inside: Inside, name: str, session: list[_Record], wishes: Wishes, ta
         for record in session:
             yield Frame(record.time_s, partial(image_file, inside, f"images/{record.image}", tally))
 
-    return Drive(name, Motion.of(rows), frames, len(session))
+    return Drive(name, Motion.of(rows, tally), frames, len(session))

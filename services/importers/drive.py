@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import Final, NamedTuple, Self
 
@@ -15,6 +15,16 @@ from schemas.codec import printable
 Array = NDArray[np.float64]
 #: Most samples of a drive, or rows of a file: 28 hours at 100 Hz. They are kept in memory, 100 bytes or so each.
 MOST_SAMPLES: Final = 10_000_000
+#: No wheeled robot is faster.
+FASTEST_M_S: Final = 50.0
+FASTEST_RAD_S: Final = 100.0
+#: Focal lengths over the width of the image, of fields of view from 170 to 5 degrees.
+LEAST_FOCAL, MOST_FOCAL = 0.04, 12.0
+#: A recording counts nanoseconds since 1970 in 63 bits: until the year 2255.
+LATEST_S: Final = 9e9
+#: Round the earth, whose grids some odometry begins in; and a turn every second for a year.
+_FURTHEST_M: Final = 4e7
+_MOST_TURNED_RAD: Final = 2e8
 
 
 class ImportFailure(Exception):  # noqa: N818 - ImportError is Python's own
@@ -59,11 +69,10 @@ class Motion:
     angular: Array
 
     @classmethod
-    def of(cls, rows: list[tuple[float, float, float]]) -> Self:
-        """Put samples (time, linear, angular) in the order of their times; those that are no numbers are left out."""
-        values = np.array(rows, dtype=np.float64).reshape(-1, 3)
-        values = values[np.isfinite(values).all(axis=1)]
-        return cls(*values[np.argsort(values[:, 0], kind="stable")].T)
+    def of(cls, rows: list[tuple[float, float, float]], tally: Tally) -> Self:
+        """Put samples (time, linear, angular) in the order of their times; what no robot does is counted instead."""
+        most = (LATEST_S, FASTEST_M_S, FASTEST_RAD_S)
+        return cls(*_sound(rows, most, "velocities are no numbers, or faster than any robot", tally).T)
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,12 +91,20 @@ class Track:
     poses: Array
 
     @classmethod
-    def of(cls, rows: list[tuple[float, float, float, float]]) -> Self | None:
-        """Put samples (time, x, y, heading) in the order of their times; None where there are none that are numbers."""
-        values = np.array(rows, dtype=np.float64).reshape(-1, 4)
-        values = values[np.isfinite(values).all(axis=1)]
-        values = values[np.argsort(values[:, 0], kind="stable")]
+    def of(cls, rows: list[tuple[float, float, float, float]], tally: Tally) -> Self | None:
+        """Put samples (time, x, y, heading) in the order of their times; None where there are none of them."""
+        values = _sound(rows, (LATEST_S, _FURTHEST_M, _FURTHEST_M, _MOST_TURNED_RAD), "poses are nowhere", tally)
         return cls(values[:, 0], values[:, 1:]) if len(values) else None
+
+
+def _sound(rows: Sequence[tuple[float, ...]], most: tuple[float, ...], what: str, tally: Tally) -> Array:
+    """Return the rows whose numbers are not beyond the most that they can be, in the order of the first."""
+    values = np.array(rows, dtype=np.float64).reshape(-1, len(most))
+    sound = (np.abs(values) <= most).all(axis=1)
+    tally.count(what, int((~sound).sum()))
+    values = values[sound]
+    found: Array = values[np.argsort(values[:, 0], kind="stable")]
+    return found
 
 
 @dataclass(frozen=True, eq=False)

@@ -94,10 +94,11 @@ class Inside:
     def read(self, name: str = "", most: int = MOST_BYTES) -> bytes:
         """Return the bytes of a file; errors are those of `open`, and one that is too large is another."""
         with self.open(name) as file:
-            data = file.read(most + 1)
-        if len(data) > most:
-            raise ImportFailure(f"{self.called(name)}: larger than {most} bytes")
-        return data
+            # As much room is made as is asked for.
+            size = os.fstat(file.fileno()).st_size
+            if size > most:
+                raise ImportFailure(f"{self.called(name)}: larger than {most} bytes")
+            return file.read(size)
 
     def needed(self, name: str, most: int = MOST_BYTES) -> bytes:
         """Return the bytes of a file without which nothing can be done."""

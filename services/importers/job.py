@@ -14,7 +14,7 @@ from pydantic import Field
 from schemas.base import ATOMS, RobotId, Strict
 from schemas.episode import GoalName
 from services.importers.atoms import Thresholds, nominal
-from services.importers.drive import ImportFailure, Source, Tally
+from services.importers.drive import LEAST_FOCAL, MOST_FOCAL, ImportFailure, Source, Tally
 from services.importers.inside import Inside
 from services.importers.source_options import Wishes
 from services.importers.writing import Purpose, Written, write
@@ -52,7 +52,7 @@ class Job(Strict):
     """Leave out what was before, of each drive."""
     to_s: Annotated[float, Field(gt=0.0, le=1e9)] = 1e9
     """Leave out what was after, of each drive."""
-    focal: Annotated[float, Field(gt=0.0, le=100.0)] | None = None
+    focal: Annotated[float, Field(ge=LEAST_FOCAL, le=MOST_FOCAL)] | None = None
     """Focal length over the image's width."""
     quantile: _Fraction = Thresholds().quantile
     """See `Thresholds`."""

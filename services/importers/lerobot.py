@@ -232,7 +232,7 @@ def _drive(dataset: _Set, episode: _Episode, tally: Tally) -> Drive:
 
 def _motion(times_s: Array, rows: list[Array], velocity: _Velocity, called: str, tally: Tally) -> Motion:
     if not times_s.size:
-        return Motion.of([])
+        return Motion.of([], tally)
     if any(part.ndim != 2 or part.shape[1] != rows[0].shape[1] for part in rows):
         raise ImportFailure(f"{called}: the rows of {velocity.feature} are not equally long")
     values = np.concatenate(rows)
@@ -242,7 +242,7 @@ def _motion(times_s: Array, rows: list[Array], velocity: _Velocity, called: str,
         aside = np.abs(values[:, velocity.sideways]) > _LEAST_SIDEWAYS
         tally.count("frames go sideways, for which there is no atom", int(aside.sum()))
     linear, angular = velocity.metres * values[:, velocity.linear], velocity.radians * values[:, velocity.angular]
-    return Motion.of(list(zip(times_s.tolist(), linear.tolist(), angular.tolist(), strict=True)))
+    return Motion.of(list(zip(times_s.tolist(), linear.tolist(), angular.tolist(), strict=True)), tally)
 
 
 def _video_frames(dataset: _Set, episode: _Episode, times_s: Array) -> Iterator[Frame]:

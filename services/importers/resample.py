@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from schemas.base import MAX_TICK
-from services.importers.drive import Array, Drive, Frame, ImportFailure, Motion, Tally, Track
+from services.importers.drive import FASTEST_M_S, LATEST_S, Array, Drive, Frame, ImportFailure, Motion, Tally, Track
 from smal.movement import seen_from
 
 #: Time between two ticks, on which the stack runs and learning reckons.
@@ -26,8 +26,8 @@ HOLD_S: Final = 0.5
 GAP_S: Final = 0.125
 #: Share of a tick that times may be off by the rounding of numbers.
 _ROUNDING: Final = 1e-5
-#: No wheeled robot is faster, metres a second: there the odometry was reset, or is that of something else.
-_FASTEST: Final = 50.0
+#: A recording has no pose further from its first.
+_FURTHEST_M: Final = 1e6
 
 
 class Tick(NamedTuple):
@@ -92,8 +92,7 @@ def _chosen(frames: Iterator[Frame], from_s: float, to_s: float, tally: Tally) -
             continue
         first_s = frame.time_s if first_s is None else first_s
         last_s = frame.time_s
-        # Beyond, differences of a tick are lost in the rounding of numbers.
-        if abs(frame.time_s) > 1e11:
+        if abs(frame.time_s) > LATEST_S:
             raise ImportFailure("times beyond all calendars: they are not in seconds")
         if from_s <= frame.time_s - first_s <= to_s:
             yield frame
@@ -173,6 +172,13 @@ def odometry(drive: Drive, times_s: Array, moves: Moves | None) -> tuple[Array, 
     ImportFailure
         When it jumps.
     """
+    found = _way(drive, times_s, moves)
+    if found is not None and float(np.abs(found[0][found[1], :2]).max()) > _FURTHEST_M:
+        raise ImportFailure(f"drive {drive.name}: goes further than {_FURTHEST_M / 1000.0:.0f} km")
+    return found
+
+
+def _way(drive: Drive, times_s: Array, moves: Moves | None) -> tuple[Array, NDArray[np.bool_]] | None:
     if drive.track is None:
         return None if moves is None else (moves.way(times_s), np.ones(times_s.size, dtype=bool))
     poses, known = _tracked(drive.track, times_s)
@@ -180,7 +186,7 @@ def odometry(drive: Drive, times_s: Array, moves: Moves | None) -> tuple[Array, 
         return None
     steps = np.hypot(*np.diff(poses[known, :2], axis=0).T)
     passed_s = np.diff(times_s[known])
-    if steps.size and float((steps / passed_s).max()) > _FASTEST:
+    if steps.size and float((steps / passed_s).max()) > FASTEST_M_S:
         at = int((steps / passed_s).argmax())
         raise ImportFailure(
             f"drive {drive.name}: the odometry jumps by {steps[at]:.3g} m within {passed_s[at]:.1f} s, "

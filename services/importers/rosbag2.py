@@ -15,6 +15,8 @@ from typing import Any, Final
 from schemas.codec import printable
 from services.importers.bag_files import Received, received
 from services.importers.drive import (
+    LEAST_FOCAL,
+    MOST_FOCAL,
     MOST_SAMPLES,
     Drive,
     Frame,
@@ -80,12 +82,14 @@ class _Found:
             odometry = _decoded(message)
             self._velocity(message, odometry.twist.twist)
             place, turn = odometry.pose.pose.position, odometry.pose.pose.orientation
-            yaw = math.atan2(2.0 * (turn.w * turn.z + turn.x * turn.y), 1.0 - 2.0 * (turn.y**2 + turn.z**2))
+            yaw = math.atan2(2.0 * (turn.w * turn.z + turn.x * turn.y), 1.0 - 2.0 * (turn.y * turn.y + turn.z * turn.z))
             self.tracks.setdefault(message.topic, []).append((message.time_s, place.x, place.y, yaw))
         elif message.type == _INFO and message.topic not in self.focal:
             info = _decoded(message)
-            if info.width > 0 and math.isfinite(info.k[0]) and 1.0 <= info.k[0] <= 1e5:
-                self.focal[message.topic] = float(info.k[0]) / info.width
+            focal = float(info.k[0]) / max(info.width, 1)
+            if not LEAST_FOCAL <= focal <= MOST_FOCAL:
+                raise ValueError("no camera sees so")
+            self.focal[message.topic] = focal
         else:
             self.others[message.topic] = message.type
 
@@ -117,10 +121,10 @@ def read(inside: Inside, wishes: Wishes, tally: Tally) -> Source:
     tally.say(f"images are those of {printable(image)}, velocities those of {printable(velocity)}")
     drive = Drive(
         inside.path.stem,
-        Motion.of(rows),
+        Motion.of(rows, tally),
         partial(_frames, inside, image),
         found.images[image],
-        None if tracked is None else Track.of(found.tracks[tracked]),
+        None if tracked is None else Track.of(found.tracks[tracked], tally),
         focal=_focal(image, found.focal),
     )
     return Source([drive], metric=True)

@@ -25,7 +25,7 @@ from services.importers.images import size_of
 from services.importers.resample import TICK_S, Moves, odometry, ticks
 from services.recordings.writer import EpisodeWriter
 
-#: Times of a source may begin anywhere; a recording's are after 1970. Digits of poses: a micrometre.
+#: Of poses: a micrometre and a microradian.
 _DIGITS: Final = 6
 _STOP: Final = ATOMS.index("stop")
 
@@ -166,7 +166,7 @@ def _recorded(
     name = _episode_name(drive, spool)
 
     def header(tick: int) -> Message:
-        stamp_ns = max(0, round((spool.start_s + TICK_S * tick) * 1e9))
+        stamp_ns = round((max(spool.start_s, 0.0) + TICK_S * tick) * 1e9)
         return Message(robot=purpose.robot, episode=name, tick=tick, stamp_ns=stamp_ns)
 
     told = {"purpose": "drive", "driver": "teleop", "world": purpose.world, "seed": 0, "goal": purpose.goal}

@@ -160,7 +160,7 @@ def mp4(path: Path, images: list[NDArray[np.uint8]], fps: int) -> None:
 
 def rosbag2(
     folder: Path, *, sqlite: bool = False, raw: str | None = None, stamped: bool = False, odometry: bool = True,
-    command: bool = True, packed: bool = False,
+    command: bool = True, packed: bool = False, hundredths: int | None = None,
 ) -> Path:  # fmt: skip
     """Write a bag: images at 20 Hz, commands at 10 Hz beside them, odometry at 50 Hz, the camera's calibration."""
     from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer  # noqa: PLC0415
@@ -186,7 +186,7 @@ def rosbag2(
             "/odom": (2, 0, messages.odometry),
             "/camera/camera_info": (10**9, 0, messages.info),
         }
-        for number, moment in enumerate(drive(100.0)):
+        for number, moment in enumerate(drive(100.0)[:hundredths]):
             for topic, channel in channels.items():
                 period, first, make = said[topic]
                 if number % period == first:

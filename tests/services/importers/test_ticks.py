@@ -75,7 +75,7 @@ ROWS = st.lists(st.tuples(st.floats(0.0, 20.0), st.floats(-2.0, 2.0), st.floats(
 def test_a_velocity_holds_until_the_next_and_as_long_as_a_base_obeys(
     rows: list[tuple[float, float, float]],
 ) -> None:
-    motion = Motion.of(rows)
+    motion = Motion.of(rows, Tally())
     ends = np.minimum(np.append(motion.times_s[1:], np.inf), motion.times_s + HOLD_S)
     gone, turned = Moves(motion).until(np.array([-1.0, 30.0]))
     assert gone[1] - gone[0] == pytest.approx(float((motion.linear * (ends - motion.times_s)).sum()), abs=1e-6)
@@ -83,20 +83,20 @@ def test_a_velocity_holds_until_the_next_and_as_long_as_a_base_obeys(
 
 
 def test_a_silent_driver_stands() -> None:
-    moves = Moves(Motion.of([(0.0, 1.0, 0.0), (5.0, 1.0, 0.0)]))
+    moves = Moves(Motion.of([(0.0, 1.0, 0.0), (5.0, 1.0, 0.0)], Tally()))
     due_s = 0.1 * np.arange(55)
     linear, _ = moves.velocities(due_s)
     assert linear[:5] == pytest.approx(1.0)
     assert linear[5:50] == pytest.approx(0.0)
     assert moves.silent(due_s) == 45
-    assert Moves(Motion.of([])).silent(due_s) == 55
+    assert Moves(Motion.of([], Tally())).silent(due_s) == 55
 
 
 def test_a_way_is_reckoned_as_the_robot_drives_it() -> None:
     """A quarter of a circle of 2 m, and then a turn on the spot."""
     quarter = math.pi / 2.0
     rows = [(0.1 * k, 0.2 * math.pi / 2.0, quarter / 5.0) if k < 50 else (0.1 * k, 0.0, -quarter) for k in range(60)]
-    way = Moves(Motion.of(rows)).way(0.1 * np.arange(61))
+    way = Moves(Motion.of(rows, Tally())).way(0.1 * np.arange(61))
     radius_m = (0.2 * math.pi / 2.0) / (quarter / 5.0)
     assert way[50] == pytest.approx([radius_m, radius_m, quarter], abs=1e-3)
     assert way[60] == pytest.approx([radius_m, radius_m, 0.0], abs=1e-3)
@@ -104,7 +104,7 @@ def test_a_way_is_reckoned_as_the_robot_drives_it() -> None:
 
 def test_odometry_begins_at_zero_and_its_heading_may_pass_half_a_turn() -> None:
     rows = [(0.1 * k, 5.0, -2.0, math.remainder(3.0 + 0.1 * k, math.tau)) for k in range(20)]
-    drive = Drive("d", Motion.of([]), lambda: iter(()), 0, Track.of(rows))
+    drive = Drive("d", Motion.of([], Tally()), lambda: iter(()), 0, Track.of(rows, Tally()))
     found = odometry(drive, 0.05 + 0.1 * np.arange(18), None)
     assert found is not None
     poses, known = found
@@ -115,14 +115,14 @@ def test_odometry_begins_at_zero_and_its_heading_may_pass_half_a_turn() -> None:
 
 def test_odometry_that_jumps_is_named() -> None:
     rows = [(0.1 * k, 0.1 * k + 100.0 * (k > 12), 0.0, 0.0) for k in range(20)]
-    drive = Drive("lap", Motion.of([]), lambda: iter(()), 0, Track.of(rows))
+    drive = Drive("lap", Motion.of([], Tally()), lambda: iter(()), 0, Track.of(rows, Tally()))
     with pytest.raises(ImportFailure, match=r"drive lap: the odometry jumps by 100 m within 0.1 s, 1.2 s after"):
         odometry(drive, 0.1 * np.arange(20), None)
 
 
 def test_where_odometry_was_silent_there_is_none() -> None:
     rows = [(0.1 * k, 0.1 * k, 0.0, 0.0) for k in range(40) if not 10 <= k < 30]
-    drive = Drive("lap", Motion.of([]), lambda: iter(()), 0, Track.of(rows))
+    drive = Drive("lap", Motion.of([], Tally()), lambda: iter(()), 0, Track.of(rows, Tally()))
     found = odometry(drive, 0.1 * np.arange(40), None)
     assert found is not None
     assert set(range(15, 25)) <= set(np.flatnonzero(~found[1]).tolist()) <= set(range(14, 26))
