@@ -273,7 +273,7 @@ def test_odometry_begins_anew_with_an_episode_and_never_leaps(rig: Rig) -> None:
 
 @given(st.lists(st.tuples(st.floats(-0.1, 0.1), st.floats(-1, 1)), max_size=30), st.floats(-3, 3))
 def test_a_track_is_the_same_from_wherever_the_wheels_count(steps: list[tuple[float, float]], turned: float) -> None:
-    one, other = Track(1.0), Track(1.0)
+    one, other = Track(1.0, 10.0), Track(1.0, 10.0)
     x = y = heading = 0.0
     told = one.add(0.0, x, y, heading), other.add(0.0, 7.0, -3.0, turned)
     for number, (ahead, turn) in enumerate(steps, 1):
