@@ -182,7 +182,9 @@ class Ros2Body:
         captured_s = self._frame.captured_s
         if self._senses.silent() is not None:
             captured_s = min(captured_s, self._clock() - MAX_AGE_S)
-        return Ros2View(self._image, captured_s, self._senses.touched, self._odometry(captured_s), self._imu())
+        return Ros2View(
+            self._image, captured_s, self._senses.touched, self._odometry(self._frame.captured_s), self._imu()
+        )
 
     def _take_newest(self) -> None:
         frame = self._senses.frame()

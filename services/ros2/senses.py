@@ -27,8 +27,8 @@ from services.ros2.messages import MessageError, Messages, RosMessage
 
 #: Wheels that were read within this time of a frame are looked through for those of its moment.
 _KEPT: Final = 100
-#: Poses further apart than the base can have gone, by this much, are of wheels that began to count anew.
-_JUMP_M: Final = 0.3
+# Poses further apart than the base can have gone, by this much, are of wheels that began to count anew.
+_LEAP_M, _LEAP_RAD = 0.3, 0.3
 #: As `schemas.imu` has it; and far more than any base does.
 _MOST_RAD_S, _MOST_M_S2, _MOST_M_S = 100.0, 1000.0, 100.0
 _MOVING: Final = frozenset(ATOMS) - {"stop"}
@@ -84,10 +84,17 @@ class Wheels:
 
 
 class Track:
-    """Adds up what the wheels say, so that a base whose count begins anew does not leap."""
+    """Adds up what the wheels say, so that a base whose count begins anew does not leap.
 
-    def __init__(self, speed_m_s: float) -> None:
+    Parameters
+    ----------
+    speed_m_s, turn_rate_rad_s
+        What the base does at most; twice of it is believed.
+    """
+
+    def __init__(self, speed_m_s: float, turn_rate_rad_s: float) -> None:
         self._speed_m_s = speed_m_s
+        self._turn_rate_rad_s = turn_rate_rad_s
         self._raw: tuple[float, float, float] | None = None
         self._now = Wheels(0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
         #: How many times it leapt.
@@ -102,7 +109,9 @@ class Track:
             return self._now
         turned = math.remainder(heading_rad - raw[2], math.tau)
         dx, dy = x_m - raw[0], y_m - raw[1]
-        if math.hypot(dx, dy) > _JUMP_M + 2 * self._speed_m_s * max(0.0, read_s - now.read_s):
+        passed_s = max(0.0, read_s - now.read_s)
+        far = math.hypot(dx, dy) > _LEAP_M + 2 * self._speed_m_s * passed_s
+        if far or abs(turned) > _LEAP_RAD + 2 * self._turn_rate_rad_s * passed_s:
             self.leaps += 1
             dx = dy = turned = 0.0
         # What was gone is seen from where the base stood, and laid on to where we say that it stood.
@@ -142,7 +151,7 @@ class Senses:
         self._frame: Frame | None = None
         self._wheels: deque[Wheels] = deque(maxlen=_KEPT)
         self._imu: deque[ImuReading] = deque(maxlen=MAX_SAMPLES)
-        self.track = Track(config.speed_m_s)
+        self.track = Track(config.speed_m_s, config.turn_rate_rad_s)
         self._focal: tuple[float, int] | None = None
         self._forbidden: dict[str, tuple[tuple[str, frozenset[Atom]], ...]] = {}
         self._touched = False

@@ -1,0 +1,372 @@
+"""A ROS 2 base as a body, without Zenoh: what its messages do, and what they can never do."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from rosbags.typesys import Stores, get_typestore
+
+from schemas.rpc import ResetRequest
+from services.kit.node import ServiceError
+from services.robot.gate import MAX_AGE_S, CommandGate
+from services.robot.loop import check_stopping
+from services.robot.runner import EpisodeRunner
+from services.robot.task import OperatorsTask
+from services.ros2 import messages
+from services.ros2.body import Ros2Body, Ros2View
+from services.ros2.clock import DRIFT, StampedClock
+from services.ros2.config import Ros2Config, read_config
+from services.ros2.messages import MessageError, Messages
+from services.ros2.senses import Senses, Track, pixels
+from tests.ros2.fake_turtlebot import encoded
+from tests.services.robot.line import Clock
+
+STORE = get_typestore(Stores.ROS2_JAZZY)
+T = STORE.types
+OURS = Messages("jazzy")
+PICTURE = np.kron(np.random.default_rng(1).integers(0, 255, (6, 8, 3), dtype=np.uint8), np.ones((8, 8, 1), np.uint8))
+CAMERA, ODOM, SCAN, HAZARDS, IMU = "/camera/image_raw/compressed", "/odom", "/scan", "/hazards", "/imu"
+# The robot's clock began at another time than ours.
+AHEAD_S = 1_000_000.0
+
+
+def header(at_s: float) -> Any:
+    stamp_s = at_s + AHEAD_S
+    return T["std_msgs/msg/Header"](T["builtin_interfaces/msg/Time"](int(stamp_s), int(stamp_s % 1 * 1e9)), "")
+
+
+class Air:
+    """The link of a test: keeps what was sent."""
+
+    def __init__(self) -> None:
+        self.sent: list[tuple[float, float]] = []
+        self.lack: str | None = None
+
+    def send(self, ahead_m_s: float, turn_rad_s: float, robot_s: float | None) -> None:
+        self.sent.append((ahead_m_s, turn_rad_s))
+        self.robot_s = robot_s
+
+    def lacks(self) -> str | None:
+        return self.lack
+
+    def detail(self) -> dict[str, str | int | float | bool | None]:
+        return {}
+
+
+class Rig:
+    """A body, and a robot whose messages the test sends."""
+
+    def __init__(self, folder: Path) -> None:
+        path = folder / "mine.yaml"
+        path.write_text(
+            "preset: generic\nwatchdog_s: 0.2\nspeed_m_s: 0.5\nturn_rate_rad_s: 1.5\nbraking_s: 0.1\n"
+            "camera: {latency_s: 0.0}\nimu: {topic: imu}\nscan: {topic: scan, stop_m: 0.4, blind_m: 0.1}\n"
+            "stops: [{topic: hazards, type: irobot_create_msgs/msg/HazardDetectionVector}]\n"
+        )
+        self.config: Ros2Config = read_config(path)
+        self.clock = Clock()
+        self.air = Air()
+        self.senses = Senses(self.config, self.clock)
+        self.body = Ros2Body(self.config, self.senses, self.air, self.clock)
+
+    def picture(self, at_s: float | None = None, data: bytes | None = None) -> None:
+        jpeg = cv2.imencode(".jpg", PICTURE)[1].tobytes() if data is None else data
+        message = T[messages.COMPRESSED_IMAGE](header(self.at(at_s)), "jpeg", np.frombuffer(jpeg, np.uint8))
+        self.senses.take(CAMERA, bytes(STORE.serialize_cdr(message, messages.COMPRESSED_IMAGE)))
+
+    def wheels(self, x: float = 0.0, y: float = 0.0, heading: float = 0.0, at_s: float | None = None) -> None:
+        vector, nothing = T["geometry_msgs/msg/Vector3"](0.0, 0.0, 0.0), np.zeros(36)
+        turned = T["geometry_msgs/msg/Quaternion"](0.0, 0.0, math.sin(heading / 2), math.cos(heading / 2))
+        pose = T["geometry_msgs/msg/Pose"](T["geometry_msgs/msg/Point"](x, y, 0.0), turned)
+        message = T[messages.ODOMETRY](
+            header(self.at(at_s)),
+            "base",
+            T["geometry_msgs/msg/PoseWithCovariance"](pose, nothing),
+            T["geometry_msgs/msg/TwistWithCovariance"](T[messages.TWIST](vector, vector), nothing),
+        )
+        self.senses.take(ODOM, bytes(STORE.serialize_cdr(message, messages.ODOMETRY)))
+
+    def scan(self, metres: float = 5.0, angle: float = 0.0) -> None:
+        ranges = np.full(360, 5.0, np.float32)
+        ranges[round(math.degrees(angle)) % 360] = metres
+        ranges[90] = math.nan
+        ranges[5] = 0.05  # a part of the robot
+        none = np.zeros(0, np.float32)
+        step = math.radians(1.0)
+        message = T[messages.LASER_SCAN](header(self.at()), 0.0, math.tau, step, 0.0, 0.1, 0.02, 12.0, ranges, none)
+        self.senses.take(SCAN, bytes(STORE.serialize_cdr(message, messages.LASER_SCAN)))
+
+    def hazards(self, *numbers: int) -> None:
+        types = OURS._store.types
+        found = [types["irobot_create_msgs/msg/HazardDetection"](header(self.at()), number) for number in numbers]
+        self.senses.take(HAZARDS, OURS.write(messages.HAZARDS, types[messages.HAZARDS](header(self.at()), found)))
+
+    def at(self, at_s: float | None = None) -> float:
+        return self.clock.now_s if at_s is None else at_s
+
+    def all(self) -> None:
+        """Have everything be heard, now."""
+        self.clock.now_s += 0.01
+        self.wheels()
+        self.scan()
+        self.hazards()
+        self.picture()
+
+    def begun(self) -> Rig:
+        self.all()
+        self.body.begin(ResetRequest(seed=1, mode="realtime"))
+        self.body.look(0)
+        return self
+
+
+@pytest.fixture
+def rig(tmp_path: Path) -> Rig:
+    return Rig(tmp_path)
+
+
+def test_atoms_are_velocities(rig: Rig) -> None:
+    rig.begun()
+    for atom in ("forward", "backward", "left", "right", "stop"):
+        rig.body.drive(atom, 0.5)  # type: ignore[arg-type]
+    assert rig.air.sent == [(0.25, 0.0), (-0.25, 0.0), (0.0, 0.75), (0.0, -0.75), (0.0, 0.0)]
+    assert rig.air.robot_s == pytest.approx(rig.clock.now_s + AHEAD_S)
+
+
+@pytest.mark.parametrize("silent", ["odom", "scan", "hazards"])
+def test_who_must_be_heard_and_is_silent_stands_the_robot(rig: Rig, silent: str) -> None:
+    rig.begun()
+    for _ in range(60):
+        rig.clock.now_s += 0.01
+        rig.picture()
+        for name, take in (("odom", rig.wheels), ("scan", rig.scan), ("hazards", rig.hazards)):
+            if name != silent:
+                take()
+    rig.body.drive("forward", 1.0)
+    assert rig.air.sent[-1] == (0.0, 0.0)
+    assert rig.clock.now_s - rig.body.look(1).captured_s >= MAX_AGE_S
+    assert f"/{silent}" in str(rig.body.detail()["lacks"])
+    rig.all()
+    rig.body.drive("forward", 1.0)
+    assert rig.air.sent[-1] == (0.5, 0.0)
+
+
+def test_a_base_that_nobody_reaches_is_told_to_stand(rig: Rig) -> None:
+    rig.begun().air.lack = "nobody subscribes to /cmd_vel"
+    rig.body.drive("forward", 1.0)
+    assert rig.air.sent[-1] == (0.0, 0.0)
+    with pytest.raises(ServiceError, match=r"^base: nobody subscribes to /cmd_vel; does tcp/\S+ reach it"):
+        rig.body.begin(ResetRequest(seed=1, mode="realtime"))
+
+
+def test_a_camera_that_is_silent_makes_no_frame_new(rig: Rig) -> None:
+    rig.begun()
+    seen = rig.body.look(0).captured_s
+    rig.clock.now_s += 0.3
+    rig.wheels()
+    rig.scan()
+    rig.hazards()
+    assert rig.body.look(1).captured_s == seen
+
+
+@pytest.mark.parametrize(
+    ("numbers", "forbidden", "touched"),
+    [
+        ((), "", False),
+        ((0,), "backward", False),
+        ((1,), "forward left right", True),
+        ((2,), "forward left right", False),
+        ((3,), "forward backward left right", False),
+        ((4,), "forward backward left right", False),
+        ((5,), "forward", False),
+        ((77,), "forward backward left right", False),
+        ((0, 5), "forward backward", False),
+    ],
+)
+def test_hazards_forbid_what_would_make_them_worse(
+    rig: Rig, numbers: tuple[int, ...], forbidden: str, touched: bool
+) -> None:
+    rig.begun().hazards(*numbers)
+    for atom in ("forward", "backward", "left", "right"):
+        if atom in forbidden.split():
+            with pytest.raises(ServiceError, match=f"must not go {atom}: .* it stands until it is armed again"):
+                rig.body.drive(atom, 1.0)  # type: ignore[arg-type]
+            assert rig.air.sent[-1] == (0.0, 0.0)
+        else:
+            rig.body.drive(atom, 1.0)  # type: ignore[arg-type]
+            assert rig.air.sent[-1] != (0.0, 0.0)
+    assert rig.body.look(1).contact == touched
+
+
+@pytest.mark.parametrize(
+    ("metres", "degrees", "forbidden"),
+    [(0.3, 0, "forward"), (0.3, 30, "forward"), (0.3, 60, ""), (0.3, 180, "backward"), (0.5, 0, ""), (0.05, 0, "")],
+)
+def test_something_near_forbids_to_go_there(rig: Rig, metres: float, degrees: int, forbidden: str) -> None:
+    rig.begun().scan(metres, math.radians(degrees))
+    for atom in ("forward", "backward", "left"):
+        if atom == forbidden:
+            with pytest.raises(ServiceError, match=r"something is 0\.30 m (ahead|behind) \(/scan\)"):
+                rig.body.drive(atom, 1.0)  # type: ignore[arg-type]
+        else:
+            rig.body.drive(atom, 1.0)  # type: ignore[arg-type]
+
+
+def test_what_is_not_finite_or_no_message_or_out_of_order_is_refused_and_counted(rig: Rig) -> None:
+    rig.begun()
+    before = rig.senses.wheels_at(rig.clock.now_s)
+    rig.clock.now_s += 0.01
+    rig.wheels(math.nan)
+    rig.wheels(2e6)
+    rig.wheels(0.1, at_s=rig.clock.now_s - 0.5)
+    rig.senses.take(ODOM, b"\0\1\0\0" + b"\xff" * 40)
+    rig.senses.take(ODOM, b"")
+    assert rig.senses.wheels_at(rig.clock.now_s) == before
+    assert rig.senses.refused[ODOM] == 5
+    rig.clock.now_s += 0.3  # what is refused is not heard either
+    assert "/odom" in str(rig.body.detail()["lacks"])
+
+
+def test_a_picture_that_is_none_leaves_the_last_one_old(rig: Rig) -> None:
+    seen = rig.begun().body.look(0)
+    rig.clock.now_s += 0.05
+    rig.picture(data=b"\xff\xd8 nothing")
+    again = rig.body.look(1)
+    assert again.captured_s == seen.captured_s
+    assert np.array_equal(again.image, seen.image)
+    assert rig.senses.refused[CAMERA] == 1
+
+
+def test_odometry_begins_anew_with_an_episode_and_never_leaps(rig: Rig) -> None:
+    rig.clock.now_s += 1
+    rig.wheels(10.0, 5.0, math.pi / 2)
+    rig.scan()
+    rig.hazards()
+    rig.picture()
+    rig.body.begin(ResetRequest(seed=1, mode="realtime"))
+    for k in range(1, 11):
+        rig.clock.now_s += 0.1
+        rig.wheels(10.0, 5.0 + 0.04 * k, math.pi / 2)
+        rig.picture()
+    told = rig.body.look(1).odometry
+    assert told is not None
+    assert told.x_m == pytest.approx(0.4)
+    assert told.y_m == pytest.approx(0.0, abs=1e-9)
+    assert told.speed_m_s == pytest.approx(0.4)
+    # Its driver was started again, and counts from nothing.
+    rig.clock.now_s += 0.1
+    rig.wheels(0.0, 0.0, 0.0)
+    rig.clock.now_s += 0.1
+    rig.wheels(0.04, 0.0, 0.0)
+    rig.picture()
+    told = rig.body.look(2).odometry
+    assert told is not None
+    assert (told.x_m, told.y_m) == (pytest.approx(0.44), pytest.approx(0.0, abs=1e-9))
+    assert rig.body.detail()["odometry_leaps"] == 1
+
+
+@given(st.lists(st.tuples(st.floats(-0.1, 0.1), st.floats(-1, 1)), max_size=30), st.floats(-3, 3))
+def test_a_track_is_the_same_from_wherever_the_wheels_count(steps: list[tuple[float, float]], turned: float) -> None:
+    one, other = Track(1.0, 10.0), Track(1.0, 10.0)
+    x = y = heading = 0.0
+    told = one.add(0.0, x, y, heading), other.add(0.0, 7.0, -3.0, turned)
+    for number, (ahead, turn) in enumerate(steps, 1):
+        x, y = x + ahead * math.cos(heading), y + ahead * math.sin(heading)
+        heading = math.remainder(heading + turn, math.tau)
+        cos, sin = math.cos(turned), math.sin(turned)
+        there = 7.0 + x * cos - y * sin, -3.0 + x * sin + y * cos, math.remainder(heading + turned, math.tau)
+        told = one.add(number / 10, x, y, heading), other.add(number / 10, *there)
+    assert (told[0].x_m, told[0].y_m) == (pytest.approx(x, abs=1e-9), pytest.approx(y, abs=1e-9))
+    assert (told[1].x_m, told[1].y_m) == (pytest.approx(x, abs=1e-6), pytest.approx(y, abs=1e-6))
+
+
+@pytest.mark.parametrize("encoding", ["rgb8", "bgr8", "mono8", "yuv422"])
+def test_reads_raw_pixels(encoding: str) -> None:
+    data, step = encoded(PICTURE, encoding)
+    message = T[messages.IMAGE](header(0.0), 48, 64, encoding, 0, step, data)
+    got = pixels(OURS.read(messages.IMAGE, bytes(STORE.serialize_cdr(message, messages.IMAGE)))).astype(int)
+    if encoding == "mono8":
+        assert np.array_equal(got[..., 0], cv2.cvtColor(PICTURE, cv2.COLOR_RGB2GRAY))
+    elif encoding == "yuv422":  # 16 to 235 of 0 to 255 where it is taken for video: the middle is what matters
+        assert np.corrcoef(got.ravel(), PICTURE.ravel())[0, 1] > 0.97
+    else:
+        assert np.array_equal(got, PICTURE)
+
+
+@pytest.mark.parametrize(
+    ("fields", "line"),
+    [
+        ({"encoding": "bayer_rggb8"}, "encoding 'bayer_rggb8': known are rgb8"),
+        ({"height": 4096}, "pixels in 9216 bytes"),
+        ({"width": 0}, "0x48 pixels"),
+        ({"step": 3}, "3 a row"),
+        ({"width": 2**31, "height": 2**31}, "that cannot be"),
+    ],
+)
+def test_raw_pixels_that_cannot_be_are_one_line(fields: dict[str, Any], line: str) -> None:
+    told = {"height": 48, "width": 64, "encoding": "rgb8", "step": 192} | fields
+    message = T[messages.IMAGE](
+        header(0.0), told["height"], told["width"], told["encoding"], 0, told["step"], PICTURE.ravel()
+    )
+    with pytest.raises(MessageError, match=line):
+        pixels(message)
+
+
+@given(st.floats(-1e6, 1e6), st.lists(st.floats(0.001, 0.2), min_size=2, max_size=50))
+def test_a_frame_is_never_older_than_the_truth_nor_newer_than_its_arrival(ahead: float, delays: list[float]) -> None:
+    clock, least = StampedClock(), math.inf
+    for number, delay in enumerate(delays):
+        made = 1000.0 + number * 0.3
+        told = clock.made_s(made + ahead, made + delay)
+        least = min(least, delay)
+        assert told is not None
+        assert made - 1e-6 <= told <= made + least + DRIFT * 0.3 * (number + 1) + 1e-6
+        assert told <= made + delay + 1e-6
+
+
+def test_a_link_that_became_slow_makes_frames_old() -> None:
+    clock = StampedClock()
+    assert clock.made_s(0.0, 0.01) == pytest.approx(0.01)
+    for number in range(1, 600):  # for a minute
+        told = clock.made_s(number / 10, number / 10 + 0.3)
+    assert told == pytest.approx(number / 10 + 0.01, abs=0.02)
+    assert clock.delay_s == pytest.approx(0.29, abs=0.02)
+
+
+def test_a_clock_that_was_set_is_learned_anew() -> None:
+    clock = StampedClock()
+    clock.made_s(5000.0, 100.0)
+    assert clock.made_s(1400.0, 100.1) == pytest.approx(100.1)  # an hour back
+    assert clock.set_back == 1
+    assert clock.made_s(1399.9, 100.2) is None  # late
+    assert clock.made_s(9000.0, 100.3) == pytest.approx(100.3)  # and forward
+    assert clock.made_s(9000.1, 100.4) == pytest.approx(100.4)
+
+
+def test_what_is_missing_is_one_line_at_the_beginning(rig: Rig) -> None:
+    request = ResetRequest(seed=1, mode="realtime")
+    with pytest.raises(ServiceError, match=r"no picture has come from /camera/\S+; does tcp/.* fit\?$"):
+        rig.body.begin(request)
+    rig.picture()
+    with pytest.raises(ServiceError, match=r"nothing has come from /odom; does"):
+        rig.body.begin(request)
+    rig.all()
+    with pytest.raises(ServiceError, match="it cannot be carried away at a frame"):
+        rig.body.begin(request.model_copy(update={"kidnap_tick": 3}))
+    rig.clock.now_s += 1
+    with pytest.raises(ServiceError, match=r"the last picture of \S+ is 1\.0 s old"):
+        rig.body.begin(request)
+
+
+def test_a_real_robot_cannot_wait_for_commands(rig: Rig) -> None:
+    check_stopping(rig.body)
+    task: OperatorsTask = OperatorsTask()
+    runner: EpisodeRunner[Ros2View] = EpisodeRunner(rig.body, task, CommandGate(), "r", "s")
+    with pytest.raises(ServiceError, match=r"^base cannot wait for commands; ask for real time$"):
+        runner.check_reset(ResetRequest(seed=1, mode="lockstep"))

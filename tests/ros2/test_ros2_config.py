@@ -1,0 +1,103 @@
+"""What a robot is told of its base: every mistake is one clear line."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from services.robot.loop import STAND_WITHIN_S
+from services.ros2.config import ConfigError, known_presets, read_config
+from services.ros2.messages import Messages
+from services.ros2.senses import Senses
+from tests.command import run_smal
+
+
+@pytest.mark.parametrize("preset", known_presets())
+def test_a_preset_needs_only_what_nobody_else_knows(preset: str, tmp_path: Path) -> None:
+    path = tmp_path / "mine.yaml"
+    path.write_text(f"preset: {preset}\n")
+    with pytest.raises(ConfigError, match=r"mine\.yaml: watchdog_s: say after how many seconds .* stands by itself"):
+        read_config(path)
+    path.write_text(f"preset: {preset}\nwatchdog_s: 0.2\nnamespace: /robot1\ncamera: {{latency_s: 0.12}}\n")
+    config = read_config(path)
+    assert config.watchdog_s + config.braking_s <= STAND_WITHIN_S
+    assert config.camera.latency_s == 0.12
+    listened = Senses(config).inputs
+    assert listened
+    for topic, (type_name, _) in listened.items():
+        assert topic.startswith("/robot1/")
+        assert Messages(config.distribution).type_hash(type_name).startswith("RIHS01_")
+
+
+BASE = "preset: generic\nwatchdog_s: 0.2\n"
+
+
+@pytest.mark.parametrize(
+    ("text", "line"),
+    [
+        ("preset: turtlebot5\n", "preset: known are generic, turtlebot3, turtlebot4"),
+        (BASE + "spede_m_s: 1\n", "spede_m_s: Extra inputs are not permitted"),
+        (BASE + "speed_m_s: fast\n", "speed_m_s: Input should be a valid number"),
+        (BASE + "speed_m_s: -1\n", "speed_m_s: Input should be greater than 0"),
+        (BASE + "speed_m_s: .nan\n", "speed_m_s: Input should be"),
+        ("preset: generic\nwatchdog_s: .inf\n", "watchdog_s: Input should be a finite number"),
+        (BASE + "camera: {topic: 'a b'}\n", "camera.topic: String should match pattern"),
+        (BASE + "camera: {type: sensor_msgs/msg/Jpeg}\n", "camera.type: Input should be"),
+        (BASE + "dialect: dds\n", "dialect: Input should be 'rmw_zenoh' or 'zenoh-bridge-ros2dds'"),
+        (BASE + "distribution: foxy\n", "distribution: Input should be 'humble'"),
+        (BASE + "domain: 500\n", "domain: Input should be less than or equal to 232"),
+        (BASE + "namespace: robot1\n", "namespace: String should match pattern"),
+        (BASE + "router: robot.local\n", "router address 'robot.local': expected tcp/<host>:<port>"),
+        (BASE + "scan: {topic: scan}\n", "scan.stop_m: Field required"),
+        (BASE + "stops: [{topic: bump, type: x}]\n", "stops.0.type: Input should be"),
+        (BASE + "stops: 3\n", "stops: Input should be a valid tuple"),
+        ("- a\n", "expected settings such as `preset: turtlebot4`"),
+        ("", "expected settings such as"),
+        ("a: [\n", "no YAML in line"),
+        ("a: 1\na: 2\n", "no YAML"),
+        ("!!python/object/apply:os.system ['true']\n", "no YAML"),
+        ("[" * 5000, "no YAML"),
+        ("a: " + "x" * 70000, "larger than 65536 bytes"),
+    ],
+)
+def test_a_mistake_is_one_line_that_names_it(text: str, line: str, tmp_path: Path) -> None:
+    path = tmp_path / "mine.yaml"
+    path.write_text(text)
+    with pytest.raises(ConfigError) as caught:
+        read_config(path)
+    assert line in str(caught.value)
+    assert "\n" not in str(caught.value)
+    assert len(str(caught.value)) < 500
+
+
+def test_a_file_that_is_not_there_is_one_line_with_the_presets(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match=r"no such file or directory; presets: generic, turtlebot3, turtlebot4"):
+        read_config(tmp_path / "none.yaml")
+
+
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None)
+@given(st.binary(max_size=60))
+def test_whatever_is_in_the_file_is_read_or_refused_in_one_line(tmp_path: Path, data: bytes) -> None:
+    path = tmp_path / "mine.yaml"
+    path.write_bytes(data)
+    with pytest.raises(ConfigError) as caught:
+        read_config(path)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("flags", "line"),
+    [
+        (("--robot-body", "ros2"), "--robot-body ros2 and --ros2-config FILE go together"),
+        (("--ros2-config", "x.yaml"), "--robot-body ros2 and --ros2-config FILE go together"),
+        (("--robot-body", "ros2", "--ros2-config", "x.yaml"), "x.yaml: no such file or directory"),
+    ],
+)
+def test_smal_up_says_what_is_wrong_before_anything_starts(flags: tuple[str, ...], line: str) -> None:
+    done = run_smal("up", *flags, timeout_s=60)
+    assert done.returncode == 2
+    assert line in done.stderr
+    assert done.stderr.strip().count("\n") == 0

@@ -1,0 +1,225 @@
+"""A fake TurtleBot is driven, and harmed: by its own log its wheels stand in time, whatever is killed, frozen or cut.
+
+``pytest -s`` prints how soon.
+"""
+
+# ruff: noqa: T201
+
+from __future__ import annotations
+
+import math
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, closing, suppress
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+
+from schemas import topics
+from schemas.codec import decode
+from schemas.command import Command
+from schemas.odometry import Odometry
+from schemas.rpc import ArmRequest, Nothing, ResetReply, ResetRequest, Status
+from services.cli.stack.processes import free_endpoint
+from services.kit.bus import Bus, Router, RpcError
+from services.robot.loop import STAND_WITHIN_S
+from tests.benchmarks.faults.proxy import link
+from tests.ros2.fake_turtlebot import now_s
+from tests.ros2.field import Field, Robot, robot_for, until
+
+pytestmark = [pytest.mark.rendering, pytest.mark.zenoh, pytest.mark.system]
+#: How long a fault lasts: longer than Zenoh's links take to notice, which is 2 s.
+FAULT_S = 3.0
+
+
+@dataclass
+class Driven:
+    """A fake robot, the service that drives it, and a driver that turns it on the spot."""
+
+    place: Field
+    bus: Bus
+    endpoint: str
+    link_pid: int
+    robot: subprocess.Popen[bytes] | None = None
+    drives: bool = True
+
+    def start(self) -> None:
+        """Start the service."""
+        with (self.place.robot.folder / "robot.log").open("ab") as log:
+            command = [sys.executable, "-m", "services.ros2", "--router", self.endpoint, "--robot", "fake"]
+            command += ["--attended", "false", "--ros2-config", str(self.place.robot.folder / "fake.yaml")]
+            self.robot = subprocess.Popen(command, stdout=log, stderr=log)
+
+    def answer(self, payload: bytes, encoding: str, _transit_s: float | None) -> None:
+        """Answer a frame."""
+        if self.drives:
+            self.bus.publish(Command.after(decode(Odometry, payload, encoding), source="expert", atom="left"))
+
+    @property
+    def detail(self) -> dict[str, object]:
+        """What the service tells of itself; nothing while it does not answer."""
+        try:
+            return dict(self.bus.call("robot", "status", Nothing(), Status, timeout_s=1.0).detail)
+        except RpcError:
+            return {}
+
+    def moves(self) -> bool:
+        """Have it move, if it does not: arm it, begin an episode."""
+        detail = self.detail
+        if not detail:
+            return False
+        with suppress(RpcError):
+            if detail["emergency_stop"]:
+                self.bus.call("robot", "arm", ArmRequest(stop=int(str(detail["emergency_stop"]))), Nothing)
+            if detail["episode"] is None:
+                request = ResetRequest(seed=1, driver="expert", mode="realtime", max_ticks=100_000)
+                self.bus.call("robot", "reset", request, ResetReply)
+        began_s = now_s()
+        with suppress(AssertionError):
+            until(lambda: self.place.moving and now_s() - began_s > 0.3, 2.0)
+        return self.place.moving
+
+
+@pytest.fixture(scope="module", params=["rmw_zenoh", "zenoh-bridge-ros2dds", "humble, stamped"])
+def driven(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Driven]:
+    """Have a robot that turns on the spot."""
+    folder, humble = tmp_path_factory.mktemp("ros2"), "humble" in request.param
+    robot = Robot(folder, dialect="rmw_zenoh" if humble else request.param, size="64x48", humble=humble)
+    if humble:
+        robot = Robot(folder, size="64x48", humble=True, encoding="yuv422", more=("--twist", "TwistStamped"))
+    with ExitStack() as stacked:
+        place = stacked.enter_context(robot_for(robot))
+        address, link_pid = stacked.enter_context(link(place.endpoint))
+        config = place.config()
+        config.write_text(config.read_text().replace(place.endpoint, address))
+        endpoint = free_endpoint()
+        stacked.callback(Router(endpoint).close)
+        bus = stacked.enter_context(closing(Bus("fake", endpoint)))
+        one = Driven(place, bus, endpoint, link_pid)
+        bus.subscribe(topics.ODOMETRY, one.answer)
+        one.start()
+        try:
+            until(one.moves)
+            yield one
+        finally:
+            assert one.robot is not None
+            one.robot.kill()
+            one.robot.wait()
+
+
+def pid_of(part: str) -> Callable[[Driven], int]:
+    """Return how to find a process."""
+    if part == "robot":
+        return lambda driven: driven.robot.pid if driven.robot else 0
+    if part == "link":
+        return lambda driven: driven.link_pid
+    return lambda driven: driven.place.children[part].pid
+
+
+@pytest.mark.parametrize("harm", ["kill", "freeze"])
+@pytest.mark.parametrize("part", ["robot", "router", "camera", "link"])
+def test_the_base_stands_in_time_and_drives_again(driven: Driven, part: str, harm: str) -> None:
+    if (part, harm) == ("link", "kill"):
+        pytest.skip("a link that is down is frozen: it is a black hole")
+    until(driven.moves)
+    pid = pid_of(part)(driven)
+    began_s = now_s()
+    os.kill(pid, signal.SIGKILL if harm == "kill" else signal.SIGSTOP)
+    time.sleep(FAULT_S)  # the fault lasts; that the wheels stand until its end is what is to be seen
+    ended_s = now_s()
+    steps = [step for step in driven.place.steps(began_s) if step[0] <= ended_s]
+    if harm == "freeze":
+        os.kill(pid, signal.SIGCONT)
+    elif part == "robot":
+        assert driven.robot is not None
+        driven.robot.wait()
+        driven.start()
+    else:
+        driven.place.children[part].wait()
+        driven.place.start(part)
+    moved = [step[0] - began_s for step in steps if step[3] or step[4]]
+    print(f"{part} {harm}: stands after {max(moved, default=0.0):.2f} s")
+    assert len(steps) > FAULT_S / 0.02 / 2, "its log says what the wheels did"
+    assert max(moved, default=0.0) <= STAND_WITHIN_S
+    until(driven.moves)
+    print(f"{part} {harm}: drives {now_s() - ended_s:.1f} s after the fault")
+
+
+def test_wheels_that_were_started_again_are_driven_on_and_have_not_leapt(driven: Driven) -> None:
+    until(driven.moves)
+    heard: list[Odometry] = []
+    driven.bus.subscribe(
+        topics.ODOMETRY, lambda payload, encoding, _: heard.append(decode(Odometry, payload, encoding))
+    )
+    base = driven.place.children["base"]
+    base.kill()
+    base.wait()
+    until(lambda: driven.detail.get("lacks"))
+    before = heard[-1]
+    driven.place.start("base")
+    until(lambda: driven.detail.get("lacks") is None)
+    count = len(heard)
+    until(lambda: len(heard) > count + 2)
+    assert heard[-1].episode == before.episode
+    assert abs(math.remainder(heard[-1].heading_rad - before.heading_rad, math.tau)) < 0.5
+    until(driven.moves)
+
+
+def test_a_driver_that_is_silent_is_noticed(driven: Driven) -> None:
+    until(driven.moves)
+    driven.drives = False
+    began_s = now_s()
+    time.sleep(1.0)
+    moved = [step[0] - began_s for step in driven.place.steps(began_s) if step[3] or step[4]]
+    driven.drives = True
+    print(f"driver silent: stands after {max(moved, default=0.0):.2f} s")
+    assert max(moved, default=0.0) <= STAND_WITHIN_S
+    until(driven.moves)
+
+
+def test_lockstep_is_refused_in_one_line(driven: Driven) -> None:
+    with pytest.raises(RpcError, match="fake cannot wait for commands; ask for real time"):
+        driven.bus.call("robot", "reset", ResetRequest(seed=1, mode="lockstep"), ResetReply)
+
+
+def test_the_log_and_the_status_say_what_the_base_takes_and_how_its_clock_stands(driven: Driven) -> None:
+    detail = driven.detail
+    wanted = "TwistStamped" if driven.place.robot.humble else "Twist"
+    assert detail["velocity_type"] == f"geometry_msgs/msg/{wanted}"
+    log = (driven.place.robot.folder / "robot.log").read_text()
+    assert f"/cmd_vel takes geometry_msgs/msg/{wanted}: that is what is sent" in log
+    assert isinstance(detail["camera_clock_offset_s"], float)
+    assert detail["lacks"] is None
+
+
+def test_no_robot_there_is_one_line(tmp_path: Path, driven: Driven) -> None:
+    place = driven.place
+    config = tmp_path / "none.yaml"
+    text = (place.robot.folder / "fake.yaml").read_text()
+    nowhere = free_endpoint()
+    address = text[text.index("tcp/") :].split('"')[0]
+    config.write_text(text.replace(address, nowhere))
+    done = subprocess.run(
+        [
+            sys.executable,
+            "-m",
+            "services.ros2",
+            "--router",
+            driven.endpoint,
+            "--robot",
+            "o",
+            "--ros2-config",
+            config,
+        ],
+        capture_output=True,
+        text=True,
+        timeout=60,
+        check=False,
+    )
+    assert done.returncode == 1
+    assert f"fake: no Zenoh router at {nowhere}; on the robot start rmw_zenohd" in done.stderr.splitlines()[-1]
