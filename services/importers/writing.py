@@ -20,7 +20,7 @@ from schemas.compressed_image import CompressedImage
 from schemas.episode import Episode
 from schemas.odometry import Odometry
 from services.importers.atoms import Nominal, Thresholds, atoms_of
-from services.importers.drive import Array, Drive, ImportFailure, NotAnImage, Tally
+from services.importers.drive import Array, Drive, Frame, ImportFailure, NotAnImage, Tally
 from services.importers.images import size_of
 from services.importers.resample import TICK_S, Moves, odometry, ticks
 from services.recordings.writer import EpisodeWriter
@@ -148,7 +148,7 @@ def _spooled(file: IO[bytes], drive: Drive, purpose: Purpose, tally: Tally, prog
     return _Spool(file, numbers, ends, start_s)
 
 
-def _counted(drive: Drive, progress: Callable[[int], None]) -> Iterator:  # type: ignore[type-arg]
+def _counted(drive: Drive, progress: Callable[[int], None]) -> Iterator[Frame]:
     for frame in drive.frames():
         progress(1)
         yield frame
