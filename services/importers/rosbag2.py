@@ -29,8 +29,8 @@ from services.importers.drive import (
 )
 from services.importers.images import as_jpeg, raw_as_jpeg
 from services.importers.inside import Inside
-from services.importers.ros_image import rgb_of
 from services.importers.source_options import Wishes
+from services.kit.raw_image import ENCODINGS, rgb_of
 
 _COMPRESSED, _RAW = "sensor_msgs/msg/CompressedImage", "sensor_msgs/msg/Image"
 _TWIST, _STAMPED, _ODOMETRY = "geometry_msgs/msg/Twist", "geometry_msgs/msg/TwistStamped", "nav_msgs/msg/Odometry"
@@ -177,7 +177,12 @@ def _compressed(message: Received) -> bytes:
 
 def _raw(message: Received) -> bytes:
     image = _image(message)
-    return raw_as_jpeg(rgb_of(image.encoding, image.width, image.height, image.step, image.data))
+    if image.encoding not in ENCODINGS:
+        raise NotAnImage("images have an encoding that is not read (8 bits of RGB, BGR, grey or YUV 4:2:2 are)")
+    try:
+        return raw_as_jpeg(rgb_of(image.encoding, image.width, image.height, image.step, image.data))
+    except ValueError as error:
+        raise error if isinstance(error, NotAnImage) else NotAnImage("images are damaged") from None
 
 
 def _image(message: Received) -> Any:  # noqa: ANN401 - as above

@@ -10,14 +10,14 @@ from dataclasses import dataclass
 from threading import Lock
 from typing import Final
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from schemas.base import ATOMS, Atom
 from schemas.imu import MAX_SAMPLES
-from services.kit.jpeg import MOST_PIXELS, decode_jpeg
+from services.kit.jpeg import decode_jpeg
 from services.kit.node import Throttle
+from services.kit.raw_image import rgb_of
 from services.robot.body import ImuReading, OdometryReading, Triple
 from services.robot.clock import now_s
 from services.ros2 import messages
@@ -373,36 +373,9 @@ def pixels(message: RosMessage) -> NDArray[np.uint8]:
     MessageError
         There is none that we understand.
     """
-    if hasattr(message, "format"):
-        try:
+    try:
+        if hasattr(message, "format"):
             return decode_jpeg(message.data.tobytes())
-        except ValueError as error:
-            raise MessageError(str(error)) from None
-    return _raw_pixels(message)
-
-
-# Bytes of a pixel, and how it becomes RGB, by the encoding's name.
-_ENCODINGS: Final[dict[str, tuple[int, int | None]]] = {
-    "rgb8": (3, None),
-    "bgr8": (3, cv2.COLOR_BGR2RGB),
-    "mono8": (1, cv2.COLOR_GRAY2RGB),
-    "yuv422": (2, cv2.COLOR_YUV2RGB_UYVY),
-    "uyvy": (2, cv2.COLOR_YUV2RGB_UYVY),
-    "yuv422_yuy2": (2, cv2.COLOR_YUV2RGB_YUY2),
-    "yuyv": (2, cv2.COLOR_YUV2RGB_YUY2),
-}
-
-
-def _raw_pixels(message: RosMessage) -> NDArray[np.uint8]:
-    if message.encoding not in _ENCODINGS:
-        raise MessageError(f"encoding {message.encoding[:30]!r}: known are {', '.join(_ENCODINGS)}")
-    channels, conversion = _ENCODINGS[message.encoding]
-    height, width, step = int(message.height), int(message.width), int(message.step)
-    if not (0 < height * width <= MOST_PIXELS and step >= width * channels and message.data.size == step * height):
-        raise MessageError(f"{width}x{height} pixels in {message.data.size} bytes, {step} a row: that cannot be")
-    if channels == 2 and width % 2:
-        raise MessageError(f"{width} columns: pixels of {message.encoding} come in pairs")
-    rows = message.data.reshape(height, step)[:, : width * channels].reshape(height, width, channels)
-    if conversion is None:
-        return np.ascontiguousarray(rows, dtype=np.uint8)
-    return np.asarray(cv2.cvtColor(np.ascontiguousarray(rows), conversion), dtype=np.uint8)
+        return rgb_of(message.encoding, message.width, message.height, message.step, message.data)
+    except ValueError as error:
+        raise MessageError(str(error)) from None
