@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Collection, Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -192,6 +193,14 @@ def read(files: Iterable[Path], speed: float | None, turn_rate: float | None, ta
         Drive(name if names.count(name) == 1 else f"{episode.robot}-{name}", episode, nominal[episode.robot])
         for name, episode in zip(names, episodes, strict=True)
     ]
+
+
+def say_view(drives: Iterable[Drive], tally: Tally) -> None:
+    """Say how the cameras see, for a format that has no place for it."""
+    for camera in (drive.camera for drive in drives):
+        if camera is not None:
+            angle = math.degrees(2.0 * math.atan(0.5 * camera.width / camera.focal_px))
+            tally.say(f"the camera's field of view has no place in it; import it with --field-of-view {angle:.4g}")
 
 
 def _episodes(files: Iterable[Path], tally: Tally) -> Iterator[RecordedEpisode]:

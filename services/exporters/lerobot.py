@@ -15,7 +15,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from services.exporters.drives import Drive, ExportFailure, Moment
+from services.exporters.drives import Drive, ExportFailure, Moment, say_view
 from services.exporters.statistics import Statistics, histogram, of_images, of_numbers
 from services.exporters.video import CODEC, PIXELS, Videos
 from services.importers.drive import Tally
@@ -58,13 +58,9 @@ def write(drives: Sequence[Drive], folder: Path, tally: Tally, advance: Callable
             episodes = list(_filmed(drives, videos, tally, advance))
     except av.FFmpegError as error:
         raise ExportFailure(f"the video cannot be written: {error.strerror or type(error).__name__}") from None
+    say_view(drives, tally)
     if not episodes:
         raise ExportFailure("nothing to export: no frame has an image and tells what was done then")
-    for drive in drives:
-        if drive.camera is not None:
-            camera = drive.camera
-            angle = 2.0 * np.degrees(np.arctan(0.5 * camera.width / camera.focal_px))
-            tally.say(f"LeRobot has no place for the camera's field of view: smal import … --field-of-view {angle:.1f}")
     _Tables(folder, episodes, tally).write(videos, drives[0].episode.robot)
 
 

@@ -13,9 +13,10 @@ Statistics = dict[str, list[Any]]
 
 
 def of_numbers(rows: NDArray[Any]) -> Statistics:
-    """Return the statistics of values (n, width)."""
+    """Return the statistics of values (n, width); the extremes are of their own type, as lerobot has it."""
     values = rows.astype(np.float64)
-    found = {name: getattr(values, name)(axis=0) for name in ("min", "max", "mean", "std")}
+    found: dict[str, NDArray[Any]] = {"min": rows.min(axis=0), "max": rows.max(axis=0)}
+    found |= {"mean": values.mean(axis=0), "std": values.std(axis=0)}
     found |= {name: np.quantile(values, share, axis=0) for name, share in _QUANTILES.items()}
     return {name: value.tolist() for name, value in found.items()} | {"count": [len(values)]}
 
