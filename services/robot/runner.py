@@ -56,6 +56,8 @@ class Running(Generic[V]):
     stamp_ns: int
     #: When the client that began it was last heard of.
     client_s: float
+    #: The number of its last sign of life.
+    client_beat: int = -1
     #: Whether the goal has been reached at all.
     found: bool = False
     applied: Applied | None = None
@@ -371,7 +373,8 @@ class EpisodeRunner(Generic[V]):
         now, run = self._clock(), self._running
         if beat.operator:
             self.gate.hear(beat, now)
-        if run is not None and beat.session == run.request.session:
+        if run is not None and beat.session == run.request.session and beat.sequence > run.client_beat:
+            run.client_beat = beat.sequence
             run.client_s = now if beat.present else -math.inf
 
     def poll(self) -> Iterator[Message]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Collection, Iterator
 from dataclasses import dataclass
 from typing import Final, Protocol
@@ -216,6 +217,10 @@ class Ros2Body:
                 new.append(one._replace(after_s=one.after_s - self._begun_s))
         return tuple(new)
 
+    def _ahead_s(self, offset_s: float) -> float:
+        """Return how much later it is on the robot's clock than on this machine's, as `date` would show."""
+        return round(self._clock() - offset_s - time.time(), 3)
+
     def detail(self) -> Detail:
         """Tell how the base is heard, and how its clock stands."""
         clock = self._senses.camera_clock
@@ -224,7 +229,7 @@ class Ros2Body:
             "lacks": self._lacks(),
             "camera_age_s": None if frame is None else round(self._clock() - frame.captured_s, 3),
             "camera_delay_s": round(clock.delay_s, 3),
-            "camera_clock_offset_s": None if clock.offset_s is None else round(clock.offset_s, 3),
+            "robot_clock_ahead_s": None if clock.offset_s is None else self._ahead_s(clock.offset_s),
             "camera_clock_set_back": clock.set_back,
             "odometry_leaps": self._senses.track.leaps,
             **{f"refused {topic}": count for topic, count in list(self._senses.refused.items())},

@@ -90,9 +90,12 @@ class Track:
     ----------
     speed_m_s, turn_rate_rad_s
         What the base does at most; twice of it is believed.
+    silence_s
+        After so much silence the count may have begun anew: it has where it is nearer to nothing than to what it was.
     """
 
-    def __init__(self, speed_m_s: float, turn_rate_rad_s: float) -> None:
+    def __init__(self, speed_m_s: float, turn_rate_rad_s: float, silence_s: float) -> None:
+        self._silence_s = silence_s
         self._speed_m_s = speed_m_s
         self._turn_rate_rad_s = turn_rate_rad_s
         self._raw: tuple[float, float, float] | None = None
@@ -111,7 +114,10 @@ class Track:
         dx, dy = x_m - raw[0], y_m - raw[1]
         passed_s = max(0.0, read_s - now.read_s)
         far = math.hypot(dx, dy) > _LEAP_M + 2 * self._speed_m_s * passed_s
-        if far or abs(turned) > _LEAP_RAD + 2 * self._turn_rate_rad_s * passed_s:
+        far |= abs(turned) > _LEAP_RAD + 2 * self._turn_rate_rad_s * passed_s
+        if passed_s > self._silence_s:
+            far |= _size(x_m, y_m, math.remainder(heading_rad, math.tau)) < _size(dx, dy, turned)
+        if far:
             self.leaps += 1
             dx = dy = turned = 0.0
         # What was gone is seen from where the base stood, and laid on to where we say that it stood.
@@ -126,6 +132,10 @@ class Track:
             now.turned_rad + turned,
         )
         return self._now
+
+
+def _size(x_m: float, y_m: float, angle_rad: float) -> float:
+    return math.hypot(x_m / _LEAP_M, y_m / _LEAP_M, angle_rad / _LEAP_RAD)
 
 
 class Senses:
@@ -151,7 +161,8 @@ class Senses:
         self._frame: Frame | None = None
         self._wheels: deque[Wheels] = deque(maxlen=_KEPT)
         self._imu: deque[ImuReading] = deque(maxlen=MAX_SAMPLES)
-        self.track = Track(config.speed_m_s, config.turn_rate_rad_s)
+        silence_s = 0.0 if config.odometry is None else config.odometry.silence_s
+        self.track = Track(config.speed_m_s, config.turn_rate_rad_s, silence_s)
         self._focal: tuple[float, int] | None = None
         self._forbidden: dict[str, tuple[tuple[str, frozenset[Atom]], ...]] = {}
         self._touched = False
