@@ -26,6 +26,7 @@ COMMANDS: Final = {
     "demonstrate": ("services.cli.demonstrate:demonstrate", "Let the scripted expert show the search."),
     "teleop": ("services.cli.teleop:teleop", "Drive with the keyboard."),
     "import": ("services.cli.importing:import_recordings", "Make recordings of what other software recorded."),
+    "export": ("services.cli.exporting:export_recordings", "Write recordings as other software reads them."),
     "learn": ("services.cli.learn:learn", "Learn a model from recorded drives."),
     "run": ("services.cli.run:run", "Let the robot find the victim by itself."),
     "evaluate": ("services.cli.evaluate:evaluate", "Run the paper's experiments in simulation."),

@@ -85,11 +85,7 @@ class Teacher:
             self._remark(str(error))
             return
         self.teaching.recordings += 1
-        if recording.truncated:
-            frames = sum(episode.frames for episode in recording.episodes)
-            self._remark(f"{path}: truncated; the {frames} whole frames are read")
-        if recording.bad:
-            self._remark(f"{path}: {recording.bad} malformed messages are left out")
+        self.teaching.remarks.extend(recording.remarks())
         for episode in recording.episodes:
             take_out(episode, held, self._features)
             self._take(path, episode)

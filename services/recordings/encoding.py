@@ -72,22 +72,30 @@ def decode_image(payload: bytes) -> NDArray[np.uint8]:
     ValueError
         When the payload is no image.
     """
-    return decode_jpeg(_jpeg_of(payload))
+    return decode_jpeg(stamped_jpeg(payload)[1])
 
 
 def is_image(payload: bytes) -> bool:
     """Whether a recorded image begins as one; costs much less than to decode it."""
     try:
-        return is_jpeg(_jpeg_of(payload))
+        return is_jpeg(stamped_jpeg(payload)[1])
     except ValueError:
         return False
 
 
-def _jpeg_of(payload: bytes) -> bytes:
+def stamped_jpeg(payload: bytes) -> tuple[int, bytes]:
+    """Return when a recorded image was captured, nanoseconds since 1970, and its JPEG.
+
+    Raises
+    ------
+    ValueError
+        When the payload is no such image.
+    """
     try:
-        return foxglove.CompressedImage.FromString(payload).data
+        image = foxglove.CompressedImage.FromString(payload)
     except ProtobufDecodeError:
         raise ValueError("not a foxglove.CompressedImage") from None
+    return image.timestamp.seconds * 1_000_000_000 + image.timestamp.nanos, image.data
 
 
 def _image_schema() -> bytes:

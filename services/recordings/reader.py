@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import re
 import struct
-from collections.abc import Callable
+from collections.abc import Callable, Collection, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
@@ -63,8 +63,17 @@ class Recording:
     truncated: bool
     bad: int
 
+    def remarks(self) -> Iterator[str]:
+        """Yield one line for everything that is not as it should be."""
+        if self.truncated:
+            yield f"{self.path}: truncated; the {sum(one.frames for one in self.episodes)} whole frames are read"
+        if self.bad:
+            yield f"{self.path}: {self.bad} malformed messages are left out"
 
-def read_recording(path: Path, fingerprint: str | None = None, allowance: Allowance | None = None) -> Recording:
+
+def read_recording(
+    path: Path, fingerprint: str | None = None, allowance: Allowance | None = None, keep: Collection[Topic] = ()
+) -> Recording:
     """Read a recording.
 
     Parameters
@@ -75,6 +84,8 @@ def read_recording(path: Path, fingerprint: str | None = None, allowance: Allowa
         Which feature vectors to take from the observations; none of them if not given.
     allowance
         For the memory that it takes; one of its own if not given.
+    keep
+        Topics whose messages are kept as they are, too.
 
     Raises
     ------
@@ -85,7 +96,7 @@ def read_recording(path: Path, fingerprint: str | None = None, allowance: Allowa
     parts = _open(path)
     allowance = allowance or Allowance()
     before = allowance.left
-    reader = _Reader(fingerprint, allowance)
+    reader = _Reader(fingerprint, allowance, keep)
     try:
         for part in parts:
             for record in records(part, allowance):
@@ -122,11 +133,12 @@ def _open(path: Path) -> list[memoryview]:
 class _Reader:
     """Sorts the records of a file into episodes."""
 
-    def __init__(self, fingerprint: str | None, allowance: Allowance) -> None:
+    def __init__(self, fingerprint: str | None, allowance: Allowance, keep: Collection[Topic]) -> None:
         self._allowance = allowance
         self.episodes: dict[tuple[str, str], RecordedEpisode] = {}
         self.bad = 0
         self._fingerprint = fingerprint
+        self._keep = {topic.name for topic in keep}
         self._channels: dict[int, tuple[Topic, str, str]] = {}
         self._take: dict[str, Callable[[RecordedEpisode, Message], None]] = {
             EPISODE.name: self._take_event,
@@ -160,7 +172,7 @@ class _Reader:
             record.images.setdefault(tick, payload)
             return
         take = self._take.get(topic.name)
-        if take is None:
+        if take is None and topic.name not in self._keep:
             return
         try:
             message = topic.message.model_validate_json(bytes(payload))
@@ -170,7 +182,10 @@ class _Reader:
         if (message.robot, message.episode) != (robot, episode):
             self.bad += 1
             return
-        take(record, message)
+        if topic.name in self._keep:
+            record.kept.setdefault(topic.name, {}).setdefault(message.tick, message)
+        if take is not None:
+            take(record, message)
 
     def _take_event(self, record: RecordedEpisode, event: Message) -> None:
         assert isinstance(event, Episode)  # noqa: S101 - by the table of topics
