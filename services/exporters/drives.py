@@ -10,7 +10,7 @@ from typing import Final, NamedTuple, cast
 
 import numpy as np
 
-from schemas.base import Atom
+from schemas.base import DIRECTIONS
 from schemas.camera_info import CameraInfo
 from schemas.command import CommandApplied
 from schemas.imu import Imu
@@ -25,10 +25,6 @@ from services.recordings.recorded import RecordedEpisode
 from services.recordings.records import Allowance
 from smal.movement import Movement
 
-#: Ahead and counter-clockwise, as shares of a robot's speed and turn rate.
-_DIRECTIONS: Final[dict[Atom, tuple[int, int]]] = {
-    "forward": (1, 0), "backward": (-1, 0), "left": (0, 1), "right": (0, -1), "stop": (0, 0),
-}  # fmt: skip
 #: Of velocities: a micrometre and a microradian a second.
 _DIGITS: Final = 6
 
@@ -156,7 +152,7 @@ class Drive:
         applied = self.episode.applied.get(tick)
         if applied is None:
             return None
-        ahead, left = _DIRECTIONS[applied.atom]
+        ahead, left = DIRECTIONS[applied.atom]
         speed, turn_rate = self.nominal.speed.value, self.nominal.turn_rate.value
         return Velocity(round(ahead * speed * applied.speed, _DIGITS), round(left * turn_rate * applied.speed, _DIGITS))
 

@@ -5,12 +5,12 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Collection, Iterator
 from dataclasses import dataclass
-from typing import Final, Protocol
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from schemas.base import Atom, Message
+from schemas.base import DIRECTIONS, Atom, Message
 from schemas.rpc import ResetRequest
 from services.kit.node import Detail, ServiceError
 from services.robot.body import Beginning, ImuReading, OdometryReading
@@ -19,14 +19,6 @@ from services.robot.gate import MAX_AGE_S
 from services.ros2.config import Ros2Config
 from services.ros2.messages import MessageError
 from services.ros2.senses import Frame, Senses, Wheels, pixels, reading
-
-_DIRECTIONS: Final[dict[Atom, tuple[int, int]]] = {
-    "forward": (1, 0),
-    "backward": (-1, 0),
-    "left": (0, 1),
-    "right": (0, -1),
-    "stop": (0, 0),
-}
 
 
 class Link(Protocol):
@@ -128,7 +120,7 @@ class Ros2Body:
         if self._lacks() is not None:
             self.stand()
             return
-        ahead, turn = _DIRECTIONS[atom]
+        ahead, turn = DIRECTIONS[atom]
         self._send(ahead * speed * self._config.speed_m_s, turn * speed * self._config.turn_rate_rad_s)
 
     def stand(self) -> None:
