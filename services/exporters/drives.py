@@ -10,7 +10,7 @@ from typing import Final, NamedTuple, cast
 
 import numpy as np
 
-from schemas.base import DIRECTIONS
+from schemas.base import DIRECTIONS, Atom
 from schemas.camera_info import CameraInfo
 from schemas.command import CommandApplied
 from schemas.imu import Imu
