@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from schemas.base import Message
 from schemas.compressed_image import CompressedImage
-from services.kit.jpeg import decode_jpeg, is_jpeg
+from services.kit.jpeg import decode_jpeg, is_jpeg, jpeg_size
 
 
 @dataclass(frozen=True)
@@ -72,18 +72,39 @@ def decode_image(payload: bytes) -> NDArray[np.uint8]:
     ValueError
         When the payload is no image.
     """
-    return decode_jpeg(_jpeg_of(payload))
+    return decode_jpeg(jpeg_of(payload))
 
 
 def is_image(payload: bytes) -> bool:
     """Whether a recorded image begins as one; costs much less than to decode it."""
     try:
-        return is_jpeg(_jpeg_of(payload))
+        return is_jpeg(jpeg_of(payload))
     except ValueError:
         return False
 
 
-def _jpeg_of(payload: bytes) -> bytes:
+def size_of_image(payload: bytes) -> tuple[int, int]:
+    """Return width and height of a recorded image, by its header alone.
+
+    Raises
+    ------
+    ValueError
+        When the payload is no image.
+    """
+    size = jpeg_size(jpeg_of(payload))
+    if size is None:
+        raise ValueError("not a JPEG image")
+    return size
+
+
+def jpeg_of(payload: bytes) -> bytes:
+    """Return what a recorded image holds, which need be no JPEG.
+
+    Raises
+    ------
+    ValueError
+        When the payload is no image.
+    """
     try:
         return foxglove.CompressedImage.FromString(payload).data
     except ProtobufDecodeError:

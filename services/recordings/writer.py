@@ -70,7 +70,7 @@ class EpisodeWriter:
         self._first: tuple[Path, int] | None = None
         try:
             # The writer asks its output for no more than write, tell and flush.
-            self._writer = Writer(cast("Any", self._sink), compression=CompressionType.NONE)
+            self._writer = Writer(cast("Any", self._sink), compression=CompressionType.NONE, enable_data_crcs=True)
             self._writer.start(profile="", library=f"smal {_software()}")
             self._writer.add_metadata(EPISODE_METADATA, metadata)
         except OSError:
@@ -102,7 +102,7 @@ class EpisodeWriter:
         """
         lock = claim(partial)
         try:
-            writer = cls(next_part(partial), finished(partial), _metadata_of(partial))
+            writer = cls(next_part(partial), finished(partial), metadata_of(partial))
         except BaseException:
             os.close(lock)
             raise
@@ -209,11 +209,20 @@ class EpisodeWriter:
                         form = ChannelFormat(schema.name, schema.encoding, record.message_encoding, bytes(schema.data))
                         channels[record.id] = record.topic, form
                     case StoredMessage():
-                        self._copy(*channels[record.channel_id], record)
+                        self.copy(*channels[record.channel_id], record)
         except _DAMAGED:
             raise RecoveryError(f"{part.name} is not the recording of an episode") from None
 
-    def _copy(self, key: str, form: ChannelFormat, stored: StoredMessage) -> None:
+    def copy(self, key: str, form: ChannelFormat, stored: StoredMessage) -> None:
+        """Write a message of another recording, if it is new.
+
+        Raises
+        ------
+        ValueError
+            When it is none of ours.
+        OSError
+            When it cannot be written.
+        """
         topic = topic_of(key)
         if topic is None:
             raise ValueError(key)
@@ -263,7 +272,7 @@ class EpisodeWriter:
         return channel
 
 
-def _metadata_of(partial: Path) -> dict[str, str]:
+def metadata_of(partial: Path) -> dict[str, str]:
     """Return what a leftover says of its episode."""
     data = mapped(partial)
     if MAGIC.startswith(bytes(data[: len(MAGIC) + 1])):
