@@ -165,6 +165,20 @@ def verify(path: Path) -> Contents:
     return _Survey(path, thorough=True).contents
 
 
+def decoded(topic: Topic, robot: str, episode: str, payload: bytes) -> Message:
+    """Return the message of a topic, which has no images, in an episode.
+
+    Raises
+    ------
+    ValueError
+        When it is none.
+    """
+    message = topic.message.model_validate_json(payload)
+    if (message.robot, message.episode, message.topic_name) != (robot, episode, topic.name):
+        raise ValueError("of another robot, episode or topic than its channel")
+    return message
+
+
 class _Survey:
     """Reads one recording."""
 
@@ -273,11 +287,9 @@ class _EpisodeSurvey:
     def _take_message(self, topic: Topic, payload: bytes, stored: StoredMessage) -> Order | None:
         if not self._thorough and not self._tells(topic):
             return None
-        message = topic.message.model_validate_json(payload)
-        if (message.robot, message.episode) != (self.episode.robot, self.episode.episode):
-            raise ValueError("of another robot or episode than its channel")
-        if (message.topic_name, message.tick, message.stamp_ns) != (topic.name, stored.sequence, stored.log_time):
-            raise ValueError("its topic, tick or time is another than its record's")
+        message = decoded(topic, self.episode.robot, self.episode.episode, payload)
+        if (message.tick, message.stamp_ns) != (stored.sequence, stored.log_time):
+            raise ValueError("its tick or time is another than its record's")
         self._note(message)
         return order_of(message)
 

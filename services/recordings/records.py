@@ -223,6 +223,8 @@ def surveyed(data: memoryview, tell: Callable[[str], None], allowance: Allowance
     at = sure = len(MAGIC)
     if data[:at] != MAGIC:
         tell("does not begin as an MCAP file")
+    # The summary repeats schemas and channels: nothing that leads astray may lead there.
+    data = data[: data_end + _DATA_END]
     while at < len(data):
         try:
             end, record = _record_at(data, at)

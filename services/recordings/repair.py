@@ -6,6 +6,7 @@ import os
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
+from dataclasses import replace as changed
 from itertools import chain
 from pathlib import Path
 
@@ -13,8 +14,8 @@ from mcap.records import Channel, Schema
 from mcap.records import Message as StoredMessage
 
 from schemas.topics import topic_of
-from services.recordings.contents import Contents, verify
-from services.recordings.encoding import ChannelFormat, format_of, is_image
+from services.recordings.contents import Contents, decoded, verify
+from services.recordings.encoding import ChannelFormat, decode_image, format_of
 from services.recordings.reader import IMAGES, open_parts
 from services.recordings.records import summary_of, surveyed
 from services.recordings.sink import PARTIAL_SUFFIX, claim, finished, free_path, parts_of, publish
@@ -121,24 +122,30 @@ def _copy(part: memoryview, writer: EpisodeWriter) -> None:
                 channels[record.id] = record
             case StoredMessage(channel_id=number) if number in channels:
                 channel = channels[number]
-                schema = schemas.get(channel.schema_id)
                 # A message that does not decode is left out.
                 with suppress(ValueError):
-                    form = _checked(channel, schema, bytes(record.data))
-                    writer.copy(channel.topic, form, record)
+                    writer.copy(channel.topic, _form(channel, schemas), _checked(channel, record))
             case _:
                 pass
 
 
-def _checked(channel: Channel, schema: Schema | None, payload: bytes) -> ChannelFormat:
-    """Return how a message is written; ValueError where it is none of ours."""
-    topic = topic_of(channel.topic)
+def _checked(channel: Channel, stored: StoredMessage) -> StoredMessage:
+    """Return a message with the tick and the time that it tells itself; ValueError where it is none of ours."""
+    topic, payload = topic_of(channel.topic), bytes(stored.data)
     if topic is None:
         raise ValueError(channel.topic)
-    if topic not in IMAGES:
-        topic.message.model_validate_json(payload)
-    elif not is_image(payload):
-        raise ValueError("no image")
-    if schema is None:
-        return format_of(topic.message)
-    return ChannelFormat(schema.name, schema.encoding, channel.message_encoding, bytes(schema.data))
+    if topic in IMAGES:
+        decode_image(payload)
+        return stored
+    message = decoded(topic, channel.metadata["robot"], channel.metadata["episode"], payload)
+    return changed(stored, sequence=message.tick, log_time=message.stamp_ns)
+
+
+def _form(channel: Channel, schemas: dict[int, Schema]) -> ChannelFormat:
+    """Return how the messages of a channel are written; as today where its schema is lost."""
+    schema, topic = schemas.get(channel.schema_id), topic_of(channel.topic)
+    if schema is not None:
+        return ChannelFormat(schema.name, schema.encoding, channel.message_encoding, bytes(schema.data))
+    if topic is None:
+        raise ValueError(channel.topic)
+    return format_of(topic.message)

