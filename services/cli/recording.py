@@ -126,6 +126,7 @@ def _record(contents: Contents) -> dict[str, Any]:
         "bytes": contents.size,
         "software": contents.about.get("software"),
         "recorded_utc": contents.about.get("recorded_utc"),
+        "views": {"messages": contents.views, "bytes": contents.views_size},
         "other_messages": contents.others,
         "episodes": [_episode_record(episode) for episode in contents.episodes],
     }
@@ -147,6 +148,8 @@ def _lines(contents: Contents) -> Iterator[str]:
     yield f"{contents.path}: {contents.size / 1e6:.1f} MB, {contents.state}{written and f', of {written}'}"
     for episode in contents.episodes:
         yield from _episode_lines(episode)
+    if contents.views:
+        yield f"  views      {contents.views} messages, {contents.views_size / 1e6:.2f} MB, for Foxglove and Rerun"
     if contents.others:
         yield f"  others     {contents.others} messages on topics that are not ours"
     if not contents.episodes:

@@ -26,6 +26,7 @@ from services.recordings.ledger import Ledger, Order, order_of
 from services.recordings.reader import IMAGES, RecordingError, being_recorded, open_parts
 from services.recordings.records import Allowance, MemoryLimitError, summary_of, surveyed
 from services.recordings.sink import PARTIAL_SUFFIX, parts_of
+from services.recordings.views import is_view
 from services.recordings.writer import EPISODE_METADATA
 
 #: Of an episode's events, what says who drove where; see `schemas.episode`.
@@ -122,6 +123,8 @@ class Contents:
         What the recorder wrote of itself: software, when.
     episodes
         In the order in which they begin in the file.
+    views, views_size
+        What is there for viewers, derived from the rest: messages, and their bytes.
     others
         Messages of topics that are not ours.
     damage, lacks
@@ -133,6 +136,8 @@ class Contents:
     size: int
     about: dict[str, str] = field(default_factory=dict)
     episodes: list[EpisodeContents] = field(default_factory=list)
+    views: int = 0
+    views_size: int = 0
     others: int = 0
     damage: list[str] = field(default_factory=list)
     lacks: list[str] = field(default_factory=list)
@@ -240,6 +245,10 @@ class _Survey:
     def _take(self, channel: Channel, stored: StoredMessage) -> None:
         topic = topic_of(channel.topic)
         robot, episode = channel.metadata.get("robot"), channel.metadata.get("episode")
+        if is_view(channel.topic):
+            self.contents.views += 1
+            self.contents.views_size += len(stored.data)
+            return
         if topic is None or robot is None or episode is None:
             self.contents.others += 1
             return
