@@ -26,7 +26,7 @@ from smal.features import FeatureSettings
 
 #: How often dead services are looked for, seconds.
 WATCH_S: Final = 0.5
-RobotBody = Literal["simulator", "ros2"]
+RobotBody = Literal["simulator", "ros2", "none"]
 
 
 def up(
@@ -59,7 +59,10 @@ def up(
         ),
     ] = None,
     robot_body: Annotated[
-        RobotBody, typer.Option(help="What the robot drives: the simulator, or a real base that speaks ROS 2.")
+        RobotBody,
+        typer.Option(
+            help="What the robot drives: the simulator, a real base that speaks ROS 2, or none (smal replay)."
+        ),
     ] = "simulator",
     ros2_config: Annotated[
         Path | None, typer.Option(help="File that says which ROS 2 base; it may begin with a preset.")
@@ -107,7 +110,7 @@ def up(
         "policy": (*chain, *below),
         "recorder": flags(recordings=recordings) + below,
     }
-    services = stack_services()
+    services = tuple(name for name in stack_services() if (name, robot_body) != ("robot", "none"))
     addresses = _http_addresses(services, metrics_port)
     plan = StackPlan(
         services,
@@ -118,8 +121,8 @@ def up(
         modules={} if base_name is None else {"robot": "services.ros2"},
     )
     with interrupted_by_signals(), Stack(plan) as stack:
-        where = base_name or world
-        log.info("ready: robot %s in %s on %s, %s; Ctrl-C stops", robot, where, reached.router, how_secure(credentials))
+        where = "without a robot" if robot_body == "none" else f"in {base_name or world}"
+        log.info("ready: robot %s %s on %s, %s; Ctrl-C stops", robot, where, reached.router, how_secure(credentials))
         if addresses:
             where = ", ".join(f"{name} {address.rpartition(':')[2]}" for name, address in addresses.items())
             log.info("GET /healthz and /metrics on 127.0.0.1: %s", where)
