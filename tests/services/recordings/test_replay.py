@@ -87,6 +87,7 @@ def chain(settings: ServiceSettings, run_node: RunNode) -> Callable[[Model], Non
         recognizing.load(loaded)
         deciding.load(loaded)
         features.subscribe(topics.CAMERA, FeaturesService(model.feature_settings).handle)
+        recognizing.announce = recognition.publish
         recognition.subscribe(topics.ODOMETRY, recognizing.see)
         recognition.subscribe(topics.APPLIED, recognizing.see_applied)
         recognition.subscribe(topics.OBSERVATION, recognizing.handle)
@@ -121,7 +122,7 @@ def stamps_of(path: Path) -> dict[int, int]:
 def check_decisions(client: Bus, robot: Node, path: Path, model: Model) -> list[str]:
     """Replay, frame by frame, and compare what is decided with what the library decides."""
     expected = decided(path, model)
-    heard = Heard(client, topics.STATE, topics.ACTION, topics.COMMANDS["policy"])
+    heard = Heard(client, topics.MAP, topics.STATE, topics.ACTION, topics.COMMANDS["policy"])
     (track,) = tracks_of(path)
 
     def answered(tick: Tick) -> bool:
@@ -145,6 +146,7 @@ def check_decisions(client: Bus, robot: Node, path: Path, model: Model) -> list[
         assert [place.keyframe for place in state.places] == places.keyframes.tolist()
         np.testing.assert_array_equal([place.weight for place in state.places], places.weights)
         assert state.lost == min(belief.lost, 1.0)
+    assert list(heard.said["map"]) == [0]
     return [atom for atom, _, _ in expected]
 
 
