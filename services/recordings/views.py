@@ -51,8 +51,10 @@ _PART: Final = "/view/"
 _KEPT: Final = 100
 #: The arrow of the belief is half a metre long, about as a robot.
 _ARROW_M: Final = 0.5
-#: The driven way has a point for so much of it: a tick at walking pace.
+#: The driven way has a point for so much of it, a tick at walking pace; for more of it where there would be too many.
 _STEP_M: Final = 0.1
+#: Most points of a way: more than a screen can tell apart.
+_MOST_POINTS: Final = 10_000
 _LINE_PX: Final = 3.0
 _TAUGHT: Final = Color(r=0.3, g=0.6, b=1.0, a=1.0)
 _DRIVEN: Final = Color(r=1.0, g=0.8, b=0.2, a=1.0)
@@ -98,6 +100,7 @@ class Views:
         self._keyframes: NDArray[np.float64] | None = None
         self._told: dict[str, object] = {}
         self._way: list[tuple[float, float]] = []
+        self._step_m = _STEP_M
         self._began: Message | None = None
 
     def derives_from(self, message: type[Message]) -> bool:
@@ -128,8 +131,10 @@ class Views:
         _keep(self._wheels, odometry.tick, here)
         yield from self._world(odometry)
         self._began = self._began or odometry
-        if not self._way or float(np.hypot(*(here[:2] - self._way[-1]))) >= _STEP_M:
+        if not self._way or float(np.hypot(*(here[:2] - self._way[-1]))) >= self._step_m:
             self._way.append((odometry.x_m, odometry.y_m))
+        if len(self._way) > _MOST_POINTS:
+            self._way, self._step_m = self._way[::2], 2.0 * self._step_m
 
     def _pose(self, pose: Message) -> Iterator[View]:
         assert isinstance(pose, Pose)  # noqa: S101 - by its class
@@ -184,7 +189,9 @@ class Views:
         assert isinstance(taught, TaughtMap)  # noqa: S101 - by its class
         self._keyframes = taught.keyframes.to_numpy().astype(np.float64)
         flat = self._keyframes * (1.0, 1.0, 0.0)
-        yield from _line(taught, "map", "taught", np.split(flat, taught.begins[1:]), _TAUGHT)
+        every = 1 + len(flat) // _MOST_POINTS
+        ways = [way[::every] for way in np.split(flat, taught.begins[1:])]
+        yield from _line(taught, "map", "taught", ways, _TAUGHT)
 
     def _state(self, state: Message) -> Iterator[View]:
         assert isinstance(state, State)  # noqa: S101 - by its class

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 import threading
 from collections import defaultdict
 from collections.abc import Callable
+from contextlib import closing
 from pathlib import Path
 
 import numpy as np
@@ -39,6 +42,7 @@ from tests.services.conftest import RunNode
 from tests.services.recordings import driven_corridor
 from tests.services.recordings.recorded_messages import episode
 from tests.services.recordings.test_recorder_files import record
+from tests.services.secured import make_keys, secured_router
 from tests.services.waiting import eventually, ready
 
 ROBOT = "rescuebot"
@@ -87,6 +91,7 @@ def chain(settings: ServiceSettings, run_node: RunNode) -> Callable[[Model], Non
         recognizing.load(loaded)
         deciding.load(loaded)
         features.subscribe(topics.CAMERA, FeaturesService(model.feature_settings).handle)
+        recognizing.announce = recognition.publish
         recognition.subscribe(topics.ODOMETRY, recognizing.see)
         recognition.subscribe(topics.APPLIED, recognizing.see_applied)
         recognition.subscribe(topics.OBSERVATION, recognizing.handle)
@@ -121,7 +126,7 @@ def stamps_of(path: Path) -> dict[int, int]:
 def check_decisions(client: Bus, robot: Node, path: Path, model: Model) -> list[str]:
     """Replay, frame by frame, and compare what is decided with what the library decides."""
     expected = decided(path, model)
-    heard = Heard(client, topics.STATE, topics.ACTION, topics.COMMANDS["policy"])
+    heard = Heard(client, topics.MAP, topics.STATE, topics.ACTION, topics.COMMANDS["policy"])
     (track,) = tracks_of(path)
 
     def answered(tick: Tick) -> bool:
@@ -145,6 +150,7 @@ def check_decisions(client: Bus, robot: Node, path: Path, model: Model) -> list[
         assert [place.keyframe for place in state.places] == places.keyframes.tolist()
         np.testing.assert_array_equal([place.weight for place in state.places], places.weights)
         assert state.lost == min(belief.lost, 1.0)
+    assert list(heard.said["map"]) == [0]
     return [atom for atom, _, _ in expected]
 
 
@@ -262,3 +268,46 @@ def test_what_cannot_be_replayed_is_one_line(arguments: tuple[str, ...], complai
     assert done.returncode in (1, 2)
     assert complaint in done.stderr
     assert done.stderr.count("\n") == 1
+
+
+def test_with_certificates_it_takes_the_robots_own(free_endpoint: str, tmp_path: Path) -> None:
+    path = record(tmp_path, list(episode("drive-1", frames=5)))
+    keys, endpoint = make_keys(tmp_path / "keys"), free_endpoint.replace("tcp/", "tls/")
+    watcher = ServiceSettings(robot=ROBOT, router=endpoint, secure=keys)
+    with secured_router(endpoint, keys), closing(watcher.open_bus("watcher")) as bus:
+        heard = Heard(bus, topics.CAMERA, topics.EPISODE)
+        done = run_smal("replay", path, "--router", endpoint, "--secure", keys, "--rate", 20)
+        assert done.returncode == 0, done.stderr
+        heard.wait(topics.CAMERA, 4)
+        # Whoever may only watch has no certificate of the robot.
+        for key in (keys / "robot").iterdir() if (keys / "robot").is_dir() else keys.glob("robot*"):
+            key.unlink()
+        refused = run_smal("replay", path, "--router", endpoint, "--secure", keys)
+    assert refused.returncode == 1
+    assert "robot" in refused.stderr
+    assert refused.stderr.count("\n") == 1
+
+
+@pytest.mark.system
+def test_a_stack_without_a_robot_answers_a_replay(free_endpoint: str, tmp_path: Path) -> None:
+    path = driven_corridor.record(tmp_path)
+    model = corridor.save_model(tmp_path / "corridor.smal")
+    up = subprocess.Popen(
+        [
+            *(sys.executable, "-c", "from services.cli.main import main; main()", "up", "--robot-body", "none"),
+            *("--model", model, "--router", free_endpoint),
+        ],
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    try:
+        assert up.stderr is not None
+        assert any("ready: robot rescuebot without a robot" in line for line in up.stderr)
+        with closing(Bus(ROBOT, free_endpoint)) as bus:
+            heard = Heard(bus, topics.ACTION)
+            done = run_smal("replay", path, "--router", free_endpoint, "--rate", 0.5)
+            assert done.returncode == 0, done.stderr
+            eventually(lambda: max(heard.said["action"], default=0) > driven_corridor.FRAMES - 5)
+    finally:
+        up.terminate()
+        assert up.wait(20.0) == 0
