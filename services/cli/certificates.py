@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ipaddress
 import os
+import re
 import secrets
 from collections.abc import Iterable, Iterator
 from datetime import UTC, datetime, timedelta
@@ -11,11 +12,13 @@ from pathlib import Path
 from typing import Final, NamedTuple
 
 from cryptography import x509
-from cryptography.exceptions import InvalidSignature
+from cryptography.exceptions import InvalidSignature, UnsupportedAlgorithm
 from cryptography.hazmat.primitives import hashes, serialization
 from cryptography.hazmat.primitives.asymmetric import ec
+from cryptography.hazmat.primitives.asymmetric.types import PrivateKeyTypes
 from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 
+from schemas.codec import printable
 from services.kit.credentials import CA_FILE, CERTIFICATE_SUFFIX, KEY_SUFFIX, PASSWORD_SUFFIX, PASSWORDS_FILE
 from services.kit.errors import UsageError
 from services.table import roles
@@ -32,6 +35,9 @@ SOON: Final = timedelta(days=30)
 #: Names by which clients on the router's own machine, and in its compose file, go to it.
 HOSTS: Final = ("localhost", "127.0.0.1", "::1", "router")
 ROUTER: Final = "router"
+#: Name of a host: labels of at most 63 letters, digits and hyphens (RFC 1123); of another alphabet as ``xn--``.
+_LABEL: Final = r"[A-Za-z0-9](?:[A-Za-z0-9_-]{0,61}[A-Za-z0-9])?"
+_HOST_PATTERN: Final = rf"{_LABEL}(?:\.{_LABEL})*"
 
 
 class Authority(NamedTuple):
@@ -60,26 +66,45 @@ def begin(folder: Path, robot: str) -> None:
     authority = _authority(robot)
     folder.mkdir(mode=0o700, parents=True, exist_ok=True)
     known = (folder / CA_FILE).read_bytes() if (folder / CA_FILE).exists() else b""
-    _write(folder / CA_KEY_FILE, _pem_of(authority.key))
-    # The newest first: it is the one that signs.
+    # Known before it signs: whoever interrupts this is left with an authority that has its key.
     _write(folder / CA_FILE, authority.certificate.public_bytes(serialization.Encoding.PEM) + known, mode=0o644)
+    _write(folder / CA_KEY_FILE, _pem_of(authority.key))
 
 
 def issue(folder: Path, hosts: Iterable[str], days: float = DAYS) -> None:
     """Make a certificate of every role, signed by the newest authority, in place of what is there.
 
+    That of the router is for ``hosts``, and for those that the one before was for.
+
     Raises
     ------
     UsageError
-        When the authority's key is not there or is not the newest authority's.
+        When the authority's key is not there or is no authority's of the folder.
     """
     authority = read_authority(folder)
+    hosts = (*hosts, *_hosts_before(folder))
     for role in roles():
         key = ec.generate_private_key(ec.SECP256R1())
         certificate = certificate_of(authority, role, key.public_key(), hosts if role == ROUTER else (), days)
         _write(folder / f"{role}{KEY_SUFFIX}", _pem_of(key))
         pem = certificate.public_bytes(serialization.Encoding.PEM)
         _write(folder / f"{role}{CERTIFICATE_SUFFIX}", pem, mode=0o644)
+
+
+def check_host(host: str) -> str:
+    """Return a host's name or address.
+
+    Raises
+    ------
+    UsageError
+        When it is none.
+    """
+    try:
+        ipaddress.ip_address(host)
+    except ValueError:
+        if re.fullmatch(_HOST_PATTERN, host) is None:
+            raise UsageError(f"--host {printable(host)!r}: neither a name, in ASCII, nor an address") from None
+    return host
 
 
 def retire(folder: Path) -> int:
@@ -90,15 +115,16 @@ def retire(folder: Path) -> int:
     UsageError
         When a certificate in the folder would be of no use any more.
     """
-    newest, *others = _authorities(folder)
+    newest = read_authority(folder).certificate
     for role in roles():
         path = folder / f"{role}{CERTIFICATE_SUFFIX}"
         if path.exists():
             ok, text = _verdict(path, role, [newest])
             if not ok:
                 raise UsageError(f"{path}: {text}; run `smal secure renew` first")
+    others = len(_authorities(folder)) - 1
     _write(folder / CA_FILE, newest.public_bytes(serialization.Encoding.PEM), mode=0o644)
-    return len(others)
+    return others
 
 
 def give_passwords(folder: Path) -> None:
@@ -129,24 +155,25 @@ def certificate_of(
 
 
 def read_authority(folder: Path) -> Authority:
-    """Read the newest authority and its key.
+    """Read the authority that signs, and its key: of those in the folder, the one whose key is there.
 
     Raises
     ------
     UsageError
         When they are not there, or do not belong together.
     """
-    newest, *_ = _authorities(folder)
     path = folder / CA_KEY_FILE
+    authorities = _authorities(folder)
     try:
-        key = serialization.load_pem_private_key(path.read_bytes(), None)
+        key = _read_key(path)
     except OSError as error:
         raise UsageError(f"cannot read {path}, which signs: {error.strerror or error}") from None
-    except ValueError:
-        raise UsageError(f"{path}: no private key") from None
-    if not isinstance(key, ec.EllipticCurvePrivateKey) or key.public_key() != newest.public_key():
-        raise UsageError(f"{path} is not the key of the first authority in {folder / CA_FILE}")
-    return Authority(newest, key)
+    except ValueError as error:
+        raise UsageError(f"{path}: {error}") from None
+    for authority in authorities:
+        if isinstance(key, ec.EllipticCurvePrivateKey) and key.public_key() == authority.public_key():
+            return Authority(authority, key)
+    raise UsageError(f"{path} is the key of no authority in {folder / CA_FILE}")
 
 
 def check(folder: Path) -> Iterator[Finding]:
@@ -165,12 +192,15 @@ def check(folder: Path) -> Iterator[Finding]:
         path = folder / f"{role}{CERTIFICATE_SUFFIX}"
         if path.exists():
             yield Finding(path.name, *_verdict(path, role, authorities))
+    for path in (folder / name for name in (CA_KEY_FILE, PASSWORDS_FILE, *(f"{r}{PASSWORD_SUFFIX}" for r in roles()))):
+        if path.exists() and (open_to := _open_to_others(path)):
+            yield Finding(path.name, ok=False, text=open_to)
 
 
 def _verdict(path: Path, role: str, authorities: list[x509.Certificate]) -> tuple[bool, str]:
     try:
         certificate = x509.load_pem_x509_certificate(path.read_bytes())
-        key = serialization.load_pem_private_key(path.with_suffix(KEY_SUFFIX).read_bytes(), None)
+        key = _read_key(path.with_suffix(KEY_SUFFIX))
     except (OSError, ValueError) as error:
         return False, f"it or its key cannot be read: {error}"
     names = [str(one.value) for one in certificate.subject.get_attributes_for_oid(NameOID.COMMON_NAME)]
@@ -180,12 +210,19 @@ def _verdict(path: Path, role: str, authorities: list[x509.Certificate]) -> tupl
         return False, f"no authority in {CA_FILE} has signed it"
     if key.public_key() != certificate.public_key():
         return False, "its key is another certificate's"
-    if path.with_suffix(KEY_SUFFIX).stat().st_mode & 0o077:
-        return False, f"its key can be read by others; run: chmod 600 {path.with_suffix(KEY_SUFFIX)}"
-    uses = certificate.extensions.get_extension_for_class(x509.ExtendedKeyUsage).value
+    if open_to := _open_to_others(path.with_suffix(KEY_SUFFIX)):
+        return False, f"its key {open_to}"
+    try:
+        uses = certificate.extensions.get_extension_for_class(x509.ExtendedKeyUsage).value
+    except x509.ExtensionNotFound:
+        return False, "it does not say what it may be used for"
     if (ExtendedKeyUsageOID.SERVER_AUTH in uses) != (role == ROUTER):
         return False, "it lets its holder be a router" if role != ROUTER else "it does not let its holder be a router"
     return _validity(certificate)
+
+
+def _open_to_others(secret: Path) -> str:
+    return f"can be read by others; run: chmod 600 {secret}" if secret.stat().st_mode & 0o077 else ""
 
 
 def _validity(certificate: x509.Certificate) -> tuple[bool, str]:
@@ -249,11 +286,31 @@ def _name(common: str) -> x509.Name:
     return x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, common)])
 
 
+def _hosts_before(folder: Path) -> list[str]:
+    """Return what the router's certificate is for that is there: who renews it does not name its hosts again."""
+    try:
+        certificate = x509.load_pem_x509_certificate((folder / f"{ROUTER}{CERTIFICATE_SUFFIX}").read_bytes())
+        names = certificate.extensions.get_extension_for_class(x509.SubjectAlternativeName).value
+    except (OSError, ValueError, x509.ExtensionNotFound):
+        return []
+    return [*names.get_values_for_type(x509.DNSName), *map(str, names.get_values_for_type(x509.IPAddress))]
+
+
 def _general_name(host: str) -> x509.GeneralName:
     try:
         return x509.IPAddress(ipaddress.ip_address(host))
     except ValueError:
         return x509.DNSName(host)
+
+
+def _read_key(path: Path) -> PrivateKeyTypes:
+    """Read a private key; ValueError says why it is none that can be used."""
+    try:
+        return serialization.load_pem_private_key(path.read_bytes(), None)
+    except TypeError:
+        raise ValueError("it is encrypted; decrypt it for this command") from None
+    except (ValueError, UnsupportedAlgorithm):
+        raise ValueError("no private key") from None
 
 
 def _pem_of(key: ec.EllipticCurvePrivateKey) -> bytes:

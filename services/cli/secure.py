@@ -57,9 +57,10 @@ def init(
     options.check_robot(robot)
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
         raise UsageError(f"{folder}: is there already; `smal secure renew` makes new certificates")
+    hosts = _hosts(host)
     try:
         certificates.begin(folder, robot)
-        certificates.issue(folder, _hosts(host), days)
+        certificates.issue(folder, hosts, days)
         if passwords:
             certificates.give_passwords(folder)
         settings = zenohd_configuration("tls/0.0.0.0:7447", robot, ZENOHD_SEES)
@@ -84,7 +85,7 @@ def check(folder: Folder) -> None:
 
 @app.command("renew")
 def renew(folder: Folder, host: Hosts = None, days: Days = DAYS) -> None:
-    """Make new certificates of every role, signed by the newest authority.
+    """Make new certificates of every role, signed by the newest authority; the router's for the same hosts, and more.
 
     A process shows its new one when it connects again; the router, when it is started again.
 
@@ -118,4 +119,4 @@ def retire(folder: Folder) -> None:
 
 
 def _hosts(more: list[str] | None) -> tuple[str, ...]:
-    return (*HOSTS, socket.gethostname(), *(more or ()))
+    return (*HOSTS, socket.gethostname(), *map(certificates.check_host, more or ()))

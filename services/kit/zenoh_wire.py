@@ -43,6 +43,12 @@ HELD_BYTES: Final = 64 << 20
 #: What a message takes beside its payload: key, encoding and Zenoh's own fields are 300 bytes.
 _OVERHEAD_BYTES: Final = 1024
 LINK_BYTES: Final = LARGEST_BYTES + _OVERHEAD_BYTES
+#: After so long a silence a link is dead, and so is one that has not said who it is.
+LEASE_MS: Final = 2000
+#: Sessions that a router takes: with Zenoh's thousand, each with messages that are not yet whole, it would run out of
+#: memory. Every process has two, those of a stack 14; as many again are counted while dead links have their lease. The
+#: rest is for 18 programs of people.
+MAX_SESSIONS: Final = 64
 #: Of calls: ahead of images and of what is replayed.
 _CALL_PRIORITY: Final = zenoh.Priority.INTERACTIVE_LOW
 #: How a publisher that keeps samples calls itself: its session, and its number there.
@@ -64,7 +70,7 @@ def settings_of(mode: str, endpoint: str, credentials: Credentials) -> dict[str,
         "scouting/multicast/enabled": False,
         # A router would otherwise wait half a second for the scouting that is off.
         "scouting/delay": 0,
-        "transport/link/tx/lease": 2000,
+        "transport/link/tx/lease": LEASE_MS,
         "transport/shared_memory/enabled": False,
         # What is larger is dropped while it comes in, and not passed on: otherwise a message takes up to 1 GiB here.
         "transport/link/rx/max_message_size": LINK_BYTES,
@@ -78,7 +84,9 @@ def settings_of(mode: str, endpoint: str, credentials: Credentials) -> dict[str,
         # the default of 5 s: its connection is closed, and it may connect again.
         "transport/link/tx/queue/congestion_control/block/wait_before_close": 250_000,
     }
-    if mode == "client":
+    if mode == "router":
+        settings |= {"transport/unicast/max_sessions": MAX_SESSIONS, "transport/unicast/accept_timeout": LEASE_MS}
+    else:
         # Only the first connection: after an outage it is made again for as long as it takes. Without this limit
         # `zenoh.open` blocks for ever where there is no router, deaf to signals.
         settings["connect/timeout_ms"] = ATTEMPT_MS
@@ -170,7 +178,8 @@ def _why_no_router(endpoint: str, credentials: Credentials) -> str:
         return f"no router at {endpoint}; start the stack with `smal up`"
     shown = {Certificate: "who shows this certificate", Password: "who gives this password"}
     who = shown.get(type(credentials), "without a certificate or a password")
-    return f"what listens at {endpoint} is no router, or takes nobody in {who}"
+    full = f"is full (it takes {MAX_SESSIONS} sessions, two of each program)"
+    return f"what listens at {endpoint} is no router, or takes nobody in {who}, or {full}"
 
 
 class Router:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import logging
-import re
 import threading
 import time
 import tracemalloc
@@ -29,7 +28,7 @@ from services.kit.bus import Bus, RpcError
 from services.kit.node import Node, ServiceError
 from services.kit.settings import ServiceSettings
 from services.kit.wire import LARGEST_BYTES, MAX_RPC_BYTES, flaw
-from services.kit.zenoh_wire import LINK_BYTES
+from services.kit.zenoh_wire import LEASE_MS, LINK_BYTES, MAX_SESSIONS
 from tests.schemas.messages import EXAMPLES
 from tests.services.conftest import RunNode
 from tests.services.waiting import eventually, introduce, ready, send_as_stranger, status_of
@@ -269,10 +268,10 @@ def test_a_client_of_a_router_without_bounds_has_its_own(free_endpoint: str) -> 
             bus.close()
 
 
-def test_the_other_router_has_the_same_bound() -> None:
-    configured = re.search(r"rx: \{ max_message_size: (\d+) \}", (ROOT / "deploy" / "zenohd.json5").read_text())
-    assert configured is not None
-    assert int(configured[1]) == LINK_BYTES
+def test_the_other_router_has_the_same_bounds() -> None:
+    configured = (ROOT / "deploy" / "zenohd.json5").read_text()
+    assert f"rx: {{ max_message_size: {LINK_BYTES} }}" in configured
+    assert f"unicast: {{ max_sessions: {MAX_SESSIONS}, accept_timeout: {LEASE_MS} }}" in configured
 
 
 def test_what_waits_in_a_node_is_bounded(settings: ServiceSettings) -> None:
