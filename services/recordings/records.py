@@ -100,7 +100,7 @@ def mapped(path: Path) -> memoryview:
         os.close(descriptor)
 
 
-def records(data: memoryview, allowance: Allowance | None = None, *, checked: bool = False) -> Iterator[McapRecord]:
+def records(data: memoryview, allowance: Allowance | None = None) -> Iterator[McapRecord]:
     """Yield the whole records of the data section that hold something, those inside chunks in place of their chunk.
 
     Parameters
@@ -109,9 +109,6 @@ def records(data: memoryview, allowance: Allowance | None = None, *, checked: bo
         A file's bytes, or those that a killed recorder left of it.
     allowance
         For what is unpacked; one of its own if not given.
-    checked
-        Whether to leave out chunks whose checksum is wrong: after a power failure the last ones may have zeros in place
-        of their end. It takes the whole file to be read, images too.
 
     Raises
     ------
@@ -126,7 +123,7 @@ def records(data: memoryview, allowance: Allowance | None = None, *, checked: bo
             yield record
         elif record.compression:
             yield from _records(memoryview(_unpacked(record, allowance)), inside=True)
-        elif not checked or record.uncompressed_crc in (0, zlib.crc32(record.data)):
+        else:
             yield from _records(memoryview(record.data), inside=True)
 
 
@@ -202,6 +199,7 @@ def _unpacked(chunk: Chunk, allowance: Allowance) -> bytes:
 def surveyed(data: memoryview, tell: Callable[[str], None], allowance: Allowance | None = None) -> Iterator[McapRecord]:
     """Yield all that is whole in the data section, also behind what is damaged, and tell what is damaged.
 
+    It takes the whole file to be read, images too. After a power failure zeros may stand in place of what was written.
     A record whose length is damaged leads astray. Chunks tell by their checksum that they are whole: the next one is
     looked for behind the last that was. What has no chunks has no checksums either.
 

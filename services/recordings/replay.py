@@ -69,11 +69,6 @@ class Track:
     def __len__(self) -> int:
         return len(self._told)
 
-    @property
-    def seconds(self) -> float:
-        """From the first tick to the last."""
-        return (max(self._stamps_ns.values()) - min(self._stamps_ns.values())) / 1e9
-
     def add(self, topic: Topic, stored: StoredMessage) -> None:
         """Take a message."""
         # Images of old recordings have the key of raw ones.

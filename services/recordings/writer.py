@@ -21,7 +21,7 @@ from schemas.episode import Episode
 from schemas.topics import key_of, topic_of
 from services.recordings.encoding import ChannelFormat, format_of, payload_of, protobuf_format
 from services.recordings.ledger import ORDERED, Ledger, order_of
-from services.recordings.records import MAGIC, mapped, records
+from services.recordings.records import MAGIC, mapped, records, surveyed
 from services.recordings.sink import Sink, claim, finished, free_path, next_part, partial_of, parts_of, publish
 from services.recordings.views import View, Views, is_view, view_key
 
@@ -203,7 +203,7 @@ class EpisodeWriter:
         channels: dict[int, tuple[str, ChannelFormat]] = {}
         views: set[int] = set()
         try:
-            for record in records(mapped(part), checked=True):
+            for record in surveyed(mapped(part), lambda _damage: None):
                 match record:
                     case Schema():
                         schemas[record.id] = record
