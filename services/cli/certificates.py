@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ipaddress
 import os
+import re
 import secrets
 from collections.abc import Iterable, Iterator
 from datetime import UTC, datetime, timedelta
@@ -80,6 +81,39 @@ def issue(folder: Path, hosts: Iterable[str], days: float = DAYS) -> None:
         _write(folder / f"{role}{KEY_SUFFIX}", _pem_of(key))
         pem = certificate.public_bytes(serialization.Encoding.PEM)
         _write(folder / f"{role}{CERTIFICATE_SUFFIX}", pem, mode=0o644)
+
+
+def names_of_router(folder: Path) -> list[str]:
+    """Return the names and addresses that the router's certificate has; none where there is no such certificate.
+
+    Raises
+    ------
+    UsageError
+        When its file is no certificate.
+    """
+    path = folder / f"{ROUTER}{CERTIFICATE_SUFFIX}"
+    if not path.exists():
+        return []
+    try:
+        found = x509.load_pem_x509_certificate(path.read_bytes()).extensions
+    except (OSError, ValueError):
+        raise UsageError(f"{path}: no certificate to take names from; delete it and give them with --host") from None
+    return [str(name.value) for name in found.get_extension_for_class(x509.SubjectAlternativeName).value]
+
+
+def robot_of(authority: Authority) -> str:
+    """Return whose bus an authority is for.
+
+    Raises
+    ------
+    UsageError
+        When it does not say so, because `smal secure init` has not made it.
+    """
+    name = authority.certificate.subject.rfc4514_string()
+    found = re.fullmatch(r"CN=smal (\S+) \w+", name)
+    if found is None:
+        raise UsageError(f"{CA_FILE} is of {name}, and not of `smal secure init`")
+    return found[1]
 
 
 def retire(folder: Path) -> int:
@@ -160,7 +194,10 @@ def check(folder: Path) -> Iterator[Finding]:
     authorities = _authorities(folder)
     for k, authority in enumerate(authorities):
         name = CA_FILE if k == 0 else f"{CA_FILE}, older"
-        yield Finding(name, *_validity(authority))
+        yield Finding(name, *_validity(authority, "rotate"))
+    secret = folder / CA_KEY_FILE
+    if secret.exists():
+        yield Finding(secret.name, *(_readable(secret) or (True, "keep it where no robot is")))
     for role in roles():
         path = folder / f"{role}{CERTIFICATE_SUFFIX}"
         if path.exists():
@@ -171,8 +208,10 @@ def _verdict(path: Path, role: str, authorities: list[x509.Certificate]) -> tupl
     try:
         certificate = x509.load_pem_x509_certificate(path.read_bytes())
         key = serialization.load_pem_private_key(path.with_suffix(KEY_SUFFIX).read_bytes(), None)
-    except (OSError, ValueError) as error:
-        return False, f"it or its key cannot be read: {error}"
+    except OSError as error:
+        return False, f"{error.filename} cannot be read: {error.strerror}"
+    except ValueError:
+        return False, "it or its key cannot be read: no PEM file"
     names = [str(one.value) for one in certificate.subject.get_attributes_for_oid(NameOID.COMMON_NAME)]
     if names != [role]:
         return False, f"it is the certificate of {', '.join(names) or 'nobody'}, not of {role}"
@@ -180,21 +219,26 @@ def _verdict(path: Path, role: str, authorities: list[x509.Certificate]) -> tupl
         return False, f"no authority in {CA_FILE} has signed it"
     if key.public_key() != certificate.public_key():
         return False, "its key is another certificate's"
-    if path.with_suffix(KEY_SUFFIX).stat().st_mode & 0o077:
-        return False, f"its key can be read by others; run: chmod 600 {path.with_suffix(KEY_SUFFIX)}"
+    if (readable := _readable(path.with_suffix(KEY_SUFFIX))) is not None:
+        return readable
     uses = certificate.extensions.get_extension_for_class(x509.ExtendedKeyUsage).value
     if (ExtendedKeyUsageOID.SERVER_AUTH in uses) != (role == ROUTER):
         return False, "it lets its holder be a router" if role != ROUTER else "it does not let its holder be a router"
     return _validity(certificate)
 
 
-def _validity(certificate: x509.Certificate) -> tuple[bool, str]:
+def _readable(key: Path) -> tuple[bool, str] | None:
+    """Say that others can read a key."""
+    return (False, f"{key.name} can be read by others; run: chmod 600 {key}") if key.stat().st_mode & 0o077 else None
+
+
+def _validity(certificate: x509.Certificate, remedy: str = "renew") -> tuple[bool, str]:
     now, end = datetime.now(UTC), certificate.not_valid_after_utc
     if now > end:
-        return False, f"it expired on {end:%Y-%m-%d %H:%M} UTC; run: smal secure renew"
+        return False, f"it expired on {end:%Y-%m-%d %H:%M} UTC; run: smal secure {remedy}"
     if now < certificate.not_valid_before_utc:
         return False, f"it is valid from {certificate.not_valid_before_utc:%Y-%m-%d %H:%M} UTC on; is this clock right?"
-    return True, f"valid until {end:%Y-%m-%d}" + (": soon; run: smal secure renew" if end - now < SOON else "")
+    return True, f"valid until {end:%Y-%m-%d}" + (f": soon; run: smal secure {remedy}" if end - now < SOON else "")
 
 
 def _signed(certificate: x509.Certificate, authority: x509.Certificate) -> bool:

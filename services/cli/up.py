@@ -17,7 +17,7 @@ from services.cli.interrupts import interrupted_by_signals
 from services.cli.options import Camera
 from services.cli.simulator_options import SimulatorOptions
 from services.cli.stack.processes import Stack, StackPlan, flags
-from services.kit.bus import Router
+from services.kit.bus import Router, host_and_port
 from services.kit.credentials import how_secure
 from services.kit.errors import UsageError
 from services.kit.node import configure_logging
@@ -92,8 +92,8 @@ def up(
     chain, learned_on = _chain_flags(model, scheme, stride, goal)
     features = features_for_model(modalities, learned_on)
     # Said here, in one line, before the processes start and one of them fails.
-    for service in stack_services():
-        reached.credentials(role_of(service))
+    for role in (*map(role_of, stack_services()), "watcher"):
+        reached.credentials(role)
     credentials = reached.credentials("router")
     Router(reached.router, credentials, robot, insecure=insecure).close()
     configure_logging("info")
@@ -119,7 +119,8 @@ def up(
     )
     with interrupted_by_signals(), Stack(plan) as stack:
         where = base_name or world
-        log.info("ready: robot %s in %s on %s, %s; Ctrl-C stops", robot, where, reached.router, how_secure(credentials))
+        who = how_secure(credentials, host_and_port(reached.router)[0])
+        log.info("ready: robot %s in %s on %s, %s; Ctrl-C stops", robot, where, reached.router, who)
         if addresses:
             where = ", ".join(f"{name} {address.rpartition(':')[2]}" for name, address in addresses.items())
             log.info("GET /healthz and /metrics on 127.0.0.1: %s", where)

@@ -101,6 +101,51 @@ def test_check_names_what_is_wrong(keys: Path, smal: Smal, tmp_path: Path) -> No
     assert said["operator"].startswith("ok")
 
 
+def test_check_names_a_key_of_the_authority_that_others_can_read(keys: Path, smal: Smal) -> None:
+    (keys / "ca.key").chmod(0o640)
+    status, out, _err = smal("secure", "check", str(keys))
+    assert status == 1
+    assert f"problem  ca.key           ca.key can be read by others; run: chmod 600 {keys / 'ca.key'}\n" in out
+
+
+def test_what_has_expired_is_replaced_by_its_own_command(tmp_path: Path, smal: Smal) -> None:
+    keys = tmp_path / "keys"
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(certificates, "CA_DAYS", -1 / 1440)
+        assert smal("secure", "init", str(keys))[0] == 0
+    (said,) = [line for line in smal("secure", "check", str(keys))[1].splitlines() if " ca.pem" in line]
+    assert said.endswith("run: smal secure rotate")
+
+
+def test_renewed_certificates_keep_the_names_of_the_router(tmp_path: Path, smal: Smal) -> None:
+    keys = str(tmp_path / "keys")
+    assert smal("secure", "init", keys, "--robot", "toybot", "--host", "robot.example")[0] == 0
+    made = set(certificates.names_of_router(tmp_path / "keys"))
+    assert {"robot.example", "localhost"} <= made
+    assert smal("secure", "rotate", keys)[0] == 0
+    assert smal("secure", "renew", keys)[0] == 0
+    assert set(certificates.names_of_router(tmp_path / "keys")) == made
+    assert smal("secure", "renew", keys, "--host", "10.0.0.5")[0] == 0
+    assert set(certificates.names_of_router(tmp_path / "keys")) == made | {"10.0.0.5"}
+    assert certificates.robot_of(certificates.read_authority(tmp_path / "keys")) == "toybot"
+
+
+def test_names_that_cannot_be_read_are_not_forgotten_silently(keys: Path, smal: Smal) -> None:
+    (keys / "router.pem").write_text("nothing")
+    status, _out, err = smal("secure", "renew", str(keys))
+    assert status == 2
+    assert "router.pem: no certificate to take names from" in err
+    assert err.count("\n") == 1
+
+
+def test_the_folder_is_not_committed(keys: Path) -> None:
+    assert (keys / ".gitignore").read_text() == "*\n"
+
+
+def test_nothing_is_forgotten_where_there_is_one_authority(keys: Path, smal: Smal) -> None:
+    assert smal("secure", "retire", str(keys))[1] == f"{keys} has one authority; nothing to forget\n"
+
+
 def test_check_says_when_the_end_is_near(keys: Path, smal: Smal) -> None:
     _replace(keys, "features", days=5.0)
     status, out, _err = smal("secure", "check", str(keys))
