@@ -183,6 +183,20 @@ def read_authority(folder: Path) -> Authority:
     return Authority(newest, key)
 
 
+def require(folder: Path, needed: Iterable[str]) -> None:
+    """Check the authorities in a folder, and the certificates of some roles.
+
+    Raises
+    ------
+    UsageError
+        When one is of no use.
+    """
+    files = {CA_FILE, *(f"{role}{CERTIFICATE_SUFFIX}" for role in needed)}
+    for one in check(folder):
+        if one.file in files and not one.ok:
+            raise UsageError(f"{folder / one.file}: {one.text}")
+
+
 def check(folder: Path) -> Iterator[Finding]:
     """Look at every certificate in a folder.
 

@@ -120,11 +120,10 @@ def check_port(settings: ServiceSettings) -> Check:
         check_credentials(endpoint, credentials)
     except BusError as error:
         return Check("port", False, str(error))
-    secured = how_secure(credentials, host)
     try:
         socket.create_connection((host, port), 1.0).close()
     except ConnectionRefusedError:
-        return Check("port", True, f"{endpoint} is free, {secured}")
+        return Check("port", True, f"{endpoint} is free, {how_secure(credentials, host)}")
     except OSError as error:
         return Check("port", False, f"{endpoint}: {error}; give another with --router or SMAL_ROUTER")
     elsewhere = (
@@ -137,7 +136,8 @@ def check_port(settings: ServiceSettings) -> Check:
         return Check("port", False, f"{error}; {elsewhere}")
     if not running:
         return Check("port", False, f"{endpoint} is used by a Zenoh router without services of {robot}; {elsewhere}")
-    return Check("port", True, f"{endpoint} is used by the running stack of {robot}, {secured}: {', '.join(running)}")
+    who = how_secure(credentials)
+    return Check("port", True, f"{endpoint} is used by the running stack of {robot}, {who}: {', '.join(running)}")
 
 
 def _runs(bus: Bus, service: str) -> bool:

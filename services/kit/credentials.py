@@ -25,8 +25,10 @@ PASSWORD_SUFFIX: Final = ".password"  # noqa: S105 - of a file
 #: User and password of every role, a line each, for the router.
 PASSWORDS_FILE: Final = "passwords"
 
-#: How long a router's answer to a certificate is waited for.
-HANDSHAKE_S: Final = 1.0
+#: How long a handshake may take: a router whose certificate has expired is busy with its clients for 1.5 s.
+HANDSHAKE_S: Final = 5.0
+#: How long after it the router may take to refuse us.
+REFUSAL_S: Final = 1.0
 
 
 class Certificate(NamedTuple):
@@ -88,13 +90,13 @@ def encrypted(endpoint: str) -> bool:
     return endpoint.partition("/")[0] in ENCRYPTED
 
 
-def how_secure(credentials: Credentials, host: str) -> str:
-    """Say who gets in at a router that listens on a host."""
+def how_secure(credentials: Credentials, host: str | None = None) -> str:
+    """Say who gets in at a router, which listens on a host; a client does not know on which others as well."""
     if isinstance(credentials, Certificate):
         return "for holders of a certificate, encrypted"
     if isinstance(credentials, Password):
         return "for those who have a password, not encrypted"
-    return "for whoever reaches it" if others_reach(host) else "for whoever is on this machine"
+    return "for whoever reaches it" if host is None or others_reach(host) else "for whoever is on this machine"
 
 
 def why_refused(certificate: Certificate, host: str, port: int) -> str | None:
@@ -117,6 +119,7 @@ def why_refused(certificate: Certificate, host: str, port: int) -> str | None:
             context.wrap_socket(plain, server_hostname=host) as encrypted_socket,
         ):
             # Who refuses us says so after the handshake. Zenoh's router waits for us to speak.
+            encrypted_socket.settimeout(REFUSAL_S)
             encrypted_socket.recv(1)
     except ssl.SSLCertVerificationError as error:
         more = f"; `smal secure renew DIR --host {host}` adds a name" if "mismatch" in error.verify_message else ""

@@ -181,10 +181,8 @@ def _why_no_router(endpoint: str, credentials: Credentials) -> str:
         return f"no router at {endpoint}; start the stack with `smal up`"
     if isinstance(credentials, Certificate):
         refused = why_refused(credentials, *host_and_port(_named(endpoint)))
-        if refused is not None:
-            return refused
-    shown = {Certificate: "who shows this certificate", Password: "who gives this password"}
-    who = shown.get(type(credentials), "without a certificate or a password")
+        return refused or f"what listens at {endpoint} is no router that encrypts, or does not answer"
+    who = "who gives this password" if isinstance(credentials, Password) else "without a certificate or a password"
     return f"what listens at {endpoint} is no router, or takes nobody in {who}"
 
 

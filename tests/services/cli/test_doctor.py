@@ -87,7 +87,7 @@ def test_a_port_of_a_running_stack(router_endpoint: str, settings: ServiceSettin
     assert check == Check(
         "port",
         True,
-        f"{router_endpoint} is used by the running stack of rescuebot, for whoever is on this machine: robot",
+        f"{router_endpoint} is used by the running stack of rescuebot, for whoever reaches it: robot",
     )
 
 

@@ -18,8 +18,10 @@ from services.cli import certificates
 from services.cli.stack.processes import Stack, StackPlan
 from services.kit.bus import BusError, Router
 from services.kit.credentials import credentials_in
-from services.kit.node import Node
+from services.kit.errors import UsageError
+from services.kit.node import Node, read_settings
 from services.kit.settings import ServiceSettings
+from services.router.config import RouterSettings
 from services.table import roles
 from tests.schemas.messages import EXAMPLES
 from tests.services.cli.conftest import Smal
@@ -144,6 +146,35 @@ def test_the_folder_is_not_committed(keys: Path) -> None:
 
 def test_nothing_is_forgotten_where_there_is_one_authority(keys: Path, smal: Smal) -> None:
     assert smal("secure", "retire", str(keys))[1] == f"{keys} has one authority; nothing to forget\n"
+
+
+def test_up_names_a_certificate_of_no_use_before_anything_starts(keys: Path, tls_endpoint: str, smal: Smal) -> None:
+    _replace(keys, "operator", days=-1 / 1440)  # Not shown by a stack.
+    _replace(keys, "policy", days=-1 / 1440)
+    status, out, err = smal("up", "--world", "yard", "--secure", str(keys), "--router", tls_endpoint)
+    assert (status, out) == (2, "")
+    assert err.startswith(f"smal: {keys / 'policy.pem'}: it expired on ")
+    assert err.count("\n") == 1
+    (keys / "watcher.pem").unlink()
+    _status, _out, err = smal("up", "--world", "yard", "--secure", str(keys), "--router", tls_endpoint)
+    assert err.startswith(f"smal: no certificate {keys / 'watcher.pem'}; ")
+
+
+def test_up_tells_the_router_that_it_may_let_everybody_in(
+    free_endpoint: str, smal: Smal, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    plans: list[StackPlan] = []
+
+    def take(plan: StackPlan) -> None:
+        plans.append(plan)
+        raise UsageError("enough")
+
+    monkeypatch.setattr("services.cli.up.Stack", take)
+    everywhere = free_endpoint.replace("127.0.0.1", "0.0.0.0")  # noqa: S104 - what is tried
+    assert "give --secure DIR" in smal("up", "--world", "yard", "--router", everywhere)[2]
+    assert smal("up", "--world", "yard", "--router", everywhere, "--insecure")[2] == "smal: enough\n"
+    monkeypatch.setattr("sys.argv", ["router", *plans[0].flags["router"]])
+    assert read_settings(RouterSettings, "router").insecure
 
 
 def test_check_says_when_the_end_is_near(keys: Path, smal: Smal) -> None:
