@@ -72,18 +72,25 @@ def decode_image(payload: bytes) -> NDArray[np.uint8]:
     ValueError
         When the payload is no image.
     """
-    return decode_jpeg(_jpeg_of(payload))
+    return decode_jpeg(jpeg_of(payload))
 
 
 def is_image(payload: bytes) -> bool:
     """Whether a recorded image begins as one; costs much less than to decode it."""
     try:
-        return is_jpeg(_jpeg_of(payload))
+        return is_jpeg(jpeg_of(payload))
     except ValueError:
         return False
 
 
-def _jpeg_of(payload: bytes) -> bytes:
+def jpeg_of(payload: bytes) -> bytes:
+    """Return the compressed image that was recorded.
+
+    Raises
+    ------
+    ValueError
+        When the payload is no image.
+    """
     try:
         return foxglove.CompressedImage.FromString(payload).data
     except ProtobufDecodeError:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import re
 import struct
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
@@ -64,7 +64,12 @@ class Recording:
     bad: int
 
 
-def read_recording(path: Path, fingerprint: str | None = None, allowance: Allowance | None = None) -> Recording:
+def read_recording(
+    path: Path,
+    fingerprint: str | None = None,
+    allowance: Allowance | None = None,
+    topics: Collection[Topic] | None = None,
+) -> Recording:
     """Read a recording.
 
     Parameters
@@ -75,6 +80,8 @@ def read_recording(path: Path, fingerprint: str | None = None, allowance: Allowa
         Which feature vectors to take from the observations; none of them if not given.
     allowance
         For the memory that it takes; one of its own if not given.
+    topics
+        Read only these, and the events of episodes; all if not given.
 
     Raises
     ------
@@ -85,7 +92,7 @@ def read_recording(path: Path, fingerprint: str | None = None, allowance: Allowa
     parts = _open(path)
     allowance = allowance or Allowance()
     before = allowance.left
-    reader = _Reader(fingerprint, allowance)
+    reader = _Reader(fingerprint, allowance, topics)
     try:
         for part in parts:
             for record in records(part, allowance):
@@ -122,7 +129,8 @@ def _open(path: Path) -> list[memoryview]:
 class _Reader:
     """Sorts the records of a file into episodes."""
 
-    def __init__(self, fingerprint: str | None, allowance: Allowance) -> None:
+    def __init__(self, fingerprint: str | None, allowance: Allowance, topics: Collection[Topic] | None = None) -> None:
+        self._wanted = None if topics is None else {EPISODE.name, *(topic.name for topic in topics)}
         self._allowance = allowance
         self.episodes: dict[tuple[str, str], RecordedEpisode] = {}
         self.bad = 0
@@ -146,6 +154,8 @@ class _Reader:
 
     def _take_channel(self, channel: Channel) -> None:
         topic = topic_of(channel.topic)
+        if topic is not None and self._wanted is not None and topic.name not in self._wanted:
+            topic = None
         robot, episode = channel.metadata.get("robot"), channel.metadata.get("episode")
         # Anything else in the file is other people's.
         if topic is not None and _is_id(ROBOT_ID_PATTERN, robot) and _is_id(EPISODE_ID_PATTERN, episode):
