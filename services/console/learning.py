@@ -94,10 +94,10 @@ class Learning:
         status = process.wait()
         listener.join()
         lines = [printable(line.removeprefix("smal: ")) for line in said if line.startswith("smal: ")]
-        if status != 0:
-            outcome = "cancelled" if self._cancelled else "failed"
-            why = "" if self._cancelled else (lines or [printable(line) for line in said] or ["it was killed"])[-1]
-        else:
-            outcome, why = "done", ""
+        outcome, why = "done", ""
+        if self._cancelled:
+            outcome = "cancelled"
+        elif status != 0:
+            outcome, why = "failed", (lines or [*map(printable, said)] or [f"it ended with status {status}"])[-1]
         self._process = None
         self._show({"name": name, "outcome": outcome, "why": why, "remarks": lines[-_REMARKS:]})

@@ -14,7 +14,7 @@ from services.robot.clock import now_s
 
 #: Time after its beat was sent when an answer counts no more, and when what was held is let go.
 LET_GO_S: Final = 0.25
-#: Silence after which somebody else may take the seat.
+#: Silence after which somebody else may take the seat, and a robot that would move alone misses who had it.
 LEASE_S: Final = 1.0
 #: Beats in flight that are remembered; an answer to an older one is late anyway.
 _KEPT: Final = 16

@@ -26,12 +26,12 @@ from services.console.learned import Learned, learned_of
 from services.console.learning import Learning
 from services.console.library import DRIVES, MODELS, LearnedModel, Library
 from services.console.reports import BoardReports
-from services.console.seat import LET_GO_S
+from services.console.seat import LEASE_S, LET_GO_S
 from services.kit.jpeg import is_jpeg
 from services.kit.node import Detail, Node, ServiceError
 from services.kit.root import below, name_below
 from services.operator.hold import KeyHold
-from services.operator.operator import POLL_S, Operator
+from services.operator.operator import BEAT_S, POLL_S, Operator
 from services.table import stack_services
 from smal.model import Model, ModelError
 
@@ -71,6 +71,7 @@ class ConsoleService:
         #: The model that the robot goes by.
         self.learned: Learned | None = None
         self._followed: tuple[object, object] = (None, None)
+        self._there_until_s = -math.inf
         self._way: list[tuple[float, float]] = []
         self._way_of = ""
         self._asked: SimpleQueue[Callable[[], None]] = SimpleQueue()
@@ -82,6 +83,7 @@ class ConsoleService:
         node.subscribe(topics.POSE, self._on_pose)
         node.subscribe(topics.TRACKED, self._on_tracked)
         node.every(POLL_S, self._work)
+        node.every(BEAT_S, self._bridge)
         node.detail = self._detail
         board.put("robot_id", node.robot)
         board.put("taken", content=False)
@@ -112,6 +114,7 @@ class ConsoleService:
         def take() -> None:
             if self._board.clock() >= until_s:
                 return
+            self._there_until_s = until_s - LET_GO_S + LEASE_S
             self._operator.beat()
             if atom is None:
                 self._operator.release()
@@ -122,12 +125,18 @@ class ConsoleService:
 
     def let_go(self) -> None:
         """Take note that whoever drives is gone: the robot misses them, and stands."""
-        self._do(self._operator.release)
+
+        def take() -> None:
+            self._there_until_s = -math.inf
+            self._operator.release()
+
+        self._do(take)
 
     def leave(self) -> None:
         """Take note that whoever drives stands up, and is not to be missed."""
 
         def take() -> None:
+            self._there_until_s = -math.inf
             self._operator.release()
             self._operator.beat(present=False)
 
@@ -153,6 +162,15 @@ class ConsoleService:
                 self._reports.say(str(error))
 
         self._do(take)
+
+    def _bridge(self) -> None:
+        """Have a robot that would move alone not miss a browser that stutters: what it held is let go all the same.
+
+        A robot that moves only while its operator is there hears of none but their own answers.
+        """
+        robot = self._health.statuses.get("robot")
+        if self._board.clock() < self._there_until_s and robot is not None and robot.detail.get("attended") is False:
+            self._operator.beat()
 
     def _do(self, what: Callable[[], None]) -> None:
         self._asked.put(what)

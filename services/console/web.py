@@ -169,11 +169,18 @@ class Web:
             self._stand_up(browser, self._person.let_go)
 
     async def _listen(self, browser: WebSocket) -> None:
-        """Do what whoever drives says, until they leave or somebody else has the seat."""
+        """Do what whoever drives says, until they leave or somebody else has the seat.
+
+        Nonsense moves nothing; they are told, and go on: a name that may not be is no reason to lose the robot.
+        """
         async for text in browser.iter_text():
-            said = OF_DRIVER.validate_json(text)
             if not self._seat.holds(browser):
                 return
+            try:
+                said = OF_DRIVER.validate_json(text)
+            except ValidationError as error:
+                await browser.send_json({"refused": describe(error)})
+                continue
             if isinstance(said, Hold):
                 until_s = self._seat.answered(said.beat)
                 if until_s is not None:

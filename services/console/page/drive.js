@@ -32,7 +32,9 @@ export class Drive {
     this._taking ??= new Promise((done) => {
       const socket = (this._socket = new WebSocket(`${location.origin.replace("http", "ws")}/drive`));
       socket.onmessage = ({ data }) => {
-        this._beat = JSON.parse(data).beat;
+        const { beat, refused } = JSON.parse(data);
+        if (refused) return this._onRefused(refused);
+        this._beat = beat;
         if (!this.sits) this._sit(true, done);
         this._answer();
       };
