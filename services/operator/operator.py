@@ -161,12 +161,25 @@ class Operator:
         def ask() -> Callable[[], None]:
             prepare()
             arm()
+            if request.driver != "teleop":
+                self._hand_over()
             reply = self._node.bus.call("robot", "reset", request, ResetReply, RESET_S)
             return lambda: self._begun(reply.episode, request)
 
         self._reports.on_request()
         self.ask(ask, self._reports.on_failure)
         return True
+
+    def _hand_over(self) -> None:
+        """End what this person has taken over, so that another driver may begin anew; on a thread that asks."""
+        bus = self._node.bus
+        detail = bus.call("robot", "status", Nothing(), Status, ANSWER_S).detail
+        if not detail["taken_over"]:
+            return
+        if detail["episode"] is not None:
+            self.call("end", EndRequest(episode=str(detail["episode"])))
+        heard = self.commands.heard
+        self.call("resume", ResumeRequest(episode=heard.episode, tick=heard.tick, session=self._node.session))
 
     def _begun(self, episode: str, request: ResetRequest) -> None:
         if episode != self.commands.last_ended:

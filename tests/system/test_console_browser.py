@@ -117,8 +117,13 @@ def opened(browser: Browser, site: Site) -> Iterator[Page]:
     page.on("pageerror", lambda error: errors.append(str(error)))
     page.goto(site.address)
     eventually(lambda: told(page) and "onnect" not in told(page))
-    yield page
-    context.close()
+    try:
+        yield page
+    finally:
+        if not page.is_closed():
+            # pytest shows it where the test has failed.
+            sys.stdout.write("\n".join(page.inner_text(part) for part in ("#status", "#job", "#news")) + "\n")
+        context.close()
     assert errors == []
 
 

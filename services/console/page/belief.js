@@ -2,7 +2,7 @@
 
 import { $, cleared, color, element, percent, say } from "./element.js";
 
-const BAR_PX = 4, HEIGHT = 64, DOES = { forward: "↑ forward", backward: "↓ backward", left: "← turn left", right: "→ turn right", stop: "■ stop" };
+const BAR_PX = 4, HEIGHT = 64, LEAST = 0.01, DOES = { forward: "↑ forward", backward: "↓ backward", left: "← turn left", right: "→ turn right", stop: "■ stop" };
 const WHY = {
   follow: "follows the taught way", action: "does the action of its state", goal: "has arrived", dead_end: "knows no way on",
   look_around: "looks around", guess: "drives by its best guess", stop: "stops: it does not know where it is",
@@ -50,6 +50,7 @@ function drawStrip(model, belief) {
   }
   pen.fillStyle = color(belief.status === "unknown" ? "bad" : "accent");
   for (const [at, weight] of bars) {
+    if (weight < LEAST) continue;
     const [drive, bar] = at.split(" ").map(Number), height = Math.max(2, weight * (room - 8));
     pen.fillRect(bar * BAR_PX, (drive + 1) * room - 5 - height, BAR_PX - 1, height);
   }

@@ -8,7 +8,7 @@ import { drawMap } from "./map.js";
 import { drawJob, drawLibrary, wireTeaching } from "./teach.js";
 import { Watch } from "./watch.js";
 
-const OLD_S = 1, SILENT_S = 2;
+const OLD_S = 1, SILENT_S = 2, MOST_LINES = 50;
 const CAUSES = {
   not_armed: "Not armed: begin a drive or a run, or arm it",
   emergency_stop: "EMERGENCY STOP: it stands until it is armed",
@@ -58,7 +58,7 @@ function status() {
   if (watch.age("robot") > SILENT_S) return ["bad", `No sign of the robot for ${seconds(watch.age("robot"))}`];
   if (robot.reason === "taken_over") return ["warn", "It stands: you have taken over. Resume, and the driver goes on"];
   if (robot.reason === "silence") return ["warn", robot.driver === "teleop" ? "It stands: hold a key to drive" : "It stands: nobody drives"];
-  return ["good", `It ${DOING[robot.atom]}, ${BY[robot.source]}`];
+  return ["good", `Driven ${BY[robot.source]}`];
 }
 
 function drawStatus() {
@@ -70,7 +70,7 @@ function drawStatus() {
   document.body.dataset.episode = robot?.episode ?? "";
   document.body.dataset.outcome = robot?.outcome ?? "";
   for (const id of ["found", "end"]) $(`#${id}`).disabled = !running;
-  say($("#episode"), !robot?.purpose ? "" : `${robot.purpose === "run" ? "Run" : "Drive"} to ${robot.goal} in ${robot.world}: frame ${robot.tick}${robot.outcome ? `, ${robot.outcome}` : ""}${robot.refused ? `; ${robot.refused} commands refused` : ""}`);
+  say($("#episode"), !robot?.purpose ? "" : `${robot.purpose === "run" ? "Run" : "Drive"} to ${robot.goal} in ${robot.world}: frame ${robot.tick}${robot.episode ? `, it ${DOING[robot.atom] ?? "stands"}` : ""}${robot.outcome ? `, ${robot.outcome}` : ""}${robot.refused ? `; ${robot.refused} commands refused` : ""}`);
   drawCameraAge(running);
 }
 
@@ -81,11 +81,15 @@ function drawCameraAge(running) {
   else if (!noCamera.hidden) say(noCamera, `No camera frame for ${seconds(age)}${illness(watch.state.health, ["router", "robot"]).replace(/^(?=.)/, ": ")}`);
 }
 
+let lastLine = 0;
+
+/** Add what is new, and no more: a screen reader reads out what is added. */
 function drawNews(lines) {
-  $("#news").replaceChildren(...lines.toReversed().map(({ at, text }) => {
-    const when = new Date(Date.now() - 1000 * watch.since(at));
-    return element("li", {}, element("time", {}, when.toLocaleTimeString()), text);
-  }));
+  if (lines.at(-1).number < lastLine) lastLine = 0; // the console was started again
+  for (const { number, at, text } of lines.filter(({ number }) => number > lastLine)) {
+    tell(text, new Date(Date.now() - 1000 * watch.since(at)));
+    lastLine = number;
+  }
 }
 
 // -- what is pressed -------------------------------------------------------------------------------------------------
@@ -98,8 +102,11 @@ function drawSeat() {
   for (const button of pad.children) button.classList.toggle("held", button.dataset.atom === held);
 }
 
-function tell(text) {
-  if (text) $("#news").prepend(element("li", {}, text));
+function tell(text, when = new Date()) {
+  const list = $("#news");
+  if (text) list.prepend(element("li", {}, element("time", {}, when.toLocaleTimeString()), text));
+  if (list.children.length > MOST_LINES) list.lastChild.remove();
+  $("#news-empty").hidden = list.children.length > 0;
 }
 
 function stop() {

@@ -15,14 +15,9 @@ from services.console.web import WebServer
 from services.kit.node import Node
 from services.kit.settings import ServiceSettings
 from services.recorder.service import RecorderService
-from services.robot.gate import CommandGate
-from services.robot.loop import check_stopping
-from services.robot.runner import EpisodeRunner
-from services.robot.service import RobotService
-from services.robot.task import OperatorsTask
 from tests.services.conftest import RunNode
 from tests.services.console.page import Page
-from tests.services.robot.wheels import Robot, Wheels
+from tests.services.robot.wheels import Robot, run_robot
 
 
 @dataclass(frozen=True)
@@ -39,16 +34,6 @@ class Console:
 def robot(settings: ServiceSettings, run_node: RunNode) -> Robot:
     """Give a robot on a line that moves only while an operator is there."""
     return run_robot(settings, run_node, attended=True)
-
-
-def run_robot(settings: ServiceSettings, run_node: RunNode, *, attended: bool) -> Robot:
-    """Run a robot on a line."""
-    wheels, gate = Wheels(), CommandGate(attended=attended)
-    check_stopping(wheels)
-    node = Node("robot", settings)
-    RobotService(EpisodeRunner(wheels, OperatorsTask(), gate, settings.robot, "s"), node)
-    run_node(node)
-    return Robot(wheels, gate)
 
 
 @pytest.fixture

@@ -14,10 +14,10 @@ from services.kit.settings import ServiceSettings
 from services.recorder.service import RecorderService
 from services.robot.loop import STAND_WITHIN_S
 from tests.services.conftest import RunNode
-from tests.services.console.conftest import Console, run_robot
+from tests.services.console.conftest import Console
 from tests.services.console.page import Page
 from tests.services.robot.line import Clock
-from tests.services.robot.wheels import Robot
+from tests.services.robot.wheels import Robot, run_robot
 from tests.services.waiting import eventually
 
 OpenPage = Callable[[], Page]

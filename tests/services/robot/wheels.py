@@ -6,8 +6,15 @@ import time
 from dataclasses import dataclass
 
 from schemas.base import Atom
+from services.kit.node import Node
+from services.kit.settings import ServiceSettings
 from services.robot.clock import now_s
 from services.robot.gate import CommandGate
+from services.robot.loop import check_stopping
+from services.robot.runner import EpisodeRunner
+from services.robot.service import RobotService
+from services.robot.task import OperatorsTask
+from tests.services.conftest import RunNode
 from tests.services.robot.line import LineBody
 
 
@@ -37,7 +44,17 @@ class Wheels(LineBody):
 
 @dataclass(frozen=True)
 class Robot:
-    """A robot that moves only while an operator is there."""
+    """A robot that runs in the process of the test."""
 
     wheels: Wheels
     gate: CommandGate
+
+
+def run_robot(settings: ServiceSettings, run_node: RunNode, *, attended: bool) -> Robot:
+    """Run a robot on a line."""
+    wheels, gate = Wheels(), CommandGate(attended=attended)
+    check_stopping(wheels)
+    node = Node("robot", settings)
+    RobotService(EpisodeRunner(wheels, OperatorsTask(), gate, settings.robot, "s"), node)
+    run_node(node)
+    return Robot(wheels, gate)

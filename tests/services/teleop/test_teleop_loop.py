@@ -7,15 +7,10 @@ from collections.abc import Callable, Iterator
 
 import pytest
 
-from services.kit.node import Node
 from services.kit.settings import ServiceSettings
-from services.robot.gate import CommandGate
-from services.robot.loop import STAND_WITHIN_S, check_stopping
-from services.robot.runner import EpisodeRunner
-from services.robot.service import RobotService
-from services.robot.task import OperatorsTask
+from services.robot.loop import STAND_WITHIN_S
 from tests.services.conftest import RunNode
-from tests.services.robot.wheels import Robot, Wheels
+from tests.services.robot.wheels import Robot, run_robot
 from tests.services.teleop.console import Console
 from tests.services.waiting import eventually
 
@@ -25,12 +20,7 @@ pytestmark = pytest.mark.zenoh
 
 @pytest.fixture
 def robot(settings: ServiceSettings, run_node: RunNode) -> Robot:
-    wheels, gate = Wheels(), CommandGate(attended=True)
-    check_stopping(wheels)
-    node = Node("robot", settings)
-    RobotService(EpisodeRunner(wheels, OperatorsTask(), gate, settings.robot, "s"), node)
-    run_node(node)
-    return Robot(wheels, gate)
+    return run_robot(settings, run_node, attended=True)
 
 
 @pytest.fixture
