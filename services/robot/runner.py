@@ -276,9 +276,7 @@ class EpisodeRunner(Generic[V]):
             }[self.gate.stop_cause or "not_armed"]
             raise ServiceError(f"{cause}, from the console's page or smal teleop (n)")
         if self.gate.taken_over and request.driver != "teleop":
-            raise ServiceError(
-                "a person has taken over; resume, from the console's page or smal teleop (r)"
-            )
+            raise ServiceError("a person has taken over; resume, from the console's page or smal teleop (r)")
         run = self._running
         if (
             run is not None
