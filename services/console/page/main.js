@@ -70,7 +70,7 @@ function drawStatus() {
   document.body.dataset.episode = robot?.episode ?? "";
   document.body.dataset.outcome = robot?.outcome ?? "";
   for (const id of ["found", "end"]) $(`#${id}`).disabled = !running;
-  say($("#episode"), !robot?.purpose ? "" : `${robot.purpose === "run" ? "Run" : "Drive"} to ${robot.goal} in ${robot.world}: frame ${robot.tick}${robot.episode ? `, it ${DOING[robot.atom] ?? "stands"}` : ""}${robot.outcome ? `, ${robot.outcome}` : ""}${robot.refused ? `; ${robot.refused} commands refused` : ""}`);
+  say($("#episode"), !robot?.purpose ? "" : `${robot.purpose === "run" ? "Run" : "Drive"} to ${robot.goal} in ${robot.world}: frame ${robot.tick}${robot.episode ? `, it ${DOING[robot.atom] ?? "stands"}` : ""}${robot.outcome ? `, ${robot.outcome}` : ""}${robot.refused ? `; commands refused: ${robot.refused}` : ""}`);
   drawCameraAge(running);
 }
 
