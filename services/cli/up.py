@@ -27,6 +27,8 @@ from smal.features import FeatureSettings
 #: How often dead services are looked for, seconds.
 WATCH_S: Final = 0.5
 RobotBody = Literal["simulator", "ros2", "none"]
+#: The page, for this machine alone.
+CONSOLE: Final = "127.0.0.1:8080"
 
 
 def up(
@@ -58,6 +60,10 @@ def up(
             help="First of the ports for health and metrics over HTTP, one a service.",
         ),
     ] = None,
+    console: Annotated[
+        str, typer.Option(envvar="SMAL_CONSOLE", help="Where the page for browsers is, HOST:PORT.", metavar="HOST:PORT")
+    ] = CONSOLE,
+    no_console: Annotated[bool, typer.Option("--no-console", help="Without that page.")] = False,
     robot_body: Annotated[
         RobotBody,
         typer.Option(
@@ -77,7 +83,8 @@ def up(
     """Start the services, from the router to the recorder, and keep them running.
 
     A service that ends is started again, one that keeps ending less and less often. Ctrl-C ends everything cleanly.
-    Other terminals then use the stack: smal teleop, smal topic hz, smal run --connect.
+    A browser drives, teaches and watches it at http://127.0.0.1:8080; other terminals use it as well: smal teleop, smal
+    topic hz, smal run --connect.
 
     With --metrics-port 9100 the router tells its health on http://127.0.0.1:9100/healthz and what Prometheus wants on
     /metrics, the simulator on 9101, and so on.
@@ -94,8 +101,10 @@ def up(
         raise UsageError(f"--root {root}: no such folder")
     chain, learned_on = _chain_flags(model, scheme, stride, goal)
     features = features_for_model(modalities, learned_on)
+    left_out = {name for name, out in (("console", no_console), ("robot", robot_body == "none")) if out}
+    services = tuple(name for name in stack_services() if name not in left_out)
     # Said here, in one line, before the processes start and one of them fails.
-    shown = (*map(role_of, stack_services()), "watcher")
+    shown = (*map(role_of, services), "watcher")
     for role in shown:
         reached.credentials(role)
     if secure is not None and encrypted(reached.router):
@@ -112,8 +121,8 @@ def up(
         "recognition": (*chain, *below),
         "policy": (*chain, *below),
         "recorder": flags(recordings=recordings) + below,
+        "console": flags(console=console) + below,
     }
-    services = tuple(name for name in stack_services() if (name, robot_body) != ("robot", "none"))
     addresses = _http_addresses(services, metrics_port)
     plan = StackPlan(
         services,

@@ -67,7 +67,7 @@ def credentials_in(folder: Path, role: str, endpoint: str) -> Certificate | Pass
             "tls/, or make passwords with `smal secure init --passwords`"
         )
     dictionary = folder / PASSWORDS_FILE
-    return Password(role, _secret(path), dictionary if dictionary.is_file() else None)
+    return Password(role, secret(path), dictionary if dictionary.is_file() else None)
 
 
 def certificate_of(ca: Path, certificate: Path, key: Path) -> Certificate:
@@ -81,7 +81,7 @@ def certificate_of(ca: Path, certificate: Path, key: Path) -> Certificate:
     for path in (ca, certificate):
         if not path.is_file():
             raise BusError(f"no certificate {path}; `smal secure init` makes a folder of them")
-    _secret(key)
+    secret(key)
     return Certificate(ca, certificate, key)
 
 
@@ -141,8 +141,14 @@ def others_reach(host: str) -> bool:
     return not all(ipaddress.ip_address(address).is_loopback for address in found)
 
 
-def _secret(path: Path) -> str:
-    """Read a file that is nobody else's business."""
+def secret(path: Path) -> str:
+    """Read a file that is nobody else's business.
+
+    Raises
+    ------
+    BusError
+        When it cannot be read, or others can read it.
+    """
     try:
         if path.stat().st_mode & (stat.S_IRWXG | stat.S_IRWXO):
             raise BusError(f"{path} can be read by others; run: chmod 600 {path}")

@@ -72,7 +72,11 @@ class Recording:
 
 
 def read_recording(
-    path: Path, fingerprint: str | None = None, allowance: Allowance | None = None, keep: Collection[Topic] = ()
+    path: Path,
+    fingerprint: str | None = None,
+    allowance: Allowance | None = None,
+    keep: Collection[Topic] = (),
+    topics: Collection[Topic] | None = None,
 ) -> Recording:
     """Read a recording.
 
@@ -86,6 +90,8 @@ def read_recording(
         For the memory that it takes; one of its own if not given.
     keep
         Topics whose messages are kept as they are, too.
+    topics
+        Read only these, and the events of episodes; all if not given.
 
     Raises
     ------
@@ -98,7 +104,7 @@ def read_recording(
     parts = open_parts(path)
     allowance = allowance or Allowance()
     before = allowance.left
-    reader = _Reader(fingerprint, allowance, keep)
+    reader = _Reader(fingerprint, allowance, keep, topics)
     try:
         for part in parts:
             for record in records(part, allowance):
@@ -154,7 +160,14 @@ def open_parts(path: Path) -> list[memoryview]:
 class _Reader:
     """Sorts the records of a file into episodes."""
 
-    def __init__(self, fingerprint: str | None, allowance: Allowance, keep: Collection[Topic]) -> None:
+    def __init__(
+        self,
+        fingerprint: str | None,
+        allowance: Allowance,
+        keep: Collection[Topic],
+        topics: Collection[Topic] | None = None,
+    ) -> None:
+        self._wanted = None if topics is None else {EPISODE.name, *(topic.name for topic in topics)}
         self._allowance = allowance
         self.episodes: dict[tuple[str, str], RecordedEpisode] = {}
         self.bad = 0
@@ -179,6 +192,8 @@ class _Reader:
 
     def _take_channel(self, channel: Channel) -> None:
         topic = topic_of(channel.topic)
+        if topic is not None and self._wanted is not None and topic.name not in self._wanted:
+            topic = None
         robot, episode = channel.metadata.get("robot"), channel.metadata.get("episode")
         # Anything else in the file is other people's.
         if topic is not None and _is_id(ROBOT_ID_PATTERN, robot) and _is_id(EPISODE_ID_PATTERN, episode):

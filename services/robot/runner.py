@@ -276,9 +276,9 @@ class EpisodeRunner(Generic[V]):
                 "operator_lost": "the operator was lost; arm the robot",
                 "fault": "the robot's body has failed; look at it, then arm it",
             }[self.gate.stop_cause or "not_armed"]
-            raise ServiceError(f"{cause}, from smal teleop (n)")
+            raise ServiceError(f"{cause}, from the console's page or smal teleop (n)")
         if self.gate.taken_over and request.driver != "teleop":
-            raise ServiceError("a person has taken over; let the driver go on from smal teleop (r)")
+            raise ServiceError("a person has taken over; resume, from the console's page or smal teleop (r)")
         run = self._running
         if (
             run is not None

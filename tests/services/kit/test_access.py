@@ -297,9 +297,9 @@ def test_a_full_router_says_so_and_who_is_in_goes_on(endpoint: str, keys: Path, 
         drive()
 
 
-def test_a_stack_leaves_most_of_the_router_to_others() -> None:
+def test_a_stack_leaves_half_of_the_router_to_others() -> None:
     """Two sessions of each process, counted twice while the lease of dead links runs."""
-    assert 2 * 2 * len(stack_services()) < MAX_SESSIONS / 2
+    assert 2 * 2 * len(stack_services()) <= MAX_SESSIONS / 2
 
 
 @pytest.mark.parametrize("knock", ["silent", "leaves"])
