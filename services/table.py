@@ -77,7 +77,7 @@ SERVICES: Final = {
             "recognition",
             "knows where the robot is",
             (topics.OBSERVATION, topics.ODOMETRY, topics.APPLIED),
-            (topics.STATE,),
+            (topics.STATE, topics.MAP),
             serves=("load",),
             image="recognition",
         ),

@@ -20,7 +20,7 @@ from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 
 from schemas.codec import printable
 from services.kit.credentials import CA_FILE, CERTIFICATE_SUFFIX, KEY_SUFFIX, PASSWORD_SUFFIX, PASSWORDS_FILE
-from services.kit.errors import UsageError
+from services.kit.errors import UsageError, describe_os_error
 from services.table import roles
 
 CA_KEY_FILE: Final = "ca.key"
@@ -74,15 +74,12 @@ def begin(folder: Path, robot: str) -> None:
 def issue(folder: Path, hosts: Iterable[str], days: float = DAYS) -> None:
     """Make a certificate of every role, signed by the newest authority, in place of what is there.
 
-    That of the router is for ``hosts``, and for those that the one before was for.
-
     Raises
     ------
     UsageError
         When the authority's key is not there or is no authority's of the folder.
     """
     authority = read_authority(folder)
-    hosts = (*hosts, *_hosts_before(folder))
     for role in roles():
         key = ec.generate_private_key(ec.SECP256R1())
         certificate = certificate_of(authority, role, key.public_key(), hosts if role == ROUTER else (), days)
@@ -105,6 +102,39 @@ def check_host(host: str) -> str:
         if re.fullmatch(_HOST_PATTERN, host) is None:
             raise UsageError(f"--host {printable(host)!r}: neither a name, in ASCII, nor an address") from None
     return host
+
+
+def names_of_router(folder: Path) -> list[str]:
+    """Return the names and addresses that the router's certificate has; none where there is no such certificate.
+
+    Raises
+    ------
+    UsageError
+        When its file is no certificate.
+    """
+    path = folder / f"{ROUTER}{CERTIFICATE_SUFFIX}"
+    if not path.exists():
+        return []
+    try:
+        found = _read_certificate(path).extensions.get_extension_for_class(x509.SubjectAlternativeName)
+    except (OSError, ValueError, x509.ExtensionNotFound):
+        raise UsageError(f"{path}: no certificate to take names from; delete it and give them with --host") from None
+    return [str(name.value) for name in found.value]
+
+
+def robot_of(authority: Authority) -> str:
+    """Return whose bus an authority is for.
+
+    Raises
+    ------
+    UsageError
+        When it does not say so, because `smal secure init` has not made it.
+    """
+    name = authority.certificate.subject.rfc4514_string()
+    found = re.fullmatch(r"CN=smal (\S+) \w+", name)
+    if found is None:
+        raise UsageError(f"{CA_FILE} is of {name}, and not of `smal secure init`")
+    return found[1]
 
 
 def retire(folder: Path) -> int:
@@ -176,6 +206,20 @@ def read_authority(folder: Path) -> Authority:
     raise UsageError(f"{path} is the key of no authority in {folder / CA_FILE}")
 
 
+def require(folder: Path, needed: Iterable[str]) -> None:
+    """Check the authorities in a folder, and the certificates of some roles.
+
+    Raises
+    ------
+    UsageError
+        When one is of no use.
+    """
+    files = {CA_FILE, *(f"{role}{CERTIFICATE_SUFFIX}" for role in needed)}
+    for one in check(folder):
+        if one.file in files and not one.ok:
+            raise UsageError(f"{folder / one.file}: {one.text}")
+
+
 def check(folder: Path) -> Iterator[Finding]:
     """Look at every certificate in a folder.
 
@@ -187,7 +231,7 @@ def check(folder: Path) -> Iterator[Finding]:
     authorities = _authorities(folder)
     for k, authority in enumerate(authorities):
         name = CA_FILE if k == 0 else f"{CA_FILE}, older"
-        yield Finding(name, *_validity(authority))
+        yield Finding(name, *_validity(authority, "rotate"))
     for role in roles():
         path = folder / f"{role}{CERTIFICATE_SUFFIX}"
         if path.exists():
@@ -199,10 +243,13 @@ def check(folder: Path) -> Iterator[Finding]:
 
 def _verdict(path: Path, role: str, authorities: list[x509.Certificate]) -> tuple[bool, str]:
     try:
-        certificate = x509.load_pem_x509_certificate(path.read_bytes())
+        certificate = _read_certificate(path)
         key = _read_key(path.with_suffix(KEY_SUFFIX))
     except (OSError, ValueError) as error:
-        return False, f"it or its key cannot be read: {error}"
+        return (
+            False,
+            f"it or its key cannot be read: {describe_os_error(error) if isinstance(error, OSError) else error}",
+        )
     names = [str(one.value) for one in certificate.subject.get_attributes_for_oid(NameOID.COMMON_NAME)]
     if names != [role]:
         return False, f"it is the certificate of {', '.join(names) or 'nobody'}, not of {role}"
@@ -225,13 +272,13 @@ def _open_to_others(secret: Path) -> str:
     return f"can be read by others; run: chmod 600 {secret}" if secret.stat().st_mode & 0o077 else ""
 
 
-def _validity(certificate: x509.Certificate) -> tuple[bool, str]:
+def _validity(certificate: x509.Certificate, remedy: str = "renew") -> tuple[bool, str]:
     now, end = datetime.now(UTC), certificate.not_valid_after_utc
     if now > end:
-        return False, f"it expired on {end:%Y-%m-%d %H:%M} UTC; run: smal secure renew"
+        return False, f"it expired on {end:%Y-%m-%d %H:%M} UTC; run: smal secure {remedy}"
     if now < certificate.not_valid_before_utc:
         return False, f"it is valid from {certificate.not_valid_before_utc:%Y-%m-%d %H:%M} UTC on; is this clock right?"
-    return True, f"valid until {end:%Y-%m-%d}" + (": soon; run: smal secure renew" if end - now < SOON else "")
+    return True, f"valid until {end:%Y-%m-%d}" + (f": soon; run: smal secure {remedy}" if end - now < SOON else "")
 
 
 def _signed(certificate: x509.Certificate, authority: x509.Certificate) -> bool:
@@ -286,21 +333,19 @@ def _name(common: str) -> x509.Name:
     return x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, common)])
 
 
-def _hosts_before(folder: Path) -> list[str]:
-    """Return what the router's certificate is for that is there: who renews it does not name its hosts again."""
-    try:
-        certificate = x509.load_pem_x509_certificate((folder / f"{ROUTER}{CERTIFICATE_SUFFIX}").read_bytes())
-        names = certificate.extensions.get_extension_for_class(x509.SubjectAlternativeName).value
-    except (OSError, ValueError, x509.ExtensionNotFound):
-        return []
-    return [*names.get_values_for_type(x509.DNSName), *map(str, names.get_values_for_type(x509.IPAddress))]
-
-
 def _general_name(host: str) -> x509.GeneralName:
     try:
         return x509.IPAddress(ipaddress.ip_address(host))
     except ValueError:
         return x509.DNSName(host)
+
+
+def _read_certificate(path: Path) -> x509.Certificate:
+    """Read a certificate; ValueError says that it is none."""
+    try:
+        return x509.load_pem_x509_certificate(path.read_bytes())
+    except ValueError:
+        raise ValueError("no certificate") from None
 
 
 def _read_key(path: Path) -> PrivateKeyTypes:

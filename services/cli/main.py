@@ -27,6 +27,8 @@ COMMANDS: Final = {
     "teleop": ("services.cli.teleop:teleop", "Drive with the keyboard."),
     "import": ("services.cli.importing:import_recordings", "Make recordings of what other software recorded."),
     "export": ("services.cli.exporting:export_recordings", "Write recordings as other software reads them."),
+    "recording": ("services.cli.recording:app", "Tell what is in recordings; check and repair them."),
+    "replay": ("services.cli.replay:replay", "Put a recording on the topics, in place of its robot."),
     "learn": ("services.cli.learn:learn", "Learn a model from recorded drives."),
     "run": ("services.cli.run:run", "Let the robot find the victim by itself."),
     "evaluate": ("services.cli.evaluate:evaluate", "Run the paper's experiments in simulation."),

@@ -11,14 +11,14 @@ from typing import Annotated, Final, Literal
 import typer
 
 from schemas.rpc import Scheme
-from services.cli import options, outputs
+from services.cli import certificates, options, outputs
 from services.cli.feature_options import ModalitiesOrOfModel, feature_flags, features_for_model
 from services.cli.interrupts import interrupted_by_signals
 from services.cli.options import Camera
 from services.cli.simulator_options import SimulatorOptions
 from services.cli.stack.processes import Stack, StackPlan, flags
-from services.kit.bus import Router
-from services.kit.credentials import how_secure
+from services.kit.bus import Router, host_and_port
+from services.kit.credentials import encrypted, how_secure
 from services.kit.errors import UsageError
 from services.kit.node import configure_logging
 from services.table import role_of, stack_services
@@ -26,7 +26,7 @@ from smal.features import FeatureSettings
 
 #: How often dead services are looked for, seconds.
 WATCH_S: Final = 0.5
-RobotBody = Literal["simulator", "ros2"]
+RobotBody = Literal["simulator", "ros2", "none"]
 
 
 def up(
@@ -59,7 +59,10 @@ def up(
         ),
     ] = None,
     robot_body: Annotated[
-        RobotBody, typer.Option(help="What the robot drives: the simulator, or a real base that speaks ROS 2.")
+        RobotBody,
+        typer.Option(
+            help="What the robot drives: the simulator, a real base that speaks ROS 2, or none (smal replay)."
+        ),
     ] = "simulator",
     ros2_config: Annotated[
         Path | None, typer.Option(help="File that says which ROS 2 base; it may begin with a preset.")
@@ -92,22 +95,25 @@ def up(
     chain, learned_on = _chain_flags(model, scheme, stride, goal)
     features = features_for_model(modalities, learned_on)
     # Said here, in one line, before the processes start and one of them fails.
-    for service in stack_services():
-        reached.credentials(role_of(service))
+    shown = (*map(role_of, stack_services()), "watcher")
+    for role in shown:
+        reached.credentials(role)
+    if secure is not None and encrypted(reached.router):
+        certificates.require(secure, shown)
     credentials = reached.credentials("router")
     Router(reached.router, credentials, robot, insecure=insecure).close()
     configure_logging("info")
     log = logging.getLogger("up")
     below = flags(root=root.resolve())
     own = {
-        "router": ("--insecure",) if insecure else (),
+        "router": flags(insecure=insecure or None),
         "robot": simulator.flags() if ros2_config is None else flags(ros2_config=ros2_config.resolve()),
         "features": feature_flags(features),
         "recognition": (*chain, *below),
         "policy": (*chain, *below),
         "recorder": flags(recordings=recordings) + below,
     }
-    services = stack_services()
+    services = tuple(name for name in stack_services() if (name, robot_body) != ("robot", "none"))
     addresses = _http_addresses(services, metrics_port)
     plan = StackPlan(
         services,
@@ -118,8 +124,9 @@ def up(
         modules={} if base_name is None else {"robot": "services.ros2"},
     )
     with interrupted_by_signals(), Stack(plan) as stack:
-        where = base_name or world
-        log.info("ready: robot %s in %s on %s, %s; Ctrl-C stops", robot, where, reached.router, how_secure(credentials))
+        where = "without a robot" if robot_body == "none" else f"in {base_name or world}"
+        who = how_secure(credentials, host_and_port(reached.router)[0])
+        log.info("ready: robot %s %s on %s, %s; Ctrl-C stops", robot, where, reached.router, who)
         if addresses:
             where = ", ".join(f"{name} {address.rpartition(':')[2]}" for name, address in addresses.items())
             log.info("GET /healthz and /metrics on 127.0.0.1: %s", where)

@@ -20,7 +20,7 @@ import zenoh.ext
 from schemas.codec import encoding_of, printable
 from schemas.topics import KEPT_S, Topic
 from services.kit.access import access_control
-from services.kit.credentials import Certificate, Credentials, Password, encrypted, others_reach
+from services.kit.credentials import Certificate, Credentials, Password, encrypted, others_reach, why_refused
 from services.kit.heap import keep_freed_memory
 from services.kit.replay import Budget, Replay
 from services.kit.wire import LARGEST_BYTES, MAX_RPC_BYTES, Answer, BusError, Refused, Serve, Take, Wire, flaw
@@ -70,8 +70,7 @@ def settings_of(mode: str, endpoint: str, credentials: Credentials) -> dict[str,
     """Return what a router, or a client of one, tells Zenoh, by the paths of Zenoh's own settings."""
     where = "listen" if mode == "router" else "connect"
     if mode == "client":
-        # Every address of this machine is one to listen on; no certificate has that name.
-        endpoint = re.sub(r"/(0\.0\.0\.0|\[::\]):", "/localhost:", endpoint)
+        endpoint = _named(endpoint)
     settings: dict[str, object] = {
         "mode": mode,
         f"{where}/endpoints": [endpoint],
@@ -123,6 +122,11 @@ def settings_of(mode: str, endpoint: str, credentials: Credentials) -> dict[str,
     return settings
 
 
+def _named(endpoint: str) -> str:
+    """Name what a client goes to: every address of this machine is one to listen on, which no certificate has."""
+    return re.sub(r"/(0\.0\.0\.0|\[::\]):", "/localhost:", endpoint)
+
+
 def _configuration(settings: dict[str, object]) -> zenoh.Config:
     config = zenoh.Config()
     for key, value in settings.items():
@@ -165,7 +169,14 @@ def host_and_port(endpoint: str) -> tuple[str, int]:
     return match[1].strip("[]"), int(match[2])
 
 
-def _check_credentials(endpoint: str, credentials: Credentials) -> None:
+def check_credentials(endpoint: str, credentials: Credentials) -> None:
+    """Check that an address is of the kind that credentials are for.
+
+    Raises
+    ------
+    BusError
+        When it is encrypted and they are no certificate, or the other way round.
+    """
     if encrypted(endpoint) and not isinstance(credentials, Certificate):
         raise BusError(f"{endpoint} needs a certificate: give --secure DIR, or set SMAL_TLS_CA, _CERT and _KEY")
     if isinstance(credentials, Certificate) and not encrypted(endpoint):
@@ -188,9 +199,11 @@ def _why_no_router(endpoint: str, credentials: Credentials) -> str:
         socket.create_connection(host_and_port(endpoint), 1.0).close()
     except OSError:
         return f"no router at {endpoint}; start the stack with `smal up`"
-    shown = {Certificate: "who shows this certificate", Password: "who gives this password"}
-    who = shown.get(type(credentials), "without a certificate or a password")
     full = f"is full (it takes {MAX_SESSIONS} sessions, two of each program)"
+    if isinstance(credentials, Certificate):
+        refused = why_refused(credentials, *host_and_port(_named(endpoint)))
+        return refused or f"what listens at {endpoint} is no router that encrypts, does not answer, or {full}"
+    who = "who gives this password" if isinstance(credentials, Password) else "without a certificate or a password"
     return f"what listens at {endpoint} is no router, or takes nobody in {who}, or {full}"
 
 
@@ -224,7 +237,7 @@ class Router:
         insecure: bool = False,
     ) -> None:
         host, _ = host_and_port(endpoint)
-        _check_credentials(endpoint, credentials)
+        check_credentials(endpoint, credentials)
         if credentials is None and not insecure and others_reach(host):
             raise BusError(
                 f"{endpoint} can be reached from other machines, and whoever reaches it could drive the robot: "
@@ -268,7 +281,7 @@ class ZenohWire(Wire):
         self, robot: str, endpoint: str, patience_s: float = PATIENCE_S, credentials: Credentials = None
     ) -> None:
         host_and_port(endpoint)
-        _check_credentials(endpoint, credentials)
+        check_credentials(endpoint, credentials)
         keep_freed_memory()
         self._robot = robot
         self.sessions = {urgent: _open_client(endpoint, credentials, patience_s) for urgent in (False, True)}

@@ -31,7 +31,7 @@ from services.recordings.records import MAGIC, Allowance, MemoryLimitError, mapp
 from services.recordings.sink import PARTIAL_SUFFIX, is_being_recorded, parts_of
 
 #: Where images are; recordings of older versions have them, as JPEG too, on the key of the raw ones.
-_IMAGES: Final = (JPEG, CAMERA)
+IMAGES: Final = (JPEG, CAMERA)
 
 
 #: Memory that a message takes beside its bytes, which may be few: its object, the numbers in it, and its place.
@@ -93,7 +93,9 @@ def read_recording(
         When the file cannot be read, is no MCAP file, holds no episode or no frame, is still being recorded, or takes
         too much memory.
     """
-    parts = _open(path)
+    if being_recorded(path):
+        raise RecordingError(f"{path}: still being recorded; end the episode or stop the recorder first")
+    parts = open_parts(path)
     allowance = allowance or Allowance()
     before = allowance.left
     reader = _Reader(fingerprint, allowance, keep)
@@ -116,10 +118,29 @@ def read_recording(
     return Recording(path, episodes, truncated, reader.bad)
 
 
-def _open(path: Path) -> list[memoryview]:
+def being_recorded(path: Path) -> bool:
+    """Whether a living recorder writes this recording.
+
+    Raises
+    ------
+    RecordingError
+        When it cannot be read.
+    """
     try:
-        if path.suffix == PARTIAL_SUFFIX and is_being_recorded(path):
-            raise RecordingError(f"{path}: still being recorded; end the episode or stop the recorder first")
+        return path.suffix == PARTIAL_SUFFIX and is_being_recorded(path)
+    except OSError as error:
+        raise RecordingError(f"{path}: {error.strerror or error}") from None
+
+
+def open_parts(path: Path) -> list[memoryview]:
+    """Return the bytes of a recording, and those of the parts that were recorded after a kill.
+
+    Raises
+    ------
+    RecordingError
+        When it cannot be read, or is no MCAP file.
+    """
+    try:
         parts = [mapped(part) for part in parts_of(path)]
     except OSError as error:
         raise RecordingError(f"{path}: {error.strerror or error}") from None
@@ -168,7 +189,7 @@ class _Reader:
     def _take_message(self, topic: Topic, robot: str, episode: str, tick: int, payload: memoryview) -> None:
         self._allowance.take(_OBJECTS)
         record = self.episodes.setdefault((robot, episode), RecordedEpisode(robot, episode))
-        if topic in _IMAGES:
+        if topic in IMAGES:
             record.images.setdefault(tick, payload)
             return
         take = self._take.get(topic.name)

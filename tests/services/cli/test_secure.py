@@ -18,8 +18,10 @@ from services.cli import certificates
 from services.cli.stack.processes import Stack, StackPlan
 from services.kit.bus import BusError, Router
 from services.kit.credentials import credentials_in
-from services.kit.node import Node
+from services.kit.errors import UsageError
+from services.kit.node import Node, read_settings
 from services.kit.settings import ServiceSettings
+from services.router.config import RouterSettings
 from services.table import roles
 from tests.schemas.messages import EXAMPLES
 from tests.services.cli.conftest import Smal
@@ -192,6 +194,60 @@ def test_a_rotation_that_was_interrupted_is_gone_on_with(
         assert smal("secure", verb, str(keys))[0] == 0, verb
         assert "problem" not in smal("secure", "check", str(keys))[1]
     assert smal("secure", "check", str(keys))[1].count("ca.pem") == 1
+
+
+def test_what_has_expired_is_replaced_by_its_own_command(tmp_path: Path, smal: Smal) -> None:
+    keys = tmp_path / "keys"
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(certificates, "CA_DAYS", -1 / 1440)
+        assert smal("secure", "init", str(keys))[0] == 0
+    (said,) = [line for line in smal("secure", "check", str(keys))[1].splitlines() if " ca.pem" in line]
+    assert said.endswith("run: smal secure rotate")
+
+
+def test_names_that_cannot_be_read_are_not_forgotten_silently(keys: Path, smal: Smal) -> None:
+    (keys / "router.pem").write_text("nothing")
+    status, _out, err = smal("secure", "renew", str(keys))
+    assert status == 2
+    assert "router.pem: no certificate to take names from" in err
+    assert err.count("\n") == 1
+
+
+def test_the_folder_is_not_committed(keys: Path) -> None:
+    assert (keys / ".gitignore").read_text() == "*\n"
+
+
+def test_nothing_is_forgotten_where_there_is_one_authority(keys: Path, smal: Smal) -> None:
+    assert smal("secure", "retire", str(keys))[1] == f"{keys} has one authority; nothing to forget\n"
+
+
+def test_up_names_a_certificate_of_no_use_before_anything_starts(keys: Path, tls_endpoint: str, smal: Smal) -> None:
+    _replace(keys, "operator", days=-1 / 1440)  # Not shown by a stack.
+    _replace(keys, "policy", days=-1 / 1440)
+    status, out, err = smal("up", "--world", "yard", "--secure", str(keys), "--router", tls_endpoint)
+    assert (status, out) == (2, "")
+    assert err.startswith(f"smal: {keys / 'policy.pem'}: it expired on ")
+    assert err.count("\n") == 1
+    (keys / "watcher.pem").unlink()
+    _status, _out, err = smal("up", "--world", "yard", "--secure", str(keys), "--router", tls_endpoint)
+    assert err.startswith(f"smal: no certificate {keys / 'watcher.pem'}; ")
+
+
+def test_up_tells_the_router_that_it_may_let_everybody_in(
+    free_endpoint: str, smal: Smal, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    plans: list[StackPlan] = []
+
+    def take(plan: StackPlan) -> None:
+        plans.append(plan)
+        raise UsageError("enough")
+
+    monkeypatch.setattr("services.cli.up.Stack", take)
+    everywhere = free_endpoint.replace("127.0.0.1", "0.0.0.0")  # noqa: S104 - what is tried
+    assert "give --secure DIR" in smal("up", "--world", "yard", "--router", everywhere)[2]
+    assert smal("up", "--world", "yard", "--router", everywhere, "--insecure")[2] == "smal: enough\n"
+    monkeypatch.setattr("sys.argv", ["router", *plans[0].flags["router"]])
+    assert read_settings(RouterSettings, "router").insecure
 
 
 def test_check_says_when_the_end_is_near(keys: Path, smal: Smal) -> None:

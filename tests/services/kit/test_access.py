@@ -22,7 +22,7 @@ import zenoh
 from schemas.topics import COMMANDS, TOPICS, rpc_key
 from services.cli import certificates
 from services.kit.bus import Bus, BusError, Router, host_and_port
-from services.kit.credentials import Credentials, Password, credentials_in
+from services.kit.credentials import Credentials, Password, credentials_in, why_refused
 from services.kit.zenoh_wire import LEASE_MS, MAX_SESSIONS, router_settings
 from services.table import Role, roles, stack_services
 from tests.services.secured import ROBOT, certificate_in, make_keys, open_session, secured_router
@@ -339,6 +339,35 @@ def test_a_router_that_others_reach_runs_when_it_is_told_to(free_endpoint: str) 
     everywhere = free_endpoint.replace("127.0.0.1", "0.0.0.0")  # noqa: S104 - what is tried
     with closing(Router(everywhere, insecure=True)), closing(Bus(ROBOT, everywhere)) as bus:
         assert bus.connected()
+
+
+def test_who_refuses_whose_certificate_is_one_line(free_endpoint: str, keys: Path, tmp_path: Path) -> None:
+    """Zenoh says nothing of it."""
+    endpoint = free_endpoint.replace("tcp/", "tls/")
+    foreign, old = make_keys(tmp_path / "foreign"), tmp_path / "old"
+    shutil.copytree(keys, old)
+    shutil.copytree(keys, mixed := tmp_path / "mixed")
+    shutil.copytree(keys, broken := tmp_path / "broken")
+    certificates.issue(old, certificates.HOSTS, days=-1 / 1440)
+    for end in ("pem", "key"):
+        shutil.copy(foreign / f"operator.{end}", mixed)
+    (broken / "operator.pem").write_text("nothing")
+    other_name = endpoint.replace("127.0.0.1", "127.0.0.2")
+    everywhere = endpoint.replace("127.0.0.1", "0.0.0.0")  # noqa: S104 - what is tried
+    with closing(Router(everywhere, certificate_in(keys, "router"), ROBOT)):
+        for address, folder, why in [
+            (other_name, keys, rf"that {other_name} shows is refused: IP address mismatch.*--host 127\.0\.0\.2"),
+            (endpoint, foreign, f"that {endpoint} shows is refused: unable to get local issuer"),
+            (endpoint, mixed, f"{endpoint} refuses {mixed}/operator.pem: unknown ca"),
+            (endpoint, old, f"{endpoint} refuses {old}/operator.pem: certificate expired"),
+            (endpoint, broken, "operator.pem with its key and .*/ca.pem; `smal secure check`"),
+        ]:
+            with pytest.raises(BusError, match=why) as error:
+                Bus(ROBOT, address, 0.0, certificate_in(folder, "operator"))
+            assert "\n" not in str(error.value)
+        assert why_refused(certificate_in(keys, "operator"), *host_and_port(endpoint)) is None
+    with closing(Router(free_endpoint)), pytest.raises(BusError, match="is no router that encrypts"):
+        Bus(ROBOT, endpoint, 0.0, certificate_in(keys, "operator"))
 
 
 def test_an_encrypted_address_without_a_certificate_is_one_line(free_endpoint: str, keys: Path) -> None:
