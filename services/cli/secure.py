@@ -103,8 +103,8 @@ def rotate(folder: Folder) -> None:
     """Make a new authority beside the one there is, so that the certificates of both are taken.
 
     Then: start the router again, `smal secure renew`, start the router again, `smal secure retire`, start the router
-    again; each time when the new files are where they are used. The robot stands while the router starts, for less
-    than a second each time, and goes on.
+    again; each time when the new files are where they are used. The robot stands while the router starts, for about a
+    second each time, and goes on; with an operator there, who is lost meanwhile, when they arm it again.
 
     Example: smal secure rotate keys
     """

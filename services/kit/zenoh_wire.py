@@ -6,8 +6,10 @@ This is the only file that imports zenoh, and the one place for its configuratio
 from __future__ import annotations
 
 import json
+import logging
 import re
 import socket
+import threading
 import time
 from collections.abc import Callable
 from typing import Any, Final, cast
@@ -21,7 +23,7 @@ from services.kit.access import access_control
 from services.kit.credentials import Certificate, Credentials, Password, encrypted, others_reach, why_refused
 from services.kit.heap import keep_freed_memory
 from services.kit.replay import Budget, Replay
-from services.kit.wire import LARGEST_BYTES, Answer, BusError, Refused, Serve, Take, Wire, flaw
+from services.kit.wire import LARGEST_BYTES, MAX_RPC_BYTES, Answer, BusError, Refused, Serve, Take, Wire, flaw
 
 DEFAULT_ROUTER: Final = "tcp/127.0.0.1:7447"
 ENDPOINT_PATTERN: Final = r"(?:tcp|tls|quic|udp|ws)/([^\s/]+):(\d{1,5})"
@@ -49,12 +51,19 @@ LEASE_MS: Final = 2000
 #: memory. Every process has two, those of a stack 14; as many again are counted while dead links have their lease. The
 #: rest is for 18 programs of people.
 MAX_SESSIONS: Final = 64
+#: Calls of one key that wait; where more come, nobody answers the oldest.
+WAITING_CALLS: Final = 32
+#: Most of a processor's time that answering the calls of one key takes.
+CALLS_SHARE: Final = 0.1
+#: Largest call that a router passes on, for who is called to refuse it by name; `WAITING_CALLS` of them may wait.
+_CALL_BYTES: Final = 2 * MAX_RPC_BYTES
 #: Of calls: ahead of images and of what is replayed.
 _CALL_PRIORITY: Final = zenoh.Priority.INTERACTIVE_LOW
 #: How a publisher that keeps samples calls itself: its session, and its number there.
 _SENDER_PATTERN: Final = r"[0-9a-f]{1,32}/[0-9]+(?=/|$)"
 _PUT: Final = zenoh.SampleKind.PUT
 JSON_ENCODING: Final = zenoh.Encoding("application/json")
+_logger = logging.getLogger("bus")
 
 
 def settings_of(mode: str, endpoint: str, credentials: Credentials) -> dict[str, object]:
@@ -85,6 +94,9 @@ def settings_of(mode: str, endpoint: str, credentials: Credentials) -> dict[str,
     }
     if mode == "router":
         settings |= {"transport/unicast/max_sessions": MAX_SESSIONS, "transport/unicast/accept_timeout": LEASE_MS}
+        settings["low_pass_filter"] = [
+            {"id": "calls", "messages": ["query"], "flows": ["ingress"], "key_exprs": ["**"], "size_limit": _CALL_BYTES}
+        ]
     else:
         # Only the first connection: after an outage it is made again for as long as it takes. Without this limit
         # `zenoh.open` blocks for ever where there is no router, deaf to signals.
@@ -275,7 +287,7 @@ class ZenohWire(Wire):
         self.sessions = {urgent: _open_client(endpoint, credentials, patience_s) for urgent in (False, True)}
         self._publishers: dict[str, zenoh.Publisher | zenoh.ext.AdvancedPublisher] = {}
         self._held = Budget(HELD_BYTES)
-        self._declared: list[zenoh.Subscriber[None] | zenoh.ext.AdvancedSubscriber[None] | zenoh.Queryable[None]] = []
+        self._declared: list[zenoh.Subscriber[None] | zenoh.ext.AdvancedSubscriber[None] | zenoh.Queryable[Any]] = []
 
     def connected(self) -> bool:
         """Whether both sessions have a router."""
@@ -401,7 +413,7 @@ class ZenohWire(Wire):
             raise BusError(str(error).partition(" at /")[0]) from None  # without the place in Zenoh's source
 
     def serve(self, key: str, answer: Serve, refused: Refused) -> None:
-        """Answer calls of a key."""
+        """Answer calls of a key, on a thread of its own."""
 
         def on_query(query: zenoh.Query) -> None:
             def reply(message: Answer) -> None:
@@ -419,11 +431,24 @@ class ZenohWire(Wire):
             try:
                 answer(b"{}" if payload is None else payload.to_bytes(), reply)
             except Exception:
-                # Who logs the error may keep its traceback, and with it the query.
+                # Who logs the error keeps its traceback, and with it the query.
                 query.drop()
-                raise
+                _logger.exception("a handler on the bus's thread failed")
 
-        self._declared.append(self.sessions[False].declare_queryable(key, on_query, complete=True))
+        def answer_all() -> None:
+            for query in queryable:
+                began_s = time.thread_time()
+                on_query(query)
+                # Whoever holds it now answers; otherwise its caller hears that nobody does.
+                del query
+                time.sleep((1.0 / CALLS_SHARE - 1.0) * (time.thread_time() - began_s))
+
+        # What waits does so outside of Python, whose threads take turns: ten thousand calls of a status in a second,
+        # which whoever looks at a robot may make, would otherwise take them from the loop that drives.
+        calls: zenoh.handlers.RingChannel[zenoh.Query] = zenoh.handlers.RingChannel(WAITING_CALLS)
+        queryable = self.sessions[False].declare_queryable(key, calls, complete=True)
+        self._declared.append(queryable)
+        threading.Thread(target=answer_all, name=f"calls of {key}", daemon=True).start()
 
     def call(self, key: str, request: bytes, timeout_s: float) -> Answer | None:
         """Call a key and wait for the answer."""
