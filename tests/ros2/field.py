@@ -168,7 +168,7 @@ def stack_with(place: Field, *, link: str | None = None) -> Iterator[Stack]:
         services,
         "fake",
         free_endpoint(),
-        {"robot": flags(ros2_config=config)},
+        {"robot": flags(ros2_config=config), "console": flags(console="127.0.0.1:0")},
         logs=place.robot.folder / "logs",
         modules={"robot": "services.ros2"},
     )
