@@ -17,6 +17,8 @@ from services.cli.interrupts import interrupted_by_signals
 from services.cli.options import Camera
 from services.cli.simulator_options import SimulatorOptions
 from services.cli.stack.processes import Stack, StackPlan, flags
+from services.console.address import listen
+from services.console.config import ConsoleSettings
 from services.kit.bus import Router
 from services.kit.credentials import how_secure
 from services.kit.errors import UsageError
@@ -104,6 +106,8 @@ def up(
         reached.credentials(role_of(service))
     credentials = reached.credentials("router")
     Router(reached.router, credentials, robot, insecure=insecure).close()
+    if not no_console:
+        listen(ConsoleSettings(console=console, root=root)).socket.close()
     configure_logging("info")
     log = logging.getLogger("up")
     below = flags(root=root.resolve())
