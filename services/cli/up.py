@@ -17,6 +17,8 @@ from services.cli.interrupts import interrupted_by_signals
 from services.cli.options import Camera
 from services.cli.simulator_options import SimulatorOptions
 from services.cli.stack.processes import Stack, StackPlan, flags
+from services.console.address import listen
+from services.console.config import ConsoleSettings
 from services.kit.bus import Router, host_and_port
 from services.kit.credentials import encrypted, how_secure
 from services.kit.errors import UsageError
@@ -111,6 +113,8 @@ def up(
         certificates.require(secure, shown)
     credentials = reached.credentials("router")
     Router(reached.router, credentials, robot, insecure=insecure).close()
+    if not no_console:
+        listen(ConsoleSettings(console=console, root=root)).socket.close()
     configure_logging("info")
     log = logging.getLogger("up")
     below = flags(root=root.resolve())

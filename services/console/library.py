@@ -192,9 +192,9 @@ class Library:
             if mapped is None:
                 return stamp, replace(listed, useless="it has no map of views; smal run --scheme paper runs it")
             goals = tuple(sorted({printable(str(goal)) for goal in mapped["goals"]}))
-            return stamp, replace(listed, goals=goals, fingerprint=str(meta["feature_fingerprint"]),
+            return stamp, replace(listed, goals=goals, fingerprint=printable(str(meta["feature_fingerprint"])),
                                        longest=max(int(frames) for frames in meta["frames"]))  # fmt: skip
-        except (ModelError, LookupError, TypeError, ValueError, OSError) as error:
+        except (ModelError, LookupError, TypeError, ValueError, ArithmeticError, OSError) as error:
             return stamp, replace(listed, useless=printable(str(error)).removeprefix(f"{name}: "))
 
 

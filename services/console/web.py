@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import socket
 import threading
 from collections.abc import Callable, Coroutine
 from contextlib import suppress
@@ -21,6 +20,7 @@ from starlette.websockets import WebSocket, WebSocketDisconnect, WebSocketState
 
 from schemas.base import Atom
 from schemas.codec import describe
+from services.console.address import listen
 from services.console.asks import OF_DRIVER, OF_WATCHERS, Ask, Hold, Leave, Stop
 from services.console.board import Board, FullError
 from services.console.config import ConsoleSettings
@@ -28,8 +28,6 @@ from services.console.guard import Guard
 from services.console.learned import Learned
 from services.console.library import Library
 from services.console.seat import Seat
-from services.kit.credentials import others_reach, secret
-from services.kit.node import ServiceError
 from services.operator.operator import BEAT_S
 
 PAGE: Final = Path(__file__).parent / "page"
@@ -41,8 +39,6 @@ _MOST_BYTES: Final = 1 << 20
 FULL, TAKEN, NONSENSE = 4001, 4002, 4003
 #: How long open sockets may take to close at the end.
 _FAREWELL_S: Final = 1
-#: Letters of a token, at least.
-_TOKEN_LETTERS: Final = 16
 
 
 class Person(Protocol):
@@ -244,23 +240,8 @@ class WebServer:
     """
 
     def __init__(self, person: Person, board: Board, settings: ConsoleSettings) -> None:
-        host, _, port = settings.console.rpartition(":")
-        token = _token(settings)
-        keys = (settings.console_cert, settings.console_key)
-        if others_reach(host) and not settings.insecure and (token is None or None in keys):
-            raise ServiceError(
-                f"--console {settings.console}: other machines reach it, so it needs --console-cert, --console-key and "
-                "--console-token (or --insecure, which lets everybody drive)"
-            )
-        if (token is None) != (None in keys) or (keys[0] is None) != (keys[1] is None):
-            raise ServiceError("--console-cert, --console-key and --console-token go together")
-        try:
-            self._socket = socket.create_server((host, int(port)))
-        except (OSError, OverflowError) as error:
-            reason = error.strerror if isinstance(error, OSError) else "no such port"
-            raise ServiceError(
-                f"cannot listen on {settings.console}: {reason}; try another --console HOST:PORT"
-            ) from None
+        place = listen(settings)
+        self._socket, token = place.socket, place.token
         self._server = uvicorn.Server(
             uvicorn.Config(
                 Guard(Web(person, board).application(), token),
@@ -268,8 +249,8 @@ class WebServer:
                 # A browser that says nothing for a while may still look.
                 ws_ping_interval=20.0,
                 ws_per_message_deflate=False,
-                ssl_certfile=keys[0],
-                ssl_keyfile=keys[1],
+                ssl_certfile=settings.console_cert,
+                ssl_keyfile=settings.console_key,
                 lifespan="off",
                 log_config=None,
                 log_level="warning",
@@ -279,7 +260,7 @@ class WebServer:
                 timeout_graceful_shutdown=_FAREWELL_S,
             )
         )
-        self.address = f"{'http' if token is None else 'https'}://{host}:{self._socket.getsockname()[1]}"
+        self.address = place.address
         self._thread = threading.Thread(
             target=self._server.run, kwargs={"sockets": [self._socket]}, name="web", daemon=True
         )
@@ -290,12 +271,3 @@ class WebServer:
         self._server.should_exit = True
         self._thread.join(2 * _FAREWELL_S)
         self._socket.close()
-
-
-def _token(settings: ConsoleSettings) -> str | None:
-    if settings.console_token is None:
-        return None
-    token = secret(settings.console_token)
-    if len(token) < _TOKEN_LETTERS:
-        raise ServiceError(f"{settings.console_token}: a token of {len(token)} letters; at least {_TOKEN_LETTERS}")
-    return token

@@ -170,7 +170,7 @@ def stack_with(place: Field, *, link: str | None = None) -> Iterator[Stack]:
         "fake",
         free_endpoint(),
         # What another day has learned lies beside this one.
-        {"robot": flags(ros2_config=config)}
+        {"robot": flags(ros2_config=config), "console": flags(console="127.0.0.1:0")}
         | {name: flags(root=place.robot.folder.parent.resolve()) for name in ("recorder", "recognition", "policy")},
         logs=place.robot.folder / "logs",
         modules={"robot": "services.ros2"},
