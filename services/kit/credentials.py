@@ -15,8 +15,6 @@ from typing import Final, NamedTuple
 
 from services.kit.wire import BusError
 
-#: Addresses whose connections are encrypted begin so.
-ENCRYPTED: Final = ("tls", "quic")
 #: Files of a folder that `smal secure init` makes: `CA_FILE`, and for each role its name with one of these ends.
 CA_FILE: Final = "ca.pem"
 CERTIFICATE_SUFFIX: Final = ".pem"
@@ -87,7 +85,7 @@ def certificate_of(ca: Path, certificate: Path, key: Path) -> Certificate:
 
 def encrypted(endpoint: str) -> bool:
     """Whether an address is one of encrypted connections."""
-    return endpoint.partition("/")[0] in ENCRYPTED
+    return endpoint.startswith("tls/")
 
 
 def how_secure(credentials: Credentials, host: str | None = None) -> str:
