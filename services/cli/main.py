@@ -27,6 +27,7 @@ COMMANDS: Final = {
     "teleop": ("services.cli.teleop:teleop", "Drive with the keyboard."),
     "import": ("services.cli.importing:import_recordings", "Make recordings of what other software recorded."),
     "learn": ("services.cli.learn:learn", "Learn a model from recorded drives."),
+    "model": ("services.cli.model:app", "Look at what was learned."),
     "run": ("services.cli.run:run", "Let the robot find the victim by itself."),
     "evaluate": ("services.cli.evaluate:evaluate", "Run the paper's experiments in simulation."),
     "match": ("services.cli.match:match", "Match the places of two image folders."),
