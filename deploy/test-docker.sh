@@ -45,11 +45,11 @@ export COMPOSE_PROJECT_NAME=smal-test COMPOSE_PROFILES=demo SMAL_OUT=$work/out S
 SMAL_UID=$(id -u) SMAL_GID=$(id -g)
 # Run by root, the containers still are not.
 [ "$SMAL_UID" != 0 ] || SMAL_UID=4321 SMAL_GID=4321
-export SMAL_ROUTER_PORT=0
+export SMAL_ROUTER_PORT=0 SMAL_CONSOLE_PORT=0
 # The smallest job that is still the whole job.
 export SMAL_WORLD=yard SMAL_CAMERA_WIDTH=160 SMAL_CAMERA_HEIGHT=120
 export SMAL_DEMO_DRIVES=1 SMAL_DEMO_RUNS=2
-SERVICES=(router robot tracker features recognition policy recorder)
+SERVICES=(router robot tracker features recognition policy recorder console)
 clean_up() {
   status=$?
   if [ -d "$work/clone" ]; then
@@ -95,7 +95,7 @@ check "docker compose build" "$took s" true
 for service in prepare compile "${SERVICES[@]}" demo; do
   bytes=$(docker image inspect -f '{{.Size}}' "$COMPOSE_PROJECT_NAME-$service")
   case $service in
-    robot | demo) check "image of $service" "$((bytes / 1000000)) MB" true ;;
+    robot | console | demo) check "image of $service" "$((bytes / 1000000)) MB" true ;;
     *) check "image of $service is under 500 MB" "$((bytes / 1000000)) MB" test "$bytes" -lt 500000000 ;;
   esac
 done
@@ -135,6 +135,9 @@ check "policy cannot reach the internet" "" \
 port=$(docker compose port router 7447)
 check "this machine reaches the router, and only it" "$port" \
   bash -c "[[ $port = 127.0.0.1:* ]] && exec 3<>/dev/tcp/127.0.0.1/${port##*:}"
+page=$(docker compose port console 8080)
+check "this machine, and only it, is shown the page" "$page" \
+  bash -c "[[ $page = 127.0.0.1:* ]] && python3 -c \"import urllib.request as u; assert b'<title>' in u.urlopen('http://$page').read()\""
 compiling=$(docker compose exec -T recognition python -c '
 import time
 from smal.matching.streaming import compile_ahead

@@ -20,6 +20,10 @@ Tick = Annotated[int, Field(ge=0, le=MAX_TICK, description="Number of the camera
 Atom = Literal["forward", "backward", "left", "right", "stop"]
 Source = Literal["emergency_stop", "teleop", "expert", "policy"]
 ATOMS: Final[tuple[Atom, ...]] = get_args(Atom)
+#: Ahead and counter-clockwise, as shares of a robot's speed and turn rate.
+DIRECTIONS: Final[dict[Atom, tuple[int, int]]] = {
+    "forward": (1, 0), "backward": (-1, 0), "left": (0, 1), "right": (0, -1), "stop": (0, 0),
+}  # fmt: skip
 #: From the highest priority to the lowest: the actuator obeys the first source that has a fresh command.
 SOURCES: Final[tuple[Source, ...]] = get_args(Source)
 

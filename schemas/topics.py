@@ -25,6 +25,7 @@ from schemas.odometry import Odometry
 from schemas.overhead_image import OverheadImage
 from schemas.pose import Pose
 from schemas.state import State
+from schemas.taught_map import TaughtMap
 from schemas.tracked_pose import TrackedPose
 
 ROOT: Final = "smal"
@@ -91,6 +92,7 @@ POSE: Final = Topic("pose/truth", Pose, 10, 8, True)
 TRACKED: Final = Topic("pose/tracked", TrackedPose, 10, 8, True)
 OBSERVATION: Final = Topic("observation", Observation, 10, 8, True)
 STATE: Final = Topic("state", State, 10, 8, True)
+MAP: Final = Topic("map", TaughtMap, None, 8, True)
 ACTION: Final = Topic("action", Action, None, 8, True)
 COMMANDS: Final = {
     source: Topic(
@@ -113,7 +115,7 @@ TOPICS: Final[dict[str, Topic]] = {
     for topic in (
         *(CAMERA, JPEG, CAMERA_INFO, DEPTH, OVERHEAD),
         *(ODOMETRY, IMU, POSE, TRACKED),
-        *(OBSERVATION, STATE, ACTION),
+        *(OBSERVATION, MAP, STATE, ACTION),
         *(*COMMANDS.values(), APPLIED, HEARTBEAT, EPISODE),
     )
 }

@@ -77,7 +77,7 @@ SERVICES: Final = {
             "recognition",
             "knows where the robot is",
             (topics.OBSERVATION, topics.ODOMETRY, topics.APPLIED),
-            (topics.STATE,),
+            (topics.STATE, topics.MAP),
             serves=("load",),
             image="recognition",
         ),
@@ -96,6 +96,14 @@ SERVICES: Final = {
             serves=("start", "flush", "stop"),
         ),
         Service("tracker", "measures the robot's pose from above", (topics.OVERHEAD,), (topics.TRACKED,)),
+        Service(
+            "console",
+            "the page in a browser: drive, teach, watch",
+            (topics.JPEG, topics.STATE, topics.ACTION, topics.POSE, topics.TRACKED, topics.APPLIED, topics.EPISODE),
+            (COMMANDS["teleop"], COMMANDS["emergency_stop"], topics.HEARTBEAT),
+            # It learns as well, as the smal command does.
+            image="simulator",
+        ),
         Service(
             "teleop",
             "a person at the keyboard",
@@ -198,8 +206,8 @@ def roles() -> dict[str, Role]:
     served = tuple(key for role in named.values() for key in role.serves)
     given = tuple(topic for topic in everything if any(topic in service.gives for service in own))
     statuses = tuple(f"{service.name}/status" for service in own)
-    for name in ("operator", "console"):
-        named[name] = Role(name, everything, given, statuses, served, person=True)
+    for name, serves in (("operator", statuses), ("console", named["console"].serves)):
+        named[name] = Role(name, everything, given, serves, served, person=True)
     asks = tuple(key for key in served if key.endswith("/status"))
     named["watcher"] = Role("watcher", everything, (), (), asks, person=True)
     return named

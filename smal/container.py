@@ -132,6 +132,35 @@ def read(file: IO[bytes], name: str, version: int) -> tuple[dict[str, Any], dict
         raise ModelError(f"{name}: the header does not describe a model: {one_line(error)}") from error
 
 
+def read_meta(file: IO[bytes], name: str, version: int) -> dict[str, Any]:
+    """Read what a file that `write` wrote says of itself, without its arrays, and without a check that it is whole.
+
+    Raises
+    ------
+    ModelError
+        The file cannot be read, is of another kind or version, or does not say what it should.
+    """
+    try:
+        fixed = file.read(_FIXED.size)
+        magic, found, header_size = _FIXED.unpack(fixed) if len(fixed) == _FIXED.size else (b"", 0, 0)
+        if magic != MAGIC:
+            raise NoModelError(f"{name}: not a SMAL model")
+        if found != version:
+            raise ModelError(f"{name}: model of format {found}, this program reads format {version}; learn it again")
+        if header_size > LARGEST_HEADER:
+            raise ModelError(f"{name}: a header of {header_size} bytes, at most {LARGEST_HEADER} are read")
+        meta = json.loads(file.read(header_size))["meta"]
+    except OSError as error:
+        raise NoModelError(f"{name}: cannot be read: {error.strerror}") from error
+    except ModelError:
+        raise
+    except (LookupError, TypeError, ValueError, RecursionError) as error:
+        raise ModelError(f"{name}: the header does not describe a model: {one_line(error)}") from error
+    if not isinstance(meta, dict):
+        raise ModelError(f"{name}: the header does not describe a model")
+    return meta
+
+
 def _parts(version: int, meta: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -> list[bytes | memoryview]:
     """Return the bytes of the file one after the other, except its checksum."""
     stored = {name: np.ascontiguousarray(array) for name, array in arrays.items()}

@@ -7,12 +7,15 @@ import subprocess
 import sys
 
 
-def run_smal(*arguments: object, timeout_s: float = 500, **environment: str) -> subprocess.CompletedProcess[str]:
-    """Run ``smal`` with arguments; return what it printed."""
+def run_smal(
+    *arguments: object, timeout_s: float = 500, typed: str | None = None, **environment: str
+) -> subprocess.CompletedProcess[str]:
+    """Run ``smal`` with arguments, and what is typed; return what it printed."""
     return subprocess.run(
         [sys.executable, "-c", "from services.cli.main import main; main()", *map(str, arguments)],
         capture_output=True,
         text=True,
+        input=typed,
         timeout=timeout_s,
         check=False,
         env=os.environ | environment,

@@ -6,9 +6,11 @@ import math
 import re
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
+import typer
 from typer.testing import CliRunner
 
 import smal
@@ -52,11 +54,29 @@ def test_every_path_that_a_page_names_exists(page: Path) -> None:
     assert not [path for path in named if not (ROOT / path).exists()]
 
 
-def test_every_command_that_it_names_exists() -> None:
-    commands = set(re.findall(r"^ {4}smal (\w+)", README, re.MULTILINE))
-    assert commands >= {"doctor", "demonstrate", "learn", "run", "up", "teleop", "topic"}
-    for command in commands:
-        assert CliRunner().invoke(app, [command, "--help"]).exit_code == 0
+@pytest.mark.parametrize(
+    ("page", "some"),
+    [
+        ("README.md", {"doctor", "demonstrate", "learn", "run", "up", "teleop", "topic"}),
+        ("SECURITY.md", {"doctor", "run", "up", "teleop", "topic", "init", "check", "renew", "rotate", "retire"}),
+    ],
+)
+def test_every_command_that_a_page_names_exists_with_its_options(page: str, some: set[str]) -> None:
+    lines = re.findall(
+        r"(?:^ {4}|`|; )(?:SMAL_\S+ )?smal (.*?)(?:`|;| {3,}|$)", (ROOT / page).read_text(), re.MULTILINE
+    )
+    named: set[str] = set()
+    for line in lines:
+        words = line.split()
+        command: Any = typer.main.get_command(app)
+        while hasattr(command, "commands") and words and words[0] != "…":
+            named.add(words[0])
+            command = command.get_command(None, words.pop(0))
+            assert command is not None, line
+        known = {option for parameter in command.params for option in parameter.opts} | {"--help"}
+        passes_on = command.context_settings.get("ignore_unknown_options", False)
+        assert passes_on or {word for word in words if word.startswith("-")} <= known, line
+    assert named >= some
 
 
 def test_the_example_of_the_library_finds_its_way(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

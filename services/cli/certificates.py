@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ipaddress
 import os
+import re
 import secrets
 from collections.abc import Iterable, Iterator
 from datetime import UTC, datetime, timedelta
@@ -11,13 +12,15 @@ from pathlib import Path
 from typing import Final, NamedTuple
 
 from cryptography import x509
-from cryptography.exceptions import InvalidSignature
+from cryptography.exceptions import InvalidSignature, UnsupportedAlgorithm
 from cryptography.hazmat.primitives import hashes, serialization
 from cryptography.hazmat.primitives.asymmetric import ec
+from cryptography.hazmat.primitives.asymmetric.types import PrivateKeyTypes
 from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 
+from schemas.codec import printable
 from services.kit.credentials import CA_FILE, CERTIFICATE_SUFFIX, KEY_SUFFIX, PASSWORD_SUFFIX, PASSWORDS_FILE
-from services.kit.errors import UsageError
+from services.kit.errors import UsageError, describe_os_error
 from services.table import roles
 
 CA_KEY_FILE: Final = "ca.key"
@@ -32,6 +35,9 @@ SOON: Final = timedelta(days=30)
 #: Names by which clients on the router's own machine, and in its compose file, go to it.
 HOSTS: Final = ("localhost", "127.0.0.1", "::1", "router")
 ROUTER: Final = "router"
+#: Name of a host: labels of at most 63 letters, digits and hyphens (RFC 1123); of another alphabet as ``xn--``.
+_LABEL: Final = r"[A-Za-z0-9](?:[A-Za-z0-9_-]{0,61}[A-Za-z0-9])?"
+_HOST_PATTERN: Final = rf"{_LABEL}(?:\.{_LABEL})*"
 
 
 class Authority(NamedTuple):
@@ -60,9 +66,9 @@ def begin(folder: Path, robot: str) -> None:
     authority = _authority(robot)
     folder.mkdir(mode=0o700, parents=True, exist_ok=True)
     known = (folder / CA_FILE).read_bytes() if (folder / CA_FILE).exists() else b""
-    _write(folder / CA_KEY_FILE, _pem_of(authority.key))
-    # The newest first: it is the one that signs.
+    # Known before it signs: whoever interrupts this is left with an authority that has its key.
     _write(folder / CA_FILE, authority.certificate.public_bytes(serialization.Encoding.PEM) + known, mode=0o644)
+    _write(folder / CA_KEY_FILE, _pem_of(authority.key))
 
 
 def issue(folder: Path, hosts: Iterable[str], days: float = DAYS) -> None:
@@ -71,7 +77,7 @@ def issue(folder: Path, hosts: Iterable[str], days: float = DAYS) -> None:
     Raises
     ------
     UsageError
-        When the authority's key is not there or is not the newest authority's.
+        When the authority's key is not there or is no authority's of the folder.
     """
     authority = read_authority(folder)
     for role in roles():
@@ -82,6 +88,55 @@ def issue(folder: Path, hosts: Iterable[str], days: float = DAYS) -> None:
         _write(folder / f"{role}{CERTIFICATE_SUFFIX}", pem, mode=0o644)
 
 
+def check_host(host: str) -> str:
+    """Return a host's name or address.
+
+    Raises
+    ------
+    UsageError
+        When it is none.
+    """
+    try:
+        ipaddress.ip_address(host)
+    except ValueError:
+        if re.fullmatch(_HOST_PATTERN, host) is None:
+            raise UsageError(f"--host {printable(host)!r}: neither a name, in ASCII, nor an address") from None
+    return host
+
+
+def names_of_router(folder: Path) -> list[str]:
+    """Return the names and addresses that the router's certificate has; none where there is no such certificate.
+
+    Raises
+    ------
+    UsageError
+        When its file is no certificate.
+    """
+    path = folder / f"{ROUTER}{CERTIFICATE_SUFFIX}"
+    if not path.exists():
+        return []
+    try:
+        found = _read_certificate(path).extensions.get_extension_for_class(x509.SubjectAlternativeName)
+    except (OSError, ValueError, x509.ExtensionNotFound):
+        raise UsageError(f"{path}: no certificate to take names from; delete it and give them with --host") from None
+    return [str(name.value) for name in found.value]
+
+
+def robot_of(authority: Authority) -> str:
+    """Return whose bus an authority is for.
+
+    Raises
+    ------
+    UsageError
+        When it does not say so, because `smal secure init` has not made it.
+    """
+    name = authority.certificate.subject.rfc4514_string()
+    found = re.fullmatch(r"CN=smal (\S+) \w+", name)
+    if found is None:
+        raise UsageError(f"{CA_FILE} is of {name}, and not of `smal secure init`")
+    return found[1]
+
+
 def retire(folder: Path) -> int:
     """Forget all authorities but the newest; return how many were forgotten.
 
@@ -90,15 +145,16 @@ def retire(folder: Path) -> int:
     UsageError
         When a certificate in the folder would be of no use any more.
     """
-    newest, *others = _authorities(folder)
+    newest = read_authority(folder).certificate
     for role in roles():
         path = folder / f"{role}{CERTIFICATE_SUFFIX}"
         if path.exists():
             ok, text = _verdict(path, role, [newest])
             if not ok:
                 raise UsageError(f"{path}: {text}; run `smal secure renew` first")
+    others = len(_authorities(folder)) - 1
     _write(folder / CA_FILE, newest.public_bytes(serialization.Encoding.PEM), mode=0o644)
-    return len(others)
+    return others
 
 
 def give_passwords(folder: Path) -> None:
@@ -129,24 +185,39 @@ def certificate_of(
 
 
 def read_authority(folder: Path) -> Authority:
-    """Read the newest authority and its key.
+    """Read the authority that signs, and its key: of those in the folder, the one whose key is there.
 
     Raises
     ------
     UsageError
         When they are not there, or do not belong together.
     """
-    newest, *_ = _authorities(folder)
     path = folder / CA_KEY_FILE
+    authorities = _authorities(folder)
     try:
-        key = serialization.load_pem_private_key(path.read_bytes(), None)
+        key = _read_key(path)
     except OSError as error:
         raise UsageError(f"cannot read {path}, which signs: {error.strerror or error}") from None
-    except ValueError:
-        raise UsageError(f"{path}: no private key") from None
-    if not isinstance(key, ec.EllipticCurvePrivateKey) or key.public_key() != newest.public_key():
-        raise UsageError(f"{path} is not the key of the first authority in {folder / CA_FILE}")
-    return Authority(newest, key)
+    except ValueError as error:
+        raise UsageError(f"{path}: {error}") from None
+    for authority in authorities:
+        if isinstance(key, ec.EllipticCurvePrivateKey) and key.public_key() == authority.public_key():
+            return Authority(authority, key)
+    raise UsageError(f"{path} is the key of no authority in {folder / CA_FILE}")
+
+
+def require(folder: Path, needed: Iterable[str]) -> None:
+    """Check the authorities in a folder, and the certificates of some roles.
+
+    Raises
+    ------
+    UsageError
+        When one is of no use.
+    """
+    files = {CA_FILE, *(f"{role}{CERTIFICATE_SUFFIX}" for role in needed)}
+    for one in check(folder):
+        if one.file in files and not one.ok:
+            raise UsageError(f"{folder / one.file}: {one.text}")
 
 
 def check(folder: Path) -> Iterator[Finding]:
@@ -160,19 +231,25 @@ def check(folder: Path) -> Iterator[Finding]:
     authorities = _authorities(folder)
     for k, authority in enumerate(authorities):
         name = CA_FILE if k == 0 else f"{CA_FILE}, older"
-        yield Finding(name, *_validity(authority))
+        yield Finding(name, *_validity(authority, "rotate"))
     for role in roles():
         path = folder / f"{role}{CERTIFICATE_SUFFIX}"
         if path.exists():
             yield Finding(path.name, *_verdict(path, role, authorities))
+    for path in (folder / name for name in (CA_KEY_FILE, PASSWORDS_FILE, *(f"{r}{PASSWORD_SUFFIX}" for r in roles()))):
+        if path.exists() and (open_to := _open_to_others(path)):
+            yield Finding(path.name, ok=False, text=open_to)
 
 
 def _verdict(path: Path, role: str, authorities: list[x509.Certificate]) -> tuple[bool, str]:
     try:
-        certificate = x509.load_pem_x509_certificate(path.read_bytes())
-        key = serialization.load_pem_private_key(path.with_suffix(KEY_SUFFIX).read_bytes(), None)
+        certificate = _read_certificate(path)
+        key = _read_key(path.with_suffix(KEY_SUFFIX))
     except (OSError, ValueError) as error:
-        return False, f"it or its key cannot be read: {error}"
+        return (
+            False,
+            f"it or its key cannot be read: {describe_os_error(error) if isinstance(error, OSError) else error}",
+        )
     names = [str(one.value) for one in certificate.subject.get_attributes_for_oid(NameOID.COMMON_NAME)]
     if names != [role]:
         return False, f"it is the certificate of {', '.join(names) or 'nobody'}, not of {role}"
@@ -180,21 +257,28 @@ def _verdict(path: Path, role: str, authorities: list[x509.Certificate]) -> tupl
         return False, f"no authority in {CA_FILE} has signed it"
     if key.public_key() != certificate.public_key():
         return False, "its key is another certificate's"
-    if path.with_suffix(KEY_SUFFIX).stat().st_mode & 0o077:
-        return False, f"its key can be read by others; run: chmod 600 {path.with_suffix(KEY_SUFFIX)}"
-    uses = certificate.extensions.get_extension_for_class(x509.ExtendedKeyUsage).value
+    if open_to := _open_to_others(path.with_suffix(KEY_SUFFIX)):
+        return False, f"its key {open_to}"
+    try:
+        uses = certificate.extensions.get_extension_for_class(x509.ExtendedKeyUsage).value
+    except x509.ExtensionNotFound:
+        return False, "it does not say what it may be used for"
     if (ExtendedKeyUsageOID.SERVER_AUTH in uses) != (role == ROUTER):
         return False, "it lets its holder be a router" if role != ROUTER else "it does not let its holder be a router"
     return _validity(certificate)
 
 
-def _validity(certificate: x509.Certificate) -> tuple[bool, str]:
+def _open_to_others(secret: Path) -> str:
+    return f"can be read by others; run: chmod 600 {secret}" if secret.stat().st_mode & 0o077 else ""
+
+
+def _validity(certificate: x509.Certificate, remedy: str = "renew") -> tuple[bool, str]:
     now, end = datetime.now(UTC), certificate.not_valid_after_utc
     if now > end:
-        return False, f"it expired on {end:%Y-%m-%d %H:%M} UTC; run: smal secure renew"
+        return False, f"it expired on {end:%Y-%m-%d %H:%M} UTC; run: smal secure {remedy}"
     if now < certificate.not_valid_before_utc:
         return False, f"it is valid from {certificate.not_valid_before_utc:%Y-%m-%d %H:%M} UTC on; is this clock right?"
-    return True, f"valid until {end:%Y-%m-%d}" + (": soon; run: smal secure renew" if end - now < SOON else "")
+    return True, f"valid until {end:%Y-%m-%d}" + (f": soon; run: smal secure {remedy}" if end - now < SOON else "")
 
 
 def _signed(certificate: x509.Certificate, authority: x509.Certificate) -> bool:
@@ -254,6 +338,24 @@ def _general_name(host: str) -> x509.GeneralName:
         return x509.IPAddress(ipaddress.ip_address(host))
     except ValueError:
         return x509.DNSName(host)
+
+
+def _read_certificate(path: Path) -> x509.Certificate:
+    """Read a certificate; ValueError says that it is none."""
+    try:
+        return x509.load_pem_x509_certificate(path.read_bytes())
+    except ValueError:
+        raise ValueError("no certificate") from None
+
+
+def _read_key(path: Path) -> PrivateKeyTypes:
+    """Read a private key; ValueError says why it is none that can be used."""
+    try:
+        return serialization.load_pem_private_key(path.read_bytes(), None)
+    except TypeError:
+        raise ValueError("it is encrypted; decrypt it for this command") from None
+    except (ValueError, UnsupportedAlgorithm):
+        raise ValueError("no private key") from None
 
 
 def _pem_of(key: ec.EllipticCurvePrivateKey) -> bytes:

@@ -7,9 +7,8 @@ import math
 import os
 import subprocess
 import sys
-import tempfile
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import suppress
 from pathlib import Path
 from typing import Annotated, Any, Final
 
@@ -19,7 +18,6 @@ from tqdm import tqdm
 
 from schemas.codec import describe
 from services.cli import options, outputs
-from services.cli.interrupts import interrupted_by_signals
 from services.cli.stack.child import tied
 from services.importers.atoms import Thresholds
 from services.importers.job import FORMATS, Job, Report, missing_packages
@@ -113,7 +111,7 @@ def import_recordings(
         raise UsageError(f"no format {format_!r}; known are: {', '.join(FORMATS)}")
     missing = missing_packages(format_)
     if missing:
-        raise UsageError(f"{format_} needs {' and '.join(missing)}: pip install 'smal[importers]'")
+        raise UsageError(f"{format_} needs {' and '.join(missing)}: pip install 'smal[formats]'")
     options.check_robot(robot)
     options.check_goal(goal)
     outputs.check_file(json_file, "--json")
@@ -125,7 +123,7 @@ def import_recordings(
         given["focal"] = 0.5 / math.tan(math.radians(field_of_view) / 2.0)
     wished = {"camera": camera, "velocity": velocity, "rate_hz": rate, "speed": speed, "turn_rate": turn_rate}
     outputs.make_folder(out, "--out")
-    with _workshop(out) as folder:
+    with outputs.workshop(out, ".import-") as folder:
         job = _job(
             wished | {"episodes": tuple(episode or ())},
             {name: value for name, value in given.items() if value is not None},
@@ -147,13 +145,6 @@ def _job(wished: dict[str, Any], *given: dict[str, Any]) -> Job:
         return Job(wishes=Wishes(**wished), **{name: value for each in given for name, value in each.items()})
     except ValidationError as error:
         raise UsageError(describe(error)) from None
-
-
-@contextmanager
-def _workshop(out: Path) -> Iterator[Path]:
-    """Make a folder in which recordings lie until all of them are whole."""
-    with interrupted_by_signals(), tempfile.TemporaryDirectory(prefix=".import-", dir=out) as folder:
-        yield Path(folder)
 
 
 def _published(file: Path, out: Path) -> Path:

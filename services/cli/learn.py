@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 import sys
 import time
@@ -54,6 +55,9 @@ def learn(
         ),
     ] = None,
     json_file: Annotated[Path | None, typer.Option("--json", help="Write the report as JSON.")] = None,
+    progress: Annotated[
+        bool, typer.Option("--progress", help="Print progress as lines of JSON, for a program that waits.")
+    ] = False,
 ) -> None:
     """Learn a map of views, and the paper's states, actions, transitions, reward and policy, from recorded drives.
 
@@ -78,8 +82,12 @@ def learn(
     outputs.check_file(json_file, "--json")
     files = _find(recordings)
     settings = replace(settings, features=_features(files, modalities, weights))
-    teaching = _read(files, settings, include_runs)
-    model, report = _learn(teaching, settings)
+    bar = _Lines() if progress else _StageBar()
+    try:
+        teaching = _read(files, settings, include_runs, bar)
+        model, report = _learn(teaching, settings, bar)
+    finally:
+        bar.close()
     try:
         model.save(out)
         if json_file is not None:
@@ -125,19 +133,21 @@ def _features(files: list[Path], modalities: str | None, weights: str | None) ->
     return features if weights is None else with_weights(features, weights)
 
 
-def _read(files: list[Path], settings: LearningSettings, include_runs: bool) -> Teaching:
-    teacher = Teacher(settings.features, settings.sequence_length, include_runs=include_runs)
-    # disable=None: no bars in a log file or a pipe, where the remarks would drown in them.
-    for path in tqdm(files, desc="reading", unit="file", dynamic_ncols=True, disable=None):
-        teacher.read(path)
-    teaching = teacher.teaching
-    if not teaching.demonstrations and len(teaching.remarks) == 1:
-        raise JobError(teaching.remarks[0])
-    for remark in teaching.remarks:
-        sys.stderr.write(f"smal: {remark}\n")
-    if not teaching.demonstrations:
-        raise JobError(f"nothing to learn from in {len(files)} recordings, for the reasons above")
-    return teaching
+class _Lines:
+    """Says how far it is, a line for each percent."""
+
+    def __init__(self) -> None:
+        self._said: tuple[str, int] | None = None
+
+    def __call__(self, stage: str, done: int, total: int) -> None:
+        now = (stage, 100 * done // max(total, 1))
+        if now != self._said:
+            self._said = now
+            sys.stdout.write(json.dumps({"stage": stage, "done": done, "total": total}) + "\n")
+            sys.stdout.flush()
+
+    def close(self) -> None:
+        """Have nothing to end."""
 
 
 class _StageBar:
@@ -151,6 +161,7 @@ class _StageBar:
         bar = self._bar
         if bar is None or stage != self._stage:
             self.close()
+            # disable=None: no bars in a log file or a pipe, where the remarks would drown in them.
             bar = tqdm(desc=stage, dynamic_ncols=True, disable=None)
             self._stage, self._bar = stage, bar
         bar.total = total
@@ -159,18 +170,33 @@ class _StageBar:
     def close(self) -> None:
         if self._bar is not None:
             self._bar.close()
+            self._bar = None
 
 
-def _learn(teaching: Teaching, settings: LearningSettings) -> tuple[Model, LearningReport]:
-    bar = _StageBar()
+def _read(files: list[Path], settings: LearningSettings, include_runs: bool, bar: _Lines | _StageBar) -> Teaching:
+    teacher = Teacher(settings.features, settings.sequence_length, include_runs=include_runs)
+    for number, path in enumerate(files):
+        bar("reading", number, len(files))
+        teacher.read(path)
+    bar("reading", len(files), len(files))
+    bar.close()
+    teaching = teacher.teaching
+    if not teaching.demonstrations and len(teaching.remarks) == 1:
+        raise JobError(teaching.remarks[0])
+    for remark in teaching.remarks:
+        sys.stderr.write(f"smal: {remark}\n")
+    if not teaching.demonstrations:
+        raise JobError(f"nothing to learn from in {len(files)} recordings, for the reasons above")
+    return teaching
+
+
+def _learn(teaching: Teaching, settings: LearningSettings, bar: _Lines | _StageBar) -> tuple[Model, LearningReport]:
     try:
         model, report = learn_model(teaching.demonstrations, settings, bar)
     except (ValueError, RewardError) as error:
         raise JobError(f"cannot learn from these recordings: {error}") from None
     except MemoryBoundError as error:
         raise JobError(f"--memory: {error}") from None
-    finally:
-        bar.close()
     return model, replace(report, shared_states=states_shared_by_episodes(model))
 
 

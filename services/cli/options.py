@@ -68,7 +68,10 @@ Shake = Annotated[
 ]
 Connect = Annotated[
     str | None,
-    typer.Option(help=f"Use the running stack whose router is at this address (`smal up`: {DEFAULT_ROUTER})."),
+    typer.Option(
+        help=f"Use the running stack whose router is at this address (`smal up`: {DEFAULT_ROUTER}; with --secure "
+        f"{DEFAULT_SECURE_ROUTER})."
+    ),
 ]
 Model = Annotated[Path, typer.Option(help="Model file, made by `smal learn`.")]
 SchemeOption = Annotated[

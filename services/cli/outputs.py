@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import json
 import os
+import tempfile
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import IO
 
+from services.cli.interrupts import interrupted_by_signals
 from services.kit.errors import JobError, UsageError
 from smal.container import replacing
 
@@ -62,6 +64,33 @@ def check_file(path: Path | None, option: str, read: Iterable[str | Path] = (), 
         raise UsageError(f"{option} {path}: is a file that this command reads; give another name")
     if any(path.resolve().parent == folder.resolve() for folder in folders):
         raise UsageError(f"{option} {path}: would lie among the files that this command reads; choose another folder")
+
+
+@contextmanager
+def workshop(folder: Path, prefix: str) -> Iterator[Path]:
+    """Make a folder in another, in which results lie until all of them are whole; then, or at a failure, it is gone."""
+    with interrupted_by_signals(), tempfile.TemporaryDirectory(prefix=prefix, dir=folder) as made:
+        yield Path(made)
+
+
+@contextmanager
+def new_folder(path: Path, option: str) -> Iterator[Path]:
+    """Fill a folder that does not exist yet, or is empty; it gets its name when it is whole.
+
+    Raises
+    ------
+    UsageError
+        When there is something else, or it cannot be made.
+    """
+    if path.exists() and (not path.is_dir() or any(path.iterdir())):
+        raise UsageError(f"{option} {path}: exists{' and is not empty' if path.is_dir() else ''}; give another name")
+    place = path.resolve()
+    make_folder(place.parent, option)
+    with workshop(place.parent, f".{place.name}-") as shop:
+        whole = shop / place.name
+        whole.mkdir()
+        yield whole
+        whole.rename(place)
 
 
 @contextmanager

@@ -57,13 +57,16 @@ def init(
     options.check_robot(robot)
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
         raise UsageError(f"{folder}: is there already; `smal secure renew` makes new certificates")
+    hosts = _hosts(host)
     try:
         certificates.begin(folder, robot)
-        certificates.issue(folder, _hosts(host), days)
+        certificates.issue(folder, hosts, days)
         if passwords:
             certificates.give_passwords(folder)
         settings = zenohd_configuration("tls/0.0.0.0:7447", robot, ZENOHD_SEES)
         (folder / ZENOHD_FILE).write_text(json.dumps(settings, indent=2) + "\n")
+        # A folder in a checkout must not be committed.
+        (folder / ".gitignore").write_text("*\n")
     except OSError as error:
         raise UsageError(f"cannot write to {folder}: {error.strerror or error}") from None
     typer.echo(f"certificates of {', '.join(roles())} in {folder}; next: smal up --secure {folder}")
@@ -84,27 +87,28 @@ def check(folder: Folder) -> None:
 
 @app.command("renew")
 def renew(folder: Folder, host: Hosts = None, days: Days = DAYS) -> None:
-    """Make new certificates of every role, signed by the newest authority.
+    """Make new certificates of every role, signed by the newest authority; the router's for the same hosts, and more.
 
-    A process shows its new one when it connects again; the router, when it is started again.
+    The router's keeps the names that it has; --host adds more. A process shows its new one when it connects again; the
+    router, when it is started again.
 
     Example: smal secure renew keys
     """
-    certificates.issue(folder, _hosts(host), days)
+    certificates.issue(folder, (*_hosts(host), *certificates.names_of_router(folder)), days)
     typer.echo(f"new certificates in {folder}; start the router again, so that it shows its own")
 
 
 @app.command("rotate")
-def rotate(folder: Folder, robot: options.Robot = options.DEFAULT_ROBOT) -> None:
+def rotate(folder: Folder) -> None:
     """Make a new authority beside the one there is, so that the certificates of both are taken.
 
     Then: start the router again, `smal secure renew`, start the router again, `smal secure retire`, start the router
-    again. The robot stands while the router starts, for less than a second each time, and goes on.
+    again; each time when the new files are where they are used. The robot stands while the router starts, for about a
+    second each time, and goes on; with an operator there, who is lost meanwhile, when they arm it again.
 
     Example: smal secure rotate keys
     """
-    certificates.read_authority(folder)
-    certificates.begin(folder, options.check_robot(robot))
+    certificates.begin(folder, certificates.robot_of(certificates.read_authority(folder)))
     typer.echo(f"{folder} knows the old authority and a new one; start the router again, then: smal secure renew")
 
 
@@ -114,8 +118,13 @@ def retire(folder: Folder) -> None:
 
     Example: smal secure retire keys
     """
-    typer.echo(f"{certificates.retire(folder)} authorities forgotten; start the router again")
+    forgotten = certificates.retire(folder)
+    typer.echo(
+        f"{folder} knows the newest authority alone; start the router again"
+        if forgotten
+        else f"{folder} has one authority; nothing to forget"
+    )
 
 
 def _hosts(more: list[str] | None) -> tuple[str, ...]:
-    return (*HOSTS, socket.gethostname(), *(more or ()))
+    return (*HOSTS, socket.gethostname(), *map(certificates.check_host, more or ()))

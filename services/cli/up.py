@@ -11,14 +11,16 @@ from typing import Annotated, Final, Literal
 import typer
 
 from schemas.rpc import Scheme
-from services.cli import options, outputs
+from services.cli import certificates, options, outputs
 from services.cli.feature_options import ModalitiesOrOfModel, feature_flags, features_for_model
 from services.cli.interrupts import interrupted_by_signals
 from services.cli.options import Camera
 from services.cli.simulator_options import SimulatorOptions
 from services.cli.stack.processes import Stack, StackPlan, flags
-from services.kit.bus import Router
-from services.kit.credentials import how_secure
+from services.console.address import listen
+from services.console.config import ConsoleSettings
+from services.kit.bus import Router, host_and_port
+from services.kit.credentials import encrypted, how_secure
 from services.kit.errors import UsageError
 from services.kit.node import configure_logging
 from services.table import role_of, stack_services
@@ -26,7 +28,9 @@ from smal.features import FeatureSettings
 
 #: How often dead services are looked for, seconds.
 WATCH_S: Final = 0.5
-RobotBody = Literal["simulator", "ros2"]
+RobotBody = Literal["simulator", "ros2", "none"]
+#: The page, for this machine alone.
+CONSOLE: Final = "127.0.0.1:8080"
 
 
 def up(
@@ -58,8 +62,15 @@ def up(
             help="First of the ports for health and metrics over HTTP, one a service.",
         ),
     ] = None,
+    console: Annotated[
+        str, typer.Option(envvar="SMAL_CONSOLE", help="Where the page for browsers is, HOST:PORT.", metavar="HOST:PORT")
+    ] = CONSOLE,
+    no_console: Annotated[bool, typer.Option("--no-console", help="Without that page.")] = False,
     robot_body: Annotated[
-        RobotBody, typer.Option(help="What the robot drives: the simulator, or a real base that speaks ROS 2.")
+        RobotBody,
+        typer.Option(
+            help="What the robot drives: the simulator, a real base that speaks ROS 2, or none (smal replay)."
+        ),
     ] = "simulator",
     ros2_config: Annotated[
         Path | None, typer.Option(help="File that says which ROS 2 base; it may begin with a preset.")
@@ -74,7 +85,8 @@ def up(
     """Start the services, from the router to the recorder, and keep them running.
 
     A service that ends is started again, one that keeps ending less and less often. Ctrl-C ends everything cleanly.
-    Other terminals then use the stack: smal teleop, smal topic hz, smal run --connect.
+    A browser drives, teaches and watches it at http://127.0.0.1:8080; other terminals use it as well: smal teleop, smal
+    topic hz, smal run --connect.
 
     With --metrics-port 9100 the router tells its health on http://127.0.0.1:9100/healthz and what Prometheus wants on
     /metrics, the simulator on 9101, and so on.
@@ -91,23 +103,30 @@ def up(
         raise UsageError(f"--root {root}: no such folder")
     chain, learned_on = _chain_flags(model, scheme, stride, goal)
     features = features_for_model(modalities, learned_on)
+    left_out = {name for name, out in (("console", no_console), ("robot", robot_body == "none")) if out}
+    services = tuple(name for name in stack_services() if name not in left_out)
     # Said here, in one line, before the processes start and one of them fails.
-    for service in stack_services():
-        reached.credentials(role_of(service))
+    shown = (*map(role_of, services), "watcher")
+    for role in shown:
+        reached.credentials(role)
+    if secure is not None and encrypted(reached.router):
+        certificates.require(secure, shown)
     credentials = reached.credentials("router")
     Router(reached.router, credentials, robot, insecure=insecure).close()
+    if not no_console:
+        listen(ConsoleSettings(console=console, root=root)).socket.close()
     configure_logging("info")
     log = logging.getLogger("up")
     below = flags(root=root.resolve())
     own = {
-        "router": ("--insecure",) if insecure else (),
+        "router": flags(insecure=insecure or None),
         "robot": simulator.flags() if ros2_config is None else flags(ros2_config=ros2_config.resolve()),
         "features": feature_flags(features),
         "recognition": (*chain, *below),
         "policy": (*chain, *below),
         "recorder": flags(recordings=recordings) + below,
+        "console": flags(console=console) + below,
     }
-    services = stack_services()
     addresses = _http_addresses(services, metrics_port)
     plan = StackPlan(
         services,
@@ -118,8 +137,9 @@ def up(
         modules={} if base_name is None else {"robot": "services.ros2"},
     )
     with interrupted_by_signals(), Stack(plan) as stack:
-        where = base_name or world
-        log.info("ready: robot %s in %s on %s, %s; Ctrl-C stops", robot, where, reached.router, how_secure(credentials))
+        where = "without a robot" if robot_body == "none" else f"in {base_name or world}"
+        who = how_secure(credentials, host_and_port(reached.router)[0])
+        log.info("ready: robot %s %s on %s, %s; Ctrl-C stops", robot, where, reached.router, who)
         if addresses:
             where = ", ".join(f"{name} {address.rpartition(':')[2]}" for name, address in addresses.items())
             log.info("GET /healthz and /metrics on 127.0.0.1: %s", where)

@@ -2,7 +2,7 @@
 
 The file is ``drive.csv``, or the only ``*.csv`` of the folder. Its first line names the columns: ``image`` (a file in
 the folder), ``time_s``, ``linear_m_s`` and ``angular_rad_s`` (counter-clockwise); where there are such, ``episode``,
-``success`` (1 or 0), and ``x_m``, ``y_m`` and ``heading_rad`` by the wheels.
+``success`` (1 or 0), and ``x_m``, ``y_m`` and ``heading_rad`` by the wheels, which a row may leave empty.
 """
 
 from __future__ import annotations
@@ -19,8 +19,9 @@ from services.importers.image_files import check_rate, image_file
 from services.importers.inside import Inside
 from services.importers.source_options import Wishes
 
-_NAME: Final = "drive.csv"
-_POSE: Final = ("x_m", "y_m", "heading_rad")
+NAME: Final = "drive.csv"
+POSE: Final = ("x_m", "y_m", "heading_rad")
+COLUMNS: Final = ("episode", "image", "time_s", "linear_m_s", "angular_rad_s", "success", *POSE)
 _SUCCESS: Final = {"1": True, "true": True, "yes": True, "0": False, "false": False, "no": False}
 
 
@@ -45,10 +46,10 @@ def read(inside: Inside, wishes: Wishes, tally: Tally) -> Source:
 
 def _csv_name(inside: Inside) -> str:
     names = [name for name in inside.names() if name.lower().endswith(".csv")]
-    if _NAME in names:
-        return _NAME
+    if NAME in names:
+        return NAME
     if len(names) != 1:
-        raise ImportFailure(f"{inside.path}: needs {_NAME} beside the images; there are {len(names)} CSV files")
+        raise ImportFailure(f"{inside.path}: needs {NAME} beside the images; there are {len(names)} CSV files")
     return names[0]
 
 
@@ -71,7 +72,7 @@ def _rows(inside: Inside, name: str, wishes: Wishes, tally: Tally) -> Iterator[t
             if number >= MOST_SAMPLES:
                 raise ImportFailure(f"{inside.called(name)}: more than {MOST_SAMPLES} rows")
             try:
-                yield values.get("episode") or "", _row(values, number, wishes, posed=set(_POSE) <= columns)
+                yield values.get("episode") or "", _row(values, number, wishes, posed=set(POSE) <= columns)
             except (ValueError, TypeError):
                 tally.count("rows lack an image or a number")
     except csv.Error as error:
@@ -82,7 +83,8 @@ def _row(values: dict[str, str], number: int, wishes: Wishes, *, posed: bool) ->
     time_s = float(values["time_s"]) if wishes.rate_hz is None else number / wishes.rate_hz
     speed, turn_rate = wishes.speed or 1.0, wishes.turn_rate or 1.0
     velocity = speed * float(values["linear_m_s"]), turn_rate * float(values["angular_rad_s"])
-    pose = (float(values["x_m"]), float(values["y_m"]), float(values["heading_rad"])) if posed else None
+    x, y, heading = (values[name] for name in POSE) if posed else ("", "", "")
+    pose = (float(x), float(y), float(heading)) if x or y or heading else None
     if not np.isfinite((time_s, *velocity, *(pose or ()))).all() or not values["image"]:
         raise ValueError("no number")
     return _Row(time_s, values["image"], velocity, pose, _SUCCESS.get((values.get("success") or "").strip().lower()))

@@ -15,19 +15,23 @@ from typing import Any, Final
 import numpy as np
 
 from schemas.codec import printable
-from services.importers.drive import Array, Drive, Frame, ImportFailure, Motion, NotAnImage, Source, Tally
+from services.importers.drive import Array, Drive, Frame, ImportFailure, Motion, NotAnImage, Source, Tally, Track
 from services.importers.images import as_jpeg
 from services.importers.inside import Inside, parsed
 from services.importers.parquet import IMAGES, batches, numbers
 from services.importers.source_options import Wishes
 from services.importers.video import frames_at, thunk
 
+#: Metres and radians a second; and a pose by the wheels, as only our own data sets have it.
+VELOCITIES: Final = ("linear_velocity", "angular_velocity")
+ACTION, STATE, SUCCESS = "action", "observation.state", "next.success"
+POSE: Final = ("x_m", "y_m", "heading_rad")
 #: What bases call their velocities, and what the angular one is in radians a second; LeKiwi has degrees.
 _NAMES: Final = {
     ("x_vel", "theta_vel"): math.radians(1.0),
     **dict.fromkeys(
         [
-            ("linear_velocity", "angular_velocity"),
+            VELOCITIES,
             ("linear_vel", "angular_vel"),
             ("linear_x", "angular_z"),
             ("linear", "angular"),
@@ -37,14 +41,16 @@ _NAMES: Final = {
     ),
 }
 #: Where they are looked for: what the robot was told says more of the driver than what it did.
-_FEATURES: Final = ("action", "observation.state")
+_FEATURES: Final = (ACTION, STATE)
 _SIDEWAYS: Final = ("y_vel", "linear_y", "vy")
 #: Slower than this it does not go sideways, but is measured badly: `atoms` has the same for ahead.
 _LEAST_SIDEWAYS: Final = 0.02
-_LAYOUTS: Final = {
-    "v2": ("data/chunk-{0:03d}/episode_{1:06d}.parquet", "videos/chunk-{0:03d}/{2}/episode_{1:06d}.mp4"),
-    "v3": ("data/chunk-{0:03d}/file-{1:03d}.parquet", "videos/{2}/chunk-{0:03d}/file-{1:03d}.mp4"),
-}
+_V2: Final = ("data/chunk-{0:03d}/episode_{1:06d}.parquet", "videos/chunk-{0:03d}/{2}/episode_{1:06d}.mp4")
+#: Files of version 3.0.
+INFO: Final = "meta/info.json"
+EPISODES: Final = "meta/episodes"
+DATA: Final = "data/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet"
+VIDEO: Final = "videos/{video_key}/chunk-{chunk_index:03d}/file-{file_index:03d}.mp4"
 _MOST_EPISODES: Final = 1_000_000
 
 
@@ -82,12 +88,13 @@ class _Set:
     camera: str
     is_video: bool
     velocity: _Velocity
+    pose: list[int] | None
 
 
 def read(inside: Inside, wishes: Wishes, tally: Tally) -> Source:
     """Read a data set; each of its episodes is a drive."""
-    called = inside.called("meta/info.json")
-    info = parsed(inside.needed("meta/info.json"), called)
+    called = inside.called(INFO)
+    info = parsed(inside.needed(INFO), called)
     try:
         version, features = str(info["codebase_version"]), dict(info["features"])
         fps, chunk = float(info["fps"]), int(info.get("chunks_size", 1000))
@@ -101,7 +108,9 @@ def read(inside: Inside, wishes: Wishes, tally: Tally) -> Source:
         raise ImportFailure(f"{called}: {fps:g} frames a second and chunks of {chunk} are not those of a camera")
     camera = _camera(described, wishes, called)
     velocity = _velocity(described, wishes, called)
-    dataset = _Set(inside, layout, fps, chunk, camera, described[camera]["dtype"] == "video", velocity)
+    state = _names(described.get(STATE, {}))
+    pose = [state.index(name) for name in POSE] if set(POSE) <= set(state) else None
+    dataset = _Set(inside, layout, fps, chunk, camera, described[camera]["dtype"] == "video", velocity, pose)
     drives = [
         _drive(dataset, episode, tally)
         for episode in _episodes(dataset)
@@ -165,7 +174,7 @@ def _episodes(dataset: _Set) -> Iterator[_Episode]:
 
 def _episodes_of_lines(dataset: _Set) -> Iterator[_Episode]:
     called = dataset.inside.called("meta/episodes.jsonl")
-    data, video = _LAYOUTS["v2"]
+    data, video = _V2
     for line in dataset.inside.lines("meta/episodes.jsonl"):
         values = parsed(line, called)
         try:
@@ -177,7 +186,6 @@ def _episodes_of_lines(dataset: _Set) -> Iterator[_Episode]:
 
 
 def _episodes_of_tables(dataset: _Set) -> Iterator[_Episode]:
-    data, video = _LAYOUTS["v3"]
     key = f"videos/{dataset.camera}/"
     columns = ["episode_index", "length", "data/chunk_index", "data/file_index"]
     if dataset.is_video:
@@ -188,44 +196,47 @@ def _episodes_of_tables(dataset: _Set) -> Iterator[_Episode]:
             if any(column.ndim != 1 or not np.isfinite(column).all() or (column < 0).any() for column in each):
                 raise ImportFailure(f"{dataset.inside.called(name)}: not numbers from 0 on")
             for number, length, chunk, file, *of_video in zip(*(column.tolist() for column in each), strict=True):
-                film = video.format(int(of_video[0]), int(of_video[1]), dataset.camera) if of_video else None
-                begin_s = of_video[2] if of_video else 0.0
-                yield _Episode(int(number), int(length), data.format(int(chunk), int(file)), film, begin_s)
+                video, begin_s = None, 0.0
+                if of_video:
+                    at = {"chunk_index": int(of_video[0]), "file_index": int(of_video[1])}
+                    video, begin_s = VIDEO.format(video_key=dataset.camera, **at), of_video[2]
+                data = DATA.format(chunk_index=int(chunk), file_index=int(file))
+                yield _Episode(int(number), int(length), data, video, begin_s)
 
 
 def _tables(inside: Inside) -> list[str]:
-    folder = "meta/episodes"
-    found = [f"{folder}/{chunk}/{name}" for chunk in inside.names(folder) for name in inside.names(f"{folder}/{chunk}")]
+    chunks = [f"{EPISODES}/{chunk}" for chunk in inside.names(EPISODES)]
+    found = [f"{chunk}/{name}" for chunk in chunks for name in inside.names(chunk)]
     tables = [name for name in found if name.endswith(".parquet")]
     if not tables:
-        raise ImportFailure(f"{inside.called(folder)}: has no chunk-000/file-000.parquet")
+        raise ImportFailure(f"{inside.called(EPISODES)}: has no chunk-000/file-000.parquet")
     return tables
 
 
 def _drive(dataset: _Set, episode: _Episode, tally: Tally) -> Drive:
-    times, rows, successes = [], [], []
     called = dataset.inside.called(episode.data)
     velocity = dataset.velocity
-    for batch in batches(
-        dataset.inside, episode.data, ["episode_index", "timestamp", velocity.feature, "next.success"]
-    ):
+    found: dict[str, list[Array]] = {"timestamp": [], velocity.feature: [], SUCCESS: []}
+    if dataset.pose is not None:
+        found[STATE] = []
+    for batch in batches(dataset.inside, episode.data, ["episode_index", *found]):
         mine = numbers(batch, "episode_index", called) == episode.number
-        times.append(numbers(batch, "timestamp", called).reshape(-1)[mine])
-        rows.append(numbers(batch, velocity.feature, called)[mine])
-        if "next.success" in batch.schema.names:
-            successes.append(numbers(batch, "next.success", called).reshape(-1)[mine])
-    times_s = np.concatenate([np.zeros(0), *times])
+        for column, parts in found.items():
+            if column != SUCCESS or SUCCESS in batch.schema.names:
+                parts.append(numbers(batch, column, called)[mine])
+    times_s = np.concatenate([np.zeros(0), *(part.reshape(-1) for part in found["timestamp"])])
     name = f"episode {episode.number}"
     if times_s.size != episode.length:
         tally.say(f"{name}: announces {episode.length} frames, has {times_s.size}")
-    motion = _motion(times_s, rows, velocity, called, tally)
-    success = bool(np.concatenate(successes).any()) if successes else None
+    motion = _motion(times_s, found[velocity.feature], velocity, called, tally)
+    success = bool(np.concatenate(found[SUCCESS]).any()) if found[SUCCESS] else None
     frames = partial(_video_frames, dataset, replace(episode), times_s) if episode.video else None
     return Drive(
         str(episode.number),
         motion,
         frames or partial(_embedded_frames, dataset, episode),
         times_s.size,
+        None if dataset.pose is None else _track(times_s, found[STATE], dataset.pose, called, tally),
         success=success,
     )
 
@@ -233,16 +244,29 @@ def _drive(dataset: _Set, episode: _Episode, tally: Tally) -> Drive:
 def _motion(times_s: Array, rows: list[Array], velocity: _Velocity, called: str, tally: Tally) -> Motion:
     if not times_s.size:
         return Motion.of([], tally)
-    if any(part.ndim != 2 or part.shape[1] != rows[0].shape[1] for part in rows):
-        raise ImportFailure(f"{called}: the rows of {velocity.feature} are not equally long")
-    values = np.concatenate(rows)
-    if values.shape[1] <= max(velocity.linear, velocity.angular, velocity.sideways or 0):
-        raise ImportFailure(f"{called}: {velocity.feature} has fewer numbers than meta/info.json names")
+    values = _joined(rows, velocity.feature, max(velocity.linear, velocity.angular, velocity.sideways or 0), called)
     if velocity.sideways is not None:
         aside = np.abs(values[:, velocity.sideways]) > _LEAST_SIDEWAYS
         tally.count("frames go sideways, for which there is no atom", int(aside.sum()))
     linear, angular = velocity.metres * values[:, velocity.linear], velocity.radians * values[:, velocity.angular]
     return Motion.of(list(zip(times_s.tolist(), linear.tolist(), angular.tolist(), strict=True)), tally)
+
+
+def _track(times_s: Array, rows: list[Array], pose: list[int], called: str, tally: Tally) -> Track | None:
+    if not times_s.size:
+        return None
+    poses = _joined(rows, STATE, max(pose), called)[:, pose]
+    return Track.of([(time_s, x, y, heading) for time_s, (x, y, heading) in zip(times_s, poses, strict=True)], tally)
+
+
+def _joined(rows: list[Array], feature: str, last: int, called: str) -> Array:
+    """Return rows (n, width) that have a number at the place that is to be the last."""
+    if any(part.ndim != 2 or part.shape[1] != rows[0].shape[1] for part in rows):
+        raise ImportFailure(f"{called}: the rows of {feature} are not equally long")
+    values = np.concatenate(rows)
+    if values.shape[1] <= last:
+        raise ImportFailure(f"{called}: {feature} has fewer numbers than {INFO} names")
+    return values
 
 
 def _video_frames(dataset: _Set, episode: _Episode, times_s: Array) -> Iterator[Frame]:

@@ -28,7 +28,7 @@ def batches(inside: Inside, name: str, columns: Sequence[str], rows: int = ROWS)
     ImportFailure
         When the file is not there, is none, or is larger than any drive.
     """
-    import pyarrow as pa  # noqa: PLC0415 - of the extra `importers`
+    import pyarrow as pa  # noqa: PLC0415 - of the extra `formats`
     import pyarrow.parquet as pq  # noqa: PLC0415
 
     called = inside.called(name)

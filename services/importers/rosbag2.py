@@ -29,14 +29,14 @@ from services.importers.drive import (
 )
 from services.importers.images import as_jpeg, raw_as_jpeg
 from services.importers.inside import Inside
-from services.importers.ros_image import rgb_of
 from services.importers.source_options import Wishes
+from services.kit.raw_image import ENCODINGS, rgb_of
 
-_COMPRESSED, _RAW = "sensor_msgs/msg/CompressedImage", "sensor_msgs/msg/Image"
-_TWIST, _STAMPED, _ODOMETRY = "geometry_msgs/msg/Twist", "geometry_msgs/msg/TwistStamped", "nav_msgs/msg/Odometry"
-_INFO: Final = "sensor_msgs/msg/CameraInfo"
-_IMAGES: Final = (_COMPRESSED, _RAW)
-_COMMANDS: Final = (_TWIST, _STAMPED)
+COMPRESSED, _RAW = "sensor_msgs/msg/CompressedImage", "sensor_msgs/msg/Image"
+_TWIST, STAMPED, ODOMETRY = "geometry_msgs/msg/Twist", "geometry_msgs/msg/TwistStamped", "nav_msgs/msg/Odometry"
+INFO: Final = "sensor_msgs/msg/CameraInfo"
+_IMAGES: Final = (COMPRESSED, _RAW)
+_COMMANDS: Final = (_TWIST, STAMPED)
 #: What a velocity topic is called nearly everywhere.
 _USUAL_COMMAND: Final = "cmd_vel"
 
@@ -44,17 +44,18 @@ Sample = tuple[float, float, float]
 
 
 @cache
-def _typestore() -> Any:  # noqa: ANN401 - of a package that may be missing
-    from rosbags.typesys import Stores, get_typestore  # noqa: PLC0415 - of the extra `importers`
+def typestore() -> Any:  # noqa: ANN401 - of a package that may be missing
+    """Return the types of ROS messages."""
+    from rosbags.typesys import Stores, get_typestore  # noqa: PLC0415 - of the extra `formats`
 
-    # The types read here are the same in every distribution from Foxy on.
+    # The types read and written here are the same in every distribution from Foxy on.
     return get_typestore(Stores.ROS2_JAZZY)
 
 
 def _decoded(message: Received) -> Any:  # noqa: ANN401 - as above
     """Return a message of a type that is known here; ValueError where its bytes are none."""
     try:
-        return _typestore().deserialize_cdr(message.data, message.type)
+        return typestore().deserialize_cdr(message.data, message.type)
     except Exception as error:  # noqa: BLE001
         # What rosbags raises for bytes that are no message is many things, none of them its caller's business.
         raise ValueError(type(error).__name__) from None
@@ -76,15 +77,15 @@ class _Found:
             self.images[message.topic] = self.images.get(message.topic, 0) + 1
         elif message.type in _COMMANDS:
             twist = _decoded(message)
-            twist = twist.twist if message.type == _STAMPED else twist
+            twist = twist.twist if message.type == STAMPED else twist
             self._velocity(message, twist)
-        elif message.type == _ODOMETRY:
+        elif message.type == ODOMETRY:
             odometry = _decoded(message)
             self._velocity(message, odometry.twist.twist)
             place, turn = odometry.pose.pose.position, odometry.pose.pose.orientation
             yaw = math.atan2(2.0 * (turn.w * turn.z + turn.x * turn.y), 1.0 - 2.0 * (turn.y * turn.y + turn.z * turn.z))
             self.tracks.setdefault(message.topic, []).append((message.time_s, place.x, place.y, yaw))
-        elif message.type == _INFO and message.topic not in self.focal:
+        elif message.type == INFO and message.topic not in self.focal:
             info = _decoded(message)
             focal = float(info.k[0]) / max(info.width, 1)
             if not LEAST_FOCAL <= focal <= MOST_FOCAL:
@@ -102,7 +103,7 @@ class _Found:
 
 def read(inside: Inside, wishes: Wishes, tally: Tally) -> Source:
     """Read a bag; it is one drive."""
-    _typestore()
+    typestore()
     found = _Found()
     for message in received(inside, tally):
         try:
@@ -177,7 +178,12 @@ def _compressed(message: Received) -> bytes:
 
 def _raw(message: Received) -> bytes:
     image = _image(message)
-    return raw_as_jpeg(rgb_of(image.encoding, image.width, image.height, image.step, image.data))
+    if image.encoding not in ENCODINGS:
+        raise NotAnImage("images have an encoding that is not read (8 bits of RGB, BGR, grey or YUV 4:2:2 are)")
+    try:
+        return raw_as_jpeg(rgb_of(image.encoding, image.width, image.height, image.step, image.data))
+    except ValueError as error:
+        raise error if isinstance(error, NotAnImage) else NotAnImage("images are damaged") from None
 
 
 def _image(message: Received) -> Any:  # noqa: ANN401 - as above
@@ -187,4 +193,4 @@ def _image(message: Received) -> Any:  # noqa: ANN401 - as above
         raise NotAnImage("images are damaged") from None
 
 
-_READ: Final[dict[str, Callable[[Received], bytes]]] = {_COMPRESSED: _compressed, _RAW: _raw}
+_READ: Final[dict[str, Callable[[Received], bytes]]] = {COMPRESSED: _compressed, _RAW: _raw}

@@ -25,7 +25,7 @@ def frames_at(file: IO[bytes], called: str, times_s: Array, tolerance_s: float) 
     ImportFailure
         When it is none.
     """
-    import av  # noqa: PLC0415 - of the extra `importers`
+    import av  # noqa: PLC0415 - of the extra `formats`
 
     try:
         with closing(av.open(file, mode="r", format="mp4")) as container:

@@ -19,7 +19,15 @@ from schemas.topics import TOPICS, Topic, rpc_key
 from services.kit.credentials import Credentials
 from services.kit.memory_wire import MEMORY, MemoryRouter, MemoryWire
 from services.kit.wire import Answer, BusError, Refused, Take, Wire
-from services.kit.zenoh_wire import DEFAULT_ROUTER, PATIENCE_S, Router, ZenohWire, host_and_port, zenohd_configuration
+from services.kit.zenoh_wire import (
+    DEFAULT_ROUTER,
+    PATIENCE_S,
+    Router,
+    ZenohWire,
+    check_credentials,
+    host_and_port,
+    zenohd_configuration,
+)
 
 __all__ = [
     "DEFAULT_ROUTER",
@@ -31,6 +39,7 @@ __all__ = [
     "Router",
     "RpcError",
     "Take",
+    "check_credentials",
     "host_and_port",
     "zenohd_configuration",
 ]

@@ -8,14 +8,13 @@ from __future__ import annotations
 
 import ipaddress
 import socket
+import ssl
 import stat
 from pathlib import Path
 from typing import Final, NamedTuple
 
 from services.kit.wire import BusError
 
-#: Addresses whose connections are encrypted begin so.
-ENCRYPTED: Final = ("tls", "quic")
 #: Files of a folder that `smal secure init` makes: `CA_FILE`, and for each role its name with one of these ends.
 CA_FILE: Final = "ca.pem"
 CERTIFICATE_SUFFIX: Final = ".pem"
@@ -23,6 +22,11 @@ KEY_SUFFIX: Final = ".key"
 PASSWORD_SUFFIX: Final = ".password"  # noqa: S105 - of a file
 #: User and password of every role, a line each, for the router.
 PASSWORDS_FILE: Final = "passwords"
+
+#: How long a handshake may take: a router whose certificate has expired is busy with its clients for 1.5 s.
+HANDSHAKE_S: Final = 5.0
+#: How long after it the router may take to refuse us.
+REFUSAL_S: Final = 1.0
 
 
 class Certificate(NamedTuple):
@@ -61,7 +65,7 @@ def credentials_in(folder: Path, role: str, endpoint: str) -> Certificate | Pass
             "tls/, or make passwords with `smal secure init --passwords`"
         )
     dictionary = folder / PASSWORDS_FILE
-    return Password(role, _secret(path), dictionary if dictionary.is_file() else None)
+    return Password(role, secret(path), dictionary if dictionary.is_file() else None)
 
 
 def certificate_of(ca: Path, certificate: Path, key: Path) -> Certificate:
@@ -75,22 +79,55 @@ def certificate_of(ca: Path, certificate: Path, key: Path) -> Certificate:
     for path in (ca, certificate):
         if not path.is_file():
             raise BusError(f"no certificate {path}; `smal secure init` makes a folder of them")
-    _secret(key)
+    secret(key)
     return Certificate(ca, certificate, key)
 
 
 def encrypted(endpoint: str) -> bool:
     """Whether an address is one of encrypted connections."""
-    return endpoint.partition("/")[0] in ENCRYPTED
+    return endpoint.startswith("tls/")
 
 
-def how_secure(credentials: Credentials) -> str:
-    """Say who gets in."""
+def how_secure(credentials: Credentials, host: str | None = None) -> str:
+    """Say who gets in at a router, which listens on a host; a client does not know on which others as well."""
     if isinstance(credentials, Certificate):
         return "for holders of a certificate, encrypted"
     if isinstance(credentials, Password):
         return "for those who have a password, not encrypted"
-    return "for whoever reaches it"
+    return "for whoever reaches it" if host is None or others_reach(host) else "for whoever is on this machine"
+
+
+def why_refused(certificate: Certificate, host: str, port: int) -> str | None:
+    """Shake hands with a router, to say what Zenoh does not: whose certificate is refused, and why.
+
+    Returns
+    -------
+    str | None
+        None where nobody refuses one, or what listens there does not encrypt.
+    """
+    where = f"tls/{host}:{port}"
+    try:
+        context = ssl.create_default_context(cafile=certificate.ca)
+        context.load_cert_chain(certificate.certificate, certificate.key)
+    except ssl.SSLError:
+        return f"cannot use {certificate.certificate} with its key and {certificate.ca}; `smal secure check` says why"
+    try:
+        with (
+            socket.create_connection((host, port), HANDSHAKE_S) as plain,
+            context.wrap_socket(plain, server_hostname=host) as encrypted_socket,
+        ):
+            # Who refuses us says so after the handshake. Zenoh's router waits for us to speak.
+            encrypted_socket.settimeout(REFUSAL_S)
+            encrypted_socket.recv(1)
+    except ssl.SSLCertVerificationError as error:
+        more = f"; `smal secure renew DIR --host {host}` adds a name" if "mismatch" in error.verify_message else ""
+        return f"the certificate that {where} shows is refused: {error.verify_message.rstrip('.')}{more}"
+    except ssl.SSLError as error:
+        _, alert, reason = (error.reason or "").partition("ALERT_")
+        return f"{where} refuses {certificate.certificate}: {reason.lower().replace('_', ' ')}" if alert else None
+    except OSError:
+        return None
+    return None
 
 
 def others_reach(host: str) -> bool:
@@ -102,8 +139,14 @@ def others_reach(host: str) -> bool:
     return not all(ipaddress.ip_address(address).is_loopback for address in found)
 
 
-def _secret(path: Path) -> str:
-    """Read a file that is nobody else's business."""
+def secret(path: Path) -> str:
+    """Read a file that is nobody else's business.
+
+    Raises
+    ------
+    BusError
+        When it cannot be read, or others can read it.
+    """
     try:
         if path.stat().st_mode & (stat.S_IRWXG | stat.S_IRWXO):
             raise BusError(f"{path} can be read by others; run: chmod 600 {path}")

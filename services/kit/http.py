@@ -2,18 +2,22 @@
 
 from __future__ import annotations
 
+import socket
 import sys
 import threading
 from collections.abc import Callable
+from contextlib import suppress
 from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
-from typing import Final, Self
+from typing import Any, Final, Self
 
 from prometheus_client import CONTENT_TYPE_LATEST
 
 _TEXT: Final = "text/plain; charset=utf-8"
 #: A client that sends nothing is sent away after this time.
 _PATIENCE_S: Final = 5.0
+#: Connections at one time, each of which has a thread: those of a health check and of Prometheus, several times over.
+MOST_CONNECTIONS: Final = 16
 
 
 class HttpError(Exception):
@@ -21,9 +25,35 @@ class HttpError(Exception):
 
 
 class _Server(ThreadingHTTPServer):
-    """Says nothing of clients that went away before their answer: a check that took too long is no news either."""
+    """Says nothing of clients that went away before their answer: a check that took too long is no news either.
+
+    Where there are too many, the oldest gives way: clients that say nothing, or a little now and then, keep nobody out.
+    """
 
     daemon_threads = True
+
+    def __init__(self, address: tuple[str, int], handler: type[BaseHTTPRequestHandler]) -> None:
+        super().__init__(address, handler)
+        self._open: dict[socket.socket, None] = {}
+        self._lock = threading.Lock()
+
+    def process_request(self, request: Any, client_address: Any) -> None:  # noqa: ANN401 - as the library says
+        """Answer on a thread of its own."""
+        with self._lock:
+            if len(self._open) == MOST_CONNECTIONS:
+                oldest = next(iter(self._open))
+                del self._open[oldest]
+                # Its thread finds the connection at its end, and closes it.
+                with suppress(OSError):
+                    oldest.shutdown(socket.SHUT_RDWR)
+            self._open[request] = None
+        super().process_request(request, client_address)
+
+    def shutdown_request(self, request: Any) -> None:  # noqa: ANN401
+        """Close a connection."""
+        with self._lock:
+            self._open.pop(request, None)
+        super().shutdown_request(request)
 
     def handle_error(self, request: object, client_address: object) -> None:
         """Leave other errors to be printed."""

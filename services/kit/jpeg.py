@@ -58,18 +58,19 @@ def decode_jpeg(data: bytes) -> NDArray[np.uint8]:
 
 def is_jpeg(data: bytes) -> bool:
     """Whether this begins as a compressed image of a size that a camera has; costs next to nothing."""
-    return 0 < _claimed_pixels(data) <= MOST_PIXELS
+    width, height = jpeg_size(data) or (0, 0)
+    return 0 < width * height <= MOST_PIXELS
 
 
-def _claimed_pixels(data: bytes) -> int:
-    """Return how many pixels the header of a JPEG's frame claims; 0 where no such header is found."""
+def jpeg_size(data: bytes) -> tuple[int, int] | None:
+    """Return width and height that the header of a JPEG's frame claims; None where no such header is found."""
     at = 2
     while data[:2] == b"\xff\xd8" and at + 9 <= len(data) and data[at] == 0xFF:
         marker = data[at + 1]
         if marker in _FRAME_MARKERS:
-            return int.from_bytes(data[at + 5 : at + 7], "big") * int.from_bytes(data[at + 7 : at + 9], "big")
+            return int.from_bytes(data[at + 7 : at + 9], "big"), int.from_bytes(data[at + 5 : at + 7], "big")
         # Tables and comments have a length; anything else before the frame is no camera's JPEG.
         if marker not in _TABLE_MARKERS:
-            return 0
+            return None
         at += 2 + int.from_bytes(data[at + 2 : at + 4], "big")
-    return 0
+    return None

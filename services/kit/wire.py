@@ -6,8 +6,11 @@
   There is no other order, and any sample may be lost.
 - Nothing is copied before its key, kind, encoding and size are looked at: see ``flaw``. What is refused is told to who
   listens, with its sender where that is known; an unfit request is answered with a ``Failure``.
-- Handlers run on the bus's own threads, one for what is urgent and one for all else, and hold up what follows there
-  until they return. A publisher never waits for one, but for its own bus's. What a handler raises is logged.
+- Handlers run on the bus's own threads, one for what is urgent and one for all else, between processes also one for the
+  calls of each key, and hold up what follows there until they return. A publisher never waits for one, but for its own
+  bus's. What a handler raises is logged.
+- Between processes calls that come faster than they are answered, or than a tenth of a processor answers them, wait; of
+  too many the oldest are dropped.
 - A handler must not call on its own bus: the answer comes on the thread that waits for it.
 - It takes a moment until others know of a subscription, a service, or their end.
 - ``close`` takes back every declaration; who waits for an answer is told that there is none. A closed bus is of no use.

@@ -6,8 +6,10 @@ This is the only file that imports zenoh, and the one place for its configuratio
 from __future__ import annotations
 
 import json
+import logging
 import re
 import socket
+import threading
 import time
 from collections.abc import Callable
 from typing import Any, Final, cast
@@ -18,13 +20,14 @@ import zenoh.ext
 from schemas.codec import encoding_of, printable
 from schemas.topics import KEPT_S, Topic
 from services.kit.access import access_control
-from services.kit.credentials import Certificate, Credentials, Password, encrypted, others_reach
+from services.kit.credentials import Certificate, Credentials, Password, encrypted, others_reach, why_refused
 from services.kit.heap import keep_freed_memory
 from services.kit.replay import Budget, Replay
-from services.kit.wire import LARGEST_BYTES, Answer, BusError, Refused, Serve, Take, Wire, flaw
+from services.kit.wire import LARGEST_BYTES, MAX_RPC_BYTES, Answer, BusError, Refused, Serve, Take, Wire, flaw
 
 DEFAULT_ROUTER: Final = "tcp/127.0.0.1:7447"
-ENDPOINT_PATTERN: Final = r"(?:tcp|tls|quic|udp|ws)/([^\s/]+):(\d{1,5})"
+#: Others that Zenoh knows are left out: who asks for them can hold up everybody, or is not bound by a certificate.
+ENDPOINT_PATTERN: Final = r"(?:tcp|tls)/([^\s/]+):(\d{1,5})"
 #: How long one attempt to reach the router lasts; between two attempts a signal is noticed.
 ATTEMPT_MS: Final = 500
 #: How long a process waits for a router that is perhaps just starting.
@@ -43,20 +46,32 @@ HELD_BYTES: Final = 64 << 20
 #: What a message takes beside its payload: key, encoding and Zenoh's own fields are 300 bytes.
 _OVERHEAD_BYTES: Final = 1024
 LINK_BYTES: Final = LARGEST_BYTES + _OVERHEAD_BYTES
+#: After so long a silence a link is dead, and so is one that has not said who it is.
+LEASE_MS: Final = 2000
+#: Sessions that a router takes: with Zenoh's thousand, each with messages that are not yet whole, it would run out of
+#: memory. Every process has two, those of a stack 14; as many again are counted while dead links have their lease. The
+#: rest is for 18 programs of people.
+MAX_SESSIONS: Final = 64
+#: Calls of one key that wait; where more come, nobody answers the oldest.
+WAITING_CALLS: Final = 32
+#: Most of a processor's time that answering the calls of one key takes.
+CALLS_SHARE: Final = 0.1
+#: Largest call that a router passes on, for who is called to refuse it by name; `WAITING_CALLS` of them may wait.
+_CALL_BYTES: Final = 2 * MAX_RPC_BYTES
 #: Of calls: ahead of images and of what is replayed.
 _CALL_PRIORITY: Final = zenoh.Priority.INTERACTIVE_LOW
 #: How a publisher that keeps samples calls itself: its session, and its number there.
 _SENDER_PATTERN: Final = r"[0-9a-f]{1,32}/[0-9]+(?=/|$)"
 _PUT: Final = zenoh.SampleKind.PUT
 JSON_ENCODING: Final = zenoh.Encoding("application/json")
+_logger = logging.getLogger("bus")
 
 
 def settings_of(mode: str, endpoint: str, credentials: Credentials) -> dict[str, object]:
     """Return what a router, or a client of one, tells Zenoh, by the paths of Zenoh's own settings."""
     where = "listen" if mode == "router" else "connect"
     if mode == "client":
-        # Every address of this machine is one to listen on; no certificate has that name.
-        endpoint = re.sub(r"/(0\.0\.0\.0|\[::\]):", "/localhost:", endpoint)
+        endpoint = _named(endpoint)
     settings: dict[str, object] = {
         "mode": mode,
         f"{where}/endpoints": [endpoint],
@@ -64,7 +79,7 @@ def settings_of(mode: str, endpoint: str, credentials: Credentials) -> dict[str,
         "scouting/multicast/enabled": False,
         # A router would otherwise wait half a second for the scouting that is off.
         "scouting/delay": 0,
-        "transport/link/tx/lease": 2000,
+        "transport/link/tx/lease": LEASE_MS,
         "transport/shared_memory/enabled": False,
         # What is larger is dropped while it comes in, and not passed on: otherwise a message takes up to 1 GiB here.
         "transport/link/rx/max_message_size": LINK_BYTES,
@@ -78,7 +93,12 @@ def settings_of(mode: str, endpoint: str, credentials: Credentials) -> dict[str,
         # the default of 5 s: its connection is closed, and it may connect again.
         "transport/link/tx/queue/congestion_control/block/wait_before_close": 250_000,
     }
-    if mode == "client":
+    if mode == "router":
+        settings |= {"transport/unicast/max_sessions": MAX_SESSIONS, "transport/unicast/accept_timeout": LEASE_MS}
+        settings["low_pass_filter"] = [
+            {"id": "calls", "messages": ["query"], "flows": ["ingress"], "key_exprs": ["**"], "size_limit": _CALL_BYTES}
+        ]
+    else:
         # Only the first connection: after an outage it is made again for as long as it takes. Without this limit
         # `zenoh.open` blocks for ever where there is no router, deaf to signals.
         settings["connect/timeout_ms"] = ATTEMPT_MS
@@ -101,6 +121,11 @@ def settings_of(mode: str, endpoint: str, credentials: Credentials) -> dict[str,
         if mode == "router":
             settings["transport/auth/usrpwd/dictionary_file"] = str(credentials.dictionary)
     return settings
+
+
+def _named(endpoint: str) -> str:
+    """Name what a client goes to: every address of this machine is one to listen on, which no certificate has."""
+    return re.sub(r"/(0\.0\.0\.0|\[::\]):", "/localhost:", endpoint)
 
 
 def _configuration(settings: dict[str, object]) -> zenoh.Config:
@@ -141,11 +166,19 @@ def host_and_port(endpoint: str) -> tuple[str, int]:
     """
     match = re.fullmatch(ENDPOINT_PATTERN, endpoint)
     if match is None or int(match[2]) > 65535:
-        raise BusError(f"router address {endpoint[:100]!r}: expected tcp/<host>:<port>, for example {DEFAULT_ROUTER}")
+        form = f"tcp/<host>:<port> or tls/<host>:<port>, for example {DEFAULT_ROUTER}"
+        raise BusError(f"router address {endpoint[:100]!r}: expected {form}")
     return match[1].strip("[]"), int(match[2])
 
 
-def _check_credentials(endpoint: str, credentials: Credentials) -> None:
+def check_credentials(endpoint: str, credentials: Credentials) -> None:
+    """Check that an address is of the kind that credentials are for.
+
+    Raises
+    ------
+    BusError
+        When it is encrypted and they are no certificate, or the other way round.
+    """
     if encrypted(endpoint) and not isinstance(credentials, Certificate):
         raise BusError(f"{endpoint} needs a certificate: give --secure DIR, or set SMAL_TLS_CA, _CERT and _KEY")
     if isinstance(credentials, Certificate) and not encrypted(endpoint):
@@ -168,9 +201,12 @@ def _why_no_router(endpoint: str, credentials: Credentials) -> str:
         socket.create_connection(host_and_port(endpoint), 1.0).close()
     except OSError:
         return f"no router at {endpoint}; start the stack with `smal up`"
-    shown = {Certificate: "who shows this certificate", Password: "who gives this password"}
-    who = shown.get(type(credentials), "without a certificate or a password")
-    return f"what listens at {endpoint} is no router, or takes nobody in {who}"
+    full = f"is full (it takes {MAX_SESSIONS} sessions, two of each program)"
+    if isinstance(credentials, Certificate):
+        refused = why_refused(credentials, *host_and_port(_named(endpoint)))
+        return refused or f"what listens at {endpoint} is no router that encrypts, does not answer, or {full}"
+    who = "who gives this password" if isinstance(credentials, Password) else "without a certificate or a password"
+    return f"what listens at {endpoint} is no router, or takes nobody in {who}, or {full}"
 
 
 class Router:
@@ -203,7 +239,7 @@ class Router:
         insecure: bool = False,
     ) -> None:
         host, _ = host_and_port(endpoint)
-        _check_credentials(endpoint, credentials)
+        check_credentials(endpoint, credentials)
         if credentials is None and not insecure and others_reach(host):
             raise BusError(
                 f"{endpoint} can be reached from other machines, and whoever reaches it could drive the robot: "
@@ -247,13 +283,13 @@ class ZenohWire(Wire):
         self, robot: str, endpoint: str, patience_s: float = PATIENCE_S, credentials: Credentials = None
     ) -> None:
         host_and_port(endpoint)
-        _check_credentials(endpoint, credentials)
+        check_credentials(endpoint, credentials)
         keep_freed_memory()
         self._robot = robot
         self.sessions = {urgent: _open_client(endpoint, credentials, patience_s) for urgent in (False, True)}
         self._publishers: dict[str, zenoh.Publisher | zenoh.ext.AdvancedPublisher] = {}
         self._held = Budget(HELD_BYTES)
-        self._declared: list[zenoh.Subscriber[None] | zenoh.ext.AdvancedSubscriber[None] | zenoh.Queryable[None]] = []
+        self._declared: list[zenoh.Subscriber[None] | zenoh.ext.AdvancedSubscriber[None] | zenoh.Queryable[Any]] = []
 
     def connected(self) -> bool:
         """Whether both sessions have a router."""
@@ -379,7 +415,7 @@ class ZenohWire(Wire):
             raise BusError(str(error).partition(" at /")[0]) from None  # without the place in Zenoh's source
 
     def serve(self, key: str, answer: Serve, refused: Refused) -> None:
-        """Answer calls of a key."""
+        """Answer calls of a key, on a thread of its own."""
 
         def on_query(query: zenoh.Query) -> None:
             def reply(message: Answer) -> None:
@@ -397,11 +433,24 @@ class ZenohWire(Wire):
             try:
                 answer(b"{}" if payload is None else payload.to_bytes(), reply)
             except Exception:
-                # Who logs the error may keep its traceback, and with it the query.
+                # Who logs the error keeps its traceback, and with it the query.
                 query.drop()
-                raise
+                _logger.exception("a handler on the bus's thread failed")
 
-        self._declared.append(self.sessions[False].declare_queryable(key, on_query, complete=True))
+        def answer_all() -> None:
+            for query in queryable:
+                began_s = time.thread_time()
+                on_query(query)
+                # Whoever holds it now answers; otherwise its caller hears that nobody does.
+                del query
+                time.sleep((1.0 / CALLS_SHARE - 1.0) * (time.thread_time() - began_s))
+
+        # What waits does so outside of Python, whose threads take turns: ten thousand calls of a status in a second,
+        # which whoever looks at a robot may make, would otherwise take them from the loop that drives.
+        calls: zenoh.handlers.RingChannel[zenoh.Query] = zenoh.handlers.RingChannel(WAITING_CALLS)
+        queryable = self.sessions[False].declare_queryable(key, calls, complete=True)
+        self._declared.append(queryable)
+        threading.Thread(target=answer_all, name=f"calls of {key}", daemon=True).start()
 
     def call(self, key: str, request: bytes, timeout_s: float) -> Answer | None:
         """Call a key and wait for the answer."""

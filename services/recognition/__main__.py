@@ -14,6 +14,7 @@ def serve() -> None:
 
     def wire(node: Node) -> None:
         service.behind = lambda: node.waits(topics.OBSERVATION)
+        service.announce = node.publish
         node.subscribe(topics.ODOMETRY, service.see)
         node.subscribe(topics.APPLIED, service.see_applied)
 

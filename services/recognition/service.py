@@ -5,11 +5,15 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from typing import Any, Final
 
+import numpy as np
+
+from schemas.array import Float32Array
 from schemas.command import CommandApplied
 from schemas.observation import Observation
 from schemas.odometry import Odometry
 from schemas.rpc import LoadReply
 from schemas.state import MAX_PLACES, Place, State
+from schemas.taught_map import TaughtMap
 from services.kit.model_service import LoadedModel
 from services.kit.node import Detail, ServiceError
 from smal.action_space import Atom
@@ -17,9 +21,12 @@ from smal.features import select
 from smal.filter import Belief
 from smal.recognition import Recognizer
 from smal.robot import Localizer
+from smal.stitches import in_common_axes
 
 #: Odometry and commands that are kept until the observation of their frame comes, frames.
 _KEPT: Final = 100
+#: Drives whose beginnings a message of the map has room for.
+_MOST_DRIVES: Final = 1000
 Pose = tuple[float, float, float]
 
 
@@ -34,6 +41,8 @@ class RecognitionService:
     def __init__(self) -> None:
         #: Whether newer observations wait.
         self.behind: Callable[[], bool] = lambda: False
+        #: Told where the keyframes are, before the first belief of an episode tells of them.
+        self.announce: Callable[[TaughtMap], None] = lambda _map: None
         self._loaded: LoadedModel | None = None
         self._localizer: _ByFilter | _ByPaper | None = None
         self._last: State | None = None
@@ -106,8 +115,16 @@ class RecognitionService:
         atoms = [] if self._localizer.by_odometry else self._atoms(observation.episode, since, observation.tick)
         odometry = self._odometry.get((observation.episode, observation.tick))
         found = self._localizer.observe(observation, odometry, atoms, behind=self.behind())
+        if found is not None and (self._last is None or self._last.episode != found.episode):
+            self._announce(found)
         self._last = found or self._last
         return found
+
+    def _announce(self, first: State) -> None:
+        assert self._localizer is not None  # noqa: S101 - it has just answered
+        known = self._localizer.taught_map()
+        if known is not None:
+            self.announce(TaughtMap.after(first, model=first.model, **known))
 
     def detail(self) -> Detail:
         """Tell the loaded model."""
@@ -126,7 +143,8 @@ class _ByFilter:
     def __init__(self, loaded: LoadedModel) -> None:
         self._held, self._identity = loaded.model.feature_settings, loaded.identity
         self._localizer = Localizer(loaded.model)
-        self.by_odometry = loaded.model.mapped.odometry
+        self._mapped = loaded.model.mapped
+        self.by_odometry = self._mapped.odometry
         self.reset()
 
     def reset(self) -> None:
@@ -143,6 +161,13 @@ class _ByFilter:
         belief = self._localizer.observe(raw, odometry, atoms, elapsed_s)
         self._stamp_ns = observation.stamp_ns
         return self._state(observation, belief.summary(MAX_PLACES))
+
+    def taught_map(self) -> dict[str, Any] | None:
+        """Return where the keyframes are, as the fields of its message."""
+        drives = self._mapped.drives[self._mapped.keyframes]
+        begins = np.flatnonzero(np.diff(drives, prepend=-1))[:_MOST_DRIVES].tolist()
+        poses = in_common_axes(self._mapped).astype(np.float32)
+        return {"keyframes": Float32Array.from_numpy(poses), "begins": tuple(begins)}
 
     def _state(self, observation: Observation, belief: Belief) -> State:
         return State.after(
@@ -170,6 +195,9 @@ class _ByPaper:
 
     def reset(self) -> None:
         self._recognizer.reset()
+
+    def taught_map(self) -> None:
+        """Return nothing: states of the paper have no places."""
 
     def observe(
         self, observation: Observation, _odometry: Pose | None, _atoms: Sequence[Atom], *, behind: bool

@@ -320,7 +320,7 @@ class RecorderService:
             self._complain(f"cannot finish {path}: {writer.problem}; tried again with the next episode")
         self._files.append(path)
         self._sealed += Totals.of(writer)
-        gaps = "; ".join(f"{topic} lacks {ticks}" for topic, ticks in writer.ledger.gaps().items())
+        gaps = "; ".join(f"{topic} lacks frames {ticks}" for topic, ticks in writer.ledger.gaps().items())
         self._node.log.info("%s: %d messages, %.1f MB %s", path, writer.messages, writer.size / 1e6, gaps)
 
     def _complain(self, problem: str) -> None:

@@ -22,6 +22,7 @@ from services.recordings.reader import RecordingError, read_recording
 from services.recordings.recorded import Piece, RecordedEpisode
 from services.recordings.recorded_features import features_in
 from services.recordings.records import Allowance
+from services.recordings.taught import episode_of
 from smal.action_space import Atom
 from smal.features import FeatureSettings, extract, select
 from smal.learning import Demonstration
@@ -95,11 +96,7 @@ class Teacher:
             self._remark(str(error))
             return
         self.teaching.recordings += 1
-        if recording.truncated:
-            frames = sum(episode.frames for episode in recording.episodes)
-            self._remark(f"{path}: truncated; the {frames} whole frames are read")
-        if recording.bad:
-            self._remark(f"{path}: {recording.bad} malformed messages are left out")
+        self.teaching.remarks.extend(recording.remarks())
         for episode in recording.episodes:
             if self._episodes is None or episode.episode in self._episodes:
                 take_out(episode, held, self._features)
@@ -214,11 +211,6 @@ def states_shared_by_episodes(model: Model) -> int:
         states.setdefault(episode_of(name), set()).update(stream.tolist())
     counts = Counter(state for each in states.values() for state in each)
     return sum(count >= 2 for count in counts.values())
-
-
-def episode_of(name: str) -> str:
-    """Return the episode of a demonstration, which may be a piece of it."""
-    return name.partition("[")[0]
 
 
 def _demonstration(episode: RecordedEpisode, piece: Piece, whole: bool) -> Demonstration:

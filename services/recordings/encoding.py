@@ -9,19 +9,23 @@ from __future__ import annotations
 import json
 from dataclasses import dataclass
 from functools import cache
-from typing import Any, cast
+from typing import Any, Final, cast
 
 import foxglove_schemas_protobuf.CompressedImage_pb2 as foxglove
 import numpy as np
 from google.protobuf.descriptor import FileDescriptor
 from google.protobuf.descriptor_pb2 import FileDescriptorSet
 from google.protobuf.message import DecodeError as ProtobufDecodeError
+from google.protobuf.message import Message as ProtobufMessage
 from google.protobuf.timestamp_pb2 import Timestamp
 from numpy.typing import NDArray
 
 from schemas.base import Message
 from schemas.compressed_image import CompressedImage
-from services.kit.jpeg import decode_jpeg, is_jpeg
+from services.kit.jpeg import decode_jpeg, is_jpeg, jpeg_size
+
+#: Frame of the camera, for viewers: x to the right in the image, y down, z into it.
+CAMERA_FRAME: Final = "camera"
 
 
 @dataclass(frozen=True)
@@ -48,7 +52,7 @@ class ChannelFormat:
 def format_of(message: type[Message]) -> ChannelFormat:
     """Return how the messages of a class are written."""
     if issubclass(message, CompressedImage):
-        return ChannelFormat("foxglove.CompressedImage", "protobuf", "protobuf", _image_schema())
+        return protobuf_format(foxglove.CompressedImage)
     schema = json.dumps(plain_json_schema(message)).encode()
     return ChannelFormat(message.schema_name(), "jsonschema", "json", schema)
 
@@ -59,9 +63,15 @@ def payload_of(message: Message) -> bytes:
 
 
 def _wrap(image: CompressedImage) -> bytes:
-    stamp = Timestamp(seconds=image.stamp_ns // 1_000_000_000, nanos=image.stamp_ns % 1_000_000_000)
-    packed = foxglove.CompressedImage(timestamp=stamp, frame_id=image.topic, data=image.data, format=image.format)
+    packed = foxglove.CompressedImage(
+        timestamp=timestamp(image.stamp_ns), frame_id=CAMERA_FRAME, data=image.data, format=image.format
+    )
     return packed.SerializeToString()
+
+
+def timestamp(stamp_ns: int) -> Timestamp:
+    """Return a stamp as protobuf has it."""
+    return Timestamp(seconds=stamp_ns // 1_000_000_000, nanos=stamp_ns % 1_000_000_000)
 
 
 def decode_image(payload: bytes) -> NDArray[np.uint8]:
@@ -72,26 +82,49 @@ def decode_image(payload: bytes) -> NDArray[np.uint8]:
     ValueError
         When the payload is no image.
     """
-    return decode_jpeg(_jpeg_of(payload))
+    return decode_jpeg(stamped_jpeg(payload)[1])
 
 
 def is_image(payload: bytes) -> bool:
     """Whether a recorded image begins as one; costs much less than to decode it."""
     try:
-        return is_jpeg(_jpeg_of(payload))
+        return is_jpeg(stamped_jpeg(payload)[1])
     except ValueError:
         return False
 
 
-def _jpeg_of(payload: bytes) -> bytes:
+def size_of_image(payload: bytes) -> tuple[int, int]:
+    """Return width and height of a recorded image, by its header alone.
+
+    Raises
+    ------
+    ValueError
+        When the payload is no image.
+    """
+    size = jpeg_size(stamped_jpeg(payload)[1])
+    if size is None:
+        raise ValueError("not a JPEG image")
+    return size
+
+
+def stamped_jpeg(payload: bytes) -> tuple[int, bytes]:
+    """Return when a recorded image was captured, nanoseconds since 1970, and its JPEG.
+
+    Raises
+    ------
+    ValueError
+        When the payload is no such image.
+    """
     try:
-        return foxglove.CompressedImage.FromString(payload).data
+        image = foxglove.CompressedImage.FromString(payload)
     except ProtobufDecodeError:
         raise ValueError("not a foxglove.CompressedImage") from None
+    return image.timestamp.seconds * 1_000_000_000 + image.timestamp.nanos, image.data
 
 
-def _image_schema() -> bytes:
-    """Return the descriptors of ``foxglove.CompressedImage`` and of all that it imports, imports first."""
+@cache
+def protobuf_format(message: type[ProtobufMessage]) -> ChannelFormat:
+    """Return how the messages of a class of protobuf are written: with its descriptor, and before it all it imports."""
     files: dict[str, FileDescriptor] = {}
 
     def collect(file: FileDescriptor) -> None:
@@ -99,11 +132,11 @@ def _image_schema() -> bytes:
             collect(imported)
         files.setdefault(file.name, file)
 
-    collect(foxglove.CompressedImage.DESCRIPTOR.file)
+    collect(cast("FileDescriptor", message.DESCRIPTOR.file))
     descriptors = FileDescriptorSet()
     for file in files.values():
         file.CopyToProto(descriptors.file.add())
-    return descriptors.SerializeToString()
+    return ChannelFormat(message.DESCRIPTOR.full_name, "protobuf", "protobuf", descriptors.SerializeToString())
 
 
 def plain_json_schema(message: type[Message]) -> dict[str, Any]:

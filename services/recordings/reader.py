@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import re
 import struct
-from collections.abc import Callable
+from collections.abc import Callable, Collection, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
@@ -31,7 +31,7 @@ from services.recordings.records import MAGIC, Allowance, MemoryLimitError, mapp
 from services.recordings.sink import PARTIAL_SUFFIX, is_being_recorded, parts_of
 
 #: Where images are; recordings of older versions have them, as JPEG too, on the key of the raw ones.
-_IMAGES: Final = (JPEG, CAMERA)
+IMAGES: Final = (JPEG, CAMERA)
 
 
 #: Memory that a message takes beside its bytes, which may be few: its object, the numbers in it, and its place.
@@ -63,8 +63,21 @@ class Recording:
     truncated: bool
     bad: int
 
+    def remarks(self) -> Iterator[str]:
+        """Yield one line for everything that is not as it should be."""
+        if self.truncated:
+            yield f"{self.path}: truncated; the {sum(one.frames for one in self.episodes)} whole frames are read"
+        if self.bad:
+            yield f"{self.path}: {self.bad} malformed messages are left out"
 
-def read_recording(path: Path, fingerprint: str | None = None, allowance: Allowance | None = None) -> Recording:
+
+def read_recording(
+    path: Path,
+    fingerprint: str | None = None,
+    allowance: Allowance | None = None,
+    keep: Collection[Topic] = (),
+    topics: Collection[Topic] | None = None,
+) -> Recording:
     """Read a recording.
 
     Parameters
@@ -75,6 +88,10 @@ def read_recording(path: Path, fingerprint: str | None = None, allowance: Allowa
         Which feature vectors to take from the observations; none of them if not given.
     allowance
         For the memory that it takes; one of its own if not given.
+    keep
+        Topics whose messages are kept as they are, too.
+    topics
+        Read only these, and the events of episodes; all if not given.
 
     Raises
     ------
@@ -82,10 +99,12 @@ def read_recording(path: Path, fingerprint: str | None = None, allowance: Allowa
         When the file cannot be read, is no MCAP file, holds no episode or no frame, is still being recorded, or takes
         too much memory.
     """
-    parts = _open(path)
+    if being_recorded(path):
+        raise RecordingError(f"{path}: still being recorded; end the episode or stop the recorder first")
+    parts = open_parts(path)
     allowance = allowance or Allowance()
     before = allowance.left
-    reader = _Reader(fingerprint, allowance)
+    reader = _Reader(fingerprint, allowance, keep, topics)
     try:
         for part in parts:
             for record in records(part, allowance):
@@ -105,10 +124,29 @@ def read_recording(path: Path, fingerprint: str | None = None, allowance: Allowa
     return Recording(path, episodes, truncated, reader.bad)
 
 
-def _open(path: Path) -> list[memoryview]:
+def being_recorded(path: Path) -> bool:
+    """Whether a living recorder writes this recording.
+
+    Raises
+    ------
+    RecordingError
+        When it cannot be read.
+    """
     try:
-        if path.suffix == PARTIAL_SUFFIX and is_being_recorded(path):
-            raise RecordingError(f"{path}: still being recorded; end the episode or stop the recorder first")
+        return path.suffix == PARTIAL_SUFFIX and is_being_recorded(path)
+    except OSError as error:
+        raise RecordingError(f"{path}: {error.strerror or error}") from None
+
+
+def open_parts(path: Path) -> list[memoryview]:
+    """Return the bytes of a recording, and those of the parts that were recorded after a kill.
+
+    Raises
+    ------
+    RecordingError
+        When it cannot be read, or is no MCAP file.
+    """
+    try:
         parts = [mapped(part) for part in parts_of(path)]
     except OSError as error:
         raise RecordingError(f"{path}: {error.strerror or error}") from None
@@ -122,11 +160,19 @@ def _open(path: Path) -> list[memoryview]:
 class _Reader:
     """Sorts the records of a file into episodes."""
 
-    def __init__(self, fingerprint: str | None, allowance: Allowance) -> None:
+    def __init__(
+        self,
+        fingerprint: str | None,
+        allowance: Allowance,
+        keep: Collection[Topic],
+        topics: Collection[Topic] | None = None,
+    ) -> None:
+        self._wanted = None if topics is None else {EPISODE.name, *(topic.name for topic in topics)}
         self._allowance = allowance
         self.episodes: dict[tuple[str, str], RecordedEpisode] = {}
         self.bad = 0
         self._fingerprint = fingerprint
+        self._keep = {topic.name for topic in keep}
         self._channels: dict[int, tuple[Topic, str, str]] = {}
         self._take: dict[str, Callable[[RecordedEpisode, Message], None]] = {
             EPISODE.name: self._take_event,
@@ -146,6 +192,8 @@ class _Reader:
 
     def _take_channel(self, channel: Channel) -> None:
         topic = topic_of(channel.topic)
+        if topic is not None and self._wanted is not None and topic.name not in self._wanted:
+            topic = None
         robot, episode = channel.metadata.get("robot"), channel.metadata.get("episode")
         # Anything else in the file is other people's.
         if topic is not None and _is_id(ROBOT_ID_PATTERN, robot) and _is_id(EPISODE_ID_PATTERN, episode):
@@ -156,11 +204,11 @@ class _Reader:
     def _take_message(self, topic: Topic, robot: str, episode: str, tick: int, payload: memoryview) -> None:
         self._allowance.take(_OBJECTS)
         record = self.episodes.setdefault((robot, episode), RecordedEpisode(robot, episode))
-        if topic in _IMAGES:
+        if topic in IMAGES:
             record.images.setdefault(tick, payload)
             return
         take = self._take.get(topic.name)
-        if take is None:
+        if take is None and topic.name not in self._keep:
             return
         try:
             message = topic.message.model_validate_json(bytes(payload))
@@ -170,7 +218,10 @@ class _Reader:
         if (message.robot, message.episode) != (robot, episode):
             self.bad += 1
             return
-        take(record, message)
+        if topic.name in self._keep:
+            record.kept.setdefault(topic.name, {}).setdefault(message.tick, message)
+        if take is not None:
+            take(record, message)
 
     def _take_event(self, record: RecordedEpisode, event: Message) -> None:
         assert isinstance(event, Episode)  # noqa: S101 - by the table of topics

@@ -8,7 +8,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from schemas.base import ATOMS, Source
+from schemas.base import ATOMS, Message, Source
 from schemas.command import CommandApplied
 from schemas.episode import Outcome, Purpose
 from schemas.pose import Pose
@@ -66,6 +66,8 @@ class RecordedEpisode:
         Focal length of the camera over the width of its image; None if it was not recorded.
     poses
         True poses, for plots; learning must not use them.
+    kept
+        Messages of the topics that were to be kept, by topic: of each tick the first.
     """
 
     robot: str
@@ -83,6 +85,7 @@ class RecordedEpisode:
     applied: dict[int, CommandApplied] = field(default_factory=dict)
     focal: float | None = None
     poses: dict[int, Pose] = field(default_factory=dict)
+    kept: dict[str, dict[int, Message]] = field(default_factory=dict)
 
     @property
     def frames(self) -> int:

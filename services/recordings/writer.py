@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import struct
 import time
+from contextlib import suppress
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any, Final, Self, cast
@@ -13,14 +14,16 @@ from mcap.exceptions import McapError
 from mcap.records import Channel, Metadata, Schema
 from mcap.records import Message as StoredMessage
 from mcap.writer import CompressionType, Writer
+from pydantic import ValidationError
 
 from schemas.base import Message
 from schemas.episode import Episode
 from schemas.topics import key_of, topic_of
-from services.recordings.encoding import ChannelFormat, format_of, payload_of
+from services.recordings.encoding import ChannelFormat, format_of, payload_of, protobuf_format
 from services.recordings.ledger import ORDERED, Ledger, order_of
-from services.recordings.records import MAGIC, mapped, records
+from services.recordings.records import MAGIC, mapped, records, surveyed
 from services.recordings.sink import Sink, claim, finished, free_path, next_part, partial_of, parts_of, publish
+from services.recordings.views import View, Views, is_view, view_key
 
 #: Names of the metadata records: what the episode is (written first), and what the recording lacks (written last).
 EPISODE_METADATA: Final = "smal.episode"
@@ -63,6 +66,7 @@ class EpisodeWriter:
         self.problem: str | None = None
         self._part = part
         self._metadata = metadata
+        self._views = Views()
         self._channels: dict[tuple[str, ChannelFormat], int] = {}
         self._schemas: dict[ChannelFormat, int] = {}
         self._sink = Sink(part)
@@ -70,7 +74,7 @@ class EpisodeWriter:
         self._first: tuple[Path, int] | None = None
         try:
             # The writer asks its output for no more than write, tell and flush.
-            self._writer = Writer(cast("Any", self._sink), compression=CompressionType.NONE)
+            self._writer = Writer(cast("Any", self._sink), compression=CompressionType.NONE, enable_data_crcs=True)
             self._writer.start(profile="", library=f"smal {_software()}")
             self._writer.add_metadata(EPISODE_METADATA, metadata)
         except OSError:
@@ -102,7 +106,7 @@ class EpisodeWriter:
         """
         lock = claim(partial)
         try:
-            writer = cls(next_part(partial), finished(partial), _metadata_of(partial))
+            writer = cls(next_part(partial), finished(partial), metadata_of(partial))
         except BaseException:
             os.close(lock)
             raise
@@ -136,7 +140,7 @@ class EpisodeWriter:
             return
         stamp_ns, tick = message.stamp_ns, message.tick
         try:
-            self._append(key_of(message), format_of(type(message)), stamp_ns, tick, payload_of(message))
+            self._append(key_of(message), format_of(type(message)), stamp_ns, tick, payload_of(message), message)
         except OSError as error:
             self.problem = error.strerror or str(error)
             raise
@@ -197,39 +201,65 @@ class EpisodeWriter:
         """Write what another part has and this one has not."""
         schemas: dict[int, Schema] = {}
         channels: dict[int, tuple[str, ChannelFormat]] = {}
+        views: set[int] = set()
         try:
-            for record in records(mapped(part), checked=True):
+            for record in surveyed(mapped(part), lambda _damage: None):
                 match record:
                     case Schema():
                         schemas[record.id] = record
+                    case Channel() if is_view(record.topic):
+                        views.add(record.id)
                     case Channel():
                         if record.metadata != self._channel_metadata:
                             raise ValueError("of another episode")
                         schema = schemas[record.schema_id]
                         form = ChannelFormat(schema.name, schema.encoding, record.message_encoding, bytes(schema.data))
                         channels[record.id] = record.topic, form
-                    case StoredMessage():
-                        self._copy(*channels[record.channel_id], record)
+                    case StoredMessage() if record.channel_id not in views:
+                        self.copy(*channels[record.channel_id], record)
         except _DAMAGED:
             raise RecoveryError(f"{part.name} is not the recording of an episode") from None
 
-    def _copy(self, key: str, form: ChannelFormat, stored: StoredMessage) -> None:
+    def copy(self, key: str, form: ChannelFormat, stored: StoredMessage) -> None:
+        """Write a message of another recording, if it is new.
+
+        Raises
+        ------
+        ValueError
+            When it is none of ours.
+        OSError
+            When it cannot be written.
+        """
         topic = topic_of(key)
         if topic is None:
             raise ValueError(key)
         payload = bytes(stored.data)
         order: tuple[int, ...] = (stored.sequence,)
+        message: Message | None = None
         if issubclass(topic.message, ORDERED):
             message = topic.message.model_validate_json(payload)
             order = order_of(message)
             self._note_end(message)
+        elif self._views.derives_from(topic.message):
+            # What does not decode is kept as it is; it is only not drawn.
+            with suppress(ValidationError):
+                message = topic.message.model_validate_json(payload)
         if self.ledger.admit(topic.name, order):
-            self._append(key, form, stored.log_time, stored.sequence, payload)
+            self._append(key, form, stored.log_time, stored.sequence, payload, message)
 
-    def _append(self, key: str, form: ChannelFormat, stamp_ns: int, tick: int, payload: bytes) -> None:
+    def _append(
+        self, key: str, form: ChannelFormat, stamp_ns: int, tick: int, payload: bytes, message: Message | None
+    ) -> None:
         self._writer.add_message(self._channel(key, form), stamp_ns, payload, stamp_ns, tick)
+        for view in () if message is None else self._views.of(message):
+            self._append_view(view, stamp_ns, tick)
         self._writer.flush()  # type: ignore[no-untyped-call]
         self.messages += 1
+
+    def _append_view(self, view: View, stamp_ns: int, tick: int) -> None:
+        form = protobuf_format(type(view.message))  # type: ignore[arg-type]  # a class is hashable
+        channel = self._channel(view_key(self._metadata["robot"], view.name), form)
+        self._writer.add_message(channel, stamp_ns, view.message.SerializeToString(), stamp_ns, tick)
 
     def _note_end(self, message: Message) -> None:
         if isinstance(message, Episode) and message.event == "ended":
@@ -238,6 +268,8 @@ class EpisodeWriter:
     def _finish(self) -> None:
         if self.end_tick is not None:
             self.ledger.close(self.end_tick)
+        for cause, view in self._views.way():
+            self._append_view(view, cause.stamp_ns, cause.tick)
         notes = {"duplicates": str(self.ledger.duplicates)} | self.ledger.gaps()
         self._writer.add_metadata(GAPS_METADATA, notes)
         self._writer.finish()  # type: ignore[no-untyped-call]
@@ -263,7 +295,7 @@ class EpisodeWriter:
         return channel
 
 
-def _metadata_of(partial: Path) -> dict[str, str]:
+def metadata_of(partial: Path) -> dict[str, str]:
     """Return what a leftover says of its episode."""
     data = mapped(partial)
     if MAGIC.startswith(bytes(data[: len(MAGIC) + 1])):

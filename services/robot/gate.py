@@ -65,9 +65,12 @@ class _Accepted:
 
 @dataclass(frozen=True)
 class _Operator:
+    """Whoever was the operator last; one who has left is kept, so that an old sign of life does not bring them back."""
+
     session: str
     sequence: int
     heard_s: float
+    there: bool
 
 
 class CommandGate:
@@ -127,7 +130,7 @@ class CommandGate:
             refusal = self.not_theirs(session)
             if refusal is not None:
                 return refusal
-            if self.attended and self._operator is None:
+            if self.attended and self.operator is None:
                 return "no operator is heard; this robot moves only while one is"
             if stop != self.emergency_stop:
                 return "another stop was latched meanwhile" if self.emergency_stop else "no stop is latched"
@@ -142,18 +145,20 @@ class CommandGate:
     def operator(self) -> str | None:
         """Session of the operator who is there, if any."""
         operator = self._operator
-        return None if operator is None else operator.session
+        return operator.session if operator is not None and operator.there else None
 
     def hear(self, beat: Heartbeat, now_s: float) -> None:
         """Take an operator's sign of life; that of another one than the one who is there changes nothing."""
         with self._lock:
-            mine = self._operator
-            theirs = mine is None or (beat.session == mine.session and beat.sequence > mine.sequence)
-            if theirs and beat.present:
-                self._operator = _Operator(beat.session, beat.sequence, now_s)
-            elif theirs and mine is not None:
-                self._operator = None
-                if self.attended:
+            last = self._operator
+            if last is not None and beat.session == last.session:
+                theirs = beat.sequence > last.sequence
+            else:
+                theirs = self.operator is None
+            if theirs:
+                was_there = self.operator is not None
+                self._operator = _Operator(beat.session, beat.sequence, now_s, beat.present)
+                if was_there and not beat.present and self.attended:
                     self.stop("operator_lost")
 
     def watch(self, now_s: float) -> None:
@@ -165,8 +170,9 @@ class CommandGate:
             Of the clock that ``hear`` is told, which never stands.
         """
         with self._lock:
-            if self._operator is not None and now_s - self._operator.heard_s > OPERATOR_S:
-                self._operator = None
+            last = self._operator
+            if last is not None and last.there and now_s - last.heard_s > OPERATOR_S:
+                self._operator = replace(last, there=False)
                 self.stop("operator_lost")
 
     def not_theirs(self, session: str) -> str | None:

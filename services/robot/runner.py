@@ -56,6 +56,8 @@ class Running(Generic[V]):
     stamp_ns: int
     #: When the client that began it was last heard of.
     client_s: float
+    #: The number of its last sign of life.
+    client_beat: int = -1
     #: Whether the goal has been reached at all.
     found: bool = False
     applied: Applied | None = None
@@ -274,9 +276,9 @@ class EpisodeRunner(Generic[V]):
                 "operator_lost": "the operator was lost; arm the robot",
                 "fault": "the robot's body has failed; look at it, then arm it",
             }[self.gate.stop_cause or "not_armed"]
-            raise ServiceError(f"{cause}, from smal teleop (n)")
+            raise ServiceError(f"{cause}, from the console's page or smal teleop (n)")
         if self.gate.taken_over and request.driver != "teleop":
-            raise ServiceError("a person has taken over; let the driver go on from smal teleop (r)")
+            raise ServiceError("a person has taken over; resume, from the console's page or smal teleop (r)")
         run = self._running
         if (
             run is not None
@@ -371,7 +373,8 @@ class EpisodeRunner(Generic[V]):
         now, run = self._clock(), self._running
         if beat.operator:
             self.gate.hear(beat, now)
-        if run is not None and beat.session == run.request.session:
+        if run is not None and beat.session == run.request.session and beat.sequence > run.client_beat:
+            run.client_beat = beat.sequence
             run.client_s = now if beat.present else -math.inf
 
     def poll(self) -> Iterator[Message]:

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Collection, Iterator
 from dataclasses import dataclass
-from typing import Final, Protocol
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from schemas.base import Atom, Message
+from schemas.base import DIRECTIONS, Atom, Message
 from schemas.rpc import ResetRequest
 from services.kit.node import Detail, ServiceError
 from services.robot.body import Beginning, ImuReading, OdometryReading
@@ -18,14 +19,6 @@ from services.robot.gate import MAX_AGE_S
 from services.ros2.config import Ros2Config
 from services.ros2.messages import MessageError
 from services.ros2.senses import Frame, Senses, Wheels, pixels, reading
-
-_DIRECTIONS: Final[dict[Atom, tuple[int, int]]] = {
-    "forward": (1, 0),
-    "backward": (-1, 0),
-    "left": (0, 1),
-    "right": (0, -1),
-    "stop": (0, 0),
-}
 
 
 class Link(Protocol):
@@ -127,7 +120,7 @@ class Ros2Body:
         if self._lacks() is not None:
             self.stand()
             return
-        ahead, turn = _DIRECTIONS[atom]
+        ahead, turn = DIRECTIONS[atom]
         self._send(ahead * speed * self._config.speed_m_s, turn * speed * self._config.turn_rate_rad_s)
 
     def stand(self) -> None:
@@ -216,6 +209,10 @@ class Ros2Body:
                 new.append(one._replace(after_s=one.after_s - self._begun_s))
         return tuple(new)
 
+    def _ahead_s(self, offset_s: float) -> float:
+        """Return how much later it is on the robot's clock than on this machine's, as `date` would show."""
+        return round(self._clock() - offset_s - time.time(), 3)
+
     def detail(self) -> Detail:
         """Tell how the base is heard, and how its clock stands."""
         clock = self._senses.camera_clock
@@ -224,7 +221,7 @@ class Ros2Body:
             "lacks": self._lacks(),
             "camera_age_s": None if frame is None else round(self._clock() - frame.captured_s, 3),
             "camera_delay_s": round(clock.delay_s, 3),
-            "camera_clock_offset_s": None if clock.offset_s is None else round(clock.offset_s, 3),
+            "robot_clock_ahead_s": None if clock.offset_s is None else self._ahead_s(clock.offset_s),
             "camera_clock_set_back": clock.set_back,
             "odometry_leaps": self._senses.track.leaps,
             **{f"refused {topic}": count for topic, count in list(self._senses.refused.items())},

@@ -10,14 +10,14 @@ from dataclasses import dataclass
 from threading import Lock
 from typing import Final
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from schemas.base import ATOMS, Atom
 from schemas.imu import MAX_SAMPLES
-from services.kit.jpeg import MOST_PIXELS, decode_jpeg
+from services.kit.jpeg import decode_jpeg
 from services.kit.node import Throttle
+from services.kit.raw_image import rgb_of
 from services.robot.body import ImuReading, OdometryReading, Triple
 from services.robot.clock import now_s
 from services.ros2 import messages
@@ -90,9 +90,12 @@ class Track:
     ----------
     speed_m_s, turn_rate_rad_s
         What the base does at most; twice of it is believed.
+    silence_s
+        After so much silence the count may have begun anew: it has where it is nearer to nothing than to what it was.
     """
 
-    def __init__(self, speed_m_s: float, turn_rate_rad_s: float) -> None:
+    def __init__(self, speed_m_s: float, turn_rate_rad_s: float, silence_s: float) -> None:
+        self._silence_s = silence_s
         self._speed_m_s = speed_m_s
         self._turn_rate_rad_s = turn_rate_rad_s
         self._raw: tuple[float, float, float] | None = None
@@ -111,7 +114,10 @@ class Track:
         dx, dy = x_m - raw[0], y_m - raw[1]
         passed_s = max(0.0, read_s - now.read_s)
         far = math.hypot(dx, dy) > _LEAP_M + 2 * self._speed_m_s * passed_s
-        if far or abs(turned) > _LEAP_RAD + 2 * self._turn_rate_rad_s * passed_s:
+        far |= abs(turned) > _LEAP_RAD + 2 * self._turn_rate_rad_s * passed_s
+        if passed_s > self._silence_s:
+            far |= _size(x_m, y_m, math.remainder(heading_rad, math.tau)) < _size(dx, dy, turned)
+        if far:
             self.leaps += 1
             dx = dy = turned = 0.0
         # What was gone is seen from where the base stood, and laid on to where we say that it stood.
@@ -126,6 +132,10 @@ class Track:
             now.turned_rad + turned,
         )
         return self._now
+
+
+def _size(x_m: float, y_m: float, angle_rad: float) -> float:
+    return math.hypot(x_m / _LEAP_M, y_m / _LEAP_M, angle_rad / _LEAP_RAD)
 
 
 class Senses:
@@ -151,7 +161,8 @@ class Senses:
         self._frame: Frame | None = None
         self._wheels: deque[Wheels] = deque(maxlen=_KEPT)
         self._imu: deque[ImuReading] = deque(maxlen=MAX_SAMPLES)
-        self.track = Track(config.speed_m_s, config.turn_rate_rad_s)
+        silence_s = 0.0 if config.odometry is None else config.odometry.silence_s
+        self.track = Track(config.speed_m_s, config.turn_rate_rad_s, silence_s)
         self._focal: tuple[float, int] | None = None
         self._forbidden: dict[str, tuple[tuple[str, frozenset[Atom]], ...]] = {}
         self._touched = False
@@ -373,36 +384,9 @@ def pixels(message: RosMessage) -> NDArray[np.uint8]:
     MessageError
         There is none that we understand.
     """
-    if hasattr(message, "format"):
-        try:
+    try:
+        if hasattr(message, "format"):
             return decode_jpeg(message.data.tobytes())
-        except ValueError as error:
-            raise MessageError(str(error)) from None
-    return _raw_pixels(message)
-
-
-# Bytes of a pixel, and how it becomes RGB, by the encoding's name.
-_ENCODINGS: Final[dict[str, tuple[int, int | None]]] = {
-    "rgb8": (3, None),
-    "bgr8": (3, cv2.COLOR_BGR2RGB),
-    "mono8": (1, cv2.COLOR_GRAY2RGB),
-    "yuv422": (2, cv2.COLOR_YUV2RGB_UYVY),
-    "uyvy": (2, cv2.COLOR_YUV2RGB_UYVY),
-    "yuv422_yuy2": (2, cv2.COLOR_YUV2RGB_YUY2),
-    "yuyv": (2, cv2.COLOR_YUV2RGB_YUY2),
-}
-
-
-def _raw_pixels(message: RosMessage) -> NDArray[np.uint8]:
-    if message.encoding not in _ENCODINGS:
-        raise MessageError(f"encoding {message.encoding[:30]!r}: known are {', '.join(_ENCODINGS)}")
-    channels, conversion = _ENCODINGS[message.encoding]
-    height, width, step = int(message.height), int(message.width), int(message.step)
-    if not (0 < height * width <= MOST_PIXELS and step >= width * channels and message.data.size == step * height):
-        raise MessageError(f"{width}x{height} pixels in {message.data.size} bytes, {step} a row: that cannot be")
-    if channels == 2 and width % 2:
-        raise MessageError(f"{width} columns: pixels of {message.encoding} come in pairs")
-    rows = message.data.reshape(height, step)[:, : width * channels].reshape(height, width, channels)
-    if conversion is None:
-        return np.ascontiguousarray(rows, dtype=np.uint8)
-    return np.asarray(cv2.cvtColor(np.ascontiguousarray(rows), conversion), dtype=np.uint8)
+        return rgb_of(message.encoding, message.width, message.height, message.step, message.data)
+    except ValueError as error:
+        raise MessageError(str(error)) from None

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from services.kit.bus import Router
+from services.kit.bus import Router, host_and_port
 from services.kit.credentials import how_secure
 from services.kit.node import Node, configure_logging, read_settings, run_service
 from services.router.config import RouterSettings
@@ -17,7 +17,8 @@ def serve() -> None:
     try:
         with Node("router", settings) as node:
             node.stop_on_signals()
-            node.log.info("listening on %s, %s", settings.router, how_secure(credentials))
+            who = how_secure(credentials, host_and_port(settings.router)[0])
+            node.log.info("listening on %s, %s", settings.router, who)
             node.spin()
     finally:
         router.close()

@@ -8,7 +8,7 @@ from pydantic import Field
 
 from schemas.episode import GoalName
 from services.kit.settings import ServiceSettings
-from services.teleop.keys import FIRST_HOLD_S, REPEAT_HOLD_S
+from services.operator.hold import FIRST_HOLD_S, REPEAT_HOLD_S
 
 
 class TeleopSettings(ServiceSettings):

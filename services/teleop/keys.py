@@ -1,21 +1,14 @@
-"""From the bytes of a terminal to the key that is held.
+"""From the bytes of a terminal to keys.
 
-Few terminals tell releases (those that speak the kitty keyboard protocol, https://sw.kovidgoyal.net/kitty). In the
-others a key that is held repeats; so a key counts as released when its next repeat is overdue.
+Few terminals tell releases: those that speak the kitty keyboard protocol, https://sw.kovidgoyal.net/kitty.
 """
 
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from typing import Final, Literal, NamedTuple
 
-from schemas.base import Atom
-
-#: Keyboards begin to repeat 0.25 to 0.6 s after the press.
-FIRST_HOLD_S: Final = 0.6
-#: Then they repeat every 0.03 to 0.1 s.
-REPEAT_HOLD_S: Final = 0.15
 #: What has a terminal tell releases (kitty's flags 1, 2 and 8: unambiguous, event types, all keys) and the loss of its
 #: focus; what takes that back; what asks whether it does, and the answer.
 TELL_RELEASES: Final = "\x1b[>11u\x1b[?1004h"
@@ -120,43 +113,3 @@ def _letter(code: int, modifiers: int, released: bool) -> KeyEvent | None:
         # Such a terminal sends Ctrl-C as a key.
         key = "quit" if modifiers & _CTRL and code in (ord("c"), ord("C")) else None
     return None if key is None else KeyEvent(key, released)
-
-
-class KeyHold:
-    """Which movement is being asked for.
-
-    Parameters
-    ----------
-    clock
-        Monotonic seconds.
-    first_s
-        How long the first press counts as held.
-    repeat_s
-        How long every repeat of the same key counts as held.
-    """
-
-    def __init__(
-        self, clock: Callable[[], float], first_s: float = FIRST_HOLD_S, repeat_s: float = REPEAT_HOLD_S
-    ) -> None:
-        self._clock = clock
-        self._first_s = first_s
-        self._repeat_s = repeat_s
-        self._atom: Atom | None = None
-        self._until_s = 0.0
-
-    def press(self, atom: Atom) -> None:
-        """Take a press, or a repeat if this key is held already; another key takes its place."""
-        repeats = self.held() == atom
-        self._until_s = self._clock() + (self._repeat_s if repeats else self._first_s)
-        self._atom = atom
-
-    def release(self, atom: Atom | None = None) -> None:
-        """Let go of a key, if that is the one that is held; of every key without one."""
-        if atom in (None, self._atom):
-            self._atom = None
-
-    def held(self) -> Atom | None:
-        """Return the movement whose key is held now."""
-        if self._atom is not None and self._clock() >= self._until_s:
-            self._atom = None
-        return self._atom

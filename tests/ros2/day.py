@@ -22,6 +22,7 @@ def main() -> None:
     parser.add_argument("--size", default="160x120")
     parser.add_argument("--rate", default="15")
     parser.add_argument("--runs", type=int, default=10)
+    parser.add_argument("--until-found", action="store_true", help="one search that finds it is enough")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--model", type=Path, help="of another drive, in place of one of this day")
     parser.add_argument("--folder", type=Path, required=True)
@@ -43,9 +44,13 @@ def main() -> None:
             record = person.run(options.seed + k, max_ticks=3000)
             outcomes[record.outcome] += 1
             detail = person.client.node.bus.call("robot", "status", Nothing(), Status).detail
-            told = {name: value for name, value in detail.items() if "camera" in name or "refused" in name}
+            told = {
+                name: value for name, value in detail.items() if name.startswith(("camera", "refused", "robot_clock"))
+            }
             print(k, record.outcome, record.ticks, "frames", json.dumps(told), flush=True)
-    print(f"{options.world}, {options.dialect}: found {outcomes['found']} of {options.runs}", dict(outcomes))
+            if options.until_found and record.outcome == "found":
+                break
+    print(f"{options.world}, {options.dialect}: found {outcomes['found']} of {outcomes.total()}", dict(outcomes))
 
 
 if __name__ == "__main__":

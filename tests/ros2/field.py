@@ -23,6 +23,7 @@ from schemas.observation import Observation
 from schemas.pose import Pose as PoseMessage
 from schemas.rpc import ArmRequest, EndRequest, LoadReply, LoadRequest, Nothing, ResetReply, ResetRequest, Status
 from services.cli.episodes.client import EpisodeClient, EpisodeRecord
+from services.cli.episodes.names import name_for
 from services.cli.episodes.recording import recording
 from services.cli.stack.processes import Stack, StackPlan, flags, free_endpoint
 from services.expert.service import ExpertService
@@ -168,7 +169,9 @@ def stack_with(place: Field, *, link: str | None = None) -> Iterator[Stack]:
         services,
         "fake",
         free_endpoint(),
-        {"robot": flags(ros2_config=config)},
+        # What another day has learned lies beside this one.
+        {"robot": flags(ros2_config=config), "console": flags(console="127.0.0.1:0")}
+        | {name: flags(root=place.robot.folder.parent.resolve()) for name in ("recorder", "recognition", "policy")},
         logs=place.robot.folder / "logs",
         modules={"robot": "services.ros2"},
     )
@@ -223,15 +226,15 @@ class Person:
             self.expert.begin(reply.model_copy(update={"route": way, "found_m": self.place.world.scale.found_m}))
 
         request = ResetRequest(seed=seed, purpose="drive", driver="expert", mode="realtime", max_ticks=20000)
-        with recording(self.client.node.bus, folder):
+        with recording(self.client.node.bus, folder, "--folder"):
             return self.client.run(request, on_begin=begin, done=self._say(lambda: self.expert.arrived))
 
     def load(self, model: Path) -> None:
         """Have recognition and policy work with a model."""
+        bus = self.client.node.bus
         for service in ("recognition", "policy"):
-            self.client.node.bus.call(
-                service, "load", LoadRequest(path=str(model.resolve())), LoadReply, timeout_s=60.0
-            )
+            request = LoadRequest(model=name_for(bus, service, model, "--model"))
+            bus.call(service, "load", request, LoadReply, timeout_s=60.0)
 
     def run(self, seed: int, max_ticks: int) -> EpisodeRecord:
         """Let it search by itself."""

@@ -28,6 +28,7 @@ from schemas.odometry import Odometry
 from schemas.overhead_image import Calibration, OverheadImage
 from schemas.pose import Pose
 from schemas.state import MAX_PLACES, Place, State
+from schemas.taught_map import TaughtMap
 from schemas.topics import TOPICS
 from schemas.tracked_pose import TrackedPose
 
@@ -62,6 +63,12 @@ EXAMPLES: dict[type[Message], Message] = {
         fingerprint="0123456789abcdef",
         modalities=("color", "hog"),
         features=Float32Array.from_numpy(np.array([0.5, -0.25, 1.0], np.float32)),
+    ),
+    TaughtMap: TaughtMap(
+        **HEADER,
+        model="0123456789abcdef",
+        keyframes=Float32Array.from_numpy(np.array([[0.0, 0.0, 0.0], [1.5, -0.25, 0.5], [0, 0, 3]], np.float32)),
+        begins=(0, 2),
     ),
     State: State(
         **HEADER,
@@ -254,6 +261,20 @@ _fields: dict[type[Message], st.SearchStrategy[dict[str, object]]] = {
             "modalities": st.lists(st.from_regex(r"[a-z][a-z0-9_]{0,31}", fullmatch=True), max_size=16).map(tuple),
             "features": _arrays,
         }
+    ),
+    TaughtMap: st.integers(1, 9).flatmap(
+        lambda count: st.fixed_dictionaries(
+            {
+                **_header,
+                "model": _checksums,
+                "keyframes": st.lists(st.floats(-1e6, 1e6, width=32), min_size=3 * count, max_size=3 * count).map(
+                    lambda values: Float32Array.from_numpy(np.array(values, np.float32).reshape(-1, 3))
+                ),
+                "begins": st.sets(st.integers(1, count - 1) if count > 1 else st.nothing()).map(
+                    lambda more: (0, *sorted(more))
+                ),
+            }
+        )
     ),
     State: st.builds(lambda a, b: a | b, _state, _status),
     Action: st.fixed_dictionaries(

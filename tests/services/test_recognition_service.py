@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from schemas.array import Float32Array
 from schemas.state import State
+from schemas.taught_map import TaughtMap
 from services.kit.model_service import LoadedModel
 from services.kit.node import ServiceError
 from services.recognition.service import RecognitionService
@@ -55,6 +57,21 @@ def test_a_state_is_a_belief_over_places(service: RecognitionService, model: Pat
     assert state.lost < 0.1
     assert state.cosine > 0.5
     assert state.tracked_m == pytest.approx(1.4, abs=1e-6)
+
+
+def test_where_the_keyframes_are_is_told_once_an_episode(service: RecognitionService, model: Path) -> None:
+    told: list[TaughtMap] = []
+    service.announce = told.append
+    for episode in ("one", "two"):
+        for tick in range(3):
+            state = at(service, tick, episode=episode)
+    assert [(message.episode, message.tick, message.model) for message in told] == [
+        ("one", 0, identity(model)), ("two", 0, identity(model)),
+    ]  # fmt: skip
+    assert told[0].begins == (0,)
+    keyframes = told[0].keyframes.to_numpy()
+    np.testing.assert_allclose(keyframes, corridor.model().mapped.key_poses, atol=1e-5)
+    assert state.places[0].keyframe < len(keyframes)
 
 
 def test_a_view_of_nowhere_is_unknown(service: RecognitionService) -> None:

@@ -40,8 +40,10 @@ def toy(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Service:
 
 @pytest.mark.parametrize("topic", TOPICS.values(), ids=lambda topic: topic.name)
 def test_every_topic_has_somebody_who_publishes_it(topic: Topic) -> None:
-    assert len(givers(topic)) == 1
-    assert givers(topic)[0] not in takers(topic)
+    senders = givers(topic)
+    # A person drives at one of two places.
+    assert len(senders) == 1 or senders == ("console", "teleop")
+    assert not set(senders) & set(takers(topic))
 
 
 def test_the_router_comes_first_and_a_recorder_takes_what_is_recorded() -> None:

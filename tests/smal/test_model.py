@@ -100,6 +100,26 @@ def test_other_files_are_refused(content: bytes, tmp_path: Path) -> None:
         Model.load(tmp_path / "other")
 
 
+def test_what_a_file_says_of_itself_is_read_without_the_rest(model: Model, saved: Path) -> None:
+    content, path = saved.read_bytes(), saved.with_name("part.smal")
+    end = 20 + struct.unpack_from("<Q", content, 12)[0]
+    for size in range(0, end, end // 50):
+        path.write_bytes(content[:size])
+        with path.open("rb") as file, pytest.raises(ModelError, match=r"\Apart: .*\Z"):
+            container.read_meta(file, "part", FORMAT_VERSION)
+    for size in (end, len(content)):
+        path.write_bytes(content[:size])
+        with path.open("rb") as file:
+            assert container.read_meta(file, "part", FORMAT_VERSION)["states"] == model.states
+    for meta in (b"[]", b"{}", b'{"meta": []}', b"[" * 100_000, b"\xff"):
+        path.write_bytes(struct.pack("<8sIQ", container.MAGIC, FORMAT_VERSION, len(meta)) + meta)
+        with path.open("rb") as file, pytest.raises(ModelError, match="part: the header does not describe a model"):
+            container.read_meta(file, "part", FORMAT_VERSION)
+    path.write_bytes(struct.pack("<8sIQ", container.MAGIC, FORMAT_VERSION, 2**40))
+    with path.open("rb") as file, pytest.raises(ModelError, match="at most"):
+        container.read_meta(file, "part", FORMAT_VERSION)
+
+
 def test_other_version_and_missing_file(saved: Path) -> None:
     content = bytearray(saved.read_bytes())
     content[8:12] = struct.pack("<I", FORMAT_VERSION + 1)

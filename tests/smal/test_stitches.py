@@ -12,7 +12,7 @@ from smal.features import Centering
 from smal.filter import Filter
 from smal.movement import placed, seen_from
 from smal.planning import Planner
-from smal.stitches import stitched
+from smal.stitches import in_common_axes, stitched
 from smal.visual_map import VisualMap
 from tests.smal.synthetic_world import (
     SCENE,
@@ -57,6 +57,18 @@ def test_drives_are_joined_where_they_share_the_way_and_both_ways() -> None:
 def test_drives_in_different_rooms_are_not_joined() -> None:
     there = drive((5.5, 8.0, math.pi), ((2.0, 40.0), (1.0, 0.0)))
     assert stitched(taught(Room(), LEFT, there, scene=SCENE)[0]).stitched.shape == (0, 2)
+
+
+def test_drives_that_are_joined_are_drawn_in_the_axes_of_the_first() -> None:
+    found, _ = two()
+    poses = found.poses.copy()
+    second = found.drives == 1
+    # As if it had begun its odometry elsewhere, turned.
+    poses[second] = placed(seen_from(poses[second], np.array([1.0, -3.0, 2.0])), np.zeros(3))
+    apart = in_common_axes(replace(found, poses=poses)) - found.key_poses
+    assert np.hypot(*apart[:, :2].T).max() < 0.3
+    alone = replace(found, poses=poses, stitched=np.empty((0, 2), np.int32), stitch_offsets=np.empty((0, 3)))
+    np.testing.assert_array_equal(in_common_axes(alone), alone.key_poses)
 
 
 def test_what_is_to_be_followed_does_not_jump_from_one_keyframe_to_the_next() -> None:

@@ -52,15 +52,15 @@ def test_robot_finds_the_victim_by_itself_and_the_same_seed_gives_the_same_outco
     assert page.count("<img") >= 3
     # "http" alone is among the letters of a picture now and then.
     assert "://" not in page.split("</style>")[1]
-    second = run_json(smal, taught, tmp_path / "second.json")
-    assert second["episodes"] == first["episodes"]
+    second = run_json(smal, taught, tmp_path / "second.json", episodes=2)
+    assert second["episodes"] == first["episodes"][:2]  # type: ignore[index]
 
 
 def test_robot_finds_the_victim_in_real_time(smal: Callable[..., object], taught: Path, tmp_path: Path) -> None:
-    """At least once in four searches; the last two are for a machine that is too busy for the first."""
+    """At least once in four searches; the later ones are for a machine that is too busy for the first."""
     outcomes: list[str] = []
-    for seed in (1, 3):
-        result = run_json(smal, taught, tmp_path / f"{seed}.json", "--realtime", episodes=2, seed=seed)
+    for seed in (1, 2, 3, 4):
+        result = run_json(smal, taught, tmp_path / f"{seed}.json", "--realtime", episodes=1, seed=seed)
         outcomes += [episode["outcome"] for episode in result["episodes"]]  # type: ignore[attr-defined]
         if "found" in outcomes:
             return

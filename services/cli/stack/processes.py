@@ -174,9 +174,9 @@ class Stack:
             self.check()
             try:
                 return self.settings.open_bus("watcher", patience_s=0.0)
-            except BusError:
+            except BusError as error:
                 if time.monotonic() > deadline_s:
-                    raise JobError(f"not ready after {READY_TIMEOUT_S:.0f} s: router") from None
+                    raise JobError(f"not ready after {READY_TIMEOUT_S:.0f} s: router: {error}") from None
 
     def _wait_ready(self, bus: Bus, deadline_s: float) -> None:
         waiting = set(self.plan.services)

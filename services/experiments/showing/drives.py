@@ -9,7 +9,8 @@ from pathlib import Path
 import numpy as np
 
 from schemas.codec import printable
-from services.recordings.dataset import Teacher, episode_of
+from services.recordings.dataset import Teacher
+from services.recordings.taught import episode_of
 from smal.learning import Demonstration
 from smal.model import Model
 from smal.sequences import first_frame

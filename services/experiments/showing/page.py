@@ -19,8 +19,9 @@ from services.experiments.showing.belief import Believed, believed
 from services.experiments.showing.drives import TaughtDrives, first_seen
 from services.experiments.showing.states import StateGraph, action_of, state_graph
 from services.experiments.showing.summary import facts, goals_of
-from services.experiments.showing.ways import Ways, drives_of_map
+from services.experiments.showing.ways import Ways
 from services.kit.jpeg import encode_jpeg, shrunk
+from services.recordings.taught import drives_of_map, episode_of
 from smal.learning import Demonstration
 from smal.model import Model
 from smal.planning import cost_to_go
@@ -161,7 +162,7 @@ class _Page:
     def _drive(self, drive: int) -> str:
         """Name a drive of the map."""
         parts = self._parts[drive]
-        return self._names[parts[0]].partition("[")[0] if parts else f"drive {drive + 1}"
+        return episode_of(self._names[parts[0]]) if parts else f"drive {drive + 1}"
 
     def _costs(self, ways: Ways) -> Iterator[str]:
         names = [self._drive(drive) for drive in range(len(ways.map.goals))]

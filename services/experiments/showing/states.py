@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from itertools import pairwise
 
-from services.recordings.dataset import episode_of
+from services.recordings.taught import episode_of
 from smal.action_space import Atom
 from smal.model import Model
 

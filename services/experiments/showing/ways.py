@@ -10,8 +10,6 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
-from services.recordings.dataset import episode_of
-from smal.model import Model
 from smal.movement import placed, wrapped
 from smal.visual_map import VisualMap
 
@@ -169,33 +167,6 @@ class Ways:
         if drive not in self._nearest:
             self._nearest[drive] = KDTree(self.key_poses[self.of == drive, :2])
         return np.asarray(self._nearest[drive].query(self.key_poses[keyframes, :2])[0])
-
-
-def drives_of_map(model: Model) -> list[tuple[int, ...]]:
-    """Return which demonstrations of a model each drive of its map is made of, in order.
-
-    A model does not say so. Those that reached the goal and had images are in its map, each with its parts, or with the
-    last one alone where odometry was lost between them (`smal.learning`).
-    """
-    episodes: dict[str, list[int]] = {}
-    for number, name in enumerate(model.names):
-        episodes.setdefault(episode_of(name), []).append(number)
-    whole = iter([parts for parts in episodes.values() if model.successful[parts[-1]]])
-    found: list[tuple[int, ...]] = []
-    for drive in range(len(model.mapped.goals)):
-        frames = int((model.mapped.drives == drive).sum())
-        for parts in whole:
-            made_of = next((some for some in (parts, parts[-1:]) if _frames(model, some) == frames), None)
-            if made_of is not None:
-                found.append(tuple(made_of))
-                break
-        else:
-            found.append(())
-    return found
-
-
-def _frames(model: Model, parts: Sequence[int]) -> int:
-    return sum(len(model.atoms[part]) for part in parts)
 
 
 def schematic(streams: Sequence[Sequence[tuple[Hashable, float]]]) -> dict[Hashable, tuple[float, float]]:

@@ -99,19 +99,24 @@ def _controls() -> list[Cell]:
     ]
 
 
+def _harmed() -> list[str]:
+    """Return whom single faults harm; the console has tests of its own, and no run needs it."""
+    return [service for service in stack_services() if service != "console"]
+
+
 def _kills() -> list[Cell]:
     # What a killed process had not handed over is gone with it: of its own messages those of one frame, and as much of
     # the recorder's.
     limits = Limits(recovery_s=_RESTARTED_S, lost_ticks=1)
     return [
         Cell(f"kill -9 {service}", partial(harm.kill, service=service), limits, watched=service)
-        for service in stack_services()
+        for service in _harmed()
         if service != "router"
     ]
 
 
 def _freezes() -> list[Cell]:
-    return [_freeze(service, seconds) for service in stack_services() for seconds in _FREEZES_S]
+    return [_freeze(service, seconds) for service in _harmed() for seconds in _FREEZES_S]
 
 
 def _freeze(service: str, seconds: float) -> Cell:

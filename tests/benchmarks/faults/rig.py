@@ -78,6 +78,7 @@ class RigPlan:
             "recognition": chain,
             "policy": chain,
             "recorder": flags(recordings=self.recordings.resolve()),
+            "console": flags(console="127.0.0.1:0"),
         }
         return {name: own.get(name, ()) + flags(router=links.get(name)) for name in stack_services()}
 

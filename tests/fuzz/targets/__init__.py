@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Final, Protocol, cast
 
 NAMES: Final = (
-    "messages", "rpc", "samples", "recording", "recovery", "image", "model", "world", "world_file", "names",
+    "messages", "rpc", "samples", "recording", "recovery", "repair", "image", "model", "world", "world_file", "names",
     "tub", "image_table", "bag", "dataset",
 )  # fmt: skip
 CRASHERS: Final = Path(__file__).resolve().parents[1] / "crashers"

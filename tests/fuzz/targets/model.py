@@ -13,7 +13,8 @@ from typing import Any
 import numpy as np
 
 from services.experiments.showing.summary import lines
-from services.experiments.showing.ways import Ways, drives_of_map
+from services.experiments.showing.ways import Ways
+from services.recordings.taught import drives_of_map
 from smal import container
 from smal.features import FeatureSettings
 from smal.filter import Filter

@@ -122,6 +122,22 @@ def test_a_router_in_memory_is_for_no_command(
     assert re.fullmatch(r"smal: .*'memory/test': .*expected tcp/<host>:<port>.*\n", said)
 
 
+@pytest.mark.parametrize(
+    ("console", "status", "said"),
+    [
+        ("0.0.0.0:0", EXIT_FAILED, "other machines reach it"),
+        ("127.0.0.1:70000", EXIT_FAILED, "no such port"),
+        ("8080", EXIT_USAGE, "console: String should match pattern"),
+    ],
+)
+def test_a_page_that_cannot_be_served_is_said_before_anything_starts(
+    smal: Smal, free_endpoint: str, console: str, status: int, said: str
+) -> None:
+    got, _, line = smal("up", "--world", "yard", "--router", free_endpoint, "--console", console)
+    assert (got, line.count("\n")) == (status, 1)
+    assert said in line
+
+
 @pytest.mark.parametrize("name", sorted(cli.COMMANDS))
 def test_every_command_of_the_list_explains_itself(name: str, smal: Smal) -> None:
     """In its help, with an example, and in one line of a terminal."""

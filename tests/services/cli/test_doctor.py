@@ -76,7 +76,7 @@ def test_zenoh() -> None:
 
 def test_a_free_port(free_endpoint: str) -> None:
     assert check_port(ServiceSettings(router=free_endpoint)) == Check(
-        "port", True, f"{free_endpoint} is free, for whoever reaches it"
+        "port", True, f"{free_endpoint} is free, for whoever is on this machine"
     )
 
 
@@ -85,7 +85,9 @@ def test_a_port_of_a_running_stack(router_endpoint: str, settings: ServiceSettin
     run_node(Node("robot", settings))
     check = check_port(ServiceSettings(router=router_endpoint))
     assert check == Check(
-        "port", True, f"{router_endpoint} is used by the running stack of rescuebot, for whoever reaches it: robot"
+        "port",
+        True,
+        f"{router_endpoint} is used by the running stack of rescuebot, for whoever reaches it: robot",
     )
 
 
@@ -93,7 +95,7 @@ def test_a_port_of_a_running_stack(router_endpoint: str, settings: ServiceSettin
 def test_a_port_of_a_router_without_services(router_endpoint: str) -> None:
     check = check_port(ServiceSettings(router=router_endpoint))
     assert not check.ok
-    assert "a Zenoh router without services of rescuebot; stop it (ss -ltnp" in check.text
+    assert "a Zenoh router without services of rescuebot; if it should not be there, stop it (ss -ltnp" in check.text
 
 
 @pytest.fixture
@@ -104,10 +106,19 @@ def stranger() -> Iterator[str]:
         yield f"tcp/127.0.0.1:{listening.getsockname()[1]}"
 
 
+def test_a_port_that_wants_a_certificate_is_not_one_to_stop(stranger: str) -> None:
+    check = check_port(ServiceSettings(router=stranger.replace("tcp/", "tls/")))
+    assert not check.ok
+    assert check.text.endswith("needs a certificate: give --secure DIR, or set SMAL_TLS_CA, _CERT and _KEY")
+
+
 def test_a_port_of_something_else(stranger: str) -> None:
     check = check_port(ServiceSettings(router=stranger))
     assert not check.ok
-    assert "is no router, or takes nobody in without a certificate or a password; stop it" in check.text
+    assert (
+        "is no router, or takes nobody in without a certificate or a password; if it should not be there, stop it"
+        in check.text
+    )
     assert "SMAL_ROUTER" in check.text
 
 

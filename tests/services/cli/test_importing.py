@@ -70,7 +70,7 @@ def test_missing_packages_are_named_in_one_line(smal, monkeypatch: pytest.Monkey
     monkeypatch.setitem(sys.modules, "pyarrow", None)
     monkeypatch.setattr(importing, "missing_packages", lambda _form: ["pyarrow", "av"])
     status, _, errors = smal("import", "lerobot", "x")
-    assert (status, errors) == (2, "smal: lerobot needs pyarrow and av: pip install 'smal[importers]'\n")
+    assert (status, errors) == (2, "smal: lerobot needs pyarrow and av: pip install 'smal[formats]'\n")
 
 
 def test_a_failed_import_leaves_nothing_behind(smal, tmp_path: Path) -> None:  # noqa: ANN001
@@ -95,7 +95,7 @@ def test_a_decoder_that_breaks_down_is_one_line(
 
 
 def test_a_table_that_unpacks_to_all_memory_is_one_line(smal, tmp_path: Path) -> None:  # noqa: ANN001
-    pa = pytest.importorskip("pyarrow", reason="needs the extra importers")
+    pa = pytest.importorskip("pyarrow", reason="needs the extra formats")
     import pyarrow.parquet as pq  # noqa: PLC0415
 
     dataset = sources.lerobot(tmp_path / "set", episodes=1)

@@ -235,6 +235,17 @@ def test_every_mistake_is_one_line(drives: Path, tmp_path: Path) -> None:
     assert not out.exists()
 
 
+def test_progress_is_told_to_programs_as_lines_of_json(
+    drives: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    learn([drives], tmp_path / "model.smal", progress=True)
+    lines = [json.loads(line) for line in capsys.readouterr().out.splitlines() if line.startswith("{")]
+    read = [line["done"] for line in lines if line["stage"] == "reading"]
+    assert read == list(range(len(list(drives.glob("*.mcap"))) + 1))
+    assert len({line["stage"] for line in lines}) > 1
+    assert all(0 <= line["done"] <= line["total"] for line in lines)
+
+
 def test_the_papers_test_is_chosen_by_its_threshold(drives: Path, tmp_path: Path) -> None:
     learn([drives], tmp_path / "model.smal", tau=0.4)
     model = Model.load(tmp_path / "model.smal")

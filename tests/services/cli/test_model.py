@@ -20,9 +20,10 @@ from services.experiments.showing.belief import Believed
 from services.experiments.showing.drives import find_drives
 from services.experiments.showing.figures import draw_ways
 from services.experiments.showing.page import write_page
-from services.experiments.showing.ways import Ways, drives_of_map, schematic
+from services.experiments.showing.ways import Ways, schematic
 from services.kit.jpeg import encode_jpeg
 from services.recordings.dataset import Teacher, find_recordings
+from services.recordings.taught import drives_of_map
 from smal.action_space import Atom
 from smal.learning import LearningSettings, learn
 from smal.model import Model

@@ -18,8 +18,10 @@ from services.cli import certificates
 from services.cli.stack.processes import Stack, StackPlan
 from services.kit.bus import BusError, Router
 from services.kit.credentials import credentials_in
-from services.kit.node import Node
+from services.kit.errors import UsageError
+from services.kit.node import Node, read_settings
 from services.kit.settings import ServiceSettings
+from services.router.config import RouterSettings
 from services.table import roles
 from tests.schemas.messages import EXAMPLES
 from tests.services.cli.conftest import Smal
@@ -99,6 +101,153 @@ def test_check_names_what_is_wrong(keys: Path, smal: Smal, tmp_path: Path) -> No
         assert said[role].startswith("problem"), said[role]
         assert words in said[role]
     assert said["operator"].startswith("ok")
+
+
+def test_check_names_secrets_that_others_can_read(tmp_path: Path, smal: Smal) -> None:
+    keys = make_keys(tmp_path / "keys")
+    secrets = ("ca.key", "passwords", "operator.password")
+    for name in secrets:
+        (keys / name).chmod(0o640)
+    status, out, _err = smal("secure", "check", str(keys))
+    assert status == 1
+    said = [line for line in out.splitlines() if line.startswith("problem")]
+    assert [line.split()[1] for line in said] == list(secrets)
+    assert all("can be read by others; run: chmod 600" in line for line in said)
+
+
+def test_a_key_or_certificate_of_another_make_is_one_line(keys: Path, smal: Smal) -> None:
+    """An encrypted key, and a certificate that does not say what it is for, as other programs make them."""
+    pem, pkcs8 = certificates.serialization.Encoding.PEM, certificates.serialization.PrivateFormat.PKCS8
+    authority = certificates.read_authority(keys)
+    key = ec.generate_private_key(ec.SECP256R1())
+    locked = key.private_bytes(pem, pkcs8, certificates.serialization.BestAvailableEncryption(b"password"))
+    (keys / "robot.key").write_bytes(locked)
+    name = certificates.x509.Name([certificates.x509.NameAttribute(certificates.NameOID.COMMON_NAME, "policy")])
+    bare = (
+        certificates.x509.CertificateBuilder(authority.certificate.subject, name, key.public_key(), 1)
+        .not_valid_before(datetime.now(UTC))
+        .not_valid_after(datetime.now(UTC) + timedelta(days=1))
+        .sign(authority.key, certificates.hashes.SHA256())
+    )
+    (keys / "policy.pem").write_bytes(bare.public_bytes(pem))
+    (keys / "policy.key").write_bytes(certificates._pem_of(key))
+    status, out, _err = smal("secure", "check", str(keys))
+    assert status == 1
+    said = {line.split()[1]: line for line in out.splitlines() if line.startswith("problem")}
+    assert set(said) == {"robot.pem", "policy.pem"}
+    assert "it is encrypted" in said["robot.pem"]
+    assert "does not say what it may be used for" in said["policy.pem"]
+    (keys / "ca.key").write_bytes(locked)
+    for verb in ("renew", "rotate", "retire"):
+        status, _out, err = smal("secure", verb, str(keys))
+        assert (status, err) == (2, f"smal: {keys}/ca.key: it is encrypted; decrypt it for this command\n")
+
+
+@pytest.mark.parametrize("host", ["", "b\u00fccher.example", "*", "a b", "a\nb", "-a", "a..b", "a" * 64])
+def test_a_host_that_is_none_is_one_line_and_makes_nothing(tmp_path: Path, smal: Smal, host: str) -> None:
+    status, _out, err = smal("secure", "init", str(tmp_path / "keys"), "--host", host)
+    assert status == 2
+    assert err.startswith("smal: --host ")
+    assert err.count("\n") == 1
+    assert not (tmp_path / "keys").exists()
+
+
+def test_renewed_the_router_is_still_known_by_all_its_hosts(tmp_path: Path, smal: Smal) -> None:
+    """Nobody names them again: other machines would be locked out."""
+    keys = tmp_path / "keys"
+    hosts = ("--host", "robot.example", "--host", "192.0.2.7")
+    assert smal("secure", "init", str(keys), *hosts)[0] == 0
+    before = _hosts_of(keys)
+    assert {"robot.example", "192.0.2.7", "localhost"} < before
+    for verb in ("renew", "rotate", "renew", "retire"):
+        assert smal("secure", verb, str(keys))[0] == 0
+    assert _hosts_of(keys) == before
+    assert smal("secure", "renew", str(keys), "--host", "new.example")[0] == 0
+    assert _hosts_of(keys) == before | {"new.example"}
+
+
+def _hosts_of(keys: Path) -> set[str]:
+    certificate = certificates.x509.load_pem_x509_certificate((keys / "router.pem").read_bytes())
+    names = certificate.extensions.get_extension_for_class(certificates.x509.SubjectAlternativeName).value
+    return {str(name.value) for name in names}
+
+
+@pytest.mark.parametrize("written", [0, 1])
+def test_a_rotation_that_was_interrupted_is_gone_on_with(
+    keys: Path, smal: Smal, monkeypatch: pytest.MonkeyPatch, written: int
+) -> None:
+    """After each file that it writes: what signs is there, and what it has signed is taken."""
+    write, names = certificates._write, []
+
+    def interrupted(path: Path, content: bytes, mode: int = 0o600) -> None:
+        if len(names) == written:
+            raise OSError("no space left")
+        names.append(path.name)
+        write(path, content, mode)
+
+    monkeypatch.setattr(certificates, "_write", interrupted)
+    assert smal("secure", "rotate", str(keys))[0] != 0
+    monkeypatch.undo()
+    assert len(names) == written
+    assert "problem" not in smal("secure", "check", str(keys))[1]
+    for verb in ("renew", "rotate", "renew", "retire"):
+        assert smal("secure", verb, str(keys))[0] == 0, verb
+        assert "problem" not in smal("secure", "check", str(keys))[1]
+    assert smal("secure", "check", str(keys))[1].count("ca.pem") == 1
+
+
+def test_what_has_expired_is_replaced_by_its_own_command(tmp_path: Path, smal: Smal) -> None:
+    keys = tmp_path / "keys"
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(certificates, "CA_DAYS", -1 / 1440)
+        assert smal("secure", "init", str(keys))[0] == 0
+    (said,) = [line for line in smal("secure", "check", str(keys))[1].splitlines() if " ca.pem" in line]
+    assert said.endswith("run: smal secure rotate")
+
+
+def test_names_that_cannot_be_read_are_not_forgotten_silently(keys: Path, smal: Smal) -> None:
+    (keys / "router.pem").write_text("nothing")
+    status, _out, err = smal("secure", "renew", str(keys))
+    assert status == 2
+    assert "router.pem: no certificate to take names from" in err
+    assert err.count("\n") == 1
+
+
+def test_the_folder_is_not_committed(keys: Path) -> None:
+    assert (keys / ".gitignore").read_text() == "*\n"
+
+
+def test_nothing_is_forgotten_where_there_is_one_authority(keys: Path, smal: Smal) -> None:
+    assert smal("secure", "retire", str(keys))[1] == f"{keys} has one authority; nothing to forget\n"
+
+
+def test_up_names_a_certificate_of_no_use_before_anything_starts(keys: Path, tls_endpoint: str, smal: Smal) -> None:
+    _replace(keys, "operator", days=-1 / 1440)  # Not shown by a stack.
+    _replace(keys, "policy", days=-1 / 1440)
+    status, out, err = smal("up", "--world", "yard", "--secure", str(keys), "--router", tls_endpoint)
+    assert (status, out) == (2, "")
+    assert err.startswith(f"smal: {keys / 'policy.pem'}: it expired on ")
+    assert err.count("\n") == 1
+    (keys / "watcher.pem").unlink()
+    _status, _out, err = smal("up", "--world", "yard", "--secure", str(keys), "--router", tls_endpoint)
+    assert err.startswith(f"smal: no certificate {keys / 'watcher.pem'}; ")
+
+
+def test_up_tells_the_router_that_it_may_let_everybody_in(
+    free_endpoint: str, smal: Smal, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    plans: list[StackPlan] = []
+
+    def take(plan: StackPlan) -> None:
+        plans.append(plan)
+        raise UsageError("enough")
+
+    monkeypatch.setattr("services.cli.up.Stack", take)
+    everywhere = free_endpoint.replace("127.0.0.1", "0.0.0.0")  # noqa: S104 - what is tried
+    assert "give --secure DIR" in smal("up", "--world", "yard", "--router", everywhere)[2]
+    assert smal("up", "--world", "yard", "--router", everywhere, "--insecure")[2] == "smal: enough\n"
+    monkeypatch.setattr("sys.argv", ["router", *plans[0].flags["router"]])
+    assert read_settings(RouterSettings, "router").insecure
 
 
 def test_check_says_when_the_end_is_near(keys: Path, smal: Smal) -> None:

@@ -23,7 +23,7 @@ from smal.robot import Localizer
 from tests import corridor
 from tests.services.importers import sources
 
-pytest.importorskip("rosbags", reason="needs the extra importers")
+pytest.importorskip("rosbags", reason="needs the extra formats")
 
 #: The legs of the drive in ticks.
 LEGS = ["forward"] * 15 + ["left"] * 4 + ["right"] * 4 + ["forward"] * 10

@@ -20,7 +20,7 @@ from tests.fuzz.targets import check_line
 from tests.services.importers import sources
 from tests.services.importers.test_formats import episode_of, imported
 
-pa = pytest.importorskip("pyarrow", reason="needs the extra importers")
+pa = pytest.importorskip("pyarrow", reason="needs the extra formats")
 #: The end of a zip file, and nothing before it.
 NOTHING_ZIPPED = b"PK\x05\x06" + bytes(18)
 KEY = "observation.images.front"

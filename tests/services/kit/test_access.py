@@ -8,21 +8,23 @@ from __future__ import annotations
 
 import json
 import shutil
+import socket
 import threading
-from collections.abc import Iterator
-from contextlib import closing
+import time
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, closing
 from pathlib import Path
 from typing import Final
 
 import pytest
 import zenoh
 
-from schemas.topics import TOPICS, rpc_key
+from schemas.topics import COMMANDS, TOPICS, rpc_key
 from services.cli import certificates
-from services.kit.bus import Bus, BusError, Router
-from services.kit.credentials import Credentials, Password, credentials_in
-from services.kit.zenoh_wire import router_settings
-from services.table import Role, roles
+from services.kit.bus import Bus, BusError, Router, host_and_port
+from services.kit.credentials import Credentials, Password, credentials_in, why_refused
+from services.kit.zenoh_wire import LEASE_MS, MAX_SESSIONS, router_settings
+from services.table import Role, roles, stack_services
 from tests.services.secured import ROBOT, certificate_in, make_keys, open_session, secured_router
 from tests.services.waiting import eventually
 
@@ -39,6 +41,8 @@ FOREIGN: Final = (
 WILD: Final = ("**", f"smal/{ROBOT}/**", f"smal/{ROBOT}/command/*", f"smal/{ROBOT}/rpc/**", "smal/*/heartbeat")
 KEYS: Final = (*TOPIC_KEYS, *SERVED, *KEPT, *FOREIGN, *WILD)
 Cell = tuple[str, str]
+#: Of who waits for a busy machine.
+PATIENT: Final[dict[str, object]] = {"connect/timeout_ms": 10_000}
 
 
 def allowed(role: Role, verb: str, key: str) -> bool:
@@ -260,6 +264,71 @@ def test_a_connection_ends_with_its_certificate(free_endpoint: str, keys: Path, 
         assert _refused(endpoint, certificate_in(brief, "operator"))
 
 
+def _driving(endpoint: str, keys: Path, stack: ExitStack) -> Callable[[], None]:
+    """Return what sends a command of the policy and waits until the robot has it."""
+    robot, policy = (stack.enter_context(closing(open_session(endpoint, credentials_in(keys, role, endpoint))))
+                     for role in ("robot", "policy"))  # fmt: skip
+    key, heard = COMMANDS["policy"].key(ROBOT), threading.Event()
+    robot.declare_subscriber(key, zenoh.handlers.Callback(lambda _sample: heard.set(), indirect=False))
+    publisher = policy.declare_publisher(key)
+
+    def drive() -> None:
+        heard.clear()
+        publisher.put(b"command")
+        assert heard.wait(1.0)
+
+    eventually(lambda: publisher.matching_status.matching)
+    return drive
+
+
+def test_a_full_router_says_so_and_who_is_in_goes_on(endpoint: str, keys: Path, within: zenoh.Session) -> None:
+    watcher = credentials_in(keys, "watcher", endpoint)
+    with ExitStack() as stack:
+        drive = _driving(endpoint, keys, stack)
+        with ExitStack() as crowd:
+            for _ in range(MAX_SESSIONS - 2):
+                crowd.enter_context(closing(open_session(endpoint, watcher, PATIENT)))
+            with pytest.raises(BusError, match=rf"or is full \(it takes {MAX_SESSIONS} sessions") as error:
+                Bus(ROBOT, endpoint, patience_s=0.0, credentials=credentials_in(keys, "operator", endpoint))
+            assert "\n" not in str(error.value)
+            assert len(within.info.transports()) == MAX_SESSIONS
+            drive()
+        Bus(ROBOT, endpoint, credentials=credentials_in(keys, "operator", endpoint)).close()
+        drive()
+
+
+def test_a_stack_leaves_half_of_the_router_to_others() -> None:
+    """Two sessions of each process, counted twice while the lease of dead links runs."""
+    assert 2 * 2 * len(stack_services()) <= MAX_SESSIONS / 2
+
+
+@pytest.mark.parametrize("knock", ["silent", "leaves"])
+def test_strangers_at_the_door_do_not_disturb_who_is_in(
+    endpoint: str, keys: Path, within: zenoh.Session, knock: str
+) -> None:
+    """They hold up who wants to come in (TLS: eclipse-zenoh/zenoh#2685), for no longer than they keep coming."""
+    with ExitStack() as stack:
+        drive = _driving(endpoint, keys, stack)
+        with ExitStack() as at_door:
+            for _ in range(150):
+                one = at_door.enter_context(socket.create_connection(host_and_port(endpoint)))
+                if knock == "leaves":
+                    one.close()
+            drive()
+            assert len(within.info.transports()) == 2
+        drive()
+
+
+def test_who_does_not_say_who_they_are_is_sent_away(endpoint: str, keys: Path, within: zenoh.Session) -> None:
+    """More than may wait at the door, so that nobody else is let in meanwhile: with passwords, for two seconds."""
+    with ExitStack() as at_door:
+        for _ in range(150):
+            at_door.enter_context(socket.create_connection(host_and_port(endpoint)))
+        began_s = time.monotonic()
+        Bus(ROBOT, endpoint, credentials=credentials_in(keys, "operator", endpoint)).close()
+        assert time.monotonic() - began_s < 2 * LEASE_MS / 1e3
+
+
 @pytest.mark.parametrize("host", ["0.0.0.0", "[::]", "192.0.2.1"])  # noqa: S104 - refused
 def test_a_router_that_others_reach_lets_nobody_in_unless_it_is_told_to(host: str) -> None:
     with pytest.raises(BusError, match="can be reached from other machines"):
@@ -270,6 +339,35 @@ def test_a_router_that_others_reach_runs_when_it_is_told_to(free_endpoint: str) 
     everywhere = free_endpoint.replace("127.0.0.1", "0.0.0.0")  # noqa: S104 - what is tried
     with closing(Router(everywhere, insecure=True)), closing(Bus(ROBOT, everywhere)) as bus:
         assert bus.connected()
+
+
+def test_who_refuses_whose_certificate_is_one_line(free_endpoint: str, keys: Path, tmp_path: Path) -> None:
+    """Zenoh says nothing of it."""
+    endpoint = free_endpoint.replace("tcp/", "tls/")
+    foreign, old = make_keys(tmp_path / "foreign"), tmp_path / "old"
+    shutil.copytree(keys, old)
+    shutil.copytree(keys, mixed := tmp_path / "mixed")
+    shutil.copytree(keys, broken := tmp_path / "broken")
+    certificates.issue(old, certificates.HOSTS, days=-1 / 1440)
+    for end in ("pem", "key"):
+        shutil.copy(foreign / f"operator.{end}", mixed)
+    (broken / "operator.pem").write_text("nothing")
+    other_name = endpoint.replace("127.0.0.1", "127.0.0.2")
+    everywhere = endpoint.replace("127.0.0.1", "0.0.0.0")  # noqa: S104 - what is tried
+    with closing(Router(everywhere, certificate_in(keys, "router"), ROBOT)):
+        for address, folder, why in [
+            (other_name, keys, rf"that {other_name} shows is refused: IP address mismatch.*--host 127\.0\.0\.2"),
+            (endpoint, foreign, f"that {endpoint} shows is refused: unable to get local issuer"),
+            (endpoint, mixed, f"{endpoint} refuses {mixed}/operator.pem: unknown ca"),
+            (endpoint, old, f"{endpoint} refuses {old}/operator.pem: certificate expired"),
+            (endpoint, broken, "operator.pem with its key and .*/ca.pem; `smal secure check`"),
+        ]:
+            with pytest.raises(BusError, match=why) as error:
+                Bus(ROBOT, address, 0.0, certificate_in(folder, "operator"))
+            assert "\n" not in str(error.value)
+        assert why_refused(certificate_in(keys, "operator"), *host_and_port(endpoint)) is None
+    with closing(Router(free_endpoint)), pytest.raises(BusError, match="is no router that encrypts"):
+        Bus(ROBOT, endpoint, 0.0, certificate_in(keys, "operator"))
 
 
 def test_an_encrypted_address_without_a_certificate_is_one_line(free_endpoint: str, keys: Path) -> None:

@@ -7,7 +7,7 @@ import struct
 import threading
 import urllib.request
 from collections.abc import Iterator
-from contextlib import closing
+from contextlib import ExitStack, closing
 from urllib.error import HTTPError
 
 import pytest
@@ -18,7 +18,7 @@ from schemas.command import Command
 from schemas.rpc import Status
 from services.kit.bus import Bus, Router
 from services.kit.health import ailment
-from services.kit.http import HttpError, HttpServer
+from services.kit.http import MOST_CONNECTIONS, HttpError, HttpServer
 from services.kit.node import Node, ServiceError
 from services.kit.settings import ServiceSettings
 from tests.services.conftest import RunNode
@@ -119,6 +119,20 @@ def test_a_node_without_its_router_is_not_healthy(free_endpoint: str) -> None:
         thread.join(5.0)
         node.close()
         router.close()
+
+
+def test_clients_that_say_nothing_take_no_threads_and_keep_nobody_out(node: Node, run_node: RunNode) -> None:
+    run_node(node)
+    eventually(lambda: get(node, "/healthz")[0] == 200)
+    assert node._http is not None
+    before = threading.active_count()
+    with ExitStack() as silent:
+        for _ in range(10 * MOST_CONNECTIONS):
+            one = silent.enter_context(socket.create_connection(("127.0.0.1", node._http.port)))
+            one.send(b"G")
+        assert get(node, "/healthz") == (200, "ok\n")
+        eventually(lambda: threading.active_count() <= before + MOST_CONNECTIONS, timeout_s=2.0)
+    assert get(node, "/metrics")[0] == 200
 
 
 def test_metrics_count_every_message_and_the_parts_of_its_hop(node: Node, client: Bus, run_node: RunNode) -> None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import logging
-import re
 import threading
 import time
 import tracemalloc
@@ -29,7 +28,7 @@ from services.kit.bus import Bus, RpcError
 from services.kit.node import Node, ServiceError
 from services.kit.settings import ServiceSettings
 from services.kit.wire import LARGEST_BYTES, MAX_RPC_BYTES, flaw
-from services.kit.zenoh_wire import LINK_BYTES
+from services.kit.zenoh_wire import LEASE_MS, LINK_BYTES, MAX_SESSIONS
 from tests.schemas.messages import EXAMPLES
 from tests.services.conftest import RunNode
 from tests.services.waiting import eventually, introduce, ready, send_as_stranger, status_of
@@ -269,10 +268,11 @@ def test_a_client_of_a_router_without_bounds_has_its_own(free_endpoint: str) -> 
             bus.close()
 
 
-def test_the_other_router_has_the_same_bound() -> None:
-    configured = re.search(r"rx: \{ max_message_size: (\d+) \}", (ROOT / "deploy" / "zenohd.json5").read_text())
-    assert configured is not None
-    assert int(configured[1]) == LINK_BYTES
+def test_the_other_router_has_the_same_bounds() -> None:
+    configured = (ROOT / "deploy" / "zenohd.json5").read_text()
+    assert f"rx: {{ max_message_size: {LINK_BYTES} }}" in configured
+    assert f"size_limit: {2 * MAX_RPC_BYTES}" in configured
+    assert f"unicast: {{ max_sessions: {MAX_SESSIONS}, accept_timeout: {LEASE_MS} }}" in configured
 
 
 def test_what_waits_in_a_node_is_bounded(settings: ServiceSettings) -> None:
@@ -303,8 +303,8 @@ def test_a_request_that_is_too_large_is_refused(node: Node, run_node: RunNode, c
     node.serve("end", Failure, asked.append)
     run_node(node)
     ready(client, "sample")
-    with pytest.raises(RpcError, match=r"^sample end: 2000012 bytes, at most 1000000 allowed$"):
-        client.call("sample", "end", Failure(error="x" * 2_000_000), Nothing)
+    with pytest.raises(RpcError, match=r"^sample end: 1500012 bytes, at most 1000000 allowed$"):
+        client.call("sample", "end", Failure(error="x" * 1_500_000), Nothing)
     bad(client, "rpc/end", 1)
     assert asked == []
     assert client.call("sample", "end", Failure(error="x"), Nothing) == Nothing()
@@ -352,6 +352,53 @@ def test_a_call_of_everybody_is_nobody_s(
         assert all(reply.err is not None and b"its key is" in reply.err.payload.to_bytes() for reply in replies)
     eventually(lambda: status(client).bad.get("rpc/stop"))
     assert stopped == []
+
+
+@pytest.mark.zenoh
+def test_a_flood_of_calls_takes_a_tenth_of_a_processor(router_endpoint: str, client: Bus) -> None:
+    """Of a service whose answers take 5 ms; callers hear at once what is dropped, and who calls later is answered."""
+    answered = 0
+
+    def answer(_request: bytes, reply: Callable[[EndRequest], None]) -> None:
+        nonlocal answered
+        began_s = time.thread_time()
+        while time.thread_time() - began_s < 0.005:
+            pass
+        answered += 1
+        reply(EndRequest(episode="e"))
+
+    service = Bus("rescuebot", router_endpoint)
+    service.serve("sim", "end", answer)
+    eventually(lambda: _called(client, "sim"))
+    with stranger(router_endpoint) as session:
+        before, began_s, ended = answered, time.monotonic(), SimpleQueue[None]()
+        handler = zenoh.handlers.Callback(lambda _reply: None, lambda: ended.put(None), indirect=False)
+        for _ in range(5000):
+            session.get(rpc_key("rescuebot", "sim", "end"), handler, timeout=60.0)
+        for _ in range(5000):
+            ended.get(timeout=30.0)
+        elapsed_s = time.monotonic() - began_s
+    assert 0 < answered - before <= 0.1 * elapsed_s / 0.005 + 1
+    assert _called(client, "sim") == "e"
+    service.close()
+
+
+@pytest.mark.zenoh
+def test_a_call_larger_than_any_service_takes_reaches_none(router_endpoint: str, client: Bus) -> None:
+    """The router does not pass it on: calls that wait take no memory."""
+    asked: list[int] = []
+    service = Bus("rescuebot", router_endpoint)
+    service.serve(
+        "sim", "end", lambda _request, reply: reply(EndRequest(episode="e")), lambda why: asked.append(len(why))
+    )
+    eventually(lambda: _called(client, "sim"))
+    with stranger(router_endpoint) as session:
+        key = rpc_key("rescuebot", "sim", "end")
+        assert [reply.err for reply in session.get(key, payload=bytes(MAX_RPC_BYTES + 1), timeout=10.0)] != []
+        assert len(asked) == 1
+        assert list(session.get(key, payload=bytes(3 * MAX_RPC_BYTES), timeout=10.0)) == []
+    assert len(asked) == 1
+    service.close()
 
 
 @pytest.mark.zenoh

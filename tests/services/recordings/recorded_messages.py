@@ -19,6 +19,7 @@ from schemas.observation import Observation
 from schemas.odometry import Odometry
 from schemas.pose import Pose
 from schemas.state import State
+from schemas.taught_map import TaughtMap
 from schemas.tracked_pose import TrackedPose
 from services.kit.jpeg import encode_jpeg
 
@@ -98,6 +99,9 @@ def frame(episode: str, tick: int) -> list[Message]:
         ),
         image(episode, tick),
         observation(episode, tick),
+        TaughtMap.after(
+            cause, model=MODEL, keyframes=Float32Array.from_numpy(np.eye(3, dtype=np.float32)), begins=(0, 2)
+        ),
         State.after(cause, status="unknown", model=MODEL, score=0.25, residual=0.75),
         Action.after(cause, kind="look_around", state=None, atoms=("forward", "left")),
         *(command(episode, tick, source) for source in SOURCES),

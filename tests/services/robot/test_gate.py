@@ -426,8 +426,31 @@ def test_an_operator_who_says_good_bye_is_not_missed(gate: CommandGate) -> None:
     assert gate.emergency_stop == 0
 
 
+@pytest.mark.parametrize("late", [0, 1])
+def test_a_sign_of_life_from_before_the_good_bye_brings_nobody_back(gate: CommandGate, late: int) -> None:
+    gate.hear(beat("o", 0), 10.0)
+    gate.hear(beat("o", 1, present=False), 10.1)
+    gate.hear(beat("o", late), 10.2)
+    assert gate.operator is None
+    gate.watch(99.0)
+    assert gate.emergency_stop == 0
+    gate.hear(beat("o", 2), 99.0)
+    assert gate.operator == "o"
+
+
+def test_one_who_was_lost_and_is_heard_again_is_the_operator_again(gate: CommandGate) -> None:
+    gate.hear(beat("o", 3), 10.0)
+    gate.watch(10.0 + 2 * OPERATOR_S)
+    assert gate.operator is None
+    gate.hear(beat("o", 3), 11.0)
+    assert gate.operator is None
+    gate.hear(beat("o", 4), 11.0)
+    assert gate.operator == "o"
+
+
 def test_a_good_bye_of_nobody_changes_nothing() -> None:
     gate = CommandGate(attended=True, first_stop=5)
+    gate.watch(9.9)
     gate.hear(beat("o", 0, present=False), 10.0)
     assert (gate.operator, gate.emergency_stop) == (None, 5)
 
@@ -462,8 +485,9 @@ def test_an_attended_robot_moves_only_while_an_operator_is_there() -> None:
     gate.begin("e", "policy")
     gate.captured(0, 10.0)
     gate.offer(command(0), 10.0)
+    gate.hear(beat("o", 1), 10.05)
     assert gate.applied(10.0).atom == "forward"
-    gate.hear(beat("o", 1, present=False), 10.1)
+    gate.hear(beat("o", 2, present=False), 10.1)
     assert (gate.emergency_stop, gate.stop_cause) == (2, "operator_lost")
 
 
@@ -548,6 +572,7 @@ class GateMachine(RuleBasedStateMachine):
         self.operator: str | None = None
         self.heard_s = 0.0
         self.beats = getattr(self, "beats", 0)
+        self.last_beat = ("none", -1)
         self.forget("none", "policy")
 
     def forget(self, episode: str, driver: Source) -> None:
@@ -582,15 +607,14 @@ class GateMachine(RuleBasedStateMachine):
     @rule(session=SESSIONS, present=st.sampled_from([True, True, True, False]), again=st.booleans())
     def hear(self, session: str, present: bool, again: bool) -> None:
         self.beats += not again
-        before = self.operator
         self.gate.hear(beat(session, self.beats, present=present), self.now)
-        if before is None and present:
-            self.operator, self.heard_s, self.last_beat = session, self.now, self.beats
-        elif before == session and self.beats > self.last_beat:
-            self.heard_s, self.last_beat = self.now, self.beats
-            self.operator = session if present else None
-            if not present and self.attended:
-                self.latched("operator_lost")
+        if self.last_beat == (session, self.beats) or self.operator not in (None, session):
+            return  # it was heard before, or somebody else is there
+        left = self.operator is not None and not present
+        self.operator, self.heard_s = session if present else None, self.now
+        self.last_beat = session, self.beats
+        if left and self.attended:
+            self.latched("operator_lost")
 
     @rule(cause=st.sampled_from(["emergency_stop", "fault"]))
     def latch(self, cause: StopCause) -> None:

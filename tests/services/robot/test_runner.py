@@ -337,6 +337,18 @@ def test_the_episode_of_a_client_who_has_said_good_bye_is_anybodys() -> None:
     reset(runner, session="b")
 
 
+def test_a_sign_of_life_that_comes_twice_counts_once() -> None:
+    clock = Clock()
+    runner, _ = begin(LineBody(clock), mode="realtime", session="a")
+    beat(runner, "a", 1)
+    clock.now_s += CLIENT_S - 0.01
+    beat(runner, "a", 1)
+    clock.now_s += 0.02
+    reset(runner, session="b")
+    assert runner.running is not None
+    assert runner.running.request.session == "b"
+
+
 def test_a_person_who_has_taken_over_begins_an_episode_whosever_runs() -> None:
     runner, _ = begin(LineBody(Clock()), session="a", mode="realtime")
     with pytest.raises(ServiceError, match="is another client's"):

@@ -7,7 +7,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from schemas.base import ATOMS
-from services.teleop.keys import FIRST_HOLD_S, REPEAT_HOLD_S, KeyHold, KeyParser
+from services.operator.hold import FIRST_HOLD_S, REPEAT_HOLD_S, KeyHold
+from services.teleop.keys import KeyParser
 
 atoms = st.sampled_from(ATOMS)
 pauses = st.floats(0, 2)

@@ -4,21 +4,13 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
 
 import pytest
 
-from schemas.base import Atom
-from services.kit.node import Node
 from services.kit.settings import ServiceSettings
-from services.robot.clock import now_s
-from services.robot.gate import CommandGate
-from services.robot.loop import STAND_WITHIN_S, check_stopping
-from services.robot.runner import EpisodeRunner
-from services.robot.service import RobotService
-from services.robot.task import OperatorsTask
+from services.robot.loop import STAND_WITHIN_S
 from tests.services.conftest import RunNode
-from tests.services.robot.line import LineBody
+from tests.services.robot.wheels import Robot, run_robot
 from tests.services.teleop.console import Console
 from tests.services.waiting import eventually
 
@@ -26,46 +18,9 @@ from tests.services.waiting import eventually
 pytestmark = pytest.mark.zenoh
 
 
-class Wheels(LineBody):
-    """A body that notes when it was told to move, and when to stand."""
-
-    braking_s = 0.1
-
-    def __init__(self) -> None:
-        super().__init__(now_s)
-        self.told: list[tuple[float, Atom]] = []
-
-    def drive(self, atom: Atom, speed: float) -> None:
-        super().drive(atom, speed)
-        self.told.append((time.monotonic(), atom))
-
-    @property
-    def driven(self) -> bool:
-        return bool(self.told) and self.told[-1][1] != "stop"
-
-    @property
-    def stands_s(self) -> float:
-        """When it stood, after it was last told to move."""
-        last = max(at for at, (_, atom) in enumerate(self.told) if atom != "stop")
-        return self.told[last + 1][0] + self.braking_s
-
-
-@dataclass(frozen=True)
-class Robot:
-    """A robot that moves only while an operator is there."""
-
-    wheels: Wheels
-    gate: CommandGate
-
-
 @pytest.fixture
 def robot(settings: ServiceSettings, run_node: RunNode) -> Robot:
-    wheels, gate = Wheels(), CommandGate(attended=True)
-    check_stopping(wheels)
-    node = Node("robot", settings)
-    RobotService(EpisodeRunner(wheels, OperatorsTask(), gate, settings.robot, "s"), node)
-    run_node(node)
-    return Robot(wheels, gate)
+    return run_robot(settings, run_node, attended=True)
 
 
 @pytest.fixture

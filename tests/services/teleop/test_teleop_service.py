@@ -8,9 +8,9 @@ from hypothesis import strategies as st
 
 from schemas.command import Command, CommandApplied
 from schemas.episode import Episode
+from services.operator.commands import Commands
+from services.operator.hold import FIRST_HOLD_S, KeyHold
 from services.robot.gate import CommandGate
-from services.teleop.keys import FIRST_HOLD_S, KeyHold
-from services.teleop.service import TeleopService
 from services.teleop.status import Status
 
 
@@ -19,7 +19,7 @@ class Operator:
 
     def __init__(self) -> None:
         self.now_s = 0.0
-        self.service = TeleopService(KeyHold(lambda: self.now_s), "r")
+        self.service = Commands(KeyHold(lambda: self.now_s), "r")
 
     def beat(
         self, tick: int, reason: str = "silence", episode: str = "e", stop: int = 7

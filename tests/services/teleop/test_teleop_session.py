@@ -72,6 +72,6 @@ def test_nothing_is_released_before_the_robot_has_told_what_it_stands_for(node: 
     session = TeleopSession(node, cast("Terminal", desk), TeleopSettings(seed=5))
     desk.typed = b"en"  # it cannot have told the number of this stop yet
     session.poll()
-    assert desk.said[-1] == "the robot has not told yet whether it stands for a stop; press the key again"
+    assert desk.said[-1] == "the robot has not told yet whether it stands for a stop; press again"
     eventually(lambda: robot.gate.stop_cause == "emergency_stop")
     assert (robot.arms, robot.resets) == ([], [])

@@ -7,11 +7,11 @@ from collections import Counter
 from schemas.base import Atom, Message, Source
 from schemas.command import Command, CommandApplied
 from schemas.episode import Episode
-from services.teleop.keys import KeyHold
+from services.operator.hold import KeyHold
 
 
-class TeleopService:
-    """What a person at the keyboard tells the robot.
+class Commands:
+    """What a person who drives tells the robot.
 
     While a key is held, every heartbeat is answered by its movement. A change between two heartbeats is sent at once,
     for the same frame. When the key is released one ``stop`` is sent, then nothing: another driver may go on.
@@ -77,9 +77,9 @@ class TeleopService:
         self.stop = stop
         return self._insist()
 
-    def press(self, atom: Atom) -> Command | None:
-        """Take a press or a repeat of a key that moves the robot or stops it."""
-        self._keys.press(atom)
+    def press(self, atom: Atom, until_s: float | None = None) -> Command | None:
+        """Take a press or a repeat of a key that moves the robot or stops it; see ``KeyHold.press``."""
+        self._keys.press(atom, until_s)
         return self.poll()
 
     def poll(self) -> Command | None:

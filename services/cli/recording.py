@@ -1,0 +1,193 @@
+"""``smal recording``: what is in recordings, whether they are whole, and making them so."""
+
+from __future__ import annotations
+
+import json
+import math
+import sys
+from collections.abc import Callable, Iterator
+from dataclasses import fields
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from services.cli import outputs
+from services.cli.options import Json
+from services.kit.errors import JobError, UsageError
+from services.kit.node import EXIT_FAILED
+from services.kit.tables import number, table
+from services.recordings.contents import Contents, EpisodeContents, contents_of, named_topics, verify
+from services.recordings.dataset import find_recordings
+from services.recordings.reader import RecordingError
+from services.recordings.repair import RepairError, repair, usual_name
+
+app = typer.Typer(
+    help="Tell what is in recordings; check and repair them.\n\nExample: smal recording info drives",
+    no_args_is_help=True,
+    add_completion=False,
+    rich_markup_mode=None,
+    pretty_exceptions_enable=False,
+)
+Paths = Annotated[list[Path], typer.Argument(help="Recordings (MCAP), or folders of them.")]
+
+
+@app.command("info")
+def info(recordings: Paths, as_json: Json = False) -> None:
+    """Tell what is in recordings.
+
+    Who drove where and how it ended, the topics with their counts and rates, the camera, and sizes.
+
+    Example: smal recording info drives --json
+    """
+    done, bad = _each(recordings, contents_of)
+    if as_json:
+        typer.echo(json.dumps([_record(one) for one in done], indent=2))
+    else:
+        typer.echo("\n\n".join("\n".join(_lines(one)) for one in done))
+    if bad:
+        raise typer.Exit(EXIT_FAILED)
+
+
+@app.command("verify")
+def check(recordings: Paths, as_json: Json = False) -> None:
+    """Read all of recordings, and tell what is wrong with them, a line each.
+
+    Checksums, messages that do not decode, ticks that are missing, and whether they are sealed. Ends with status 1
+    where there is anything.
+
+    Example: smal recording verify drives
+    """
+    done, bad = _each(recordings, verify)
+    if as_json:
+        typer.echo(json.dumps([{"path": str(one.path), "findings": one.findings} for one in done], indent=2))
+    else:
+        for one in done:
+            for finding in one.findings or ["whole"]:
+                typer.echo(f"{one.path}: {finding}")
+    if bad or any(one.findings for one in done):
+        raise typer.Exit(EXIT_FAILED)
+
+
+@app.command("repair")
+def mend(
+    recording: Annotated[Path, typer.Argument(help="Recording (MCAP); with it go its parts (.partial, .partial-2).")],
+    out: Annotated[
+        Path | None,
+        typer.Option(help="The repaired one. [default: NAME.mcap of NAME.mcap.partial, else NAME-repaired.mcap]"),
+    ] = None,
+    replace: Annotated[
+        bool, typer.Option("--replace", help="Put it in the place of the damaged one, or of the file at --out.")
+    ] = False,
+) -> None:
+    """Make a sealed recording of all that is whole in one that is damaged, or was left behind.
+
+    The damaged one stays as it is, but for --replace. Says what was lost.
+
+    Example: smal recording repair drives/drive-1.mcap.partial
+    """
+    if out is not None and out.exists() and not replace:
+        raise UsageError(f"--out {out}: is there already; give another name, or --replace")
+    outputs.check_file(out, "--out")
+    try:
+        made = out or usual_name(recording, replace=replace)
+        before, after = repair(recording, made, replace=replace)
+    except (RecordingError, RepairError) as error:
+        raise JobError(str(error)) from None
+    if after is None:
+        typer.echo(f"{recording}: nothing is to be repaired")
+        return
+    typer.echo(f"{made}: sealed, {_sum(after)} messages")
+    for line in before.damage:
+        typer.echo(f"  it was: {line}")
+    for line in after.findings:
+        typer.echo(f"  lost:   {line}")
+
+
+def _each(paths: list[Path], read: Callable[[Path], Contents]) -> tuple[list[Contents], int]:
+    """Read each recording; return them, and how many are none, which is said on standard error."""
+    try:
+        found = find_recordings(paths)
+    except OSError as error:
+        raise UsageError(str(error)) from None
+    done = []
+    for path in found:
+        try:
+            done.append(read(path))
+        except RecordingError as error:
+            sys.stderr.write(f"smal: {error}\n")
+    return done, len(found) - len(done)
+
+
+def _record(contents: Contents) -> dict[str, Any]:
+    return {
+        "path": str(contents.path),
+        "state": contents.state,
+        "bytes": contents.size,
+        "software": contents.about.get("software"),
+        "recorded_utc": contents.about.get("recorded_utc"),
+        "views": {"messages": contents.views, "bytes": contents.views_size},
+        "other_messages": contents.others,
+        "episodes": [_episode_record(episode) for episode in contents.episodes],
+    }
+
+
+def _episode_record(episode: EpisodeContents) -> dict[str, Any]:
+    own = {
+        field.name: getattr(episode, field.name) for field in fields(episode) if field.name not in ("said", "topics")
+    }
+    topics = {
+        name: {"messages": one.messages, "rate_hz": one.rate_hz, "bytes": one.size}
+        for name, one in named_topics(episode)
+    }
+    return own | episode.said | {"frames": episode.frames, "seconds": episode.seconds, "topics": topics}
+
+
+def _lines(contents: Contents) -> Iterator[str]:
+    written = " ".join(f"{contents.about.get(name, '')}" for name in ("recorded_utc", "software")).strip()
+    yield f"{contents.path}: {contents.size / 1e6:.1f} MB, {contents.state}{written and f', of {written}'}"
+    for episode in contents.episodes:
+        yield from _episode_lines(episode)
+    if contents.views:
+        yield f"  views      {contents.views} messages, {contents.views_size / 1e6:.2f} MB, for Foxglove and Rerun"
+    if contents.others:
+        yield f"  others     {contents.others} messages on topics that are not ours"
+    if not contents.episodes:
+        yield "  no episode"
+
+
+def _episode_lines(episode: EpisodeContents) -> Iterator[str]:
+    said = episode.said
+    yield f"  episode    {episode.episode} of {episode.robot}"
+    if said:
+        outcome = episode.outcome or "its end was not recorded"
+        judge = f" (says the {episode.judge})" if episode.judge else ""
+        yield f"  purpose    {said['purpose']} to {said['goal']} in {said['world']}, seed {said['seed']}"
+        yield f"  outcome    {outcome}{judge}"
+        ticks = ", ".join(f"{name} {count}" for name, count in sorted(episode.drove.items()) if count)
+        yield f"  driver     {said['driver']}{ticks and f' (ticks: {ticks})'}"
+    way = "" if episode.odometry_m is None else f", {episode.odometry_m:.1f} m by the wheels"
+    yield f"  length     {episode.seconds:.1f} s, {episode.frames} frames{way}"
+    if episode.width is not None:
+        focal = episode.focal_px
+        view = (
+            "" if focal is None else f", {math.degrees(2 * math.atan(0.5 * episode.width / focal)):.0f} degrees across"
+        )
+        yield f"  camera     {episode.width}x{episode.height}{view}"
+    if episode.modalities:
+        yield f"  features   {' '.join(episode.modalities)}"
+    rows = [
+        [name, str(one.messages), number(one.rate_hz), number(one.size, 1e-6)] for name, one in named_topics(episode)
+    ]
+    for line in table([["topic", "messages", "Hz", "MB"], *rows]):
+        yield f"  {line}"
+
+
+def _view(episode: EpisodeContents) -> str:
+    if episode.width is None or episode.focal_px is None:
+        return ""
+    return f", {math.degrees(2.0 * math.atan(0.5 * episode.width / episode.focal_px)):.0f} degrees across"
+
+
+def _sum(contents: Contents) -> int:
+    return sum(one.messages for episode in contents.episodes for one in episode.topics.values())

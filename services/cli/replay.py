@@ -1,0 +1,173 @@
+"""``smal replay``: a recording on the topics, in the place of its robot."""
+
+from __future__ import annotations
+
+import secrets
+import sys
+import time
+from collections.abc import Callable
+from itertools import count
+from pathlib import Path
+from typing import Annotated, Final
+
+import typer
+from tqdm import tqdm
+
+from schemas.base import Message
+from schemas.episode import Episode
+from schemas.topics import CAMERA, Topic
+from services.cli.interrupts import interrupted_by_signals
+from services.cli.options import DEFAULT_ROBOT, Robot, Router, Secure, settings_for
+from services.kit.errors import JobError, UsageError
+from services.kit.node import Detail, Node
+from services.recordings.reader import RecordingError
+from services.recordings.replay import REPLAYABLE, Tick, Track, end_of, tracks_of
+from services.robot.service import ROBOT, check_alone
+
+#: How long to wait for somebody who takes the images; what is told before would be lost.
+LISTENERS_S: Final = 2.0
+
+
+def replay(
+    recording: Annotated[Path, typer.Argument(help="Recording (MCAP).")],
+    rate: Annotated[float, typer.Option(min=0.01, max=100.0, help="How many times as fast as it was.")] = 1.0,
+    step: Annotated[bool, typer.Option("--step", help="Go on by one frame at each Enter.")] = False,
+    names: Annotated[
+        str | None,
+        typer.Option("--topics", help=f"Only these, with commas between. [default: {','.join(REPLAYABLE)}]"),
+    ] = None,
+    robot: Robot = DEFAULT_ROBOT,
+    router: Router = None,
+    secure: Secure = None,
+) -> None:
+    """Put a recording on the topics, with its timing, so that what follows the robot runs without one.
+
+    Features, recognition and policy answer as they would have; their stack is `smal up --robot-body none`. What a robot
+    and its camera tell is replayed, under the id of a new episode and with stamps of today; never a command, whoever
+    gave it. A robot of this id must not be there. With --secure it is done with the robot's own certificate.
+
+    Example: smal replay drives/drive-1.mcap --rate 2
+    """
+    wanted = _wanted(names)
+    settings = settings_for(robot, router, secure)
+    try:
+        tracks = tracks_of(recording)
+    except RecordingError as error:
+        raise JobError(str(error)) from None
+    # Until this is over no robot of this id starts either: they ask as we do.
+    check_alone(settings)
+    with interrupted_by_signals(), Node(ROBOT, settings) as node:
+        # From now on it answers as ready.
+        node.spin(timeout_s=0.0)
+        _await_listeners(node, wanted)
+        session = secrets.token_hex(6)
+        for number, track in zip(count(1), tracks, strict=False):
+            player = Player(node, track, f"replay-{session}-{number}", wanted)
+            sys.stderr.write(f"smal: episode {track.episode} of {track.robot} as {player.episode}\n")
+            player.run(_by_hand if step else Clock(rate).wait)
+            if track.bad:
+                sys.stderr.write(f"smal: {track.bad} messages do not decode and were left out\n")
+
+
+class Clock:
+    """Waits until a tick is due.
+
+    Parameters
+    ----------
+    rate
+        How many times as fast as recorded.
+    """
+
+    def __init__(self, rate: float) -> None:
+        self._rate = rate
+        self._began_s: float | None = None
+
+    def wait(self, tick: Tick) -> bool:
+        """Wait; always go on."""
+        if self._began_s is None:
+            self._began_s = time.monotonic() - tick.since_s / self._rate
+        time.sleep(max(0.0, self._began_s + tick.since_s / self._rate - time.monotonic()))
+        return True
+
+
+def _by_hand(tick: Tick) -> bool:
+    """Wait for Enter; go on unless the input is at its end."""
+    sys.stderr.write(f"tick {tick.number}; Enter goes on, Ctrl-D ends: ")
+    sys.stderr.flush()
+    return sys.stdin.readline() != ""
+
+
+class Player:
+    """Tells one episode.
+
+    Parameters
+    ----------
+    node
+        That of the robot.
+    track
+        What it told.
+    episode
+        Id of the new episode.
+    wanted
+        Topics to tell.
+    """
+
+    def __init__(self, node: Node, track: Track, episode: str, wanted: dict[str, Topic]) -> None:
+        self.episode = episode
+        self._node = node
+        self._ticks = track.play(node.robot, episode, time.time_ns(), wanted)
+        self._total = len(track)
+        self._started: Episode | None = None
+        self._last: Message | None = None
+        node.detail = self._detail
+        self._replayed = track.episode
+
+    def run(self, wait: Callable[[Tick], bool]) -> None:
+        """Tell all of it, each tick when `wait` has returned, or up to where it says that this is the end."""
+        try:
+            # disable=None: no bar in a pipe or a log.
+            for tick in tqdm(self._ticks, total=self._total, unit="frame", dynamic_ncols=True, disable=None):
+                if not wait(tick):
+                    break
+                self.tell(tick)
+        finally:
+            self.end()
+
+    def tell(self, tick: Tick) -> None:
+        """Tell one tick."""
+        for message in tick.messages:
+            self._node.publish(message)
+            self._last = message
+            if isinstance(message, Episode):
+                self._started = None if message.event == "ended" else message
+
+    def _detail(self) -> Detail:
+        tick = None if self._last is None else self._last.tick
+        return {"replayed": self._replayed, "episode": self.episode, "tick": tick}
+
+    def end(self) -> None:
+        """Tell that it is over, where the recording has not."""
+        if self._started is not None and self._last is not None:
+            self._node.publish(end_of(self._last, self._started))
+            self._started = None
+
+
+def _wanted(names: str | None) -> dict[str, Topic]:
+    if names is None:
+        return dict(REPLAYABLE)
+    chosen = [name.strip() for name in names.split(",")]
+    for name in chosen:
+        if name not in REPLAYABLE:
+            raise UsageError(f"--topics: {name!r} is not replayed; these are: {', '.join(REPLAYABLE)}")
+    return {name: topic for name, topic in REPLAYABLE.items() if name in chosen}
+
+
+def _await_listeners(node: Node, wanted: dict[str, Topic]) -> None:
+    if CAMERA.name not in wanted:
+        return
+    deadline_s = time.monotonic() + LISTENERS_S
+    while not node.bus.has_listeners(CAMERA):
+        if time.monotonic() > deadline_s:
+            sys.stderr.write(f"smal: nobody takes {CAMERA.name}; is the stack up? (smal up --robot-body none)\n")
+            return
+        time.sleep(0.02)

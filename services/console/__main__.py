@@ -1,0 +1,31 @@
+"""Run the console: ``python -m services.console --console 127.0.0.1:8080``."""
+
+from __future__ import annotations
+
+from services.console.board import Board
+from services.console.config import ConsoleSettings
+from services.console.service import ConsoleService
+from services.console.web import WebServer
+from services.kit.node import Node, configure_logging, read_settings, run_service
+
+
+def serve() -> None:
+    """Serve the page until stopped."""
+    settings = read_settings(ConsoleSettings, "console")
+    configure_logging(settings.log_level)
+    with Node("console", settings) as node:
+        node.stop_on_signals()
+        board = Board()
+        service = ConsoleService(node, board, settings.root)
+        server = WebServer(service, board, settings)
+        service.start()
+        node.log.info("the page is at %s", server.address)
+        try:
+            node.spin()
+        finally:
+            server.close()
+            service.close()
+
+
+if __name__ == "__main__":
+    run_service("console", serve)

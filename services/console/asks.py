@@ -1,0 +1,108 @@
+"""What a browser may say: every message is one of these, or the connection ends."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from pydantic import Field, TypeAdapter
+
+from schemas.base import Atom, Strict
+from schemas.episode import GoalName
+from schemas.rpc import FileName, Start
+
+#: Name of a model that is learned: its file's, without the end.
+ModelName = Annotated[str, Field(pattern=r"^\w[\w .-]{0,63}$")]
+Seed = Annotated[int, Field(ge=0, lt=2**31)]
+
+
+class Seen(Strict):
+    """A watcher has taken what was sent, and may be sent more."""
+
+    do: Literal["seen"]
+
+
+class Stop(Strict):
+    """Emergency stop; anybody's to say."""
+
+    do: Literal["stop"]
+
+
+class Hold(Strict):
+    """The answer to a beat: the person is there, and holds a key or none."""
+
+    do: Literal["hold"]
+    beat: Annotated[int, Field(ge=0)]
+    """Which beat is answered; an old one says nothing of now."""
+    atom: Atom | None
+    """The movement whose key is held."""
+
+
+class Leave(Strict):
+    """The person stands up; they are not missed."""
+
+    do: Literal["leave"]
+
+
+class Resume(Strict):
+    """Arm the robot, and have the driver go on that the person took over from."""
+
+    do: Literal["resume"]
+
+
+class End(Strict):
+    """End the episode."""
+
+    do: Literal["end"]
+    found: bool
+    """Whether the goal is reached."""
+
+
+class Drive(Strict):
+    """Begin a drive by hand, and record it."""
+
+    do: Literal["drive"]
+    goal: GoalName
+    """Where it leads."""
+
+
+class Run(Strict):
+    """Have the robot search by itself."""
+
+    do: Literal["run"]
+    model: FileName
+    """With which model; recognition and policy load it first."""
+    goal: GoalName
+    """Where to."""
+    start: Start
+    """Where it begins."""
+    seed: Seed
+    """Which of the starts."""
+
+
+class Learn(Strict):
+    """Learn a model."""
+
+    do: Literal["learn"]
+    name: ModelName
+    """What it will be called."""
+    recordings: Annotated[tuple[str, ...], Field(min_length=1, max_length=1000)]
+    """From which recordings, by name."""
+
+
+class Cancel(Strict):
+    """Learn no further."""
+
+    do: Literal["cancel"]
+
+
+class Delete(Strict):
+    """Delete a recording."""
+
+    do: Literal["delete"]
+    recording: str
+    """Its name."""
+
+
+Ask = Resume | End | Drive | Run | Learn | Cancel | Delete
+OF_WATCHERS: TypeAdapter[Seen | Stop] = TypeAdapter(Annotated[Seen | Stop, Field(discriminator="do")])
+OF_DRIVER: TypeAdapter[Hold | Leave | Ask] = TypeAdapter(Annotated[Hold | Leave | Ask, Field(discriminator="do")])

@@ -1,0 +1,106 @@
+"""Who may speak to the page's server: checked before anything else looks at a request.
+
+A page of somebody else's must not reach it with the person's browser: so the host has to be known (a foreign name may
+be made to lead here, "DNS rebinding"), what opens a connection has to come from the page itself, and there is no CORS.
+"""
+
+from __future__ import annotations
+
+import hmac
+import re
+from http.cookies import CookieError, SimpleCookie
+from typing import Final
+from urllib.parse import parse_qs, quote
+
+from starlette.datastructures import Headers, MutableHeaders
+from starlette.responses import PlainTextResponse, RedirectResponse, Response
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
+
+COOKIE: Final = "smal_console"
+_LOOPBACK: Final = frozenset({"localhost", "127.0.0.1", "[::1]"})
+_PORT: Final = re.compile(r":\d{1,5}\Z")
+#: Nothing but what this server sends is run, shown or connected to, and no text becomes markup in the page.
+HEADERS: Final = {
+    "Content-Security-Policy": "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' blob:; "
+    "connect-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'; "
+    "require-trusted-types-for 'script'; trusted-types 'none'",
+    "X-Content-Type-Options": "nosniff",
+    "X-Frame-Options": "DENY",
+    "Referrer-Policy": "no-referrer",
+    "Cross-Origin-Opener-Policy": "same-origin",
+    "Cross-Origin-Resource-Policy": "same-origin",
+    "Permissions-Policy": "camera=(), microphone=(), geolocation=()",
+}
+
+
+class Guard:
+    """Lets through what the page itself asks for.
+
+    Parameters
+    ----------
+    app
+        What answers then.
+    token
+        The word that a browser has to know; without one the page is for this machine's own names alone.
+    """
+
+    def __init__(self, app: ASGIApp, token: str | None = None) -> None:
+        self._app = app
+        self._token = token
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Answer, or pass on."""
+        if scope["type"] not in ("http", "websocket"):
+            return
+        refusal = self._refusal(scope)
+        if refusal is None:
+            await self._app(scope, receive, _with_headers(send))
+        elif scope["type"] == "websocket":
+            await send({"type": "websocket.close", "code": 1008})  # before it is accepted: status 403
+        else:
+            await refusal(scope, receive, _with_headers(send))
+
+    def _refusal(self, scope: Scope) -> Response | None:
+        headers = Headers(scope=scope)
+        host = headers.get("host", "")
+        if self._token is None and _PORT.sub("", host).lower() not in _LOOPBACK:
+            return PlainTextResponse("this console answers to localhost alone\n", 421)
+        origin = headers.get("origin")
+        encrypted = scope["scheme"] in ("https", "wss")
+        own = f"{'https' if encrypted else 'http'}://{host}"
+        if origin != own and (origin is not None or scope["type"] == "websocket"):
+            return PlainTextResponse("only the console's own page may ask\n", 403)
+        if scope["type"] == "http" and scope["method"] not in ("GET", "HEAD"):
+            return PlainTextResponse("nothing is changed this way\n", 405)
+        return None if self._token is None else self._unknown(scope, headers, self._token)
+
+    @staticmethod
+    def _unknown(scope: Scope, headers: Headers, token: str) -> Response | None:
+        """Ask for the token; whoever knows it is remembered by a cookie that no script reads."""
+        try:
+            cookie = SimpleCookie(headers.get("cookie", "")).get(COOKIE)
+        except CookieError:
+            cookie = None
+        if cookie is not None and _same(cookie.value, quote(token)):
+            return None
+        told = parse_qs(scope["query_string"].decode("latin-1")).get("token", [""])[0]
+        if scope["type"] == "http" and _same(told, token):
+            answer = RedirectResponse("/", 303)
+            answer.set_cookie(COOKIE, quote(token), httponly=True, secure=True, samesite="strict")
+            return answer
+        return PlainTextResponse("open this page with its token: https://HOST:PORT/?token=WORD\n", 401)
+
+
+def _same(told: str, known: str) -> bool:
+    return hmac.compare_digest(told.encode(), known.encode())
+
+
+def _with_headers(send: Send) -> Send:
+    async def sending(message: Message) -> None:
+        if message["type"] == "http.response.start":
+            headers = MutableHeaders(scope=message)
+            headers.update(HEADERS)
+            headers.setdefault("Cache-Control", "no-cache")
+        await send(message)
+
+    return sending

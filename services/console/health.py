@@ -1,0 +1,87 @@
+"""How every service is, for the page."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from typing import Final
+
+from schemas.rpc import Nothing, Status
+from services.kit.bus import Bus, RpcError
+from services.kit.health import ailment
+
+#: How often services are asked, and how long one may take to answer.
+ASK_S: Final = 1.0
+#: What a service tells of itself that a person wants to know.
+_TOLD: Final = (
+    "world",
+    "model",
+    "goal",
+    "recording",
+    "last_error",
+    "attended",
+    "stop_cause",
+    "late_frames",
+    "modalities",
+)
+
+
+class Health:
+    """Asks services how they are.
+
+    Parameters
+    ----------
+    bus
+        To ask on.
+    services
+        Whom.
+    clock
+        Monotonic seconds.
+    """
+
+    def __init__(self, bus: Bus, services: tuple[str, ...], clock: Callable[[], float] = time.monotonic) -> None:
+        self._bus = bus
+        self._services = services
+        self._clock = clock
+        self._asked_s = clock()
+        #: The last answers; None of who did not answer.
+        self.statuses: dict[str, Status | None] = {}
+
+    def ask(self) -> list[dict[str, object]]:
+        """Ask all at once; return one row a service, for the page."""
+        before, self.statuses = self.statuses, {}
+        # Threads for this once: a service that hangs holds up its own thread alone, and for no longer than its time.
+        with ThreadPoolExecutor(len(self._services), "health") as pool:
+            self.statuses = dict(zip(self._services, pool.map(self._status, self._services), strict=True))
+        now = self._clock()
+        elapsed_s, self._asked_s = max(now - self._asked_s, 1e-3), now
+        return [_row(name, before.get(name), status, elapsed_s) for name, status in self.statuses.items()]
+
+    def _status(self, service: str) -> Status | None:
+        try:
+            return self._bus.call(service, "status", Nothing(), Status, ASK_S)
+        except RpcError:
+            return None
+
+
+def _row(name: str, before: Status | None, status: Status | None, elapsed_s: float) -> dict[str, object]:
+    if status is None:
+        return {"name": name, "ailment": "does not answer"}
+    earlier = before.published if before is not None and before.pid == status.pid else {}
+    rates = {
+        topic: round((count - earlier[topic]) / elapsed_s, 1)
+        for topic, count in status.published.items()
+        if count > earlier.get(topic, count)
+    }
+    return {
+        "name": name,
+        "ailment": ailment(status),
+        "idle": round(status.idle_s, 1),
+        "uptime": round(status.uptime_s),
+        "rates": rates,
+        "dropped": sum(status.dropped.values()),
+        "bad": sum(status.bad.values()),
+        "failed": status.failed,
+        "told": {key: status.detail[key] for key in _TOLD if status.detail.get(key) not in (None, "", False)},
+    }

@@ -1,0 +1,212 @@
+"""What was recorded and learned: the files that the page lists, below the root."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Iterable, Iterator
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from threading import Lock
+from typing import Final
+
+import cv2
+from pydantic import TypeAdapter, ValidationError
+
+from schemas.codec import printable
+from schemas.rpc import FileName
+from schemas.topics import CAMERA, JPEG
+from services.kit.jpeg import encode_jpeg
+from services.kit.root import OutsideError, below, name_below, open_below
+from services.recordings.dataset import unusable
+from services.recordings.encoding import decode_image
+from services.recordings.reader import RecordingError, read_recording
+from services.recordings.recorded import RecordedEpisode
+from services.robot.clock import TICK_S
+from smal import container
+from smal.container import ModelError
+from smal.model import FORMAT_VERSION
+
+#: Folders below the root: of the drives, unless the recorder says otherwise, and of the models that are learned here.
+DRIVES: Final = "drives"
+MODELS: Final = "models"
+#: Pictures along a drive, and their width; six of them fill a row of the list.
+THUMBNAILS: Final = 6
+_WIDTH: Final = 160
+_NAME: Final[TypeAdapter[str]] = TypeAdapter(FileName)
+_log = logging.getLogger("console")
+_Stamp = tuple[int, int]
+
+
+@dataclass(frozen=True)
+class Recording:
+    """A recording as the page lists it; ``thumbnails`` are JPEG, along the drive."""
+
+    name: str
+    when_s: float
+    size: int
+    episode: str = ""
+    purpose: str | None = None
+    goal: str = ""
+    world: str = ""
+    outcome: str | None = None
+    frames: int = 0
+    seconds: float = 0.0
+    #: Why it teaches nothing; empty where it does.
+    useless: str = ""
+    thumbnails: tuple[bytes, ...] = ()
+
+
+@dataclass(frozen=True)
+class LearnedModel:
+    """A model as the page lists it."""
+
+    name: str
+    when_s: float
+    size: int
+    goals: tuple[str, ...] = ()
+    #: Features that it was learned on.
+    fingerprint: str = ""
+    #: Frames of its longest drive.
+    longest: int = 0
+    #: Why it cannot be used; empty where it can.
+    useless: str = ""
+
+
+class Library:
+    """Recordings and models below a root, looked at again where they have changed.
+
+    ``look`` is called on one thread; everything else on any.
+
+    Parameters
+    ----------
+    root
+        Folder of the files that browsers may name, without links in its path.
+    """
+
+    def __init__(self, root: Path) -> None:
+        self.root = root
+        #: Name of the folder of the recordings; None where it lies outside of the root.
+        self.folder: str | None = DRIVES
+        self._lock = Lock()
+        self._recordings: dict[Path, tuple[_Stamp, Recording]] = {}
+        self._models: dict[Path, tuple[_Stamp, LearnedModel]] = {}
+
+    def record_in(self, folder: Path) -> None:
+        """Take note of where the recorder records."""
+        self.folder = name_below(self.root, folder)
+
+    def look(self) -> dict[str, object]:
+        """Look at what is there; return it for the page."""
+        recordings = {path: self._recording(path, stamp) for path, stamp in self._files(self._recording_files())}
+        models = {path: self._model(path, stamp) for path, stamp in self._files(self._model_files())}
+        with self._lock:
+            self._recordings, self._models = recordings, models
+        newest_first = sorted((one for _, one in recordings.values()), key=lambda one: -one.when_s)
+        return {
+            "folder": self.folder,
+            "recordings": [asdict(one) | {"thumbnails": len(one.thumbnails)} for one in newest_first],
+            "models": [asdict(one) for one in sorted(self.models(), key=lambda one: -one.when_s)],
+        }
+
+    def recording(self, name: str) -> Recording | None:
+        """Return a recording by its name."""
+        return next((one for one in self.recordings() if one.name == name), None)
+
+    def model(self, name: str) -> LearnedModel | None:
+        """Return a model by its name."""
+        return next((one for one in self.models() if one.name == name), None)
+
+    def recordings(self) -> list[Recording]:
+        """Return all recordings."""
+        with self._lock:
+            return [one for _, one in self._recordings.values()]
+
+    def models(self) -> list[LearnedModel]:
+        """Return all models."""
+        with self._lock:
+            return [one for _, one in self._models.values()]
+
+    def path(self, name: str) -> Path:
+        """Return the path of something that is listed.
+
+        Raises
+        ------
+        OSError
+            When a link leads out of the root.
+        """
+        return below(self.root, name)
+
+    def _recording_files(self) -> Iterator[Path]:
+        if self.folder is not None:
+            yield from (self.root / self.folder).glob("*.mcap")
+
+    def _model_files(self) -> Iterator[Path]:
+        yield from self.root.glob("*.smal")
+        yield from (self.root / MODELS).glob("*.smal")
+
+    def _files(self, paths: Iterable[Path]) -> Iterator[tuple[Path, _Stamp]]:
+        """Give those that may be named, with what tells whether they have changed."""
+        for path in paths:
+            try:
+                _NAME.validate_python(path.relative_to(self.root).as_posix())
+                stat = below(self.root, path.relative_to(self.root).as_posix()).stat()
+            except (OutsideError, ValidationError, OSError):
+                continue
+            yield path, (stat.st_mtime_ns, stat.st_size)
+
+    def _recording(self, path: Path, stamp: _Stamp) -> tuple[_Stamp, Recording]:
+        known = self._recordings.get(path)
+        if known is not None and known[0] == stamp:
+            return known
+        name = path.relative_to(self.root).as_posix()
+        listed = Recording(name, stamp[0] / 1e9, stamp[1])
+        try:
+            episode, *others = read_recording(path, topics=(JPEG, CAMERA)).episodes
+        except RecordingError as error:
+            return stamp, replace(listed, useless=printable(str(error)).removeprefix(f"{path}: "))
+        useless = "it holds several episodes; use smal learn" if others else unusable(episode, include_runs=True)
+        ticks = sorted(episode.images)
+        return stamp, replace(
+            listed,
+            episode=episode.episode,
+            purpose=episode.purpose,
+            goal=episode.goal,
+            world=episode.world,
+            outcome=episode.outcome,
+            frames=episode.frames,
+            seconds=(ticks[-1] - ticks[0]) * TICK_S if ticks else 0.0,
+            useless=useless or "",
+            thumbnails=tuple(_thumbnails(episode, ticks)),
+        )
+
+    def _model(self, path: Path, stamp: _Stamp) -> tuple[_Stamp, LearnedModel]:
+        known = self._models.get(path)
+        if known is not None and known[0] == stamp:
+            return known
+        name = path.relative_to(self.root).as_posix()
+        listed = LearnedModel(name, stamp[0] / 1e9, stamp[1])
+        try:
+            with open_below(self.root, name) as file:
+                meta = container.read_meta(file, name, FORMAT_VERSION)
+            mapped = meta["map"]
+            if mapped is None:
+                return stamp, replace(listed, useless="it has no map of views; smal run --scheme paper runs it")
+            goals = tuple(sorted({printable(str(goal)) for goal in mapped["goals"]}))
+            return stamp, replace(listed, goals=goals, fingerprint=printable(str(meta["feature_fingerprint"])),
+                                       longest=max(int(frames) for frames in meta["frames"]))  # fmt: skip
+        except (ModelError, LookupError, TypeError, ValueError, ArithmeticError, OSError) as error:
+            return stamp, replace(listed, useless=printable(str(error)).removeprefix(f"{name}: "))
+
+
+def _thumbnails(episode: RecordedEpisode, ticks: list[int]) -> Iterator[bytes]:
+    """Give small pictures along a drive, its first and last frame among them."""
+    count = min(THUMBNAILS, len(ticks))
+    for k in range(count):
+        tick = ticks[round(k * (len(ticks) - 1) / max(count - 1, 1))]
+        try:
+            image = decode_image(bytes(episode.images[tick]))
+        except ValueError as error:
+            _log.warning("%s, frame %d: %s", episode.episode, tick, error)
+            continue
+        height = max(1, round(image.shape[0] * _WIDTH / image.shape[1]))
+        yield encode_jpeg(cv2.resize(image, (_WIDTH, height), interpolation=cv2.INTER_AREA).astype("uint8"))

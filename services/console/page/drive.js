@@ -1,0 +1,127 @@
+// Driving. The console sends a beat 20 times a second, and each is answered with what is held: no answer, no movement.
+
+const KEYS = {
+  KeyW: "forward", KeyA: "left", KeyS: "backward", KeyD: "right",
+  ArrowUp: "forward", ArrowLeft: "left", ArrowDown: "backward", ArrowRight: "right",
+};
+const TAKEN = 4002;
+const DEAD_ZONE = 0.5, GAMEPAD_STOP = 1, GAMEPAD_PAD = { 12: "forward", 13: "backward", 14: "left", 15: "right" };
+
+export class Drive {
+  constructor({ onChange, onRefused, onStop }) {
+    this.sits = false;
+    this._held = [];
+    this._beat = null;
+    this._onChange = onChange;
+    this._onRefused = onRefused;
+    this._onStop = onStop;
+    addEventListener("keydown", (event) => this._key(event, true));
+    addEventListener("keyup", (event) => this._key(event, false));
+    for (const lost of ["blur", "pagehide"]) addEventListener(lost, () => this.letGo());
+    document.addEventListener("visibilitychange", () => this._visibility());
+  }
+
+  /** The movement that is asked for: that of the key pressed last, or of a gamepad. */
+  get held() {
+    return this._held.at(-1) ?? this._gamepad();
+  }
+
+  /** Sit down; resolves to whether the seat was free. */
+  take() {
+    if (this.sits) return Promise.resolve(true);
+    this._taking ??= new Promise((done) => {
+      const socket = (this._socket = new WebSocket(`${location.origin.replace("http", "ws")}/drive`));
+      socket.onmessage = ({ data }) => {
+        const { beat, refused } = JSON.parse(data);
+        if (refused) return this._onRefused(refused);
+        this._beat = beat;
+        if (!this.sits) this._sit(true, done);
+        this._answer();
+      };
+      socket.onclose = ({ code }) => {
+        this._onRefused(code === TAKEN ? "Somebody else drives; you watch." : this.sits ? "Your connection was lost: the robot stands." : "");
+        this._sit(false, done);
+      };
+    });
+    return this._taking;
+  }
+
+  /** Stand up in good order; the robot does not miss who did. */
+  leave() {
+    if (!this.sits) return;
+    this.letGo();
+    this._send({ do: "leave" });
+    this._socket.onclose = null;
+    this._socket.close();
+    this._sit(false, () => {});
+  }
+
+  async ask(what) {
+    if (await this.take()) this._send(what);
+  }
+
+  press(atom) {
+    this._held = [...this._held.filter((one) => one !== atom), atom];
+    this._answer();
+  }
+
+  release(atom) {
+    this._held = this._held.filter((one) => one !== atom);
+    this._answer();
+  }
+
+  letGo() {
+    this._held = [];
+    this._answer();
+  }
+
+  _sit(sits, done) {
+    this.sits = sits;
+    this._taking = sits ? this._taking : null;
+    this._held = [];
+    done(sits);
+    this._onChange();
+  }
+
+  _answer() {
+    if (this.sits) this._send({ do: "hold", beat: this._beat, atom: this.held });
+    this._onChange();
+  }
+
+  _send(what) {
+    if (this._socket.readyState === WebSocket.OPEN) this._socket.send(JSON.stringify(what));
+  }
+
+  _key(event, down) {
+    if (event.code === "Escape") return down && !event.repeat && this._onStop();
+    const atom = KEYS[event.code];
+    const types = event.target instanceof Element && event.target.closest("input, select, textarea");
+    if (!atom || (down && (types || event.ctrlKey || event.metaKey || event.altKey))) return;
+    if (this.sits && down) event.preventDefault();
+    if (down && event.repeat) return;
+    if (down && !this.sits) return this._onRefused("Take control first, then drive.");
+    down ? this.press(atom) : this.release(atom);
+  }
+
+  /** Nobody drives in a page that nobody sees. */
+  async _visibility() {
+    if (document.hidden) {
+      this._back = this.sits;
+      this.leave();
+    } else if (this._back) {
+      await this.take();
+    }
+  }
+
+  _gamepad() {
+    for (const pad of navigator.getGamepads()) {
+      if (!pad) continue;
+      if (pad.buttons[GAMEPAD_STOP]?.pressed) this._onStop();
+      for (const [button, atom] of Object.entries(GAMEPAD_PAD)) if (pad.buttons[button]?.pressed) return atom;
+      const [x, y] = pad.axes;
+      if (Math.abs(y) > Math.max(DEAD_ZONE, Math.abs(x))) return y < 0 ? "forward" : "backward";
+      if (Math.abs(x) > DEAD_ZONE) return x < 0 ? "left" : "right";
+    }
+    return null;
+  }
+}

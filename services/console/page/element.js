@@ -1,0 +1,34 @@
+// Text goes into the page as text, never as markup.
+
+export const $ = (selector) => document.querySelector(selector);
+
+/** Make an element; properties that are no property of it become attributes. */
+export function element(tag, properties = {}, ...children) {
+  const made = document.createElement(tag);
+  for (const [name, value] of Object.entries(properties)) {
+    if (name in made) made[name] = value;
+    else made.setAttribute(name, value);
+  }
+  made.append(...children);
+  return made;
+}
+
+/** Set a text only where it changes, so that screen readers are told of news alone. */
+export function say(node, text) {
+  if (node.textContent !== text) node.textContent = text;
+}
+
+/** A canvas as wide as its place, sharp on every screen; returns its context, in CSS pixels, cleared. */
+export function cleared(canvas, height) {
+  const ratio = devicePixelRatio, width = canvas.clientWidth;
+  const [w, h] = [Math.round(width * ratio), Math.round(height * ratio)];
+  if (canvas.width !== w || canvas.height !== h) [canvas.width, canvas.height] = [w, h];
+  const pen = canvas.getContext("2d");
+  pen.setTransform(ratio, 0, 0, ratio, 0, 0);
+  pen.clearRect(0, 0, width, height);
+  return [pen, width];
+}
+
+export const color = (name) => getComputedStyle(document.documentElement).getPropertyValue(`--${name}`);
+export const seconds = (s) => (s < 10 ? `${s.toFixed(1)} s` : s < 120 ? `${Math.round(s)} s` : `${Math.round(s / 60)} min`);
+export const percent = (share) => `${Math.round(100 * share)} %`;

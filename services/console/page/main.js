@@ -1,0 +1,136 @@
+// The page: what is heard is drawn, what is pressed is said.
+
+import { drawBelief } from "./belief.js";
+import { Drive } from "./drive.js";
+import { $, element, say, seconds } from "./element.js";
+import { drawHealth, illness } from "./health.js";
+import { drawMap } from "./map.js";
+import { drawJob, drawLibrary, wireTeaching } from "./teach.js";
+import { Watch } from "./watch.js";
+
+const OLD_S = 1, SILENT_S = 2, MOST_LINES = 50;
+const CAUSES = {
+  not_armed: "Not armed: begin a drive or a run, or arm it",
+  emergency_stop: "EMERGENCY STOP: it stands until it is armed",
+  operator_lost: "It stands: it had lost its operator. Arm, resume",
+  fault: "It stands: its body has failed. Look at it, then arm it",
+};
+const BY = { teleop: "by hand", policy: "by itself", expert: "by the expert" };
+const DOING = { forward: "drives forward", backward: "drives backward", left: "turns left", right: "turns right", stop: "stands" };
+
+const camera = $("#camera canvas"), noCamera = $("#camera .empty"), pad = $("#pad");
+const watch = new Watch(onNews, onPicture);
+const drive = new Drive({ onChange: drawSeat, onRefused: tell, onStop: stop });
+
+// -- what is heard ---------------------------------------------------------------------------------------------------
+
+const draws = {
+  library: () => drawLibrary(watch.state.library),
+  health: () => drawHealth(watch.state.health),
+  job: () => drawJob(watch.state.job),
+  news: () => drawNews(watch.state.news),
+  robot_id: () => say($("#robot"), watch.state.robot_id),
+  taken: drawSeat,
+};
+
+function onNews(channels) {
+  for (const channel of channels) draws[channel]?.();
+  drawStatus();
+  if (channels.some((one) => ["belief", "plan", "model"].includes(one))) drawBelief(watch.state, (channel) => watch.age(channel));
+  if (channels.some((one) => ["pose", "way", "model", "belief", "tracked"].includes(one))) drawMap(watch.state, (channel) => watch.age(channel));
+}
+
+async function onPicture(blob) {
+  const image = await createImageBitmap(blob);
+  if (camera.width !== image.width || camera.height !== image.height) [camera.width, camera.height] = [image.width, image.height];
+  camera.getContext("2d").drawImage(image, 0, 0);
+  image.close();
+}
+
+/** How the robot is, in one line, and whether that is good, a warning or bad. */
+function status() {
+  const { robot } = watch.state;
+  if (!watch.connected) return ["bad", `No connection to the console for ${seconds((performance.now() - watch.sinceMs) / 1000)}`];
+  if (!robot || (!robot.answers && !robot.waiting)) return ["bad", `The robot does not answer ${illness(watch.state.health, ["router", "robot"])}`];
+  if (robot.emergency || robot.cause) return ["bad", CAUSES[robot.emergency ? "emergency_stop" : robot.cause]];
+  if (robot.waiting) return ["warn", "Waiting for the robot …"];
+  if (!robot.episode) return ["good", robot.outcome ? `Armed; the last episode ended: ${robot.outcome}` : "Armed"];
+  if (watch.age("robot") > SILENT_S) return ["bad", `No sign of the robot for ${seconds(watch.age("robot"))}`];
+  if (robot.reason === "taken_over") return ["warn", "It stands: you have taken over. Resume, and the driver goes on"];
+  if (robot.reason === "silence") return ["warn", robot.driver === "teleop" ? "It stands: hold a key to drive" : "It stands: nobody drives"];
+  return ["good", `Driven ${BY[robot.source]}`];
+}
+
+function drawStatus() {
+  const [how, text] = status(), pill = $("#status"), { robot } = watch.state;
+  pill.className = `pill ${how}`;
+  say(pill, text);
+  $("#stop").setAttribute("aria-pressed", String(Boolean(robot?.emergency || robot?.cause === "emergency_stop")));
+  const running = Boolean(robot?.episode);
+  document.body.dataset.episode = robot?.episode ?? "";
+  document.body.dataset.outcome = robot?.outcome ?? "";
+  for (const id of ["found", "end"]) $(`#${id}`).disabled = !running;
+  say($("#episode"), !robot?.purpose ? "" : `${robot.purpose === "run" ? "Run" : "Drive"} to ${robot.goal} in ${robot.world}: frame ${robot.tick}${robot.episode ? `, it ${DOING[robot.atom] ?? "stands"}` : ""}${robot.outcome ? `, ${robot.outcome}` : ""}${robot.refused ? `; commands refused: ${robot.refused}` : ""}`);
+  drawCameraAge(running);
+}
+
+function drawCameraAge(running) {
+  const age = watch.age("camera");
+  noCamera.hidden = age !== null && (age < OLD_S || !running);
+  if (age === null) say(noCamera, "No camera frame yet. Begin a drive or a run.");
+  else if (!noCamera.hidden) say(noCamera, `No camera frame for ${seconds(age)}${illness(watch.state.health, ["router", "robot"]).replace(/^(?=.)/, ": ")}`);
+}
+
+let lastLine = 0;
+
+/** Add what is new, and no more: a screen reader reads out what is added. */
+function drawNews(lines) {
+  if (lines.at(-1).number < lastLine) lastLine = 0; // the console was started again
+  for (const { number, at, text } of lines.filter(({ number }) => number > lastLine)) {
+    tell(text, new Date(Date.now() - 1000 * watch.since(at)));
+    lastLine = number;
+  }
+}
+
+// -- what is pressed -------------------------------------------------------------------------------------------------
+
+function drawSeat() {
+  const seat = $("#seat"), taken = Boolean(watch?.state.taken) && !drive?.sits;
+  seat.setAttribute("aria-pressed", String(Boolean(drive?.sits)));
+  say(seat, drive?.sits ? "Leave control" : taken ? "Somebody else drives" : "Take control");
+  const held = drive?.held;
+  for (const button of pad.children) button.classList.toggle("held", button.dataset.atom === held);
+}
+
+function tell(text, when = new Date()) {
+  const list = $("#news");
+  if (text) list.prepend(element("li", {}, element("time", {}, when.toLocaleTimeString()), text));
+  if (list.children.length > MOST_LINES) list.lastChild.remove();
+  $("#news-empty").hidden = list.children.length > 0;
+}
+
+function stop() {
+  drive.letGo();
+  if (!watch.stop()) tell("NOT SENT: there is no connection to the console.");
+}
+
+$("#stop").onclick = stop;
+$("#seat").onclick = () => (drive.sits ? drive.leave() : drive.take());
+$("#resume").onclick = () => drive.ask({ do: "resume" });
+$("#found").onclick = () => drive.ask({ do: "end", found: true });
+$("#end").onclick = () => drive.ask({ do: "end", found: false });
+wireTeaching((what) => drive.ask(what));
+
+for (const button of pad.children) {
+  const { atom } = button.dataset;
+  const press = async () => (await drive.take()) && button.matches(":active") && drive.press(atom);
+  button.onpointerdown = (event) => {
+    button.setPointerCapture(event.pointerId);
+    drive.sits ? drive.press(atom) : press();
+  };
+  for (const let_go of ["onpointerup", "onpointercancel", "onlostpointercapture", "onblur"]) button[let_go] = () => drive.release(atom);
+  button.onkeydown = ({ code, repeat }) => ["Space", "Enter"].includes(code) && !repeat && drive.sits && drive.press(atom);
+  button.onkeyup = ({ code }) => ["Space", "Enter"].includes(code) && drive.release(atom);
+  button.oncontextmenu = (event) => event.preventDefault();
+}
+setInterval(() => { drawStatus(); drawBelief(watch.state, (channel) => watch.age(channel)); }, 500);

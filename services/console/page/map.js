@@ -1,0 +1,56 @@
+// The map: taught drives, today's way, the robot, and where it thinks that it is.
+
+import { $, cleared, color } from "./element.js";
+
+const HEIGHT = 260, MARGIN = 18, LEAST_M = 4;
+const canvas = $("#map canvas");
+
+export function drawMap({ model, way, pose, tracked, belief }, age) {
+  const [pen, width] = cleared(canvas, HEIGHT);
+  const taught = model?.x ? model.x.map((x, k) => [x, model.y[k]]) : [];
+  const today = way && pose && way.episode === pose.episode ? [...way.points, pose.pose] : pose ? [pose.pose] : [];
+  const believed = age("belief") < 2 ? belief?.pose : undefined;
+  const all = [...taught, ...today, ...(believed ? [believed] : [])];
+  if (all.length === 0) {
+    pen.fillStyle = color("soft");
+    pen.font = "14px system-ui, sans-serif";
+    return pen.fillText("Nothing to draw yet.", MARGIN, HEIGHT / 2);
+  }
+  const bounds = [0, 1].map((axis) => [Math.min(...all.map((p) => p[axis])), Math.max(...all.map((p) => p[axis]))]);
+  const [middleX, middleY] = bounds.map(([low, high]) => (low + high) / 2);
+  const scale = Math.min((width - 2 * MARGIN) / Math.max(bounds[0][1] - bounds[0][0], LEAST_M), (HEIGHT - 2 * MARGIN) / Math.max(bounds[1][1] - bounds[1][0], LEAST_M));
+  const at = ([x, y]) => [width / 2 + (x - middleX) * scale, HEIGHT / 2 - (y - middleY) * scale];
+
+  const line = (points, shade, thickness) => {
+    pen.beginPath();
+    points.forEach((point, k) => pen[k ? "lineTo" : "moveTo"](...at(point)));
+    [pen.strokeStyle, pen.lineWidth, pen.lineJoin] = [color(shade), thickness, "round"];
+    pen.stroke();
+  };
+  const arrow = ([x, y, heading], shade, filled) => {
+    const [px, py] = at([x, y]);
+    pen.save();
+    pen.translate(px, py);
+    pen.rotate(-heading);
+    pen.beginPath();
+    [[10, 0], [-6, 6], [-3, 0], [-6, -6]].forEach((point, k) => pen[k ? "lineTo" : "moveTo"](...point));
+    pen.closePath();
+    [pen.fillStyle, pen.strokeStyle, pen.lineWidth] = [color(shade), color(shade), 2];
+    filled ? pen.fill() : pen.stroke();
+    pen.restore();
+  };
+
+  for (const drive of new Set(model?.drives ?? [])) {
+    const points = taught.filter((_, k) => model.drives[k] === drive);
+    line(points, "taught", 3);
+    const [gx, gy] = at(points.at(-1));
+    pen.beginPath();
+    pen.arc(gx, gy, 6, 0, 7);
+    pen.fillStyle = color("taught");
+    pen.fill();
+  }
+  line(today, "way", 2);
+  if (tracked && age("tracked") < 2) arrow(tracked.pose, "soft", false);
+  if (pose && age("pose") < 5) arrow(pose.pose, "good", true);
+  if (believed) arrow(believed, "believed", false);
+}

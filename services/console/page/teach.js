@@ -1,0 +1,103 @@
+// Recordings, learning, and running what was learned.
+
+import { $, element, percent, say } from "./element.js";
+
+const OUTCOMES = { found: "found", collision: "collision", timeout: "time was out", aborted: "ended before the goal" };
+const REALLY_MS = 3000;
+const list = $("#recordings"), learn = $("#learn-form"), run = $("#run-form"), job = $("#job");
+const chosen = new Map();
+
+export function wireTeaching(ask) {
+  $("#drive-form").onsubmit = (event) => send(event, ({ goal }) => ask({ do: "drive", goal: goal.trim() }));
+  learn.onsubmit = (event) => send(event, ({ name }) => ask({ do: "learn", name: name.trim(), recordings: picked() }));
+  run.onsubmit = (event) => send(event, ({ model, goal, start, seed }) => ask({ do: "run", model, goal, start, seed: Number(seed) }));
+  $("#cancel").onclick = () => ask({ do: "cancel" });
+  list.onchange = ({ target }) => (chosen.set(target.value, target.checked), allowLearning());
+  list.onclick = ({ target }) => {
+    if (!target.dataset.recording) return;
+    if (target.dataset.sure) return ask({ do: "delete", recording: target.dataset.recording });
+    // No dialog of the browser's: while one is open the page could not stop the robot.
+    target.dataset.sure = "yes";
+    target.textContent = "Really delete?";
+    setTimeout(() => { delete target.dataset.sure; target.textContent = "Delete"; }, REALLY_MS);
+  };
+  run.elements.model.onchange = fillGoals;
+}
+
+function send(event, what) {
+  event.preventDefault();
+  what(Object.fromEntries(new FormData(event.target)));
+  document.activeElement?.blur();  // the keys are for driving again
+}
+
+const picked = () => [...list.querySelectorAll("input:checked")].map((box) => box.value);
+
+function allowLearning() {
+  learn.querySelector("button").disabled = picked().length === 0;
+}
+
+let library = { recordings: [], models: [] };
+
+export function drawLibrary(now) {
+  library = now;
+  list.replaceChildren(...now.recordings.map(recordingItem));
+  const empty = $("#recordings-empty");
+  empty.hidden = now.recordings.length > 0;
+  if (now.folder === null) say(empty, "The recorder records outside of the console's folder; start the stack with --root.");
+  const names = new Set(now.models.map(({ name }) => name.split("/").at(-1)));
+  const name = learn.elements.name;
+  if (!name.value || (names.has(`${name.value}.smal`) && document.activeElement !== name)) {
+    let number = 1;
+    while (names.has(`way-${number}.smal`)) number++;
+    name.value = `way-${number}`;
+  }
+  fillModels();
+  allowLearning();
+}
+
+function recordingItem(one) {
+  const when = new Date(1000 * one.when_s).toLocaleString([], { dateStyle: "short", timeStyle: "short" });
+  const title = `${one.purpose === "run" ? "Run" : "Drive"} to ${one.goal || "?"}`;
+  const facts = one.useless || `${OUTCOMES[one.outcome] ?? "end not recorded"}, ${Math.round(one.seconds)} s, ${one.frames} frames, ${when}`;
+  const box = element("input", { type: "checkbox", value: one.name, disabled: Boolean(one.useless), checked: !one.useless && (chosen.get(one.name) ?? (one.purpose === "drive" && one.outcome === "found")) });
+  const pictures = Array.from({ length: one.thumbnails }, (_, k) => element("img", { alt: "", loading: "lazy", width: 72, height: 54, src: `thumbnail?${new URLSearchParams({ of: one.name, k })}` }));
+  const text = element("span", {}, title, element("small", {}, facts));
+  text.title = one.name;
+  const remove = element("button", { type: "button", "aria-label": `Delete ${title}, ${when}` }, "Delete");
+  remove.dataset.recording = one.name;
+  return element("li", {}, element("label", {}, box, text), element("div", { className: "thumbnails" }, ...pictures), remove);
+}
+
+function fillModels() {
+  const select = run.elements.model, before = select.value;
+  const options = library.models.map(({ name, useless }) => element("option", { value: name, disabled: Boolean(useless) }, useless ? `${name}: ${useless}` : name));
+  select.replaceChildren(...options);
+  const usable = library.models.filter(({ useless }) => !useless).map(({ name }) => name);
+  // The newest model is the one that somebody has just learned.
+  if (usable.includes(before) && usable[0] === fillModels.newest) select.value = before;
+  else if (usable.length > 0) select.value = usable[0];
+  fillModels.newest = usable[0];
+  run.querySelector("button").disabled = usable.length === 0;
+  fillGoals();
+}
+
+function fillGoals() {
+  const goals = library.models.find(({ name }) => name === run.elements.model.value)?.goals ?? [];
+  const before = run.elements.goal.value;
+  run.elements.goal.replaceChildren(...goals.map((goal) => element("option", { value: goal }, goal)));
+  if (goals.includes(before)) run.elements.goal.value = before;
+}
+
+export function drawJob(now) {
+  const works = !now.outcome;
+  $("#cancel").hidden = !works;
+  if (works) {
+    if (!job.querySelector("progress")) job.replaceChildren(element("p"), element("progress", { max: 1 }));
+    say(job.firstChild, `Learning ${now.name}: ${now.stage}`);
+    job.lastChild.value = now.share;
+    job.lastChild.setAttribute("aria-label", `${now.stage}: ${percent(now.share)}`);
+    return;
+  }
+  const said = { done: `${now.name} is learned: run it.`, cancelled: `${now.name} was cancelled.`, failed: `${now.name} could not be learned: ${now.why}` };
+  job.replaceChildren(element("p", {}, said[now.outcome]), ...now.remarks.filter((text) => text !== now.why).map((text) => element("p", { className: "hint" }, text)));
+}

@@ -1,0 +1,73 @@
+// The newest of everything. The server sends the next message when this one was seen: a slow page gets fewer.
+
+const FIRST_WAIT_MS = 300, LONGEST_WAIT_MS = 3000;
+
+export class Watch {
+  constructor(onNews, onPicture) {
+    this.state = {};
+    this.connected = false;
+    this.sinceMs = performance.now();
+    this._onNews = onNews;
+    this._onPicture = onPicture;
+    this._behindS = 0;
+    this._waitMs = FIRST_WAIT_MS;
+    this._open();
+  }
+
+  /** Seconds since a time of the console's clock. */
+  since(at) {
+    return Math.max(0, performance.now() / 1000 + this._behindS - at);
+  }
+
+  /** Age of a channel in seconds, or null where nothing was heard on it. */
+  age(channel) {
+    const at = this.state[channel]?.at;
+    return at === undefined ? null : this.since(at);
+  }
+
+  /** Whether an emergency stop could be sent. */
+  stop() {
+    if (this.connected) this._socket.send('{"do":"stop"}');
+    return this.connected;
+  }
+
+  _open() {
+    const socket = (this._socket = new WebSocket(`${location.origin.replace("http", "ws")}/watch`));
+    socket.binaryType = "arraybuffer";
+    socket.onopen = () => this._connection(true);
+    socket.onmessage = ({ data }) => (typeof data === "string" ? this._take(JSON.parse(data)) : this._show(data));
+    socket.onclose = () => {
+      this._connection(false);
+      setTimeout(() => this._open(), this._waitMs);
+      this._waitMs = Math.min(2 * this._waitMs, LONGEST_WAIT_MS);
+    };
+  }
+
+  _connection(is) {
+    if (is) [this._waitMs, this.state] = [FIRST_WAIT_MS, {}];
+    if (is !== this.connected) this.sinceMs = performance.now();
+    this.connected = is;
+    this._onNews([]);
+  }
+
+  _take({ now, picture, ...news }) {
+    this._behindS = now - performance.now() / 1000;
+    Object.assign(this.state, news);
+    this._onNews(Object.keys(news));
+    if (!picture) this._seen();
+  }
+
+  async _show(data) {
+    try {
+      await this._onPicture(new Blob([data], { type: "image/jpeg" }));
+    } finally {
+      this._seen();
+    }
+  }
+
+  /** A page that nobody looks at takes nothing more until somebody does. */
+  _seen() {
+    const socket = this._socket;
+    requestAnimationFrame(() => socket.readyState === WebSocket.OPEN && socket.send('{"do":"seen"}'));
+  }
+}

@@ -1,0 +1,76 @@
+"""Who drives: one browser at a time, and only while it answers in time.
+
+The console sends a beat 20 times a second, and the browser answers each with what is held. An answer says something
+of the moment when its beat was sent, and of no later one: what a sleeping laptop or a slow link delivers late moves
+nothing, as the robot's gate has it for commands.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Final
+
+from services.robot.clock import now_s
+
+#: Time after its beat was sent when an answer counts no more, and when what was held is let go.
+LET_GO_S: Final = 0.25
+#: Silence after which somebody else may take the seat, and a robot that would move alone misses who had it.
+LEASE_S: Final = 1.0
+#: Beats in flight that are remembered; an answer to an older one is late anyway.
+_KEPT: Final = 16
+
+
+class Seat:
+    """The one place from which the robot is driven; of one thread.
+
+    Parameters
+    ----------
+    clock
+        Seconds.
+    """
+
+    def __init__(self, clock: Callable[[], float] = now_s) -> None:
+        self._clock = clock
+        self._sitter: object | None = None
+        self._heard_s = 0.0
+        self._beat = -1
+        self._sent_s: dict[int, float] = {}
+
+    def take(self, who: object) -> bool:
+        """Sit down, unless somebody else is there."""
+        now = self._clock()
+        if self._sitter is not None and now - self._heard_s <= LEASE_S:
+            return False
+        self._sitter, self._heard_s = who, now
+        self._sent_s.clear()
+        return True
+
+    def holds(self, who: object) -> bool:
+        """Whether this one has the seat."""
+        return self._sitter is who
+
+    def leave(self, who: object) -> None:
+        """Stand up."""
+        if self._sitter is who:
+            self._sitter = None
+
+    @property
+    def taken(self) -> bool:
+        """Whether somebody has it."""
+        return self._sitter is not None
+
+    def beat(self) -> int:
+        """Return the number of the beat that is sent now."""
+        self._beat += 1
+        self._sent_s[self._beat] = self._clock()
+        self._sent_s.pop(self._beat - _KEPT, None)
+        return self._beat
+
+    def answered(self, beat: int) -> float | None:
+        """Return until when the answer to a beat counts; None where that is over, or there was no such beat."""
+        now = self._clock()
+        sent_s = self._sent_s.get(beat)
+        if sent_s is None:
+            return None
+        self._heard_s = now
+        return sent_s + LET_GO_S if now < sent_s + LET_GO_S else None

@@ -1,0 +1,273 @@
+"""The page's server: files, pictures, and two sockets for each browser, one to watch and one to drive."""
+
+from __future__ import annotations
+
+import asyncio
+import threading
+from collections.abc import Callable, Coroutine
+from contextlib import suppress
+from pathlib import Path
+from typing import Any, Final, Protocol
+
+import uvicorn
+from pydantic import ValidationError
+from starlette.applications import Starlette
+from starlette.requests import Request
+from starlette.responses import PlainTextResponse, Response
+from starlette.routing import Mount, Route, WebSocketRoute
+from starlette.staticfiles import StaticFiles
+from starlette.websockets import WebSocket, WebSocketDisconnect, WebSocketState
+
+from schemas.base import Atom
+from schemas.codec import describe
+from services.console.address import listen
+from services.console.asks import OF_DRIVER, OF_WATCHERS, Ask, Hold, Leave, Stop
+from services.console.board import Board, FullError
+from services.console.config import ConsoleSettings
+from services.console.guard import Guard
+from services.console.learned import Learned
+from services.console.library import Library
+from services.console.seat import Seat
+from services.operator.operator import BEAT_S
+
+PAGE: Final = Path(__file__).parent / "page"
+#: A watcher is sent something at most so often.
+_APART_S: Final = 0.05
+#: Most bytes that a browser says at once: the names of a thousand recordings.
+_MOST_BYTES: Final = 1 << 20
+#: Codes by which a socket is closed: too many watch; somebody else drives; what was said makes no sense.
+FULL, TAKEN, NONSENSE = 4001, 4002, 4003
+#: How long open sockets may take to close at the end.
+_FAREWELL_S: Final = 1
+
+
+class Person(Protocol):
+    """What a browser's person can do, and look at; see ``ConsoleService``."""
+
+    @property
+    def library(self) -> Library:
+        """What was recorded and learned."""
+
+    @property
+    def learned(self) -> Learned | None:
+        """The model that the robot goes by."""
+
+    def hold(self, atom: Atom | None, until_s: float) -> None:
+        """Be there, and hold a key."""
+
+    def let_go(self) -> None:
+        """Be gone."""
+
+    def leave(self) -> None:
+        """Stand up."""
+
+    def stop(self) -> None:
+        """Stop for an emergency."""
+
+    def ask(self, ask: Ask) -> None:
+        """Ask for something."""
+
+
+class Web:
+    """Answers browsers, in one event loop.
+
+    Parameters
+    ----------
+    person
+        What they can do.
+    board
+        What they see.
+    """
+
+    def __init__(self, person: Person, board: Board) -> None:
+        self._person = person
+        self._board = board
+        self._seat = Seat(board.clock)
+
+    def application(self) -> Starlette:
+        """Return what answers; without its guard."""
+        return Starlette(
+            routes=[
+                Route("/thumbnail", self._thumbnail),
+                Route("/taught/{model}/{keyframe:int}", self._taught),
+                WebSocketRoute("/watch", self._watch),
+                WebSocketRoute("/drive", self._drive),
+                Mount("/", StaticFiles(directory=PAGE, html=True)),
+            ]
+        )
+
+    # -- pictures -------------------------------------------------------------------------------------------------
+
+    async def _thumbnail(self, request: Request) -> Response:
+        """Answer with a small picture of a recording; its name is looked for in the list, and opens nothing."""
+        recording = self._person.library.recording(request.query_params.get("of", ""))
+        number = request.query_params.get("k", "")
+        if recording is None or not number.isdecimal() or int(number) >= len(recording.thumbnails):
+            return PlainTextResponse("no such picture\n", 404)
+        return _picture(recording.thumbnails[int(number)])
+
+    async def _taught(self, request: Request) -> Response:
+        """Answer with the taught image of a keyframe."""
+        learned = self._person.learned
+        known = learned is not None and learned.identity == request.path_params["model"]
+        picture = learned.image(request.path_params["keyframe"]) if learned is not None and known else None
+        return PlainTextResponse("no such picture\n", 404) if picture is None else _picture(picture)
+
+    # -- watching -------------------------------------------------------------------------------------------------
+
+    async def _watch(self, browser: WebSocket) -> None:
+        """Send the newest, and more when that was seen: at most one message is on its way, however slow that is."""
+        await browser.accept()
+        seen = asyncio.Event()
+
+        async def listen() -> None:
+            async for said in browser.iter_text():
+                if isinstance(OF_WATCHERS.validate_json(said), Stop):
+                    self._person.stop()
+                else:
+                    seen.set()
+
+        try:
+            with self._board.watched() as watcher:
+
+                async def tell() -> None:
+                    while True:
+                        text, picture = await watcher.newest()
+                        await browser.send_text(text)
+                        if picture:
+                            await browser.send_bytes(picture)
+                        await asyncio.sleep(_APART_S)
+                        await seen.wait()
+                        seen.clear()
+
+                await _until_one_ends(browser, listen(), tell())
+        except FullError:
+            await browser.close(FULL, "too many watch")
+
+    # -- driving --------------------------------------------------------------------------------------------------
+
+    async def _drive(self, browser: WebSocket) -> None:
+        """Give a browser the seat for as long as it answers beats."""
+        await browser.accept()
+        if not self._seat.take(browser):
+            await browser.close(TAKEN, "somebody else drives")
+            return
+        self._board.put("taken", content=True)
+
+        async def beat() -> None:
+            while self._seat.holds(browser):
+                await browser.send_json({"beat": self._seat.beat()})
+                await asyncio.sleep(BEAT_S)
+
+        try:
+            await _until_one_ends(browser, self._listen(browser), beat())
+        finally:
+            self._stand_up(browser, self._person.let_go)
+
+    async def _listen(self, browser: WebSocket) -> None:
+        """Do what whoever drives says, until they leave or somebody else has the seat.
+
+        Nonsense moves nothing; they are told, and go on: a name that may not be is no reason to lose the robot.
+        """
+        async for text in browser.iter_text():
+            if not self._seat.holds(browser):
+                return
+            try:
+                said = OF_DRIVER.validate_json(text)
+            except ValidationError as error:
+                await browser.send_json({"refused": describe(error)})
+                continue
+            if isinstance(said, Hold):
+                until_s = self._seat.answered(said.beat)
+                if until_s is not None:
+                    self._person.hold(said.atom, until_s)
+            elif isinstance(said, Leave):
+                self._stand_up(browser, self._person.leave)
+                return
+            else:
+                self._person.ask(said)
+
+    def _stand_up(self, browser: WebSocket, how: Callable[[], None]) -> None:
+        if self._seat.holds(browser):
+            self._seat.leave(browser)
+            self._board.put("taken", content=False)
+            how()
+
+
+async def _until_one_ends(browser: WebSocket, *tasks: Coroutine[Any, Any, None]) -> None:
+    """Run what talks to a browser, until it is gone, nothing more is to be said, or it says what it may not."""
+    running = [asyncio.ensure_future(task) for task in tasks]
+    try:
+        await asyncio.wait(running, return_when=asyncio.FIRST_COMPLETED)
+        for task in running:
+            if task.done():
+                task.result()
+    except ValidationError as error:
+        with suppress(RuntimeError, WebSocketDisconnect):
+            await browser.close(NONSENSE, describe(error)[:100])
+    except (WebSocketDisconnect, RuntimeError):
+        return  # it went away while it was being sent something
+    finally:
+        for task in running:
+            task.cancel()
+        await asyncio.gather(*running, return_exceptions=True)
+    if browser.application_state is WebSocketState.CONNECTED:
+        with suppress(RuntimeError, WebSocketDisconnect):
+            await browser.close()
+
+
+def _picture(jpeg: bytes) -> Response:
+    # What a name or a number stands for does not change while the page is open.
+    return Response(jpeg, media_type="image/jpeg", headers={"Cache-Control": "private, max-age=3600"})
+
+
+class WebServer:
+    """Serves the page on a thread of its own.
+
+    Parameters
+    ----------
+    person
+        What browsers can do.
+    board
+        What they see.
+    settings
+        Where to listen, and who gets in.
+
+    Raises
+    ------
+    ServiceError
+        When that may not be listened on, or cannot be.
+    """
+
+    def __init__(self, person: Person, board: Board, settings: ConsoleSettings) -> None:
+        place = listen(settings)
+        self._socket, token = place.socket, place.token
+        self._server = uvicorn.Server(
+            uvicorn.Config(
+                Guard(Web(person, board).application(), token),
+                ws_max_size=_MOST_BYTES,
+                # A browser that says nothing for a while may still look.
+                ws_ping_interval=20.0,
+                ws_per_message_deflate=False,
+                ssl_certfile=settings.console_cert,
+                ssl_keyfile=settings.console_key,
+                lifespan="off",
+                log_config=None,
+                log_level="warning",
+                access_log=False,
+                server_header=False,
+                proxy_headers=False,
+                timeout_graceful_shutdown=_FAREWELL_S,
+            )
+        )
+        self.address = place.address
+        self._thread = threading.Thread(
+            target=self._server.run, kwargs={"sockets": [self._socket]}, name="web", daemon=True
+        )
+        self._thread.start()
+
+    def close(self) -> None:
+        """Stop listening."""
+        self._server.should_exit = True
+        self._thread.join(2 * _FAREWELL_S)
+        self._socket.close()

@@ -1,0 +1,251 @@
+"""Recorded episodes as drives that any format can be written from: images, poses by the wheels, velocities."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection, Iterable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final, NamedTuple, cast
+
+import numpy as np
+
+from schemas.base import DIRECTIONS, Atom
+from schemas.camera_info import CameraInfo
+from schemas.command import CommandApplied
+from schemas.imu import Imu
+from schemas.odometry import Odometry
+from schemas.topics import CAMERA_INFO, IMU, ODOMETRY
+from services.importers.drive import Tally
+from services.importers.resample import TICK_S
+from services.kit.jpeg import is_jpeg
+from services.recordings.encoding import stamped_jpeg
+from services.recordings.reader import RecordingError, read_recording
+from services.recordings.recorded import RecordedEpisode
+from services.recordings.records import Allowance
+from smal.movement import Movement
+
+#: Of velocities: a micrometre and a microradian a second.
+_DIGITS: Final = 6
+
+
+class ExportFailure(Exception):  # noqa: N818 - as ImportFailure
+    """Recordings cannot be exported; the text says why in one line."""
+
+
+class Velocity(NamedTuple):
+    """Ahead in metres a second, counter-clockwise in radians a second."""
+
+    linear: float
+    angular: float
+
+
+class Rate(NamedTuple):
+    """How fast a robot does an atom at full speed, metres or radians a second, and who says so."""
+
+    value: float
+    origin: str
+
+
+@dataclass(frozen=True)
+class Nominal:
+    """How fast a robot's atoms are at full speed: forward and backward, and the turns."""
+
+    speed: Rate
+    turn_rate: Rate
+
+
+class Moment(NamedTuple):
+    """What a drive has at one tick.
+
+    Attributes
+    ----------
+    tick, stamp_ns
+        Its number, and when, nanoseconds since 1970.
+    jpeg
+        The image as it was recorded; None where it is missing or damaged.
+    velocity
+        What was done from then on; None where that is not known.
+    pose
+        By the wheels.
+    imu
+        What the inertial unit felt since the tick before.
+    """
+
+    tick: int
+    stamp_ns: int
+    jpeg: bytes | None
+    velocity: Velocity | None
+    pose: Odometry | None
+    imu: Imu | None
+
+
+@dataclass(frozen=True, eq=False)
+class Drive:
+    """One episode, to be exported.
+
+    Attributes
+    ----------
+    name
+        A file's name, other than that of every other drive.
+    episode
+        As it was recorded.
+    nominal
+        What its atoms are in metres and radians a second.
+    """
+
+    name: str
+    episode: RecordedEpisode
+    nominal: Nominal
+
+    @property
+    def success(self) -> bool:
+        """Whether its last frame is the goal."""
+        return self.episode.outcome == "found"
+
+    @property
+    def ticks(self) -> list[int]:
+        """Those that anything is known of."""
+        poses = self.episode.kept.get(ODOMETRY.name, {})
+        return sorted(self.episode.images.keys() | poses.keys() | self.episode.applied.keys())
+
+    @property
+    def camera(self) -> CameraInfo | None:
+        """How its camera sees, where that was recorded."""
+        found = self.episode.kept.get(CAMERA_INFO.name, {})
+        return cast("CameraInfo", found[min(found)]) if found else None
+
+    def moments(self, tally: Tally) -> Iterator[Moment]:
+        """Yield what there is at each tick, and count what cannot be used."""
+        poses = cast("dict[int, Odometry]", self.episode.kept.get(ODOMETRY.name, {}))
+        imus = cast("dict[int, Imu]", self.episode.kept.get(IMU.name, {}))
+        last_ns = -1
+        for tick in self.ticks:
+            pose, applied = poses.get(tick), self.episode.applied.get(tick)
+            # What descends from a frame has its stamp.
+            stamp_ns, jpeg = self._image(tick, tally)
+            stamp_ns = next((message.stamp_ns for message in (pose, applied) if message is not None), stamp_ns)
+            if stamp_ns <= last_ns:
+                tally.count("ticks are not later than the one before, and are left out")
+                continue
+            last_ns = stamp_ns
+            yield Moment(tick, stamp_ns, jpeg, self._velocity(tick), pose, imus.get(tick))
+
+    def _image(self, tick: int, tally: Tally) -> tuple[int, bytes | None]:
+        payload = self.episode.images.get(tick)
+        if payload is None:
+            tally.count("ticks have no image")
+            return -1, None
+        try:
+            stamp_ns, jpeg = stamped_jpeg(bytes(payload))
+        except ValueError:
+            stamp_ns, jpeg = -1, b""
+        if is_jpeg(jpeg):
+            return stamp_ns, jpeg
+        tally.count("images are damaged")
+        return stamp_ns, None
+
+    def _velocity(self, tick: int) -> Velocity | None:
+        # At its end the robot stands.
+        if self.episode.end_tick is not None and tick >= self.episode.end_tick:
+            return Velocity(0.0, 0.0)
+        applied = self.episode.applied.get(tick)
+        if applied is None:
+            return None
+        ahead, left = DIRECTIONS[applied.atom]
+        speed, turn_rate = self.nominal.speed.value, self.nominal.turn_rate.value
+        return Velocity(round(ahead * speed * applied.speed, _DIGITS), round(left * turn_rate * applied.speed, _DIGITS))
+
+
+def read(files: Iterable[Path], speed: float | None, turn_rate: float | None, tally: Tally) -> list[Drive]:
+    """Read recordings.
+
+    Parameters
+    ----------
+    files
+        Recordings.
+    speed, turn_rate
+        Of full-speed atoms, metres and radians a second; measured on the odometry of each robot if not given.
+    tally
+        Is told of everything that is left out.
+
+    Raises
+    ------
+    ExportFailure
+        When none of them can be exported, or it is not known how fast their atoms are.
+    """
+    episodes = list(_episodes(files, tally))
+    if not episodes:
+        raise ExportFailure(tally.remarks.pop() if len(tally.remarks) == 1 else "nothing to export, for these reasons")
+    names = [episode.episode for episode in episodes]
+    nominal = {}
+    for robot in dict.fromkeys(episode.robot for episode in episodes):
+        own = [episode for episode in episodes if episode.robot == robot]
+        nominal[robot] = Nominal(
+            _rate(own, speed, "--speed", "ahead", ("forward", "backward")),
+            _rate(own, turn_rate, "--turn-rate", "turn_rad", ("left", "right")),
+        )
+    return [
+        Drive(name if names.count(name) == 1 else f"{episode.robot}-{name}", episode, nominal[episode.robot])
+        for name, episode in zip(names, episodes, strict=True)
+    ]
+
+
+def say_view(drives: Iterable[Drive], tally: Tally) -> None:
+    """Say how the cameras see, for a format that has no place for it."""
+    for camera in (drive.camera for drive in drives):
+        if camera is not None:
+            angle = math.degrees(2.0 * math.atan(0.5 * camera.width / camera.focal_px))
+            tally.say(f"the camera's field of view has no place in it; import it with --field-of-view {angle:.4g}")
+
+
+def _episodes(files: Iterable[Path], tally: Tally) -> Iterator[RecordedEpisode]:
+    allowance = Allowance()
+    seen: dict[tuple[str, str], Path] = {}
+    for path in files:
+        try:
+            recording = read_recording(path, None, allowance, keep=(ODOMETRY, IMU, CAMERA_INFO))
+        except RecordingError as error:
+            tally.say(str(error))
+            continue
+        for remark in recording.remarks():
+            tally.say(remark)
+        for episode in recording.episodes:
+            other = seen.setdefault((episode.robot, episode.episode), path)
+            if other != path:
+                tally.say(f"{path}: episode {episode.episode} is left out: it is in {other} too")
+            elif not episode.images:
+                tally.say(f"{path}: episode {episode.episode} is left out: it has no images")
+            else:
+                yield episode
+
+
+def _rate(
+    episodes: Collection[RecordedEpisode], given: float | None, option: str, unit: str, atoms: tuple[Atom, Atom]
+) -> Rate:
+    """Return the rate that the user gives, or else the median over all ticks of these atoms, as learning has it."""
+    if given is not None:
+        return Rate(given, f"as {option} says")
+    steps = [
+        abs(getattr(Movement.between(episode.odometry[tick], episode.odometry[tick + 1]), unit)) / applied.speed
+        for episode, tick, applied in _made(episodes, atoms)
+        if applied.speed > 0.0 and tick in episode.odometry and tick + 1 in episode.odometry
+    ]
+    rate = round(float(np.median(steps)) / TICK_S, _DIGITS) if steps else 0.0
+    if rate > 0.0:
+        return Rate(rate, "by its odometry")
+    for episode, _, applied in _made(episodes, atoms):
+        raise ExportFailure(
+            f"episode {episode.episode}: no odometry says how fast {applied.atom} is; say it with {option}"
+        )
+    return Rate(0.0, "never done")
+
+
+def _made(
+    episodes: Collection[RecordedEpisode], atoms: tuple[Atom, Atom]
+) -> Iterator[tuple[RecordedEpisode, int, CommandApplied]]:
+    """Yield where some atoms were made."""
+    for episode in episodes:
+        for tick, applied in episode.applied.items():
+            if applied.atom in atoms:
+                yield episode, tick, applied

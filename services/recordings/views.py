@@ -1,0 +1,319 @@
+"""What viewers such as Foxglove and Rerun draw without being told how, derived from what was recorded.
+
+Beside each message stands, in the same chunk, what can be drawn of it, on a key of its own: ``smal/ROBOT/view/NAME``.
+None of it is read back: where recordings are merged or repaired it is derived anew.
+
+Frames, as ROS has them: ``base_link`` is the robot, ``camera`` its camera, ``odom`` where the wheels say that it began,
+``map`` the taught ways, ``world`` the simulator's. ``map`` hangs on ``odom`` where the belief puts it, so that there is
+one tree. Where the camera is mounted no message says; it is drawn at the robot's centre.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from typing import Final, NamedTuple
+
+import numpy as np
+from foxglove_schemas_protobuf.ArrowPrimitive_pb2 import ArrowPrimitive
+from foxglove_schemas_protobuf.CameraCalibration_pb2 import CameraCalibration
+from foxglove_schemas_protobuf.Color_pb2 import Color
+from foxglove_schemas_protobuf.FrameTransform_pb2 import FrameTransform
+from foxglove_schemas_protobuf.LinePrimitive_pb2 import LinePrimitive
+from foxglove_schemas_protobuf.Log_pb2 import Log
+from foxglove_schemas_protobuf.PackedElementField_pb2 import PackedElementField
+from foxglove_schemas_protobuf.Point3_pb2 import Point3
+from foxglove_schemas_protobuf.PointCloud_pb2 import PointCloud
+from foxglove_schemas_protobuf.Pose_pb2 import Pose as FoxglovePose
+from foxglove_schemas_protobuf.PoseInFrame_pb2 import PoseInFrame
+from foxglove_schemas_protobuf.Quaternion_pb2 import Quaternion
+from foxglove_schemas_protobuf.SceneEntity_pb2 import SceneEntity
+from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
+from foxglove_schemas_protobuf.Vector3_pb2 import Vector3
+from google.protobuf.message import Message as ProtobufMessage
+from numpy.typing import NDArray
+
+from schemas.action import Action
+from schemas.base import Message
+from schemas.camera_info import CameraInfo
+from schemas.command import CommandApplied
+from schemas.episode import Episode
+from schemas.odometry import Odometry
+from schemas.pose import Pose
+from schemas.state import State
+from schemas.taught_map import TaughtMap
+from schemas.topics import ROOT
+from schemas.tracked_pose import TrackedPose
+from services.recordings.encoding import CAMERA_FRAME, timestamp
+from smal.movement import placed, seen_from
+
+_PART: Final = "/view/"
+#: Poses by the wheels that wait for the belief of their frame, which comes a few frames later at most.
+_KEPT: Final = 100
+#: The arrow of the belief is half a metre long, about as a robot.
+_ARROW_M: Final = 0.5
+#: The driven way has a point for so much of it, a tick at walking pace; for more of it where there would be too many.
+_STEP_M: Final = 0.1
+#: Most points of a way: more than a screen can tell apart.
+_MOST_POINTS: Final = 10_000
+_LINE_PX: Final = 3.0
+_TAUGHT: Final = Color(r=0.3, g=0.6, b=1.0, a=1.0)
+_DRIVEN: Final = Color(r=1.0, g=0.8, b=0.2, a=1.0)
+_ORIGIN: Final = np.zeros(3)
+Array = NDArray[np.float64]
+
+
+class View(NamedTuple):
+    """Something to draw."""
+
+    name: str
+    message: ProtobufMessage
+
+
+def view_key(robot: str, name: str) -> str:
+    """Return the key that a view is written on."""
+    return f"{ROOT}/{robot}{_PART}{name}"
+
+
+def is_view(key: str) -> bool:
+    """Whether a key is that of a view."""
+    return key.startswith(f"{ROOT}/") and _PART in key
+
+
+class Views:
+    """Derives the views of one episode, message after message."""
+
+    def __init__(self) -> None:
+        self._of: dict[type[Message], Callable[[Message], Iterator[View]]] = {
+            Odometry: self._odometry,
+            Pose: self._pose,
+            TrackedPose: self._tracked,
+            CameraInfo: self._camera,
+            TaughtMap: self._map,
+            State: self._state,
+            Action: self._action,
+            CommandApplied: self._applied,
+            Episode: self._event,
+        }
+        self._wheels: dict[int, Array] = {}
+        self._true: dict[int, Array] = {}
+        self._with_world = False
+        self._keyframes: NDArray[np.float64] | None = None
+        self._told: dict[str, object] = {}
+        self._way: list[tuple[float, float]] = []
+        self._step_m = _STEP_M
+        self._began: Message | None = None
+
+    def derives_from(self, message: type[Message]) -> bool:
+        """Whether anything is drawn of the messages of a class."""
+        return message in self._of
+
+    def of(self, message: Message) -> Iterator[View]:
+        """Yield what is drawn of a message."""
+        derive = self._of.get(type(message))
+        return iter(()) if derive is None else derive(message)
+
+    def way(self) -> Iterator[tuple[Message, View]]:
+        """Yield the driven way as a whole, and the message with whose time it is written: the first by the wheels.
+
+        A viewer that jumps to any time then has it.
+        """
+        if self._began is not None and len(self._way) > 1:
+            points = np.array([(x_m, y_m, 0.0) for x_m, y_m in self._way])
+            for view in _line(self._began, "odom", "driven", [points], _DRIVEN):
+                yield self._began, view
+
+    # -- where the robot is ---------------------------------------------------------------------------------------
+
+    def _odometry(self, odometry: Message) -> Iterator[View]:
+        assert isinstance(odometry, Odometry)  # noqa: S101 - by its class
+        here = np.array([odometry.x_m, odometry.y_m, odometry.heading_rad])
+        yield View("odometry", _transform(odometry, "odom", "base_link", here))
+        _keep(self._wheels, odometry.tick, here)
+        yield from self._world(odometry)
+        self._began = self._began or odometry
+        if not self._way or float(np.hypot(*(here[:2] - self._way[-1]))) >= self._step_m:
+            self._way.append((odometry.x_m, odometry.y_m))
+        if len(self._way) > _MOST_POINTS:
+            self._way, self._step_m = self._way[::2], 2.0 * self._step_m
+
+    def _pose(self, pose: Message) -> Iterator[View]:
+        assert isinstance(pose, Pose)  # noqa: S101 - by its class
+        here = np.array([pose.x_m, pose.y_m, pose.heading_rad])
+        yield View("pose", PoseInFrame(timestamp=timestamp(pose.stamp_ns), frame_id="world", pose=_pose(here)))
+        _keep(self._true, pose.tick, here)
+        yield from self._world(pose)
+
+    def _world(self, message: Message) -> Iterator[View]:
+        """Say once where the wheels' axes lie in the world."""
+        wheels, true = self._wheels.get(message.tick), self._true.get(message.tick)
+        if not self._with_world and wheels is not None and true is not None:
+            self._with_world = True
+            yield View("world", _transform(message, "world", "odom", _origin_of(true, wheels)))
+
+    def _tracked(self, pose: Message) -> Iterator[View]:
+        assert isinstance(pose, TrackedPose)  # noqa: S101 - by its class
+        if pose.x_m is not None and pose.y_m is not None and pose.heading_rad is not None:
+            here = _pose(np.array([pose.x_m, pose.y_m, pose.heading_rad]))
+            yield View("tracked", PoseInFrame(timestamp=timestamp(pose.stamp_ns), frame_id="world", pose=here))
+
+    def _camera(self, info: Message) -> Iterator[View]:
+        assert isinstance(info, CameraInfo)  # noqa: S101 - by its class
+        focal, x, y = info.focal_px, info.centre_x_px, info.centre_y_px
+        yield View(
+            "calibration",
+            CameraCalibration(
+                timestamp=timestamp(info.stamp_ns),
+                frame_id=CAMERA_FRAME,
+                width=info.width,
+                height=info.height,
+                K=[focal, 0, x, 0, focal, y, 0, 0, 1],
+                R=[1, 0, 0, 0, 1, 0, 0, 0, 1],
+                P=[focal, 0, x, 0, 0, focal, y, 0, 0, 0, 1, 0],
+            ),
+        )
+        # Looks ahead: its z is the robot's x, its x the robot's right.
+        yield View(
+            "camera",
+            FrameTransform(
+                timestamp=timestamp(info.stamp_ns),
+                parent_frame_id="base_link",
+                child_frame_id=CAMERA_FRAME,
+                translation=Vector3(),
+                rotation=Quaternion(x=-0.5, y=0.5, z=-0.5, w=0.5),
+            ),
+        )
+
+    # -- where it believes to be ----------------------------------------------------------------------------------
+
+    def _map(self, taught: Message) -> Iterator[View]:
+        assert isinstance(taught, TaughtMap)  # noqa: S101 - by its class
+        self._keyframes = taught.keyframes.to_numpy().astype(np.float64)
+        flat = self._keyframes * (1.0, 1.0, 0.0)
+        every = 1 + len(flat) // _MOST_POINTS
+        ways = [way[::every] for way in np.split(flat, taught.begins[1:])]
+        yield from _line(taught, "map", "taught", ways, _TAUGHT)
+
+    def _state(self, state: Message) -> Iterator[View]:
+        assert isinstance(state, State)  # noqa: S101 - by its class
+        yield from self._changed(state, "recognition", state.status, warns=state.status == "unknown")
+        if self._keyframes is None or not state.places or state.places[0].keyframe >= len(self._keyframes):
+            return
+        known = [place for place in state.places if place.keyframe < len(self._keyframes)]
+        offsets = np.array([(place.ahead_m, place.left_m, place.turned_rad) for place in known])
+        poses = placed(offsets, self._keyframes[[place.keyframe for place in known]])
+        wheels = self._wheels.get(state.tick)
+        # A robot that is lost goes by its wheels; without any, there is nothing else to go by.
+        if wheels is not None and state.lost <= 0.5:
+            yield View("map", _transform(state, "odom", "map", _origin_of(wheels, poses[0])))
+        elif not self._wheels:
+            yield View("map", _transform(state, "map", "base_link", poses[0]))
+        arrow = ArrowPrimitive(
+            pose=_pose(poses[0]),
+            shaft_length=0.7 * _ARROW_M,
+            shaft_diameter=0.15 * _ARROW_M,
+            head_length=0.3 * _ARROW_M,
+            head_diameter=0.3 * _ARROW_M,
+            color=Color(r=state.lost, g=1.0 - state.lost, b=0.0, a=1.0),
+        )
+        yield View("belief", _scene(state, "map", "belief", SceneEntity(arrows=[arrow])))
+        # All places, each as high as it is likely.
+        points = np.column_stack([poses[:, :2], [place.weight for place in known]])
+        yield View("places", _cloud(state, "map", points))
+
+    # -- what happens ---------------------------------------------------------------------------------------------
+
+    def _action(self, action: Message) -> Iterator[View]:
+        assert isinstance(action, Action)  # noqa: S101 - by its class
+        kind = action.kind.replace("_", " ")
+        yield from self._changed(action, "policy", kind, warns=action.kind in ("dead_end", "look_around", "guess"))
+
+    def _applied(self, applied: Message) -> Iterator[View]:
+        assert isinstance(applied, CommandApplied)  # noqa: S101 - by its class
+        if applied.source is not None and applied.reason == "command":
+            yield from self._changed(applied, "robot", f"driven by {applied.source}")
+        else:
+            cause = f" ({applied.stop_cause})" if applied.stop_cause else ""
+            yield from self._changed(applied, "robot", f"stands: {applied.reason}{cause}", warns=True)
+
+    def _event(self, event: Message) -> Iterator[View]:
+        assert isinstance(event, Episode)  # noqa: S101 - by its class
+        if event.event == "started":
+            text = f"{event.purpose} to {event.goal} in {event.world}, seed {event.seed}, driver {event.driver}"
+        else:
+            text = event.event if event.outcome is None else f"ended: {event.outcome}"
+        yield from self._changed(event, "episode", text, warns=event.outcome not in (None, "found"))
+
+    def _changed(self, message: Message, name: str, text: str, *, warns: bool = False) -> Iterator[View]:
+        """Log what is new."""
+        if self._told.get(name) != text:
+            self._told[name] = text
+            level = Log.WARNING if warns else Log.INFO
+            yield View("log", Log(timestamp=timestamp(message.stamp_ns), level=level, message=text, name=name))
+
+
+def _keep(poses: dict[int, Array], tick: int, pose: Array) -> None:
+    poses[tick] = pose
+    if len(poses) > _KEPT:
+        del poses[next(iter(poses))]
+
+
+def _origin_of(pose: Array, same: Array) -> Array:
+    """Return where the axes begin in which a pose is the `same`."""
+    return placed(seen_from(_ORIGIN, same), pose)
+
+
+def _quaternion(heading_rad: float) -> Quaternion:
+    return Quaternion(z=float(np.sin(heading_rad / 2.0)), w=float(np.cos(heading_rad / 2.0)))
+
+
+def _pose(pose: Array) -> FoxglovePose:
+    x_m, y_m, heading_rad = pose.tolist()
+    return FoxglovePose(position=Vector3(x=x_m, y=y_m), orientation=_quaternion(heading_rad))
+
+
+def _transform(message: Message, parent: str, child: str, pose: Array) -> FrameTransform:
+    x_m, y_m, heading_rad = pose.tolist()
+    return FrameTransform(
+        timestamp=timestamp(message.stamp_ns),
+        parent_frame_id=parent,
+        child_frame_id=child,
+        translation=Vector3(x=x_m, y=y_m),
+        rotation=_quaternion(heading_rad),
+    )
+
+
+def _line(message: Message, frame: str, name: str, lines: list[Array], color: Color) -> Iterator[View]:
+    """Yield lines of points (n, 3), and the points for viewers that do not know scenes."""
+    drawn = [
+        LinePrimitive(
+            type=LinePrimitive.LINE_STRIP,
+            pose=_pose(_ORIGIN),
+            thickness=_LINE_PX,
+            scale_invariant=True,
+            points=[Point3(x=x, y=y, z=z) for x, y, z in line.tolist()],
+            color=color,
+        )
+        for line in lines
+    ]
+    yield View(name, _scene(message, frame, name, SceneEntity(lines=drawn)))
+    yield View(f"{name}_points", _cloud(message, frame, np.concatenate(lines)))
+
+
+def _scene(message: Message, frame: str, name: str, entity: SceneEntity) -> SceneUpdate:
+    entity.timestamp.CopyFrom(timestamp(message.stamp_ns))
+    entity.frame_id, entity.id, entity.frame_locked = frame, name, True
+    return SceneUpdate(entities=[entity])
+
+
+def _cloud(message: Message, frame: str, points: Array) -> PointCloud:
+    fields = [
+        PackedElementField(name=name, offset=4 * k, type=PackedElementField.FLOAT32) for k, name in enumerate("xyz")
+    ]
+    return PointCloud(
+        timestamp=timestamp(message.stamp_ns),
+        frame_id=frame,
+        pose=_pose(_ORIGIN),
+        point_stride=12,
+        fields=fields,
+        data=points.astype("<f4").tobytes(),
+    )

@@ -1,0 +1,124 @@
+"""A page as a test has it: two sockets, and what a person does at it."""
+
+from __future__ import annotations
+
+import json
+import threading
+import time
+from contextlib import ExitStack
+from http.client import HTTPConnection
+from typing import Any
+
+from websockets.exceptions import ConnectionClosed
+from websockets.sync.client import ClientConnection, connect
+
+from services.console.web import WebServer
+from tests.services.waiting import eventually
+
+
+class Page:
+    """Watches as a browser's page does, and drives when it has taken the seat."""
+
+    def __init__(self, server: WebServer) -> None:
+        self.address = server.address.removeprefix("http://")
+        self.state: dict[str, Any] = {}
+        self.pictures: list[bytes] = []
+        #: What is held, and how beats are answered.
+        self.held: str | None = None
+        self.answers = True
+        self.late_s = 0.0
+        self.beats = 0
+        self.refusals: list[str] = []
+        self.closed: int | None = None
+        self._open = ExitStack()
+        self._drive: ClientConnection | None = None
+        self._watch = self.open("watch")
+        threading.Thread(target=self._look, daemon=True).start()
+
+    def open(self, path: str, **options: Any) -> ClientConnection:
+        """Open a socket as the page itself does."""
+        own = {"origin": f"http://{self.address}"} | options
+        return self._open.enter_context(connect(f"ws://{self.address}/{path}", **own))
+
+    def get(self, path: str, **headers: str) -> tuple[int, bytes]:
+        """Ask for something by HTTP."""
+        connection = HTTPConnection(self.address, timeout=5.0)
+        connection.request("GET", path, headers=headers)
+        answer = connection.getresponse()
+        return answer.status, answer.read()
+
+    def take(self) -> None:
+        """Sit down."""
+        self._drive = self.open("drive")
+        threading.Thread(target=self._answer, args=(self._drive,), daemon=True).start()
+
+    def say(self, **what: object) -> None:
+        """Ask for something, at the wheel."""
+        assert self._drive is not None
+        self._drive.send(json.dumps(what))
+
+    def stop(self) -> None:
+        """Press the emergency stop."""
+        self._watch.send('{"do": "stop"}')
+
+    def let_go(self) -> None:
+        """Let go of the key, and wait until that is heard."""
+        self.held, beats = None, self.beats
+        eventually(lambda: self.beats > beats + 2)
+
+    def vanish(self) -> None:
+        """Be gone, without a word."""
+        assert self._drive is not None
+        self.answers = False
+        self._drive.socket.close()
+
+    def robot(self, **wanted: object) -> bool:
+        """Whether the page shows the robot so."""
+        shown = self.state.get("robot", {})
+        return all(shown.get(name) == value for name, value in wanted.items())
+
+    def ailments(self) -> dict[str, str | None]:
+        """Return how the page shows every service."""
+        return {row["name"]: row["ailment"] for row in self.state.get("health", {}).get("services", [])}
+
+    def news(self) -> str:
+        """Return what the page tells."""
+        return "\n".join(line["text"] for line in self.state.get("news", []))
+
+    def begin(self) -> None:
+        """Sit down, and begin a drive."""
+        self.take()
+        eventually(lambda: self.beats > 0 and self.robot(answers=True))
+        self.say(do="drive", goal="victim")
+        eventually(lambda: self.state["robot"]["episode"] is not None)
+
+    def close(self) -> None:
+        """Close the page."""
+        self._open.close()
+
+    def _look(self) -> None:
+        try:
+            for news in self._watch:
+                if isinstance(news, bytes):
+                    self.pictures.append(news)
+                else:
+                    self.state |= json.loads(news)
+                    self._watch.send('{"do": "seen"}')
+        except ConnectionClosed:
+            return
+
+    def _answer(self, drive: ClientConnection) -> None:
+        try:
+            for text in drive:
+                told = json.loads(text)
+                if "refused" in told:
+                    self.refusals.append(told["refused"])
+                    continue
+                self.beats += 1
+                if self.late_s:
+                    time.sleep(self.late_s)
+                if self.answers:
+                    drive.send(json.dumps({"do": "hold", "beat": told["beat"], "atom": self.held}))
+        except (ConnectionClosed, OSError):
+            pass
+        self.closed = drive.close_code

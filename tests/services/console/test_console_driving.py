@@ -1,0 +1,246 @@
+"""A page drives the real actuator, and whatever becomes of the page, the robot stands in time."""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Callable
+
+import pytest
+
+from services.console.seat import LET_GO_S, Seat
+from services.console.web import NONSENSE, TAKEN
+from services.kit.settings import ServiceSettings
+from services.recorder.service import RecorderService
+from services.robot.loop import STAND_WITHIN_S
+from tests.services.conftest import RunNode
+from tests.services.console.conftest import Console
+from tests.services.console.page import Page
+from tests.services.robot.line import Clock
+from tests.services.robot.wheels import Robot, run_robot
+from tests.services.waiting import eventually
+
+OpenPage = Callable[[], Page]
+
+
+@pytest.fixture
+def driving(open_page: OpenPage, robot: Robot, recorder: RecorderService) -> Page:
+    """Give a page at which somebody drives."""
+    page = open_page()
+    page.begin()
+    page.held = "forward"
+    eventually(lambda: robot.wheels.driven)
+    return page
+
+
+def test_a_drive_is_begun_driven_recorded_and_ends_where_the_goal_is_found(
+    driving: Page, robot: Robot, console: Console
+) -> None:
+    assert driving.robot(driver="teleop", goal="victim", purpose="drive", world="line")
+    eventually(lambda: driving.robot(atom="forward", source="teleop"))
+    eventually(lambda: driving.pictures)
+    driving.held = None
+    eventually(lambda: not robot.wheels.driven)
+    driving.say(do="end", found=True)
+    eventually(lambda: driving.robot(outcome="found", judge="operator", episode=None))
+    (recording,) = eventually(lambda: driving.state.get("library", {}).get("recordings"))
+    assert (recording["outcome"], recording["goal"], recording["useless"]) == ("found", "victim", "")
+    assert recording["name"].startswith("drives/drive-")
+    status, picture = driving.get(f"/thumbnail?of={recording['name']}&k=0")
+    assert (status, picture[:2]) == (200, b"\xff\xd8")
+
+
+def test_a_key_that_is_let_go_stops_at_once(driving: Page, robot: Robot) -> None:
+    driving.held = None
+    let_go_s = time.monotonic()
+    eventually(lambda: not robot.wheels.driven)
+    assert robot.wheels.stands_s - let_go_s <= STAND_WITHIN_S
+    assert robot.gate.stop_cause is None, "whoever drives is still there"
+
+
+@pytest.mark.parametrize("how", ["closed", "vanished", "silent"])
+def test_a_page_that_is_gone_stands_the_robot(driving: Page, robot: Robot, how: str) -> None:
+    """Closed by its person, cut off without a word, or still connected but asleep."""
+    gone_s = time.monotonic()
+    if how == "closed":
+        driving.close()
+    elif how == "vanished":
+        driving.vanish()
+    else:
+        driving.answers = False
+    eventually(lambda: not robot.wheels.driven)
+    assert robot.wheels.stands_s - gone_s <= STAND_WITHIN_S
+    eventually(lambda: robot.gate.stop_cause == "operator_lost")
+
+
+def test_a_page_that_stutters_lets_go_and_goes_on_where_nobody_has_to_be_there(
+    settings: ServiceSettings, run_node: RunNode, open_page: OpenPage, recorder: RecorderService
+) -> None:
+    robot, page = run_robot(settings, run_node, attended=False), open_page()
+    page.begin()
+    eventually(lambda: page.ailments().get("robot", "") is None)
+    page.held = "forward"
+    eventually(lambda: robot.wheels.driven)
+    silent_s = time.monotonic()
+    page.answers = False
+    eventually(lambda: not robot.wheels.driven)
+    page.answers = True
+    assert robot.wheels.stands_s - silent_s <= STAND_WITHIN_S
+    eventually(lambda: robot.wheels.driven)
+    assert robot.gate.stop_cause is None
+    page.answers = False
+    eventually(lambda: robot.gate.stop_cause == "operator_lost")
+
+
+def test_answers_that_come_late_move_nothing(driving: Page, robot: Robot) -> None:
+    """What a sleeping laptop or a slow link delivers afterwards was meant for another moment."""
+    driving.late_s = 1.5 * LET_GO_S
+    eventually(lambda: not robot.wheels.driven)
+    beats = driving.beats
+    eventually(lambda: driving.beats > beats + 5)
+    assert not robot.wheels.driven
+    assert robot.gate.stop_cause == "operator_lost"
+
+
+def test_who_comes_back_goes_on_when_they_say_so_and_no_sooner(driving: Page, robot: Robot) -> None:
+    driving.answers = False
+    eventually(lambda: robot.gate.stop_cause == "operator_lost")
+    driving.answers = True
+    beats = driving.beats
+    eventually(lambda: driving.beats > beats + 5)
+    assert not robot.wheels.driven, "the key that was held all the time moves nothing"
+    driving.let_go()
+    eventually(lambda: driving.robot(cause="operator_lost"))
+    driving.say(do="resume")
+    eventually(lambda: robot.gate.stop_cause is None)
+    driving.held = "forward"
+    eventually(lambda: robot.wheels.driven)
+
+
+def test_one_drives_and_others_watch(driving: Page, robot: Robot, open_page: OpenPage) -> None:
+    other = open_page()
+    eventually(lambda: other.robot(atom="forward") and other.state["taken"])
+    other.take()
+    eventually(lambda: other.closed == TAKEN)
+    assert robot.wheels.driven
+    driving.close()
+    eventually(lambda: robot.gate.stop_cause == "operator_lost")
+
+    def seated() -> bool:
+        other.take()
+        return bool(eventually(lambda: other.beats or other.closed))
+
+    eventually(seated)
+
+
+def test_whoever_stands_up_is_not_missed(driving: Page, robot: Robot, open_page: OpenPage) -> None:
+    driving.held = None
+    eventually(lambda: not robot.wheels.driven)
+    driving.say(do="leave")
+    eventually(lambda: robot.gate.operator is None)
+    # This robot moves only while somebody is there; a simulated one would have gone on.
+    assert robot.gate.stop_cause == "operator_lost"
+    other = open_page()
+    other.take()
+    eventually(lambda: other.beats)
+
+
+def test_anybody_stops_it_for_an_emergency(driving: Page, robot: Robot, open_page: OpenPage) -> None:
+    other = open_page()
+    eventually(lambda: other.robot(answers=True))
+    pressed_s = time.monotonic()
+    other.stop()
+    eventually(lambda: robot.gate.stop_cause == "emergency_stop" and not robot.wheels.driven)
+    assert robot.wheels.stands_s - pressed_s <= STAND_WITHIN_S
+    eventually(lambda: other.robot(emergency=True, cause="emergency_stop"))
+    driving.let_go()
+    eventually(lambda: driving.robot(cause="emergency_stop"))
+    driving.say(do="resume")
+    eventually(lambda: robot.gate.stop_cause is None)
+    eventually(lambda: other.robot(emergency=False))
+
+
+def test_an_emergency_stop_needs_no_episode_and_nobody_at_the_wheel(robot: Robot, open_page: OpenPage) -> None:
+    page = open_page()
+    eventually(lambda: page.robot(answers=True, cause="not_armed"))
+    page.stop()
+    eventually(lambda: robot.gate.stop_cause == "emergency_stop")
+
+
+@pytest.mark.parametrize(
+    "said",
+    ["", "[]", "nonsense", '{"do": "fly"}', '{"do": "hold", "beat": 0, "atom": "up"}', '{"do": "hold", "beat": "0"}'],
+)
+def test_nonsense_moves_nothing_and_is_told(driving: Page, robot: Robot, said: str) -> None:
+    assert driving._drive is not None
+    driving._drive.send(said)
+    eventually(lambda: driving.refusals)
+    assert robot.wheels.driven, "whoever drives goes on"
+    watch = driving.open("watch")
+    watch.send(said)
+    eventually(lambda: _ended(watch) == NONSENSE)
+
+
+def _ended(socket: object) -> int | None:
+    try:
+        socket.recv(0.1)  # type: ignore[attr-defined]
+    except Exception:  # noqa: BLE001 - it is closed, or nothing has come yet
+        return socket.close_code  # type: ignore[attr-defined, no-any-return]
+    return None
+
+
+def test_a_robot_that_does_not_answer_is_told_of(console: Console, open_page: OpenPage) -> None:
+    page = open_page()
+    eventually(lambda: page.robot(answers=False) and page.ailments().get("robot") == "does not answer")
+    page.take()
+    eventually(lambda: page.beats)
+    page.say(do="drive", goal="victim")
+    eventually(lambda: "the robot has not told yet" in page.news() or "no answer" in page.news())
+
+
+def test_ten_watchers_one_of_which_stands_still_hold_up_nothing(
+    driving: Page, robot: Robot, open_page: OpenPage, console: Console
+) -> None:
+    stalled = driving.open("watch")  # which never says that it has seen anything
+    for _ in range(9):
+        open_page()
+    eventually(lambda: console.board.watchers == 11)
+    pictures = len(driving.pictures)
+    eventually(lambda: len(driving.pictures) > pictures + 10)
+    assert json.loads(stalled.recv(1.0))
+    assert robot.wheels.driven
+
+
+def test_a_slow_watcher_is_sent_the_newest_and_nothing_in_between(console: Console, open_page: OpenPage) -> None:
+    page = open_page()
+    slow = page.open("watch")
+    console.board.put("count", 0)
+    state = json.loads(slow.recv(5.0))
+    for count in range(1, 500):
+        console.board.put("count", count)
+        console.board.show(bytes([count % 256]) * 1000)
+    slow.send('{"do": "seen"}')
+    state |= json.loads(slow.recv(5.0))
+    assert (state["count"], state["picture"]) == (499, True)
+    assert slow.recv(5.0) == bytes([499 % 256]) * 1000
+    with pytest.raises(TimeoutError):
+        slow.recv(0.2)
+
+
+def test_the_seat() -> None:
+    clock = Clock()
+    seat = Seat(clock)
+    assert seat.take("a")
+    beat = seat.beat()
+    clock.now_s += 0.1
+    assert seat.answered(beat) == pytest.approx(clock.now_s + 0.15)
+    clock.now_s += 0.16
+    assert seat.answered(beat) is None, "it is late"
+    assert seat.answered(beat + 1) is None, "it was never sent"
+    clock.now_s += 0.9
+    assert not seat.take("b"), "late answers are a sign of life, though they move nothing"
+    clock.now_s += 0.2
+    assert seat.take("b")
+    assert not seat.holds("a")
+    seat.leave("a")
+    assert seat.holds("b")

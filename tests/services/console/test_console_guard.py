@@ -1,0 +1,210 @@
+"""Who gets in: names, origins, tokens; and what the page may not do."""
+
+from __future__ import annotations
+
+import re
+import socket
+import ssl
+import subprocess
+from collections.abc import Callable, Iterator
+from http.client import HTTPConnection, HTTPSConnection
+from pathlib import Path
+
+import pytest
+from websockets.exceptions import InvalidStatus
+from websockets.sync.client import connect
+
+from services.console.board import Board
+from services.console.config import ConsoleSettings
+from services.console.guard import COOKIE
+from services.console.library import Library
+from services.console.web import PAGE, WebServer
+from services.kit.bus import BusError
+from services.kit.node import ServiceError
+from tests.services.console.page import Page
+
+OpenPage = Callable[[], Page]
+TOKEN = "correct horse battery"  # noqa: S105 - of a test
+#: Apart from pictures.
+MOST_BYTES = 300_000
+
+
+class Nobody:
+    """A person who does nothing."""
+
+    learned = None
+
+    def __init__(self, root: Path) -> None:
+        self.library = Library(root)
+
+    def hold(self, atom: object, until_s: float) -> None: ...
+
+    def let_go(self) -> None: ...
+
+    def leave(self) -> None: ...
+
+    def stop(self) -> None: ...
+
+    def ask(self, ask: object) -> None: ...
+
+
+@pytest.fixture
+def page(tmp_path: Path) -> Iterator[Page]:
+    """Give a page that is open to this machine, without a bus."""
+    server = WebServer(Nobody(tmp_path), Board(), ConsoleSettings(root=tmp_path, console="127.0.0.1:0"))
+    page = Page(server)
+    yield page
+    page.close()
+    server.close()
+
+
+@pytest.mark.parametrize(
+    "host", ["evil.example", "127.0.0.1.evil.example:8080", "evil.example:127", "[::1].evil", "", "127.0.0.2"]
+)
+def test_a_foreign_name_is_refused(page: Page, host: str) -> None:
+    """A name of somebody else's may be made to lead here: then their page would be of our origin."""
+    status, said = page.get("/", Host=host)
+    assert (status, b"<html" in said) == (421, False)
+
+
+def test_a_foreign_name_that_leads_here_opens_no_socket(page: Page) -> None:
+    name, port = page.address.split(":")
+    with (
+        socket.create_connection((name, int(port))) as there,
+        pytest.raises(InvalidStatus, match="403"),
+        connect("ws://evil.example/watch", origin="http://evil.example", sock=there),
+    ):
+        pass
+
+
+@pytest.mark.parametrize("host", ["localhost:1", "LOCALHOST", "[::1]:8080", "127.0.0.1"])
+def test_names_of_this_machine_are_taken(page: Page, host: str) -> None:
+    """Whatever the port: a container's is another one outside."""
+    assert page.get("/", Host=host)[0] == 200
+
+
+@pytest.mark.parametrize(
+    "origin", ["http://evil.example", "null", "https://{}", "http://{}.evil", "http://localhost", None]
+)
+@pytest.mark.parametrize("path", ["watch", "drive"])
+def test_sockets_are_for_the_page_alone(page: Page, path: str, origin: str | None) -> None:
+    with pytest.raises(InvalidStatus, match="403"):
+        page.open(path, origin=origin and origin.format(page.address))
+
+
+def test_a_foreign_page_is_answered_nothing(page: Page) -> None:
+    assert page.get("/", Origin="http://evil.example")[0] == 403
+    assert page.get("/../config.py")[0] == 404
+    assert page.get("/..%2f..%2fconfig.py")[0] == 404
+    assert page.get("/taught/0123456789abcdef/0")[0] == 404
+
+
+@pytest.mark.parametrize("of", ["", "..%2f..%2fetc%2fpasswd", "%00", "a" * 3000])
+def test_pictures_are_of_what_is_listed(page: Page, of: str) -> None:
+    assert page.get(f"/thumbnail?of={of}&k=0")[0] == 404
+
+
+def test_every_answer_forbids_foreign_code(page: Page) -> None:
+    for path in ("/", "/main.js", "/none", "/thumbnail"):
+        connection_headers = _headers(page, path)
+        policy = connection_headers["content-security-policy"]
+        assert "default-src 'none'" in policy
+        assert "unsafe" not in policy
+        assert "require-trusted-types-for 'script'" in policy
+        assert connection_headers["cross-origin-resource-policy"] == "same-origin"
+        assert "access-control-allow-origin" not in connection_headers
+
+
+def _headers(page: Page, path: str) -> dict[str, str]:
+    connection = HTTPConnection(page.address, timeout=5.0)
+    connection.request("GET", path)
+    return {name.lower(): value for name, value in connection.getresponse().getheaders()}
+
+
+def test_the_page_has_no_inline_code_and_makes_no_markup_of_text() -> None:
+    files = {path.name: path.read_text() for path in PAGE.iterdir()}
+    assert not re.search(r"\son\w+=|style=|<script(?! type=\"module\" src=)", files["index.html"])
+    for name, text in files.items():
+        assert not re.search(r"innerHTML|outerHTML|insertAdjacentHTML|document\.write|\beval\b", text), name
+        assert not re.search(r"https?://(?!www\.w3)", text), f"{name} names another place"
+    assert sum(path.stat().st_size for path in PAGE.iterdir()) < MOST_BYTES
+
+
+@pytest.fixture
+def keys(tmp_path: Path) -> Path:
+    """Make a certificate of localhost, and a token."""
+    subprocess.run(
+        ["openssl", "req", "-x509", "-newkey", "ec", "-pkeyopt", "ec_paramgen_curve:P-256", "-nodes", "-days", "1",
+         "-subj", "/CN=localhost", "-addext", "subjectAltName=DNS:localhost", "-keyout", "key.pem", "-out", "cert.pem"],
+        cwd=tmp_path, check=True, capture_output=True,
+    )  # fmt: skip
+    (tmp_path / "token").write_text(TOKEN + "\n")
+    for name in ("token", "key.pem"):
+        (tmp_path / name).chmod(0o600)
+    return tmp_path
+
+
+def settings(keys: Path, console: str = "127.0.0.1:0", **others: object) -> ConsoleSettings:
+    given = {"console_cert": keys / "cert.pem", "console_key": keys / "key.pem", "console_token": keys / "token"}
+    return ConsoleSettings.model_validate({"root": keys, "console": console} | given | others)
+
+
+def test_elsewhere_only_who_knows_the_token_gets_in_and_all_is_encrypted(keys: Path) -> None:
+    server = WebServer(Nobody(keys), Board(), settings(keys))
+    try:
+        trusted = ssl.create_default_context(cafile=str(keys / "cert.pem"))
+        address = server.address.removeprefix("https://").replace("127.0.0.1", "localhost")
+
+        def get(path: str, **headers: str) -> tuple[int, str | None]:
+            connection = HTTPSConnection(address, timeout=5.0, context=trusted)
+            connection.request("GET", path, headers=headers)
+            answer = connection.getresponse()
+            return answer.status, answer.getheader("set-cookie")
+
+        assert get("/") == (401, None)
+        assert get("/?token=wrong") == (401, None)
+        assert get("/", Cookie=f"{COOKIE}=wrong") == (401, None)
+        status, cookie = get(f"/?token={TOKEN.replace(' ', '+')}")
+        assert status == 303
+        assert cookie is not None
+        assert all(part in cookie for part in ("HttpOnly", "Secure", "SameSite=strict"))
+        known = cookie.partition(";")[0]
+        assert get("/", Cookie=known)[0] == 200
+        own = {"origin": f"https://{address}", "ssl": trusted}
+        with pytest.raises(InvalidStatus, match="403"), connect(f"wss://{address}/watch", **own):
+            pass
+        with connect(f"wss://{address}/watch", additional_headers={"Cookie": known}, **own) as watch:
+            assert "now" in str(watch.recv(5.0))
+    finally:
+        server.close()
+
+
+@pytest.mark.parametrize(
+    ("console", "others", "why"),
+    [
+        ("0.0.0.0:0", {"console_token": None, "console_cert": None, "console_key": None}, "other machines reach it"),
+        ("0.0.0.0:0", {"console_token": None}, "other machines reach it"),
+        ("127.0.0.1:0", {"console_token": None}, "go together"),
+        ("127.0.0.1:0", {"console_key": None}, "go together"),
+        ("127.0.0.1:99999", {}, "no such port"),
+    ],
+)
+def test_a_page_that_would_be_open_to_others_is_not_served(
+    keys: Path, console: str, others: dict[str, object], why: str
+) -> None:
+    with pytest.raises(ServiceError, match=why):
+        WebServer(Nobody(keys), Board(), settings(keys, console, **others))
+
+
+def test_a_token_that_others_can_read_or_guess_is_refused(keys: Path) -> None:
+    (keys / "token").write_text("short\n")
+    with pytest.raises(ServiceError, match="5 letters"):
+        WebServer(Nobody(keys), Board(), settings(keys))
+    (keys / "token").chmod(0o644)
+    with pytest.raises(BusError, match="can be read by others"):
+        WebServer(Nobody(keys), Board(), settings(keys))
+
+
+def test_a_port_that_is_taken_is_named(page: Page, tmp_path: Path) -> None:
+    with pytest.raises(ServiceError, match=r"cannot listen on 127.0.0.1:\d+: Address already in use"):
+        WebServer(Nobody(tmp_path), Board(), ConsoleSettings(root=tmp_path, console=page.address))

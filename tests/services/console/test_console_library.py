@@ -1,0 +1,231 @@
+"""What was recorded and learned, as the page lists it; names and files may be anybody's."""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from schemas.base import Message
+from schemas.episode import Episode
+from schemas.state import Place, State
+from services.console.learned import learned_of
+from services.console.learning import Learning
+from services.console.library import Library
+from services.kit.model_service import identity_of
+from services.kit.node import ServiceError
+from services.recordings.writer import EpisodeWriter
+from smal.learning import LearningSettings, fit
+from tests import corridor
+from tests.services.console.conftest import Console
+from tests.services.console.page import Page
+from tests.services.recordings import recorded_messages
+from tests.services.robot.wheels import Robot
+from tests.services.waiting import eventually
+
+#: A name that would be a script, were it markup.
+HOSTILE = '<img src=x onerror="document.title=1">'
+
+
+def record(folder: Path, messages: list[Message], name: str | None = None) -> Path:
+    folder.mkdir(parents=True, exist_ok=True)
+    writer = EpisodeWriter.begin(folder, messages[0])
+    for message in messages:
+        writer.write(message)
+    path = writer.seal()
+    return path if name is None else path.rename(folder / name)
+
+
+@pytest.fixture
+def library(tmp_path: Path) -> Library:
+    """Give a library of one drive."""
+    record(tmp_path / "drives", list(recorded_messages.episode("drive-1", frames=12)))
+    return Library(tmp_path)
+
+
+def test_a_recording_has_its_outcome_its_length_and_pictures_along_the_drive(library: Library) -> None:
+    listed = library.look()
+    (shown,) = listed["recordings"]  # type: ignore[misc]
+    assert shown["name"] == "drives/drive-1.mcap"
+    assert (shown["outcome"], shown["frames"], shown["thumbnails"], shown["useless"]) == ("found", 12, 6, "")
+    assert shown["seconds"] == pytest.approx(1.1)
+    (recording,) = library.recordings()
+    assert all(picture.startswith(b"\xff\xd8") for picture in recording.thumbnails)
+
+
+def test_a_file_is_read_once_and_again_when_it_has_changed(library: Library, tmp_path: Path) -> None:
+    library.look()
+    (before,) = library.recordings()
+    library.look()
+    assert library.recordings()[0] is before
+    path = tmp_path / "drives" / "drive-1.mcap"
+    os.utime(path, ns=(1, 1))
+    library.look()
+    assert library.recordings()[0] is not before
+    path.unlink()
+    library.look()
+    assert library.recordings() == []
+
+
+@pytest.mark.parametrize(("outcome", "why"), [("collision", "collision"), ("aborted", "did not reach the victim")])
+def test_what_teaches_nothing_says_why(tmp_path: Path, outcome: Any, why: str) -> None:
+    record(tmp_path / "drives", list(recorded_messages.episode("drive-1", outcome=outcome)))
+    (tmp_path / "drives" / "broken.mcap").write_bytes(b"nonsense")
+    (tmp_path / "models").mkdir()
+    (tmp_path / "models" / "broken.smal").write_bytes(b"nonsense")
+    library = Library(tmp_path)
+    library.look()
+    assert {one.name: one.useless for one in library.recordings()}["drives/broken.mcap"] == "not an MCAP file"
+    assert why in {one.name: one.useless for one in library.recordings()}["drives/drive-1.mcap"]
+    assert [one.useless for one in library.models()] == ["not a SMAL model"]
+
+
+def test_links_out_of_the_root_and_hidden_files_are_not_listed(tmp_path: Path) -> None:
+    root = tmp_path / "root"
+    outside = record(tmp_path / "outside", list(recorded_messages.episode("drive-1")))
+    (root / "drives").mkdir(parents=True)
+    (root / "drives" / "link.mcap").symlink_to(outside)
+    (root / "drives" / ".hidden.mcap").write_bytes(outside.read_bytes())
+    (root / "drives" / "line\nfeed.mcap").write_bytes(outside.read_bytes())
+    library = Library(root.resolve())
+    assert library.look()["recordings"] == []
+    library.record_in(tmp_path / "outside")
+    assert library.look() == {"folder": None, "recordings": [], "models": []}
+
+
+def test_a_model_tells_its_goals(tmp_path: Path) -> None:
+    corridor.save_model(tmp_path / "corridor.smal")
+    library = Library(tmp_path)
+    library.look()
+    (model,) = library.models()
+    assert (model.goals, model.useless, model.longest) == (("victim",), "", corridor.FRAMES)
+    assert model.fingerprint == corridor.FEATURES.fingerprint
+
+
+def test_where_a_belief_is_on_the_taught_way() -> None:
+    model = corridor.model()
+    learned = learned_of(model, None, {})
+    assert learned.goal == "victim"
+    assert np.all(np.diff(learned.cost_s) < 0)
+    header = recorded_messages.header("run-1", 3)
+    last = len(learned.drives) - 1
+    places = tuple(
+        Place(keyframe=keyframe, ahead_m=0.1, left_m=0.2, turned_rad=0.0, weight=weight)
+        for keyframe, weight in ((last, 0.6), (0, 0.4))
+    )
+    state = State.after(header, status="recognized", model=identity_of(model), places=places, lost=0.5)
+    shown = learned.belief(state)
+    assert (shown["keyframe"], shown["cost"], shown["sure"]) == (last, 0.0, 0.3)
+    assert shown["pose"] == pytest.approx([corridor.STEP_M * (corridor.FRAMES - 1) + 0.1, 0.2, 0.0])
+    assert learned.belief(state.model_copy(update={"model": "0" * 16})) == {}
+    assert learned.image(0) is None
+    assert learned.image(10**6) is None
+
+
+def test_the_taught_image_is_that_of_the_recording(tmp_path: Path) -> None:
+    """Also where the first frames of the drive were not recorded."""
+    way = [corridor.pose(frame) for frame in range(corridor.FRAMES)]
+    images = [corridor.view(*one) for one in way]
+    atoms = [corridor.Atom.FORWARD] * (corridor.FRAMES - 1) + [corridor.Atom.STOP]
+    model = fit([(images, atoms, np.array(way))], LearningSettings(corridor.FEATURES, corridor.LENGTH))
+    (name,) = model.names
+    messages = [
+        message.model_copy(update={"episode": name, "tick": message.tick + 3 * (message.tick > 0)})
+        for message in recorded_messages.episode("drive-1", frames=corridor.FRAMES)
+    ]
+    path = record(tmp_path, messages)
+    learned = learned_of(model, "victim", {name: path})
+    first, last = learned.image(0), learned.image(len(learned.drives) - 1)
+    assert last is not None
+    assert last == recorded_messages.image("x", corridor.FRAMES - 1).data
+    assert first != last
+
+
+def test_a_hostile_name_reaches_the_page_as_text(console: Console, open_page: Callable[[], Page]) -> None:
+    messages = list(recorded_messages.episode("drive-1"))
+    told = [m.model_copy(update={"world": HOSTILE}) if isinstance(m, Episode) else m for m in messages]
+    record(console.root / "drives", told, f"{HOSTILE}.mcap")
+    page = open_page()
+    (shown,) = eventually(lambda: page.state.get("library", {}).get("recordings"))
+    assert shown["name"] == f"drives/{HOSTILE}.mcap"
+    assert shown["world"] == HOSTILE
+
+
+def test_only_what_is_listed_is_deleted(console: Console, robot: Robot, open_page: Callable[[], Page]) -> None:
+    kept = record(console.root / "other", list(recorded_messages.episode("drive-1")))
+    gone = record(console.root / "drives", list(recorded_messages.episode("drive-2")))
+    page = open_page()
+    eventually(lambda: page.state.get("library", {}).get("recordings"))
+    page.take()
+    eventually(lambda: page.beats)
+    for name in ("other/drive-1.mcap", "../drives/drive-2.mcap", "drives/../other/drive-1.mcap", str(kept), ""):
+        page.say(do="delete", recording=name)
+    page.say(do="delete", recording="drives/drive-2.mcap")
+    eventually(lambda: not page.state["library"]["recordings"])
+    assert page.news().count("no such recording") == 5
+    assert kept.exists()
+    assert not gone.exists()
+
+
+def test_what_cannot_be_run_or_learned_is_said(console: Console, robot: Robot, open_page: Callable[[], Page]) -> None:
+    corridor.save_model(console.root / "corridor.smal")
+    page = open_page()
+    eventually(lambda: page.state.get("library", {}).get("models"))
+    page.take()
+    eventually(lambda: page.beats and page.robot(answers=True))
+    run = {"do": "run", "start": "start", "seed": 1}
+    page.say(**run, model="none.smal", goal="victim")
+    eventually(lambda: "none.smal: no such model" in page.news())
+    page.say(**run, model="corridor.smal", goal="dock")
+    eventually(lambda: "has no goal dock; it has victim" in page.news())
+    page.say(**run, model="corridor.smal", goal="victim")
+    eventually(lambda: "features status: no answer" in page.news())
+    page.say(do="learn", name="way", recordings=["drives/none.mcap"])
+    eventually(lambda: "gone, or teaches nothing" in page.news())
+
+
+SCRIPT = """
+import sys, time
+print('{"stage": "reading", "done": 1, "total": 4}', flush=True)
+print("a line for people", flush=True)
+"""
+
+
+def learning(script: str) -> tuple[Learning, list[dict[str, object]]]:
+    shown: list[dict[str, object]] = []
+    return Learning(shown.append, (sys.executable, "-c", SCRIPT + script)), shown
+
+
+@pytest.mark.parametrize(
+    ("script", "outcome", "why"),
+    [
+        ("", "done", ""),
+        ("sys.stderr.write('smal: left out\\nsmal: nothing\\n'); sys.exit(1)", "failed", "nothing"),
+        ("sys.exit(1)", "failed", "it ended with status 1"),
+    ],
+)
+def test_learning_tells_how_far_it_is_and_how_it_ended(tmp_path: Path, script: str, outcome: str, why: str) -> None:
+    job, shown = learning(script)
+    job.begin("way", tmp_path / "models" / "way.smal", [tmp_path / "a.mcap"], include_runs=True)
+    eventually(lambda: not job.running)
+    end = eventually(lambda: shown[-1] if "outcome" in shown[-1] else None)
+    assert {"name": "way", "stage": "reading", "share": 0.25} in shown
+    assert (end["outcome"], end["why"]) == (outcome, why)
+
+
+def test_learning_is_cancelled_and_one_job_runs_at_a_time(tmp_path: Path) -> None:
+    job, shown = learning("time.sleep(60)")
+    job.begin("way", tmp_path / "way.smal", [], include_runs=False)
+    with pytest.raises(ServiceError, match="another model is being learned"):
+        job.begin("other", tmp_path / "other.smal", [], include_runs=False)
+    eventually(lambda: any(one.get("stage") == "reading" for one in shown))
+    job.cancel()
+    eventually(lambda: shown[-1].get("outcome") == "cancelled")
+    (tmp_path / "way.smal").touch()
+    with pytest.raises(ServiceError, match="choose another name"):
+        job.begin("way", tmp_path / "way.smal", [], include_runs=False)

@@ -1,0 +1,212 @@
+"""What is told of recordings, what is found wrong with them, and what a repair saves."""
+
+from __future__ import annotations
+
+import json
+from collections import Counter
+from pathlib import Path
+
+import pytest
+
+from schemas.base import Message
+from services.recordings.contents import contents_of, verify
+from services.recordings.encoding import payload_of
+from services.recordings.reader import RecordingError
+from services.recordings.repair import RepairError, repair, usual_name
+from services.recordings.sink import partial_of
+from services.recordings.writer import EpisodeWriter
+from tests.command import run_smal
+from tests.services.recordings import driven_corridor
+from tests.services.recordings.recorded_messages import FOCAL_PX, HEIGHT, WIDTH, applied, episode, event, frame, image
+from tests.services.recordings.test_recorder_files import check, leave, leave_part, read_all, record
+
+
+def mended(path: Path, out: Path) -> Path:
+    """Repair; return what came of it, which has no damage any more."""
+    _, after = repair(path, out)
+    assert after is not None
+    assert (after.state, after.damage) == ("sealed", [])
+    check(out)
+    return out
+
+
+def test_what_is_in_a_recording(tmp_path: Path) -> None:
+    path = driven_corridor.record(tmp_path)
+    contents = contents_of(path)
+    (one,) = contents.episodes
+    assert (contents.state, contents.size, contents.findings) == ("sealed", path.stat().st_size, [])
+    assert (one.robot, one.episode) == ("teacher", "drive-corridor")
+    assert one.said == {"world": "corridor", "seed": 0, "purpose": "drive", "goal": "end", "driver": "teleop"}
+    assert (one.outcome, one.judge) == ("found", "operator")
+    assert one.drove == {"teleop": 30}
+    assert (one.frames, one.seconds) == (30, pytest.approx(2.914))
+    assert (one.width, one.height) == (64, 48)
+    assert one.focal_px == pytest.approx(44.8)
+    assert one.odometry_m == pytest.approx(4.1, abs=0.2)
+    counts = {name: topic.messages for name, topic in one.topics.items()}
+    assert counts == Counter(
+        {"camera/jpeg": 30, "odometry": 30, "command/applied": 30, "command/teleop": 30, "camera/info": 1, "episode": 2}
+    )
+    assert one.topics["odometry"].rate_hz == pytest.approx(29 / 2.914)
+
+
+def test_the_command_tells_it(tmp_path: Path) -> None:
+    driven_corridor.record(tmp_path)
+    record(tmp_path, list(episode("drive-1", outcome="aborted")))
+    text = run_smal("recording", "info", tmp_path)
+    assert text.returncode == 0, text.stderr
+    assert "to end in corridor, seed 0" in text.stdout
+    assert "found (says the operator)" in text.stdout
+    assert f"{WIDTH}x{HEIGHT}" in text.stdout
+    told = run_smal("recording", "info", tmp_path, "--json")
+    first, second = json.loads(told.stdout)
+    assert first["episodes"][0]["focal_px"] == FOCAL_PX
+    assert (first["episodes"][0]["outcome"], second["episodes"][0]["outcome"]) == ("aborted", "found")
+    assert second["episodes"][0]["topics"]["odometry"]["messages"] == 30
+
+
+def test_a_recording_that_is_whole_has_no_findings(tmp_path: Path) -> None:
+    assert verify(record(tmp_path, list(episode("e")))).findings == []
+    assert run_smal("recording", "verify", tmp_path).returncode == 0
+
+
+def test_each_kind_of_fault_is_one_line(tmp_path: Path) -> None:
+    sent = [message for message in episode("e", frames=6) if (message.topic_name, message.tick) != ("camera/jpeg", 2)]
+    writer = EpisodeWriter.begin(tmp_path, sent[0])
+    for message in sent[:-1]:
+        writer.write(message)
+    writer.ledger = type(writer.ledger)()
+    writer.write(frame("e", 3)[0])
+    writer.write(image("e", 4).model_copy(update={"data": b"no image", "tick": 9}))
+    (one,) = [writer.seal()]
+    done = run_smal("recording", "verify", one)
+    assert done.returncode == 1
+    assert done.stdout.splitlines() == [
+        f"{one}: episode e: camera/jpeg: 1 of 6 do not decode: tick 9: not a JPEG image of a size that a camera has",
+        f"{one}: episode e: pose/truth: 1 are there twice, the first of tick 3",
+        f"{one}: episode e: its end was not recorded",
+        f"{one}: episode e: camera/jpeg lacks 2",
+    ]
+
+
+def test_what_is_no_recording_is_named_and_the_others_are_told(tmp_path: Path) -> None:
+    record(tmp_path, list(episode("e")))
+    (tmp_path / "notes.mcap").write_text("shopping list")
+    done = run_smal("recording", "verify", tmp_path)
+    assert done.returncode == 1
+    assert done.stderr == f"smal: {tmp_path / 'notes.mcap'}: not an MCAP file\n"
+    assert done.stdout == f"{tmp_path / 'e.mcap'}: whole\n"
+
+
+def test_any_byte_that_changes_is_noticed_and_costs_the_messages_beside_it_alone(tmp_path: Path) -> None:
+    sent = list(episode("e", frames=2))
+    path = record(tmp_path, sent)
+    whole, content = read_all(path), bytearray(path.read_bytes())
+    bad, out = tmp_path / "bad.mcap", tmp_path / "out.mcap"
+    for at in range(8, len(content), 211):
+        for value in (content[at] ^ 0x10, 0):
+            if value == content[at]:
+                continue
+            bad.write_bytes(content[:at] + bytes([value]) + content[at + 1 :])
+            assert verify(bad).damage, f"byte {at} of {len(content)}"
+            saved = read_all(mended(bad, out))
+            assert set(saved) <= set(whole)
+            assert len(saved) >= len(whole) - 1
+            out.unlink()
+
+
+def test_a_hole_costs_what_was_in_it(tmp_path: Path) -> None:
+    sent = list(episode("e", frames=8))
+    path = record(tmp_path, sent)
+    content = path.read_bytes()
+    size = 4096
+    bad, out = tmp_path / "bad.mcap", tmp_path / "out.mcap"
+    for at in range(1000, len(content) - size, 7001):
+        bad.write_bytes(content[:at] + bytes(size) + content[at + size :])
+        assert verify(bad).damage
+        saved = read_all(mended(bad, out))
+        lost = [message for message in read_all(path) if message not in saved]
+        largest = max((len(data) for _, _, data in lost), default=0)
+        assert sum(len(data) for _, _, data in lost) < size + 2 * largest, "what lay in it, and what it cut"
+        out.unlink()
+
+
+def test_a_recording_cut_anywhere_becomes_a_sealed_one_of_its_whole_messages(tmp_path: Path) -> None:
+    sent = list(episode("e", frames=3))
+    path = record(tmp_path, sent)
+    content, whole = path.read_bytes(), read_all(path)
+    cut, out = tmp_path / "cut.mcap", tmp_path / "out.mcap"
+    counts = []
+    for size in range(9000, len(content), 1009):
+        cut.write_bytes(content[:size])
+        found = verify(cut)
+        assert found.state == "not sealed"
+        saved = read_all(mended(cut, out))
+        assert saved == [message for message in whole if message in saved]
+        counts.append(len(saved))
+        out.unlink()
+    assert counts == sorted(counts)
+    assert counts[-1] == len(sent)
+
+
+def left_behind(folder: Path) -> tuple[Path, list[Message]]:
+    sent = list(episode("e", frames=4))
+    partial = leave(folder, sent[:30])
+    leave_part(partial, sent[20:])
+    return partial, sent
+
+
+def test_what_was_left_behind_becomes_one_recording_and_stays(tmp_path: Path) -> None:
+    partial, sent = left_behind(tmp_path)
+    before = {path: path.read_bytes() for path in tmp_path.iterdir()}
+    done = run_smal("recording", "repair", partial)
+    assert done.returncode == 0, done.stderr
+    path = tmp_path / "e.mcap"
+    assert done.stdout.splitlines()[0] == f"{path}: sealed, {len(sent)} messages"
+    assert sorted(read_all(path)) == sorted((f"smal/rescuebot/{m.topic_name}", m.tick, payload_of(m)) for m in sent)
+    assert verify(path).findings == []
+    assert {one: one.read_bytes() for one in tmp_path.iterdir() if one != path} == before
+
+
+def test_nothing_is_overwritten_but_when_told_to(tmp_path: Path) -> None:
+    partial, sent = left_behind(tmp_path)
+    other = tmp_path / "e.mcap"
+    other.write_bytes(b"another")
+    refused = run_smal("recording", "repair", partial, "--out", other)
+    assert (refused.returncode, refused.stderr) == (
+        2, f"smal: --out {other}: is there already; give another name, or --replace\n",
+    )  # fmt: skip
+    assert usual_name(partial, replace=False) == tmp_path / "e-2.mcap"
+    replaced = run_smal("recording", "repair", partial, "--replace")
+    assert replaced.returncode == 0, replaced.stderr
+    assert other.read_bytes() == b"another"
+    assert {path.name for path in tmp_path.iterdir()} == {"e.mcap", "e-2.mcap"}
+    path = tmp_path / "e-2.mcap"
+    content = path.read_bytes()
+    path.write_bytes(content[:-200])
+    kept = run_smal("recording", "repair", path)
+    assert (tmp_path / "e-2-repaired.mcap").exists(), kept.stderr
+    assert path.read_bytes() == content[:-200]
+    run_smal("recording", "repair", path, "--replace")
+    assert len(read_all(path)) == len(sent)
+    again = run_smal("recording", "repair", path)
+    assert again.stdout == f"{path}: nothing is to be repaired\n"
+
+
+def test_what_is_still_recorded_or_holds_nothing_is_refused(tmp_path: Path) -> None:
+    writer = EpisodeWriter.begin(tmp_path, event("e", 0, "started"))
+    writer.write(event("e", 0, "started"))
+    living = partial_of(writer.path)
+    assert contents_of(living).state == "being recorded"
+    with pytest.raises(RepairError, match="still being recorded"):
+        repair(living, tmp_path / "out.mcap")
+    writer.write(applied("e", 0))
+    writer.seal()
+    for content, why in ((b"", "empty"), (b"no", "not an MCAP file")):
+        (tmp_path / "bad.mcap").write_bytes(content)
+        with pytest.raises(RecordingError, match=why):
+            repair(tmp_path / "bad.mcap", tmp_path / "out.mcap")
+    (tmp_path / "bad.mcap").write_bytes(writer.path.read_bytes()[:60])
+    with pytest.raises(RepairError, match="holds no episodes"):
+        repair(tmp_path / "bad.mcap", tmp_path / "out.mcap")
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["bad.mcap", "e.mcap"]

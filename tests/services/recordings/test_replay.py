@@ -1,0 +1,313 @@
+"""A replay is what the robot told, and nothing that moves one; and what follows it decides as the library does."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import threading
+from collections import defaultdict
+from collections.abc import Callable
+from contextlib import closing
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import smal
+from schemas import topics
+from schemas.action import Action
+from schemas.base import Message
+from schemas.codec import decode
+from schemas.command import Command
+from schemas.episode import Episode
+from schemas.state import MAX_PLACES, State
+from services.cli.replay import Player
+from services.features.service import FeaturesService
+from services.kit.bus import Bus
+from services.kit.jpeg import decode_jpeg
+from services.kit.model_service import LoadedModel
+from services.kit.node import Node, ServiceError
+from services.kit.settings import ServiceSettings
+from services.policy.service import PolicyService
+from services.recognition.service import RecognitionService
+from services.recordings.encoding import decode_image
+from services.recordings.reader import read_recording
+from services.recordings.replay import REPLAYABLE, Tick, tracks_of
+from services.robot.service import check_alone
+from services.table import SERVICES
+from smal.model import Model
+from tests import corridor
+from tests.command import run_smal
+from tests.services.conftest import RunNode
+from tests.services.recordings import driven_corridor
+from tests.services.recordings.recorded_messages import episode
+from tests.services.recordings.test_recorder_files import record
+from tests.services.secured import make_keys, secured_router
+from tests.services.waiting import eventually, ready
+
+ROBOT = "rescuebot"
+
+
+class Heard:
+    """What was said on some topics, by tick; of the newest episode only."""
+
+    def __init__(self, bus: Bus, *which: topics.Topic) -> None:
+        self.said: defaultdict[str, dict[int, Message]] = defaultdict(dict)
+        self.order: list[Message] = []
+        self._news = threading.Condition()
+        for topic in which:
+            bus.subscribe(topic, self._taker(topic))
+
+    def _taker(self, topic: topics.Topic) -> Callable[[bytes, str, float | None], None]:
+        def take(payload: bytes, encoding: str, _transit_s: float | None) -> None:
+            message = decode(topic.message, payload, encoding)
+            with self._news:
+                self.said[topic.name][message.tick] = message
+                self.order.append(message)
+                self._news.notify_all()
+
+        return take
+
+    def wait(self, topic: topics.Topic, tick: int) -> None:
+        with self._news:
+            assert self._news.wait_for(lambda: tick in self.said[topic.name], 20.0), f"no {topic.name} of {tick}"
+
+
+@pytest.fixture
+def robot(settings: ServiceSettings) -> Node:
+    node = Node("robot", settings)
+    yield node
+    node.close()
+
+
+@pytest.fixture
+def chain(settings: ServiceSettings, run_node: RunNode) -> Callable[[Model], None]:
+    """Run features, recognition and policy, wired as their processes are."""
+
+    def run(model: Model) -> None:
+        features, recognition, policy = (Node(name, settings) for name in ("features", "recognition", "policy"))
+        loaded = LoadedModel.of(model, "model")
+        recognizing, deciding = RecognitionService(), PolicyService()
+        recognizing.load(loaded)
+        deciding.load(loaded)
+        features.subscribe(topics.CAMERA, FeaturesService(model.feature_settings).handle)
+        recognizing.announce = recognition.publish
+        recognition.subscribe(topics.ODOMETRY, recognizing.see)
+        recognition.subscribe(topics.APPLIED, recognizing.see_applied)
+        recognition.subscribe(topics.OBSERVATION, recognizing.handle)
+        policy.subscribe(topics.APPLIED, deciding.see_applied)
+        policy.subscribe(topics.STATE, deciding.handle)
+        for node in (features, recognition, policy):
+            run_node(node)
+
+    return run
+
+
+def decided(path: Path, model: Model) -> list[tuple[str, str, smal.Belief]]:
+    """Return what the library does on the recorded frames: atom, kind of decision, belief."""
+    (recorded,) = read_recording(path).episodes
+    stamps = {tick: stamp_ns for tick, stamp_ns in stamps_of(path).items() if tick in recorded.images}
+    robot, decisions, last_ns = smal.Robot(model), [], None
+    for tick in sorted(recorded.images):
+        elapsed_s = None if last_ns is None else (stamps[tick] - last_ns) / 1e9
+        image = decode_image(bytes(recorded.images[tick]))
+        atom = robot.step(image, recorded.odometry.get(tick), elapsed_s)
+        last_ns = stamps[tick]
+        decisions.append((atom.name.lower(), robot.decision.kind, robot.belief))
+    return decisions
+
+
+def stamps_of(path: Path) -> dict[int, int]:
+    (track,) = tracks_of(path)
+    ticks = track.play("any", "any", 0, {"odometry": topics.ODOMETRY})
+    return {tick.number: message.stamp_ns for tick in ticks for message in tick.messages}
+
+
+def check_decisions(client: Bus, robot: Node, path: Path, model: Model) -> list[str]:
+    """Replay, frame by frame, and compare what is decided with what the library decides."""
+    expected = decided(path, model)
+    heard = Heard(client, topics.MAP, topics.STATE, topics.ACTION, topics.COMMANDS["policy"])
+    (track,) = tracks_of(path)
+
+    def answered(tick: Tick) -> bool:
+        if tick.number > 0:
+            heard.wait(topics.COMMANDS["policy"], tick.number - 1)
+        return True
+
+    eventually(lambda: robot.bus.has_listeners(topics.CAMERA))
+    player = Player(robot, track, "replay-1", dict(REPLAYABLE))
+    player.run(answered)
+    last = len(expected) - 1
+    heard.wait(topics.COMMANDS["policy"], last)
+    for tick, (atom, kind, belief) in enumerate(expected):
+        command, action, state = (heard.said[name][tick] for name in ("command/policy", "action", "state"))
+        assert isinstance(command, Command)
+        assert isinstance(action, Action)
+        assert isinstance(state, State)
+        assert (command.atom, action.kind, tick) == (atom, kind, tick)
+        assert (command.episode, command.robot) == ("replay-1", ROBOT)
+        places = belief.summary(MAX_PLACES)
+        assert [place.keyframe for place in state.places] == places.keyframes.tolist()
+        np.testing.assert_array_equal([place.weight for place in state.places], places.weights)
+        assert state.lost == min(belief.lost, 1.0)
+    assert list(heard.said["map"]) == [0]
+    return [atom for atom, _, _ in expected]
+
+
+def test_services_decide_on_a_replay_as_the_library_does_on_its_frames(
+    client: Bus, robot: Node, chain: Callable[[Model], None], tmp_path: Path
+) -> None:
+    """The golden replay."""
+    path = driven_corridor.record(tmp_path)
+    chain(corridor.model())
+    atoms = check_decisions(client, robot, path, corridor.model())
+    assert {"forward", "left", "right"} <= set(atoms), "a drive that calls for one decision proves little"
+
+
+@pytest.mark.system
+@pytest.mark.rendering
+def test_services_decide_on_a_rendered_drive_as_the_library_does(
+    client: Bus, robot: Node, chain: Callable[[Model], None], taught: Path
+) -> None:
+    (path,) = (taught / "drives").glob("*.mcap")
+    model = Model.load(taught / "model.smal")
+    chain(model)
+    check_decisions(client, robot, path, model)
+
+
+def test_a_replay_tells_what_the_robot_told_and_never_a_command(client: Bus, robot: Node, tmp_path: Path) -> None:
+    path = record(tmp_path, list(episode("drive-1", frames=4)))
+    keys: set[str] = set()
+    client.listen("**", lambda key, _payload, _encoding: keys.add(key))
+    heard = Heard(client, *REPLAYABLE.values())
+    eventually(lambda: robot.bus.has_listeners(topics.CAMERA))
+    (track,) = tracks_of(path)
+    Player(robot, track, "replay-1", dict(REPLAYABLE)).run(lambda _tick: True)
+    heard.wait(topics.EPISODE, 3)
+    eventually(lambda: any(isinstance(one, Episode) and one.event == "ended" for one in heard.order))
+    assert keys <= {topic.key(ROBOT) for topic in SERVICES["robot"].gives}
+    assert not keys & {topic.key(ROBOT) for topic in (*topics.COMMANDS.values(), topics.HEARTBEAT)}
+    assert {(one.robot, one.episode) for one in heard.order} == {(ROBOT, "replay-1")}
+    for topic in (topics.ODOMETRY, topics.IMU, topics.POSE, topics.CAMERA, topics.JPEG):
+        heard.wait(topic, 3)  # they come on their own ways
+        assert sorted(heard.said[topic.name]) == [0, 1, 2, 3]
+    sent = {(one.topic_name, one.tick): one for one in episode("drive-1", frames=4)}
+    told, recorded = heard.said["odometry"][2], sent["odometry", 2]
+    changed = {"robot", "episode", "stamp_ns"}
+    assert told.model_dump(exclude=changed) == recorded.model_dump(exclude=changed)
+    image = heard.said["camera/rgb"][2]
+    np.testing.assert_array_equal(image.to_numpy(), decode_jpeg(sent["camera/jpeg", 2].data))
+    stamps = [heard.said["odometry"][tick].stamp_ns for tick in range(4)]
+    assert np.diff(stamps).tolist() == [100_000_000] * 3
+    assert {one.purpose for one in heard.order if isinstance(one, Episode)} == {"run"}, "no second demonstration"
+
+
+def test_a_replay_that_is_broken_off_ends_its_episode(client: Bus, robot: Node, tmp_path: Path) -> None:
+    path = record(tmp_path, list(episode("drive-1", frames=9)))
+    heard = Heard(client, topics.EPISODE)
+    client.subscribe(topics.CAMERA, lambda *_: None)
+    eventually(lambda: robot.bus.has_listeners(topics.CAMERA))
+    (track,) = tracks_of(path)
+    Player(robot, track, "replay-1", dict(REPLAYABLE)).run(lambda tick: tick.number < 3)
+    eventually(lambda: len(heard.order) == 2)
+    assert [(one.event, one.outcome, one.tick) for one in heard.order if isinstance(one, Episode)] == [
+        ("started", None, 0), ("ended", "aborted", 2),
+    ]  # fmt: skip
+
+
+def test_only_what_is_wanted_is_told(client: Bus, robot: Node, tmp_path: Path) -> None:
+    path = record(tmp_path, list(episode("drive-1", frames=3)))
+    heard = Heard(client, *REPLAYABLE.values())
+    eventually(lambda: robot.bus.has_listeners(topics.CAMERA))
+    (track,) = tracks_of(path)
+    wanted = {name: REPLAYABLE[name] for name in ("camera/rgb", "command/applied")}
+    Player(robot, track, "replay-1", wanted).run(lambda _tick: True)
+    heard.wait(topics.CAMERA, 2)
+    heard.wait(topics.APPLIED, 1)
+    assert heard.said.keys() == wanted.keys()
+
+
+def test_no_robot_starts_beside_a_replay(robot: Node, settings: ServiceSettings) -> None:
+    robot.spin(timeout_s=0.0)
+    eventually(lambda: robot.status().state == "ready")
+    with pytest.raises(ServiceError, match="robot rescuebot is there already"):
+        check_alone(settings)
+
+
+@pytest.mark.zenoh
+def test_the_command_replays_and_is_refused_where_a_robot_is(
+    client: Bus, router_endpoint: str, settings: ServiceSettings, run_node: RunNode, tmp_path: Path
+) -> None:
+    path = record(tmp_path, list(episode("drive-1", frames=5)))
+    heard = Heard(client, topics.CAMERA, topics.EPISODE)
+    done = run_smal("replay", path, "--router", router_endpoint, "--rate", 20)
+    assert done.returncode == 0, done.stderr
+    assert "episode drive-1 of rescuebot as replay-" in done.stderr
+    heard.wait(topics.CAMERA, 4)
+    stepped = run_smal("replay", path, "--router", router_endpoint, "--step", typed="\n\n")
+    assert stepped.returncode == 0, stepped.stderr
+    eventually(lambda: [one.tick for one in heard.order if isinstance(one, Episode)][-1] == 1)
+    run_node(Node("robot", settings))
+    ready(client, "robot")
+    refused = run_smal("replay", path, "--router", router_endpoint)
+    assert refused.returncode == 1
+    assert refused.stderr.startswith("smal: robot rescuebot is there already (process ")
+    assert refused.stderr.count("\n") == 1
+
+
+@pytest.mark.parametrize(
+    ("arguments", "complaint"),
+    [
+        (("none.mcap",), "none.mcap: No such file or directory"),
+        (("none.mcap", "--topics", "camera/rgb,command/teleop"), "--topics: 'command/teleop' is not replayed"),
+        (("README.md",), "README.md: not an MCAP file"),
+    ],
+)
+def test_what_cannot_be_replayed_is_one_line(arguments: tuple[str, ...], complaint: str) -> None:
+    done = run_smal("replay", *arguments)
+    assert done.returncode in (1, 2)
+    assert complaint in done.stderr
+    assert done.stderr.count("\n") == 1
+
+
+def test_with_certificates_it_takes_the_robots_own(free_endpoint: str, tmp_path: Path) -> None:
+    path = record(tmp_path, list(episode("drive-1", frames=5)))
+    keys, endpoint = make_keys(tmp_path / "keys"), free_endpoint.replace("tcp/", "tls/")
+    watcher = ServiceSettings(robot=ROBOT, router=endpoint, secure=keys)
+    with secured_router(endpoint, keys), closing(watcher.open_bus("watcher")) as bus:
+        heard = Heard(bus, topics.CAMERA, topics.EPISODE)
+        done = run_smal("replay", path, "--router", endpoint, "--secure", keys, "--rate", 20)
+        assert done.returncode == 0, done.stderr
+        heard.wait(topics.CAMERA, 4)
+        # Whoever may only watch has no certificate of the robot.
+        for key in (keys / "robot").iterdir() if (keys / "robot").is_dir() else keys.glob("robot*"):
+            key.unlink()
+        refused = run_smal("replay", path, "--router", endpoint, "--secure", keys)
+    assert refused.returncode == 1
+    assert "robot" in refused.stderr
+    assert refused.stderr.count("\n") == 1
+
+
+@pytest.mark.system
+def test_a_stack_without_a_robot_answers_a_replay(free_endpoint: str, tmp_path: Path) -> None:
+    path = driven_corridor.record(tmp_path)
+    model = corridor.save_model(tmp_path / "corridor.smal")
+    up = subprocess.Popen(
+        [
+            *(sys.executable, "-c", "from services.cli.main import main; main()", "up", "--robot-body", "none"),
+            *("--model", model, "--router", free_endpoint),
+        ],
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    try:
+        assert up.stderr is not None
+        assert any("ready: robot rescuebot without a robot" in line for line in up.stderr)
+        with closing(Bus(ROBOT, free_endpoint)) as bus:
+            heard = Heard(bus, topics.ACTION)
+            done = run_smal("replay", path, "--router", free_endpoint, "--rate", 0.5)
+            assert done.returncode == 0, done.stderr
+            eventually(lambda: max(heard.said["action"], default=0) > driven_corridor.FRAMES - 5)
+    finally:
+        up.terminate()
+        assert up.wait(20.0) == 0

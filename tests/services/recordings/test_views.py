@@ -1,0 +1,274 @@
+"""What viewers draw of a recording: where the robot was, where it believed to be, the camera, the ways and a log."""
+
+from __future__ import annotations
+
+import json
+import math
+import shutil
+import subprocess
+from collections import defaultdict
+from itertools import chain
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from foxglove_schemas_protobuf.PointCloud_pb2 import PointCloud
+from google.protobuf.descriptor import Descriptor
+from google.protobuf.descriptor_pb2 import FileDescriptorSet
+from google.protobuf.descriptor_pool import DescriptorPool
+from google.protobuf.message_factory import GetMessageClass
+from mcap.reader import make_reader
+
+from schemas.array import Float32Array
+from schemas.base import Message
+from schemas.pose import Pose
+from schemas.state import Place, State
+from schemas.taught_map import TaughtMap
+from schemas.topics import key_of, topic_of
+from services.recordings.reader import read_recording
+from services.recordings.sink import partial_of
+from services.recordings.views import view_key
+from services.recordings.writer import EpisodeWriter
+from tests.services.recordings import driven_corridor
+from tests.services.recordings.recorded_messages import MODEL, episode
+from tests.services.recordings.test_recorder_files import die, go_on, record
+
+LAYOUT = Path(__file__).parents[3] / "deploy" / "foxglove.json"
+#: The true pose is that of the wheels, turned by a quarter and 5 m further.
+WORLD = (5.0, -2.0, math.pi / 2)
+KEYFRAMES = np.array([[0, 0, 0], [1, 0, 0], [2, 0, 0], [0, 5, 0]], np.float32)
+
+
+def drive() -> list[Message]:
+    """Make a drive with a belief: the robot is half a metre to the left of keyframe 1."""
+    told: list[Message] = [driven_corridor.event(0, "started")]
+    for tick in range(4):
+        here = driven_corridor.header(tick)
+        x_m, y_m, heading_rad = driven_corridor.pose(tick)
+        told += driven_corridor.told(tick)
+        told.append(Pose.after(here, x_m=5.0 - y_m, y_m=-2.0 + x_m, heading_rad=heading_rad + math.pi / 2))
+        if tick == 0:
+            told.append(TaughtMap.after(here, model=MODEL, keyframes=Float32Array.from_numpy(KEYFRAMES), begins=(0, 3)))
+        places = (
+            Place(keyframe=1, ahead_m=0.0, left_m=0.5, turned_rad=0.0, weight=0.75),
+            Place(keyframe=3, ahead_m=0.25, left_m=0.0, turned_rad=1.0, weight=0.25),
+        )
+        lost = 0.1 if tick < 3 else 0.9
+        status = "recognized" if tick < 3 else "unknown"
+        told.append(State.after(here, status=status, model=MODEL, places=places, lost=lost))
+    return [*told, driven_corridor.event(3, "ended", outcome="found", judge="operator")]
+
+
+def views_of(path: Path) -> dict[str, list[Any]]:
+    """Read as a viewer does: with nothing but the file's own descriptors."""
+    found: defaultdict[str, list[Any]] = defaultdict(list)
+    with path.open("rb") as file:
+        for schema, channel, stored in make_reader(file).iter_messages(log_time_order=False):
+            if topic_of(channel.topic) is None:
+                assert schema is not None
+                message = GetMessageClass(described(schema.data, schema.name)).FromString(stored.data)
+                found[channel.topic.removeprefix(view_key("teacher", ""))].append(message)
+    return found
+
+
+def described(data: bytes, name: str) -> Descriptor:
+    pool = DescriptorPool()
+    for descriptor in FileDescriptorSet.FromString(data).file:
+        pool.Add(descriptor)
+    return pool.FindMessageTypeByName(name)
+
+
+def planar(position: Any, rotation: Any) -> tuple[float, float, float]:
+    assert (position.z, rotation.x, rotation.y) == (0, 0, 0)
+    return position.x, position.y, 2.0 * math.atan2(rotation.z, rotation.w)
+
+
+def transform(message: Any) -> tuple[str, str, tuple[float, float, float]]:
+    return message.parent_frame_id, message.child_frame_id, planar(message.translation, message.rotation)
+
+
+@pytest.fixture
+def path(tmp_path: Path) -> Path:
+    return record(tmp_path, drive())
+
+
+def test_frames_hang_together_and_lie_where_the_robot_was(path: Path) -> None:
+    views = views_of(path)
+    for tick in range(4):
+        parent, child, pose = transform(views["odometry"][tick])
+        assert (parent, child) == ("odom", "base_link")
+        assert pose == pytest.approx(driven_corridor.pose(tick))
+        x_m, y_m, heading_rad = driven_corridor.pose(tick)
+        true = views["pose"][tick]
+        assert true.frame_id == "world"
+        expected = (5.0 - y_m, -2.0 + x_m, heading_rad + math.pi / 2)
+        assert planar(true.pose.position, true.pose.orientation) == pytest.approx(expected)
+        stamp = true.timestamp.seconds * 10**9 + true.timestamp.nanos
+        assert stamp == driven_corridor.header(tick).stamp_ns
+    ((parent, child, pose),) = map(transform, views["world"])
+    assert (parent, child) == ("world", "odom")
+    assert pose == pytest.approx(WORLD)
+    (camera,) = views["camera"]
+    assert (camera.parent_frame_id, camera.child_frame_id) == ("base_link", "camera")
+    assert turned(camera.rotation, (0, 0, 1)) == pytest.approx((1, 0, 0)), "its z looks ahead"
+    assert turned(camera.rotation, (1, 0, 0)) == pytest.approx((0, -1, 0)), "its x is to the robot's right"
+    (calibration,) = views["calibration"]
+    assert (calibration.frame_id, calibration.width, calibration.height) == ("camera", 64, 48)
+    assert list(calibration.K) == pytest.approx([44.8, 0, 32, 0, 44.8, 24, 0, 0, 1])
+
+
+def turned(quaternion: Any, vector: tuple[float, float, float]) -> tuple[float, float, float]:
+    x, y, z, w = quaternion.x, quaternion.y, quaternion.z, quaternion.w
+    axis = np.array([x, y, z])
+    v = np.array(vector, float)
+    return tuple((v + 2 * np.cross(axis, np.cross(axis, v) + w * v)).tolist())
+
+
+def test_the_belief_lies_on_the_taught_ways_and_the_ways_about_the_robot(path: Path) -> None:
+    views = views_of(path)
+    (taught,) = views["taught"]
+    (entity,) = taught.entities
+    assert entity.frame_id == "map"
+    lines = [[(point.x, point.y) for point in line.points] for line in entity.lines]
+    assert lines == [[(0, 0), (1, 0), (2, 0)], [(0, 5)]]
+    (arrow,) = views["belief"][0].entities[0].arrows
+    assert planar(arrow.pose.position, arrow.pose.orientation) == pytest.approx((1.0, 0.5, 0.0))
+    assert arrow.color.g == pytest.approx(0.9)
+    cloud = views["places"][0]
+    points = np.frombuffer(cloud.data, "<f4").reshape(-1, 3)
+    np.testing.assert_allclose(points, [[1, 0.5, 0.75], [0.25, 5, 0.25]], atol=1e-6)
+    # Seen from the map, the robot is where the belief has it; a robot that is lost goes by its wheels.
+    assert len(views["map"]) == 3
+    for tick in range(3):
+        parent, child, origin = transform(views["map"][tick])
+        assert (parent, child) == ("odom", "map")
+        x_m, y_m, heading_rad = origin
+        cos, sin = math.cos(heading_rad), math.sin(heading_rad)
+        there = x_m + cos * 1.0 - sin * 0.5, y_m + sin * 1.0 + cos * 0.5
+        assert (*there, heading_rad) == pytest.approx(driven_corridor.pose(tick))
+    (driven,) = views["driven"]
+    points = [(point.x, point.y) for point in driven.entities[0].lines[0].points]
+    assert points == [pytest.approx(driven_corridor.pose(tick)[:2]) for tick in range(4)]
+    assert isinstance(PointCloud.FromString(views["driven_points"][0].SerializeToString()), PointCloud)
+
+
+def test_the_log_tells_what_changes_once(path: Path) -> None:
+    told = [(line.name, line.message, line.level) for line in views_of(path)["log"]]
+    assert told == [
+        ("episode", "drive to end in corridor, seed 0, driver teleop", 2),
+        ("robot", "driven by teleop", 2),
+        ("recognition", "recognized", 2),
+        ("recognition", "unknown", 3),
+        ("episode", "ended: found", 2),
+    ]
+
+
+def test_parts_that_kills_left_are_drawn_as_one_drive(path: Path, tmp_path: Path) -> None:
+    sent = drive()
+    (tmp_path / "killed").mkdir()
+    writer = EpisodeWriter.begin(tmp_path / "killed", sent[0])  # type: ignore[arg-type]
+    for message in sent[:12]:
+        writer.write(message)
+    die(writer)
+    merged = go_on(partial_of(writer.path), sent[10:])
+    drawn, expected = (
+        {name: [message.SerializeToString() for message in messages] for name, messages in views_of(one).items()}
+        for one in (merged, path)
+    )
+    assert drawn == expected
+
+
+def test_readers_do_not_see_the_views(path: Path) -> None:
+    (read,) = read_recording(path).episodes
+    assert sorted(read.images) == list(range(4))
+    assert not read_recording(path).bad
+
+
+def test_views_cost_little(tmp_path: Path) -> None:
+    """Of a drive with images of 64x48 and 16 features: a real one has twenty times the bytes, and no more views."""
+    path = record(tmp_path, list(episode("e", frames=100)))
+    views = sum(message.ByteSize() for message in chain.from_iterable(views_of(path).values()))
+    assert views < 100 * 1000
+
+
+def sdk() -> Any:
+    return pytest.importorskip("foxglove", reason="needs foxglove-sdk: pip install foxglove-sdk")
+
+
+def test_our_messages_are_those_of_foxgloves_own_sdk(path: Path) -> None:
+    """Field by field, for every message type that is written, what the SDK's own schema says."""
+    sdk()
+    messages = pytest.importorskip("foxglove.messages")
+    with path.open("rb") as file:
+        summary = make_reader(file).get_summary()
+    assert summary is not None
+    ours = {schema.name: schema.data for schema in summary.schemas.values() if schema.encoding == "protobuf"}
+    assert len(ours) == 7
+    for name, data in ours.items():
+        theirs = getattr(messages, name.removeprefix("foxglove.")).get_schema()
+        assert (theirs.name, theirs.encoding) == (name, "protobuf")
+        known = fields_of(described(theirs.data, name))
+        assert fields_of(described(data, name)).items() <= known.items()
+
+
+def fields_of(descriptor: Descriptor, prefix: str = "") -> dict[str, tuple[int, int, bool]]:
+    found: dict[str, tuple[int, int, bool]] = {}
+    for field in descriptor.fields:
+        found[prefix + field.name] = (field.number, field.type, field.is_repeated)
+        if field.message_type is not None:
+            found |= fields_of(field.message_type, f"{prefix}{field.name}.")
+    return found
+
+
+def test_rerun_draws_it_without_being_told_how(path: Path, tmp_path: Path) -> None:
+    """Rerun makes its own components of our messages: images, camera, transforms, points and log."""
+    rerun = shutil.which("rerun")
+    if rerun is None:
+        pytest.skip("needs rerun-sdk, of 100 MB: pip install rerun-sdk")
+    made = tmp_path / "made.rrd"
+    done = subprocess.run([rerun, "mcap", "convert", path, "-o", made], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    assert "ERROR" not in done.stderr
+    printed = subprocess.run([rerun, "rrd", "print", "-v", made], capture_output=True, text=True, check=True).stdout
+    for entity, component in {
+        "camera/jpeg": "EncodedImage:blob",
+        "view/calibration": "Pinhole:image_from_camera",
+        "view/odometry": "Transform3D:translation",
+        "view/world": "Transform3D:parent_frame",
+        "view/map": "Transform3D:child_frame",
+        "view/pose": "InstancePoses3D:translations",
+        "view/places": "Points3D:positions",
+        "view/taught_points": "Points3D:positions",
+        "view/driven_points": "Points3D:positions",
+        "view/log": "TextLog:text",
+    }.items():
+        assert f"/smal/teacher/{entity}@{component}" in printed
+
+
+def test_the_layout_shows_what_recordings_have(path: Path, tmp_path: Path) -> None:
+    """Every topic in it is one of ours, and every plotted field is in a message of it."""
+    layout = json.loads(LAYOUT.read_text())
+    with path.open("rb") as file:
+        summary = make_reader(file).get_summary()
+    assert summary is not None
+    written = {channel.topic.replace("/teacher/", "/rescuebot/") for channel in summary.channels.values()}
+    panels = layout["configById"]
+    assert set(_leaves(layout["layout"])) == panels.keys()
+    images = [panel["imageMode"] for name, panel in panels.items() if name.startswith("Image!")]
+    named = [*(one["imageTopic"] for one in images), *(one["calibrationTopic"] for one in images)]
+    named += [panel["topicToRender"] for name, panel in panels.items() if name.startswith("Log!")]
+    named += [topic for name, panel in panels.items() if name.startswith("3D!") for topic in panel["topics"]]
+    assert set(named) <= written | {"smal/rescuebot/view/tracked"}
+    examples = {key_of(one): one for one in episode("e")}
+    for value in [
+        plot["value"] for name, panel in panels.items() if name.startswith("Plot!") for plot in panel["paths"]
+    ]:
+        topic, _, fields = value.removeprefix('"').partition('".')
+        message: Any = examples[topic].model_json_schema()
+        first = fields.partition("[")[0].partition(".")[0]
+        assert first in message["properties"], value
+
+
+def _leaves(node: Any) -> list[str]:
+    return [node] if isinstance(node, str) else [*_leaves(node["first"]), *_leaves(node["second"])]

@@ -1,0 +1,325 @@
+"""The page in a real browser, on the real stack: what a person clicks and presses, and what becomes of the robot."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import closing, contextmanager, suppress
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import pytest
+
+from schemas import topics
+from schemas.codec import decode
+from schemas.command import CommandApplied
+from schemas.pose import Pose
+from schemas.rpc import Nothing, Status
+from services.cli.stack.processes import Stack, StackPlan, flags, free_endpoint
+from services.expert.driver import RouteDriver
+from services.kit.bus import Bus, RpcError
+from services.robot.loop import STAND_WITHIN_S
+from services.simulator.world import load_world
+from services.simulator.world.route import plan_route
+from services.table import stack_services
+from tests.services.waiting import eventually
+
+if TYPE_CHECKING:
+    from playwright.sync_api import Browser, Page
+
+CHROMIUM = shutil.which("chromium")
+pytestmark = [
+    pytest.mark.system,
+    pytest.mark.rendering,
+    pytest.mark.zenoh,
+    pytest.mark.skipif(CHROMIUM is None, reason="no chromium on this machine: the page is not tried in a browser"),
+]
+KEYS = {"forward": "w", "left": "a", "right": "d", "backward": "s"}
+SPEED_M_S = 2.0
+#: Teach, learn, run, found.
+WHOLE_LOOP_S = 240.0
+
+
+class Site:
+    """A stack with its page, and what the robot really does."""
+
+    def __init__(self, address: str, bus: Bus) -> None:
+        self.address = address
+        self.bus = bus
+        self.poses: list[Pose] = []
+        #: What moved the robot, since when.
+        self.applied: list[tuple[float, CommandApplied]] = []
+        bus.subscribe(topics.POSE, lambda payload, encoding, _: self.poses.append(decode(Pose, payload, encoding)))
+        bus.subscribe(topics.APPLIED, self._note)
+
+    def _note(self, payload: bytes, encoding: str, _transit_s: float | None) -> None:
+        self.applied.append((time.monotonic(), decode(CommandApplied, payload, encoding)))
+
+    @property
+    def drives(self) -> bool:
+        """Whether the robot is being moved."""
+        return bool(self.applied) and self.applied[-1][1].atom != "stop"
+
+    def stood_s(self, since_s: float) -> float:
+        """Wait until the actuator stands; return how long after a time it was last told to move."""
+        eventually(lambda: not self.drives)
+        return max((at for at, one in self.applied if one.atom != "stop"), default=since_s) - since_s
+
+    def robot(self, key: str) -> object:
+        """Return what the robot tells of itself."""
+        with suppress(RpcError):
+            return self.bus.call("robot", "status", Nothing(), Status).detail[key]
+        return None
+
+
+@pytest.fixture(scope="module")
+def site(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Site]:
+    """Start a stack on the world ``yard``."""
+    root, endpoint = tmp_path_factory.mktemp("root"), free_endpoint()
+    address = free_endpoint().removeprefix("tcp/")
+    below = flags(root=root)
+    own = {
+        "robot": flags(world="yard", camera_width=320, camera_height=240),
+        **dict.fromkeys(("recognition", "policy", "recorder"), below),
+        "console": flags(console=address) + below,
+    }
+    plan = StackPlan(stack_services(), "rescuebot", endpoint, own, logs=root / "logs")
+    with Stack(plan), closing(Bus("rescuebot", endpoint)) as bus:
+        yield Site(f"http://{address}/", bus)
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Browser]:
+    """Start Debian's Chromium; as root it runs without its sandbox."""
+    playwright = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
+    with playwright.sync_playwright() as play:
+        yield play.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox"])
+
+
+@pytest.fixture
+def page(browser: Browser, site: Site) -> Iterator[Page]:
+    """Open the page."""
+    with opened(browser, site) as page:
+        yield page
+
+
+@contextmanager
+def opened(browser: Browser, site: Site) -> Iterator[Page]:
+    """Open the page in a context of its own, as another person would; no error may appear in it."""
+    context = browser.new_context(viewport={"width": 1440, "height": 1000})
+    page = context.new_page()
+    errors: list[str] = []
+    page.on("pageerror", lambda error: errors.append(str(error)))
+    page.goto(site.address)
+    eventually(lambda: told(page) and "onnect" not in told(page))
+    try:
+        yield page
+    finally:
+        if not page.is_closed():
+            # pytest shows it where the test has failed.
+            sys.stdout.write("\n".join(page.inner_text(part) for part in ("#status", "#job", "#news")) + "\n")
+        context.close()
+    assert errors == []
+
+
+def told(page: Page) -> str:
+    """Return the line that says how the robot is."""
+    return page.inner_text("#status")
+
+
+def data(page: Page, name: str) -> str:
+    """Return what the page notes of the episode."""
+    return page.get_attribute("body", f"data-{name}") or ""
+
+
+def begin_a_drive(page: Page, site: Site) -> None:
+    before = data(page, "episode")
+    page.click("#drive-form button")
+    eventually(lambda: data(page, "episode") not in ("", before), timeout_s=60.0)
+    episode = data(page, "episode")
+    eventually(lambda: site.poses and site.poses[-1].episode == episode)
+
+
+def drive_ahead(page: Page, site: Site) -> None:
+    """Begin a drive, and hold the key for ahead."""
+    begin_a_drive(page, site)
+    page.keyboard.down("w")
+    eventually(lambda: site.drives)
+
+
+def drive_to_the_victim(page: Page, site: Site) -> None:
+    """Drive by keys, as the scripted expert would."""
+    world, here = load_world("yard"), site.poses[-1]
+    driver = RouteDriver(plan_route(world, (here.x_m, here.y_m)), SPEED_M_S, world.scale.found_m)
+    held = ""
+    while not driver.arrived(here.x_m, here.y_m):
+        key = KEYS[driver.key(here.x_m, here.y_m, here.heading_rad)]
+        if key != held:
+            if held:
+                page.keyboard.up(held)
+            page.keyboard.down(key)
+            held = key
+        if site.robot("stop_cause") == "operator_lost":
+            # A machine that is busy elsewhere: a person would go on as well.
+            page.keyboard.up(held)
+            page.click("#resume")
+            held = ""
+        eventually(lambda seen=here: site.poses[-1] is not seen)  # type: ignore[misc]
+        here = site.poses[-1]
+    page.keyboard.up(held)
+
+
+def test_teach_once_learn_run_found(page: Page, site: Site) -> None:
+    """By clicks and keys alone; what is compiled is compiled before, as it is when SMAL is set up."""
+    subprocess.run(
+        [sys.executable, "-c", "from smal.matching.streaming import compile_ahead; compile_ahead()"], check=True
+    )
+    began_s = time.monotonic()
+    begin_a_drive(page, site)
+    drive_to_the_victim(page, site)
+    page.click("#found")
+    eventually(lambda: data(page, "outcome") == "found")
+    eventually(lambda: page.locator("#recordings input:checked").count() == 1, timeout_s=20.0)
+    page.click("#learn-form button:not([type])")
+    eventually(lambda: "way-1 is learned" in page.inner_text("#job"), timeout_s=WHOLE_LOOP_S)
+    eventually(lambda: page.locator("#run-form select[name=model] option").count() == 1)
+    page.click("#run-form button")
+    eventually(lambda: data(page, "episode").startswith("run"), timeout_s=60.0)
+    eventually(lambda: page.locator("#belief img").get_attribute("src"), timeout_s=30.0)
+    eventually(lambda: data(page, "episode") == "", timeout_s=120.0)
+    assert data(page, "outcome") == "found"
+    assert time.monotonic() - began_s <= WHOLE_LOOP_S
+    assert run_in(page, "document.querySelector('#belief img').naturalWidth") == 320
+
+
+def run_in(page: Page, script: str) -> object:
+    """Run a script as the developer's tools do; the page's own policy forbids what Playwright would do."""
+    answer = page.context.new_cdp_session(page).send("Runtime.evaluate", {"expression": script})
+    return answer["result"].get("value")
+
+
+def reload(page: Page) -> None:
+    run_in(page, "location.reload()")
+
+
+def close(page: Page) -> None:
+    page.close()
+
+
+def hide(page: Page) -> None:
+    """Have another tab come to the front, which a browser without a window does not do by itself."""
+    run_in(page, "Object.defineProperty(document, 'hidden', {value: true})")
+    run_in(page, "document.dispatchEvent(new Event('visibilitychange'))")
+
+
+def lose_focus(page: Page) -> None:
+    run_in(page, "window.dispatchEvent(new Event('blur'))")
+
+
+def press_escape(page: Page) -> None:
+    page.keyboard.press("Escape")
+
+
+def press_the_red_button(page: Page) -> None:
+    page.click("#stop")
+
+
+@pytest.mark.parametrize(
+    "what",
+    [reload, close, hide, lose_focus, press_escape, press_the_red_button],
+    ids=lambda what: what.__name__,
+)
+def test_whatever_becomes_of_the_page_the_robot_stands(
+    browser: Browser, site: Site, what: Callable[[Page], None]
+) -> None:
+    with opened(browser, site) as page:
+        drive_ahead(page, site)
+        # Chromium takes its time for some of these: the robot is watched meanwhile, on a thread of the bus.
+        began_s = time.monotonic()
+        what(page)
+        took_s = time.monotonic() - began_s
+        assert site.stood_s(began_s) <= took_s + STAND_WITHIN_S
+
+
+def processes_of(name: str) -> list[int]:
+    """Return the processes of a name that this one's children have started."""
+    parents, named = {}, []
+    for entry in Path("/proc").iterdir():
+        with suppress(OSError, ValueError):
+            _, _, rest = (entry / "stat").read_text().rpartition(") ")
+            parents[int(entry.name)] = int(rest.split()[1])
+            if name in (entry / "cmdline").read_text():
+                named.append(int(entry.name))
+
+    def is_ours(pid: int) -> bool:
+        return pid == os.getpid() or (pid in parents and is_ours(parents[pid]))
+
+    return [pid for pid in named if is_ours(pid)]
+
+
+def test_a_laptop_that_falls_asleep_leaves_the_robot_standing(page: Page, site: Site) -> None:
+    drive_ahead(page, site)
+    laptop = processes_of("chromium")
+    assert laptop
+    try:
+        asleep_s = time.monotonic()
+        for pid in laptop:
+            os.kill(pid, signal.SIGSTOP)
+        assert site.stood_s(asleep_s) <= STAND_WITHIN_S
+        eventually(lambda: site.robot("stop_cause") == "operator_lost")
+    finally:
+        for pid in laptop:
+            os.kill(pid, signal.SIGCONT)
+    # The key is still down. What was under way is late, and what comes then finds a robot that has to be armed.
+    eventually(lambda: "lost its operator" in told(page))
+    said = len(site.applied)
+    eventually(lambda: len(site.applied) > said + 10)
+    assert not site.drives
+    page.keyboard.up("w")
+    page.click("#resume")
+    eventually(lambda: site.robot("stop_cause") is None)
+
+
+def test_a_second_tab_watches_and_stops_but_does_not_drive(browser: Browser, site: Site, page: Page) -> None:
+    drive_ahead(page, site)
+    with opened(browser, site) as other:
+        eventually(lambda: other.inner_text("#seat") == "Somebody else drives")
+        other.click("#seat")
+        eventually(lambda: "Somebody else drives; you watch." in other.inner_text("#news"))
+        other.keyboard.down("s")
+        # The first page may have lost its focus to this one, and the robot stands; it never drives backward.
+        page.keyboard.up("w")
+        page.keyboard.down("w")
+        eventually(lambda: site.drives)
+        assert "backward" not in {one.atom for _, one in site.applied}
+        other.keyboard.press("Escape")
+        pressed_s = time.monotonic()
+        assert site.stood_s(pressed_s) <= STAND_WITHIN_S
+        eventually(lambda: "EMERGENCY STOP" in told(page))
+    page.keyboard.up("w")
+    page.click("#resume")
+    eventually(lambda: "EMERGENCY STOP" not in told(page))
+
+
+def test_the_pad_drives_while_it_is_held(page: Page, site: Site) -> None:
+    begin_a_drive(page, site)
+    page.hover("#pad [data-atom=left]")
+    page.mouse.down()
+    eventually(lambda: site.drives and site.applied[-1][1].atom == "left")
+    released_s = time.monotonic()
+    page.mouse.up()
+    assert site.stood_s(released_s) <= STAND_WITHIN_S
+
+
+def test_a_hostile_name_is_shown_as_it_is(page: Page, site: Site) -> None:
+    """The page's own policy would stop a script; but there is no markup to begin with."""
+    name = "<img src=x onerror=alert(1)>"
+    page.fill("#drive-form input", name)
+    page.click("#drive-form button")
+    eventually(lambda: "goal: String should match pattern" in page.inner_text("#news"))
+    assert page.locator("#news img").count() == 0
