@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from smal import container
+from smal.action_space import Atom
 from smal.container import ModelError, NoModelError
 from smal.features import Centering, FeatureSettings
 from smal.novelty import novelty_test
@@ -98,8 +99,12 @@ class Model:
             "reward": self.reward.shape == (states,),
             "policy": self.policy.shape == (states,) and int(self.policy.max(initial=-1)) < len(self.actions),
             "value": self.value.shape == (states,),
-            "names": len(self.names) == len(self.atoms) == len(self.successful) == len(self.recovery),
-            "state_streams": [len(s) for s in self.state_streams] == [len(a) // l for a in self.atoms],
+            "names": len(self.names) == len(self.atoms) == len(self.successful) == len(self.recovery)
+            and all(isinstance(name, str) for name in self.names),
+            "state_streams": [len(s) for s in self.state_streams] == [len(a) // l for a in self.atoms]
+            and all(_within(stream, 0, states - 1) for stream in self.state_streams),
+            "atoms": all(_within(atoms, min(Atom), max(Atom)) for atoms in (*self.atoms, self.actions)),
+            "finite": bool(np.isfinite(self.reward).all() and np.isfinite(self.value).all()),
         }
         wrong = [name for name, fits in checks.items() if not fits]
         if not wrong and self.visual_map is not None:
@@ -247,6 +252,10 @@ class Model:
         # Known from the file: hashing all templates again would delay the start of a service.
         vars(model)["checksum"] = checksum
         return model
+
+
+def _within(numbers: NDArray[Any], low: int, high: int) -> bool:
+    return numbers.dtype.kind == "i" and low <= int(numbers.min(initial=low)) and int(numbers.max(initial=high)) <= high
 
 
 def _visual_map(numbers: dict[str, Any] | None, arrays: dict[str, NDArray[Any]]) -> VisualMap | None:

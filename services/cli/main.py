@@ -30,6 +30,7 @@ COMMANDS: Final = {
     "recording": ("services.cli.recording:app", "Tell what is in recordings; check and repair them."),
     "replay": ("services.cli.replay:replay", "Put a recording on the topics, in place of its robot."),
     "learn": ("services.cli.learn:learn", "Learn a model from recorded drives."),
+    "model": ("services.cli.model:app", "Look at what was learned."),
     "run": ("services.cli.run:run", "Let the robot find the victim by itself."),
     "evaluate": ("services.cli.evaluate:evaluate", "Run the paper's experiments in simulation."),
     "match": ("services.cli.match:match", "Match the places of two image folders."),

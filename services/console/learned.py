@@ -16,6 +16,7 @@ from services.kit.model_service import identity_of
 from services.recordings.encoding import stamped_jpeg
 from services.recordings.reader import RecordingError, read_recording
 from services.recordings.recorded import RecordedEpisode
+from services.recordings.taught import drives_of_map, episode_of, ticks_of
 from smal.model import Model
 from smal.movement import placed
 from smal.planning import chosen_goal, cost_to_go
@@ -121,7 +122,7 @@ def learned_of(model: Model, goal: str | None, recordings: dict[str, Path]) -> L
     first = np.searchsorted(mapped.drives, np.arange(len(mapped.goals)))
     poses = mapped.key_poses.copy()
     images: list[memoryview | None] = [None] * len(drives)
-    for drive, (episode, ticks) in enumerate(_taught(model, mapped)):
+    for drive, (episode, ticks) in enumerate(_taught(model)):
         recorded = _recorded(recordings.get(episode), episode)
         if recorded is None:
             continue
@@ -141,32 +142,11 @@ def _length(mapped: VisualMap, drive: int) -> int:
     return int((mapped.drives == drive).sum())
 
 
-def _taught(model: Model, mapped: VisualMap) -> Iterator[tuple[str, Sequence[int]]]:
-    """Give the episode of each drive of the map, and the ticks of its frames; none where they are its last ones.
-
-    The map has the drives that reached the goal, in the model's order; of one without odometry that was recorded with
-    gaps, the last part.
-    """
-    parts: dict[str, list[tuple[str, int, bool]]] = {}
-    for name, atoms, successful in zip(model.names, model.atoms, model.successful, strict=True):
-        episode, _, span = name.partition("[")
-        parts.setdefault(episode, []).append((span, len(atoms), successful))
-    reached = iter([(episode, known) for episode, known in parts.items() if known[-1][2]])
-    for drive in range(len(mapped.goals)):
-        length = _length(mapped, drive)
-        for episode, known in reached:
-            chosen = known if sum(frames for _, frames, _ in known) == length else known[-1:]
-            if sum(frames for _, frames, _ in chosen) == length:
-                yield episode, [tick for span, _, _ in chosen for tick in _ticks(span)]
-                break
-
-
-def _ticks(span: str) -> range:
-    """Return the ticks of ``first-last]``; none of an empty span."""
-    if not span:
-        return range(0)
-    first, _, last = span.rstrip("]").partition("-")
-    return range(int(first), int(last) + 1)
+def _taught(model: Model) -> Iterator[tuple[str, Sequence[int]]]:
+    """Give the episode of each drive of the map, and the ticks of its frames; none where they are its last ones."""
+    for parts in drives_of_map(model):
+        episode = episode_of(model.names[parts[0]]) if parts else ""
+        yield episode, [tick for part in parts for tick in ticks_of(model.names[part], len(model.atoms[part]))]
 
 
 def _recorded(path: Path | None, episode: str) -> RecordedEpisode | None:

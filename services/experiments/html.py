@@ -49,30 +49,44 @@ def table(head: Sequence[str], rows: Iterable[Sequence[str]], left: int = 0) -> 
         return "".join(f"<{tag}{kind}>{html.escape(cell)}</{tag}>" for cell, kind in zip(row, kinds, strict=True))
 
     body = "".join(f"<tr>{cells(row, 'td')}</tr>" for row in rows)
-    return f'<div class="scroll"><table><tr>{cells(head, "th")}</tr>{body}</table></div>'
+    # A region that scrolls is reached by the keyboard too.
+    return f'<div class="scroll" tabindex="0"><table><tr>{cells(head, "th")}</tr>{body}</table></div>'
 
 
 _PAGE: Final = """<!doctype html>
 <html lang="en"><head><meta charset="utf-8"><meta name="viewport" content="width=device-width"><title>{title}</title>
 <style>
-body {{ font: 16px/1.5 system-ui, sans-serif; color: #222; max-width: {width_rem}rem; margin: 2rem auto;
-  padding: 0 1rem; }}
-h1 {{ font-size: 1.6rem; }} h2 {{ font-size: 1.25rem; margin-top: 2.5rem; }} h3 {{ font-size: 1.05rem; }}
+:root {{ color-scheme: light dark; --back: #fff; --text: #222; --muted: #5f5f5f; --line: #ddd; --soft: #eee;
+  --c0: #0b5fa5; --c1: #c2410c; --c2: #1a7f37; --c3: #7b1fa2; --c4: #8a6100; --c5: #0e7490; --bad: #c62828; }}
+@media (prefers-color-scheme: dark) {{
+  :root {{ --back: #15181c; --text: #e6e8ea; --muted: #a3abb4; --line: #3b424a; --soft: #262b31;
+    --c0: #6cb2f0; --c1: #ff9a66; --c2: #5fcf80; --c3: #d0a0f5; --c4: #e0b040; --c5: #4fc3d9; --bad: #ff8a80; }} }}
+body {{ font: 16px/1.5 system-ui, sans-serif; color: var(--text); background: var(--back);
+  max-width: {width_rem}rem; margin: 2rem auto; padding: 0 1rem; }}
+h1 {{ font-size: 1.6rem; overflow-wrap: anywhere; }} h2 {{ font-size: 1.25rem; margin-top: 2.5rem; }}
+h3 {{ font-size: 1.05rem; }}
 .tiles {{ display: grid; grid-template-columns: repeat(auto-fit, minmax(8rem, 1fr)); gap: .6rem; }}
-.tiles div {{ border: 1px solid #ddd; border-radius: .5rem; padding: .6rem .8rem; }}
-.tiles b {{ display: block; font-size: 1.3rem; }} .tiles span {{ color: #666; font-size: .85rem; }}
+.tiles div {{ border: 1px solid var(--line); border-radius: .5rem; padding: .6rem .8rem; }}
+.tiles b {{ display: block; font-size: 1.3rem; }} .tiles span {{ color: var(--muted); font-size: .85rem; }}
 .wide {{ width: 100%; }}
 .strip {{ display: grid; grid-template-columns: repeat(3, 1fr); gap: .5rem; }}
-.strip figure, figure.own {{ margin: 0; }} figure.own {{ margin-bottom: 1.5rem; }}
-.strip img {{ width: 100%; border-radius: .3rem; }}
-figcaption {{ color: #666; font-size: .85rem; }}
+figure {{ margin: 0; min-width: 0; }} figure.own {{ margin-bottom: 1.5rem; }}
+.strip img, .wide {{ width: 100%; border-radius: .3rem; }}
+.pair {{ display: grid; grid-template-columns: repeat(auto-fill, minmax(min(100%, 26rem), 1fr)); gap: 1.5rem; }}
+.pair svg {{ display: block; width: 100%; height: auto; }} .pair svg text {{ font-family: system-ui, sans-serif; }}
+.states {{ display: grid; grid-template-columns: repeat(auto-fill, minmax(min(100%, 26rem), 1fr)); gap: 1rem; }}
+.states img {{ display: block; width: 100%; height: auto; border-radius: .3rem; background: var(--soft); }}
+summary {{ cursor: pointer; padding: .5rem 0; overflow-wrap: anywhere; }}
+.note {{ border-left: .3rem solid var(--c4); margin: 1rem 0; padding: .5rem 1rem;
+  background: var(--soft); overflow-wrap: anywhere; }}
+figcaption {{ color: var(--muted); font-size: .85rem; }}
 .scroll {{ overflow-x: auto; }}
 table {{ border-collapse: collapse; font-variant-numeric: tabular-nums; }}
-th, td {{ text-align: right; padding: .2rem .9rem; }} th.text, td.text {{ text-align: left; }}
-td {{ border-bottom: 1px solid #eee; }}
-.ahead {{ color: #1a7f37; }} .behind {{ color: #c62828; }} .open {{ color: #8a6100; }}
-</style></head><body>
+th, td {{ text-align: right; padding: .2rem .7rem; }} th.text, td.text {{ text-align: left; }}
+td {{ border-bottom: 1px solid var(--soft); }} td:not(.text) {{ white-space: nowrap; }}
+.ahead {{ color: var(--c2); }} .behind {{ color: var(--bad); }} .open {{ color: var(--c4); }}
+</style></head><body><main>
 <h1>{title}</h1>
 {body}
-</body></html>
+</main></body></html>
 """

@@ -30,6 +30,12 @@ def encode_jpeg(image: NDArray[np.uint8]) -> bytes:
     return jpeg.tobytes()
 
 
+def shrunk(image: NDArray[np.uint8], width: int) -> NDArray[np.uint8]:
+    """Return a (height, width, 3) image so wide, with the same sides' ratio."""
+    height = max(1, round(width * image.shape[0] / image.shape[1]))
+    return cast("NDArray[np.uint8]", cv2.resize(image, (width, height), interpolation=cv2.INTER_AREA))
+
+
 def decode_jpeg(data: bytes) -> NDArray[np.uint8]:
     """Return the (height, width, 3) RGB pixels of a compressed image.
 

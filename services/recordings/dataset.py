@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import os
 from collections import Counter
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Collection, Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -22,6 +22,7 @@ from services.recordings.reader import RecordingError, read_recording
 from services.recordings.recorded import Piece, RecordedEpisode
 from services.recordings.recorded_features import features_in
 from services.recordings.records import Allowance
+from services.recordings.taught import episode_of
 from smal.action_space import Atom
 from smal.features import FeatureSettings, extract, select
 from smal.learning import Demonstration
@@ -65,10 +66,20 @@ class Teacher:
         Frames that a piece needs in order to teach anything: one sequence.
     include_runs
         Whether successful runs of the robot by itself teach too.
+    episodes
+        Names of those that are wanted; all if not given. Nothing is said of the others.
     """
 
-    def __init__(self, features: FeatureSettings, shortest: int, *, include_runs: bool = False) -> None:
+    def __init__(
+        self,
+        features: FeatureSettings,
+        shortest: int,
+        *,
+        include_runs: bool = False,
+        episodes: Collection[str] | None = None,
+    ) -> None:
         self.teaching = Teaching()
+        self._episodes = episodes
         self._features = features
         self._shortest = shortest
         self._include_runs = include_runs
@@ -87,8 +98,9 @@ class Teacher:
         self.teaching.recordings += 1
         self.teaching.remarks.extend(recording.remarks())
         for episode in recording.episodes:
-            take_out(episode, held, self._features)
-            self._take(path, episode)
+            if self._episodes is None or episode.episode in self._episodes:
+                take_out(episode, held, self._features)
+                self._take(path, episode)
         if len(self.teaching.demonstrations) == taught:
             self._allowance.left = free  # nothing of it is kept
 
@@ -196,7 +208,7 @@ def states_shared_by_episodes(model: Model) -> int:
     """Count the states that occur in at least two episodes; two pieces of one episode share nothing yet."""
     states: dict[str, set[int]] = {}
     for name, stream in zip(model.names, model.state_streams, strict=True):
-        states.setdefault(name.partition("[")[0], set()).update(stream.tolist())
+        states.setdefault(episode_of(name), set()).update(stream.tolist())
     counts = Counter(state for each in states.values() for state in each)
     return sum(count >= 2 for count in counts.values())
 

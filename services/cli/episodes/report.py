@@ -6,7 +6,6 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Final
 
-import cv2
 import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
@@ -14,6 +13,7 @@ from numpy.typing import NDArray
 from services.cli.episodes.client import EpisodeRecord
 from services.cli.episodes.route_map import OUTCOME_COLOURS, draw_routes
 from services.experiments.html import image, page, png, source, tiles
+from services.kit.jpeg import encode_jpeg, shrunk
 from smal.model import Model
 
 #: Camera images shown of the example run.
@@ -90,7 +90,7 @@ def _strip(record: EpisodeRecord) -> str:
 def _table(records: Iterable[EpisodeRecord]) -> str:
     rows = "".join(
         f"<tr><td>{r.request.seed}</td>"
-        f'<td style="color:{OUTCOME_COLOURS[r.outcome]}">{r.outcome}</td>'
+        f'<td class="text"><span style="color:{OUTCOME_COLOURS[r.outcome]}">●</span> {r.outcome}</td>'
         f"<td>{r.ticks}</td><td>{len(r.decisions)}</td><td>{r.unknown}</td></tr>"
         for r in records
     )
@@ -103,7 +103,4 @@ def _picture(figure: Figure, alt: str) -> str:
 
 
 def _jpeg(view: NDArray[np.uint8]) -> str:
-    height, width, _ = view.shape
-    small = cv2.resize(view, (320, round(320 * height / width)), interpolation=cv2.INTER_AREA)
-    _, data = cv2.imencode(".jpg", cv2.cvtColor(small, cv2.COLOR_RGB2BGR))
-    return source(data.tobytes(), "jpeg")
+    return source(encode_jpeg(shrunk(view, 320)), "jpeg")

@@ -12,6 +12,9 @@ from typing import Any
 
 import numpy as np
 
+from services.experiments.showing.summary import lines
+from services.experiments.showing.ways import Ways
+from services.recordings.taught import drives_of_map
 from smal import container
 from smal.features import FeatureSettings
 from smal.filter import Filter
@@ -96,8 +99,11 @@ def run(data: bytes) -> bool:
         return False
     assert model.checksum == hashlib.sha256(data).hexdigest()
     assert model.templates.shape == (model.feature_settings.size, model.states * model.sequence_length)
+    assert all(line.isprintable() for line in lines(model, path.name, len(data)))
     if model.visual_map is not None:
         follow(model)
+        assert np.isfinite(Ways(model.visual_map).poses).all()
+        assert len(drives_of_map(model)) == len(model.visual_map.goals)
     return True
 
 

@@ -1,0 +1,87 @@
+"""``smal model``: what a model has learned."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from tqdm import tqdm
+
+from services.cli import outputs
+from services.experiments.showing.summary import lines
+from services.kit.errors import JobError, UsageError
+from services.recordings.dataset import find_recordings
+from smal.model import Model, ModelError
+
+app = typer.Typer(
+    help="Look at what was learned.\n\nExample: smal model show campus.smal --recordings drives --out shown",
+    no_args_is_help=True,
+    add_completion=False,
+    rich_markup_mode=None,
+    pretty_exceptions_enable=False,
+)
+
+
+@app.callback()
+def model_commands() -> None:
+    """Look at what was learned.
+
+    Example: smal model show campus.smal --recordings drives --out shown
+    """
+
+
+@app.command("show")
+def show(
+    file: Annotated[Path, typer.Argument(metavar="MODEL", help="Model file, made by `smal learn`.")],
+    out: Annotated[Path | None, typer.Option(help="Write a page with pictures to this folder.")] = None,
+    recordings: Annotated[
+        list[Path] | None,
+        typer.Option(help="What it was learned from, recordings (MCAP) or folders of them; may be given again."),
+    ] = None,
+) -> None:
+    """Say what a model is; with --out show it on a page.
+
+    OUT/index.html shows the taught ways with the places where they part and meet, the states on them, the cost to go to
+    each goal, and the reward. A model keeps no images: with --recordings the page has those of each state, and where
+    the belief was wide when recognition follows the drives once more. The page needs nothing from a network.
+
+    Example: smal model show campus.smal --recordings drives --out shown
+    """
+    try:
+        model = Model.load(file)
+    except ModelError as error:
+        raise UsageError(str(error)) from None
+    if out is None:
+        if recordings:
+            raise UsageError("--recordings: what they show is for the page: give --out too")
+        for line in lines(model, str(file), file.stat().st_size):
+            typer.echo(line)
+        return
+    try:
+        files = None if recordings is None else find_recordings(recordings)
+    except OSError as error:
+        raise UsageError(f"--recordings: {error}") from None
+    outputs.make_folder(out, "--out")
+    # They load matplotlib and OpenCV.
+    from services.experiments.showing.drives import find_drives  # noqa: PLC0415
+    from services.experiments.showing.page import write_page  # noqa: PLC0415
+
+    found = None if files is None else find_drives(model, tqdm(files, desc="reading", unit="file", disable=None))
+    if found is not None:
+        for line in (*found.remarks, *(f"missing: {one}" for one in found.missing)):
+            sys.stderr.write(f"smal: {line}\n")
+    # disable=None: no bars in a log file or a pipe.
+    with tqdm(dynamic_ncols=True, disable=None) as bar:
+
+        def advance(what: str, done: int, total: int) -> None:
+            bar.set_description(what, refresh=False)
+            bar.total = total
+            bar.update(done - bar.n)
+
+        try:
+            page = write_page(out, model, file, found, advance)
+        except ValueError as error:
+            raise JobError(f"{file}: {error}") from None
+    typer.echo(f"results: {page}")

@@ -1,0 +1,1 @@
+"""What a model has learned, for people: `smal model show`."""

@@ -1,0 +1,292 @@
+"""``smal model show``: what was learned is on the page, what is missing is named, and nothing of a model is markup."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from dataclasses import replace
+from html.parser import HTMLParser
+from pathlib import Path
+from unittest.mock import patch
+
+import numpy as np
+import pytest
+
+from schemas.base import Message
+from schemas.compressed_image import CompressedImage
+from schemas.odometry import Odometry
+from services.experiments.drawing import svg
+from services.experiments.showing.belief import Believed
+from services.experiments.showing.drives import find_drives
+from services.experiments.showing.figures import draw_ways
+from services.experiments.showing.page import write_page
+from services.experiments.showing.ways import Ways, schematic
+from services.kit.jpeg import encode_jpeg
+from services.recordings.dataset import Teacher, find_recordings
+from services.recordings.taught import drives_of_map
+from smal.action_space import Atom
+from smal.learning import LearningSettings, learn
+from smal.model import Model
+from tests import corridor
+from tests.services.cli.conftest import Smal
+from tests.services.recordings.recorded_messages import applied, event, header
+from tests.services.recordings.test_recorder_files import record
+from tests.sharing import made_once
+from tests.smal.synthetic_world import COLOR, SCENE, START, Drive, Room, drive
+
+#: Two drives that begin the same way and part after 2 m.
+DRIVES = {"left": drive(START, ((2.0, 60.0), (1.5, 0.0))), "right": drive(START, ((2.0, -60.0), (1.5, 0.0)))}
+
+
+def messages(name: str, one: Drive, room: Room, goal: str) -> Iterator[Message]:
+    """Give a drive through a room that reached a goal, as the recorder would get it."""
+    yield event(name, 0, "started").model_copy(update={"goal": goal})
+    for tick, (pose, atom) in enumerate(zip(one.poses, one.atoms, strict=True)):
+        cause = header(name, tick)
+        pixels = room.look(pose)
+        yield CompressedImage.after(cause, width=pixels.shape[1], height=pixels.shape[0], data=encode_jpeg(pixels))
+        x_m, y_m, heading_rad = pose.tolist()
+        yield Odometry.after(cause, x_m=x_m, y_m=y_m, heading_rad=heading_rad, speed_m_s=0.5, turn_rate_rad_s=0.0)
+        yield applied(name, tick, atom=Atom(atom).name.lower())
+    yield event(name, len(one.poses) - 1, "ended", "found").model_copy(update={"goal": goal})
+
+
+def make(folder: Path) -> None:
+    """Record both drives, and learn them."""
+    recordings = folder / "drives"
+    recordings.mkdir()
+    for goal, one in DRIVES.items():
+        record(recordings, list(messages(f"to-{goal}", one, Room(), goal)))
+    teacher = Teacher(COLOR, 5)
+    for path in find_recordings([recordings]):
+        teacher.read(path)
+    with patch("smal.visual_map._SAMPLE", 500), patch("smal.visual_map.fit_scene", lambda *_: SCENE):
+        learn(teacher.teaching.demonstrations, LearningSettings(COLOR))[0].save(folder / "two.smal")
+
+
+@pytest.fixture(scope="module")
+def taught(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return made_once(tmp_path_factory, "model-show", make)
+
+
+@pytest.fixture(scope="module")
+def model(taught: Path) -> Model:
+    return Model.load(taught / "two.smal")
+
+
+class Page(HTMLParser):
+    """What a browser would make of a page."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__()
+        self.tags: set[str] = set()
+        self.attributes: list[tuple[str, str]] = []
+        self.texts: list[str] = []
+        self.rows: list[list[str]] = []
+        self._cell = False
+        self.feed(text)
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.tags.add(tag)
+        self.attributes += [(name, value or "") for name, value in attrs]
+        self._cell = tag in ("td", "th")
+        if tag == "tr":
+            self.rows.append([])
+
+    def handle_endtag(self, tag: str) -> None:
+        self._cell = False
+
+    def handle_data(self, data: str) -> None:
+        self.texts.append(data)
+        if self._cell:
+            self.rows[-1].append(data)
+
+
+def shown(smal: Smal, out: Path, *arguments: object) -> tuple[Page, str]:
+    status, _, err = smal("model", "show", *map(str, arguments), "--out", str(out))
+    assert status == 0, err
+    return Page((out / "index.html").read_text()), err
+
+
+def test_the_fork_of_two_joined_drives_is_one_and_where_they_part(model: Model) -> None:
+    ways = Ways(model.mapped)
+    (fork,) = ways.partings
+    assert fork.fork
+    assert fork.drives == (0, 1)
+    x, y, _ = ways.key_poses[fork.keyframe]
+    # They part by turning on the spot, which does not lead them apart yet.
+    assert START[0] + 1.7 < x < START[0] + 2.0 + 1.5 * model.mapped.correlation_length
+    assert abs(y - START[1]) < model.mapped.correlation_length
+    assert set(ways.groups) == {0}
+    assert drives_of_map(model) == [(0,), (1,)]
+
+
+def test_ways_that_share_their_end_meet_where_they_come_together(model: Model) -> None:
+    """Drive both ways backwards: with time turned round a fork is a meeting."""
+    found = model.mapped
+    turned = np.concatenate([np.flatnonzero(found.drives == drive)[::-1] for drive in (0, 1)])
+    place = np.argsort(turned)
+    keys = np.sort(place[found.keyframes])
+    new_of = {int(old): int(np.searchsorted(keys, place[frame])) for old, frame in enumerate(found.keyframes)}
+    stitched = [tuple(new_of[key] for key in pair) for pair in found.stitched.tolist()]
+    order = sorted(range(len(stitched)), key=stitched.__getitem__)
+    backwards = replace(
+        found,
+        poses=found.poses[turned],
+        keyframes=keys.astype(np.int32),
+        stitched=np.array([stitched[k] for k in order], dtype=np.int32),
+        stitch_offsets=found.stitch_offsets[order],
+    )
+    (meeting,) = Ways(backwards).partings
+    assert not meeting.fork
+    assert meeting.drives == (0, 1)
+
+
+def test_drives_are_brought_to_common_axes(model: Model) -> None:
+    found = model.mapped
+    poses, moved = found.poses.copy(), found.drives == 1
+    cos, sin = np.cos(0.7), np.sin(0.7)
+    poses[moved, :2] = poses[moved, :2] @ np.array([[cos, sin], [-sin, cos]]) + (10.0, -4.0)
+    poses[moved, 2] += 0.7
+    ways = Ways(replace(found, poses=poses))
+    truth = np.concatenate([one.poses for one in DRIVES.values()])
+    assert np.hypot(*(ways.poses - truth)[:, :2].T).max() < 0.3
+
+
+def test_the_page_shows_the_fork_the_states_and_where_the_belief_was(taught: Path, tmp_path: Path, smal: Smal) -> None:
+    page, err = shown(smal, tmp_path, taught / "two.smal", "--recordings", taught / "drives")
+    assert "missing" not in err
+    text = " ".join(page.texts)
+    assert re.search(r"1: fork \d\.\d m along to-left, with to-right", text)
+    model = Model.load(taught / "two.smal")
+    sources = [value for name, value in page.attributes if name == "src"]
+    assert sorted(sources) == [f"states/{state:05d}.jpg" for state in range(model.states)]
+    assert all((tmp_path / source).read_bytes()[:2] == b"\xff\xd8" for source in sources)
+    belief = [row for row in page.rows if len(row) == 5 and row[0].startswith("to-")]
+    assert [row[0] for row in belief] == ["to-left", "to-right"]
+    assert all(float(row[1].rstrip("%")) > 80 for row in belief)
+    assert f"It gave {(model.reward > 1e-6).sum()} of {model.states} states a reward" in text
+
+
+def test_a_wide_belief_is_marked_on_the_way(model: Model) -> None:
+    ways = Ways(model.mapped)
+    frames = int((model.mapped.drives == 0).sum())
+    sure = Believed(np.ones(frames), np.zeros(frames), np.zeros(frames))
+    here = np.where(np.isin(np.arange(frames), (0, 5, 6, 7, frames - 1)), 0.4, 1.0)
+    unsure = replace(sure, here=here, lost=1.0 - here)
+    assert (sure.wide(), unsure.wide()) == ([], [(0, 0), (5, 7), (frames - 1, frames - 1)])
+    marked = [svg(draw_ways(ways, list(DRIVES), {0: one}), "ways", "") for one in (sure, unsure)]
+    assert ["wide belief" in one for one in marked] == [False, True]
+
+
+def test_cost_to_go_falls_along_the_way(taught: Path, tmp_path: Path, smal: Smal) -> None:
+    page, _ = shown(smal, tmp_path, taught / "two.smal")
+    rows = {(row[0], row[1]): row[2:] for row in page.rows if len(row) == 7 and row[0] in DRIVES}
+    assert len(rows) == 4
+    for goal in DRIVES:
+        costs = [float(cell.removesuffix(" s")) for cell in rows[goal, f"to-{goal}"]]
+        assert costs == sorted(set(costs), reverse=True)
+        assert costs[-1] == 0.0
+    # Who has parted from it does not reach the other goal.
+    assert rows["right", "to-left"][0] != "no way"
+    assert rows["right", "to-left"][-1] == "no way"
+
+
+@pytest.mark.parametrize("recordings", [True, False])
+def test_nothing_that_a_model_says_is_markup_and_nothing_comes_from_a_network(
+    model: Model, taught: Path, tmp_path: Path, recordings: bool
+) -> None:
+    hostile = "<img src=x onerror=alert(1)>\"'&漢"
+    goals = replace(model.mapped)
+    # A model in a file cannot have such goals; the page escapes them all the same.
+    object.__setattr__(goals, "goals", (f"{hostile}a", f"{hostile}b"))
+    bad = replace(model, names=(f"{hostile}\x1b]0;", f"</title><script>alert(1)</script>{hostile}"), visual_map=goals)
+    file = tmp_path / "<script>alert(1)<.smal"
+    model.save(file)
+    found = find_drives(bad, find_recordings([taught / "drives"])) if recordings else None
+    text = write_page(tmp_path, bad, file, found).read_text()
+    page = Page(text)
+    assert "script" not in page.tags
+    assert "iframe" not in page.tags
+    assert not [name for name, _ in page.attributes if name.startswith("on")]
+    linked = [value for name, value in page.attributes if name in ("src", "href", "xlink:href")]
+    assert all(value.startswith(("#", "states/")) for value in linked)
+    assert any("<img src=x onerror" in one for one in page.texts)
+    assert "\x1b" not in text
+
+
+def test_missing_recordings_are_named(taught: Path, tmp_path: Path, smal: Smal) -> None:
+    folder = tmp_path / "drives"
+    folder.mkdir()
+    # Of the one drive another one of the same name; the other is not there.
+    record(folder, list(messages("to-left", DRIVES["left"], Room(seed=1), "left")))
+    record(folder, list(messages("another", DRIVES["right"], Room(), "right")))
+    page, err = shown(smal, tmp_path / "out", taught / "two.smal", "--recordings", folder)
+    told = ["to-left: the recording of this name is of another drive", "to-right: not among the recordings"]
+    assert [line for line in err.splitlines() if "missing: " in line] == [f"smal: missing: {line}" for line in told]
+    assert all(line in page.texts for line in told)
+    assert "img" not in page.tags
+    assert "Recognition was not run" in " ".join(page.texts)
+
+
+def test_without_a_page_it_is_said_in_some_lines(taught: Path, smal: Smal) -> None:
+    status, out, _ = smal("model", "show", str(taught / "two.smal"))
+    assert status == 0
+    for said in ("color (weight 1)", "left (1 drive", "right (1 drive", "2 drives", "degrees wide", "  to-left: "):
+        assert said in out
+
+
+@pytest.mark.parametrize("odometry", [True, False])
+def test_a_model_without_odometry_or_without_a_map_is_a_schematic(tmp_path: Path, odometry: bool) -> None:
+    one = corridor.model(odometry=False)
+    file = tmp_path / "m.smal"
+    (one if odometry else replace(one, visual_map=None)).save(file)
+    text = write_page(tmp_path, Model.load(file), file, None).read_text()
+    assert ("as a schematic, since they are without odometry" in text) == odometry
+    assert ("There is no map of views" in text) != odometry
+
+
+def test_a_schematic_has_a_row_for_what_is_new() -> None:
+    places = schematic([[(node, 1.0) for node in way] for way in ("abcd", "abxy", "abc")])
+    assert [places[node] for node in "abcd"] == [(1, 0), (2, 0), (3, 0), (4, 0)]
+    assert [places[node] for node in "xy"] == [(3, -1), (4, -1)]
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ({"names": (7, "b")}, "names"),
+        ({"reward": np.nan}, "finite"),
+        ({"state_streams": 10**6}, "state_streams"),
+        ({"atoms": 9}, "atoms"),
+    ],
+)
+def test_an_odd_model_is_one_line(
+    model: Model, tmp_path: Path, smal: Smal, change: dict[str, object], said: str
+) -> None:
+    ((name, value),) = change.items()
+    odd = replace(model)
+    if name == "reward":
+        value = np.full_like(model.reward, np.nan)
+    elif name != "names":
+        value = tuple(np.full_like(part, value) for part in getattr(model, name))
+    object.__setattr__(odd, name, value)
+    odd.save(tmp_path / "odd.smal")
+    status, out, err = smal("model", "show", str(tmp_path / "odd.smal"), "--out", str(tmp_path / "out"))
+    assert (status, out) == (2, "")
+    assert err == f"smal: {tmp_path}/odd.smal: the parts of the model do not fit together: {said}\n"
+
+
+def test_bad_use_is_one_line(taught: Path, tmp_path: Path, smal: Smal) -> None:
+    (tmp_path / "no.smal").write_text("not a model")
+    file = str(taught / "two.smal")
+    for arguments, said in (
+        ([str(tmp_path / "no.smal")], "not a SMAL model"),
+        ([file, "--recordings", str(tmp_path)], "give --out too"),
+        ([file, "--recordings", str(tmp_path / "none"), "--out", str(tmp_path)], "no such file or folder"),
+        ([file, "--out", str(tmp_path / "no.smal")], "is a file, not a folder"),
+    ):
+        status, out, err = smal("model", "show", *arguments)
+        assert (status, out) == (2, "")
+        assert said in err
+        assert err.count("\n") == 1
