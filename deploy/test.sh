@@ -9,4 +9,4 @@ ruff format --check .
 mypy
 lint-imports
 # In two processes, for the two cores that it must do with; whoever is done takes from what is left to the other.
-python -m pytest -n 2 --dist worksteal "$@"
+python -m pytest -rs -n 2 --dist worksteal "$@"
