@@ -9,4 +9,4 @@ ruff format --check .
 mypy
 lint-imports
 # In three processes on two cores, since a third of its time is waiting; whoever is done takes from what is left to the others.
-python -m pytest -n 3 --dist worksteal "$@"
+python -m pytest -rs -n 3 --dist worksteal "$@"

@@ -33,12 +33,9 @@ if TYPE_CHECKING:
     from playwright.sync_api import Browser, Page
 
 CHROMIUM = shutil.which("chromium")
-pytestmark = [
-    pytest.mark.system,
-    pytest.mark.rendering,
-    pytest.mark.zenoh,
-    pytest.mark.skipif(CHROMIUM is None, reason="no chromium on this machine: the page is not tried in a browser"),
-]
+if CHROMIUM is None:
+    pytest.skip("no chromium on this machine: the page is not tried in a browser", allow_module_level=True)
+pytestmark = [pytest.mark.system, pytest.mark.rendering, pytest.mark.zenoh]
 KEYS = {"forward": "w", "left": "a", "right": "d", "backward": "s"}
 SPEED_M_S = 2.0
 #: Teach, learn, run, found.
