@@ -23,7 +23,7 @@ from services.experiments.showing.page import write_page
 from services.experiments.showing.ways import Ways, schematic
 from services.kit.jpeg import encode_jpeg
 from services.recordings.dataset import Teacher, find_recordings
-from services.recordings.taught import drives_of_map
+from services.recordings.taught import drives_of_map, ticks_of
 from smal.action_space import Atom
 from smal.learning import LearningSettings, learn
 from smal.model import Model
@@ -290,3 +290,10 @@ def test_bad_use_is_one_line(taught: Path, tmp_path: Path, smal: Smal) -> None:
         assert (status, out) == (2, "")
         assert said in err
         assert err.count("\n") == 1
+
+
+@pytest.mark.parametrize(
+    ("name", "ticks"), [("e", []), ("e[7-9]", [7, 8, 9]), ("e[7-99999999999999]", [7, 8, 9]), ("e[x-3]", []), ("[", [])]
+)
+def test_the_ticks_of_a_piece_are_as_many_as_its_frames_whatever_its_name_says(name: str, ticks: list[int]) -> None:
+    assert list(ticks_of(name, 3)) == ticks
