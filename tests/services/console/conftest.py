@@ -31,9 +31,9 @@ class Console:
 
 
 @pytest.fixture
-def robot(settings: ServiceSettings, run_node: RunNode) -> Robot:
-    """Give a robot on a line that moves only while an operator is there."""
-    return run_robot(settings, run_node, attended=True)
+def robot(request: pytest.FixtureRequest, settings: ServiceSettings, run_node: RunNode) -> Robot:
+    """Give a robot on a line that moves only while an operator is there, unless the test says otherwise."""
+    return run_robot(settings, run_node, attended=getattr(request, "param", True))
 
 
 @pytest.fixture
