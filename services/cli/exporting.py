@@ -46,7 +46,7 @@ def export_recordings(
     if format_ not in FORMATS:
         raise UsageError(f"no format {format_!r}; known are: {', '.join(FORMATS)}")
     if missing := missing_packages(format_):
-        raise UsageError(f"{format_} needs {' and '.join(missing)}: pip install 'smal[formats]'")
+        raise UsageError(f"{format_} needs {' and '.join(missing)}: pip install -e '.[formats]'")
     try:
         files = find_recordings(recordings)
     except OSError as error:

@@ -97,7 +97,8 @@ def import_recordings(
 ) -> None:
     """Make recordings that `smal learn` takes out of what somebody recorded with other software.
 
-    rosbag2: a bag of ROS 2 (MCAP or SQLite) with images and Twist, TwistStamped or Odometry. lerobot: a LeRobotDataset
+    rosbag2: a bag of ROS 2 (MCAP or SQLite) with images and Twist, TwistStamped or Odometry; a bag is one drive, and
+    several go into one OUT, each by an import of its own. lerobot: a LeRobotDataset
     (v2.0, v2.1, v3.0) of a base. donkeycar: a tub of version 2. folder: images and a drive.csv with the columns image,
     time_s, linear_m_s, angular_rad_s (and episode, success, x_m, y_m, heading_rad).
 
@@ -111,7 +112,7 @@ def import_recordings(
         raise UsageError(f"no format {format_!r}; known are: {', '.join(FORMATS)}")
     missing = missing_packages(format_)
     if missing:
-        raise UsageError(f"{format_} needs {' and '.join(missing)}: pip install 'smal[formats]'")
+        raise UsageError(f"{format_} needs {' and '.join(missing)}: pip install -e '.[formats]'")
     options.check_robot(robot)
     options.check_goal(goal)
     outputs.check_file(json_file, "--json")
@@ -122,8 +123,7 @@ def import_recordings(
     if field_of_view is not None:
         given["focal"] = 0.5 / math.tan(math.radians(field_of_view) / 2.0)
     wished = {"camera": camera, "velocity": velocity, "rate_hz": rate, "speed": speed, "turn_rate": turn_rate}
-    outputs.make_folder(out, "--out")
-    with outputs.workshop(out, ".import-") as folder:
+    with outputs.made_folder(out, "--out"), outputs.workshop(out, ".import-") as folder:
         job = _job(
             wished | {"episodes": tuple(episode or ())},
             {name: value for name, value in given.items() if value is not None},

@@ -6,7 +6,7 @@ import json
 import os
 import tempfile
 from collections.abc import Iterable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import IO
 
@@ -31,6 +31,20 @@ def make_folder(path: Path, option: str) -> None:
         raise UsageError(f"{option} {path}: {error.strerror}") from None
     if not os.access(path, os.W_OK):
         raise UsageError(f"{option} {path}: cannot be written to")
+
+
+@contextmanager
+def made_folder(path: Path, option: str) -> Iterator[None]:
+    """Make the folder as `make_folder` does; at a failure it is gone again where it is new and nothing is in it."""
+    new = not path.exists()
+    make_folder(path, option)
+    try:
+        yield
+    except BaseException:
+        if new:
+            with suppress(OSError):
+                path.rmdir()
+        raise
 
 
 def check_file(path: Path | None, option: str, read: Iterable[str | Path] = (), folders: Iterable[Path] = ()) -> None:

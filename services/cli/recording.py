@@ -43,7 +43,7 @@ def info(recordings: Paths, as_json: Json = False) -> None:
     done, bad = _each(recordings, contents_of)
     if as_json:
         typer.echo(json.dumps([_record(one) for one in done], indent=2))
-    else:
+    elif done:
         typer.echo("\n\n".join("\n".join(_lines(one)) for one in done))
     if bad:
         raise typer.Exit(EXIT_FAILED)

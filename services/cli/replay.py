@@ -55,7 +55,7 @@ def replay(
     except RecordingError as error:
         raise JobError(str(error)) from None
     # Until this is over no robot of this id starts either: they ask as we do.
-    check_alone(settings)
+    check_alone(settings, "end it first; the stack without a robot is `smal up --robot-body none`")
     with interrupted_by_signals(), Node(ROBOT, settings) as node:
         # From now on it answers as ready.
         node.spin(timeout_s=0.0)
@@ -168,6 +168,7 @@ def _await_listeners(node: Node, wanted: dict[str, Topic]) -> None:
     deadline_s = time.monotonic() + LISTENERS_S
     while not node.bus.has_listeners(CAMERA):
         if time.monotonic() > deadline_s:
-            sys.stderr.write(f"smal: nobody takes {CAMERA.name}; is the stack up? (smal up --robot-body none)\n")
+            stack = f"smal up --robot-body none --robot {node.robot}"
+            sys.stderr.write(f"smal: nobody takes {CAMERA.name} of {node.robot}; is its stack up? ({stack})\n")
             return
         time.sleep(0.02)

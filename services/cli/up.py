@@ -159,7 +159,7 @@ def _check_base(body: RobotBody, config: Path | None) -> str | None:
     try:
         from services.ros2.config import ConfigError, read_config  # noqa: PLC0415 - only this needs its packages
     except ModuleNotFoundError as error:
-        raise UsageError(f"--robot-body ros2 needs the package {error.name}: pip install smal[ros2]") from None
+        raise UsageError(f"--robot-body ros2 needs the package {error.name}: pip install -e '.[ros2]'") from None
     try:
         return read_config(config).name
     except ConfigError as error:

@@ -8,7 +8,7 @@ import struct
 from collections.abc import Iterator
 from contextlib import closing
 from pathlib import Path
-from typing import Final, NamedTuple
+from typing import Any, Final, NamedTuple
 from urllib.parse import quote
 
 from mcap.exceptions import McapError
@@ -44,7 +44,7 @@ def received(inside: Inside, tally: Tally, topic: str | None = None) -> Iterator
     """
     for name in _files(inside):
         path = inside.regular(name)
-        each = _of_sqlite(path, topic) if path.name.endswith(".db3") else _of_mcap(path, topic, tally)
+        each = _of_sqlite(path, topic, tally) if path.name.endswith(".db3") else _of_mcap(path, topic, tally)
         try:
             yield from each
         except (McapError, struct.error, ValueError, sqlite3.Error, MemoryError, OverflowError) as error:
@@ -62,6 +62,8 @@ def _files(inside: Inside) -> list[str]:
     if not found:
         packed = [n for n in names if n.endswith(".zstd")]
         more = f"; unpack {printable(packed[0])} first: zstd -d" if packed else ""
+        bags = [n for n in names if "metadata.yaml" in inside.names(n)]
+        more = f"; {printable(bags[0])} in it is a bag: import each by itself" if bags else more
         raise ImportFailure(f"{inside.path}: no *.mcap and no *.db3 in this folder{more}")
     return found
 
@@ -87,12 +89,12 @@ def _of_mcap(path: Path, topic: str | None, tally: Tally) -> Iterator[Received]:
             if record.message_encoding == "cdr" and topic in (None, record.topic):
                 channels[record.id] = record.topic, types.get(record.schema_id, "")
             elif topic is None:
-                tally.count(f"topics are {record.message_encoding or 'of no encoding'}, not ROS 2's CDR")
+                _leave_out(record.message_encoding, tally)
         elif isinstance(record, Message) and record.channel_id in channels:
             yield Received(*channels[record.channel_id], record.log_time / 1e9, _unpacked(record.data))
 
 
-def _of_sqlite(path: Path, topic: str | None) -> Iterator[Received]:
+def _of_sqlite(path: Path, topic: str | None, tally: Tally) -> Iterator[Received]:
     with closing(sqlite3.connect(f"file:{quote(str(path))}?mode=ro&immutable=1", uri=True)) as database:
         database.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, _MOST_BYTES)
         # A view could call itself, or compute for ever.
@@ -100,15 +102,20 @@ def _of_sqlite(path: Path, topic: str | None) -> Iterator[Received]:
         kinds = dict(database.execute("SELECT name, type FROM sqlite_master WHERE name IN ('topics', 'messages')"))
         if kinds != {"topics": "table", "messages": "table"}:
             raise sqlite3.DatabaseError("no tables of topics and messages")
-        topics = {
-            number: (str(name), str(kind))
-            for number, name, kind, form in database.execute("SELECT id, name, type, serialization_format FROM topics")
-            if form == "cdr" and topic in (None, name)
-        }
+        topics: dict[Any, tuple[str, str]] = {}
+        for number, name, kind, form in database.execute("SELECT id, name, type, serialization_format FROM topics"):
+            if form == "cdr" and topic in (None, name):
+                topics[number] = str(name), str(kind)
+            elif topic is None:
+                _leave_out(form, tally)
         # In the order in which they were received; to sort them by time could take as much room as they do.
         for number, stamp_ns, data in database.execute("SELECT topic_id, timestamp, data FROM messages ORDER BY rowid"):
             if number in topics and isinstance(data, bytes) and isinstance(stamp_ns, int):
                 yield Received(*topics[number], stamp_ns / 1e9, _unpacked(data))
+
+
+def _leave_out(encoding: object, tally: Tally) -> None:
+    tally.count(f"topics are {encoding or 'of no encoding'}, not ROS 2's CDR")
 
 
 def _unpacked(data: bytes | memoryview) -> bytes:

@@ -72,7 +72,9 @@ class Motion:
     def of(cls, rows: list[tuple[float, float, float]], tally: Tally) -> Self:
         """Put samples (time, linear, angular) in the order of their times; what no robot does is counted instead."""
         most = (LATEST_S, FASTEST_M_S, FASTEST_RAD_S)
-        return cls(*_sound(rows, most, "velocities are no numbers, or faster than any robot", tally).T)
+        return cls(
+            *_sound(rows, most, "velocities are no numbers, faster than any robot, or of no time in seconds", tally).T
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -179,6 +181,10 @@ class Tally:
         if remark not in self.remarks:
             self.remarks.append(remark)
 
+    def counted(self) -> list[str]:
+        """Return what was counted."""
+        return [f"{times} {what}" for what, times in self.counts.items()]
+
     def lines(self) -> list[str]:
         """Return all that is to be said."""
-        return [*self.remarks, *(f"{times} {what}" for what, times in self.counts.items())]
+        return [*self.remarks, *self.counted()]

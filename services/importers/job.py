@@ -104,6 +104,14 @@ def run(job: Job, tally: Tally, progress: Progress = lambda _done, _total: None)
     OSError
         When it cannot be written.
     """
+    try:
+        return _run(job, tally, progress)
+    except ImportFailure as error:
+        # What did not fit may be why.
+        raise ImportFailure("; ".join([str(error), *tally.counted()])) from None
+
+
+def _run(job: Job, tally: Tally, progress: Progress) -> Report:
     reader = importlib.import_module(_READERS[job.format][0])
     source: Source = reader.read(Inside(Path(job.path)), job.wishes, tally)
     drives = [d for d in source.drives if not job.wishes.episodes or d.name in job.wishes.episodes]
@@ -126,7 +134,7 @@ def run(job: Job, tally: Tally, progress: Progress = lambda _done, _total: None)
     found = [write(Path(job.folder), drive, purpose, usual, thresholds, tally, advance) for drive in drives]
     written = [one for one in found if one is not None]
     if not written:
-        raise ImportFailure(f"{job.path}: nothing to import; {'; '.join(tally.lines()) or 'no frame'}")
+        raise ImportFailure(f"{job.path}: nothing to import")
     tracked = any(drive.track is not None for drive in drives)
     made = np.concatenate([one.atoms for one in written])
     return Report(

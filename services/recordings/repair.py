@@ -64,7 +64,8 @@ def repair(path: Path, out: Path, *, replace: bool = False) -> tuple[Contents, C
     if before.state == "sealed" and not before.damage:
         return before, None
     if len(before.episodes) != 1:
-        raise RepairError(f"{path}: holds {len(before.episodes) or 'no'} episodes; one can be repaired at a time")
+        several = f"{len(before.episodes)} episodes; one can be repaired at a time"
+        raise RepairError(f"{path}: holds {several if before.episodes else 'nothing of an episode to save'}")
     with _locked(path), tempfile.TemporaryDirectory(prefix=".repair-", dir=out.parent) as folder:
         made = _written(path, Path(folder) / out.name, before)
         after = verify(made)

@@ -8,7 +8,7 @@ from __future__ import annotations
 import logging
 import threading
 from collections.abc import Callable
-from typing import Final
+from typing import Final, Protocol
 
 from services.kit.node import ServiceError, Throttle
 from services.robot.body import Body, View
@@ -22,7 +22,23 @@ STAND_WITHIN_S: Final = 0.5
 _log = logging.getLogger("robot")
 
 
-def stopping_times_s(body: Body[View]) -> dict[str, float]:
+class Stopping(Protocol):
+    """What tells how a body stops: it itself, or what it is made from."""
+
+    @property
+    def name(self) -> str:
+        """As `Body` has it."""
+
+    @property
+    def watchdog_s(self) -> float:
+        """As `Body` has it."""
+
+    @property
+    def braking_s(self) -> float:
+        """As `Body` has it."""
+
+
+def stopping_times_s(body: Stopping) -> dict[str, float]:
     """Return how long the robot moves on at most, in seconds, by what falls silent: all delays together."""
     return {
         "the driver": MAX_AGE_S + PERIOD_S + body.braking_s,
@@ -31,7 +47,7 @@ def stopping_times_s(body: Body[View]) -> dict[str, float]:
     }
 
 
-def check_stopping(body: Body[View]) -> None:
+def check_stopping(body: Stopping) -> None:
     """Refuse a body that cannot stand in time.
 
     Raises

@@ -30,8 +30,15 @@ ANSWER_S: Final = 1.0
 V = TypeVar("V", bound=View)
 
 
-def check_alone(settings: ServiceSettings) -> None:
+def check_alone(settings: ServiceSettings, instead: str = "give this one another id") -> None:
     """Refuse to be a second robot of one id.
+
+    Parameters
+    ----------
+    settings
+        Of this one.
+    instead
+        What its user can do.
 
     Raises
     ------
@@ -40,7 +47,7 @@ def check_alone(settings: ServiceSettings) -> None:
     """
     with closing(settings.open_bus(ROBOT)) as bus, suppress(RpcError):
         other = bus.call(ROBOT, "status", Nothing(), Status, ANSWER_S)
-        raise ServiceError(f"robot {settings.robot} is there already (process {other.pid}); give this one another id")
+        raise ServiceError(f"robot {settings.robot} is there already (process {other.pid}); {instead}")
 
 
 class RobotService:

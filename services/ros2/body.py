@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import time
 from collections.abc import Callable, Collection, Iterator
 from dataclasses import dataclass
@@ -19,6 +20,8 @@ from services.robot.gate import MAX_AGE_S
 from services.ros2.config import Ros2Config
 from services.ros2.messages import MessageError
 from services.ros2.senses import Frame, Senses, Wheels, pixels, reading
+
+_log = logging.getLogger("ros2")
 
 
 class Link(Protocol):
@@ -79,6 +82,7 @@ class Ros2Body:
         self._felt_s = 0.0
         self._since: Wheels | None = None
         self._last: Wheels | None = None
+        self._lacked = False
 
     @property
     def name(self) -> str:
@@ -162,7 +166,8 @@ class Ros2Body:
         return Beginning()
 
     def _hint(self) -> str:
-        return f"does {self._config.router} reach it, and do dialect, domain, namespace and distribution fit?"
+        fit = "dialect, domain, namespace, distribution and the topics' names (ros2 topic list)"
+        return f"does {self._config.router} reach it, and do {fit} fit?"
 
     def look(self, tick: int) -> Ros2View:
         """Return the newest frame, and what belongs to its moment.
@@ -170,6 +175,7 @@ class Ros2Body:
         While somebody who must be heard is silent, no frame is new: its commands expire, as they do without a camera.
         """
         del tick
+        self._tell_lack()
         self._take_newest()
         assert self._frame is not None  # noqa: S101 - begin has seen one, and _take_newest would have raised
         captured_s = self._frame.captured_s
@@ -178,6 +184,15 @@ class Ros2Body:
         return Ros2View(
             self._image, captured_s, self._senses.touched, self._odometry(self._frame.captured_s), self._imu()
         )
+
+    def _tell_lack(self) -> None:
+        """Log once why the robot stands, and when it need not any more."""
+        lacks = self._link.lacks() or self._senses.silent()
+        if lacks is not None and not self._lacked:
+            _log.warning("%s stands: %s", self.name, lacks)
+        elif lacks is None and self._lacked:
+            _log.info("%s: what it needs is heard again", self.name)
+        self._lacked = lacks is not None
 
     def _take_newest(self) -> None:
         frame = self._senses.frame()

@@ -11,7 +11,9 @@ from ruamel.yaml.error import YAMLError
 
 from schemas.codec import describe, printable
 from services.kit.bus import BusError, host_and_port
+from services.kit.node import ServiceError
 from services.robot.config import RobotSettings
+from services.robot.loop import check_stopping
 from services.ros2 import messages
 from services.ros2.messages import Distribution
 from services.ros2.wire import DialectName, qualified
@@ -170,18 +172,33 @@ def read_config(path: Path) -> Ros2Config:
     if isinstance(own.get("stops"), list):
         own["stops"] = tuple(own["stops"])
     try:
-        return Ros2Config.model_validate(own)
+        config = Ros2Config.model_validate(own)
+        # Here, and not only where it drives: then nothing is started for a base that must not be driven.
+        check_stopping(config)
     except ValidationError as error:
         raise ConfigError(f"{path}: {_explained(error)}") from None
+    except ServiceError as error:
+        raise ConfigError(f"{path}: {error}; services/ros2/README.md says what helps") from None
+    return config
 
 
 def _explained(error: ValidationError) -> str:
-    missing = [one["loc"] for one in error.errors(include_url=False) if one["type"] == "missing"]
+    errors = error.errors(include_url=False)
+    missing = [one["loc"] for one in errors if one["type"] == "missing"]
     if ("watchdog_s",) in missing:
         return (
             "watchdog_s: say after how many seconds without a command the base stands by itself; one that does not "
             "must not be driven (services/ros2/README.md says how it can)"
         )
+    if missing == [one["loc"] for one in errors] and len(missing) > 1:
+        names = ", ".join(".".join(map(str, where)) for where in missing)
+        return f"lacks {names}; a preset has what is usual: {', '.join(known_presets())}"
+    first = errors[0]
+    if first["type"] == "value_error":
+        return str(first["ctx"]["error"])
+    if first["type"] == "extra_forbidden" and len(first["loc"]) == 1:
+        known = ", ".join(sorted(Ros2Config.model_fields))
+        return f"{printable(str(first['loc'][0]))}: no such setting; known are {known}"
     return describe(error)
 
 

@@ -165,6 +165,23 @@ def test_a_base_that_nobody_reaches_is_told_to_stand(rig: Rig) -> None:
         rig.body.begin(ResetRequest(seed=1, mode="realtime"))
 
 
+def test_why_it_stands_is_logged_once_and_when_that_is_over(rig: Rig, caplog: pytest.LogCaptureFixture) -> None:
+    caplog.set_level("INFO", "ros2")
+    rig.begun().air.lack = "no connection to tcp/robot:7447"
+    for tick in (1, 2):
+        rig.body.look(tick)
+    rig.air.lack = None
+    for tick in (3, 4):
+        rig.body.look(tick)
+    rig.clock.now_s += 1.0
+    rig.body.look(5)
+    assert [record.getMessage() for record in caplog.records] == [
+        "base stands: no connection to tcp/robot:7447",
+        "base: what it needs is heard again",
+        "base stands: nothing has come from /odom for 1.0 s",
+    ]
+
+
 def test_a_camera_that_is_silent_makes_no_frame_new(rig: Rig) -> None:
     rig.begun()
     seen = rig.body.look(0).captured_s

@@ -39,7 +39,12 @@ BASE = "preset: generic\nwatchdog_s: 0.2\n"
     ("text", "line"),
     [
         ("preset: turtlebot5\n", "preset: known are generic, turtlebot3, turtlebot4"),
-        (BASE + "spede_m_s: 1\n", "spede_m_s: Extra inputs are not permitted"),
+        (BASE + "spede_m_s: 1\n", "spede_m_s: no such setting; known are braking_s, camera, "),
+        (
+            "watchdog_s: 0.2\n",
+            "lacks name, speed_m_s, turn_rate_rad_s, braking_s, camera; a preset has",
+        ),
+        ("preset: generic\nwatchdog_s: 0.5\n", "base: after the silence of this process it would move for 0.70 s"),
         (BASE + "speed_m_s: fast\n", "speed_m_s: Input should be a valid number"),
         (BASE + "speed_m_s: -1\n", "speed_m_s: Input should be greater than 0"),
         (BASE + "speed_m_s: .nan\n", "speed_m_s: Input should be"),
@@ -50,7 +55,7 @@ BASE = "preset: generic\nwatchdog_s: 0.2\n"
         (BASE + "distribution: foxy\n", "distribution: Input should be 'humble'"),
         (BASE + "domain: 500\n", "domain: Input should be less than or equal to 232"),
         (BASE + "namespace: robot1\n", "namespace: String should match pattern"),
-        (BASE + "router: robot.local\n", "router address 'robot.local': expected tcp/<host>:<port>"),
+        (BASE + "router: robot.local\n", "mine.yaml: router address 'robot.local': expected tcp/<host>:<port>"),
         (BASE + "scan: {topic: scan}\n", "scan.stop_m: Field required"),
         (BASE + "stops: [{topic: bump, type: x}]\n", "stops.0.type: Input should be"),
         (BASE + "stops: 3\n", "stops: Input should be a valid tuple"),

@@ -101,8 +101,10 @@ def _text(value: object) -> str:
             return f"<{len(value)} bytes>"
         case float():
             return f"{value:.6g}"
-        case (dict(), *_):
-            return f"<{len(value)}>"
+        case ({**first}, *more):
+            # Of a belief this is the likeliest place.
+            shown = " ".join(f"{name}={_text(part)}" for name, part in first.items())
+            return f"({shown})" + (f",...({1 + len(more)})" if more else "")
         case tuple() if len(value) > MOST_ITEMS:
             return ",".join(map(str, value[:MOST_ITEMS])) + f",...({len(value)})"
         case tuple():

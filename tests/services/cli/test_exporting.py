@@ -81,7 +81,7 @@ def test_an_empty_folder_is_filled(smal: Smal, tmp_path: Path) -> None:
 def test_packages_that_are_missing_are_named(smal: Smal, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(exporting, "missing_packages", lambda _form: ["pyarrow", "av"])
     status, _, errors = smal("export", "lerobot", "x", "--out", "y")
-    assert (status, errors) == (2, "smal: lerobot needs pyarrow and av: pip install 'smal[formats]'\n")
+    assert (status, errors) == (2, "smal: lerobot needs pyarrow and av: pip install -e '.[formats]'\n")
 
 
 @pytest.mark.parametrize("failure", [OSError(errno.ENOSPC, "No space left on device"), KeyboardInterrupt()])

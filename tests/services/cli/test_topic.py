@@ -15,7 +15,7 @@ from schemas.command import Command
 from schemas.episode import Episode
 from schemas.image import Image
 from schemas.observation import Observation
-from schemas.state import State
+from schemas.state import Place, State
 from schemas.topics import TOPICS
 from services.cli.listening.commands import key_expression
 from services.cli.listening.samples import Sample, header_of
@@ -94,7 +94,7 @@ def test_key_expressions(keys: str, expression: str) -> None:
 def test_each_message_is_one_short_line_and_one_json_object(cls: type) -> None:
     line = sample(EXAMPLES[cls]).line()
     assert line.isprintable()
-    assert len(line) < 300
+    assert len(line) < 400
     record = sample(EXAMPLES[cls]).record()
     assert json.loads(json.dumps(record)) is not None
     assert set(record["message"]) == set(cls.model_fields)
@@ -104,6 +104,15 @@ def test_binary_data_is_not_dumped() -> None:
     assert sample(EXAMPLES[Image]).line().endswith("width=2 height=1 data=<6 bytes>")
     assert sample(EXAMPLES[Image]).record()["message"]["data"] == {"bytes": 6}
     assert "features=<float32 3, 12 bytes>" in sample(EXAMPLES[Observation]).line()
+
+
+def test_a_belief_shows_its_likeliest_place() -> None:
+    likely = Place(keyframe=7, ahead_m=0.25, left_m=-0.1, turned_rad=0.5, weight=0.9)
+    other = likely.model_copy(update={"keyframe": 3, "weight": 0.1})
+    state = EXAMPLES[State].model_copy(update={"places": (likely, other)})
+    shown = "places=(keyframe=7 ahead_m=0.25 left_m=-0.1 turned_rad=0.5 weight=0.9)"
+    assert f"{shown},...(2) " in sample(state).line()
+    assert f"{shown} " in sample(state.model_copy(update={"places": (likely,)})).line()
 
 
 @pytest.mark.parametrize(

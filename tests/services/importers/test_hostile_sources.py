@@ -306,7 +306,7 @@ def test_a_bag_whose_end_is_missing_gives_its_whole_messages(tmp_path: Path) -> 
         ("ALTER TABLE messages RENAME TO real; CREATE VIEW messages AS WITH RECURSIVE r(n) AS (SELECT 1 UNION ALL "
          "SELECT n + 1 FROM r) SELECT n AS id, 1 AS topic_id, n AS timestamp, zeroblob(9) AS data FROM r",
          "no tables of topics and messages"),
-        ("UPDATE topics SET serialization_format = 'json'", "no topic of image"),
+        ("UPDATE topics SET serialization_format = 'json'", "topics are json, not ROS 2's CDR"),
         ("UPDATE topics SET type = 'std_msgs/msg/String'", "no topic of image"),
         ("UPDATE messages SET data = X'0001'", "no topic of velocity"),
         ("UPDATE messages SET data = X'28B52FFD00'", "no topic of velocity"),
@@ -360,3 +360,18 @@ def test_a_table_that_says_nonsense_is_named(text: str, said: str, tmp_path: Pat
     folder = sources.csv_folder(tmp_path / "set")
     (folder / "drive.csv").write_text(text)
     assert said in refused(folder, "folder", tmp_path)
+
+
+def test_a_folder_of_bags_says_that_each_is_imported_by_itself(tmp_path: Path) -> None:
+    sources.rosbag2(tmp_path / "bags/monday").joinpath("metadata.yaml").write_text("")
+    assert "no *.db3 in this folder; monday in it is a bag: import each by itself" in refused(
+        tmp_path / "bags", "rosbag2", tmp_path
+    )
+
+
+def test_a_recording_of_our_own_is_no_bag(tmp_path: Path) -> None:
+    sources.rosbag2(tmp_path / "bag")
+    (tmp_path / "again").mkdir()
+    report, _ = imported(tmp_path / "bag", "rosbag2", tmp_path / "out")
+    assert "it has: none; " in (said := refused(Path(report.files[0]), "rosbag2", tmp_path / "again"))
+    assert "topics are json, not ROS 2's CDR" in said

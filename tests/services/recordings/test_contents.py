@@ -207,6 +207,6 @@ def test_what_is_still_recorded_or_holds_nothing_is_refused(tmp_path: Path) -> N
         with pytest.raises(RecordingError, match=why):
             repair(tmp_path / "bad.mcap", tmp_path / "out.mcap")
     (tmp_path / "bad.mcap").write_bytes(writer.path.read_bytes()[:60])
-    with pytest.raises(RepairError, match="holds no episodes"):
+    with pytest.raises(RepairError, match="holds nothing of an episode to save"):
         repair(tmp_path / "bad.mcap", tmp_path / "out.mcap")
     assert sorted(path.name for path in tmp_path.iterdir()) == ["bad.mcap", "e.mcap"]

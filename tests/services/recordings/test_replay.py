@@ -252,6 +252,7 @@ def test_the_command_replays_and_is_refused_where_a_robot_is(
     refused = run_smal("replay", path, "--router", router_endpoint)
     assert refused.returncode == 1
     assert refused.stderr.startswith("smal: robot rescuebot is there already (process ")
+    assert "smal up --robot-body none" in refused.stderr
     assert refused.stderr.count("\n") == 1
 
 
