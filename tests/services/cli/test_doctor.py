@@ -115,10 +115,7 @@ def test_a_port_that_wants_a_certificate_is_not_one_to_stop(stranger: str) -> No
 def test_a_port_of_something_else(stranger: str) -> None:
     check = check_port(ServiceSettings(router=stranger))
     assert not check.ok
-    assert (
-        "is no router, or takes nobody in without a certificate or a password; if it should not be there, stop it"
-        in check.text
-    )
+    assert "is no router, or takes nobody in without a certificate or a password, or is full" in check.text
     assert "SMAL_ROUTER" in check.text
 
 

@@ -36,6 +36,7 @@ from services.recordings.replay import REPLAYABLE, Tick, tracks_of
 from services.robot.service import check_alone
 from services.table import SERVICES
 from smal.model import Model
+from smal.robot import PLACES
 from tests import corridor
 from tests.command import run_smal
 from tests.services.conftest import RunNode
@@ -152,6 +153,10 @@ def check_decisions(client: Bus, robot: Node, path: Path, model: Model) -> list[
         assert state.lost == min(belief.lost, 1.0)
     assert list(heard.said["map"]) == [0]
     return [atom for atom, _, _ in expected]
+
+
+def test_a_decision_is_made_of_as_many_places_as_a_message_holds() -> None:
+    assert PLACES == MAX_PLACES
 
 
 def test_services_decide_on_a_replay_as_the_library_does_on_its_frames(
