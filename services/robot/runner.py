@@ -217,7 +217,7 @@ class EpisodeRunner(Generic[V]):
         self.body = body
         self.gate = gate
         self.wake: Callable[[], None] = lambda: None
-        self._task = task
+        self.task = task
         self._robot = robot
         self._session = session
         self._paces: dict[Mode, Callable[[], Pace[V]]] = {"realtime": self._real_time, **(paces or {})}
@@ -308,7 +308,7 @@ class EpisodeRunner(Generic[V]):
         name = f"{request.purpose}-{request.seed}-{self._session}-{self._count}"
         # From here on nothing that was said before counts.
         self.gate.begin(name, request.driver)
-        episode = Episode(self.body, self._task, request)
+        episode = Episode(self.body, self.task, request)
         now, now_ns = pace.gate_s(0), self._wall_clock_ns()
         self._running = run = Running(name, episode, pace, now, now_ns, now_ns, client_s=self._clock())
         messages.append(self._event(run, "started"))

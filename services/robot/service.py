@@ -21,7 +21,7 @@ from services.robot.config import RobotSettings
 from services.robot.gate import CommandGate
 from services.robot.loop import PERIOD_S, check_stopping
 from services.robot.runner import EpisodeRunner, Paces
-from services.robot.task import Task
+from services.robot.task import OperatorsTask, Task
 
 #: Name on the bus, whatever body it has.
 ROBOT: Final = "robot"
@@ -124,6 +124,7 @@ class RobotService:
             "taken_over": gate.taken_over,
             "attended": gate.attended,
             "operator": gate.operator is not None,
+            "judge": "operator" if isinstance(self._runner.task, OperatorsTask) else "task",
         }
         if running is not None:
             detail |= running.pace.detail()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -10,6 +11,7 @@ from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
+from tqdm import tqdm
 
 from schemas import topics
 from schemas.action import Action
@@ -31,6 +33,8 @@ from services.robot.episode import RunOutcome
 BEAT_S: Final = 0.5
 #: Seconds without any sign of the robot after which an episode is given up.
 SILENCE_S: Final = 60.0
+#: Time for a person to look whether the robot is where it says that it is; it stands meanwhile.
+JUDGED_S: Final = 30.0
 
 
 @dataclass
@@ -186,12 +190,24 @@ class EpisodeClient:
             check()
             if time.monotonic() - self._alive_s > SILENCE_S:
                 raise JobError(f"no sign of robot {self.node.robot} for {SILENCE_S:.0f} s; see the stack's logs")
+        if record.arrived and not self._ended:
+            self._await_judge()
         if not self._ended:
             self._end(reply.episode)
         if record.arrived and record.outcome == "aborted":
             record.outcome = "false_goal"
         on_tick(record.ticks)
         return record
+
+    def _await_judge(self) -> None:
+        """Give the operator time to say that the goal is found, where nobody else can."""
+        detail = self.node.bus.call("robot", "status", Nothing(), Status).detail
+        if detail.get("judge") == "operator" and detail.get("operator"):
+            tqdm.write(
+                f"it says that it has arrived; if so, say it within {JUDGED_S:.0f} s (f in smal teleop)",
+                file=sys.stderr,
+            )
+            self.node.spin(until=lambda: self._ended, timeout_s=JUDGED_S)
 
     def _arm(self) -> None:
         """Arm a robot that nobody has armed since it was started, once: whoever begins a run wants it to move.

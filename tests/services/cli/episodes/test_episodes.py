@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from functools import partial
 from pathlib import Path
+from threading import Timer
 from typing import cast
 
 import pytest
@@ -22,7 +23,7 @@ from services.cli.stack.processes import Access
 from services.expert.service import ExpertService
 from services.kit.errors import JobError, UsageError
 from services.kit.model_service import identity_of
-from services.kit.node import EXIT_FAILED, EXIT_USAGE, Node, ServiceError
+from services.kit.node import EXIT_FAILED, EXIT_USAGE, Detail, Node, ServiceError
 from services.kit.settings import ServiceSettings
 from services.robot.episode import RunOutcome
 from services.simulator.world.loading import WORLDS_FOLDER
@@ -41,24 +42,37 @@ class FakeSimulator:
     outcome: Outcome = "found"
     stop_cause: str | None = "not_armed"
     attended = False
+    judge = "task"
 
     def __init__(self, node: Node) -> None:
         self._node = node
         self.ended: list[str] = []
         self.armed: list[int] = []
+        self.begun = False
         node.serve("arm", ArmRequest, lambda request: self.armed.append(request.stop))
         node.serve("reset", ResetRequest, self.reset)
         node.serve("end", EndRequest, self.end)
-        node.detail = lambda: {"stop_cause": self.stop_cause, "emergency_stop": 7, "attended": self.attended}
+        node.detail = self.detail
+
+    def detail(self) -> Detail:
+        """Tell how it is; an operator who is asked says after a moment that the goal is found."""
+        found = EndRequest(episode="e", found=True)
+        if self.judge == "operator" and self.begun:
+            Timer(0.2, self.end, (found,)).start()
+        return {
+            "stop_cause": self.stop_cause, "emergency_stop": 7, "attended": self.attended,
+            "judge": self.judge, "operator": True,
+        }  # fmt: skip
 
     def reset(self, _request: ResetRequest) -> ResetReply:
+        self.begun = True
         for tick, (kind, state) in enumerate(self.decisions):
             cause = CAUSE.model_copy(update={"tick": tick})
             self._node.publish(Action.after(cause, kind=kind, state=state, atoms=("left",), arrived=kind == "goal"))
         return ResetReply(episode="e", world="campus", route=((0.0, 0.0), (1.0, 0.0)), speed_m_s=2.0, found_m=5.0)
 
     def end(self, request: EndRequest) -> None:
-        self.ended.append(request.episode)
+        self.ended.append("found" if request.found else request.episode)
         last = CAUSE.model_copy(update={"tick": 4})
         self._node.publish(
             Episode.after(
@@ -101,6 +115,17 @@ def test_a_robot_that_says_that_it_has_arrived_is_judged(
     finally:
         client.close()
     assert (record.outcome, record.arrived, simulator.ended) == (outcome, True, ["e"])
+
+
+def test_where_the_operator_judges_they_are_waited_for(simulator: FakeSimulator, settings: ServiceSettings) -> None:
+    simulator.decisions, simulator.judge = (("goal", 9),), "operator"
+    client = EpisodeClient("test", settings)
+    client.node.bus.wait_connected(5.0)
+    try:
+        record = client.run(REQUEST)
+    finally:
+        client.close()
+    assert (record.outcome, simulator.ended) == ("found", ["found"])
 
 
 @pytest.mark.parametrize(
