@@ -31,6 +31,8 @@ class _Server(ThreadingHTTPServer):
     """
 
     daemon_threads = True
+    #: Of five, as the library has it, who comes sixth at one moment waits a second or more for TCP to try again.
+    request_queue_size = 128
 
     def __init__(self, address: tuple[str, int], handler: type[BaseHTTPRequestHandler]) -> None:
         super().__init__(address, handler)

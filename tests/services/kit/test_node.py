@@ -410,7 +410,7 @@ def test_what_is_handled_at_once_waits_for_nothing_and_is_lost_in_no_queue(
         for _ in range(100):
             send_as_stranger(client, stop, b"\xc1", encoding_of(stop.message))
         eventually(lambda: (client.publish(command(0, source="emergency_stop")), stopped.is_set())[1])
-        assert status(client).bad[stop.name] == 100
+        eventually(lambda: status(client).bad[stop.name] == 100)  # two senders: the stop may overtake the junk
         assert status(client).busy_s > 0.0
     finally:
         release.set()
