@@ -7,6 +7,7 @@ from collections.abc import Callable
 from typing import TypeVar
 
 import pytest
+import zenoh
 
 from schemas.base import Message
 from schemas.codec import encoding_of
@@ -66,7 +67,9 @@ def send_as_stranger(bus: Bus, topic: Topic, payload: bytes, encoding: str = "ze
     """Send as a stranger does, who has another idea of what a topic carries, and keeps nothing."""
     key, wire = topic.key(bus.robot), bus._wire
     if isinstance(wire, ZenohWire):
-        wire.sessions[topic.urgent].put(key, payload, encoding=encoding)
+        # One who does not let Zenoh drop anything of it.
+        wait = zenoh.CongestionControl.BLOCK
+        wire.sessions[topic.urgent].put(key, payload, encoding=encoding, congestion_control=wait)
     elif isinstance(wire, MemoryWire):
         with wire._router.lock:
             wire._router.send(Sample(key, payload, encoding, time.time()))
