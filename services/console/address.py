@@ -39,7 +39,7 @@ def listen(settings: ConsoleSettings) -> Place:
     ServiceError
         When that may not be listened on, or cannot be.
     BusError
-        When others can read the token.
+        When others can read the token or the key.
     """
     host, _, port = settings.console.rpartition(":")
     given = (settings.console_cert, settings.console_key, settings.console_token)
@@ -53,6 +53,8 @@ def listen(settings: ConsoleSettings) -> Place:
     for path in (settings.console_cert, settings.console_key):
         if path is not None and not path.is_file():
             raise ServiceError(f"no file {path} for the page's address")
+    if settings.console_key is not None:
+        secret(settings.console_key)
     token = None if settings.console_token is None else secret(settings.console_token)
     if token is not None and len(token) < _TOKEN_LETTERS:
         raise ServiceError(f"{settings.console_token}: a token of {len(token)} letters; at least {_TOKEN_LETTERS}")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from typing import Annotated, Final, Literal
 
 from pydantic import Field, TypeAdapter
 
@@ -13,6 +13,8 @@ from schemas.rpc import FileName, Start
 #: Name of a model that is learned: its file's, without the end.
 ModelName = Annotated[str, Field(pattern=r"^\w[\w .-]{0,63}$")]
 Seed = Annotated[int, Field(ge=0, lt=2**31)]
+#: What is said of what came late.
+LATE: Final = "that came too late to be done: the connection is slow, or was away; press again"
 
 
 class Seen(Strict):
@@ -43,13 +45,20 @@ class Leave(Strict):
     do: Literal["leave"]
 
 
-class Resume(Strict):
+class Asked(Strict):
+    """What whoever drives asks for."""
+
+    beat: Annotated[int, Field(ge=0)]
+    """The newest beat that they had heard; what was asked long ago is not done."""
+
+
+class Resume(Asked):
     """Arm the robot, and have the driver go on that the person took over from."""
 
     do: Literal["resume"]
 
 
-class End(Strict):
+class End(Asked):
     """End the episode."""
 
     do: Literal["end"]
@@ -57,7 +66,7 @@ class End(Strict):
     """Whether the goal is reached."""
 
 
-class Drive(Strict):
+class Drive(Asked):
     """Begin a drive by hand, and record it."""
 
     do: Literal["drive"]
@@ -65,7 +74,7 @@ class Drive(Strict):
     """Where it leads."""
 
 
-class Run(Strict):
+class Run(Asked):
     """Have the robot search by itself."""
 
     do: Literal["run"]
@@ -79,7 +88,7 @@ class Run(Strict):
     """Which of the starts."""
 
 
-class Learn(Strict):
+class Learn(Asked):
     """Learn a model."""
 
     do: Literal["learn"]
@@ -89,13 +98,13 @@ class Learn(Strict):
     """From which recordings, by name."""
 
 
-class Cancel(Strict):
+class Cancel(Asked):
     """Learn no further."""
 
     do: Literal["cancel"]
 
 
-class Delete(Strict):
+class Delete(Asked):
     """Delete a recording."""
 
     do: Literal["delete"]
@@ -105,4 +114,6 @@ class Delete(Strict):
 
 Ask = Resume | End | Drive | Run | Learn | Cancel | Delete
 OF_WATCHERS: TypeAdapter[Seen | Stop] = TypeAdapter(Annotated[Seen | Stop, Field(discriminator="do")])
-OF_DRIVER: TypeAdapter[Hold | Leave | Ask] = TypeAdapter(Annotated[Hold | Leave | Ask, Field(discriminator="do")])
+OF_DRIVER: TypeAdapter[Hold | Leave | Stop | Ask] = TypeAdapter(
+    Annotated[Hold | Leave | Stop | Ask, Field(discriminator="do")]
+)

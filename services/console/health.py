@@ -50,7 +50,7 @@ class Health:
 
     def ask(self) -> list[dict[str, object]]:
         """Ask all at once; return one row a service, for the page."""
-        before, self.statuses = self.statuses, {}
+        before = self.statuses
         # Threads for this once: a service that hangs holds up its own thread alone, and for no longer than its time.
         with ThreadPoolExecutor(len(self._services), "health") as pool:
             self.statuses = dict(zip(self._services, pool.map(self._status, self._services), strict=True))

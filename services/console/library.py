@@ -136,6 +136,17 @@ class Library:
         """
         return below(self.root, name)
 
+    def delete(self, name: str) -> None:
+        """Delete something that is listed; of a link, itself, and not what it leads to.
+
+        Raises
+        ------
+        OSError
+            When it cannot be deleted.
+        """
+        folder, _, last = name.rpartition("/")
+        (below(self.root, folder) / last).unlink()
+
     def _recording_files(self) -> Iterator[Path]:
         if self.folder is not None:
             yield from (self.root / self.folder).glob("*.mcap")

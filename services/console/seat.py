@@ -10,14 +10,16 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Final
 
+from services.operator.operator import BEAT_S
 from services.robot.clock import now_s
 
 #: Time after its beat was sent when an answer counts no more, and when what was held is let go.
 LET_GO_S: Final = 0.25
-#: Silence after which somebody else may take the seat, and a robot that would move alone misses who had it.
+#: Silence after which somebody else may take the seat, and a robot that would move alone misses who had it. What is
+#: asked for counts as long: later it may be somebody else's turn.
 LEASE_S: Final = 1.0
 #: Beats in flight that are remembered; an answer to an older one is late anyway.
-_KEPT: Final = 16
+_KEPT: Final = round(LEASE_S / BEAT_S)
 
 
 class Seat:
@@ -66,11 +68,11 @@ class Seat:
         self._sent_s.pop(self._beat - _KEPT, None)
         return self._beat
 
-    def answered(self, beat: int) -> float | None:
+    def answered(self, beat: int, counts_s: float = LET_GO_S) -> float | None:
         """Return until when the answer to a beat counts; None where that is over, or there was no such beat."""
         now = self._clock()
         sent_s = self._sent_s.get(beat)
         if sent_s is None:
             return None
         self._heard_s = now
-        return sent_s + LET_GO_S if now < sent_s + LET_GO_S else None
+        return sent_s + counts_s if now < sent_s + counts_s else None

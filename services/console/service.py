@@ -6,6 +6,7 @@ import math
 import secrets
 import threading
 from collections.abc import Callable
+from concurrent.futures import Future, InvalidStateError
 from contextlib import suppress
 from pathlib import Path
 from queue import Empty, SimpleQueue
@@ -19,7 +20,7 @@ from schemas.pose import Pose
 from schemas.rpc import LoadReply, LoadRequest, Nothing, RecordRequest, ResetRequest, Status
 from schemas.state import State
 from schemas.tracked_pose import TrackedPose
-from services.console.asks import Ask, Cancel, Delete, Drive, End, Learn, Resume, Run
+from services.console.asks import LATE, Ask, Cancel, Delete, Drive, End, Learn, Resume, Run
 from services.console.board import Board
 from services.console.health import ASK_S, Health
 from services.console.learned import Learned, learned_of
@@ -48,7 +49,8 @@ _CHAIN: Final = ("recognition", "policy")
 class ConsoleService:
     """Wires an operator and a board to a node.
 
-    ``hold``, ``let_go``, ``leave``, ``stop`` and ``ask`` may be called on any thread; it is done on the node's.
+    ``hold``, ``let_go``, ``leave``, ``stop`` and ``ask`` may be called on any thread; it is done on the node's, which
+    ends the future that they return.
 
     Parameters
     ----------
@@ -108,7 +110,7 @@ class ConsoleService:
 
     # -- what browsers say ----------------------------------------------------------------------------------------
 
-    def hold(self, atom: Atom | None, until_s: float) -> None:
+    def hold(self, atom: Atom | None, until_s: float) -> Future[None]:
         """Take a sign of life of whoever drives, and what they hold; both count until a time of the board's clock."""
 
         def take() -> None:
@@ -121,18 +123,18 @@ class ConsoleService:
             else:
                 self._operator.press(atom, until_s)
 
-        self._do(take)
+        return self._do(take)
 
-    def let_go(self) -> None:
+    def let_go(self) -> Future[None]:
         """Take note that whoever drives is gone: the robot misses them, and stands."""
 
         def take() -> None:
             self._there_until_s = -math.inf
             self._operator.release()
 
-        self._do(take)
+        return self._do(take)
 
-    def leave(self) -> None:
+    def leave(self) -> Future[None]:
         """Take note that whoever drives stands up, and is not to be missed."""
 
         def take() -> None:
@@ -140,9 +142,9 @@ class ConsoleService:
             self._operator.release()
             self._operator.beat(present=False)
 
-        self._do(take)
+        return self._do(take)
 
-    def stop(self) -> None:
+    def stop(self) -> Future[None]:
         """Stop for an emergency."""
 
         def take() -> None:
@@ -150,18 +152,20 @@ class ConsoleService:
                 self._reports.say("EMERGENCY STOP, until the robot is armed")
             self._operator.stop_for_emergency()
 
-        self._do(take)
+        return self._do(take)
 
-    def ask(self, ask: Ask) -> None:
-        """Do what whoever drives asks for; what comes of it is told in the news."""
+    def ask(self, ask: Ask, until_s: float) -> Future[None]:
+        """Do what whoever drives asks for, until a time of the board's clock; what comes of it is told in the news."""
 
         def take() -> None:
             try:
+                if self._board.clock() >= until_s:
+                    raise ServiceError(LATE)
                 self._answer(ask)
             except (ServiceError, OSError) as error:
                 self._reports.say(str(error))
 
-        self._do(take)
+        return self._do(take)
 
     def _bridge(self) -> None:
         """Have a robot that would move alone not miss a browser that stutters: what it held is let go all the same.
@@ -172,9 +176,19 @@ class ConsoleService:
         if self._board.clock() < self._there_until_s and robot is not None and robot.detail.get("attended") is False:
             self._operator.beat()
 
-    def _do(self, what: Callable[[], None]) -> None:
-        self._asked.put(what)
+    def _do(self, what: Callable[[], None]) -> Future[None]:
+        done: Future[None] = Future()
+
+        def work() -> None:
+            try:
+                what()
+            finally:
+                with suppress(InvalidStateError):  # nobody waits for it any more
+                    done.set_result(None)
+
+        self._asked.put(work)
         self._wake()
+        return done
 
     def _work(self) -> None:
         with suppress(Empty):
@@ -253,7 +267,7 @@ class ConsoleService:
         recording = self.library.recording(name)
         if recording is None:
             raise ServiceError("no such recording")
-        self.library.path(recording.name).unlink()
+        self.library.delete(recording.name)
         self._reports.say(f"{recording.name} is deleted")
 
     # -- what is heard --------------------------------------------------------------------------------------------

@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import asyncio
+import logging
+import ssl
 import threading
-from collections.abc import Callable, Coroutine
+from collections.abc import AsyncIterator, Callable, Coroutine
+from concurrent.futures import Future
 from contextlib import suppress
 from pathlib import Path
 from typing import Any, Final, Protocol
@@ -21,13 +24,14 @@ from starlette.websockets import WebSocket, WebSocketDisconnect, WebSocketState
 from schemas.base import Atom
 from schemas.codec import describe
 from services.console.address import listen
-from services.console.asks import OF_DRIVER, OF_WATCHERS, Ask, Hold, Leave, Stop
+from services.console.asks import LATE, OF_DRIVER, OF_WATCHERS, Ask, Hold, Leave, Stop
 from services.console.board import Board, FullError
 from services.console.config import ConsoleSettings
 from services.console.guard import Guard
 from services.console.learned import Learned
 from services.console.library import Library
-from services.console.seat import Seat
+from services.console.seat import LEASE_S, Seat
+from services.kit.node import ServiceError, Throttle
 from services.operator.operator import BEAT_S
 
 PAGE: Final = Path(__file__).parent / "page"
@@ -39,10 +43,19 @@ _MOST_BYTES: Final = 1 << 20
 FULL, TAKEN, NONSENSE = 4001, 4002, 4003
 #: How long open sockets may take to close at the end.
 _FAREWELL_S: Final = 1
+#: Digits of the number of a picture, at most.
+_DIGITS: Final = 9
+#: Opens no key that is encrypted, for which the terminal would be asked.
+_NO_WORD: Final = "-"
+_complaints = Throttle()
 
 
 class Person(Protocol):
-    """What a browser's person can do, and look at; see ``ConsoleService``."""
+    """What a browser's person can do, and look at; see ``ConsoleService``.
+
+    What they do is done when its future ends. A browser is heard further then: so nothing waits behind more than one
+    thing that each has said, be it an emergency stop behind a flood.
+    """
 
     @property
     def library(self) -> Library:
@@ -52,20 +65,20 @@ class Person(Protocol):
     def learned(self) -> Learned | None:
         """The model that the robot goes by."""
 
-    def hold(self, atom: Atom | None, until_s: float) -> None:
+    def hold(self, atom: Atom | None, until_s: float) -> Future[None]:
         """Be there, and hold a key."""
 
-    def let_go(self) -> None:
+    def let_go(self) -> Future[None]:
         """Be gone."""
 
-    def leave(self) -> None:
+    def leave(self) -> Future[None]:
         """Stand up."""
 
-    def stop(self) -> None:
+    def stop(self) -> Future[None]:
         """Stop for an emergency."""
 
-    def ask(self, ask: Ask) -> None:
-        """Ask for something."""
+    def ask(self, ask: Ask, until_s: float) -> Future[None]:
+        """Ask for something, to be done until a time of the board's clock."""
 
 
 class Web:
@@ -89,7 +102,7 @@ class Web:
         return Starlette(
             routes=[
                 Route("/thumbnail", self._thumbnail),
-                Route("/taught/{model}/{keyframe:int}", self._taught),
+                Route("/taught/{model}/{keyframe}", self._taught),
                 WebSocketRoute("/watch", self._watch),
                 WebSocketRoute("/drive", self._drive),
                 Mount("/", StaticFiles(directory=PAGE, html=True)),
@@ -101,16 +114,17 @@ class Web:
     async def _thumbnail(self, request: Request) -> Response:
         """Answer with a small picture of a recording; its name is looked for in the list, and opens nothing."""
         recording = self._person.library.recording(request.query_params.get("of", ""))
-        number = request.query_params.get("k", "")
-        if recording is None or not number.isdecimal() or int(number) >= len(recording.thumbnails):
+        number = _number(request.query_params.get("k", ""))
+        if recording is None or number is None or number >= len(recording.thumbnails):
             return PlainTextResponse("no such picture\n", 404)
-        return _picture(recording.thumbnails[int(number)])
+        return _picture(recording.thumbnails[number])
 
     async def _taught(self, request: Request) -> Response:
         """Answer with the taught image of a keyframe."""
         learned = self._person.learned
         known = learned is not None and learned.identity == request.path_params["model"]
-        picture = learned.image(request.path_params["keyframe"]) if learned is not None and known else None
+        keyframe = _number(request.path_params["keyframe"])
+        picture = learned.image(keyframe) if learned is not None and known and keyframe is not None else None
         return PlainTextResponse("no such picture\n", 404) if picture is None else _picture(picture)
 
     # -- watching -------------------------------------------------------------------------------------------------
@@ -121,9 +135,9 @@ class Web:
         seen = asyncio.Event()
 
         async def listen() -> None:
-            async for said in browser.iter_text():
+            async for said in _said(browser):
                 if isinstance(OF_WATCHERS.validate_json(said), Stop):
-                    self._person.stop()
+                    await asyncio.wrap_future(self._person.stop())
                 else:
                     seen.set()
 
@@ -169,7 +183,7 @@ class Web:
 
         Nonsense moves nothing; they are told, and go on: a name that may not be is no reason to lose the robot.
         """
-        async for text in browser.iter_text():
+        async for text in _said(browser):
             if not self._seat.holds(browser):
                 return
             try:
@@ -180,18 +194,28 @@ class Web:
             if isinstance(said, Hold):
                 until_s = self._seat.answered(said.beat)
                 if until_s is not None:
-                    self._person.hold(said.atom, until_s)
+                    await asyncio.wrap_future(self._person.hold(said.atom, until_s))
             elif isinstance(said, Leave):
                 self._stand_up(browser, self._person.leave)
                 return
+            elif isinstance(said, Stop):
+                await asyncio.wrap_future(self._person.stop())
+            elif (until_s := self._seat.answered(said.beat, LEASE_S)) is not None:
+                await asyncio.wrap_future(self._person.ask(said, until_s))
             else:
-                self._person.ask(said)
+                await browser.send_json({"refused": LATE})
 
-    def _stand_up(self, browser: WebSocket, how: Callable[[], None]) -> None:
+    def _stand_up(self, browser: WebSocket, how: Callable[[], Future[None]]) -> None:
         if self._seat.holds(browser):
             self._seat.leave(browser)
             self._board.put("taken", content=False)
             how()
+
+
+async def _said(browser: WebSocket) -> AsyncIterator[str]:
+    """Give what a browser says until it is gone; bytes say nothing."""
+    while (message := await browser.receive())["type"] != "websocket.disconnect":
+        yield message.get("text") or ""
 
 
 async def _until_one_ends(browser: WebSocket, *tasks: Coroutine[Any, Any, None]) -> None:
@@ -216,6 +240,14 @@ async def _until_one_ends(browser: WebSocket, *tasks: Coroutine[Any, Any, None])
             await browser.close()
 
 
+def _number(digits: str) -> int | None:
+    return int(digits) if digits.isdecimal() and len(digits) <= _DIGITS else None
+
+
+def _seldom(_: logging.LogRecord) -> bool:
+    return _complaints.due()
+
+
 def _picture(jpeg: bytes) -> Response:
     # What a name or a number stands for does not change while the page is open.
     return Response(jpeg, media_type="image/jpeg", headers={"Cache-Control": "private, max-age=3600"})
@@ -236,30 +268,37 @@ class WebServer:
     Raises
     ------
     ServiceError
-        When that may not be listened on, or cannot be.
+        When that may not be listened on, or cannot be, or the certificate is of no use.
     """
 
     def __init__(self, person: Person, board: Board, settings: ConsoleSettings) -> None:
         place = listen(settings)
         self._socket, token = place.socket, place.token
-        self._server = uvicorn.Server(
-            uvicorn.Config(
-                Guard(Web(person, board).application(), token),
-                ws_max_size=_MOST_BYTES,
-                # A browser that says nothing for a while may still look.
-                ws_ping_interval=20.0,
-                ws_per_message_deflate=False,
-                ssl_certfile=settings.console_cert,
-                ssl_keyfile=settings.console_key,
-                lifespan="off",
-                log_config=None,
-                log_level="warning",
-                access_log=False,
-                server_header=False,
-                proxy_headers=False,
-                timeout_graceful_shutdown=_FAREWELL_S,
-            )
+        # Who sends rubbish must not fill the disk with the log.
+        logging.getLogger("uvicorn.error").addFilter(_seldom)
+        config = uvicorn.Config(
+            Guard(Web(person, board).application(), token),
+            ws_max_size=_MOST_BYTES,
+            # A browser that says nothing for a while may still look.
+            ws_ping_interval=20.0,
+            ws_per_message_deflate=False,
+            ssl_certfile=settings.console_cert,
+            ssl_keyfile=settings.console_key,
+            ssl_keyfile_password=_NO_WORD,
+            lifespan="off",
+            log_config=None,
+            log_level="warning",
+            access_log=False,
+            server_header=False,
+            proxy_headers=False,
+            timeout_graceful_shutdown=_FAREWELL_S,
         )
+        try:
+            config.load()
+        except (ssl.SSLError, OSError) as error:
+            place.socket.close()
+            raise ServiceError(f"{settings.console_cert} and its key are of no use: {error}") from None
+        self._server = uvicorn.Server(config)
         self.address = place.address
         self._thread = threading.Thread(
             target=self._server.run, kwargs={"sockets": [self._socket]}, name="web", daemon=True

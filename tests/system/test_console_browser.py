@@ -218,6 +218,23 @@ def lose_focus(page: Page) -> None:
     run_in(page, "window.dispatchEvent(new Event('blur'))")
 
 
+def open_a_menu(page: Page) -> None:
+    """While it is open, the page hears of no key that is let go; nor while something is dragged, nor with Meta."""
+    run_in(page, "document.body.dispatchEvent(new Event('contextmenu', {bubbles: true}))")
+
+
+def drag_something(page: Page) -> None:
+    run_in(page, "document.body.dispatchEvent(new Event('dragstart', {bubbles: true}))")
+
+
+def press_command(page: Page) -> None:
+    page.keyboard.down("Meta")
+
+
+def stop_by_gamepad(page: Page) -> None:
+    run_in(page, "navigator.getGamepads = () => [null, {buttons: [{}, {pressed: true}], axes: [0, 0]}]")
+
+
 def press_escape(page: Page) -> None:
     page.keyboard.press("Escape")
 
@@ -228,7 +245,18 @@ def press_the_red_button(page: Page) -> None:
 
 @pytest.mark.parametrize(
     "what",
-    [reload, close, hide, lose_focus, press_escape, press_the_red_button],
+    [
+        reload,
+        close,
+        hide,
+        lose_focus,
+        open_a_menu,
+        drag_something,
+        press_command,
+        stop_by_gamepad,
+        press_escape,
+        press_the_red_button,
+    ],
     ids=lambda what: what.__name__,
 )
 def test_whatever_becomes_of_the_page_the_robot_stands(
@@ -241,6 +269,8 @@ def test_whatever_becomes_of_the_page_the_robot_stands(
         what(page)
         took_s = time.monotonic() - began_s
         assert site.stood_s(began_s) <= took_s + STAND_WITHIN_S
+        if what in (stop_by_gamepad, press_escape, press_the_red_button):
+            eventually(lambda: site.robot("stop_cause") == "emergency_stop")
 
 
 def processes_of(name: str) -> list[int]:

@@ -17,13 +17,15 @@ export class Drive {
     this._onStop = onStop;
     addEventListener("keydown", (event) => this._key(event, true));
     addEventListener("keyup", (event) => this._key(event, false));
-    for (const lost of ["blur", "pagehide"]) addEventListener(lost, () => this.letGo());
+    // While a menu is open or something is dragged, no page hears that a key is let go.
+    for (const lost of ["blur", "pagehide", "contextmenu", "dragstart"]) addEventListener(lost, (event) => event.defaultPrevented || this.letGo());
     document.addEventListener("visibilitychange", () => this._visibility());
   }
 
   /** The movement that is asked for: that of the key pressed last, or of a gamepad. */
   get held() {
-    return this._held.at(-1) ?? this._gamepad();
+    const pad = this._gamepad();  // looked at first, always: it may stop
+    return this._held.at(-1) ?? pad;
   }
 
   /** Sit down; resolves to whether the seat was free. */
@@ -57,7 +59,14 @@ export class Drive {
   }
 
   async ask(what) {
-    if (await this.take()) this._send(what);
+    if (await this.take()) this._send({ ...what, beat: this._beat });
+  }
+
+  /** Whether an emergency stop could be sent. */
+  stop() {
+    this.letGo();
+    if (this.sits) this._send({ do: "stop" });
+    return this.sits;
   }
 
   press(atom) {
@@ -80,6 +89,7 @@ export class Drive {
     this._taking = sits ? this._taking : null;
     this._held = [];
     done(sits);
+    if (sits && document.hidden) this._visibility();  // it was hidden before the seat was ours
     this._onChange();
   }
 
@@ -94,9 +104,10 @@ export class Drive {
 
   _key(event, down) {
     if (event.code === "Escape") return down && !event.repeat && this._onStop();
+    if (event.metaKey || event.key === "Meta") return this.letGo();  // macOS tells of no other key's release then
     const atom = KEYS[event.code];
     const types = event.target instanceof Element && event.target.closest("input, select, textarea");
-    if (!atom || (down && (types || event.ctrlKey || event.metaKey || event.altKey))) return;
+    if (!atom || (down && (types || event.ctrlKey || event.altKey))) return;
     if (this.sits && down) event.preventDefault();
     if (down && event.repeat) return;
     if (down && !this.sits) return this._onRefused("Take control first, then drive.");
@@ -114,9 +125,12 @@ export class Drive {
   }
 
   _gamepad() {
-    for (const pad of navigator.getGamepads()) {
-      if (!pad) continue;
-      if (pad.buttons[GAMEPAD_STOP]?.pressed) this._onStop();
+    const pads = [...navigator.getGamepads()].filter(Boolean);
+    const stops = pads.some((pad) => pad.buttons[GAMEPAD_STOP]?.pressed), pressed = stops && !this._stops;
+    this._stops = stops;  // before it is told: who is told asks what is held
+    if (pressed) this._onStop();
+    if (stops || !document.hasFocus()) return null;
+    for (const pad of pads) {
       for (const [button, atom] of Object.entries(GAMEPAD_PAD)) if (pad.buttons[button]?.pressed) return atom;
       const [x, y] = pad.axes;
       if (Math.abs(y) > Math.max(DEAD_ZONE, Math.abs(x))) return y < 0 ? "forward" : "backward";

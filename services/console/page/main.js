@@ -110,8 +110,7 @@ function tell(text, when = new Date()) {
 }
 
 function stop() {
-  drive.letGo();
-  if (!watch.stop()) tell("NOT SENT: there is no connection to the console.");
+  if (![watch.stop(), drive.stop()].includes(true)) tell("NOT SENT: there is no connection to the console.");
 }
 
 $("#stop").onclick = stop;

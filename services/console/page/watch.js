@@ -53,8 +53,11 @@ export class Watch {
   _take({ now, picture, ...news }) {
     this._behindS = now - performance.now() / 1000;
     Object.assign(this.state, news);
-    this._onNews(Object.keys(news));
-    if (!picture) this._seen();
+    try {
+      this._onNews(Object.keys(news));
+    } finally {  // what cannot be drawn must not end the news: the picture, if one follows, is seen by itself
+      if (!picture) this._seen();
+    }
   }
 
   async _show(data) {

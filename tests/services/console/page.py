@@ -28,6 +28,7 @@ class Page:
         self.answers = True
         self.late_s = 0.0
         self.beats = 0
+        self.beat = 0
         self.refusals: list[str] = []
         self.closed: int | None = None
         self._open = ExitStack()
@@ -55,7 +56,8 @@ class Page:
     def say(self, **what: object) -> None:
         """Ask for something, at the wheel."""
         assert self._drive is not None
-        self._drive.send(json.dumps(what))
+        # Whoever leaves leaves, whenever that comes.
+        self._drive.send(json.dumps(what if what["do"] in ("leave", "stop") else {"beat": self.beat} | what))
 
     def stop(self) -> None:
         """Press the emergency stop."""
@@ -115,6 +117,7 @@ class Page:
                     self.refusals.append(told["refused"])
                     continue
                 self.beats += 1
+                self.beat = told["beat"]
                 if self.late_s:
                     time.sleep(self.late_s)
                 if self.answers:

@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 import json
+import threading
 import time
 from collections.abc import Callable
+from contextlib import suppress
+from typing import Any
 
 import pytest
+from websockets.exceptions import ConnectionClosed
 
-from services.console.seat import LET_GO_S, Seat
+from services.console.seat import LEASE_S, LET_GO_S, Seat
 from services.console.web import NONSENSE, TAKEN
 from services.recorder.service import RecorderService
 from services.robot.loop import STAND_WITHIN_S
@@ -124,6 +128,58 @@ def test_who_comes_back_goes_on_when_they_say_so_and_no_sooner(driving: Page, ro
 
 
 @unattended
+@pytest.mark.parametrize("what", [{"do": "resume"}, {"do": "drive", "goal": "dock"}], ids=lambda what: what["do"])
+def test_what_was_asked_long_ago_is_not_done(driving: Page, robot: Robot, what: dict[str, Any]) -> None:
+    """What a slow link or a console that was frozen delivers afterwards must not have a robot move by itself."""
+    asked_at, episode = driving.beat, driving.state["robot"]["episode"]
+    driving.answers = False
+    eventually(lambda: robot.gate.stop_cause == "operator_lost")
+    driving.answers, driving.held = True, None
+    beats = driving.beats
+    eventually(lambda: driving.beats > beats + 5)
+    driving.say(**what, beat=asked_at)
+    eventually(lambda: any("too late" in refusal for refusal in driving.refusals))
+    driving.say(do="cancel")
+    assert robot.gate.stop_cause == "operator_lost"
+    assert driving.state["robot"]["episode"] == episode
+
+
+@unattended
+def test_an_emergency_stop_overtakes_a_flood(
+    driving: Page, robot: Robot, console: Console, open_page: OpenPage
+) -> None:
+    """Somebody who drives says thousands of things; the stop of whoever watches waits for none but one of them."""
+    other = open_page()
+    eventually(lambda: other.robot(answers=True))
+    flooding, most = True, 0
+
+    def flood() -> None:
+        with suppress(ConnectionClosed):
+            while flooding:
+                driving.say(do="resume")
+
+    flooder = threading.Thread(target=flood, daemon=True)
+    flooder.start()
+    try:
+        deadline = time.monotonic() + 2.0
+        while time.monotonic() < deadline:
+            most = max(most, console.service._asked.qsize())
+            time.sleep(0.001)
+        assert most <= 2
+        other.stop()
+        eventually(lambda: robot.gate.stop_cause == "emergency_stop")
+    finally:
+        flooding = False
+        flooder.join(5.0)
+
+
+def test_the_emergency_stop_is_also_of_the_socket_that_drives(driving: Page, robot: Robot) -> None:
+    """Where all places to watch are taken, or that connection is lost."""
+    driving.say(do="stop")
+    eventually(lambda: robot.gate.stop_cause == "emergency_stop")
+
+
+@unattended
 def test_one_drives_and_others_watch(driving: Page, robot: Robot, open_page: OpenPage) -> None:
     other = open_page()
     eventually(lambda: other.robot(atom="forward") and other.state["taken"])
@@ -189,6 +245,17 @@ def test_nonsense_moves_nothing_and_is_told(driving: Page, robot: Robot, said: s
     eventually(lambda: _ended(watch) == NONSENSE)
 
 
+def test_bytes_are_nonsense_and_leave_no_traceback(open_page: OpenPage, caplog: pytest.LogCaptureFixture) -> None:
+    page = open_page()
+    watch, drive = page.open("watch"), page.open("drive")
+    watch.send(b"\x00")
+    eventually(lambda: _ended(watch) == NONSENSE)
+    drive.send(b"\x00")
+    eventually(lambda: "refused" in drive.recv(1.0))
+    assert "Traceback" not in caplog.text
+    assert "Exception" not in caplog.text
+
+
 def _ended(socket: object) -> int | None:
     try:
         socket.recv(0.1)  # type: ignore[attr-defined]
@@ -245,6 +312,7 @@ def test_the_seat() -> None:
     assert seat.answered(beat) == pytest.approx(clock.now_s + 0.15)
     clock.now_s += 0.16
     assert seat.answered(beat) is None, "it is late"
+    assert seat.answered(beat, LEASE_S) == pytest.approx(clock.now_s + 0.74)
     assert seat.answered(beat + 1) is None, "it was never sent"
     clock.now_s += 0.9
     assert not seat.take("b"), "late answers are a sign of life, though they move nothing"

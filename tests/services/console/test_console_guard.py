@@ -6,7 +6,9 @@ import re
 import socket
 import ssl
 import subprocess
+import time
 from collections.abc import Callable, Iterator
+from concurrent.futures import Future
 from http.client import HTTPConnection, HTTPSConnection
 from pathlib import Path
 
@@ -37,15 +39,22 @@ class Nobody:
     def __init__(self, root: Path) -> None:
         self.library = Library(root)
 
-    def hold(self, atom: object, until_s: float) -> None: ...
+    def hold(self, atom: object, until_s: float) -> Future[None]:
+        return self.stop()
 
-    def let_go(self) -> None: ...
+    def let_go(self) -> Future[None]:
+        return self.stop()
 
-    def leave(self) -> None: ...
+    def leave(self) -> Future[None]:
+        return self.stop()
 
-    def stop(self) -> None: ...
+    def stop(self) -> Future[None]:
+        done: Future[None] = Future()
+        done.set_result(None)
+        return done
 
-    def ask(self, ask: object) -> None: ...
+    def ask(self, ask: object, until_s: float) -> Future[None]:
+        return self.stop()
 
 
 @pytest.fixture
@@ -102,6 +111,21 @@ def test_a_foreign_page_is_answered_nothing(page: Page) -> None:
 @pytest.mark.parametrize("of", ["", "..%2f..%2fetc%2fpasswd", "%00", "a" * 3000])
 def test_pictures_are_of_what_is_listed(page: Page, of: str) -> None:
     assert page.get(f"/thumbnail?of={of}&k=0")[0] == 404
+
+
+def test_a_number_of_any_length_is_a_picture_that_is_not_there(page: Page) -> None:
+    """Python refuses to read one of more than 4,300 digits, with an exception."""
+    assert page.get(f"/taught/0123456789abcdef/{'9' * 5000}")[0] == 404
+    assert page.get(f"/thumbnail?of=x&k={'9' * 5000}")[0] == 404
+
+
+def test_rubbish_does_not_fill_the_log(page: Page, caplog: pytest.LogCaptureFixture) -> None:
+    name, port = page.address.split(":")
+    for _ in range(100):
+        with socket.create_connection((name, int(port)), timeout=5.0) as there:
+            there.sendall(b"rubbish\r\n\r\n")
+            assert b"400" in there.recv(100)
+    assert len([one for one in caplog.records if one.name == "uvicorn.error"]) <= 3
 
 
 def test_every_answer_forbids_foreign_code(page: Page) -> None:
@@ -168,6 +192,10 @@ def test_elsewhere_only_who_knows_the_token_gets_in_and_all_is_encrypted(keys: P
         assert status == 303
         assert cookie is not None
         assert all(part in cookie for part in ("HttpOnly", "Secure", "SameSite=strict"))
+        # Whoever has no token does not keep the loop busy, which an emergency stop may wait for.
+        began_s = time.monotonic()
+        assert get("/", Cookie=f'{COOKIE}="' + "\\" * 15_000 + '"')[0] == 401
+        assert time.monotonic() - began_s < 0.25
         known = cookie.partition(";")[0]
         assert get("/", Cookie=known)[0] == 200
         own = {"origin": f"https://{address}", "ssl": trusted}
@@ -177,6 +205,15 @@ def test_elsewhere_only_who_knows_the_token_gets_in_and_all_is_encrypted(keys: P
             assert "now" in str(watch.recv(5.0))
     finally:
         server.close()
+
+
+def test_a_certificate_that_is_of_no_use_is_said_before_anything_is_served(keys: Path) -> None:
+    subprocess.run(["openssl", "genpkey", "-algorithm", "ed25519", "-out", "key.pem"], cwd=keys, check=True)
+    with pytest.raises(ServiceError, match="are of no use"):
+        WebServer(Nobody(keys), Board(), settings(keys))
+    (keys / "key.pem").chmod(0o644)
+    with pytest.raises(BusError, match=r"key.pem can be read by others"):
+        WebServer(Nobody(keys), Board(), settings(keys))
 
 
 @pytest.mark.parametrize(

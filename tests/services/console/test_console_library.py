@@ -98,6 +98,14 @@ def test_links_out_of_the_root_and_hidden_files_are_not_listed(tmp_path: Path) -
     assert library.look() == {"folder": None, "recordings": [], "models": []}
 
 
+def test_of_a_link_it_is_the_link_that_is_deleted(library: Library, tmp_path: Path) -> None:
+    kept = tmp_path / "drives" / "drive-1.mcap"
+    (tmp_path / "drives" / "link.mcap").symlink_to(kept)
+    library.delete("drives/link.mcap")
+    assert kept.exists()
+    assert not (tmp_path / "drives" / "link.mcap").is_symlink()
+
+
 def test_a_model_tells_its_goals(tmp_path: Path) -> None:
     corridor.save_model(tmp_path / "corridor.smal")
     library = Library(tmp_path)
