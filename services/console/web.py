@@ -20,6 +20,7 @@ from starlette.responses import PlainTextResponse, Response
 from starlette.routing import Mount, Route, WebSocketRoute
 from starlette.staticfiles import StaticFiles
 from starlette.websockets import WebSocket, WebSocketDisconnect, WebSocketState
+from uvicorn.protocols.websockets.websockets_sansio_impl import WebSocketsSansIOProtocol
 
 from schemas.base import Atom
 from schemas.codec import describe
@@ -253,6 +254,16 @@ def _picture(jpeg: bytes) -> Response:
     return Response(jpeg, media_type="image/jpeg", headers={"Cache-Control": "private, max-age=3600"})
 
 
+class _Socket(WebSocketsSansIOProtocol):
+    """Answers no pings of who does not take the answers: they would fill the memory."""
+
+    def handle_ping(self) -> None:
+        if self.writable.is_set():
+            super().handle_ping()
+        else:
+            self.conn.data_to_send()  # the answer
+
+
 class WebServer:
     """Serves the page on a thread of its own.
 
@@ -278,6 +289,7 @@ class WebServer:
         logging.getLogger("uvicorn.error").addFilter(_seldom)
         config = uvicorn.Config(
             Guard(Web(person, board).application(), token),
+            ws=_Socket,
             ws_max_size=_MOST_BYTES,
             # A browser that says nothing for a while may still look.
             ws_ping_interval=20.0,

@@ -128,6 +128,28 @@ def test_rubbish_does_not_fill_the_log(page: Page, caplog: pytest.LogCaptureFixt
     assert len([one for one in caplog.records if one.name == "uvicorn.error"]) <= 3
 
 
+def test_pings_whose_answers_nobody_takes_fill_no_memory(page: Page) -> None:
+    name, port = page.address.split(":")
+    ping = bytes((0x89, 0x80 | 125, 0, 0, 0, 0)) + bytes(125)
+    with socket.socket() as there:
+        there.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 1 << 16)
+        there.settimeout(30.0)
+        there.connect((name, int(port)))
+        there.sendall(
+            f"GET /watch HTTP/1.1\r\nHost: {page.address}\r\nOrigin: http://{page.address}\r\nUpgrade: websocket\r\n"
+            "Connection: Upgrade\r\nSec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==\r\n"
+            "Sec-WebSocket-Version: 13\r\n\r\n".encode()
+        )
+        assert b"101" in there.recv(1000)
+        for _ in range(300):
+            there.sendall(ping * 1000)  # 39 MB in all
+        there.sendall(bytes((0x88, 0x80, 0, 0, 0, 0)))  # the end
+        answered = 0
+        while got := there.recv(1 << 20):
+            answered += len(got)
+    assert answered < 20e6
+
+
 def test_every_answer_forbids_foreign_code(page: Page) -> None:
     for path in ("/", "/main.js", "/none", "/thumbnail"):
         connection_headers = _headers(page, path)
