@@ -11,6 +11,8 @@ from pathlib import Path
 import pytest
 
 from schemas.rpc import Nothing, Status
+from services.robot.clock import TICK_S
+from services.robot.loop import STAND_WITHIN_S
 from services.table import SERVICES, stack_services
 from tests.benchmarks.faults.cells import MATRIX
 from tests.benchmarks.faults.rig import Rig, RigPlan, rig_for
@@ -21,6 +23,8 @@ pytestmark = [pytest.mark.rendering, pytest.mark.system, pytest.mark.timeout(300
 CELLS = {cell.name: cell for cell in MATRIX}
 #: What a machine that does other things as well may miss.
 BUSY = {"recovery", "pause", "rate", "stand still (not sure)"}
+#: And by how much the simulated robot, which shares its processor with all others, may stand late: a tick.
+LATE_S = TICK_S
 
 
 @pytest.fixture(scope="module")
@@ -35,7 +39,9 @@ def test_the_robot_stands_the_stack_recovers_and_the_recording_is_whole(rig: Rig
     assert outcome.recovery_s is not None, outcome
     assert outcome.recovery_s < 15.0
     assert (outcome.restart_s is not None) == (CELLS[name].watched is not None), outcome
-    assert set(outcome.not_met) <= BUSY, str(outcome.record())  # pytest would shorten anything else
+    record = outcome.record()
+    late = {"stand still"} if float(str(record["still_s"] or 0.0)) <= STAND_WITHIN_S + LATE_S else set()
+    assert set(outcome.not_met) <= BUSY | late, str(record)  # pytest would shorten anything else
     assert outcome.recorded > 100
 
 

@@ -10,6 +10,7 @@ import sys
 import threading
 import time
 from collections.abc import Iterator
+from contextlib import suppress
 from pathlib import Path
 from typing import TextIO
 
@@ -399,10 +400,12 @@ def test_what_is_handled_at_once_waits_for_nothing_and_is_lost_in_no_queue(
     node.at_once(stop, lambda _: stopped.set())
     run_node(node)
     ready(client, "sample")
-    calls = [
-        threading.Thread(target=lambda: client.call("sample", "work", Nothing(), Nothing, 20.0), daemon=True)
-        for _ in range(64)
-    ]
+
+    def ask() -> None:
+        with suppress(RpcError):  # of too many calls the oldest are not answered
+            client.call("sample", "work", Nothing(), Nothing, 20.0)
+
+    calls = [threading.Thread(target=ask, daemon=True) for _ in range(64)]
     for call in calls:
         call.start()
     assert busy.wait(10.0)
