@@ -56,6 +56,8 @@ MAX_SESSIONS: Final = 64
 WAITING_CALLS: Final = 32
 #: Most of a processor's time that answering the calls of one key takes.
 CALLS_SHARE: Final = 0.1
+#: A call that is being answered at the end is waited for so long.
+_LAST_ANSWER_S: Final = 1.0
 #: Largest call that a router passes on, for who is called to refuse it by name; `WAITING_CALLS` of them may wait.
 _CALL_BYTES: Final = 2 * MAX_RPC_BYTES
 #: Of calls: ahead of images and of what is replayed.
@@ -290,6 +292,7 @@ class ZenohWire(Wire):
         self._publishers: dict[str, zenoh.Publisher | zenoh.ext.AdvancedPublisher] = {}
         self._held = Budget(HELD_BYTES)
         self._declared: list[zenoh.Subscriber[None] | zenoh.ext.AdvancedSubscriber[None] | zenoh.Queryable[Any]] = []
+        self._answering: list[threading.Thread] = []
 
     def connected(self) -> bool:
         """Whether both sessions have a router."""
@@ -450,7 +453,9 @@ class ZenohWire(Wire):
         calls: zenoh.handlers.RingChannel[zenoh.Query] = zenoh.handlers.RingChannel(WAITING_CALLS)
         queryable = self.sessions[False].declare_queryable(key, calls, complete=True)
         self._declared.append(queryable)
-        threading.Thread(target=answer_all, name=f"calls of {key}", daemon=True).start()
+        thread = threading.Thread(target=answer_all, name=f"calls of {key}", daemon=True)
+        self._answering.append(thread)
+        thread.start()
 
     def call(self, key: str, request: bytes, timeout_s: float) -> Answer | None:
         """Call a key and wait for the answer."""
@@ -481,6 +486,10 @@ class ZenohWire(Wire):
             self._declared.pop().undeclare()
         for session in self.sessions.values():
             session.close()
+        # Each ends with its queryable. One that woke in Zenoh while Python ends would end the process by an abort.
+        for thread in self._answering:
+            if thread is not threading.current_thread():
+                thread.join(_LAST_ANSWER_S)
 
 
 def _priority(topic: Topic) -> zenoh.Priority:
