@@ -60,7 +60,7 @@ SERVICES: Final = {
         Service("router", "passes messages on"),
         Service(
             "robot",
-            "the gate, the loop and the body behind it, today a simulated one",
+            "the gate, the loop, and the body behind it: a simulated or a real one",
             takes=(*COMMANDS.values(), topics.HEARTBEAT),
             gives=(
                 *(topics.CAMERA, topics.JPEG, topics.CAMERA_INFO, topics.DEPTH, topics.OVERHEAD),

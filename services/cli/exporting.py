@@ -14,7 +14,7 @@ from services.cli import outputs
 from services.exporters.drives import Drive, ExportFailure, read
 from services.exporters.job import FORMATS, write
 from services.importers.drive import Tally
-from services.importers.job import Format, missing_packages
+from services.importers.job import Format, check_format
 from services.kit.errors import JobError, UsageError
 from services.recordings.dataset import find_recordings
 
@@ -43,10 +43,7 @@ def export_recordings(
 
     Example: smal export rosbag2 drives --out bags
     """
-    if format_ not in FORMATS:
-        raise UsageError(f"no format {format_!r}; known are: {', '.join(FORMATS)}")
-    if missing := missing_packages(format_):
-        raise UsageError(f"{format_} needs {' and '.join(missing)}: pip install -e '.[formats]'")
+    form = check_format(format_, FORMATS)
     try:
         files = find_recordings(recordings)
     except OSError as error:
@@ -59,13 +56,13 @@ def export_recordings(
             drives = read(reading, speed, turn_rate, tally)
             total = sum(len(drive.ticks) for drive in drives)
             with tqdm(desc="exporting", unit="tick", total=total, dynamic_ncols=True, disable=None) as bar:
-                write(format_, drives, folder, tally, lambda: cast("None", bar.update()))
+                write(form, drives, folder, tally, lambda: cast("None", bar.update()))
     except ExportFailure as error:
         raise JobError(str(error)) from None
     finally:
         for line in tally.lines():
             sys.stderr.write(f"smal: {line}\n")
-    typer.echo("\n".join(_lines(format_, drives, out)))
+    typer.echo("\n".join(_lines(form, drives, out)))
 
 
 def _lines(form: Format, drives: list[Drive], out: Path) -> Iterator[str]:

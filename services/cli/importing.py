@@ -20,7 +20,7 @@ from schemas.codec import describe
 from services.cli import options, outputs
 from services.cli.stack.child import tied
 from services.importers.atoms import Thresholds
-from services.importers.job import FORMATS, Job, Report, missing_packages
+from services.importers.job import FORMATS, Job, Report, check_format
 from services.importers.source_options import Wishes
 from services.kit.errors import JobError, UsageError
 from services.recordings.sink import free_path, publish
@@ -108,11 +108,7 @@ def import_recordings(
 
     Example: smal import donkeycar tub --rate 20 --to 25 --out drives
     """
-    if format_ not in FORMATS:
-        raise UsageError(f"no format {format_!r}; known are: {', '.join(FORMATS)}")
-    missing = missing_packages(format_)
-    if missing:
-        raise UsageError(f"{format_} needs {' and '.join(missing)}: pip install -e '.[formats]'")
+    check_format(format_)
     options.check_robot(robot)
     options.check_goal(goal)
     outputs.check_file(json_file, "--json")

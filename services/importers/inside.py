@@ -6,15 +6,16 @@ recording, or to a pipe that nobody ever writes to.
 
 from __future__ import annotations
 
+import errno
 import json
 import os
-import stat
 from collections.abc import Iterator
 from pathlib import Path
 from typing import IO, Any, Final
 
 from schemas.codec import printable
 from services.importers.drive import ImportFailure
+from services.kit.root import OutsideError, below, open_below
 
 #: Most bytes of a file that is read as a whole; the episodes of a thousand hours are described in less.
 MOST_BYTES: Final = 256 * 2**20
@@ -60,7 +61,7 @@ class Inside:
         """Return the path of a regular file without links, for those who open it themselves; errors as of `open`."""
         try:
             with self.open(name):
-                return (self._root / name).resolve(strict=True)
+                return below(self._root, name)
         except FileNotFoundError as error:
             raise ImportFailure(str(error)) from None
 
@@ -77,19 +78,19 @@ class Inside:
             When it is no regular file, or cannot be read.
         """
         try:
-            real = (self._root / name).resolve(strict=True)
-            if not real.is_relative_to(self._root):
-                raise Outside(f"{self.called(name)} leads out of {self.path}; copy links as files first (cp -rL)")
-            # Not a link any more; and a pipe must not be waited for.
-            descriptor = os.open(real, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC)
+            return open_below(self._root, name)
+        except OutsideError:
+            raise self._outside(name) from None
         except (FileNotFoundError, NotADirectoryError):
             raise FileNotFoundError(f"{self.called(name)}: no such file") from None
-        except (OSError, ValueError, RuntimeError) as error:
-            raise ImportFailure(f"{self.called(name)}: {getattr(error, 'strerror', None) or 'no file name'}") from None
-        if not stat.S_ISREG(os.fstat(descriptor).st_mode):
-            os.close(descriptor)
-            raise ImportFailure(f"{self.called(name)}: is no regular file")
-        return os.fdopen(descriptor, "rb")
+        except (OSError, ValueError) as error:
+            why = getattr(error, "strerror", None) or "no file name"
+            if getattr(error, "errno", None) in (errno.EISDIR, errno.EINVAL):
+                why = "is no regular file"
+            raise ImportFailure(f"{self.called(name)}: {why}") from None
+
+    def _outside(self, name: str) -> Outside:
+        return Outside(f"{self.called(name)} leads out of {self.path}; copy links as files first (cp -rL)")
 
     def read(self, name: str = "", most: int = MOST_BYTES) -> bytes:
         """Return the bytes of a file; errors are those of `open`, and one that is too large is another."""
@@ -122,10 +123,9 @@ class Inside:
     def names(self, folder: str = "") -> list[str]:
         """Return the names of what is in a folder, sorted; of none nothing."""
         try:
-            real = (self._root / folder).resolve(strict=True)
-            if not real.is_relative_to(self._root):
-                raise Outside(f"{self.called(folder)} leads out of {self.path}; copy links as files first (cp -rL)")
-            return sorted(path.name for path in real.iterdir())
+            return sorted(path.name for path in below(self._root, folder).iterdir())
+        except OutsideError:
+            raise self._outside(folder) from None
         except (FileNotFoundError, NotADirectoryError):
             return []
         except OSError as error:

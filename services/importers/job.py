@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import importlib
 import importlib.util
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Annotated, Final, Literal, get_args
 
@@ -18,6 +18,7 @@ from services.importers.drive import LEAST_FOCAL, MOST_FOCAL, ImportFailure, Sou
 from services.importers.inside import Inside
 from services.importers.source_options import Wishes
 from services.importers.writing import Purpose, Written, write
+from services.kit.errors import UsageError
 
 Format = Literal["rosbag2", "lerobot", "donkeycar", "folder"]
 FORMATS: Final[tuple[Format, ...]] = get_args(Format)
@@ -92,6 +93,22 @@ Progress = Callable[[int, int], None]
 def missing_packages(form: Format) -> list[str]:
     """Return what has to be installed for a format and is not."""
     return [name for name in _READERS[form][1] if importlib.util.find_spec(name) is None]
+
+
+def check_format(name: str, formats: Sequence[Format] = FORMATS) -> Format:
+    """Return the format of a name; what it needs is installed.
+
+    Raises
+    ------
+    UsageError
+        When there is none of that name, or something that it needs is missing.
+    """
+    form = next((one for one in formats if one == name), None)
+    if form is None:
+        raise UsageError(f"no format {name!r}; known are: {', '.join(formats)}")
+    if missing := missing_packages(form):
+        raise UsageError(f"{form} needs {' and '.join(missing)}: pip install -e '.[formats]'")
+    return form
 
 
 def run(job: Job, tally: Tally, progress: Progress = lambda _done, _total: None) -> Report:

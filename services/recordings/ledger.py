@@ -60,10 +60,6 @@ class Ledger:
             if self._ticks[topic]:
                 self._last[topic] = max(self._last[topic], end_tick)
 
-    def last_tick(self, topic: str) -> int:
-        """Return the last tick of a per-tick topic, -1 before the first."""
-        return self._last[topic]
-
     def whole(self, end_tick: int) -> bool:
         """Whether nothing is missing of an episode that ended at this tick."""
         return not self.gap_ticks and all(self._last[topic] >= end_tick for topic in TO_THE_END if self._ticks[topic])

@@ -165,7 +165,7 @@ class _Reader:
         fingerprint: str | None,
         allowance: Allowance,
         keep: Collection[Topic],
-        topics: Collection[Topic] | None = None,
+        topics: Collection[Topic] | None,
     ) -> None:
         self._wanted = None if topics is None else {EPISODE.name, *(topic.name for topic in topics)}
         self._allowance = allowance

@@ -165,7 +165,8 @@ class Senses:
         self.track = Track(config.speed_m_s, config.turn_rate_rad_s, silence_s)
         self._focal: tuple[float, int] | None = None
         self._forbidden: dict[str, tuple[tuple[str, frozenset[Atom]], ...]] = {}
-        self._touched = False
+        #: Whether the bumper was pressed since this was last set.
+        self.touched = False
         #: Messages that were none, or not newer than the one before, by topic.
         self.refused: Counter[str] = Counter()
         self._complaints = Throttle()
@@ -253,7 +254,7 @@ class Senses:
 
         def take(message: RosMessage, _arrived_s: float) -> None:
             touched, forbidden = read(message)
-            self._touched |= touched
+            self.touched |= touched
             self._forbidden[topic] = forbidden
 
         return take
@@ -282,15 +283,6 @@ class Senses:
     def frame(self) -> Frame | None:
         """Return the newest frame."""
         return self._frame
-
-    @property
-    def touched(self) -> bool:
-        """Whether the bumper was pressed since this was last set."""
-        return self._touched
-
-    @touched.setter
-    def touched(self, value: bool) -> None:
-        self._touched = value
 
     def focal_px(self, width: int) -> float | None:
         """Return the focal length in an image of so many columns, if the camera has told it."""

@@ -12,7 +12,7 @@ from typing import Any, Final
 import zenoh
 
 from schemas.codec import printable
-from services.kit.node import Detail, ServiceError, Throttle
+from services.kit.node import Detail, ServiceError
 from services.ros2 import messages
 from services.ros2.config import Ros2Config
 from services.ros2.messages import Messages
@@ -87,9 +87,8 @@ class Ros2Session:
         self._topic = config.full(config.velocity.topic)
         self._lock = Lock()
         self._tokens: dict[str, Endpoint] = {}
-        self._heard: dict[tuple[str, bytes], int] = {}
+        self._heard: dict[str, tuple[bytes, int]] = {}
         self._type: str | None = None if config.velocity.type == "auto" else str(config.velocity.type)
-        self._complaints = Throttle()
         try:
             self._session = zenoh.open(_settings(config))
         except zenoh.ZError:
@@ -139,12 +138,12 @@ class Ros2Session:
         if attached is None:
             self._senses.refuse(topic, "without the attachment that rmw_zenoh sends")
             return False
-        sender = topic, attached.gid
-        if attached.sequence <= self._heard.get(sender, -1):
+        gid, last = self._heard.get(topic, (b"", -1))
+        if attached.sequence <= (last if attached.gid == gid else -1):
             self._senses.refuse(topic, f"number {attached.sequence} of its publisher came after a later one")
             return False
         # Of each topic the publisher that is heard now; one that was started again has another id.
-        self._heard = {who: last for who, last in self._heard.items() if who[0] != topic} | {sender: attached.sequence}
+        self._heard[topic] = attached.gid, attached.sequence
         return True
 
     # -- who is there ---------------------------------------------------------------------------------------------

@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from services.cli import exporting
 from services.exporters import csv_folder
+from services.importers import job
 from services.recordings.sink import claim
 from tests.services.cli.conftest import Smal
 from tests.services.exporters.recorded_drive import MADE, recording
@@ -79,7 +79,7 @@ def test_an_empty_folder_is_filled(smal: Smal, tmp_path: Path) -> None:
 
 
 def test_packages_that_are_missing_are_named(smal: Smal, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(exporting, "missing_packages", lambda _form: ["pyarrow", "av"])
+    monkeypatch.setattr(job, "missing_packages", lambda _form: ["pyarrow", "av"])
     status, _, errors = smal("export", "lerobot", "x", "--out", "y")
     assert (status, errors) == (2, "smal: lerobot needs pyarrow and av: pip install -e '.[formats]'\n")
 

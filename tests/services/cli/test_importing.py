@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from services.cli import importing
+from services.importers import job
 from services.recordings.reader import read_recording
 from tests.services.importers import sources
 
@@ -69,7 +70,7 @@ def test_bad_use_is_one_line(smal, arguments: tuple[str, ...], status: int, said
 
 def test_missing_packages_are_named_in_one_line(smal, monkeypatch: pytest.MonkeyPatch) -> None:  # noqa: ANN001
     monkeypatch.setitem(sys.modules, "pyarrow", None)
-    monkeypatch.setattr(importing, "missing_packages", lambda _form: ["pyarrow", "av"])
+    monkeypatch.setattr(job, "missing_packages", lambda _form: ["pyarrow", "av"])
     status, _, errors = smal("import", "lerobot", "x")
     assert (status, errors) == (2, "smal: lerobot needs pyarrow and av: pip install -e '.[formats]'\n")
 

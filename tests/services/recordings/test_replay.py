@@ -139,7 +139,9 @@ def check_decisions(client: Bus, robot: Node, path: Path, model: Model) -> list[
     player = Player(robot, track, "replay-1", dict(REPLAYABLE))
     player.run(answered)
     last = len(expected) - 1
-    heard.wait(topics.COMMANDS["policy"], last)
+    # A command is urgent: it overtakes what it was decided by.
+    for topic in (topics.STATE, topics.ACTION, topics.COMMANDS["policy"]):
+        heard.wait(topic, last)
     for tick, (atom, kind, belief) in enumerate(expected):
         command, action, state = (heard.said[name][tick] for name in ("command/policy", "action", "state"))
         assert isinstance(command, Command)
