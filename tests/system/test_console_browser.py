@@ -11,7 +11,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import closing, contextmanager, suppress
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import pytest
 
@@ -27,14 +27,14 @@ from services.robot.loop import STAND_WITHIN_S
 from services.simulator.world import load_world
 from services.simulator.world.route import plan_route
 from services.table import stack_services
+from tests.benchmarks.soak.page import CHROMIUM, FLAGS, NO_CHROMIUM, held, judge_page
 from tests.services.waiting import eventually
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser, Page
 
-CHROMIUM = shutil.which("chromium")
 if CHROMIUM is None:
-    pytest.skip("no chromium on this machine: the page is not tried in a browser", allow_module_level=True)
+    pytest.skip(f"{NO_CHROMIUM}: the page is not tried in a browser", allow_module_level=True)
 pytestmark = [pytest.mark.system, pytest.mark.rendering, pytest.mark.zenoh]
 KEYS = {"forward": "w", "left": "a", "right": "d", "backward": "s"}
 SPEED_M_S = 2.0
@@ -45,9 +45,11 @@ WHOLE_LOOP_S = 240.0
 class Site:
     """A stack with its page, and what the robot really does."""
 
-    def __init__(self, address: str, bus: Bus) -> None:
+    def __init__(self, address: str, stack: Stack, bus: Bus, root: Path) -> None:
         self.address = address
+        self.stack = stack
         self.bus = bus
+        self.root = root
         self.poses: list[Pose] = []
         #: What moved the robot, since when.
         self.applied: list[tuple[float, CommandApplied]] = []
@@ -86,8 +88,8 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Site]:
         "console": flags(console=address) + below,
     }
     plan = StackPlan(stack_services(), "rescuebot", endpoint, own, logs=root / "logs")
-    with Stack(plan), closing(Bus("rescuebot", endpoint)) as bus:
-        yield Site(f"http://{address}/", bus)
+    with Stack(plan) as stack, closing(Bus("rescuebot", endpoint)) as bus:
+        yield Site(address, stack, bus, root)
 
 
 @pytest.fixture(scope="module")
@@ -95,7 +97,7 @@ def browser() -> Iterator[Browser]:
     """Start Debian's Chromium; as root it runs without its sandbox."""
     playwright = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
     with playwright.sync_playwright() as play:
-        yield play.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox"])
+        yield play.chromium.launch(executable_path=CHROMIUM, args=FLAGS)
 
 
 @pytest.fixture
@@ -106,13 +108,16 @@ def page(browser: Browser, site: Site) -> Iterator[Page]:
 
 
 @contextmanager
-def opened(browser: Browser, site: Site) -> Iterator[Page]:
-    """Open the page in a context of its own, as another person would; no error may appear in it."""
+def opened(browser: Browser, site: Site, by: str | None = None) -> Iterator[Page]:
+    """Open the page in a context of its own, as another person would; no error may appear in it.
+
+    ``by`` is another address that leads to it.
+    """
     context = browser.new_context(viewport={"width": 1440, "height": 1000})
     page = context.new_page()
     errors: list[str] = []
     page.on("pageerror", lambda error: errors.append(str(error)))
-    page.goto(site.address)
+    page.goto(f"http://{by or site.address}/")
     eventually(lambda: told(page) and "onnect" not in told(page))
     try:
         yield page
@@ -202,9 +207,13 @@ def test_teach_once_learn_run_found(page: Page, site: Site) -> None:
     assert run_in(page, "document.querySelector('#belief img').naturalWidth") == 320
 
 
-def run_in(page: Page, script: str) -> object:
+def run_in(page: Page, script: str) -> Any:
     """Run a script as the developer's tools do; the page's own policy forbids what Playwright would do."""
-    answer = page.context.new_cdp_session(page).send("Runtime.evaluate", {"expression": script})
+    tools = page.context.new_cdp_session(page)
+    asked = {"expression": script, "awaitPromise": True, "returnByValue": True}
+    answer = tools.send("Runtime.evaluate", asked)
+    assert "exceptionDetails" not in answer, answer
+    tools.detach()
     return answer["result"].get("value")
 
 
@@ -358,3 +367,168 @@ def test_a_hostile_name_is_shown_as_it_is(page: Page, site: Site) -> None:
     page.click("#drive-form button")
     eventually(lambda: "goal: String should match pattern" in page.inner_text("#news"))
     assert page.locator("#news img").count() == 0
+
+
+# -- who sees and how --------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def taught_here(site: Site, taught: Path) -> Iterator[None]:
+    """Have a model, and the recording that it was learned from, where the page finds them."""
+    files = {taught / "model.smal": site.root / "models" / "taught.smal"}
+    files |= {one: site.root / "drives" / one.name for one in (taught / "drives").glob("*.mcap")}
+    for here, there in files.items():
+        there.parent.mkdir(exist_ok=True)
+        shutil.copy(here, there)
+    yield
+    for there in files.values():
+        there.unlink()
+
+
+def begin_a_run(page: Page) -> None:
+    """Begin a run, and see the first belief."""
+    name = "models/taught.smal"
+    eventually(lambda: page.locator(f"#run-form option[value='{name}']").count() == 1)
+    page.select_option("#run-form select[name=model]", name)
+    page.click("#run-form button")
+    eventually(lambda: data(page, "episode").startswith("run"), timeout_s=60.0)
+    eventually(lambda: page.locator("#belief img").get_attribute("src"), timeout_s=30.0)
+
+
+def look(page: Page, frames: int) -> None:
+    """Look on while so many frames of the robot pass."""
+
+    def frame() -> int:
+        _, _, text = page.inner_text("#episode").partition("frame ")
+        return int(text.split(",")[0] or 0)
+
+    until = frame() + frames
+    eventually(lambda: frame() >= until, timeout_s=30.0)
+
+
+SIZES = {1440: 1000, 1024: 900, 390: 844}
+# Of the results of a run of axe-core those that are wrong, with the elements that they are about.
+VIOLATIONS = """axe.run({resultTypes: ["violations"]}).then(({violations}) => violations.map(
+    ({id, nodes}) => `${id}: ${nodes.map(({target}) => target.join(" ")).join(", ")}`))"""
+
+
+@pytest.mark.usefixtures("taught_here")
+def test_axe_core_finds_nothing(page: Page) -> None:
+    axe = pytest.importorskip("axe_playwright_python.base", reason="axe-playwright-python is not installed")
+    run_in(page, f"{axe.AXE_SCRIPT}; 0")
+
+    def violations() -> dict[tuple[str, int], list[str]]:
+        found = {}
+        for scheme in ("light", "dark"):
+            page.emulate_media(color_scheme=scheme)  # type: ignore[arg-type]
+            for width, height in SIZES.items():
+                page.set_viewport_size({"width": width, "height": height})
+                found[scheme, width] = run_in(page, VIOLATIONS)
+        page.set_viewport_size({"width": 1440, "height": SIZES[1440]})
+        return {where: wrong for where, wrong in found.items() if wrong}
+
+    assert violations() == {}
+    begin_a_run(page)
+    assert violations() == {}
+    # It does look, and in all of them.
+    run_in(page, "document.querySelector('#resume').style.color = 'var(--line)'")
+    wrong = violations()
+    assert len(wrong) == 2 * len(SIZES)
+    assert all(one == ["color-contrast: #resume"] for one in wrong.values())
+
+
+SHIFTS = """new PerformanceObserver((list) => {
+    window.shifted = (window.shifted ?? 0) + list.getEntries().filter((one) => !one.hadRecentInput)
+        .reduce((sum, one) => sum + one.value, 0);
+}).observe({type: "layout-shift", buffered: true})"""
+#: What counts as good; Google's Web Vitals.
+MOST_SHIFT = 0.1
+
+
+@pytest.mark.usefixtures("taught_here")
+def test_nothing_moves_below_the_eyes(page: Page, site: Site) -> None:
+    def shifted() -> float:
+        return float(run_in(page, "window.shifted ?? 0"))
+
+    run_in(page, SHIFTS)
+    begin_a_run(page)
+    look(page, 20)
+    begin_a_drive(page, site)
+    for width, height in SIZES.items():
+        page.set_viewport_size({"width": width, "height": height})
+        run_in(page, "document.querySelector('#belief').scrollIntoView()")
+        look(page, 20)
+    assert shifted() < MOST_SHIFT
+    run_in(page, "scrollTo(0, 0); document.querySelector('main').prepend(document.createElement('canvas'))")
+    eventually(lambda: shifted() >= MOST_SHIFT)
+
+
+CONTROLS = """window.controls = [...document.querySelectorAll("a, button, input, select, textarea, [tabindex]")]
+    .filter((one) => one.checkVisibility() && !one.disabled); controls.length"""
+FOCUSED = """(() => {
+    const one = document.activeElement, {outlineStyle, outlineWidth} = getComputedStyle(one);
+    return [controls.indexOf(one), outlineStyle, outlineWidth];
+})()"""
+
+
+def test_keys_alone_reach_everything_and_drive(page: Page, site: Site) -> None:
+    page.focus("#drive-form input")
+    page.keyboard.press("Enter")
+    eventually(lambda: data(page, "episode") != "", timeout_s=60.0)
+    eventually(lambda: page.locator("#found").is_enabled())
+    count = run_in(page, CONTROLS)
+    assert count > 15
+    reached = {}
+    # Once round, by the browser's own controls as well.
+    for _ in range(2 * count):
+        page.keyboard.press("Tab")
+        place, *outline = run_in(page, FOCUSED)
+        reached[place] = outline
+        if set(range(count)) <= set(reached):
+            break
+    reached.pop(-1, None)
+    assert set(reached) == set(range(count))
+    assert [one for one in reached.values() if one != ["solid", "3px"]] == []
+    for key in ("Space", "Enter"):
+        page.focus("#pad [data-atom=left]")
+        page.keyboard.down(key)
+        eventually(lambda: site.drives and site.applied[-1][1].atom == "left")
+        released_s = time.monotonic()
+        if key == "Space":
+            page.keyboard.up(key)
+        else:
+            page.keyboard.press("Tab")
+        assert site.stood_s(released_s) <= STAND_WITHIN_S
+
+
+# Keeps every picture, ten nodes and a listener for each.
+LEAK = """(() => {
+    const kept = [], draw = createImageBitmap;
+    window.createImageBitmap = async (blob) => {
+        const node = document.createElement("p");
+        node.append(...Array.from({length: 9}, () => document.createElement("p")));
+        kept.push(await blob.arrayBuffer(), node);
+        addEventListener("resize", () => node);
+        return draw(blob);
+    };
+})()"""
+
+
+@pytest.mark.usefixtures("taught_here")
+def test_a_page_that_watches_does_not_grow(page: Page, site: Site) -> None:
+    """For ten minutes: ``smal bench soak --page``."""
+    begin_a_run(page)
+    begin_a_drive(page, site)
+    tools = page.context.new_cdp_session(page)
+    look(page, 30)
+    first = held(0.0, tools.send)
+    look(page, 100)
+    then = held(1.0, tools.send)
+    assert judge_page([first, then])[""] == "met"
+    run_in(page, LEAK)
+    eventually(
+        lambda: judge_page([then, held(2.0, tools.send)])[""] == "NOT MET: memory, nodes, listeners", timeout_s=30.0
+    )
+
+
+# -- faults ------------------------------------------------------------------------------------------------------------

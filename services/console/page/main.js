@@ -128,8 +128,9 @@ for (const button of pad.children) {
     drive.sits ? drive.press(atom) : press();
   };
   for (const let_go of ["onpointerup", "onpointercancel", "onlostpointercapture", "onblur"]) button[let_go] = () => drive.release(atom);
-  button.onkeydown = ({ code, repeat }) => ["Space", "Enter"].includes(code) && !repeat && drive.sits && drive.press(atom);
-  button.onkeyup = ({ code }) => ["Space", "Enter"].includes(code) && drive.release(atom);
+  // Who returns false there keeps every key from what it does elsewhere, and Tab would not lead away.
+  button.onkeydown = ({ code, repeat }) => { if (["Space", "Enter"].includes(code) && !repeat && drive.sits) drive.press(atom); };
+  button.onkeyup = ({ code }) => { if (["Space", "Enter"].includes(code)) drive.release(atom); };
   button.oncontextmenu = (event) => event.preventDefault();
 }
 setInterval(() => { drawStatus(); drawBelief(watch.state, (channel) => watch.age(channel)); }, 500);
