@@ -9,7 +9,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
-from contextlib import closing, contextmanager, suppress
+from contextlib import AbstractContextManager, closing, contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -27,8 +27,9 @@ from services.robot.loop import STAND_WITHIN_S
 from services.simulator.world import load_world
 from services.simulator.world.route import plan_route
 from services.table import stack_services
+from tests.benchmarks.faults.proxy import link
 from tests.benchmarks.soak.page import CHROMIUM, FLAGS, NO_CHROMIUM, held, judge_page
-from tests.services.waiting import eventually
+from tests.services.waiting import eventually, status_of
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser, Page
@@ -68,6 +69,12 @@ class Site:
         """Wait until the actuator stands; return how long after a time it was last told to move."""
         eventually(lambda: not self.drives)
         return max((at for at, one in self.applied if one.atom != "stop"), default=since_s) - since_s
+
+    def pid_of_console(self) -> int:
+        """Wait until the console answers; return its process id."""
+        status = eventually(lambda: status_of(self.bus, "console"), timeout_s=30.0)
+        assert status is not None
+        return status.pid
 
     def robot(self, key: str) -> object:
         """Return what the robot tells of itself."""
@@ -532,3 +539,62 @@ def test_a_page_that_watches_does_not_grow(page: Page, site: Site) -> None:
 
 
 # -- faults ------------------------------------------------------------------------------------------------------------
+
+
+@contextmanager
+def killed(site: Site, _link: int) -> Iterator[None]:
+    """Kill the console; whoever looks after the stack starts it again."""
+    os.kill(site.pid_of_console(), signal.SIGKILL)
+    yield
+    eventually(lambda: "console" in site.stack.restart_dead())
+    site.pid_of_console()
+
+
+@contextmanager
+def frozen(pid: int) -> Iterator[None]:
+    os.kill(pid, signal.SIGSTOP)
+    try:
+        yield
+    finally:
+        os.kill(pid, signal.SIGCONT)
+
+
+@pytest.mark.parametrize(
+    ("fault", "says"),
+    [
+        (killed, "No connection to the console for"),
+        (lambda site, _: frozen(site.pid_of_console()), "No word from the console for"),
+        (lambda _, link: frozen(link), "No word from the console for"),
+    ],
+    ids=["the console is killed", "the console is frozen", "the link is cut"],
+)
+def test_without_its_console_the_robot_stands_until_somebody_asks(
+    browser: Browser, site: Site, fault: Callable[[Site, int], AbstractContextManager[None]], says: str
+) -> None:
+    with link(f"tcp/{site.address}") as (by, link_pid), opened(browser, site, by.removeprefix("tcp/")) as page:
+        drive_ahead(page, site)
+        began_s = time.monotonic()
+        with fault(site, link_pid):
+            assert site.stood_s(began_s) <= STAND_WITHIN_S
+            eventually(lambda: told(page).startswith(says))
+        # The key is still down.
+        eventually(lambda: "the console" not in told(page))
+        said = len(site.applied)
+        eventually(lambda: len(site.applied) > said + 10)
+        assert not site.drives
+        assert site.robot("stop_cause") is not None
+        page.keyboard.up("w")
+        page.click("#resume")
+        eventually(lambda: site.robot("stop_cause") is None)
+        page.keyboard.down("w")
+        eventually(lambda: site.drives)
+
+
+def test_a_stop_that_may_not_arrive_is_said(page: Page, site: Site) -> None:
+    with frozen(site.pid_of_console()):
+        eventually(lambda: told(page).startswith("No word from the console for"))
+        page.keyboard.press("Escape")
+        eventually(lambda: "The console does not answer: the emergency stop may be late." in page.inner_text("#news"))
+    eventually(lambda: "EMERGENCY STOP" in told(page))
+    page.click("#resume")
+    eventually(lambda: site.robot("stop_cause") is None)

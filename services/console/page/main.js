@@ -8,7 +8,7 @@ import { drawMap } from "./map.js";
 import { drawJob, drawLibrary, wireTeaching } from "./teach.js";
 import { Watch } from "./watch.js";
 
-const OLD_S = 1, SILENT_S = 2, MOST_LINES = 50;
+const OLD_S = 1, SILENT_S = 2, NO_WORD_S = 3, MOST_LINES = 50;
 const CAUSES = {
   not_armed: "Not armed: begin a drive or a run, or arm it",
   emergency_stop: "EMERGENCY STOP: it stands until it is armed",
@@ -51,6 +51,7 @@ async function onPicture(blob) {
 function status() {
   const { robot } = watch.state;
   if (!watch.connected) return ["bad", `No connection to the console for ${seconds((performance.now() - watch.sinceMs) / 1000)}`];
+  if (watch.silence > NO_WORD_S) return ["bad", `No word from the console for ${seconds(watch.silence)}`];
   if (!robot || (!robot.answers && !robot.waiting)) return ["bad", `The robot does not answer ${illness(watch.state.health, ["router", "robot"])}`];
   if (robot.emergency || robot.cause) return ["bad", CAUSES[robot.emergency ? "emergency_stop" : robot.cause]];
   if (robot.waiting) return ["warn", "Waiting for the robot …"];
@@ -111,6 +112,7 @@ function tell(text, when = new Date()) {
 
 function stop() {
   if (![watch.stop(), drive.stop()].includes(true)) tell("NOT SENT: there is no connection to the console.");
+  else if (watch.silence > NO_WORD_S) tell("The console does not answer: the emergency stop may be late.");
 }
 
 $("#stop").onclick = stop;
