@@ -3,8 +3,8 @@
 The services features, recognition and policy run as processes on a router of their own. In place of the simulator a
 recorded drive is shown to them at 10 Hz, and what the policy answers goes through the actuator's gate. The time goes
 from before a frame is packed to the acceptance of its command; rendering is apart. The filter decides at every frame;
-the paper's scheme every l frames, and follows its plan at the others. With --watchers every case is measured twice, in turns
-drive by drive: with no page of the console, and with so many that watch, the first of which takes nothing.
+the paper's scheme every l frames, and follows its plan at the others. With --watchers every case is measured twice, in
+turns drive by drive: with no page of the console, and with so many that watch, the first of which takes nothing.
 """
 
 from __future__ import annotations

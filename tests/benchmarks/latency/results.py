@@ -55,7 +55,7 @@ def judge(one: dict[str, Any]) -> Record:
 
 
 def judge_watched(quiet: dict[str, Any], watched: dict[str, Any]) -> Record:
-    """Compare what pages that watch cost with what they may: in the median, or at the 95th percentile if that is more."""
+    """Compare what pages that watch cost with what they may: in the median, or at the 95th percentile if it is more."""
     pairs = [(watched["decisions"][mark], quiet["decisions"][mark]) for mark in ("p50_ms", "p95_ms")]
     ratio = None if any(None in pair for pair in pairs) else max(one / other for one, other in pairs)
     where = f"{quiet['scheme']}, {quiet['camera']}, {watched['watchers']} watchers over none"
