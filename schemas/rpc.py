@@ -38,6 +38,12 @@ FolderName = Annotated[str, Field(max_length=_MAX_NAME), AfterValidator(_is_belo
 #: A file below the root of a service.
 FileName = Annotated[str, Field(min_length=1, max_length=_MAX_NAME), AfterValidator(_is_below)]
 
+#: What a person calls an episode.
+EpisodeName = Annotated[str, Field(pattern=r"^[a-z0-9][a-z0-9_-]{0,31}$")]
+#: Name of a world, or of a variation of its light and things.
+WORLD_NAME_PATTERN: Final = r"^\w[\w .-]{0,63}$"
+WorldName = Annotated[str, Field(pattern=WORLD_NAME_PATTERN)]
+
 #: Most frames of an episode: a day and more.
 MAX_TICKS: Final = 1_000_000
 
@@ -105,6 +111,12 @@ class ResetRequest(Strict):
 
     session: SessionId = ""
     """Whose episode it will be."""
+    name: EpisodeName | None = None
+    """What its id begins with, and so its recording's name; purpose and seed if not given."""
+    world: WorldName | None = None
+    """World to be in from now on, one of those that the status tells; the same if not given (simulated robots)."""
+    variation: WorldName | None = None
+    """Conditions there, one of those that the status tells; the same if not given (simulated robots)."""
     seed: Annotated[int, Field(ge=0, lt=2**63)]
     """Seed of start pose and actuation noise."""
     purpose: Purpose = "run"

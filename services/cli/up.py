@@ -120,7 +120,7 @@ def up(
     below = flags(root=root.resolve())
     own = {
         "router": flags(insecure=insecure or None),
-        "robot": simulator.flags() if ros2_config is None else flags(ros2_config=ros2_config.resolve()),
+        "robot": (*simulator.flags(), *below) if ros2_config is None else flags(ros2_config=ros2_config.resolve()),
         "features": feature_flags(features),
         "recognition": (*chain, *below),
         "policy": (*chain, *below),

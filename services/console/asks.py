@@ -8,7 +8,7 @@ from pydantic import Field, TypeAdapter
 
 from schemas.base import Atom, Strict
 from schemas.episode import GoalName
-from schemas.rpc import FileName, Start
+from schemas.rpc import EpisodeName, FileName, Scheme, Start, WorldName
 
 #: Name of a model that is learned: its file's, without the end.
 ModelName = Annotated[str, Field(pattern=r"^\w[\w .-]{0,63}$")]
@@ -66,22 +66,35 @@ class End(Asked):
     """Whether the goal is reached."""
 
 
-class Drive(Asked):
+class Begin(Asked):
+    """Begin an episode."""
+
+    world: WorldName | None = None
+    """In which world; in the one that it is in if not given."""
+    variation: WorldName | None = None
+    """Under which conditions; those that it is in if not given."""
+
+
+class Drive(Begin):
     """Begin a drive by hand, and record it."""
 
     do: Literal["drive"]
     goal: GoalName
     """Where it leads."""
+    name: EpisodeName | None = None
+    """What its recording's name begins with."""
 
 
-class Run(Asked):
+class Run(Begin):
     """Have the robot search by itself."""
 
     do: Literal["run"]
     model: FileName
     """With which model; recognition and policy load it first."""
-    goal: GoalName
-    """Where to."""
+    scheme: Scheme = "filter"
+    """How it is to know where it is, and decide."""
+    goal: GoalName | None = None
+    """Where to; the paper's scheme goes to the nearest goal."""
     start: Start
     """Where it begins."""
     seed: Seed

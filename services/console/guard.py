@@ -16,6 +16,8 @@ from starlette.responses import PlainTextResponse, RedirectResponse, Response
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 COOKIE: Final = "smal_console"
+#: Where a map may be sent to.
+MAP: Final = "/map"
 _LOOPBACK: Final = frozenset({"localhost", "127.0.0.1", "[::1]"})
 _PORT: Final = re.compile(r":\d{1,5}\Z")
 #: Nothing but what this server sends is run, shown or connected to, and no text becomes markup in the page.
@@ -70,7 +72,10 @@ class Guard:
         if origin != own and (origin is not None or scope["type"] == "websocket"):
             return PlainTextResponse("only the console's own page may ask\n", 403)
         if scope["type"] == "http" and scope["method"] not in ("GET", "HEAD"):
-            return PlainTextResponse("nothing is changed this way\n", 405)
+            if (scope["method"], scope["path"]) != ("POST", MAP):
+                return PlainTextResponse("nothing is changed this way\n", 405)
+            if origin is None:
+                return PlainTextResponse("only the console's own page may ask\n", 403)
         return None if self._token is None else self._unknown(scope, headers, self._token)
 
     @staticmethod

@@ -13,18 +13,8 @@ from services.kit.health import ailment
 
 #: How often services are asked, and how long one may take to answer.
 ASK_S: Final = 1.0
-#: What a service tells of itself that a person wants to know.
-_TOLD: Final = (
-    "world",
-    "model",
-    "goal",
-    "recording",
-    "last_error",
-    "attended",
-    "stop_cause",
-    "late_frames",
-    "modalities",
-)
+#: What a service tells of itself that the page needs.
+_TOLD: Final = ("world", "worlds", "variation", "variations")
 
 
 class Health:

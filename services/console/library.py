@@ -26,9 +26,10 @@ from smal import container
 from smal.container import ModelError
 from smal.model import FORMAT_VERSION
 
-#: Folders below the root: of the drives, unless the recorder says otherwise, and of the models that are learned here.
+#: Folders below the root: of the drives, unless the recorder says otherwise, and of the models and worlds made here.
 DRIVES: Final = "drives"
 MODELS: Final = "models"
+WORLDS: Final = "worlds"
 #: Pictures along a drive, and their width; six of them fill a row of the list.
 THUMBNAILS: Final = 6
 _WIDTH: Final = 160
@@ -199,10 +200,7 @@ class Library:
         try:
             with open_below(self.root, name) as file:
                 meta = container.read_meta(file, name, FORMAT_VERSION)
-            mapped = meta["map"]
-            if mapped is None:
-                return stamp, replace(listed, useless="it has no map of views; smal run --scheme paper runs it")
-            goals = tuple(sorted({printable(str(goal)) for goal in mapped["goals"]}))
+            goals = tuple(sorted({printable(str(goal)) for goal in (meta["map"] or {"goals": ()})["goals"]}))
             return stamp, replace(listed, goals=goals, fingerprint=printable(str(meta["feature_fingerprint"])),
                                        longest=max(int(frames) for frames in meta["frames"]))  # fmt: skip
         except (ModelError, LookupError, TypeError, ValueError, ArithmeticError, OSError) as error:

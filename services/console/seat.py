@@ -7,6 +7,8 @@ nothing, as the robot's gate has it for commands.
 
 from __future__ import annotations
 
+import hmac
+import secrets
 from collections.abc import Callable
 from typing import Final
 
@@ -34,6 +36,8 @@ class Seat:
     def __init__(self, clock: Callable[[], float] = now_s) -> None:
         self._clock = clock
         self._sitter: object | None = None
+        #: What only who has the seat is told; they show it with what comes another way than their socket.
+        self.word = ""
         self._heard_s = 0.0
         self._beat = -1
         self._sent_s: dict[int, float] = {}
@@ -44,12 +48,17 @@ class Seat:
         if self._sitter is not None and now - self._heard_s <= LEASE_S:
             return False
         self._sitter, self._heard_s = who, now
+        self.word = secrets.token_urlsafe(16)
         self._sent_s.clear()
         return True
 
     def holds(self, who: object) -> bool:
         """Whether this one has the seat."""
         return self._sitter is who
+
+    def knows(self, word: str) -> bool:
+        """Whether a word is that of whoever has the seat now."""
+        return self._sitter is not None and hmac.compare_digest(word.encode(), self.word.encode())
 
     def leave(self, who: object) -> None:
         """Stand up."""

@@ -7,7 +7,7 @@ import secrets
 import threading
 from collections.abc import Callable
 from concurrent.futures import Future, InvalidStateError
-from contextlib import suppress
+from contextlib import AbstractContextManager, suppress
 from pathlib import Path
 from queue import Empty, SimpleQueue
 from typing import Final
@@ -23,9 +23,9 @@ from schemas.tracked_pose import TrackedPose
 from services.console.asks import LATE, Ask, Cancel, Delete, Drive, End, Learn, Resume, Run
 from services.console.board import Board
 from services.console.health import ASK_S, Health
+from services.console.jobs import Job, Jobs
 from services.console.learned import Learned, learned_of
-from services.console.learning import Learning
-from services.console.library import DRIVES, MODELS, LearnedModel, Library
+from services.console.library import DRIVES, MODELS, WORLDS, LearnedModel, Library
 from services.console.reports import BoardReports
 from services.console.seat import LEASE_S, LET_GO_S
 from services.kit.jpeg import is_jpeg
@@ -69,7 +69,7 @@ class ConsoleService:
         self._operator = Operator(node, KeyHold(board.clock, LET_GO_S, LET_GO_S), self._reports)
         self.library = Library(root)
         self._health = Health(node.bus, tuple(name for name in stack_services() if name != node.name))
-        self._learning = Learning(lambda job: board.put("job", job))
+        self._jobs = Jobs(lambda job: board.put("job", job))
         #: The model that the robot goes by.
         self.learned: Learned | None = None
         self._followed: tuple[object, object] = (None, None)
@@ -102,11 +102,16 @@ class ConsoleService:
     def close(self) -> None:
         """Stop looking, and let go of the robot in good order."""
         self._closed.set()
-        self._learning.cancel()
+        self._jobs.cancel()
         self._operator.release()
         for thread in self._rounds:
             if thread.is_alive():
                 thread.join(2 * ASK_S)
+
+    @property
+    def attended(self) -> bool:
+        """Whether somebody drives, and has answered a moment ago."""
+        return self._board.clock() < self._there_until_s
 
     # -- what browsers say ----------------------------------------------------------------------------------------
 
@@ -167,13 +172,35 @@ class ConsoleService:
 
         return self._do(take)
 
+    def make_world(self, name: str, osm_map: Path, needs: AbstractContextManager[object]) -> Future[None]:
+        """Make a world of a map; ``needs`` is exited when the map has been read."""
+
+        def take() -> None:
+            try:
+                out = below(self.library.root, f"{WORLDS}/{name}.json")
+                job = Job(
+                    "world",
+                    name,
+                    doing=f"Making a world of {name}",
+                    done=f"{name} is a world now: begin a drive in it.",
+                    arguments=("world", "import", str(osm_map)),
+                    out=out,
+                    hidden=f"{osm_map.parent}/",
+                    needs=needs,
+                )
+                self._jobs.begin(job)
+            except (ServiceError, OSError) as error:
+                self._reports.say(str(error))
+
+        return self._do(take)
+
     def _bridge(self) -> None:
         """Have a robot that would move alone not miss a browser that stutters: what it held is let go all the same.
 
         A robot that moves only while its operator is there hears of none but their own answers.
         """
         robot = self._health.statuses.get("robot")
-        if self._board.clock() < self._there_until_s and robot is not None and robot.detail.get("attended") is False:
+        if self.attended and robot is not None and robot.detail.get("attended") is False:
             self._operator.beat()
 
     def _do(self, what: Callable[[], None]) -> Future[None]:
@@ -203,20 +230,38 @@ class ConsoleService:
                 self._operator.resume()
             case End(found=found):
                 self._operator.end(found=found)
-            case Drive(goal=goal):
-                seed = secrets.randbelow(2**31)
-                request = ResetRequest(seed=seed, purpose="drive", goal=goal, driver="teleop", mode="realtime")
-                self._operator.begin(request, self._record)
+            case Drive():
+                request = ResetRequest(
+                    name=ask.name,
+                    world=ask.world,
+                    variation=ask.variation,
+                    seed=secrets.randbelow(2**31),
+                    purpose="drive",
+                    goal=ask.goal,
+                    driver="teleop",
+                    mode="realtime",
+                )
+                self._begin(request, self._record)
             case Run():
                 self._run(ask)
             case Learn(name=name, recordings=names):
                 self._learn(name, names)
             case Cancel():
-                self._learning.cancel()
+                self._jobs.cancel()
             case Delete(recording=name):
                 self._delete(name)
 
     # -- what is asked for ----------------------------------------------------------------------------------------
+
+    def _begin(self, request: ResetRequest, prepare: Callable[[], None]) -> None:
+        """Begin an episode when that is prepared, which may take seconds, and nobody has left meanwhile."""
+
+        def prepare_for_who_is_there() -> None:
+            prepare()
+            if not self.attended:
+                raise ServiceError("not begun: who asked for it has left")
+
+        self._operator.begin(request, prepare_for_who_is_there)
 
     def _record(self) -> None:
         """Have the recorder record, unless it does."""
@@ -228,20 +273,31 @@ class ConsoleService:
         model = self.library.model(ask.model)
         if model is None or model.useless:
             raise ServiceError(f"{ask.model}: {'no such model' if model is None else model.useless}")
-        if ask.goal not in model.goals:
-            raise ServiceError(f"{ask.model} has no goal {ask.goal}; it has {', '.join(model.goals)}")
+        goal = ask.goal if ask.scheme == "filter" else None
+        if ask.scheme == "filter" and not model.goals:
+            raise ServiceError(f"{ask.model} has no map of views; choose the paper's scheme")
+        if goal is not None and goal not in model.goals:
+            raise ServiceError(f"{ask.model} has no goal {goal}; it has {', '.join(model.goals)}")
+        load = LoadRequest(model=model.name, scheme=ask.scheme, goal=goal)
         request = ResetRequest(
+            world=ask.world,
+            variation=ask.variation,
             seed=ask.seed,
             purpose="run",
             driver="policy",
             mode="realtime",
             start=ask.start,
-            goal=ask.goal,
+            goal=goal or next(iter(model.goals), "victim"),
             max_ticks=max(_MAX_TICKS, _PATIENCE * model.longest),
         )
-        self._operator.begin(request, lambda: self._load(model, ask.goal))
 
-    def _load(self, model: LearnedModel, goal: str) -> None:
+        def prepare() -> None:
+            self._load(model, load)
+            self._record()  # a person may correct it by hand, which teaches
+
+        self._begin(request, prepare)
+
+    def _load(self, model: LearnedModel, load: LoadRequest) -> None:
         """Have recognition and policy work with a model; on a thread that asks."""
         bus = self._node.bus
         made = bus.call("features", "status", Nothing(), Status).detail
@@ -251,7 +307,7 @@ class ConsoleService:
                 "learn it again, or start the stack with others (smal up --modalities)"
             )
         for service in _CHAIN:
-            bus.call(service, "load", LoadRequest(model=model.name, goal=goal), LoadReply, LOAD_S)
+            bus.call(service, "load", load, LoadReply, LOAD_S)
 
     def _learn(self, name: str, names: tuple[str, ...]) -> None:
         chosen = [self.library.recording(one) for one in names]
@@ -261,7 +317,18 @@ class ConsoleService:
         out = below(self.library.root, f"{MODELS}/{name}.smal")
         # Who chooses a run of the robot's own wants it to teach.
         runs = any(one.purpose == "run" for one in recordings)
-        self._learning.begin(name, out, [self.library.path(one.name) for one in recordings], include_runs=runs)
+        paths = (str(self.library.path(one.name)) for one in recordings)
+        flags = ("--progress", *(["--include-runs"] if runs else []))
+        job = Job(
+            "model",
+            name,
+            doing=f"Learning {name}",
+            done=f"{name} is learned: run it.",
+            arguments=("learn", *paths, *flags),
+            out=out,
+            hidden=f"{self.library.root}/",
+        )
+        self._jobs.begin(job)
 
     def _delete(self, name: str) -> None:
         recording = self.library.recording(name)

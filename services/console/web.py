@@ -5,17 +5,18 @@ from __future__ import annotations
 import asyncio
 import logging
 import ssl
+import tempfile
 import threading
 from collections.abc import AsyncIterator, Callable, Coroutine
 from concurrent.futures import Future
-from contextlib import suppress
+from contextlib import AbstractContextManager, suppress
 from pathlib import Path
 from typing import Any, Final, Protocol
 
 import uvicorn
-from pydantic import ValidationError
+from pydantic import TypeAdapter, ValidationError
 from starlette.applications import Starlette
-from starlette.requests import Request
+from starlette.requests import ClientDisconnect, Request
 from starlette.responses import PlainTextResponse, Response
 from starlette.routing import Mount, Route, WebSocketRoute
 from starlette.staticfiles import StaticFiles
@@ -24,11 +25,12 @@ from uvicorn.protocols.websockets.websockets_sansio_impl import WebSocketsSansIO
 
 from schemas.base import Atom
 from schemas.codec import describe
+from schemas.rpc import WorldName
 from services.console.address import listen
 from services.console.asks import LATE, OF_DRIVER, OF_WATCHERS, Ask, Hold, Leave, Stop
 from services.console.board import Board, FullError
 from services.console.config import ConsoleSettings
-from services.console.guard import Guard
+from services.console.guard import MAP, Guard
 from services.console.learned import Learned
 from services.console.library import Library
 from services.console.seat import LEASE_S, Seat
@@ -44,6 +46,10 @@ _MOST_BYTES: Final = 1 << 20
 FULL, TAKEN, NONSENSE = 4001, 4002, 4003
 #: How long open sockets may take to close at the end.
 _FAREWELL_S: Final = 1
+#: Most bytes of a map, as `smal world import` has it; and how long it may take to come: at 2 Mbit/s and more.
+_LARGEST_MAP: Final = 64 << 20
+_UPLOAD_S: Final = 300
+_WORLD_NAME: Final[TypeAdapter[str]] = TypeAdapter(WorldName)
 #: Digits of the number of a picture, at most.
 _DIGITS: Final = 9
 #: Opens no key that is encrypted, for which the terminal would be asked.
@@ -81,6 +87,9 @@ class Person(Protocol):
     def ask(self, ask: Ask, until_s: float) -> Future[None]:
         """Ask for something, to be done until a time of the board's clock."""
 
+    def make_world(self, name: str, osm_map: Path, needs: AbstractContextManager[object]) -> Future[None]:
+        """Have a world made of a map, and then what it needs exited."""
+
 
 class Web:
     """Answers browsers, in one event loop.
@@ -103,6 +112,7 @@ class Web:
         return Starlette(
             routes=[
                 Route("/thumbnail", self._thumbnail),
+                Route(MAP, self._map, methods=["POST"]),
                 Route("/taught/{model}/{keyframe}", self._taught),
                 WebSocketRoute("/watch", self._watch),
                 WebSocketRoute("/drive", self._drive),
@@ -127,6 +137,42 @@ class Web:
         keyframe = _number(request.path_params["keyframe"])
         picture = learned.image(keyframe) if learned is not None and known and keyframe is not None else None
         return PlainTextResponse("no such picture\n", 404) if picture is None else _picture(picture)
+
+    # -- maps -----------------------------------------------------------------------------------------------------
+
+    async def _map(self, request: Request) -> Response:
+        """Take a map from whoever drives, to make a world of it; what becomes of that is told as a job."""
+        try:
+            name = _WORLD_NAME.validate_python(request.query_params.get("name", ""))
+        except ValidationError as error:
+            return PlainTextResponse(f"the world's name: {describe(error)}\n", 400)
+        folder = tempfile.TemporaryDirectory(prefix="smal-map-")
+        osm_map, refusal = Path(folder.name) / f"{name}.osm", None
+        try:
+            async with asyncio.timeout(_UPLOAD_S):
+                refusal = await self._receive(request, osm_map)
+        except TimeoutError:
+            refusal = PlainTextResponse(f"the map took longer than {_UPLOAD_S:g} s\n", 408)
+        except (OSError, ClientDisconnect) as error:
+            refusal = PlainTextResponse(f"the map cannot be kept: {error}\n", 507)
+        if refusal is not None:
+            folder.cleanup()
+            return refusal
+        await asyncio.wrap_future(self._person.make_world(name, osm_map, folder))
+        return PlainTextResponse("taken\n", 202)
+
+    async def _receive(self, request: Request, file: Path) -> Response | None:
+        """Write what is sent into a file; return why not, if that may not be."""
+        size, word = 0, request.headers.get("smal-seat", "")
+        with file.open("wb") as out:
+            async for chunk in request.stream():
+                if not self._seat.knows(word):
+                    return PlainTextResponse("only who drives may do that: take control first\n", 403)
+                size += len(chunk)
+                if size > _LARGEST_MAP:
+                    return PlainTextResponse(f"a map has at most {_LARGEST_MAP / 1e6:.0f} MB; cut it smaller\n", 413)
+                await asyncio.to_thread(out.write, chunk)
+        return None
 
     # -- watching -------------------------------------------------------------------------------------------------
 
@@ -170,6 +216,7 @@ class Web:
         self._board.put("taken", content=True)
 
         async def beat() -> None:
+            await browser.send_json({"word": self._seat.word})
             while self._seat.holds(browser):
                 await browser.send_json({"beat": self._seat.beat()})
                 await asyncio.sleep(BEAT_S)

@@ -27,7 +27,7 @@ from services.robot.body import Body, View
 from services.robot.clock import TICK_S, now_s
 from services.robot.episode import Episode
 from services.robot.gate import Applied, CommandGate
-from services.robot.loop import ActuatorLoop
+from services.robot.loop import ActuatorLoop, check_stopping
 from services.robot.messages import camera_info, imu_message, odometry_message
 from services.robot.task import Task
 
@@ -299,16 +299,18 @@ class EpisodeRunner(Generic[V]):
         Raises
         ------
         ServiceError
-            It may not begin, see ``check_reset``.
+            It may not begin, see ``check_reset``, or the body cannot do that.
         """
         self.check_reset(request)
         messages = self.end()
         pace = self._paces[request.mode]()
         self._count += 1
-        name = f"{request.purpose}-{request.seed}-{self._session}-{self._count}"
+        name = f"{request.name or f'{request.purpose}-{request.seed}'}-{self._session}-{self._count}"
         # From here on nothing that was said before counts.
         self.gate.begin(name, request.driver)
         episode = Episode(self.body, self.task, request)
+        # In another world it may be another robot.
+        check_stopping(self.body)
         now, now_ns = pace.gate_s(0), self._wall_clock_ns()
         self._running = run = Running(name, episode, pace, now, now_ns, now_ns, client_s=self._clock())
         messages.append(self._event(run, "started"))

@@ -148,6 +148,8 @@ class Ros2Body:
         """
         if request.kidnap_tick is not None:
             raise ServiceError(f"{self.name} is real: it cannot be carried away at a frame; carry it by hand")
+        if request.world is not None or request.variation is not None:
+            raise ServiceError(f"{self.name} is real: no world and no variation can be chosen for it")
         frame = self._senses.frame()
         topic = self._config.full(self._config.camera.topic)
         if frame is None:

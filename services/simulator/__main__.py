@@ -2,37 +2,28 @@
 
 from __future__ import annotations
 
-from services.kit.node import Node, ServiceError, configure_logging, read_settings, run_service
+from services.kit.node import Node, configure_logging, read_settings, run_service
 from services.robot.runner import Paces
 from services.robot.service import ROBOT, serve_robot
 from services.robot.task import OperatorsTask
 from services.simulator.body import SimulatedBody
 from services.simulator.config import SimulatorSettings
 from services.simulator.lockstep import Lockstep
-from services.simulator.opening import open_simulation
-from services.simulator.physics.engine import PhysicsUnavailableError
-from services.simulator.scene.vulkan import RenderingUnavailableError
-from services.simulator.sensors.camera import CameraSettings
 from services.simulator.view import FindVictim, SimulatedView
-from services.simulator.world import WorldError
+from services.simulator.worlds import Worlds
 
 
 def serve() -> None:
     """Simulate until stopped."""
     settings = read_settings(SimulatorSettings, "simulator")
     configure_logging(settings.log_level)
-    try:
-        camera = CameraSettings(settings.camera_width, settings.camera_height, settings.shadows)
-        simulation = open_simulation(
-            settings.world, camera, base=settings.base, shake=settings.shake, variation=settings.variation
-        )
-    except (WorldError, RenderingUnavailableError, PhysicsUnavailableError) as error:
-        raise ServiceError(str(error)) from None
+    worlds = Worlds(settings)
+    simulation = worlds.open()
 
     def open_body(node: Node) -> tuple[SimulatedBody, Paces[SimulatedView]]:
         size = f"{settings.camera_width}x{settings.camera_height}"
         node.log.info("world %s (%s), camera %s, %s base", simulation.name, settings.variation, size, settings.base)
-        body = SimulatedBody(simulation, wanted=node.bus.has_listeners)
+        body = SimulatedBody(simulation, wanted=node.bus.has_listeners, worlds=worlds)
         return body, {"lockstep": lambda: Lockstep(body)}
 
     task = FindVictim() if settings.task == "victim" else OperatorsTask()

@@ -4,17 +4,21 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from threading import Lock
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 from schemas.base import Atom
 from schemas.rpc import ResetRequest
 from schemas.topics import DEPTH, OVERHEAD, Topic
-from services.kit.node import Detail
+from services.kit.node import Detail, ServiceError
 from services.robot.body import Beginning
 from services.robot.clock import now_s
 from services.simulator.base import STEP_S
 from services.simulator.simulation import Simulation
+from services.simulator.variation import VARIATIONS
 from services.simulator.view import SimulatedView
+
+if TYPE_CHECKING:
+    from services.simulator.worlds import Worlds
 
 #: Silence after which the simulated base stands by itself, as those of real robots do.
 WATCHDOG_S: Final = 0.2
@@ -38,6 +42,8 @@ class SimulatedBody:
         The actuator's seconds.
     wanted
         Whether anybody listens to a topic; asked at every frame for those whose messages are costly.
+    worlds
+        Opens other worlds; without it the robot stays in the one that it is in.
     """
 
     def __init__(
@@ -45,6 +51,7 @@ class SimulatedBody:
         simulation: Simulation,
         clock: Callable[[], float] = now_s,
         wanted: Callable[[Topic], bool] = lambda _topic: False,
+        worlds: Worlds | None = None,
     ) -> None:
         for topic in (DEPTH, OVERHEAD):
             # Who listens becomes known a moment after it was asked for the first time: the first frame is too late.
@@ -52,6 +59,7 @@ class SimulatedBody:
         self.simulation = simulation
         self._clock = clock
         self._wanted = wanted
+        self._worlds = worlds
         self._lock = Lock()
         self._kidnap_tick: int | None = None
         self._realtime = False
@@ -84,7 +92,14 @@ class SimulatedBody:
         return self.simulation.braking_s
 
     def begin(self, request: ResetRequest) -> Beginning:
-        """Put the robot at a seeded start."""
+        """Put the robot at a seeded start, in another world if one is asked for.
+
+        Raises
+        ------
+        ServiceError
+            There is no such world, or it cannot be used; the robot stays where it is.
+        """
+        self._enter(request)
         with self._lock:
             self.simulation.reset(request.seed, request.purpose, anywhere=request.start == "anywhere")
             self._kidnap_tick = request.kidnap_tick
@@ -93,6 +108,14 @@ class SimulatedBody:
             self._ordered_s = self._moved_s = self._clock()
         route = tuple((float(x), float(y)) for x, y in self.simulation.route())
         return Beginning(route, self.simulation.found_m)
+
+    def _enter(self, request: ResetRequest) -> None:
+        worlds, wished = self._worlds, (request.world, request.variation)
+        if worlds is None:
+            if wished != (None, None):
+                raise ServiceError(f"the robot stays in {self.name}")
+        elif any(wish not in (None, here) for wish, here in zip(wished, worlds.here, strict=True)):
+            self.simulation = worlds.open(*wished)
 
     def drive(self, atom: Atom, speed: float) -> None:
         """Go on with a movement until told otherwise; in lockstep the world only moves when ``advance`` has it so."""
@@ -136,5 +159,12 @@ class SimulatedBody:
             return self.simulation.look(now, self._wanted)
 
     def detail(self) -> Detail:
-        """Tell nothing more."""
-        return {}
+        """Tell in which variation of its world it is, and where else it can be."""
+        if self._worlds is None:
+            return {}
+        _, variation = self._worlds.here
+        return {
+            "variation": variation,
+            "variations": ", ".join(VARIATIONS),
+            "worlds": ", ".join(self._worlds.names()),
+        }

@@ -6,13 +6,14 @@ from typing import Annotated, Literal
 
 from pydantic import Field, field_validator
 
+from services.kit.root import RootSettings
 from services.robot.config import RobotSettings
 from services.simulator.opening import BaseKind
 from services.simulator.variation import variation_named
 
 
-class SimulatorSettings(RobotSettings):
-    """The world and the camera."""
+class SimulatorSettings(RobotSettings, RootSettings):
+    """The world and the camera; worlds in the folder ``worlds`` below the root can be chosen as well."""
 
     attended: bool = False
     """Whether the robot moves only while an operator is there."""

@@ -392,6 +392,9 @@ def test_what_is_missing_is_one_line_at_the_beginning(rig: Rig) -> None:
     rig.all()
     with pytest.raises(ServiceError, match="it cannot be carried away at a frame"):
         rig.body.begin(request.model_copy(update={"kidnap_tick": 3}))
+    for wish in ({"world": "campus"}, {"variation": "evening"}):
+        with pytest.raises(ServiceError, match="no world and no variation can be chosen"):
+            rig.body.begin(request.model_copy(update=wish))
     rig.clock.now_s += 1
     with pytest.raises(ServiceError, match=r"the last picture of \S+ is 1\.0 s old"):
         rig.body.begin(request)

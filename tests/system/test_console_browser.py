@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import shutil
 import signal
@@ -25,6 +26,7 @@ from services.expert.driver import RouteDriver
 from services.kit.bus import Bus, RpcError
 from services.robot.loop import STAND_WITHIN_S
 from services.simulator.world import load_world
+from services.simulator.world.loading import WORLDS_FOLDER
 from services.simulator.world.route import plan_route
 from services.table import stack_services
 from tests.benchmarks.faults.proxy import link
@@ -90,7 +92,7 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Site]:
     address = free_endpoint().removeprefix("tcp/")
     below = flags(root=root)
     own = {
-        "robot": flags(world="yard", camera_width=320, camera_height=240),
+        "robot": flags(world="yard", camera_width=320, camera_height=240) + below,
         **dict.fromkeys(("recognition", "policy", "recorder"), below),
         "console": flags(console=address) + below,
     }
@@ -178,9 +180,14 @@ def was_lost(page: Page, site: Site) -> bool:
         return False
     for key in KEYS.values():
         page.keyboard.up(key)
-    page.click("#resume")
-    eventually(lambda: site.robot("stop_cause") is None)
-    return True
+
+    def armed() -> bool:
+        page.click("#resume")
+        with suppress(pytest.fail.Exception):
+            return eventually(lambda: site.robot("stop_cause") is None, timeout_s=2.0)
+        return False  # it was lost once more meanwhile
+
+    return eventually(armed, timeout_s=60.0)
 
 
 def drive_to_the_victim(page: Page, site: Site) -> None:
@@ -390,6 +397,44 @@ def test_a_hostile_name_is_shown_as_it_is(page: Page, site: Site) -> None:
     assert page.locator("#news img").count() == 0
 
 
+def test_the_paper_s_scheme_drives_when_it_is_chosen(page: Page, site: Site) -> None:
+    """By what was learned in the first of these tests."""
+    if page.locator("#run-form select[name=model] option").count() == 0:
+        pytest.skip("nothing is learned: run the whole file")
+    page.select_option("#run-form [name=scheme]", "paper")
+    assert page.is_disabled("#run-form [name=goal]"), "it goes to the nearest"
+    page.click("#run-form button")
+    eventually(lambda: site.drives and site.applied[-1][1].source == "policy", timeout_s=60.0)
+    for service in ("recognition", "policy"):
+        assert site.bus.call(service, "status", Nothing(), Status).detail["scheme"] == "paper"
+    page.click("#end")
+    eventually(lambda: data(page, "episode") == "")
+
+
+def drop(page: Page, file: Path, name: str) -> None:
+    """Drop a file on the map, as from a folder's window."""
+    run_in(page, "var dropped = new DataTransfer()")
+    run_in(page, f"dropped.items.add(new File([{json.dumps(file.read_text())}], {json.dumps(name)}))")
+    event = "new DragEvent('drop', {dataTransfer: dropped, bubbles: true, cancelable: true})"
+    run_in(page, f"document.querySelector('#map').dispatchEvent({event})")
+
+
+def test_a_map_that_is_dropped_is_a_world_to_drive_in(page: Page, site: Site) -> None:
+    drop(page, WORLDS_FOLDER / "yard.osm", "My town!.osm")
+    world = page.locator("#world-form [name=world]")
+    eventually(lambda: world.input_value() == "My town-", timeout_s=60.0)
+    page.select_option("#world-form [name=variation]", "dark")
+    page.fill("#drive-form [name=name]", "By night")
+    begin_a_drive(page, site)
+    assert data(page, "episode").startswith("by-night-")
+    eventually(lambda: "in My town-" in page.inner_text("#episode"))
+    assert site.robot("variation") == "dark"
+    page.click("#end")
+    eventually(lambda: data(page, "episode") == "")
+    drop(page, WORLDS_FOLDER / "indoor.json", "no map.osm")
+    eventually(lambda: "Making a world of no map failed: no map.osm: not a readable" in page.inner_text("#job"), 60.0)
+
+
 # -- who sees and how --------------------------------------------------------------------------------------------------
 
 
@@ -407,8 +452,10 @@ def taught_here(site: Site, taught: Path) -> Iterator[None]:
 
 
 def begin_a_run(page: Page) -> None:
-    """Begin a run, and see the first belief."""
+    """Begin a run where it was taught, and see the first belief."""
     name = "models/taught.smal"
+    eventually(lambda: page.locator("#world-form option[value=yard]").count() == 1)
+    page.select_option("#world-form [name=world]", "yard")
     eventually(lambda: page.locator(f"#run-form option[value='{name}']").count() == 1)
     page.select_option("#run-form select[name=model]", name)
     page.click("#run-form button")
@@ -495,7 +542,7 @@ FOCUSED = """(() => {
 
 
 def test_keys_alone_reach_everything_and_drive(page: Page, site: Site) -> None:
-    page.focus("#drive-form input")
+    page.focus("#drive-form [name=goal]")
     page.keyboard.press("Enter")
     eventually(lambda: data(page, "episode") != "", timeout_s=60.0)
     eventually(lambda: page.locator("#found").is_enabled())

@@ -10,6 +10,7 @@ const DEAD_ZONE = 0.5, GAMEPAD_STOP = 1, GAMEPAD_PAD = { 12: "forward", 13: "bac
 export class Drive {
   constructor({ onChange, onRefused, onStop }) {
     this.sits = false;
+    this.word = "";  // shows that the seat is ours, to what is sent otherwise than by its socket
     this._held = [];
     this._beat = null;
     this._onChange = onChange;
@@ -34,7 +35,8 @@ export class Drive {
     this._taking ??= new Promise((done) => {
       const socket = (this._socket = new WebSocket(`${location.origin.replace("http", "ws")}/drive`));
       socket.onmessage = ({ data }) => {
-        const { beat, refused } = JSON.parse(data);
+        const { beat, refused, word } = JSON.parse(data);
+        if (word) return (this.word = word);
         if (refused) return this._onRefused(refused);
         this._beat = beat;
         if (!this.sits) this._sit(true, done);

@@ -5,8 +5,9 @@ import { Drive } from "./drive.js";
 import { $, element, say, seconds } from "./element.js";
 import { drawHealth, illness } from "./health.js";
 import { drawMap } from "./map.js";
-import { drawJob, drawLibrary, wireTeaching } from "./teach.js";
+import { drawJob, drawLibrary, inWorld, wireTeaching } from "./teach.js";
 import { Watch } from "./watch.js";
+import { drawWorlds, wireWorlds } from "./world.js";
 
 const OLD_S = 1, SILENT_S = 2, NO_WORD_S = 3, MOST_LINES = 50;
 const CAUSES = {
@@ -26,7 +27,11 @@ const drive = new Drive({ onChange: drawSeat, onRefused: tell, onStop: stop });
 
 const draws = {
   library: () => drawLibrary(watch.state.library),
-  health: () => drawHealth(watch.state.health),
+  health: () => {
+    drawHealth(watch.state.health);
+    const told = watch.state.health.services.find(({ name }) => name === "robot")?.told;
+    if (told) drawWorlds(told), inWorld(told.world);
+  },
   job: () => drawJob(watch.state.job),
   news: () => drawNews(watch.state.news),
   robot_id: () => say($("#robot"), watch.state.robot_id),
@@ -121,6 +126,16 @@ $("#resume").onclick = () => drive.ask({ do: "resume" });
 $("#found").onclick = () => drive.ask({ do: "end", found: true });
 $("#end").onclick = () => drive.ask({ do: "end", found: false });
 wireTeaching((what) => drive.ask(what));
+wireWorlds(async (map, name) => {
+  if (!(await drive.take())) return;
+  tell(`Sending ${map.name} …`);
+  try {
+    const answer = await fetch(`map?${new URLSearchParams({ name })}`, { method: "POST", headers: { "smal-seat": drive.word }, body: map });
+    if (!answer.ok) tell(`${map.name}: ${await answer.text()}`);
+  } catch (error) {
+    tell(`${map.name} could not be sent: ${error.message}`);
+  }
+});
 
 for (const button of pad.children) {
   const { atom } = button.dataset;

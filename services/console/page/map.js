@@ -2,7 +2,7 @@
 
 import { $, cleared, color } from "./element.js";
 
-const HEIGHT = 260, MARGIN = 18, LEAST_M = 4;
+const HEIGHT = 220, MARGIN = 18, LEAST_M = 4;
 const canvas = $("#map canvas");
 
 export function drawMap({ model, way, pose, tracked, belief }, age) {

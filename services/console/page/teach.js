@@ -1,6 +1,7 @@
 // Recordings, learning, and running what was learned.
 
 import { $, element, percent, say } from "./element.js";
+import { chosenWorld, madeWorld } from "./world.js";
 
 const OUTCOMES = { found: "found", collision: "collision", timeout: "time was out", aborted: "ended before the goal" };
 const REALLY_MS = 3000;
@@ -8,9 +9,9 @@ const list = $("#recordings"), learn = $("#learn-form"), run = $("#run-form"), j
 const chosen = new Map();
 
 export function wireTeaching(ask) {
-  $("#drive-form").onsubmit = (event) => send(event, ({ goal }) => ask({ do: "drive", goal: goal.trim() }));
+  $("#drive-form").onsubmit = (event) => send(event, ({ goal, name }) => ask({ do: "drive", goal: goal.trim(), name: name.trim().toLowerCase().replace(/\s+/g, "-") || null, ...chosenWorld() }));
   learn.onsubmit = (event) => send(event, ({ name }) => ask({ do: "learn", name: name.trim(), recordings: picked() }));
-  run.onsubmit = (event) => send(event, ({ model, goal, start, seed }) => ask({ do: "run", model, goal, start, seed: Number(seed) }));
+  run.onsubmit = (event) => send(event, ({ model, goal, scheme, start, seed }) => ask({ do: "run", model, goal: goal ?? null, scheme, start, seed: Number(seed), ...chosenWorld() }));
   $("#cancel").onclick = () => ask({ do: "cancel" });
   list.onchange = ({ target }) => (chosen.set(target.value, target.checked), allowLearning());
   list.onclick = ({ target }) => {
@@ -21,7 +22,7 @@ export function wireTeaching(ask) {
     target.textContent = "Really delete?";
     setTimeout(() => { delete target.dataset.sure; target.textContent = "Delete"; }, REALLY_MS);
   };
-  run.elements.model.onchange = fillGoals;
+  run.elements.model.onchange = run.elements.scheme.onchange = fillGoals;
 }
 
 function send(event, what) {
@@ -36,7 +37,14 @@ function allowLearning() {
   learn.querySelector("button").disabled = picked().length === 0;
 }
 
-let library = { recordings: [], models: [] };
+let library = { recordings: [], models: [] }, world = null;
+
+/** Take note of where the robot is: what was driven elsewhere is not chosen to learn from, unless somebody does. */
+export function inWorld(now) {
+  if (now === world) return;
+  world = now;
+  drawLibrary(library);
+}
 
 export function drawLibrary(now) {
   library = now;
@@ -57,9 +65,10 @@ export function drawLibrary(now) {
 
 function recordingItem(one) {
   const when = new Date(1000 * one.when_s).toLocaleString([], { dateStyle: "short", timeStyle: "short" });
-  const title = `${one.purpose === "run" ? "Run" : "Drive"} to ${one.goal || "?"}`;
-  const facts = one.useless || `${OUTCOMES[one.outcome] ?? "end not recorded"}, ${Math.round(one.seconds)} s, ${one.frames} frames, ${when}`;
-  const box = element("input", { type: "checkbox", value: one.name, disabled: Boolean(one.useless), checked: !one.useless && (chosen.get(one.name) ?? (one.purpose === "drive" && one.outcome === "found")) });
+  const named = one.episode.replace(/-[^-]+-\d+$/, ""), name = /^(drive|run|recovery)-\d+$/.test(named) ? "" : named;
+  const title = `${name && `${name}: `}${one.purpose === "run" ? "Run" : "Drive"} to ${one.goal || "?"}`;
+  const facts = one.useless || `${OUTCOMES[one.outcome] ?? "end not recorded"}, ${one.world}, ${Math.round(one.seconds)} s, ${one.frames} frames, ${when}`;
+  const box = element("input", { type: "checkbox", value: one.name, disabled: Boolean(one.useless), checked: !one.useless && (chosen.get(one.name) ?? (one.purpose === "drive" && one.outcome === "found" && one.world === world)) });
   const pictures = Array.from({ length: one.thumbnails }, (_, k) => element("img", { alt: "", loading: "lazy", width: 72, height: 54, src: `thumbnail?${new URLSearchParams({ of: one.name, k })}` }));
   const text = element("span", {}, title, element("small", {}, facts));
   text.title = one.name;
@@ -83,21 +92,28 @@ function fillModels() {
 
 function fillGoals() {
   const goals = library.models.find(({ name }) => name === run.elements.model.value)?.goals ?? [];
-  const before = run.elements.goal.value;
+  const { goal, scheme } = run.elements, before = goal.value, mapped = scheme.options[0];
+  mapped.disabled = goals.length === 0 && run.elements.model.value !== "";
+  if (mapped.disabled) scheme.value = "paper";
+  goal.disabled = scheme.value === "paper";  // it goes to the nearest goal
   run.elements.goal.replaceChildren(...goals.map((goal) => element("option", { value: goal }, goal)));
   if (goals.includes(before)) run.elements.goal.value = before;
 }
+
+let working = null;
 
 export function drawJob(now) {
   const works = !now.outcome;
   $("#cancel").hidden = !works;
   if (works) {
     if (!job.querySelector("progress")) job.replaceChildren(element("p"), element("progress", { max: 1 }));
-    say(job.firstChild, `Learning ${now.name}: ${now.stage}`);
-    job.lastChild.value = now.share;
-    job.lastChild.setAttribute("aria-label", `${now.stage}: ${percent(now.share)}`);
+    working = now.name;
+    say(job.firstChild, [now.doing, now.stage].filter(Boolean).join(": "));
+    now.share === null ? job.lastChild.removeAttribute("value") : (job.lastChild.value = now.share);
+    job.lastChild.setAttribute("aria-label", now.share === null ? now.doing : `${now.stage}: ${percent(now.share)}`);
     return;
   }
-  const said = { done: `${now.name} is learned: run it.`, cancelled: `${now.name} was cancelled.`, failed: `${now.name} could not be learned: ${now.why}` };
+  if (now.kind === "world" && now.outcome === "done" && working === now.name) madeWorld(now.name);
+  const said = { done: now.done, cancelled: `${now.name} was cancelled.`, failed: `${now.doing} failed: ${now.why}` };
   job.replaceChildren(element("p", {}, said[now.outcome]), ...now.remarks.filter((text) => text !== now.why).map((text) => element("p", { className: "hint" }, text)));
 }

@@ -30,6 +30,8 @@ class Page:
         self.beats = 0
         self.beat = 0
         self.refusals: list[str] = []
+        #: What shows that this page drives.
+        self.word = ""
         self.closed: int | None = None
         self._open = ExitStack()
         self._drive: ClientConnection | None = None
@@ -47,6 +49,14 @@ class Page:
         connection.request("GET", path, headers=headers)
         answer = connection.getresponse()
         return answer.status, answer.read()
+
+    def post(self, path: str, body: bytes, **headers: str) -> tuple[int, str]:
+        """Send something by HTTP as the page does."""
+        connection = HTTPConnection(self.address, timeout=60.0)
+        own = {"Origin": f"http://{self.address}", "Smal-Seat": self.word}
+        connection.request("POST", path, body, own | headers)
+        answer = connection.getresponse()
+        return answer.status, answer.read().decode()
 
     def take(self) -> None:
         """Sit down."""
@@ -115,6 +125,9 @@ class Page:
                 told = json.loads(text)
                 if "refused" in told:
                     self.refusals.append(told["refused"])
+                    continue
+                if "word" in told:
+                    self.word = told["word"]
                     continue
                 self.beats += 1
                 self.beat = told["beat"]

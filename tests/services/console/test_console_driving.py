@@ -12,10 +12,14 @@ from typing import Any
 import pytest
 from websockets.exceptions import ConnectionClosed
 
+from schemas.rpc import RecordRequest
 from services.console.seat import LEASE_S, LET_GO_S, Seat
 from services.console.web import NONSENSE, TAKEN
+from services.kit.node import Node
+from services.kit.settings import ServiceSettings
 from services.recorder.service import RecorderService
 from services.robot.loop import STAND_WITHIN_S
+from tests.services.conftest import RunNode
 from tests.services.console.conftest import Console
 from tests.services.console.page import Page
 from tests.services.robot.line import Clock
@@ -321,3 +325,46 @@ def test_the_seat() -> None:
     assert not seat.holds("a")
     seat.leave("a")
     assert seat.holds("b")
+
+
+def test_a_drive_has_the_name_that_its_person_gives_it(
+    robot: Robot, recorder: RecorderService, open_page: OpenPage
+) -> None:
+    page = open_page()
+    page.take()
+    eventually(lambda: page.beats > 0 and page.robot(answers=True))
+    page.say(do="drive", goal="dock", name="to-the-dock")
+    eventually(lambda: str(page.state["robot"]["episode"]).startswith("to-the-dock-"))
+    page.say(do="end", found=True)
+    (recording,) = eventually(lambda: page.state.get("library", {}).get("recordings"))
+    assert recording["name"].startswith("drives/to-the-dock-")
+
+
+@pytest.mark.parametrize("how", ["leaves", "falls silent"])
+def test_nothing_begins_for_who_has_left_before_it_could(
+    robot: Robot, console: Console, open_page: OpenPage, settings: ServiceSettings, run_node: RunNode, how: str
+) -> None:
+    """A model takes seconds to load; a robot must not set out then with nobody there."""
+    asked, goes_on = threading.Event(), threading.Event()
+
+    def start(_: RecordRequest) -> None:
+        asked.set()
+        assert goes_on.wait(20.0)
+
+    slow = Node("recorder", settings)
+    slow.serve("start", RecordRequest, start)
+    run_node(slow)
+    page, other = open_page(), open_page()
+    page.take()
+    eventually(lambda: page.beats > 0 and page.robot(answers=True))
+    page.say(do="drive", goal="dock")
+    assert asked.wait(20.0)
+    if how == "leaves":
+        page.say(do="leave")
+    else:
+        page.answers = False
+    eventually(lambda: not console.service.attended)
+    goes_on.set()
+    eventually(lambda: "not begun: who asked for it has left" in other.news())
+    assert other.state["robot"]["episode"] is None
+    assert robot.gate.emergency_stop, "it was not armed"

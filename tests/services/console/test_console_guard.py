@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import os
 import re
 import socket
 import ssl
 import subprocess
+import tempfile
 import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future
+from contextlib import AbstractContextManager
 from http.client import HTTPConnection, HTTPSConnection
 from pathlib import Path
 
@@ -24,6 +27,7 @@ from services.console.web import PAGE, WebServer
 from services.kit.bus import BusError
 from services.kit.node import ServiceError
 from tests.services.console.page import Page
+from tests.services.waiting import eventually
 
 OpenPage = Callable[[], Page]
 TOKEN = "correct horse battery"  # noqa: S105 - of a test
@@ -38,6 +42,7 @@ class Nobody:
 
     def __init__(self, root: Path) -> None:
         self.library = Library(root)
+        self.maps: list[tuple[str, bytes]] = []
 
     def hold(self, atom: object, until_s: float) -> Future[None]:
         return self.stop()
@@ -56,11 +61,21 @@ class Nobody:
     def ask(self, ask: object, until_s: float) -> Future[None]:
         return self.stop()
 
+    def make_world(self, name: str, osm_map: Path, needs: AbstractContextManager[object]) -> Future[None]:
+        with needs:
+            self.maps.append((name, osm_map.read_bytes()))
+        return self.stop()
+
 
 @pytest.fixture
-def page(tmp_path: Path) -> Iterator[Page]:
+def nobody(tmp_path: Path) -> Nobody:
+    return Nobody(tmp_path)
+
+
+@pytest.fixture
+def page(nobody: Nobody, tmp_path: Path) -> Iterator[Page]:
     """Give a page that is open to this machine, without a bus."""
-    server = WebServer(Nobody(tmp_path), Board(), ConsoleSettings(root=tmp_path, console="127.0.0.1:0"))
+    server = WebServer(nobody, Board(), ConsoleSettings(root=tmp_path, console="127.0.0.1:0"))
     page = Page(server)
     yield page
     page.close()
@@ -267,3 +282,77 @@ def test_a_token_that_others_can_read_or_guess_is_refused(keys: Path) -> None:
 def test_a_port_that_is_taken_is_named(page: Page, tmp_path: Path) -> None:
     with pytest.raises(ServiceError, match=r"cannot listen on 127.0.0.1:\d+: Address already in use"):
         WebServer(Nobody(tmp_path), Board(), ConsoleSettings(root=tmp_path, console=page.address))
+
+
+# -- maps ------------------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def seated(page: Page) -> Page:
+    """Give a page whose person drives."""
+    page.take()
+    eventually(lambda: page.word)
+    return page
+
+
+def left_over() -> set[Path]:
+    return set(Path(tempfile.gettempdir()).glob("smal-map-*"))
+
+
+def test_a_map_of_whoever_drives_is_taken_whole(seated: Page, nobody: Nobody) -> None:
+    sent = os.urandom(300_000)
+    assert seated.post("/map?name=My+town", sent) == (202, "taken\n")
+    assert nobody.maps == [("My town", sent)]
+
+
+@pytest.mark.parametrize(
+    ("path", "headers", "status", "why"),
+    [
+        ("/map?name=town", {"Smal-Seat": "guess"}, 403, "only who drives"),
+        ("/map?name=town", {"Smal-Seat": ""}, 403, "only who drives"),
+        ("/map?name=town", {"Origin": "http://evil.example"}, 403, "only the console's own page"),
+        ("/map?name=..%2Ftown", {}, 400, "the world's name"),
+        ("/map", {}, 400, "the world's name"),
+        ("/", {}, 405, "nothing is changed this way"),
+        ("/thumbnail", {}, 405, "nothing is changed this way"),
+    ],
+)
+def test_a_map_that_may_not_be_taken_is_not(
+    seated: Page, nobody: Nobody, path: str, headers: dict[str, str], status: int, why: str
+) -> None:
+    before = left_over()
+    answer, said = seated.post(path, b"<osm/>", **headers)
+    assert (answer, why in said, said.count("\n")) == (status, True, 1)
+    assert nobody.maps == []
+    assert left_over() <= before
+
+
+def test_a_map_without_an_origin_is_not_taken(seated: Page, nobody: Nobody) -> None:
+    connection = HTTPConnection(seated.address, timeout=5.0)
+    connection.request("POST", "/map?name=town", b"<osm/>", {"Smal-Seat": seated.word})
+    assert connection.getresponse().status == 403
+    assert nobody.maps == []
+
+
+def test_a_map_that_is_too_large_ends_early(seated: Page, nobody: Nobody, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("services.console.web._LARGEST_MAP", 1_000_000)
+    before = left_over()
+    status, why = seated.post("/map?name=town", bytes(1_000_001))
+    assert (status, why) == (413, "a map has at most 1 MB; cut it smaller\n")
+    assert (nobody.maps, left_over() <= before) == ([], True)
+
+
+def test_whoever_stands_up_sends_no_further(seated: Page, nobody: Nobody) -> None:
+    """The word of a seat is of no use to anybody later."""
+    before = left_over()
+    with socket.create_connection(seated.address.split(":"), timeout=10.0) as sending:  # type: ignore[arg-type]
+        head = f"POST /map?name=town HTTP/1.1\r\nHost: {seated.address}\r\nOrigin: http://{seated.address}\r\n"
+        sending.sendall(f"{head}Smal-Seat: {seated.word}\r\nContent-Length: 20\r\n\r\nfirst half".encode())
+        eventually(lambda: left_over() - before)
+        seated.say(do="leave")
+        eventually(lambda: not seated.state.get("taken"))
+        sending.sendall(b"other half")
+        assert b" 403 " in sending.recv(100)
+    assert seated.post("/map?name=town", b"<osm/>")[0] == 403
+    assert nobody.maps == []
+    eventually(lambda: left_over() <= before)

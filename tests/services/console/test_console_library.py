@@ -5,7 +5,9 @@ from __future__ import annotations
 import os
 import sys
 from collections.abc import Callable
+from contextlib import nullcontext
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
@@ -13,15 +15,19 @@ import pytest
 
 from schemas.base import Message
 from schemas.episode import Episode
+from schemas.rpc import LoadReply, LoadRequest
 from schemas.state import Place, State
+from services.console.jobs import Job, Jobs
 from services.console.learned import learned_of
-from services.console.learning import Learning
 from services.console.library import Library
 from services.kit.model_service import identity_of
-from services.kit.node import ServiceError
+from services.kit.node import Node, ServiceError
+from services.kit.settings import ServiceSettings
+from services.recorder.service import RecorderService
 from services.recordings.writer import EpisodeWriter
 from smal.learning import LearningSettings, fit
 from tests import corridor
+from tests.services.conftest import RunNode
 from tests.services.console.conftest import Console
 from tests.services.console.page import Page
 from tests.services.recordings import recorded_messages
@@ -197,6 +203,44 @@ def test_what_cannot_be_run_or_learned_is_said(console: Console, robot: Robot, o
     eventually(lambda: "gone, or teaches nothing" in page.news())
 
 
+@pytest.mark.parametrize("scheme", ["filter", "paper"])
+def test_a_run_is_of_the_model_and_scheme_that_are_chosen_and_recorded(
+    console: Console,
+    robot: Robot,
+    recorder: RecorderService,
+    open_page: Callable[[], Page],
+    settings: ServiceSettings,
+    run_node: RunNode,
+    scheme: str,
+) -> None:
+    """Recorded as well, since a person may correct it by hand."""
+    loaded: list[tuple[str, LoadRequest]] = []
+    corridor.save_model(console.root / "corridor.smal")
+    features = Node("features", settings)
+    features.detail = lambda: {"fingerprint": corridor.FEATURES.fingerprint}
+    chain = {name: Node(name, settings) for name in ("recognition", "policy")}
+    for name, node in chain.items():
+
+        def load(request: LoadRequest, name: str = name) -> LoadReply:
+            loaded.append((name, request))
+            return LoadReply(states=1, templates=1, sequence_length=1, keyframes=1, scheme=request.scheme, stride=1)
+
+        node.serve("load", LoadRequest, load)
+    for node in (features, *chain.values()):
+        run_node(node)
+    page = open_page()
+    eventually(lambda: page.state.get("library", {}).get("models"))
+    page.take()
+    eventually(lambda: page.beats and page.robot(answers=True))
+    page.say(do="run", model="corridor.smal", scheme=scheme, goal="victim", start="start", seed=7)
+    eventually(lambda: str(page.state["robot"]["episode"]).startswith("run-7-"))
+    wanted = LoadRequest(model="corridor.smal", scheme=scheme, goal="victim" if scheme == "filter" else None)
+    assert loaded == [("recognition", wanted), ("policy", wanted)]
+    page.say(do="end", found=True)
+    (recording,) = eventually(lambda: page.state["library"]["recordings"])
+    assert (recording["purpose"], recording["goal"], recording["outcome"]) == ("run", "victim", "found")
+
+
 SCRIPT = """
 import sys, time
 print('{"stage": "reading", "done": 1, "total": 4}', flush=True)
@@ -204,36 +248,46 @@ print("a line for people", flush=True)
 """
 
 
-def learning(script: str) -> tuple[Learning, list[dict[str, object]]]:
+def jobs_of(script: str) -> tuple[Jobs, list[dict[str, object]]]:
     shown: list[dict[str, object]] = []
-    return Learning(shown.append, (sys.executable, "-c", SCRIPT + script)), shown
+    return Jobs(shown.append, (sys.executable, "-c", SCRIPT + script)), shown
+
+
+def learning(out: Path, needs: TemporaryDirectory[str] | None = None) -> Job:
+    arguments, needed = ("learn", "a.mcap"), needs or nullcontext()
+    return Job("model", out.stem, f"Learning {out.stem}", "it is learned", arguments, out, "/root/", needed)
 
 
 @pytest.mark.parametrize(
     ("script", "outcome", "why"),
     [
         ("", "done", ""),
-        ("sys.stderr.write('smal: left out\\nsmal: nothing\\n'); sys.exit(1)", "failed", "nothing"),
+        ("sys.stderr.write('smal: left out\\nsmal: /root/a: no\\n'); sys.exit(1)", "failed", "a: no"),
         ("sys.exit(1)", "failed", "it ended with status 1"),
     ],
 )
-def test_learning_tells_how_far_it_is_and_how_it_ended(tmp_path: Path, script: str, outcome: str, why: str) -> None:
-    job, shown = learning(script)
-    job.begin("way", tmp_path / "models" / "way.smal", [tmp_path / "a.mcap"], include_runs=True)
-    eventually(lambda: not job.running)
+def test_a_job_tells_how_far_it_is_and_how_it_ended(tmp_path: Path, script: str, outcome: str, why: str) -> None:
+    jobs, shown = jobs_of(script)
+    needed = TemporaryDirectory(dir=tmp_path)
+    jobs.begin(learning(tmp_path / "models" / "way.smal", needed))
+    eventually(lambda: not jobs.running)
     end = eventually(lambda: shown[-1] if "outcome" in shown[-1] else None)
-    assert {"name": "way", "stage": "reading", "share": 0.25} in shown
+    said = {"kind": "model", "name": "way", "doing": "Learning way", "done": "it is learned"}
+    assert {**said, "stage": "reading", "share": 0.25} in shown
     assert (end["outcome"], end["why"]) == (outcome, why)
+    assert not Path(needed.name).exists()
 
 
-def test_learning_is_cancelled_and_one_job_runs_at_a_time(tmp_path: Path) -> None:
-    job, shown = learning("time.sleep(60)")
-    job.begin("way", tmp_path / "way.smal", [], include_runs=False)
-    with pytest.raises(ServiceError, match="another model is being learned"):
-        job.begin("other", tmp_path / "other.smal", [], include_runs=False)
+def test_a_job_is_cancelled_and_one_runs_at_a_time(tmp_path: Path) -> None:
+    jobs, shown = jobs_of("time.sleep(60)")
+    jobs.begin(learning(tmp_path / "way.smal"))
+    with pytest.raises(ServiceError, match="something else is being made"):
+        jobs.begin(learning(tmp_path / "other.smal"))
     eventually(lambda: any(one.get("stage") == "reading" for one in shown))
-    job.cancel()
+    jobs.cancel()
     eventually(lambda: shown[-1].get("outcome") == "cancelled")
     (tmp_path / "way.smal").touch()
+    needed = TemporaryDirectory(dir=tmp_path)
     with pytest.raises(ServiceError, match="choose another name"):
-        job.begin("way", tmp_path / "way.smal", [], include_runs=False)
+        jobs.begin(learning(tmp_path / "way.smal", needed))
+    assert not Path(needed.name).exists()

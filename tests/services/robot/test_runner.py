@@ -419,6 +419,17 @@ class Real(LineBody):
     """A body that cannot wait for commands."""
 
 
+def test_an_episode_has_the_name_that_a_person_gives_it() -> None:
+    runner = runner_of(LineBody(lambda: 0.0))
+    ids = [
+        str(message.episode) for name in (None, "to-the-dock", "to-the-dock") for message in reset(runner, name=name)
+    ]
+    begun = list(dict.fromkeys(ids))
+    assert begun[0].startswith("run-1-")
+    assert all(one.startswith("to-the-dock-") for one in begun[1:])
+    assert len(begun) == 3, "no two are one"
+
+
 def test_a_mode_that_the_robot_does_not_know_is_refused_in_one_line() -> None:
     runner: EpisodeRunner[LineView] = EpisodeRunner(Real(Clock()), OperatorsTask(), armed(), "r", "s")
     with pytest.raises(ServiceError, match="line cannot wait for commands; ask for real time"):

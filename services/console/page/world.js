@@ -1,0 +1,51 @@
+// The world that a simulated robot is in, those that it can be in, and maps that become worlds.
+
+import { $, element } from "./element.js";
+
+const card = $("#map"), form = $("#world-form"), file = form.elements.map;
+let fresh = null;
+
+/** Wire the choice of a world; a map is handed to `take` with the name that its world will have. */
+export function wireWorlds(take) {
+  const offer = (files) => {
+    for (const one of [...files].slice(0, 1)) take(one, nameOf(one));
+    file.value = "";
+  };
+  file.onchange = () => offer(file.files);
+  // A file that is dropped beside the card must not open in the place of the page.
+  for (const type of ["dragover", "drop"]) addEventListener(type, (event) => event.preventDefault());
+  for (const [type, over] of [["dragover", true], ["dragleave", false], ["drop", false]]) card.addEventListener(type, () => card.classList.toggle("over", over && !form.hidden));
+  card.addEventListener("drop", ({ dataTransfer }) => !form.hidden && offer(dataTransfer.files));
+}
+
+function nameOf({ name }) {
+  return name.replace(/\.[^.]*$/, "").replace(/[^\p{L}\p{N}_ .-]/gu, "-").replace(/^[^\p{L}\p{N}_]+/u, "").slice(0, 64) || "map";
+}
+
+/** Where the next drive or run is to be; nothing where the robot is real. */
+export function chosenWorld() {
+  return form.hidden ? {} : { world: form.elements.world.value, variation: form.elements.variation.value };
+}
+
+/** Take note of a world that has just been made: it is chosen when the robot knows it. */
+export function madeWorld(name) {
+  fresh = name;
+}
+
+export function drawWorlds(told) {
+  form.hidden = !told.worlds;
+  if (form.hidden) return;
+  fill(form.elements.world, told.worlds.split(", "), told.world);
+  fill(form.elements.variation, told.variations.split(", "), told.variation);
+  if ([...form.elements.world.options].some(({ value }) => value === fresh)) [form.elements.world.value, fresh] = [fresh, null];
+}
+
+/** Offer what there is; what is chosen stays so until the robot is elsewhere. */
+function fill(select, names, now) {
+  const before = select.value;
+  if ([...select.options].map(({ value }) => value).join() !== names.join()) {
+    select.replaceChildren(...names.map((name) => element("option", { value: name }, name)));
+    select.value = names.includes(before) ? before : now;
+  }
+  if (select.dataset.now !== now) [select.dataset.now, select.value] = [now, now];
+}

@@ -1,0 +1,90 @@
+"""The worlds that the simulated robot can be in, by name."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import TYPE_CHECKING, Final
+
+from schemas.rpc import WORLD_NAME_PATTERN
+from services.kit.node import ServiceError
+from services.kit.root import OutsideError, below
+from services.simulator.opening import open_simulation
+from services.simulator.physics.engine import PhysicsUnavailableError
+from services.simulator.scene.vulkan import RenderingUnavailableError
+from services.simulator.sensors.camera import CameraSettings
+from services.simulator.variation import VARIATIONS
+from services.simulator.world import WorldError, known_worlds
+
+if TYPE_CHECKING:
+    from services.simulator.config import SimulatorSettings
+    from services.simulator.simulation import Simulation
+
+#: Folder below the root of the worlds that were made from maps: ``smal world import MAP --out worlds/NAME.json``.
+FOLDER: Final = "worlds"
+_NAME: Final = re.compile(WORLD_NAME_PATTERN)
+
+
+class Worlds:
+    """Opens worlds: those of the project, those in ``worlds/`` below the root, and the one that the settings name.
+
+    Parameters
+    ----------
+    settings
+        Of the simulator: root, first world and variation, camera, base, shake.
+    """
+
+    def __init__(self, settings: SimulatorSettings) -> None:
+        self._settings = settings
+        self._first = Path(settings.world).stem
+        #: The world that was opened last, and its variation.
+        self.here = self._first, settings.variation
+
+    def names(self) -> list[str]:
+        """Return the names of all worlds, sorted."""
+        own = [path.stem for path in (self._settings.root / FOLDER).glob("*.json")]
+        return sorted({self._first, *known_worlds(), *filter(_NAME.fullmatch, own)})
+
+    def open(self, world: str | None = None, variation: str | None = None) -> Simulation:
+        """Open a world.
+
+        Parameters
+        ----------
+        world, variation
+            Which, and under which conditions; as they were if not given.
+
+        Raises
+        ------
+        ServiceError
+            There is no such world or variation, or it cannot be used.
+        """
+        world, variation = world or self.here[0], variation or self.here[1]
+        if variation not in VARIATIONS:
+            raise ServiceError(f"no variation {variation!r}; known are {', '.join(VARIATIONS)}")
+        of = self._settings
+        try:
+            simulation = open_simulation(
+                self._place(world),
+                CameraSettings(of.camera_width, of.camera_height, of.shadows),
+                base=of.base,
+                shake=of.shake,
+                variation=variation,
+            )
+        except (WorldError, RenderingUnavailableError, PhysicsUnavailableError) as error:
+            raise ServiceError(str(error)) from None
+        self.here = world, variation
+        return simulation
+
+    def _place(self, world: str) -> str:
+        """Return what `load_world` knows a world by; a link below the root leads nowhere else."""
+        if world == self._first:
+            return self._settings.world
+        if world in known_worlds():
+            return world
+        try:
+            path = below(self._settings.root, f"{FOLDER}/{world}.json")
+        except OutsideError as error:
+            raise ServiceError(f"world {world!r}: {error}") from None
+        if not path.is_file():
+            raise ServiceError(f"no world {world!r}; known are {', '.join(self.names())}")
+        return str(path)

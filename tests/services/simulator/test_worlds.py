@@ -1,0 +1,162 @@
+"""The simulated robot in one world after another, by name."""
+
+from __future__ import annotations
+
+import os
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from schemas.rpc import ResetRequest
+from services.kit.node import ServiceError
+from services.simulator.base import KinematicBase
+from services.simulator.body import SimulatedBody
+from services.simulator.config import SimulatorSettings
+from services.simulator.sensors.camera import CameraSettings
+from services.simulator.simulation import Simulation
+from services.simulator.variation import VARIATIONS
+from services.simulator.world import load_world
+from services.simulator.world.importing import import_map
+from services.simulator.world.loading import WORLDS_FOLDER, Wishes
+from services.simulator.worlds import Worlds
+from tests.services.simulator.simulator_driving import StubCamera
+
+OWN = ["campus", "indoor", "terrace", "yard"]
+
+
+@pytest.fixture
+def made(tmp_path: Path) -> Path:
+    """Give a root with a world of the user's own."""
+    (tmp_path / "worlds").mkdir()
+    source = tmp_path / "my town.osm"
+    shutil.copy(WORLDS_FOLDER / "yard.osm", source)
+    _, text = import_map(source, tmp_path / "worlds" / "my town.json", Wishes())
+    (tmp_path / "worlds" / "my town.json").write_text(text)
+    return tmp_path
+
+
+def worlds_of(root: Path, **settings: Any) -> Worlds:
+    return Worlds(SimulatorSettings(root=root, camera_width=64, camera_height=48, base="kinematic", **settings))
+
+
+@pytest.fixture
+def opened(monkeypatch: pytest.MonkeyPatch) -> list[tuple[str, str]]:
+    """Have worlds opened without rendering, and note which."""
+    asked: list[tuple[str, str]] = []
+
+    def open_one(world: str, _camera: CameraSettings, *, variation: str, **_: object) -> Simulation:
+        asked.append((world, variation))
+        there = load_world(world)
+        return Simulation(there, StubCamera(), KinematicBase(there.place))
+
+    monkeypatch.setattr("services.simulator.worlds.open_simulation", open_one)
+    return asked
+
+
+def begin(body: SimulatedBody, **wishes: str) -> None:
+    body.begin(ResetRequest(seed=1, mode="realtime", **wishes))  # type: ignore[arg-type]
+
+
+def test_the_worlds_are_ours_the_user_s_and_the_first_one(made: Path) -> None:
+    assert worlds_of(made, world="yard").names() == sorted([*OWN, "my town"])
+    assert worlds_of(made / "worlds", world=str(made / "my town.osm")).names() == sorted([*OWN, "my town"])
+
+
+def test_what_has_no_name_that_could_be_asked_for_is_not_listed(made: Path) -> None:
+    for name in ("-x", "a,b", "<img>", ".hidden", "new\nline"):
+        (made / "worlds" / f"{name}.json").touch()
+    assert worlds_of(made).names() == sorted([*OWN, "my town"])
+
+
+def test_an_episode_begins_in_the_world_that_is_asked_for(made: Path, opened: list[tuple[str, str]]) -> None:
+    worlds = worlds_of(made, world="yard")
+    body = SimulatedBody(worlds.open(), worlds=worlds)
+    begin(body)
+    begin(body, world="yard", variation="day")
+    assert opened == [("yard", "day")], "it is there already"
+    begin(body, world="indoor")
+    assert (body.name, body.detail()["variation"]) == ("indoor", "day")
+    begin(body, variation="dark")
+    assert (body.name, body.detail()["variation"]) == ("indoor", "dark")
+    begin(body, world="my town")
+    assert (body.name, body.detail()["variation"]) == ("my town", "dark")
+    begin(body)
+    assert [variation for _, variation in opened] == ["day", "day", "dark", "dark"]
+    assert str(body.detail()["worlds"]).split(", ") == worlds.names()
+    assert str(body.detail()["variations"]).split(", ") == list(VARIATIONS)
+
+
+def test_the_first_world_is_found_again_by_the_name_of_its_file(made: Path, opened: list[tuple[str, str]]) -> None:
+    first = made / "my town.osm"
+    worlds = worlds_of(made / "worlds", world=str(first))
+    body = SimulatedBody(worlds.open(), worlds=worlds)
+    begin(body, world="yard")
+    begin(body, world="my town")
+    assert [world for world, _ in opened] == [str(first), "yard", str(first)]
+
+
+def link_out(folder: Path) -> None:
+    (folder / "bad.json").symlink_to(WORLDS_FOLDER / "indoor.json")
+
+
+def pipe(folder: Path) -> None:
+    os.mkfifo(folder / "bad.json")
+
+
+def nothing(_folder: Path) -> None:
+    """Leave no such file."""
+
+
+def rubbish(folder: Path) -> None:
+    (folder / "bad.json").write_text("{}")
+
+
+@pytest.mark.timeout(20)
+@pytest.mark.parametrize(
+    ("make", "why"),
+    [
+        (nothing, "no world 'bad'; known are campus, indoor, my town, terrace, yard"),
+        (link_out, "world 'bad': leads out of"),
+        (pipe, "no world 'bad'"),
+        (rubbish, "its format is missing"),
+    ],
+)
+def test_a_world_that_cannot_be_used_leaves_the_robot_where_it_is(
+    made: Path, opened: list[tuple[str, str]], make: Callable[[Path], None], why: str
+) -> None:
+    make(made / "worlds")
+    worlds = worlds_of(made, world="yard")
+    body = SimulatedBody(Simulation(load_world("yard"), StubCamera()), worlds=worlds)
+    if make is rubbish:
+        # What the file holds is only seen when it is opened in earnest.
+        with pytest.raises(ServiceError, match=why):
+            Worlds.open(worlds, "bad")
+    else:
+        with pytest.raises(ServiceError, match=why):
+            begin(body, world="bad")
+        assert opened == []
+    with pytest.raises(ServiceError, match="no variation 'bad'; known are day, morning"):
+        begin(body, variation="bad")
+    begin(body)
+    assert body.name == "yard"
+
+
+def test_a_robot_without_other_worlds_says_so() -> None:
+    body = SimulatedBody(Simulation(load_world("yard"), StubCamera()))
+    with pytest.raises(ServiceError, match="the robot stays in yard"):
+        begin(body, world="indoor")
+    assert body.detail() == {}
+
+
+@pytest.mark.rendering
+def test_another_world_and_another_light_are_seen(made: Path) -> None:
+    worlds = worlds_of(made, world="yard")
+    body = SimulatedBody(worlds.open(), worlds=worlds)
+    begin(body, world="my town")
+    fair = body.look(0).image
+    begin(body, variation="dark")
+    dark = body.look(0).image
+    assert dark.mean() < 0.7 * fair.mean()
