@@ -58,7 +58,7 @@ export class Watch {
   }
 
   _take({ now, picture, ...news }) {
-    this._askedMs = null;
+    this._askedMs = picture ? performance.now() : null;
     this._behindS = now - performance.now() / 1000;
     Object.assign(this.state, news);
     try {
@@ -69,6 +69,7 @@ export class Watch {
   }
 
   async _show(data) {
+    this._askedMs = null;
     try {
       await this._onPicture(new Blob([data], { type: "image/jpeg" }));
     } finally {
