@@ -39,6 +39,7 @@ const draws = {
 };
 
 function onNews(channels) {
+  if (channels.length > 0 || !watch.connected) document.body.classList.add("told");
   for (const channel of channels) draws[channel]?.();
   drawStatus();
   if (channels.some((one) => ["belief", "plan", "model"].includes(one))) drawBelief(watch.state, (channel) => watch.age(channel));
