@@ -44,7 +44,8 @@ def bench(
     both are made), --stride, --camera, --ticks, --stages.
 
     faults: a driving stack under kills, freezes, outages, a full disk and a jumping clock; --cell NAME (may be
-    repeated), --model FILE. soak: memory and descriptors over an hour; --minutes M, --model FILE.
+    repeated), --model FILE. soak: memory and descriptors over an hour; --minutes M, --model FILE,
+    --page: what the console's page holds in a browser, over ten minutes.
 
     rendering: time of a frame of each scene over a trivial one; --map FILE.
 

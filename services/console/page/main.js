@@ -9,7 +9,7 @@ import { drawJob, drawLibrary, inWorld, wireTeaching } from "./teach.js";
 import { Watch } from "./watch.js";
 import { drawWorlds, wireWorlds } from "./world.js";
 
-const OLD_S = 1, SILENT_S = 2, MOST_LINES = 50;
+const OLD_S = 1, SILENT_S = 2, NO_WORD_S = 3, MOST_LINES = 50;
 const CAUSES = {
   not_armed: "Not armed: begin a drive or a run, or arm it",
   emergency_stop: "EMERGENCY STOP: it stands until it is armed",
@@ -39,6 +39,7 @@ const draws = {
 };
 
 function onNews(channels) {
+  if (channels.length > 0 || !watch.connected) document.body.classList.add("told");
   for (const channel of channels) draws[channel]?.();
   drawStatus();
   if (channels.some((one) => ["belief", "plan", "model"].includes(one))) drawBelief(watch.state, (channel) => watch.age(channel));
@@ -56,6 +57,7 @@ async function onPicture(blob) {
 function status() {
   const { robot } = watch.state;
   if (!watch.connected) return ["bad", `No connection to the console for ${seconds((performance.now() - watch.sinceMs) / 1000)}`];
+  if (watch.silence > NO_WORD_S) return ["bad", `No word from the console for ${seconds(watch.silence)}`];
   if (!robot || (!robot.answers && !robot.waiting)) return ["bad", `The robot does not answer ${illness(watch.state.health, ["router", "robot"])}`];
   if (robot.emergency || robot.cause) return ["bad", CAUSES[robot.emergency ? "emergency_stop" : robot.cause]];
   if (robot.waiting) return ["warn", "Waiting for the robot …"];
@@ -116,6 +118,7 @@ function tell(text, when = new Date()) {
 
 function stop() {
   if (![watch.stop(), drive.stop()].includes(true)) tell("NOT SENT: there is no connection to the console.");
+  else if (watch.silence > NO_WORD_S) tell("The console does not answer: the emergency stop may be late.");
 }
 
 $("#stop").onclick = stop;
@@ -143,8 +146,9 @@ for (const button of pad.children) {
     drive.sits ? drive.press(atom) : press();
   };
   for (const let_go of ["onpointerup", "onpointercancel", "onlostpointercapture", "onblur"]) button[let_go] = () => drive.release(atom);
-  button.onkeydown = ({ code, repeat }) => ["Space", "Enter"].includes(code) && !repeat && drive.sits && drive.press(atom);
-  button.onkeyup = ({ code }) => ["Space", "Enter"].includes(code) && drive.release(atom);
+  // Who returns false there keeps every key from what it does elsewhere, and Tab would not lead away.
+  button.onkeydown = ({ code, repeat }) => { if (["Space", "Enter"].includes(code) && !repeat && drive.sits) drive.press(atom); };
+  button.onkeyup = ({ code }) => { if (["Space", "Enter"].includes(code)) drive.release(atom); };
   button.oncontextmenu = (event) => event.preventDefault();
 }
 setInterval(() => { drawStatus(); drawBelief(watch.state, (channel) => watch.age(channel)); }, 500);

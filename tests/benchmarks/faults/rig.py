@@ -47,6 +47,8 @@ class RigPlan:
         More environment of the services.
     rolling : bool
         Whether the robot's base is a process of its own, which moves on in real time whatever is harmed.
+    console : str
+        Where the page is, host and port.
     """
 
     model: Path
@@ -54,6 +56,7 @@ class RigPlan:
     linked: tuple[str, ...] = ()
     environment: Mapping[str, str] = field(default_factory=dict)
     rolling: bool = False
+    console: str = "127.0.0.1:0"
 
     @property
     def recordings(self) -> Path:
@@ -78,7 +81,7 @@ class RigPlan:
             "recognition": chain,
             "policy": chain,
             "recorder": flags(recordings=self.recordings.resolve()),
-            "console": flags(console="127.0.0.1:0"),
+            "console": flags(console=self.console, root=self.folder.resolve()),
         }
         return {name: own.get(name, ()) + flags(router=links.get(name)) for name in stack_services()}
 
