@@ -115,13 +115,17 @@ class ConsoleService:
 
     # -- what browsers say ----------------------------------------------------------------------------------------
 
-    def hold(self, atom: Atom | None, until_s: float) -> Future[None]:
-        """Take a sign of life of whoever drives, and what they hold; both count until a time of the board's clock."""
+    def hold(self, atom: Atom | None, sent_s: float) -> Future[None]:
+        """Take a sign of life of whoever drives, and what they hold, as of a time of the board's clock.
+
+        They count as there for longer than what they hold does: by a slow link one cannot drive, and can watch.
+        """
+        until_s = sent_s + LET_GO_S
 
         def take() -> None:
+            self._there_until_s = sent_s + LEASE_S
             if self._board.clock() >= until_s:
                 return
-            self._there_until_s = until_s - LET_GO_S + LEASE_S
             self._operator.beat()
             if atom is None:
                 self._operator.release()
@@ -176,7 +180,12 @@ class ConsoleService:
         """Make a world of a map; ``needs`` is exited when the map has been read."""
 
         def take() -> None:
+            robot = self._health.statuses.get("robot")
+            known = "" if robot is None else str(robot.detail.get("worlds", ""))
             try:
+                if name in known.split(", "):
+                    # Of two worlds of one name the robot opens that of the project, or the one that it was started in.
+                    raise ServiceError(f"there is a world {name} already; give the file another name")
                 out = below(self.library.root, f"{WORLDS}/{name}.json")
                 job = Job(
                     "world",
@@ -255,13 +264,7 @@ class ConsoleService:
 
     def _begin(self, request: ResetRequest, prepare: Callable[[], None]) -> None:
         """Begin an episode when that is prepared, which may take seconds, and nobody has left meanwhile."""
-
-        def prepare_for_who_is_there() -> None:
-            prepare()
-            if not self.attended:
-                raise ServiceError("not begun: who asked for it has left")
-
-        self._operator.begin(request, prepare_for_who_is_there)
+        self._operator.begin(request, prepare, lambda: self.attended)
 
     def _record(self) -> None:
         """Have the recorder record, unless it does."""
@@ -287,7 +290,7 @@ class ConsoleService:
             driver="policy",
             mode="realtime",
             start=ask.start,
-            goal=goal or next(iter(model.goals), "victim"),
+            goal=goal or _goal_of_the_nearest(model.goals),
             max_ticks=max(_MAX_TICKS, _PATIENCE * model.longest),
         )
         self._begin(request, lambda: self._load(model, load))
@@ -427,6 +430,16 @@ class ConsoleService:
 
     def _detail(self) -> Detail:
         return {"watchers": self._board.watchers, "root": str(self.library.root)}
+
+
+def _goal_of_the_nearest(goals: tuple[str, ...]) -> str:
+    """Return what a run is said to lead to that goes to the nearest goal: of several nobody knows which that is."""
+    match goals:
+        case ():
+            return "victim"
+        case (only,):
+            return only
+    return "nearest"
 
 
 def _rounded(pose: tuple[float, float, float]) -> list[float]:

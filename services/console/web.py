@@ -72,8 +72,8 @@ class Person(Protocol):
     def learned(self) -> Learned | None:
         """The model that the robot goes by."""
 
-    def hold(self, atom: Atom | None, until_s: float) -> Future[None]:
-        """Be there, and hold a key."""
+    def hold(self, atom: Atom | None, sent_s: float) -> Future[None]:
+        """Be there, and hold a key, as of a time of the board's clock."""
 
     def let_go(self) -> Future[None]:
         """Be gone."""
@@ -240,16 +240,16 @@ class Web:
                 await browser.send_json({"refused": describe(error)})
                 continue
             if isinstance(said, Hold):
-                until_s = self._seat.answered(said.beat)
-                if until_s is not None:
-                    await asyncio.wrap_future(self._person.hold(said.atom, until_s))
+                sent_s = self._seat.answered(said.beat)
+                if sent_s is not None:
+                    await asyncio.wrap_future(self._person.hold(said.atom, sent_s))
             elif isinstance(said, Leave):
                 self._stand_up(browser, self._person.leave)
                 return
             elif isinstance(said, Stop):
                 await asyncio.wrap_future(self._person.stop())
-            elif (until_s := self._seat.answered(said.beat, LEASE_S)) is not None:
-                await asyncio.wrap_future(self._person.ask(said, until_s))
+            elif (sent_s := self._seat.answered(said.beat)) is not None:
+                await asyncio.wrap_future(self._person.ask(said, sent_s + LEASE_S))
             else:
                 await browser.send_json({"refused": LATE})
 

@@ -44,7 +44,7 @@ class Nobody:
         self.library = Library(root)
         self.maps: list[tuple[str, bytes]] = []
 
-    def hold(self, atom: object, until_s: float) -> Future[None]:
+    def hold(self, atom: object, sent_s: float) -> Future[None]:
         return self.stop()
 
     def let_go(self) -> Future[None]:
