@@ -7,7 +7,7 @@ import secrets
 import threading
 from collections.abc import Callable
 from concurrent.futures import Future, InvalidStateError
-from contextlib import AbstractContextManager, suppress
+from contextlib import AbstractContextManager, ExitStack, suppress
 from pathlib import Path
 from queue import Empty, SimpleQueue
 from typing import Final
@@ -183,20 +183,21 @@ class ConsoleService:
             robot = self._health.statuses.get("robot")
             known = "" if robot is None else str(robot.detail.get("worlds", ""))
             try:
-                if name in known.split(", "):
-                    # Of two worlds of one name the robot opens that of the project, or the one that it was started in.
-                    raise ServiceError(f"there is a world {name} already; give the file another name")
-                out = below(self.library.root, f"{WORLDS}/{name}.json")
-                job = Job(
-                    "world",
-                    name,
-                    doing=f"Making a world of {name}",
-                    done=f"{name} is a world now: begin a drive in it.",
-                    arguments=("world", "import", str(osm_map)),
-                    out=out,
-                    hidden=f"{osm_map.parent}/",
-                    needs=needs,
-                )
+                with ExitStack() as read:
+                    read.enter_context(needs)
+                    if name in known.split(", "):
+                        # Of two worlds of one name the robot opens the project's, or the one that it was started in.
+                        raise ServiceError(f"there is a world {name} already; give the file another name")
+                    job = Job(
+                        "world",
+                        name,
+                        doing=f"Making a world of {name}",
+                        done=f"{name} is a world now: begin a drive in it.",
+                        arguments=("world", "import", str(osm_map)),
+                        out=below(self.library.root, f"{WORLDS}/{name}.json"),
+                        hidden=f"{osm_map.parent}/",
+                        needs=read.pop_all(),
+                    )
                 self._jobs.begin(job)
             except (ServiceError, OSError) as error:
                 self._reports.say(str(error))

@@ -23,6 +23,7 @@ from services.robot.loop import STAND_WITHIN_S
 from tests.services.conftest import RunNode
 from tests.services.console.conftest import Console
 from tests.services.console.page import Page
+from tests.services.console.test_console_guard import left_over
 from tests.services.robot.line import Clock
 from tests.services.robot.wheels import Robot
 from tests.services.waiting import eventually
@@ -443,6 +444,11 @@ def test_no_world_is_made_that_the_robot_would_take_for_another(
     page = open_page()
     page.take()
     eventually(lambda: page.word and "campus, yard" in str(page.state.get("health")))
+    before = left_over()
     page.post("/map?name=yard", b"<osm/>")
     eventually(lambda: "there is a world yard already; give the file another name" in page.news())
     assert not (console.root / "worlds").exists()
+    (console.root / "worlds").symlink_to("/")
+    page.post("/map?name=town", b"<osm/>")
+    eventually(lambda: "leads out of" in page.news())
+    assert left_over() <= before
