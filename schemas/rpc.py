@@ -40,7 +40,7 @@ FileName = Annotated[str, Field(min_length=1, max_length=_MAX_NAME), AfterValida
 
 #: What a person calls an episode.
 EpisodeName = Annotated[str, Field(pattern=r"^[a-z0-9][a-z0-9_-]{0,31}$")]
-#: Most bytes of a world's name: a file's has 255, and some are for its ending and for what it is called while it is written.
+#: Most bytes of a world's name: of a file's 255 some are for its ending, and for what it is called while it is written.
 _MAX_WORLD_NAME: Final = 200
 
 
