@@ -291,7 +291,7 @@ class ConsoleService:
             driver="policy",
             mode="realtime",
             start=ask.start,
-            goal=goal or _goal_of_the_nearest(model.goals),
+            goal=goal or model.nearest,
             max_ticks=max(_MAX_TICKS, _PATIENCE * model.longest),
         )
         self._begin(request, lambda: self._load(model, load))
@@ -431,16 +431,6 @@ class ConsoleService:
 
     def _detail(self) -> Detail:
         return {"watchers": self._board.watchers, "root": str(self.library.root)}
-
-
-def _goal_of_the_nearest(goals: tuple[str, ...]) -> str:
-    """Return what a run is said to lead to that goes to the nearest goal: of several nobody knows which that is."""
-    match goals:
-        case ():
-            return "victim"
-        case (only,):
-            return only
-    return "nearest"
 
 
 def _rounded(pose: tuple[float, float, float]) -> list[float]:

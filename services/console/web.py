@@ -222,9 +222,10 @@ class Web:
             await browser.close(TAKEN, "somebody else drives")
             return
         self._board.put("taken", content=True)
+        word = self._seat.word  # later it may be somebody else's
 
         async def beat() -> None:
-            await browser.send_json({"word": self._seat.word})
+            await browser.send_json({"word": word})
             while self._seat.holds(browser):
                 await browser.send_json({"beat": self._seat.beat()})
                 await asyncio.sleep(BEAT_S)

@@ -72,7 +72,8 @@ class Worlds:
                 variation=variation,
             )
         except (WorldError, RenderingUnavailableError, PhysicsUnavailableError) as error:
-            raise ServiceError(str(error)) from None
+            # Where the files lie means nothing to who asks for a name.
+            raise ServiceError(str(error).replace(f"{self._settings.root / FOLDER}/", "")) from None
         self.here = world, variation
         return simulation
 

@@ -133,7 +133,7 @@ def test_a_world_that_cannot_be_used_leaves_the_robot_where_it_is(
     body = SimulatedBody(Simulation(load_world("yard"), StubCamera()), worlds=worlds)
     if make is rubbish:
         # What the file holds is only seen when it is opened in earnest.
-        with pytest.raises(ServiceError, match=why):
+        with pytest.raises(ServiceError, match=f"^bad.json: {why}"):
             Worlds.open(worlds, "bad")
     else:
         with pytest.raises(ServiceError, match=why):
