@@ -294,7 +294,12 @@ class ConsoleService:
             goal=goal or model.nearest,
             max_ticks=max(_MAX_TICKS, _PATIENCE * model.longest),
         )
-        self._begin(request, lambda: self._load(model, load))
+
+        def prepare() -> None:
+            self._load(model, load)
+            self._record()  # a person may correct it by hand, which teaches
+
+        self._begin(request, prepare)
 
     def _load(self, model: LearnedModel, load: LoadRequest) -> None:
         """Have recognition and policy work with a model; on a thread that asks."""

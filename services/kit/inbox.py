@@ -82,6 +82,12 @@ class Inbox:
                 self._give_up(max(self._queues, key=lambda name: self._queues[name].size))
             self._ready.notify()
 
+    def put_once(self, name: str) -> None:
+        """Add an item without content, unless one waits already."""
+        with self._ready:
+            if not self._queues[name].items:
+                self.put(name, None, 0)
+
     def _give_up(self, name: str) -> None:
         self._pop(name)
         self.dropped[name] += 1

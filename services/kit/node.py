@@ -38,6 +38,8 @@ from services.kit.settings import ServiceSettings
 from services.table import role_of
 
 REQUEST_QUEUE: Final = 64
+#: Queues of what is to be done soon, which are no topics and tell nobody anything.
+_SOON: Final = "soon/"
 EXIT_FAILED: Final = 1
 EXIT_USAGE: Final = 2
 M = TypeVar("M", bound=Message)
@@ -241,14 +243,14 @@ class Node:
 
     def soon(self, handler: Callable[[], object]) -> Callable[[], None]:
         """Return what any thread may call to have ``handler`` called on the node's thread, once for all that called."""
-        name = f"soon/{len(self._handlers)}"
+        name = f"{_SOON}{len(self._handlers)}"
         self._inbox.open(name, 1)
 
         def work(_: object) -> None:
             handler()
 
         self._handlers[name] = work
-        return lambda: self._inbox.put(name, None, 0)
+        return lambda: self._inbox.put_once(name)
 
     def waits(self, topic: Topic) -> bool:
         """Whether a message of a topic has come that is not yet handled."""
@@ -368,7 +370,7 @@ class Node:
             idle_s=round(now - self._worked_s, 3),
             busy_s=round(now - began_s, 3) if (began_s := self._began_s) is not None else 0.0,
             oldest_s=round(self._inbox.oldest_s(), 3),
-            waiting=self._inbox.waiting(),
+            waiting={name: many for name, many in self._inbox.waiting().items() if not name.startswith(_SOON)},
             received=dict(self._received),
             published=dict(self._published),
             dropped=dict(self._inbox.dropped),

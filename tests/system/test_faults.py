@@ -66,9 +66,9 @@ def test_every_service_takes_and_gives_what_the_table_of_services_says(rig: Rig)
         # The features take depth images where their modalities need them; what the robot takes at once waits nowhere.
         may_take = {topic.name for topic in row.takes}
         at_once = may_take if name == "robot" else {"camera/depth"}
-        waiting = {one for one in status.waiting if not one.startswith(("rpc/", "soon/"))}
+        waiting = {one for one in status.waiting if not one.startswith("rpc/")}
         assert may_take - at_once <= waiting <= may_take, name
-        assert {one for one in status.received if not one.startswith(("rpc/", "soon/"))} <= may_take, name
+        assert {one for one in status.received if not one.startswith("rpc/")} <= may_take, name
         assert set(status.published) <= {topic.name for topic in row.gives}, name
         # The yard has no camera above it, and nobody sits at the page.
         gives = row.gives and name not in ("tracker", "console")

@@ -15,15 +15,19 @@ import pytest
 
 from schemas.base import Message
 from schemas.episode import Episode
+from schemas.rpc import LoadReply, LoadRequest
 from schemas.state import Place, State
 from services.console.jobs import Job, Jobs
 from services.console.learned import learned_of
 from services.console.library import LearnedModel, Library
 from services.kit.model_service import identity_of
-from services.kit.node import ServiceError
+from services.kit.node import Node, ServiceError
+from services.kit.settings import ServiceSettings
+from services.recorder.service import RecorderService
 from services.recordings.writer import EpisodeWriter
 from smal.learning import LearningSettings, fit
 from tests import corridor
+from tests.services.conftest import RunNode
 from tests.services.console.conftest import Console
 from tests.services.console.page import Page
 from tests.services.recordings import recorded_messages
@@ -197,6 +201,44 @@ def test_what_cannot_be_run_or_learned_is_said(console: Console, robot: Robot, o
     eventually(lambda: "features status: no answer" in page.news())
     page.say(do="learn", name="way", recordings=["drives/none.mcap"])
     eventually(lambda: "gone, or teaches nothing" in page.news())
+
+
+@pytest.mark.parametrize("scheme", ["filter", "paper"])
+def test_a_run_is_of_the_model_and_scheme_that_are_chosen_and_recorded(
+    console: Console,
+    robot: Robot,
+    recorder: RecorderService,
+    open_page: Callable[[], Page],
+    settings: ServiceSettings,
+    run_node: RunNode,
+    scheme: str,
+) -> None:
+    """Recorded as well, since a person may correct it by hand."""
+    loaded: list[tuple[str, LoadRequest]] = []
+    corridor.save_model(console.root / "corridor.smal")
+    features = Node("features", settings)
+    features.detail = lambda: {"fingerprint": corridor.FEATURES.fingerprint}
+    chain = {name: Node(name, settings) for name in ("recognition", "policy")}
+    for name, node in chain.items():
+
+        def load(request: LoadRequest, name: str = name) -> LoadReply:
+            loaded.append((name, request))
+            return LoadReply(states=1, templates=1, sequence_length=1, keyframes=1, scheme=request.scheme, stride=1)
+
+        node.serve("load", LoadRequest, load)
+    for node in (features, *chain.values()):
+        run_node(node)
+    page = open_page()
+    eventually(lambda: page.state.get("library", {}).get("models"))
+    page.take()
+    eventually(lambda: page.beats and page.robot(answers=True))
+    page.say(do="run", model="corridor.smal", scheme=scheme, goal="victim", start="start", seed=7)
+    eventually(lambda: str(page.state["robot"]["episode"]).startswith("run-7-"))
+    wanted = LoadRequest(model="corridor.smal", scheme=scheme, goal="victim" if scheme == "filter" else None)
+    assert loaded == [("recognition", wanted), ("policy", wanted)]
+    page.say(do="end", found=True)
+    (recording,) = eventually(lambda: page.state["library"]["recordings"])
+    assert (recording["purpose"], recording["goal"], recording["outcome"]) == ("run", "victim", "found")
 
 
 SCRIPT = """

@@ -261,6 +261,20 @@ def test_periods_missed_while_busy_are_not_made_up(node: Node) -> None:
     assert calls[3] - calls[1] >= 0.015, "the five missed calls did not come at once"
 
 
+def test_what_is_asked_for_soon_is_done_once_and_is_no_message(node: Node) -> None:
+    done: list[int] = []
+    soon, other = node.soon(lambda: done.append(1)), node.soon(lambda: done.append(2))
+    for _ in range(5):
+        soon()
+    other()
+    assert node.status().waiting == {}
+    assert node.spin(lambda: 2 in done, timeout_s=5.0)
+    assert done == [1, 2]
+    soon()
+    assert node.spin(lambda: len(done) == 3, timeout_s=5.0)
+    assert node.status().dropped == {}, "nothing is lost where nothing was said"
+
+
 def test_a_wake_before_the_wait_is_not_lost() -> None:
     inbox = Inbox()
     inbox.open("queue", 1)
