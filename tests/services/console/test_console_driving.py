@@ -328,6 +328,7 @@ def test_the_seat() -> None:
     assert seat.holds("b")
 
 
+@unattended
 def test_a_drive_has_the_name_that_its_person_gives_it(
     robot: Robot, recorder: RecorderService, open_page: OpenPage
 ) -> None:
