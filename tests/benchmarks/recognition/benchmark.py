@@ -6,7 +6,6 @@ take turns; of these the median and the worst over queries are reported.
 
 from __future__ import annotations
 
-import argparse
 import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
@@ -18,7 +17,7 @@ from tqdm import tqdm
 
 from services.kit.errors import UsageError
 from services.recordings.dataset import find_recordings
-from tests.benchmarks.command_line import Parser
+from tests.benchmarks.command_line import Parser, say
 from tests.benchmarks.machine import machine
 from tests.benchmarks.recognition.algorithm2 import from_one_solve, whole_run
 from tests.benchmarks.recognition.campus import campus
@@ -31,7 +30,7 @@ from tests.benchmarks.recognition.matching import TOLERANCE, measure, problems
 from tests.benchmarks.recognition.plan import QUICK, Plan
 from tests.benchmarks.recognition.tables import as_text
 from tests.benchmarks.recognition.targets import judge
-from tests.benchmarks.results import LeftOutError, Record, write_json
+from tests.benchmarks.results import LeftOutError, Record
 
 DATASETS: Final = ("synthetic", "campus", "real")
 PARTS: Final = ("matching", "algorithm2", "cvxpy", "convergence")
@@ -187,18 +186,13 @@ def main(arguments: list[str]) -> None:
         except OSError as error:
             raise UsageError(f"--recordings {error}") from None
     results = benchmark(QUICK if flags.quick else Plan(), choice)
-    if flags.json is not None:
-        write_json(flags.json, {"quick": flags.quick, **results})
-    sys.stdout.write(as_text(results))
-    if flags.json is not None:
-        sys.stdout.write(f"\nresults: {flags.json}\n")
+    say(flags, results, as_text(results))
     if choice.out is not None and results["convergence"]:
         sys.stdout.write(f"picture: {choice.out / 'convergence.png'}\n")
 
 
 def _parser() -> Parser:
     parser = Parser("recognition", __doc__)
-    parser.formatter_class = argparse.RawDescriptionHelpFormatter
     parser.add_argument("--recordings", type=Path, metavar="DIR", help="drives on the campus (smal demonstrate "
                         "--camera 320x240); without them they are driven, which takes minutes")  # fmt: skip
     parser.add_argument("--images", type=Path, metavar="DIR", action="append", default=[], help="real frames, may be "

@@ -8,11 +8,9 @@ from __future__ import annotations
 
 import argparse
 import json
-import sys
-import tempfile
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, Final
 
@@ -21,12 +19,12 @@ from tqdm import tqdm
 from services.cli import options
 from services.kit.errors import JobError
 from services.table import stack_services
-from tests.benchmarks.command_line import Parser
+from tests.benchmarks.command_line import Parser, folder_for, say
 from tests.benchmarks.faults.model import taught_model
 from tests.benchmarks.faults.picture import draw_growth
 from tests.benchmarks.faults.rig import Rig, RigPlan, rig_for
 from tests.benchmarks.machine import machine
-from tests.benchmarks.results import Record, table, write_json
+from tests.benchmarks.results import Record, table
 from tests.benchmarks.soak.growth import Sample, judge, sample
 
 _MINUTES: Final = 60.0
@@ -122,23 +120,11 @@ def main(arguments: list[str]) -> None:
     if chosen.model is not None:
         options.read_model(chosen.model, "filter", None)
     minutes = chosen.minutes or (_QUICK_MINUTES if chosen.quick else _MINUTES)
-    with _folder(chosen.out) as folder:
+    with folder_for(chosen.out) as folder:
         results = benchmark(minutes, chosen.model, folder)
-    if chosen.json is not None:
-        write_json(chosen.json, results)
     if chosen.out is not None:
         draw_growth([Sample(**one) for one in results["samples"]], chosen.out / "soak.png")
-    sys.stdout.write(as_text(results))
-
-
-@contextmanager
-def _folder(out: Path | None) -> Iterator[Path]:
-    """Give the folder for logs and samples; without ``--out`` it is removed again."""
-    if out is not None:
-        yield out
-        return
-    with tempfile.TemporaryDirectory(prefix="smal-soak-") as folder:
-        yield Path(folder)
+    say(chosen, results, as_text(results))
 
 
 def _minutes(text: str) -> float:
@@ -150,8 +136,6 @@ def _minutes(text: str) -> float:
 
 def _parser() -> Parser:
     parser = Parser("soak", __doc__)
-    parser.formatter_class = argparse.RawDescriptionHelpFormatter
     parser.add_argument("--minutes", type=_minutes, metavar="M", help=f"how long to drive (default {_MINUTES:g})")
-    parser.add_argument("--model", type=Path, metavar="FILE", help="model of the world yard, camera 160x120; without "
-                        "it one is taught first, in a minute or two")  # fmt: skip
+    parser.add_model()
     return parser

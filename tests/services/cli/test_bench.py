@@ -15,8 +15,6 @@ PROBE = """
 import json, os, sys
 print(json.dumps([sys.argv[1:], {k: v for k, v in os.environ.items() if k.endswith("_NUM_THREADS")}, os.getcwd()]))
 sys.exit(3)
-if __name__ == "__main__":
-    pass
 """
 
 
@@ -34,7 +32,8 @@ def test_a_benchmark_runs_with_its_threads_fixed_where_the_user_is(
     (folder / "probe").mkdir(parents=True)
     for package in (folder.parent, folder, folder / "probe"):
         (package / "__init__.py").touch()
-    (folder / "probe" / "__main__.py").write_text(PROBE)
+    (folder / "probe" / "benchmark.py").touch()
+    (folder / "__main__.py").write_text(PROBE)
     (folder / "helper.py").write_text("X = 1\n")
     monkeypatch.setattr(bench, "FOLDER", folder)
     monkeypatch.chdir(tmp_path)
@@ -43,7 +42,7 @@ def test_a_benchmark_runs_with_its_threads_fixed_where_the_user_is(
     status = run(monkeypatch, "probe", "--json", "a.json", "--speed", "7", "--quick", "--threads", "2")
     said, wrong = capfd.readouterr()
     assert (status, wrong) == (3, "")
-    assert '["--json", "a.json", "--quick", "--speed", "7"]' in said
+    assert '["probe", "--json", "a.json", "--quick", "--speed", "7"]' in said
     assert said.count('_NUM_THREADS": "2"') >= 4
     assert str(tmp_path) in said
 
