@@ -15,13 +15,14 @@ from typing import Any, Final
 
 from tqdm import tqdm
 
+from services.experiments.evaluation.objective_experiment import convergence
+from services.experiments.evaluation.report.recognition_figures import objective
 from services.kit.errors import UsageError
 from services.recordings.dataset import find_recordings
 from tests.benchmarks.command_line import Parser, say
 from tests.benchmarks.machine import machine
 from tests.benchmarks.recognition.algorithm2 import from_one_solve, whole_run
 from tests.benchmarks.recognition.campus import campus
-from tests.benchmarks.recognition.convergence import convergence, draw
 from tests.benchmarks.recognition.cvxpy_peer import against_cvxpy
 from tests.benchmarks.recognition.datasets import Dataset, Problem, Synthetic
 from tests.benchmarks.recognition.growth import growth
@@ -163,11 +164,11 @@ def _time_one_solve(report: Report, problem: Problem) -> None:
 
 
 def _converge(problem: Problem, out: Path | None, report: Report) -> None:
-    report.convergence = convergence(problem)
+    report.convergence = convergence(problem.templates, problem.queries[0], problem.length, (problem.penalty,) * 2)
     if out is None:
         report.leave_out("picture of the convergence", "no folder for pictures was given (--out DIR)")
         return
-    draw(report.convergence, out / "convergence.png")
+    objective({"a synthetic video": report.convergence}).savefig(out / "convergence.png", dpi=130)
 
 
 def main(arguments: list[str]) -> None:
