@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 from tqdm import tqdm
 
-from services.cli import outputs
+from services.cli import STYLE, outputs
 from services.experiments.showing.summary import lines
 from services.kit.errors import JobError, UsageError
 from services.recordings.dataset import find_recordings
@@ -17,10 +17,7 @@ from smal.model import Model, ModelError
 
 app = typer.Typer(
     help="Look at what was learned.\n\nExample: smal model show campus.smal --recordings drives --out shown",
-    no_args_is_help=True,
-    add_completion=False,
-    rich_markup_mode=None,
-    pretty_exceptions_enable=False,
+    **STYLE,
 )
 
 

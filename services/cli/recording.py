@@ -12,7 +12,7 @@ from typing import Annotated, Any
 
 import typer
 
-from services.cli import outputs
+from services.cli import STYLE, outputs
 from services.cli.options import Json
 from services.kit.errors import JobError, UsageError
 from services.kit.node import EXIT_FAILED
@@ -24,10 +24,7 @@ from services.recordings.repair import RepairError, repair, usual_name
 
 app = typer.Typer(
     help="Tell what is in recordings; check and repair them.\n\nExample: smal recording info drives",
-    no_args_is_help=True,
-    add_completion=False,
-    rich_markup_mode=None,
-    pretty_exceptions_enable=False,
+    **STYLE,
 )
 Paths = Annotated[list[Path], typer.Argument(help="Recordings (MCAP), or folders of them.")]
 

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from services.experiments.evaluation import search_experiment
-from services.experiments.evaluation.controllers import Move
+from services.experiments.evaluation.controllers import Move, Seen
 from services.experiments.evaluation.controllers import Place as EvaluatedPlace
 from services.experiments.evaluation.demonstrations import Drive, demonstrate
 from services.experiments.evaluation.plan import CONTROLLERS, Criterion, Trial
@@ -158,7 +158,7 @@ class Says:
     def reset(self) -> None:
         self._tick = 0
 
-    def act(self, tick: int, image: np.ndarray, raw: None, odometry: object) -> Move:
+    def act(self, _seen: Seen) -> Move:
         place = self._places[tick] if tick < len(self._places) else self._right
         return Move(Atom.STOP, "look_around" if place is None else "follow", place is not None, place=place)
 
