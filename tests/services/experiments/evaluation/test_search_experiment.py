@@ -158,8 +158,8 @@ class Says:
     def reset(self) -> None:
         self._tick = 0
 
-    def act(self, _seen: Seen) -> Move:
-        place = self._places[tick] if tick < len(self._places) else self._right
+    def act(self, seen: Seen) -> Move:
+        place = self._places[seen.tick] if seen.tick < len(self._places) else self._right
         return Move(Atom.STOP, "look_around" if place is None else "follow", place is not None, place=place)
 
 
