@@ -103,10 +103,10 @@ def patience(drives: tuple[Drive, ...]) -> float:
 def test_whoever_drives_the_finding_is_numbers(
     controller: str, place: Workplace, drives: tuple[Drive, ...], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def clone(images: list[np.ndarray], atoms: list[np.ndarray], settings: CloningSettings) -> tuple[Forward, None]:
+    def clone(images: list[np.ndarray], atoms: list[np.ndarray], settings: CloningSettings) -> Forward:
         assert settings.seed == 3 % CLONES
         assert [len(each) for each in images] == [len(each) for each in atoms]
-        return Forward(), None
+        return Forward()
 
     monkeypatch.setattr(search_experiment, "clone", clone)
     drivers = Drivers(place)
