@@ -81,7 +81,7 @@ def learn(
         raise UsageError(f"--out {out}: is a folder; give the name of a file, for example {out / 'model.smal'}")
     outputs.make_folder(out.parent, "--out")
     outputs.check_file(json_file, "--json")
-    files = _find(recordings)
+    files = find_recordings(recordings)
     settings = replace(settings, features=_features(files, modalities, weights))
     bar = _Lines() if progress else _StageBar()
     try:
@@ -117,13 +117,6 @@ def _settings(
     try:
         return LearningSettings(**chosen)  # type: ignore[arg-type]  # checked by LearningSettings
     except ValueError as error:
-        raise UsageError(str(error)) from None
-
-
-def _find(paths: list[Path]) -> list[Path]:
-    try:
-        return find_recordings(paths)
-    except OSError as error:
         raise UsageError(str(error)) from None
 
 

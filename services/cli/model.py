@@ -56,10 +56,7 @@ def show(
         for line in lines(model, str(file), file.stat().st_size):
             typer.echo(line)
         return
-    try:
-        files = None if recordings is None else find_recordings(recordings)
-    except OSError as error:
-        raise UsageError(f"--recordings: {error}") from None
+    files = None if recordings is None else find_recordings(recordings)
     outputs.make_folder(out, "--out")
     # They load matplotlib and OpenCV.
     from services.experiments.showing.drives import find_drives  # noqa: PLC0415

@@ -103,11 +103,8 @@ def mend(
 
 def _each(paths: list[Path], read: Callable[[Path], Contents]) -> tuple[list[Contents], int]:
     """Read each recording; return them, and how many are none, which is said on standard error."""
-    try:
-        found = find_recordings(paths)
-    except OSError as error:
-        raise UsageError(str(error)) from None
     done = []
+    found = find_recordings(paths)
     for path in found:
         try:
             done.append(read(path))

@@ -14,12 +14,7 @@ from smal.sequences import last_frames
 
 
 class DemonstratedFrames:
-    """Where in the demonstrations of a model a state and a phase are.
-
-    Parameters
-    ----------
-    model : Model
-    """
+    """Where in the demonstrations of a model a state and a phase are."""
 
     def __init__(self, model: Model) -> None:
         counts = [len(atoms) for atoms in model.atoms]

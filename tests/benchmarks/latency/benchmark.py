@@ -143,10 +143,7 @@ def _check(model: Path, recordings: Path, plan: Plan) -> None:
     """Find out what is wrong with the files before services start."""
     for scheme in plan.schemes:
         read_model(model, scheme, None)
-    try:
-        find_recordings([recordings])
-    except OSError as error:
-        raise UsageError(f"--recordings {error}") from None
+    find_recordings([recordings])
 
 
 def _parser() -> Parser:

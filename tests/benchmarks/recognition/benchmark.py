@@ -17,7 +17,6 @@ from tqdm import tqdm
 
 from services.experiments.evaluation.objective_experiment import convergence
 from services.experiments.evaluation.report.recognition_figures import objective
-from services.kit.errors import UsageError
 from services.recordings.dataset import find_recordings
 from tests.benchmarks.command_line import Parser, say
 from tests.benchmarks.machine import machine
@@ -182,10 +181,7 @@ def main(arguments: list[str]) -> None:
         flags.out,
     )
     if flags.recordings is not None:
-        try:
-            find_recordings([flags.recordings])
-        except OSError as error:
-            raise UsageError(f"--recordings {error}") from None
+        find_recordings([flags.recordings])
     results = benchmark(QUICK if flags.quick else Plan(), choice)
     say(flags, results, as_text(results))
     if choice.out is not None and results["convergence"]:

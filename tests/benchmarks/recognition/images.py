@@ -15,13 +15,7 @@ from tests.benchmarks.results import LeftOutError
 
 @dataclass(frozen=True)
 class ImageFolder:
-    """Which images are templates and which are queries.
-
-    Parameters
-    ----------
-    name : str
-    templates, queries : services.experiments.matching.image_folder.ImageFolder
-    """
+    """Which images are templates and which are queries."""
 
     name: str
     templates: image_folder.ImageFolder

@@ -60,7 +60,7 @@ def test_recognition_is_known() -> None:
         (["recognition", "--out", "file"], "--out file: is a file, not a folder"),
         (["recognition", "--images", "nowhere"], "--images nowhere: No such file or directory"),
         (["recognition", "--images", "."], "--images .: no image in this folder (files: 1)"),
-        (["recognition", "--recordings", "nowhere"], "--recordings nowhere: no such file or folder"),
+        (["recognition", "--recordings", "nowhere"], "nowhere: no such file or folder"),
         (["recognition", "--part"], "argument --part: expected one argument"),
         (["recognition", "--fast"], "unrecognized arguments: --fast"),
     ],
