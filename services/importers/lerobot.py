@@ -20,7 +20,7 @@ from services.importers.images import as_jpeg
 from services.importers.inside import Inside, parsed
 from services.importers.parquet import IMAGES, batches, numbers
 from services.importers.source_options import Wishes
-from services.importers.video import frames_at, thunk
+from services.importers.video import frames_at, jpeg_of
 
 #: Metres and radians a second; and a pose by the wheels, as only our own data sets have it.
 VELOCITIES: Final = ("linear_velocity", "angular_velocity")
@@ -277,7 +277,7 @@ def _video_frames(dataset: _Set, episode: _Episode, times_s: Array) -> Iterator[
     with dataset.inside.open(episode.video) as file:
         found = frames_at(file, called, episode.begin_s + times_s, 0.5 / dataset.fps)
         for time_s, frame in zip(times_s.tolist(), found, strict=True):
-            yield Frame(time_s, thunk(frame))
+            yield Frame(time_s, partial(jpeg_of, frame))
 
 
 def _embedded_frames(dataset: _Set, episode: _Episode) -> Iterator[Frame]:
