@@ -9,6 +9,7 @@ from contextlib import ExitStack, closing, contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Final
+from unittest.mock import patch
 
 from schemas.rpc import ArmRequest, EndRequest, Nothing, RecordReply, ResetReply, ResetRequest, Status
 from schemas.topics import EPISODE
@@ -255,14 +256,6 @@ class Rig:
         status = self.status(service, timeout_s=0.3)
         return status is not None and status.state == "ready" and status.pid != not_pid
 
-    def all_ready(self) -> bool:
-        """Whether all services are ready."""
-        return all(self.ready(service) for service in stack_services())
-
-    def log_of(self, service: str) -> str:
-        """Return what a service has logged."""
-        return (self.plan.folder / "logs" / f"{service}.log").read_text(errors="replace")
-
 
 @contextmanager
 def rig_for(plan: RigPlan) -> Iterator[Rig]:
@@ -277,24 +270,9 @@ def rig_for(plan: RigPlan) -> Iterator[Rig]:
         stack = Stack(
             StackPlan(stack_services(), ROBOT, endpoint, service_flags, logs=plan.folder / "logs", modules=modules)
         )
-        with _environment(plan.environment):
+        with patch.dict(os.environ, plan.environment):
             stacked.enter_context(stack)
         stacked.enter_context(observing(ROBOT, endpoint, plan.log))
         bus = stacked.enter_context(closing(Bus(ROBOT, endpoint)))
         tail = stacked.enter_context(closing(Tail(plan.log)))
         yield Rig(plan, stack, bus, tail, {service: pid for service, (_, pid) in links.items()})
-
-
-@contextmanager
-def _environment(more: Mapping[str, str]) -> Iterator[None]:
-    """Give what is started meanwhile more environment."""
-    before = {name: os.environ.get(name) for name in more}
-    os.environ.update(more)
-    try:
-        yield
-    finally:
-        for name, value in before.items():
-            if value is None:
-                os.environ.pop(name, None)
-            else:
-                os.environ[name] = value

@@ -10,7 +10,6 @@ turns drive by drive: with no page of the console, and with so many that watch, 
 from __future__ import annotations
 
 import argparse
-import sys
 import tempfile
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, closing, nullcontext
@@ -27,14 +26,13 @@ from services.kit.errors import UsageError
 from services.kit.jpeg import encode_jpeg
 from services.kit.settings import ServiceSettings
 from services.recordings.dataset import find_recordings
-from tests.benchmarks.command_line import Parser
+from tests.benchmarks.command_line import Parser, say
 from tests.benchmarks.latency.drives import Frames, Way, drives, make, resized
 from tests.benchmarks.latency.load import Load, processes_of
 from tests.benchmarks.latency.results import as_text, figures_of, judge, judge_watched
 from tests.benchmarks.latency.robot import Answers, Robot
 from tests.benchmarks.latency.watchers import watching
 from tests.benchmarks.machine import machine
-from tests.benchmarks.results import write_json
 
 SERVICES: Final = ("router", "features", "recognition", "policy")
 _ROBOT: Final = "bench"
@@ -155,11 +153,7 @@ def main(arguments: list[str]) -> None:
             model, recordings = make(folder, plan.episodes, plan.recoveries), folder
         _check(model, recordings, plan)
         results = benchmark(plan, model, recordings, folder / "logs")
-    if flags.json is not None:
-        write_json(flags.json, {"quick": flags.quick, **results})
-    sys.stdout.write(as_text(results))
-    if flags.json is not None:
-        sys.stdout.write(f"\nresults: {flags.json}\n")
+    say(flags, results, as_text(results))
 
 
 def _plan(flags: argparse.Namespace) -> Plan:
@@ -179,15 +173,11 @@ def _check(model: Path, recordings: Path, plan: Plan) -> None:
     """Find out what is wrong with the files before services start."""
     for scheme in plan.schemes:
         read_model(model, scheme, None)
-    try:
-        find_recordings([recordings])
-    except OSError as error:
-        raise UsageError(f"--recordings {error}") from None
+    find_recordings([recordings])
 
 
 def _parser() -> Parser:
     parser = Parser("latency", __doc__)
-    parser.formatter_class = argparse.RawDescriptionHelpFormatter
     parser.add_argument("--model", type=Path, metavar="FILE", help="made by smal learn")
     parser.add_argument("--recordings", type=Path, metavar="DIR", help="drives to show; without model and recordings "
                         "both are made, which takes minutes")  # fmt: skip

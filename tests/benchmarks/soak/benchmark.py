@@ -13,11 +13,9 @@ from __future__ import annotations
 import argparse
 import json
 import shutil
-import sys
-import tempfile
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager, nullcontext, suppress
+from contextlib import nullcontext, suppress
 from pathlib import Path
 from typing import Any, Final
 
@@ -27,12 +25,12 @@ from services.cli import options
 from services.cli.stack.processes import free_endpoint
 from services.kit.errors import JobError
 from services.table import stack_services
-from tests.benchmarks.command_line import Parser
+from tests.benchmarks.command_line import Parser, folder_for, say
 from tests.benchmarks.faults.model import taught_model
 from tests.benchmarks.faults.picture import draw_growth
 from tests.benchmarks.faults.rig import Rig, RigPlan, rig_for
 from tests.benchmarks.machine import machine
-from tests.benchmarks.results import Record, table, write_json
+from tests.benchmarks.results import Record, table
 from tests.benchmarks.soak.growth import Sample, judge, sample, warmed_up
 from tests.benchmarks.soak.page import CHROMIUM, NO_CHROMIUM, Held, Send, held, judge_page, page_of
 
@@ -166,25 +164,13 @@ def main(arguments: list[str]) -> None:
         raise JobError(NO_CHROMIUM)
     usual = _PAGE_MINUTES if chosen.page else _MINUTES
     minutes = chosen.minutes or (_QUICK_MINUTES if chosen.quick else usual)
-    with _folder(chosen.out) as folder:
+    with folder_for(chosen.out) as folder:
         results = benchmark(minutes, chosen.model, folder, page=chosen.page)
-    if chosen.json is not None:
-        write_json(chosen.json, results)
     if chosen.out is not None:
         draw_growth([Sample(**one) for one in results["samples"]], chosen.out / "soak.png")
-    sys.stdout.write(as_text(results))
+    say(chosen, results, as_text(results))
     if not results["met"]:
         raise JobError("the soak is not met")
-
-
-@contextmanager
-def _folder(out: Path | None) -> Iterator[Path]:
-    """Give the folder for logs and samples; without ``--out`` it is removed again."""
-    if out is not None:
-        yield out
-        return
-    with tempfile.TemporaryDirectory(prefix="smal-soak-") as folder:
-        yield Path(folder)
 
 
 def _minutes(text: str) -> float:
@@ -196,10 +182,8 @@ def _minutes(text: str) -> float:
 
 def _parser() -> Parser:
     parser = Parser("soak", __doc__)
-    parser.formatter_class = argparse.RawDescriptionHelpFormatter
     parser.add_argument("--minutes", type=_minutes, metavar="M", help=f"how long to drive (default {_MINUTES:g}, "
                         f"with --page {_PAGE_MINUTES:g})")  # fmt: skip
     parser.add_argument("--page", action="store_true", help="a browser watches the console's page")
-    parser.add_argument("--model", type=Path, metavar="FILE", help="model of the world yard, camera 160x120; without "
-                        "it one is taught first, in a minute or two")  # fmt: skip
+    parser.add_model()
     return parser
