@@ -18,7 +18,7 @@ def serve() -> None:
         board = Board()
         service = ConsoleService(node, board, settings.root)
         server = WebServer(service, board, settings)
-        service.start()
+        service.feed.start()
         node.log.info("the page is at %s", server.address)
         try:
             node.spin()

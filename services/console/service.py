@@ -1,10 +1,9 @@
-"""The console on the bus: what is heard goes to the board, what a browser says to the operator."""
+"""The console on the bus: what a browser says goes to the operator, or to whom it is for."""
 
 from __future__ import annotations
 
 import math
 import secrets
-import threading
 from collections.abc import Callable
 from concurrent.futures import Future, InvalidStateError
 from contextlib import AbstractContextManager, ExitStack, suppress
@@ -15,33 +14,24 @@ from typing import Final
 from schemas import topics
 from schemas.action import Action
 from schemas.base import Atom
-from schemas.compressed_image import CompressedImage
-from schemas.pose import Pose
 from schemas.rpc import LoadReply, LoadRequest, Nothing, RecordRequest, ResetRequest, Status
-from schemas.state import State
-from schemas.tracked_pose import TrackedPose
 from services.console.asks import LATE, Ask, Cancel, Delete, Drive, End, Learn, Resume, Run
 from services.console.board import Board
-from services.console.health import ASK_S, Health
+from services.console.feed import Feed
 from services.console.jobs import Job, Jobs
-from services.console.learned import Learned, learned_of
+from services.console.learned import Learned
 from services.console.library import DRIVES, MODELS, WORLDS, LearnedModel, Library
 from services.console.reports import BoardReports
 from services.console.seat import LEASE_S, LET_GO_S
-from services.kit.jpeg import is_jpeg
 from services.kit.node import Detail, Node, ServiceError
-from services.kit.root import below, name_below
+from services.kit.root import below
 from services.operator.hold import KeyHold
 from services.operator.operator import BEAT_S, POLL_S, Operator
-from services.table import stack_services
-from smal.model import Model, ModelError
 
 #: Reading a model takes as long.
 LOAD_S: Final = 60.0
 #: Frames after which a run times out: three times those of the longest taught drive, at least these; as `smal run`.
 _PATIENCE, _MAX_TICKS = 3, 3000
-#: Points of today's way; when there are more every second one is left out.
-_POINTS: Final = 400
 #: The services that work with the model.
 _CHAIN: Final = ("recognition", "policy")
 
@@ -68,45 +58,28 @@ class ConsoleService:
         self._reports = BoardReports(board)
         self._operator = Operator(node, KeyHold(board.clock, LET_GO_S, LET_GO_S), self._reports)
         self.library = Library(root)
-        self._health = Health(node.bus, tuple(name for name in stack_services() if name != node.name))
+        self.feed = Feed(node, board, self.library)
         self._jobs = Jobs(lambda job: board.put("job", job))
-        #: The model that the robot goes by.
-        self.learned: Learned | None = None
-        self._followed: tuple[object, object] = (None, None)
         self._there_until_s = -math.inf
-        self._way: list[tuple[float, float]] = []
-        self._way_of = ""
         self._asked: SimpleQueue[Callable[[], None]] = SimpleQueue()
         self._wake = node.soon(self._work)
-        self._closed = threading.Event()
-        node.subscribe(topics.JPEG, self._on_image, depth=1)
-        node.subscribe(topics.STATE, self._on_state)
         node.subscribe(topics.ACTION, self._on_action)
-        node.subscribe(topics.POSE, self._on_pose)
-        node.subscribe(topics.TRACKED, self._on_tracked)
         node.every(POLL_S, self._work)
         node.every(BEAT_S, self._bridge)
         node.detail = self._detail
         board.put("robot_id", node.robot)
         board.put("taken", content=False)
-        self._rounds = [
-            threading.Thread(target=self._repeat, args=(round_,), name=round_.__name__, daemon=True)
-            for round_ in (self._look_at_services, self._look_at_files)
-        ]
-
-    def start(self) -> None:
-        """Begin to look at services and files, now and then."""
-        for thread in self._rounds:
-            thread.start()
 
     def close(self) -> None:
-        """Stop looking, and let go of the robot in good order."""
-        self._closed.set()
+        """End what is being made, and let go of the robot in good order."""
         self._jobs.cancel()
         self._operator.release()
-        for thread in self._rounds:
-            if thread.is_alive():
-                thread.join(2 * ASK_S)
+        self.feed.close()
+
+    @property
+    def learned(self) -> Learned | None:
+        """The model that the robot goes by."""
+        return self.feed.learned
 
     @property
     def attended(self) -> bool:
@@ -180,7 +153,7 @@ class ConsoleService:
         """Make a world of a map; ``needs`` is exited when the map has been read."""
 
         def take() -> None:
-            robot = self._health.statuses.get("robot")
+            robot = self.feed.health.statuses.get("robot")
             known = "" if robot is None else str(robot.detail.get("worlds", ""))
             try:
                 with ExitStack() as read:
@@ -209,7 +182,7 @@ class ConsoleService:
 
         A robot that moves only while its operator is there hears of none but their own answers.
         """
-        robot = self._health.statuses.get("robot")
+        robot = self.feed.health.statuses.get("robot")
         if self.attended and robot is not None and robot.detail.get("attended") is False:
             self._operator.beat()
 
@@ -343,100 +316,12 @@ class ConsoleService:
 
     # -- what is heard --------------------------------------------------------------------------------------------
 
-    def _on_image(self, image: CompressedImage) -> None:
-        if is_jpeg(image.data):
-            self._board.show(image.data)
-            self._put("camera", tick=image.tick, width=image.width, height=image.height)
-
-    def _on_state(self, state: State) -> None:
-        learned = self.learned
-        belief = {} if learned is None else learned.belief(state)
-        self._put(
-            "belief",
-            tick=state.tick,
-            status=state.status,
-            lost=round(state.lost, 3),
-            cosine=round(state.cosine, 3),
-            gap=state.duality_gap,
-            state=state.state,
-            places=[[place.keyframe, round(place.weight, 3)] for place in state.places] if belief else [],
-            **belief,
-        )
-
     def _on_action(self, action: Action) -> None:
-        self._put("plan", tick=action.tick, kind=action.kind, atoms=action.atoms[:20], arrived=action.arrived)
+        self.feed.on_action(action)
         operator = self._operator
         began = operator.request is not None and operator.request.driver == "policy"
         if action.arrived and began and action.episode == operator.mine and not operator.asking:
             operator.end_mine()
 
-    def _on_pose(self, pose: Pose) -> None:
-        self._go(pose.episode, "truth", (pose.x_m, pose.y_m, pose.heading_rad))
-
-    def _on_tracked(self, pose: TrackedPose) -> None:
-        if pose.x_m is not None and pose.y_m is not None and pose.heading_rad is not None:
-            self._put("tracked", pose=_rounded((pose.x_m, pose.y_m, pose.heading_rad)))
-
-    def _go(self, episode: str, by: str, pose: tuple[float, float, float]) -> None:
-        """Take note of where the robot is, and of the way that it has come in this episode."""
-        if episode != self._way_of:
-            self._way, self._way_of = [], episode
-        here = (round(pose[0], 2), round(pose[1], 2))
-        if not self._way or math.dist(here, self._way[-1]) >= 0.1:
-            self._way.append(here)
-            if len(self._way) > _POINTS:
-                del self._way[1:-1:2]
-            # Every tenth point, since the page draws the rest itself from where the robot is.
-            if len(self._way) % 10 == 1:
-                self._board.put("way", {"episode": episode, "points": self._way})
-        self._put("pose", episode=episode, by=by, pose=_rounded(pose))
-
-    def _put(self, channel: str, **content: object) -> None:
-        self._board.put(channel, content | {"at": round(self._board.clock(), 3)})
-
-    # -- now and then, on threads of their own --------------------------------------------------------------------
-
-    def _repeat(self, look: Callable[[], None]) -> None:
-        while not self._closed.is_set():
-            try:
-                look()
-            except Exception:
-                self._node.log.warning("%s", look.__name__.strip("_").replace("_", " "), exc_info=True)
-            self._closed.wait(ASK_S)
-
-    def _look_at_services(self) -> None:
-        self._put("health", services=self._health.ask())
-        recorder = self._health.statuses.get("recorder")
-        folder = recorder.detail.get("folder") if recorder is not None else None
-        if folder is not None:
-            self.library.record_in(Path(str(folder)))
-
-    def _look_at_files(self) -> None:
-        self._board.put("library", self.library.look())
-        recognition = self._health.statuses.get("recognition")
-        if recognition is not None:
-            told = recognition.detail
-            self._follow_model(told.get("model"), told.get("checksum"), told.get("goal"))
-
-    def _follow_model(self, file: object, identity: object, goal: object) -> None:
-        """Look at the model that recognition works with, where that is another one now."""
-        if file is None or self._followed == (identity, goal):
-            return
-        self._followed = (identity, goal)
-        name = name_below(self.library.root, self.library.root / str(file))
-        try:
-            if name is None:
-                raise ServiceError(f"{file} lies outside of the console's root, and is not drawn")
-            recordings = {one.episode: self.library.path(one.name) for one in self.library.recordings() if one.episode}
-            model = Model.load(below(self.library.root, name))
-            self.learned = learned = learned_of(model, None if goal is None else str(goal), recordings)
-            self._board.put("model", {"name": name} | learned.shown())
-        except (ModelError, ServiceError, ValueError, OSError) as error:
-            self._board.put("model", {"name": str(file), "trouble": str(error)})
-
     def _detail(self) -> Detail:
         return {"watchers": self._board.watchers, "root": str(self.library.root)}
-
-
-def _rounded(pose: tuple[float, float, float]) -> list[float]:
-    return [round(value, 3) for value in pose]

@@ -53,7 +53,7 @@ def console(settings: ServiceSettings, run_node: RunNode, tmp_path: Path) -> Ite
     board = Board()
     service = ConsoleService(node, board, own.root)
     server = WebServer(service, board, own)
-    service.start()
+    service.feed.start()
     run_node(node)
     yield Console(service, board, server, own.root)
     server.close()

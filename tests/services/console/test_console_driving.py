@@ -335,8 +335,8 @@ def test_a_drive_has_the_name_that_its_person_gives_it(
     page = open_page()
     page.take()
     eventually(lambda: page.beats > 0 and page.robot(answers=True))
-    page.say(do="drive", goal="dock", name="to-the-dock")
-    eventually(lambda: str(page.state["robot"]["episode"]).startswith("to-the-dock-"))
+    wanted = {"goal": "dock", "name": "to-the-dock"}
+    page.insist(lambda: str(page.state["robot"]["episode"]).startswith("to-the-dock-"), do="drive", **wanted)
     page.say(do="end", found=True)
     (recording,) = eventually(lambda: page.state.get("library", {}).get("recordings"))
     assert recording["name"].startswith("drives/to-the-dock-")
@@ -359,8 +359,7 @@ def test_nothing_begins_for_who_has_left_before_it_could(
     page, other = open_page(), open_page()
     page.take()
     eventually(lambda: page.beats > 0 and page.robot(answers=True))
-    page.say(do="drive", goal="dock")
-    assert asked.wait(20.0)
+    page.insist(asked.is_set, do="drive", goal="dock")
     if how == "leaves":
         page.say(do="leave")
     else:
@@ -379,8 +378,7 @@ def test_who_answers_slowly_is_there_all_the_same(robot: Robot, recorder: Record
     page.late_s = 1.5 * LET_GO_S
     page.take()
     eventually(lambda: page.beats > 20 and page.robot(answers=True))
-    page.say(do="drive", goal="dock")
-    eventually(lambda: page.state["robot"]["episode"] is not None or "left" in page.news())
+    page.insist(lambda: page.state["robot"]["episode"] is not None or "left" in page.news(), do="drive", goal="dock")
     assert page.state["robot"]["episode"] is not None, page.news()
     page.held, beats = "forward", page.beats
     eventually(lambda: page.beats > beats + 20)
@@ -402,8 +400,7 @@ def test_an_episode_ends_at_once_whose_person_has_left_while_another_world_was_o
     page, other = open_page(), open_page()
     page.take()
     eventually(lambda: page.beats > 0 and page.robot(answers=True))
-    page.say(do="drive", goal="dock")
-    assert asked.wait(20.0)
+    page.insist(asked.is_set, do="drive", goal="dock")
     page.say(do="leave")
     eventually(lambda: not console.service.attended)
     goes_on.set()
@@ -426,8 +423,7 @@ def test_an_emergency_stop_while_another_world_is_opened_is_latched_when_it_is(
     page.take()
     eventually(lambda: page.beats > 0 and page.robot(answers=True))
     page.held = "forward"
-    page.say(do="drive", goal="dock")
-    assert asked.wait(20.0)
+    page.insist(asked.is_set, do="drive", goal="dock")
     other.stop()
     eventually(lambda: robot.gate.stop_cause == "emergency_stop")
     goes_on.set()

@@ -233,7 +233,7 @@ def test_elsewhere_only_who_knows_the_token_gets_in_and_all_is_encrypted(keys: P
         # Whoever has no token does not keep the loop busy, which an emergency stop may wait for.
         began_s = time.monotonic()
         assert get("/", Cookie=f'{COOKIE}="' + "\\" * 15_000 + '"')[0] == 401
-        assert time.monotonic() - began_s < 0.25
+        assert time.monotonic() - began_s < 2.0, "unquoting it with the square of its length takes 5 s"
         known = cookie.partition(";")[0]
         assert get("/", Cookie=known)[0] == 200
         own = {"origin": f"https://{address}", "ssl": trusted}

@@ -1,0 +1,174 @@
+"""What the services tell and what lies in the folders, put on the board for those who watch."""
+
+from __future__ import annotations
+
+import math
+import threading
+from collections.abc import Callable
+from pathlib import Path
+from typing import Final
+
+from schemas import topics
+from schemas.action import Action
+from schemas.compressed_image import CompressedImage
+from schemas.pose import Pose
+from schemas.state import State
+from schemas.tracked_pose import TrackedPose
+from services.console.board import Board
+from services.console.health import ASK_S, Health
+from services.console.learned import Learned, learned_of
+from services.console.library import Library
+from services.kit.jpeg import is_jpeg
+from services.kit.node import Node, ServiceError
+from services.kit.root import below, name_below
+from services.table import stack_services
+from smal.model import Model, ModelError
+
+#: Points of today's way; when there are more every second one is left out.
+_POINTS: Final = 400
+
+
+class Feed:
+    """Puts on the board what is heard of the robot, how every service is, and what was recorded and learned.
+
+    Parameters
+    ----------
+    node
+        Where to listen; all but the topic ``action`` is subscribed here.
+    board
+        Where it is shown.
+    library
+        Recordings and models.
+    """
+
+    def __init__(self, node: Node, board: Board, library: Library) -> None:
+        self._node = node
+        self._board = board
+        self._library = library
+        self.health = Health(node.bus, tuple(name for name in stack_services() if name != node.name))
+        #: The model that the robot goes by.
+        self.learned: Learned | None = None
+        self._followed: tuple[object, object] = (None, None)
+        self._way: list[tuple[float, float]] = []
+        self._way_of = ""
+        self._closed = threading.Event()
+        node.subscribe(topics.JPEG, self.on_image, depth=1)
+        node.subscribe(topics.STATE, self.on_state)
+        node.subscribe(topics.POSE, self.on_pose)
+        node.subscribe(topics.TRACKED, self.on_tracked)
+        self._rounds = [
+            threading.Thread(target=self._repeat, args=(round_,), name=round_.__name__, daemon=True)
+            for round_ in (self._look_at_services, self._look_at_files)
+        ]
+
+    def start(self) -> None:
+        """Begin to look at services and files, now and then."""
+        for thread in self._rounds:
+            thread.start()
+
+    def close(self) -> None:
+        """Look no more."""
+        self._closed.set()
+        for thread in self._rounds:
+            if thread.is_alive():
+                thread.join(2 * ASK_S)
+
+    # -- what is heard --------------------------------------------------------------------------------------------
+
+    def on_image(self, image: CompressedImage) -> None:
+        """Show the newest picture."""
+        if is_jpeg(image.data):
+            self._board.show(image.data)
+            self._put("camera", tick=image.tick, width=image.width, height=image.height)
+
+    def on_state(self, state: State) -> None:
+        """Show where the robot thinks it is."""
+        learned = self.learned
+        belief = {} if learned is None else learned.belief(state)
+        self._put(
+            "belief",
+            tick=state.tick,
+            status=state.status,
+            lost=round(state.lost, 3),
+            cosine=round(state.cosine, 3),
+            gap=state.duality_gap,
+            state=state.state,
+            places=[[place.keyframe, round(place.weight, 3)] for place in state.places] if belief else [],
+            **belief,
+        )
+
+    def on_action(self, action: Action) -> None:
+        """Show what it does, and why."""
+        self._put("plan", tick=action.tick, kind=action.kind, atoms=action.atoms[:20], arrived=action.arrived)
+
+    def on_pose(self, pose: Pose) -> None:
+        """Show where it truly is."""
+        self._go(pose.episode, "truth", (pose.x_m, pose.y_m, pose.heading_rad))
+
+    def on_tracked(self, pose: TrackedPose) -> None:
+        """Show where it is seen from above."""
+        if pose.x_m is not None and pose.y_m is not None and pose.heading_rad is not None:
+            self._put("tracked", pose=_rounded((pose.x_m, pose.y_m, pose.heading_rad)))
+
+    def _go(self, episode: str, by: str, pose: tuple[float, float, float]) -> None:
+        """Take note of where the robot is, and of the way that it has come in this episode."""
+        if episode != self._way_of:
+            self._way, self._way_of = [], episode
+        here = (round(pose[0], 2), round(pose[1], 2))
+        if not self._way or math.dist(here, self._way[-1]) >= 0.1:
+            self._way.append(here)
+            if len(self._way) > _POINTS:
+                del self._way[1:-1:2]
+            # Every tenth point, since the page draws the rest itself from where the robot is.
+            if len(self._way) % 10 == 1:
+                self._board.put("way", {"episode": episode, "points": self._way})
+        self._put("pose", episode=episode, by=by, pose=_rounded(pose))
+
+    def _put(self, channel: str, **content: object) -> None:
+        self._board.put(channel, content | {"at": round(self._board.clock(), 3)})
+
+    # -- now and then, on threads of their own --------------------------------------------------------------------
+
+    def _repeat(self, look: Callable[[], None]) -> None:
+        while not self._closed.is_set():
+            try:
+                look()
+            except Exception:
+                self._node.log.warning("%s", look.__name__.strip("_").replace("_", " "), exc_info=True)
+            self._closed.wait(ASK_S)
+
+    def _look_at_services(self) -> None:
+        self._put("health", services=self.health.ask())
+        recorder = self.health.statuses.get("recorder")
+        folder = recorder.detail.get("folder") if recorder is not None else None
+        if folder is not None:
+            self._library.record_in(Path(str(folder)))
+
+    def _look_at_files(self) -> None:
+        self._board.put("library", self._library.look())
+        recognition = self.health.statuses.get("recognition")
+        if recognition is not None:
+            told = recognition.detail
+            self._follow_model(told.get("model"), told.get("checksum"), told.get("goal"))
+
+    def _follow_model(self, file: object, identity: object, goal: object) -> None:
+        """Look at the model that recognition works with, where that is another one now."""
+        if file is None or self._followed == (identity, goal):
+            return
+        self._followed = (identity, goal)
+        name = name_below(self._library.root, self._library.root / str(file))
+        try:
+            if name is None:
+                raise ServiceError(f"{file} lies outside of the console's root, and is not drawn")
+            recordings = {
+                one.episode: self._library.path(one.name) for one in self._library.recordings() if one.episode
+            }
+            model = Model.load(below(self._library.root, name))
+            self.learned = learned = learned_of(model, None if goal is None else str(goal), recordings)
+            self._board.put("model", {"name": name} | learned.shown())
+        except (ModelError, ServiceError, ValueError, OSError) as error:
+            self._board.put("model", {"name": str(file), "trouble": str(error)})
+
+
+def _rounded(pose: tuple[float, float, float]) -> list[float]:
+    return [round(value, 3) for value in pose]
