@@ -1,6 +1,6 @@
 // The world that a simulated robot is in, those that it can be in, and maps that become worlds.
 
-import { $, element } from "./element.js";
+import { $, element, say } from "./element.js";
 
 const card = $("#map"), form = $("#world-form"), file = form.elements.map;
 let fresh = null;
@@ -25,6 +25,26 @@ function nameOf({ name }) {
 /** Where the next drive or run is to be; nothing where the robot is real. */
 export function chosenWorld() {
   return form.hidden ? {} : { world: form.elements.world.value, variation: form.elements.variation.value };
+}
+
+/** What the robot would have to open for the next drive or run, which takes a while; nothing where it is there. */
+export function opening() {
+  if (form.hidden) return "";
+  const { world, variation } = form.elements;
+  return world.value !== world.dataset.now || variation.value !== variation.dataset.now ? `${world.value} (${variation.value})` : "";
+}
+
+const news = card.querySelector(".empty");
+
+/** Show what becomes of a map, on the place of the drawing: that moves nothing. */
+export function showNews(text) {
+  say(news, text);
+  news.hidden = !text;
+}
+
+/** The drawing is looked at again. */
+export function hideNews() {
+  news.hidden = true;
 }
 
 /** Take note of a world that has just been made: it is chosen when the robot knows it. */
