@@ -26,7 +26,7 @@ export function drawBelief({ model, belief, plan }, age) {
   section.classList.toggle("nowhere", Boolean(fresh) && belief.keyframe === undefined);
   if (!fresh) recognized = "";
   else if (Number.isInteger(belief.state)) recognized = `The paper's scheme: state ${belief.state}, duality gap ${belief.gap.toExponential(0)}.`;
-  say(parts.facts, !fresh ? (belief ? `As it was ${seconds(age("belief"))} ago.` : "It tells nothing before a run.") : belief.keyframe === undefined ? (belief.status === "unknown" ? "No taught place looks like this." : recognized || "No taught place is recognized yet.") : lost ? `Lost: ${percent(belief.lost)} sure that it is nowhere near.` : `${percent(belief.sure ?? 0)} sure of this place, ${percent(belief.lost)} lost.`);
+  say(parts.facts, !fresh ? (belief ? `As it was ${seconds(age("belief"))} ago.` : "It tells nothing before a run.") : belief.keyframe === undefined ? (belief.status === "unknown" ? "No taught place looks like this." : belief.status === "recognized" && !Number.isInteger(belief.state) ? "The model is being read …" : recognized || "No taught place is recognized yet.") : lost ? `Lost: ${percent(belief.lost)} sure that it is nowhere near.` : `${percent(belief.sure ?? 0)} sure of this place, ${percent(belief.lost)} lost.`);
   drawStrip(model, fresh ? belief : null);
   if (!fresh) return;
   const rows = { Plan: plan ? WHY[plan.kind] : "–", Now: plan ? plan.atoms.slice(0, 3).map((atom) => DOES[atom]).join(", ") : "–", "To go": belief.cost === undefined ? "–" : belief.cost === null ? "no way to the goal" : `${belief.cost.toFixed(0)} s to ${model.goal}` };
