@@ -358,6 +358,22 @@ def test_the_pad_drives_while_it_is_held(page: Page, site: Site) -> None:
     assert site.stood_s(released_s) <= STAND_WITHIN_S
 
 
+def test_the_keyboard_reaches_all_that_is_there(page: Page) -> None:
+    page.focus("#seat")
+    reached = []
+    while "scroll" not in reached:
+        page.keyboard.press("Tab")
+        reached.append(
+            str(
+                run_in(page, "(one => one.id || one.name || one.dataset.atom || one.className)(document.activeElement)")
+            )
+        )
+        assert len(reached) < 50, reached
+    assert {"stop", "left", "backward", "right", "resume", "world", "variation", "map", "goal", "scheme", "seed"} <= {
+        *reached
+    }
+
+
 def test_a_hostile_name_is_shown_as_it_is(page: Page, site: Site) -> None:
     """The page's own policy would stop a script; but there is no markup to begin with."""
     name = "<img src=x onerror=alert(1)>"

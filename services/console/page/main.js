@@ -162,8 +162,9 @@ for (const button of pad.children) {
     drive.sits ? drive.press(atom) : press();
   };
   for (const let_go of ["onpointerup", "onpointercancel", "onlostpointercapture", "onblur"]) button[let_go] = () => drive.release(atom);
-  button.onkeydown = ({ code, repeat }) => ["Space", "Enter"].includes(code) && !repeat && drive.sits && drive.press(atom);
-  button.onkeyup = ({ code }) => ["Space", "Enter"].includes(code) && drive.release(atom);
+  // Listeners, not handlers: a handler that returns false takes the key from the browser, and Tab would lead nowhere.
+  button.addEventListener("keydown", ({ code, repeat }) => ["Space", "Enter"].includes(code) && !repeat && drive.sits && drive.press(atom));
+  button.addEventListener("keyup", ({ code }) => ["Space", "Enter"].includes(code) && drive.release(atom));
   button.oncontextmenu = (event) => event.preventDefault();
 }
 onNews(["belief", "pose"]);
