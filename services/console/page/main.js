@@ -63,7 +63,7 @@ function status() {
   if (!robot.episode) return ["good", robot.outcome ? `Armed; the last ${robot.purpose}: ${OUTCOMES[robot.outcome] ?? robot.outcome}` : "Armed"];
   if (watch.age("robot") > SILENT_S) return ["bad", `No sign of the robot for ${seconds(watch.age("robot"))}`];
   if (robot.reason === "taken_over") return ["warn", "It stands: taken over by hand. Drive on, or press “Arm, resume” and it goes on by itself"];
-  if (robot.reason === "silence") return ["warn", robot.driver !== "teleop" ? "It stands: no decision has come" : drive.sits ? "It stands: hold a key to drive" : watch.state.taken ? "It stands: who drives holds no key" : "It stands: take control, and hold a key to drive"];
+  if (robot.reason === "silence") return ["warn", robot.driver !== "teleop" ? "It stands: no command has come" : drive.sits ? "It stands: hold a key to drive" : watch.state.taken ? "It stands: who drives holds no key" : "It stands: take control, and hold a key to drive"];
   return ["good", `${BY[robot.source] ?? "It stands"}${robot.source === "policy" && drive.sits ? "; hold a key to correct it" : ""}`];
 }
 
