@@ -27,26 +27,6 @@ export function chosenWorld() {
   return form.hidden ? {} : { world: form.elements.world.value, variation: form.elements.variation.value };
 }
 
-/** What the robot would have to open for the next drive or run, which takes a while; nothing where it is there. */
-export function opening() {
-  if (form.hidden) return "";
-  const { world, variation } = form.elements;
-  return world.value !== world.dataset.now || variation.value !== variation.dataset.now ? `${world.value} (${variation.value})` : "";
-}
-
-const news = card.querySelector(".empty");
-
-/** Show what becomes of a map, on the place of the drawing: that moves nothing. */
-export function showNews(text) {
-  say(news, text);
-  news.hidden = !text;
-}
-
-/** The drawing is looked at again. */
-export function hideNews() {
-  news.hidden = true;
-}
-
 /** Take note of a world that has just been made: it is chosen when the robot knows it. */
 export function madeWorld(name) {
   fresh = name;
@@ -68,4 +48,24 @@ function fill(select, names, now) {
     select.value = names.includes(before) ? before : now;
   }
   if (select.dataset.now !== now) [select.dataset.now, select.value] = [now, now];
+}
+
+/** What the robot would have to open for the next drive or run, which takes a while; nothing where it is there. */
+export function opening() {
+  if (form.hidden) return "";
+  const { world, variation } = form.elements;
+  return world.value !== world.dataset.now || variation.value !== variation.dataset.now ? `${world.value} (${variation.value})` : "";
+}
+
+const news = card.querySelector(".empty");
+
+/** Show what becomes of a map, on the place of the drawing: that moves nothing. */
+export function showNews(text) {
+  say(news, text);
+  news.hidden = !text;
+}
+
+/** The drawing is looked at again. */
+export function hideNews() {
+  news.hidden = true;
 }
