@@ -130,6 +130,6 @@ class _ContainerCount:
         return container
 
 
-def printable(text: str) -> str:
-    """Return at most 200 characters of a stranger's text, with nothing in it that moves a log or a terminal."""
-    return "".join(c if c.isprintable() else "?" for c in text[:200])
+def printable(text: str, most: int = 200) -> str:
+    """Return the beginning of a stranger's text, with nothing in it that moves a log or a terminal."""
+    return "".join(c if c.isprintable() else "?" for c in text[:most])

@@ -40,9 +40,18 @@ FileName = Annotated[str, Field(min_length=1, max_length=_MAX_NAME), AfterValida
 
 #: What a person calls an episode.
 EpisodeName = Annotated[str, Field(pattern=r"^[a-z0-9][a-z0-9_-]{0,31}$")]
+#: Most bytes of a world's name: of a file's 255 some are for its ending, and for what it is called while it is written.
+_MAX_WORLD_NAME: Final = 200
+
+
+def _fits(name: str) -> str:
+    if len(name.encode()) > _MAX_WORLD_NAME:
+        raise ValueError(f"must have at most {_MAX_WORLD_NAME} bytes")
+    return name
+
+
 #: Name of a world, or of a variation of its light and things.
-WORLD_NAME_PATTERN: Final = r"^\w[\w .-]{0,63}$"
-WorldName = Annotated[str, Field(pattern=WORLD_NAME_PATTERN)]
+WorldName = Annotated[str, Field(pattern=r"^\w[\w ().-]{0,63}$"), AfterValidator(_fits)]
 
 #: Most frames of an episode: a day and more.
 MAX_TICKS: Final = 1_000_000

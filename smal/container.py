@@ -117,11 +117,7 @@ def read(file: IO[bytes], name: str, version: int) -> tuple[dict[str, Any], dict
         content = file.read(size)
     except OSError as error:
         raise NoModelError(f"{name}: cannot be read: {error.strerror}") from error
-    _, found, header_size = _FIXED.unpack_from(content)
-    if found != version:
-        raise ModelError(f"{name}: model of format {found}, this program reads format {version}; learn it again")
-    if header_size > LARGEST_HEADER:
-        raise ModelError(f"{name}: a header of {header_size} bytes, at most {LARGEST_HEADER} are read")
+    header_size = _header_size(content, name, version)
     body, digest = memoryview(content)[:-32], content[-32:]
     if hashlib.sha256(body).digest() != digest:
         raise ModelError(f"{name}: truncated or altered: its checksum does not match")
@@ -142,14 +138,9 @@ def read_meta(file: IO[bytes], name: str, version: int) -> dict[str, Any]:
     """
     try:
         fixed = file.read(_FIXED.size)
-        magic, found, header_size = _FIXED.unpack(fixed) if len(fixed) == _FIXED.size else (b"", 0, 0)
-        if magic != MAGIC:
+        if len(fixed) < _FIXED.size or not fixed.startswith(MAGIC):
             raise NoModelError(f"{name}: not a SMAL model")
-        if found != version:
-            raise ModelError(f"{name}: model of format {found}, this program reads format {version}; learn it again")
-        if header_size > LARGEST_HEADER:
-            raise ModelError(f"{name}: a header of {header_size} bytes, at most {LARGEST_HEADER} are read")
-        meta = json.loads(file.read(header_size))["meta"]
+        meta = json.loads(file.read(_header_size(fixed, name, version)))["meta"]
     except OSError as error:
         raise NoModelError(f"{name}: cannot be read: {error.strerror}") from error
     except ModelError:
@@ -159,6 +150,15 @@ def read_meta(file: IO[bytes], name: str, version: int) -> dict[str, Any]:
     if not isinstance(meta, dict):
         raise ModelError(f"{name}: the header does not describe a model")
     return meta
+
+
+def _header_size(content: bytes, name: str, version: int) -> int:
+    _, found, size = _FIXED.unpack_from(content)
+    if found != version:
+        raise ModelError(f"{name}: model of format {found}, this program reads format {version}; learn it again")
+    if size > LARGEST_HEADER:
+        raise ModelError(f"{name}: a header of {size} bytes, at most {LARGEST_HEADER} are read")
+    return int(size)
 
 
 def _parts(version: int, meta: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -> list[bytes | memoryview]:

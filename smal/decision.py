@@ -30,12 +30,7 @@ class Decision:
 
 
 class DecisionMaker:
-    """Plans l atoms whenever a state is recognized, and hands them out one by one.
-
-    Parameters
-    ----------
-    model : Model
-    """
+    """Plans l atoms whenever a state is recognized, and hands them out one by one."""
 
     def __init__(self, model: Model) -> None:
         self._model = model

@@ -41,17 +41,11 @@ class Reward:
     ----------
     state_reward : float64 array (states,)
         R(s), within [-r_max, r_max].
-    value : float64 array (states,)
-        V of the expert's majority policy under R.
-    penalty : float
-        lambda that was used.
     objective : float
         Optimal value of the program.
     """
 
     state_reward: Array
-    value: Array
-    penalty: float
     objective: float
 
 
@@ -136,7 +130,6 @@ def learn_reward(transitions: Transitions, gamma: float, sparsity: float = 0.5, 
         raise ValueError(f"sparsity must be 0 to 1 and r_max positive, got {sparsity} and {r_max}")
     program = _Program(transitions, gamma)
     _, critical = program.solve(penalty=0.0, r_max=1.0, total=1.0)
-    penalty = sparsity * critical
-    x, objective = program.solve(penalty, r_max)
+    x, objective = program.solve(sparsity * critical, r_max)
     n = transitions.states
-    return Reward(x[n : 2 * n] - x[2 * n : 3 * n], x[:n], penalty, objective)
+    return Reward(x[n : 2 * n] - x[2 * n : 3 * n], objective)

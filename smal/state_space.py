@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from smal.matching.products import Known
-from smal.novelty import Match, NoveltyTest, describe_match
+from smal.novelty import NoveltyTest, describe_match
 from smal.sequences import first_frame
 from smal.state_matching import solve
 from smal.template_store import TemplateStore
@@ -19,7 +19,7 @@ _BATCH = 32
 
 @dataclass(frozen=True, eq=False)
 class StateSpace:
-    """What Algorithm 1 returns, and what it saw on the way.
+    """What Algorithm 1 returns.
 
     Parameters
     ----------
@@ -27,17 +27,11 @@ class StateSpace:
         X; state j is the columns j * l and following.
     streams : tuple of int32 arrays (f_d // l,)
         The paper's s-stream, one per demonstration.
-    residuals, scores, total_weights, agreements : tuples of float32 arrays (f_d // l,)
-        `Match` of every sequence before it was added.
     sequence_length : int
     """
 
     templates: NDArray[np.float32]
     streams: tuple[NDArray[np.int32], ...]
-    residuals: tuple[NDArray[np.float32], ...]
-    scores: tuple[NDArray[np.float32], ...]
-    total_weights: tuple[NDArray[np.float32], ...]
-    agreements: tuple[NDArray[np.float32], ...]
     sequence_length: int
 
     @property
@@ -54,16 +48,16 @@ class _Learner:
         self.store, self.test = store, test
         self.parameters = length, lambda1, lambda2, tolerance
 
-    def step(self, frames: NDArray[np.float32], correlations: NDArray[np.float32]) -> tuple[int, Match]:
-        """Match one sequence (l, m) with correlations (n, l), or add it: its state, and the match."""
-        match, store, length = Match(None, 0.0, 0.0, 1.0, 0.0), self.store, self.parameters[0]
+    def step(self, frames: NDArray[np.float32], correlations: NDArray[np.float32]) -> int:
+        """Return the state of one sequence (l, m) with correlations (n, l), which is a new one if it matches none."""
+        store = self.store
         if len(store):
             solution = solve(store.templates, frames.T, *self.parameters, Known(correlations, store.gram))
             match = describe_match(solution, lambda columns: correlations[columns], np.linalg.norm(frames, axis=1))
-        if match.state is None or self.test.is_novel(match):
-            store.append(frames, correlations)
-            return len(store) // length - 1, match
-        return match.state, match
+            if match.state is not None and not self.test.is_novel(match):
+                return match.state
+        store.append(frames, correlations)
+        return len(store) // self.parameters[0] - 1
 
 
 def _batches(demonstrations: Sequence[NDArray[np.float32]], length: int) -> Iterator[NDArray[np.float32]]:
@@ -122,28 +116,16 @@ def learn_state_space(
         raise ValueError(f"no demonstration has {sequence_length} frames")
     store = TemplateStore(demonstrations[0].shape[1], max_bytes=max_bytes)
     learner = _Learner(store, test, sequence_length, lambda1, lambda2, tolerance)
-    results: list[tuple[int, Match]] = []
+    states: list[int] = []
     for batch in _batches(demonstrations, sequence_length):
-        _learn_batch(learner, batch, results)
+        _learn_batch(learner, batch, states)
         if progress is not None:
-            progress(len(results), sum(counts))
-    ends = np.cumsum(counts)[:-1]
-
-    def per_demonstration(values: list[float]) -> tuple[NDArray[np.float32], ...]:
-        return tuple(np.split(np.array(values, dtype=np.float32), ends))
-
-    return StateSpace(
-        store.templates,
-        tuple(np.split(np.array([state for state, _ in results], dtype=np.int32), ends)),
-        per_demonstration([match.residual for _, match in results]),
-        per_demonstration([match.score for _, match in results]),
-        per_demonstration([match.total_weight for _, match in results]),
-        per_demonstration([match.agreement for _, match in results]),
-        sequence_length,
-    )
+            progress(len(states), sum(counts))
+    streams = np.split(np.array(states, dtype=np.int32), np.cumsum(counts)[:-1])
+    return StateSpace(store.templates, tuple(streams), sequence_length)
 
 
-def _learn_batch(learner: _Learner, batch: NDArray[np.float32], results: list[tuple[int, Match]]) -> None:
+def _learn_batch(learner: _Learner, batch: NDArray[np.float32], states: list[int]) -> None:
     """Match or add the sequences (b, l, m) in order."""
     store, length = learner.store, learner.parameters[0]
     before = len(store)
@@ -154,6 +136,6 @@ def _learn_batch(learner: _Learner, batch: NDArray[np.float32], results: list[tu
     for index, sequence in enumerate(batch):
         columns = slice(index * length, (index + 1) * length)
         count = len(store)
-        results.append(learner.step(sequence, np.ascontiguousarray(known[:count, columns])))
+        states.append(learner.step(sequence, np.ascontiguousarray(known[:count, columns])))
         if len(store) > count:
             known[count : len(store)] = among[columns]

@@ -44,7 +44,8 @@ def bench(
     both are made), --stride, --camera, --ticks, --stages.
 
     faults: a driving stack under kills, freezes, outages, a full disk and a jumping clock; --cell NAME (may be
-    repeated), --model FILE. soak: memory and descriptors over an hour; --minutes M, --model FILE.
+    repeated), --model FILE. soak: memory and descriptors over an hour; --minutes M, --model FILE,
+    --page: what the console's page holds in a browser, over ten minutes.
 
     rendering: time of a frame of each scene over a trivial one; --map FILE.
 
@@ -54,13 +55,13 @@ def bench(
     if name not in known:
         raise UsageError(f"no benchmark {name!r}; known are: {', '.join(known)}")
     own = flags(json=json_file, out=out) + (("--quick",) if quick else ())
-    status = _run(f"tests.benchmarks.{name}", [*own, *context.args], threads)
+    status = _run([name, *own, *context.args], threads)
     if status:
         raise typer.Exit(status)
 
 
 def benchmarks(folder: Path) -> list[str]:
-    """Name the benchmarks in a folder: the packages that can be run.
+    """Name the benchmarks in a folder: each is a package.
 
     Raises
     ------
@@ -71,15 +72,15 @@ def benchmarks(folder: Path) -> list[str]:
         raise JobError(
             "benchmarks need a checkout of the project: run deploy/setup.sh in one, then .venv/bin/smal bench"
         )
-    return [path.parent.name for path in sorted(folder.glob("*/__main__.py"))]
+    return [path.parent.name for path in sorted(folder.glob("*/benchmark.py"))]
 
 
-def _run(module: str, arguments: list[str], threads: int) -> int:
-    """Run a package of the checkout in a process that ends with this one; return its exit status."""
+def _run(arguments: list[str], threads: int) -> int:
+    """Run a benchmark of the checkout in a process that ends with this one; return its exit status."""
     path = os.pathsep.join(filter(None, [str(FOLDER.parents[1]), os.environ.get("PYTHONPATH")]))
     environment = os.environ | dict.fromkeys(THREADS, str(threads)) | {"PYTHONPATH": path}
     # -P: packages of the folder that the user is in, which may have a `tests` as well, are not looked at.
-    command = tied(sys.executable, "-P", "-m", module, *arguments)
+    command = tied(sys.executable, "-P", "-m", "tests.benchmarks", *arguments)
     with interrupted_by_signals(), subprocess.Popen(command, env=environment) as process:  # noqa: S603
         try:
             return process.wait()

@@ -72,18 +72,14 @@ def _can_clone() -> bool:
 
 
 def _work(plan: Plan, planned: list[Unit], store: ResultStore, workers: int) -> None:
-    """Do what is left to do, with one bar over all of it that counts expected seconds."""
+    """Do what is left to do, with one bar over all of it."""
     done = {unit.key for unit in planned if unit.key in store.findings}
-    total = sum(unit.seconds for unit in planned)
-    before = sum(unit.seconds for unit in planned if unit.key in done)
-    shape = "{desc}: {percentage:3.0f}%|{bar}| {elapsed}<{remaining}{postfix}"
-    with tqdm(total=total, initial=before, desc="evaluating", bar_format=shape, dynamic_ncols=True) as bar:
+    with tqdm(total=len(planned), initial=len(done), desc="evaluating", unit="unit", dynamic_ncols=True) as bar:
 
         def finish(unit: Unit, finding: dict[str, Any], seconds: float) -> None:
             store.add(unit, finding, seconds)
-            doing = f"{len(store.findings)} of {len(planned)} units, {unit.kind} {unit.world}"
-            bar.set_postfix_str(doing, refresh=False)
-            bar.update(min(unit.seconds, total - bar.n))  # not beyond by rounding
+            bar.set_postfix_str(f"{unit.kind} {unit.world}", refresh=False)
+            bar.update()
 
         if len(done) < len(planned):
             do_all(plan, planned, done, store.work, workers, finish)

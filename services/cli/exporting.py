@@ -15,7 +15,7 @@ from services.exporters.drives import Drive, ExportFailure, read
 from services.exporters.job import FORMATS, write
 from services.importers.drive import Tally
 from services.importers.job import Format, check_format
-from services.kit.errors import JobError, UsageError
+from services.kit.errors import JobError
 from services.recordings.dataset import find_recordings
 
 
@@ -44,10 +44,7 @@ def export_recordings(
     Example: smal export rosbag2 drives --out bags
     """
     form = check_format(format_, FORMATS)
-    try:
-        files = find_recordings(recordings)
-    except OSError as error:
-        raise UsageError(str(error)) from None
+    files = find_recordings(recordings)
     tally = Tally()
     try:
         with outputs.new_folder(out, "--out") as folder:

@@ -16,7 +16,7 @@ import typer
 from pydantic import ValidationError
 from tqdm import tqdm
 
-from schemas.codec import describe
+from schemas.codec import describe, printable
 from services.cli import options, outputs
 from services.cli.stack.child import tied
 from services.importers.atoms import Thresholds
@@ -170,7 +170,7 @@ def _run(job: Job) -> tuple[list[str], Report]:
     if "report" in last:
         return list(last["remarks"]), Report.model_validate_json(json.dumps(last["report"]))
     died = f"what decodes it broke down (status {child.returncode}); the source is damaged, or hostile"
-    raise JobError(_one_line(last.get("error") or f"{job.path}: {died}"))
+    raise JobError(printable(last.get("error") or f"{job.path}: {died}", 700))
 
 
 def _listen(child: subprocess.Popen[str]) -> dict[str, Any]:
@@ -184,11 +184,6 @@ def _listen(child: subprocess.Popen[str]) -> dict[str, Any]:
                 bar.total = last["total"]
                 bar.update(last["done"] - bar.n)
     return last
-
-
-def _one_line(text: str) -> str:
-    """Return an error as one line; it may hold what a stranger's file says."""
-    return "".join(c if c.isprintable() else "?" for c in text[:700])
 
 
 def _lines(report: Report, job: Job, files: list[Path], out: Path) -> Iterator[str]:

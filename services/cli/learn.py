@@ -16,6 +16,7 @@ from tqdm import tqdm
 from schemas.rpc import Scheme
 from services.cli import options, outputs
 from services.cli.feature_options import ModalitiesOfRecordings, Weights, parse_features, with_weights
+from services.experiments.matching.report import described_by
 from services.kit.errors import JobError, UsageError
 from services.recordings.dataset import Teacher, Teaching, find_recordings, states_shared_by_episodes
 from services.recordings.recorded_features import features_of_recordings
@@ -80,7 +81,7 @@ def learn(
         raise UsageError(f"--out {out}: is a folder; give the name of a file, for example {out / 'model.smal'}")
     outputs.make_folder(out.parent, "--out")
     outputs.check_file(json_file, "--json")
-    files = _find(recordings)
+    files = find_recordings(recordings)
     settings = replace(settings, features=_features(files, modalities, weights))
     bar = _Lines() if progress else _StageBar()
     try:
@@ -116,13 +117,6 @@ def _settings(
     try:
         return LearningSettings(**chosen)  # type: ignore[arg-type]  # checked by LearningSettings
     except ValueError as error:
-        raise UsageError(str(error)) from None
-
-
-def _find(paths: list[Path]) -> list[Path]:
-    try:
-        return find_recordings(paths)
-    except OSError as error:
         raise UsageError(str(error)) from None
 
 
@@ -204,7 +198,7 @@ def _as_text(teaching: Teaching, settings: LearningSettings, report: LearningRep
     rows = {
         "recordings": f"{teaching.recordings} ({teaching.episodes} episodes used)",
         "frames": report.frames,
-        "features": _named(settings.features),
+        "features": described_by(settings.features),
         "keyframes": f"{report.keyframes} of the map of views" if report.keyframes else "none: no map of views",
         "states": report.states,
         "shared states": f"{report.shared_states} (seen in at least two episodes)",
@@ -215,13 +209,6 @@ def _as_text(teaching: Teaching, settings: LearningSettings, report: LearningRep
         "model": out,
     }
     return "\n".join(f"{name:14}{value}" for name, value in rows.items())
-
-
-def _named(features: FeatureSettings) -> str:
-    if len(set(features.weights)) == 1:
-        return " ".join(features.modalities)
-    pairs = zip(features.modalities, features.weights, strict=True)
-    return " ".join(f"{name} (weight {weight:g})" for name, weight in pairs)
 
 
 def _as_json(teaching: Teaching, settings: LearningSettings, report: LearningReport, out: Path) -> dict[str, object]:

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Final, cast
 import typer
 from typer.core import TyperCommand, TyperGroup
 
+from services.cli import STYLE
 from services.kit.errors import JobError, UsageError, describe_os_error
 from services.kit.version import program_version
 
@@ -41,12 +42,6 @@ COMMANDS: Final = {
     "bench": ("services.cli.bench:bench", "Run a benchmark of the project."),
 }
 _CONTEXTS: Final = {"bench": {"allow_extra_args": True, "ignore_unknown_options": True}}
-_STYLE: Final[dict[str, Any]] = {
-    "no_args_is_help": True,
-    "add_completion": False,
-    "rich_markup_mode": None,
-    "pretty_exceptions_enable": False,
-}
 
 
 class _LazyGroup(TyperGroup):
@@ -79,7 +74,7 @@ def _load(name: str) -> TyperGroup | TyperCommand:
     module, _, attribute = COMMANDS[name][0].partition(":")
     found = getattr(import_module(module), attribute)
     if not isinstance(found, typer.Typer):
-        alone = typer.Typer(**_STYLE | {"no_args_is_help": False})
+        alone = typer.Typer(**STYLE | {"no_args_is_help": False})
         alone.command(name, context_settings=_CONTEXTS.get(name))(found)
         found = alone
     command = cast("TyperGroup | TyperCommand", typer.main.get_command(found))
@@ -87,7 +82,7 @@ def _load(name: str) -> TyperGroup | TyperCommand:
     return command
 
 
-app = typer.Typer(name="smal", cls=_LazyGroup, **_STYLE)
+app = typer.Typer(name="smal", cls=_LazyGroup, **STYLE)
 
 
 def _version(wanted: bool) -> None:

@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 from tqdm import tqdm
 
-from services.cli import outputs
+from services.cli import STYLE, outputs
 from services.experiments.showing.summary import lines
 from services.kit.errors import JobError, UsageError
 from services.recordings.dataset import find_recordings
@@ -17,10 +17,7 @@ from smal.model import Model, ModelError
 
 app = typer.Typer(
     help="Look at what was learned.\n\nExample: smal model show campus.smal --recordings drives --out shown",
-    no_args_is_help=True,
-    add_completion=False,
-    rich_markup_mode=None,
-    pretty_exceptions_enable=False,
+    **STYLE,
 )
 
 
@@ -59,10 +56,7 @@ def show(
         for line in lines(model, str(file), file.stat().st_size):
             typer.echo(line)
         return
-    try:
-        files = None if recordings is None else find_recordings(recordings)
-    except OSError as error:
-        raise UsageError(f"--recordings: {error}") from None
+    files = None if recordings is None else find_recordings(recordings)
     outputs.make_folder(out, "--out")
     # They load matplotlib and OpenCV.
     from services.experiments.showing.drives import find_drives  # noqa: PLC0415

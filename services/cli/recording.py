@@ -12,7 +12,7 @@ from typing import Annotated, Any
 
 import typer
 
-from services.cli import outputs
+from services.cli import STYLE, outputs
 from services.cli.options import Json
 from services.kit.errors import JobError, UsageError
 from services.kit.node import EXIT_FAILED
@@ -24,10 +24,7 @@ from services.recordings.repair import RepairError, repair, usual_name
 
 app = typer.Typer(
     help="Tell what is in recordings; check and repair them.\n\nExample: smal recording info drives",
-    no_args_is_help=True,
-    add_completion=False,
-    rich_markup_mode=None,
-    pretty_exceptions_enable=False,
+    **STYLE,
 )
 Paths = Annotated[list[Path], typer.Argument(help="Recordings (MCAP), or folders of them.")]
 
@@ -106,11 +103,8 @@ def mend(
 
 def _each(paths: list[Path], read: Callable[[Path], Contents]) -> tuple[list[Contents], int]:
     """Read each recording; return them, and how many are none, which is said on standard error."""
-    try:
-        found = find_recordings(paths)
-    except OSError as error:
-        raise UsageError(str(error)) from None
     done = []
+    found = find_recordings(paths)
     for path in found:
         try:
             done.append(read(path))

@@ -9,7 +9,7 @@ from typing import Annotated, Final
 
 import typer
 
-from services.cli import certificates, options
+from services.cli import STYLE, certificates, options
 from services.cli.certificates import DAYS, HOSTS
 from services.kit.bus import zenohd_configuration
 from services.kit.credentials import Certificate
@@ -30,10 +30,7 @@ Days = Annotated[float, typer.Option(min=0, max=3650, help="How long the certifi
 app = typer.Typer(
     help="Make and check the certificates by which the router knows who may do what.\n\n"
     "Example: smal secure init keys, and then: smal up --secure keys",
-    no_args_is_help=True,
-    add_completion=False,
-    rich_markup_mode=None,
-    pretty_exceptions_enable=False,
+    **STYLE,
 )
 
 

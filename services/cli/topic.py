@@ -10,6 +10,7 @@ import typer
 
 from schemas.codec import encoding_of
 from schemas.topics import TOPICS, Topic, topic_of
+from services.cli import STYLE
 from services.cli.listening.commands import bw, echo, hz, say
 from services.cli.listening.latency_command import latency
 from services.cli.options import DEFAULT_ROBOT, Json, Robot, check_robot
@@ -19,10 +20,7 @@ from services.table import givers, graph, takers
 
 app = typer.Typer(
     help="List the topics; listen to them.\n\nExample: smal topic echo state --count 5",
-    no_args_is_help=True,
-    add_completion=False,
-    rich_markup_mode=None,
-    pretty_exceptions_enable=False,
+    **STYLE,
 )
 
 

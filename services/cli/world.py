@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from services.cli import outputs
+from services.cli import STYLE, outputs
 from services.cli.world_render import render
 from services.kit.errors import JobError, UsageError
 from services.kit.tables import table
@@ -26,10 +26,7 @@ if TYPE_CHECKING:
 
 app = typer.Typer(
     help="Make worlds out of maps.\n\nExample: smal world import map.osm --out town.json",
-    no_args_is_help=True,
-    add_completion=False,
-    rich_markup_mode=None,
-    pretty_exceptions_enable=False,
+    **STYLE,
 )
 
 _NUMBER = r"[-+]?\d+(?:\.\d+)?"

@@ -72,6 +72,16 @@ class LearnedModel:
     #: Why it cannot be used; empty where it can.
     useless: str = ""
 
+    @property
+    def nearest(self) -> str:
+        """Where a run is said to lead that goes to the nearest goal: of several nobody knows which that will be."""
+        match self.goals:
+            case ():
+                return "victim"
+            case (only,):
+                return only
+        return "nearest"
+
 
 class Library:
     """Recordings and models below a root, looked at again where they have changed.

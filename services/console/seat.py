@@ -77,11 +77,11 @@ class Seat:
         self._sent_s.pop(self._beat - _KEPT, None)
         return self._beat
 
-    def answered(self, beat: int, counts_s: float = LET_GO_S) -> float | None:
-        """Return until when the answer to a beat counts; None where that is over, or there was no such beat."""
+    def answered(self, beat: int) -> float | None:
+        """Return when a beat was sent that is answered now; None where it is too old, or there was no such beat."""
         now = self._clock()
         sent_s = self._sent_s.get(beat)
         if sent_s is None:
             return None
         self._heard_s = now
-        return sent_s + counts_s if now < sent_s + counts_s else None
+        return sent_s if now < sent_s + LEASE_S else None

@@ -7,7 +7,7 @@ import secrets
 import threading
 from collections.abc import Callable
 from concurrent.futures import Future, InvalidStateError
-from contextlib import AbstractContextManager, suppress
+from contextlib import AbstractContextManager, ExitStack, suppress
 from pathlib import Path
 from queue import Empty, SimpleQueue
 from typing import Final
@@ -115,13 +115,17 @@ class ConsoleService:
 
     # -- what browsers say ----------------------------------------------------------------------------------------
 
-    def hold(self, atom: Atom | None, until_s: float) -> Future[None]:
-        """Take a sign of life of whoever drives, and what they hold; both count until a time of the board's clock."""
+    def hold(self, atom: Atom | None, sent_s: float) -> Future[None]:
+        """Take a sign of life of whoever drives, and what they hold, as of a time of the board's clock.
+
+        They count as there for longer than what they hold does: by a slow link one cannot drive, and can watch.
+        """
+        until_s = sent_s + LET_GO_S
 
         def take() -> None:
+            self._there_until_s = sent_s + LEASE_S
             if self._board.clock() >= until_s:
                 return
-            self._there_until_s = until_s - LET_GO_S + LEASE_S
             self._operator.beat()
             if atom is None:
                 self._operator.release()
@@ -176,18 +180,24 @@ class ConsoleService:
         """Make a world of a map; ``needs`` is exited when the map has been read."""
 
         def take() -> None:
+            robot = self._health.statuses.get("robot")
+            known = "" if robot is None else str(robot.detail.get("worlds", ""))
             try:
-                out = below(self.library.root, f"{WORLDS}/{name}.json")
-                job = Job(
-                    "world",
-                    name,
-                    doing=f"Making a world of {name}",
-                    done=f"{name} is a world now: begin a drive in it.",
-                    arguments=("world", "import", str(osm_map)),
-                    out=out,
-                    hidden=f"{osm_map.parent}/",
-                    needs=needs,
-                )
+                with ExitStack() as read:
+                    read.enter_context(needs)
+                    if name in known.split(", "):
+                        # Of two worlds of one name the robot opens the project's, or the one that it was started in.
+                        raise ServiceError(f"there is a world {name} already; give the file another name")
+                    job = Job(
+                        "world",
+                        name,
+                        doing=f"Making a world of {name}",
+                        done=f"{name} is a world now: begin a drive in it.",
+                        arguments=("world", "import", str(osm_map)),
+                        out=below(self.library.root, f"{WORLDS}/{name}.json"),
+                        hidden=f"{osm_map.parent}/",
+                        needs=read.pop_all(),
+                    )
                 self._jobs.begin(job)
             except (ServiceError, OSError) as error:
                 self._reports.say(str(error))
@@ -255,13 +265,7 @@ class ConsoleService:
 
     def _begin(self, request: ResetRequest, prepare: Callable[[], None]) -> None:
         """Begin an episode when that is prepared, which may take seconds, and nobody has left meanwhile."""
-
-        def prepare_for_who_is_there() -> None:
-            prepare()
-            if not self.attended:
-                raise ServiceError("not begun: who asked for it has left")
-
-        self._operator.begin(request, prepare_for_who_is_there)
+        self._operator.begin(request, prepare, lambda: self.attended)
 
     def _record(self) -> None:
         """Have the recorder record, unless it does."""
@@ -287,7 +291,7 @@ class ConsoleService:
             driver="policy",
             mode="realtime",
             start=ask.start,
-            goal=goal or next(iter(model.goals), "victim"),
+            goal=goal or model.nearest,
             max_ticks=max(_MAX_TICKS, _PATIENCE * model.longest),
         )
 

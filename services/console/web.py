@@ -9,13 +9,14 @@ import tempfile
 import threading
 from collections.abc import AsyncIterator, Callable, Coroutine
 from concurrent.futures import Future
-from contextlib import AbstractContextManager, suppress
+from contextlib import AbstractContextManager, ExitStack, suppress
 from pathlib import Path
 from typing import Any, Final, Protocol
 
 import uvicorn
 from pydantic import TypeAdapter, ValidationError
 from starlette.applications import Starlette
+from starlette.exceptions import HTTPException
 from starlette.requests import ClientDisconnect, Request
 from starlette.responses import PlainTextResponse, Response
 from starlette.routing import Mount, Route, WebSocketRoute
@@ -49,6 +50,7 @@ _FAREWELL_S: Final = 1
 #: Most bytes of a map, as `smal world import` has it; and how long it may take to come: at 2 Mbit/s and more.
 _LARGEST_MAP: Final = 64 << 20
 _UPLOAD_S: Final = 300
+_NOT_THEIRS: Final = "only who drives may do that: take control first\n"
 _WORLD_NAME: Final[TypeAdapter[str]] = TypeAdapter(WorldName)
 #: Digits of the number of a picture, at most.
 _DIGITS: Final = 9
@@ -72,8 +74,8 @@ class Person(Protocol):
     def learned(self) -> Learned | None:
         """The model that the robot goes by."""
 
-    def hold(self, atom: Atom | None, until_s: float) -> Future[None]:
-        """Be there, and hold a key."""
+    def hold(self, atom: Atom | None, sent_s: float) -> Future[None]:
+        """Be there, and hold a key, as of a time of the board's clock."""
 
     def let_go(self) -> Future[None]:
         """Be gone."""
@@ -106,6 +108,8 @@ class Web:
         self._person = person
         self._board = board
         self._seat = Seat(board.clock)
+        #: How many maps were begun to be sent.
+        self._maps = 0
 
     def application(self) -> Starlette:
         """Return what answers; without its guard."""
@@ -146,33 +150,37 @@ class Web:
             name = _WORLD_NAME.validate_python(request.query_params.get("name", ""))
         except ValidationError as error:
             return PlainTextResponse(f"the world's name: {describe(error)}\n", 400)
-        folder = tempfile.TemporaryDirectory(prefix="smal-map-")
-        osm_map, refusal = Path(folder.name) / f"{name}.osm", None
+        if not self._seat.knows(request.headers.get("smal-seat", "")):
+            return PlainTextResponse(_NOT_THEIRS, 403)
         try:
-            async with asyncio.timeout(_UPLOAD_S):
-                refusal = await self._receive(request, osm_map)
+            with ExitStack() as needs:
+                folder = needs.enter_context(tempfile.TemporaryDirectory(prefix="smal-map-"))
+                osm_map = Path(folder) / f"{name}.osm"
+                async with asyncio.timeout(_UPLOAD_S):
+                    await self._receive(request, osm_map)
+                await asyncio.wrap_future(self._person.make_world(name, osm_map, needs.pop_all()))
         except TimeoutError:
-            refusal = PlainTextResponse(f"the map took longer than {_UPLOAD_S:g} s\n", 408)
-        except (OSError, ClientDisconnect) as error:
-            refusal = PlainTextResponse(f"the map cannot be kept: {error}\n", 507)
-        if refusal is not None:
-            folder.cleanup()
-            return refusal
-        await asyncio.wrap_future(self._person.make_world(name, osm_map, folder))
+            return PlainTextResponse(f"the map took longer than {_UPLOAD_S:g} s\n", 408)
+        except ClientDisconnect as gone:
+            raise HTTPException(400) from gone
+        except OSError as error:
+            return PlainTextResponse(f"the map cannot be kept: {error.strerror}\n", 507)
         return PlainTextResponse("taken\n", 202)
 
-    async def _receive(self, request: Request, file: Path) -> Response | None:
-        """Write what is sent into a file; return why not, if that may not be."""
-        size, word = 0, request.headers.get("smal-seat", "")
+    async def _receive(self, request: Request, file: Path) -> None:
+        """Write what is sent into a file, while whoever sends it drives, and has not begun to send another one."""
+        self._maps += 1
+        mine, size, word = self._maps, 0, request.headers.get("smal-seat", "")
         with file.open("wb") as out:
             async for chunk in request.stream():
                 if not self._seat.knows(word):
-                    return PlainTextResponse("only who drives may do that: take control first\n", 403)
+                    raise HTTPException(403, _NOT_THEIRS)
+                if mine != self._maps:
+                    raise HTTPException(409, "another map was sent after this one\n")
                 size += len(chunk)
                 if size > _LARGEST_MAP:
-                    return PlainTextResponse(f"a map has at most {_LARGEST_MAP / 1e6:.0f} MB; cut it smaller\n", 413)
+                    raise HTTPException(413, f"a map has at most {_LARGEST_MAP / 1e6:.0f} MB; cut it smaller\n")
                 await asyncio.to_thread(out.write, chunk)
-        return None
 
     # -- watching -------------------------------------------------------------------------------------------------
 
@@ -214,9 +222,10 @@ class Web:
             await browser.close(TAKEN, "somebody else drives")
             return
         self._board.put("taken", content=True)
+        word = self._seat.word  # later it may be somebody else's
 
         async def beat() -> None:
-            await browser.send_json({"word": self._seat.word})
+            await browser.send_json({"word": word})
             while self._seat.holds(browser):
                 await browser.send_json({"beat": self._seat.beat()})
                 await asyncio.sleep(BEAT_S)
@@ -240,16 +249,16 @@ class Web:
                 await browser.send_json({"refused": describe(error)})
                 continue
             if isinstance(said, Hold):
-                until_s = self._seat.answered(said.beat)
-                if until_s is not None:
-                    await asyncio.wrap_future(self._person.hold(said.atom, until_s))
+                sent_s = self._seat.answered(said.beat)
+                if sent_s is not None:
+                    await asyncio.wrap_future(self._person.hold(said.atom, sent_s))
             elif isinstance(said, Leave):
                 self._stand_up(browser, self._person.leave)
                 return
             elif isinstance(said, Stop):
                 await asyncio.wrap_future(self._person.stop())
-            elif (until_s := self._seat.answered(said.beat, LEASE_S)) is not None:
-                await asyncio.wrap_future(self._person.ask(said, until_s))
+            elif (sent_s := self._seat.answered(said.beat)) is not None:
+                await asyncio.wrap_future(self._person.ask(said, sent_s + LEASE_S))
             else:
                 await browser.send_json({"refused": LATE})
 

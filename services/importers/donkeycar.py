@@ -36,7 +36,7 @@ class _Record(NamedTuple):
 
 def read(inside: Inside, wishes: Wishes, tally: Tally) -> Source:
     """Read a tub; each of its sessions is a drive, and so is a tub of a version without sessions."""
-    lines = inside.needed("manifest.json").splitlines()
+    lines = inside.read("manifest.json").splitlines()
     if len(lines) < 5:
         raise ImportFailure(f"{inside.called('manifest.json')}: not the manifest of a tub of version 2: five lines")
     catalogs = parsed(lines[4], inside.called("manifest.json"))

@@ -8,7 +8,7 @@ import numpy as np
 
 from services.importers.drive import Array, ImportFailure, NotAnImage, Tally
 from services.importers.images import MOST_BYTES, as_jpeg
-from services.importers.inside import Inside, Outside
+from services.importers.inside import Inside, Missing, Outside
 
 #: No camera of a robot is faster; then the times are those of copying the data set.
 _FASTEST_HZ: Final = 120.0
@@ -36,7 +36,7 @@ def image_file(inside: Inside, name: str, tally: Tally) -> bytes:
     """
     try:
         return as_jpeg(inside.read(name, MOST_BYTES))
-    except FileNotFoundError:
+    except Missing:
         raise NotAnImage("images are missing") from None
     except Outside as error:
         tally.say(str(error))

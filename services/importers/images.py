@@ -4,13 +4,12 @@ from __future__ import annotations
 
 from typing import Final
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from schemas.compressed_image import CompressedImage
 from services.importers.drive import NotAnImage
-from services.kit.jpeg import MOST_PIXELS, decode_jpeg, encode_jpeg
+from services.kit.jpeg import MOST_PIXELS, decode_image_file, decode_jpeg, encode_jpeg
 
 #: Most bytes of an image file.
 MOST_BYTES: Final = CompressedImage.max_bytes - 2**16
@@ -74,12 +73,8 @@ def _decoded_png(data: bytes) -> NDArray[np.uint8]:
     width, height = int.from_bytes(data[16:20], "big"), int.from_bytes(data[20:24], "big")
     if data[12:16] != b"IHDR" or not 0 < width * height <= MOST_PIXELS or b"IEND" not in data[-16:]:
         raise NotAnImage("images are damaged")
-    try:
-        bgr = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR)
-    except cv2.error:
-        bgr = None
-    if bgr is None:
+    image = decode_image_file(data)
+    if image is None:
         raise NotAnImage("images are damaged")
-    rgb = np.asarray(cv2.cvtColor(bgr, cv2.COLOR_BGR2RGB), dtype=np.uint8)
-    check_size(rgb)
-    return rgb
+    check_size(image)
+    return image

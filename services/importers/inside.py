@@ -27,6 +27,10 @@ class Outside(ImportFailure):
     """A name leads out of the folder."""
 
 
+class Missing(ImportFailure):
+    """There is no file of that name."""
+
+
 class Inside:
     """A folder, or one file, to read from.
 
@@ -59,11 +63,8 @@ class Inside:
 
     def regular(self, name: str = "") -> Path:
         """Return the path of a regular file without links, for those who open it themselves; errors as of `open`."""
-        try:
-            with self.open(name):
-                return below(self._root, name)
-        except FileNotFoundError as error:
-            raise ImportFailure(str(error)) from None
+        with self.open(name):
+            return below(self._root, name)
 
     def open(self, name: str = "") -> IO[bytes]:
         """Open a file for reading.
@@ -72,7 +73,7 @@ class Inside:
         ------
         Outside
             When the name, or a link, leads out of the folder.
-        FileNotFoundError
+        Missing
             When there is none.
         ImportFailure
             When it is no regular file, or cannot be read.
@@ -82,7 +83,7 @@ class Inside:
         except OutsideError:
             raise self._outside(name) from None
         except (FileNotFoundError, NotADirectoryError):
-            raise FileNotFoundError(f"{self.called(name)}: no such file") from None
+            raise Missing(f"{self.called(name)}: no such file") from None
         except (OSError, ValueError) as error:
             why = getattr(error, "strerror", None) or "no file name"
             if getattr(error, "errno", None) in (errno.EISDIR, errno.EINVAL):
@@ -101,20 +102,9 @@ class Inside:
                 raise ImportFailure(f"{self.called(name)}: larger than {most} bytes")
             return file.read(size)
 
-    def needed(self, name: str, most: int = MOST_BYTES) -> bytes:
-        """Return the bytes of a file without which nothing can be done."""
-        try:
-            return self.read(name, most)
-        except FileNotFoundError as error:
-            raise ImportFailure(str(error)) from None
-
     def lines(self, name: str) -> Iterator[bytes]:
         """Yield the lines of a file."""
-        try:
-            file = self.open(name)
-        except FileNotFoundError as error:
-            raise ImportFailure(str(error)) from None
-        with file:
+        with self.open(name) as file:
             while line := file.readline(LONGEST_LINE + 1):
                 if len(line) > LONGEST_LINE:
                     raise ImportFailure(f"{self.called(name)}: a line of more than {LONGEST_LINE} characters")

@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 from typing import Any, Final
 
@@ -20,7 +20,7 @@ from services.importers.images import as_jpeg
 from services.importers.inside import Inside, parsed
 from services.importers.parquet import IMAGES, batches, numbers
 from services.importers.source_options import Wishes
-from services.importers.video import frames_at, thunk
+from services.importers.video import frames_at, jpeg_of
 
 #: Metres and radians a second; and a pose by the wheels, as only our own data sets have it.
 VELOCITIES: Final = ("linear_velocity", "angular_velocity")
@@ -94,7 +94,7 @@ class _Set:
 def read(inside: Inside, wishes: Wishes, tally: Tally) -> Source:
     """Read a data set; each of its episodes is a drive."""
     called = inside.called(INFO)
-    info = parsed(inside.needed(INFO), called)
+    info = parsed(inside.read(INFO), called)
     try:
         version, features = str(info["codebase_version"]), dict(info["features"])
         fps, chunk = float(info["fps"]), int(info.get("chunks_size", 1000))
@@ -230,7 +230,7 @@ def _drive(dataset: _Set, episode: _Episode, tally: Tally) -> Drive:
         tally.say(f"{name}: announces {episode.length} frames, has {times_s.size}")
     motion = _motion(times_s, found[velocity.feature], velocity, called, tally)
     success = bool(np.concatenate(found[SUCCESS]).any()) if found[SUCCESS] else None
-    frames = partial(_video_frames, dataset, replace(episode), times_s) if episode.video else None
+    frames = partial(_video_frames, dataset, episode, times_s) if episode.video else None
     return Drive(
         str(episode.number),
         motion,
@@ -274,14 +274,10 @@ def _video_frames(dataset: _Set, episode: _Episode, times_s: Array) -> Iterator[
     if not times_s.size:
         return
     called = dataset.inside.called(episode.video)
-    try:
-        file = dataset.inside.open(episode.video)
-    except FileNotFoundError as error:
-        raise ImportFailure(str(error)) from None
-    with file:
+    with dataset.inside.open(episode.video) as file:
         found = frames_at(file, called, episode.begin_s + times_s, 0.5 / dataset.fps)
         for time_s, frame in zip(times_s.tolist(), found, strict=True):
-            yield Frame(time_s, thunk(frame))
+            yield Frame(time_s, partial(jpeg_of, frame))
 
 
 def _embedded_frames(dataset: _Set, episode: _Episode) -> Iterator[Frame]:

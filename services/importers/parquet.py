@@ -43,8 +43,6 @@ def batches(inside: Inside, name: str, columns: Sequence[str], rows: int = ROWS)
                 )
             there = [column for column in columns if column in table.schema_arrow.names]
             yield from table.iter_batches(batch_size=rows, columns=there, use_threads=False)
-    except FileNotFoundError as error:
-        raise ImportFailure(str(error)) from None
     except (pa.ArrowException, OSError, ValueError, MemoryError) as error:
         raise ImportFailure(f"{called}: not a Parquet file that can be read: {printable(str(error))}") from None
 

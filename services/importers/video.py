@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from contextlib import closing
-from functools import partial
 from typing import IO, Any
 
 import numpy as np
@@ -65,11 +64,6 @@ def jpeg_of(frame: Any) -> bytes:  # noqa: ANN401 - as above
     if frame is None:
         raise NotAnImage("frames are not in the video")
     return raw_as_jpeg(np.asarray(frame.to_ndarray(format="rgb24"), dtype=np.uint8))
-
-
-def thunk(frame: Any) -> partial[bytes]:  # noqa: ANN401 - as above
-    """Put off the compression of a frame until it is known that it is needed."""
-    return partial(jpeg_of, frame)
 
 
 def _said(error: Exception) -> str:

@@ -47,13 +47,19 @@ def decode_jpeg(data: bytes) -> NDArray[np.uint8]:
     # Before OpenCV, which makes room for as many pixels as the header claims, up to 3 GB.
     if not is_jpeg(data):
         raise ValueError("not a JPEG image of a size that a camera has")
+    image = decode_image_file(data)
+    if image is None:
+        raise ValueError("not a JPEG image")
+    return image
+
+
+def decode_image_file(data: bytes) -> NDArray[np.uint8] | None:
+    """Return the (height, width, 3) RGB pixels of a file whose header is known to claim no more than a camera has."""
     try:
         bgr = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR)
     except cv2.error:
-        bgr = None
-    if bgr is None:
-        raise ValueError("not a JPEG image")
-    return cast("NDArray[np.uint8]", cv2.cvtColor(bgr, cv2.COLOR_BGR2RGB))
+        return None
+    return None if bgr is None else cast("NDArray[np.uint8]", cv2.cvtColor(bgr, cv2.COLOR_BGR2RGB))
 
 
 def is_jpeg(data: bytes) -> bool:

@@ -285,11 +285,6 @@ class Node:
         self._state = "stopping"
         return False
 
-    @property
-    def stopping(self) -> bool:
-        """Whether the node was told to stop."""
-        return self._stop.is_set()
-
     def drain(self) -> None:
         """Handle what had arrived before the node was stopped."""
         while (item := self._inbox.take(0.0)) is not None:

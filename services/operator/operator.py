@@ -17,7 +17,7 @@ from schemas.command import CommandApplied, StopCause
 from schemas.episode import Episode
 from schemas.heartbeat import Heartbeat
 from schemas.rpc import ArmRequest, EndRequest, Nothing, ResetReply, ResetRequest, ResumeRequest, Status
-from services.kit.node import Node
+from services.kit.node import Node, ServiceError
 from services.operator.commands import Commands
 from services.operator.hold import KeyHold
 
@@ -25,8 +25,9 @@ from services.operator.hold import KeyHold
 POLL_S: Final = 0.02
 #: How often the robot has to hear that the operator is there; it misses them after five times that.
 BEAT_S: Final = 0.05
-#: A simulator's first frame takes seconds.
+#: A simulator's first frame takes seconds; another world of thousands of houses opens in minutes.
 RESET_S: Final = 60.0
+_OPEN_S: Final = 600.0
 ANSWER_S: Final = 5.0
 #: How often the robot is asked how it is, where it does not tell by its heartbeat, which beats ten times a second.
 ASK_S: Final = 0.5
@@ -138,7 +139,12 @@ class Operator:
         """Stop, and stay so until the robot is armed."""
         self._node.publish(self.commands.stop_for_emergency())
 
-    def begin(self, request: ResetRequest, prepare: Callable[[], None] = lambda: None) -> bool:
+    def begin(
+        self,
+        request: ResetRequest,
+        prepare: Callable[[], None] = lambda: None,
+        there: Callable[[], bool] = lambda: True,
+    ) -> bool:
         """Arm the robot if it has to be, and ask for an episode.
 
         Parameters
@@ -147,6 +153,8 @@ class Operator:
             The episode; it will be this operator's.
         prepare
             Called first, on another thread; what it raises is told, and no episode begins.
+        there
+            Whether the person is still there, who may have left meanwhile: both to prepare and to begin may take long.
 
         Returns
         -------
@@ -160,10 +168,16 @@ class Operator:
 
         def ask() -> Callable[[], None]:
             prepare()
+            if not there():
+                raise ServiceError("not begun: who asked for it has left")
             arm()
             if request.driver != "teleop":
                 self._hand_over()
-            reply = self._node.bus.call("robot", "reset", request, ResetReply, RESET_S)
+            stays = request.world is None and request.variation is None
+            reply = self._node.bus.call("robot", "reset", request, ResetReply, RESET_S if stays else _OPEN_S)
+            if not there():
+                self.call("end", EndRequest(episode=reply.episode))
+                raise ServiceError("ended at once: who asked for it has left")
             return lambda: self._begun(reply.episode, request)
 
         self._reports.on_request()

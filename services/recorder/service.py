@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import time
-from collections import deque
+from collections import Counter, deque
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Final, NamedTuple, Self
+from typing import Final, NamedTuple
 
 from schemas.base import Message
 from schemas.codec import encode, printable
@@ -35,31 +35,6 @@ EARLY_QUEUE: Final = 4096
 EARLY_S: Final = 5.0
 #: And how many bytes of them: frames as JPEG of half a megabyte, at 10 Hz, are 25 MB in that time.
 EARLY_BYTES: Final = 64 << 20
-
-
-@dataclass(frozen=True)
-class Totals:
-    """Sums over recordings."""
-
-    messages: int = 0
-    size: int = 0
-    duplicates: int = 0
-    gap_ticks: int = 0
-
-    @classmethod
-    def of(cls, writer: EpisodeWriter) -> Self:
-        """Return the figures of one recording."""
-        # What a part lacks may be in an earlier one: that is known when they are merged.
-        gap_ticks = 0 if writer.resumed else writer.ledger.gap_ticks
-        return cls(writer.messages, writer.size, writer.ledger.duplicates, gap_ticks)
-
-    def __add__(self, other: Totals) -> Totals:
-        return Totals(
-            self.messages + other.messages,
-            self.size + other.size,
-            self.duplicates + other.duplicates,
-            self.gap_ticks + other.gap_ticks,
-        )
 
 
 @dataclass
@@ -132,7 +107,7 @@ class RecorderService:
         self._early_bytes = 0
         self._files: list[Path] = []
         self._unfinished = False
-        self._sealed = Totals()
+        self._sealed: Counter[str] = Counter()
         self._lost = 0
         self._dropped_before = 0
         self._last_error: str | None = None
@@ -319,7 +294,7 @@ class RecorderService:
             self._unfinished = True
             self._complain(f"cannot finish {path}: {writer.problem}; tried again with the next episode")
         self._files.append(path)
-        self._sealed += Totals.of(writer)
+        self._sealed = self._sealed + _figures(writer)  # another one: `detail` may be adding up this one
         gaps = "; ".join(f"{topic} lacks frames {ticks}" for topic, ticks in writer.ledger.gaps().items())
         self._node.log.info("%s: %d messages, %.1f MB %s", path, writer.messages, writer.size / 1e6, gaps)
 
@@ -333,16 +308,23 @@ class RecorderService:
         """Tell what was recorded so far."""
         # This runs on a thread of the bus: list() takes the open recordings at one moment.
         writers = [recording.writer for recording in list(self._open.values())]
-        totals = sum((Totals.of(writer) for writer in writers if writer is not None), self._sealed)
+        totals = sum((_figures(writer) for writer in writers if writer is not None), self._sealed)
         return {
             "root": str(self._root),
             "folder": str(self._folder) if self._folder else None,
             "recording": " ".join(list(self._open)) or None,
             "files": len(self._files),
-            "messages": totals.messages,
-            "megabytes": round(totals.size / 1e6, 3),
-            "duplicates": totals.duplicates,
-            "gap_ticks": totals.gap_ticks,
+            "messages": totals["messages"],
+            "megabytes": round(totals["size"] / 1e6, 3),
+            "duplicates": totals["duplicates"],
+            "gap_ticks": totals["gap_ticks"],
             "lost": self._lost,
             "last_error": self._last_error,
         }
+
+
+def _figures(writer: EpisodeWriter) -> Counter[str]:
+    """Return the figures of one recording, to be added up."""
+    # What a part lacks may be in an earlier one: that is known when they are merged.
+    gap_ticks = 0 if writer.resumed else writer.ledger.gap_ticks
+    return Counter(messages=writer.messages, size=writer.size, duplicates=writer.ledger.duplicates, gap_ticks=gap_ticks)

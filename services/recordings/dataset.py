@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from schemas.base import ATOMS
+from services.kit.errors import UsageError
 from services.recordings.encoding import decode_image, is_image
 from services.recordings.reader import RecordingError, read_recording
 from services.recordings.recorded import Piece, RecordedEpisode
@@ -259,17 +260,17 @@ def find_recordings(paths: Iterable[Path]) -> list[Path]:
 
     Raises
     ------
-    FileNotFoundError
-        For a path that is not there, or a folder without a recording; its text says so in one line.
+    UsageError
+        For a path that is not there, or a folder without a recording.
     """
     found: list[Path] = []
     for path in paths:
         if not path.exists():
-            raise FileNotFoundError(f"{path}: no such file or folder")
+            raise UsageError(f"{path}: no such file or folder")
         here = [path]
         if path.is_dir():
             here = sorted(p for p in path.iterdir() if p.name.endswith((".mcap", ".mcap.partial")))
             if not here:
-                raise FileNotFoundError(f"{path}: no recording (*.mcap) in this folder")
+                raise UsageError(f"{path}: no recording (*.mcap) in this folder")
         found.extend(p for p in here if p not in found)
     return found

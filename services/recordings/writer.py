@@ -6,7 +6,6 @@ import os
 import struct
 import time
 from contextlib import suppress
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any, Final, Self, cast
 
@@ -19,6 +18,7 @@ from pydantic import ValidationError
 from schemas.base import Message
 from schemas.episode import Episode
 from schemas.topics import key_of, topic_of
+from services.kit.version import program_version
 from services.recordings.encoding import ChannelFormat, format_of, payload_of, protobuf_format
 from services.recordings.ledger import ORDERED, Ledger, order_of
 from services.recordings.records import MAGIC, mapped, records, surveyed
@@ -75,7 +75,7 @@ class EpisodeWriter:
         try:
             # The writer asks its output for no more than write, tell and flush.
             self._writer = Writer(cast("Any", self._sink), compression=CompressionType.NONE, enable_data_crcs=True)
-            self._writer.start(profile="", library=f"smal {_software()}")
+            self._writer.start(profile="", library=f"smal {program_version()}")
             self._writer.add_metadata(EPISODE_METADATA, metadata)
         except OSError:
             self._discard()
@@ -319,13 +319,6 @@ def _description(started: Episode) -> dict[str, str]:
         "purpose": started.purpose,
         "goal": started.goal,
         "driver": started.driver,
-        "software": _software(),
+        "software": program_version(),
         "recorded_utc": time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime()),
     }
-
-
-def _software() -> str:
-    try:
-        return version("smal")
-    except PackageNotFoundError:
-        return "unknown"

@@ -62,10 +62,6 @@ class Messages:
         """Return the hash of a type's definition, ``RIHS01_…``."""
         return str(self._store.hash_rihs01(type_name))
 
-    def knows(self, type_name: str) -> bool:
-        """Whether a type can be written and read."""
-        return type_name in self._store.types
-
     def write(self, type_name: str, message: object) -> bytes:
         """Return the bytes of a message."""
         return bytes(self._store.serialize_cdr(message, type_name))

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-import re
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
-from schemas.rpc import WORLD_NAME_PATTERN
+from pydantic import TypeAdapter, ValidationError
+
+from schemas.rpc import WorldName
 from services.kit.node import ServiceError
 from services.kit.root import OutsideError, below
 from services.simulator.opening import open_simulation
@@ -22,7 +23,7 @@ if TYPE_CHECKING:
 
 #: Folder below the root of the worlds that were made from maps: ``smal world import MAP --out worlds/NAME.json``.
 FOLDER: Final = "worlds"
-_NAME: Final = re.compile(WORLD_NAME_PATTERN)
+_NAME: Final[TypeAdapter[str]] = TypeAdapter(WorldName)
 
 
 class Worlds:
@@ -41,9 +42,9 @@ class Worlds:
         self.here = self._first, settings.variation
 
     def names(self) -> list[str]:
-        """Return the names of all worlds, sorted."""
+        """Return the names of all worlds that can be asked for, sorted."""
         own = [path.stem for path in (self._settings.root / FOLDER).glob("*.json")]
-        return sorted({self._first, *known_worlds(), *filter(_NAME.fullmatch, own)})
+        return sorted({*known_worlds(), *filter(_may_be_asked_for, [self._first, *own])})
 
     def open(self, world: str | None = None, variation: str | None = None) -> Simulation:
         """Open a world.
@@ -71,7 +72,8 @@ class Worlds:
                 variation=variation,
             )
         except (WorldError, RenderingUnavailableError, PhysicsUnavailableError) as error:
-            raise ServiceError(str(error)) from None
+            # Where the files lie means nothing to who asks for a name.
+            raise ServiceError(str(error).replace(f"{self._settings.root / FOLDER}/", "")) from None
         self.here = world, variation
         return simulation
 
@@ -88,3 +90,11 @@ class Worlds:
         if not path.is_file():
             raise ServiceError(f"no world {world!r}; known are {', '.join(self.names())}")
         return str(path)
+
+
+def _may_be_asked_for(name: str) -> bool:
+    try:
+        _NAME.validate_python(name)
+    except ValidationError:
+        return False
+    return True

@@ -8,15 +8,13 @@ from collections.abc import Callable
 from typing import Final
 
 from schemas.base import ATOMS
-from schemas.command import CommandApplied, StopCause
-from schemas.episode import Episode
 from schemas.rpc import ResetRequest
 from services.kit.node import Node
 from services.operator.hold import KeyHold
 from services.operator.operator import ANSWER_S, BEAT_S, POLL_S, RESET_S, Operator
 from services.teleop.config import TeleopSettings
 from services.teleop.keys import Key, KeyEvent, KeyParser, News
-from services.teleop.status import Status as StatusLine
+from services.teleop.status import Status
 from services.teleop.terminal import Terminal, open_terminal
 
 CONNECT_S: Final = 3.0
@@ -45,32 +43,6 @@ def run(settings: TeleopSettings) -> None:
                 session.finish()
 
 
-class _Screen:
-    """What the operator is told: lines above the status line."""
-
-    def __init__(self, terminal: Terminal, clock: Callable[[], float]) -> None:
-        self.say = terminal.say
-        self.status = StatusLine(clock)
-
-    def on_applied(self, applied: CommandApplied) -> None:
-        self.status.on_applied(applied)
-
-    def on_event(self, event: Episode) -> None:
-        self.say(self.status.on_event(event))
-
-    def on_request(self) -> None:
-        self.status.on_request()
-
-    def on_failure(self) -> None:
-        self.status.on_failure()
-
-    def on_answer(self, cause: StopCause | None) -> None:
-        self.status.on_answer(cause)
-
-    def on_silence(self) -> None:
-        self.status.on_silence()
-
-
 class TeleopSession:
     """Wires keys and status line to an operator; everything happens on the node's thread.
 
@@ -97,9 +69,9 @@ class TeleopSession:
         self._terminal = terminal
         self._clock = clock
         self._parser = KeyParser()
-        self._screen = _Screen(terminal, clock)
+        self._status = Status(clock, terminal.say)
         keys = KeyHold(clock, settings.first_hold_s, settings.repeat_hold_s)
-        self._operator = Operator(node, keys, self._screen, clock)
+        self._operator = Operator(node, keys, self._status, clock)
         self._seed = secrets.randbelow(2**31) if settings.seed is None else settings.seed
         self._goal = settings.goal
         self._first_hold_s = settings.first_hold_s
@@ -121,7 +93,7 @@ class TeleopSession:
             self._tells_by_s = None
             self._terminal.say(NO_RELEASES.format(self._first_hold_s))
         commands = self._operator.commands
-        self._terminal.show(self._screen.status.line(commands.held, commands.emergency))
+        self._terminal.show(self._status.line(commands.held, commands.emergency))
 
     def finish(self) -> None:
         """Stop the robot, end the episode that was begun here, so that its recording is complete, and say good-bye."""

@@ -34,10 +34,13 @@ class Status:
     ----------
     clock
         Monotonic seconds.
+    say
+        Writes a line above the status line.
     """
 
-    def __init__(self, clock: Callable[[], float]) -> None:
+    def __init__(self, clock: Callable[[], float], say: Callable[[str], None]) -> None:
         self._clock = clock
+        self.say = say
         self._applied: CommandApplied | None = None
         self._heard_s = 0.0
         self._waits = "-"
@@ -68,8 +71,8 @@ class Status:
         """Take note that it was refused."""
         self._episode = NO_EPISODE
 
-    def on_event(self, event: Episode) -> str:
-        """Take an episode's event; returns it in words."""
+    def on_event(self, event: Episode) -> None:
+        """Take an episode's event, and say it in words."""
         what = event.event.replace("_", " ") if event.outcome is None else f"ended: {event.outcome}"
         self._episode = what if event.event != "started" else f"{event.driver} drives"
         if event.event == "ended":
@@ -77,7 +80,7 @@ class Status:
             self._waits = "-"
             self._last_ended = event.episode
             self._episode = f"{what}; press n for the next one"
-        return f"frame {event.tick}: {what} ({event.purpose} in {printable(event.world)}, seed {event.seed})"
+        self.say(f"frame {event.tick}: {what} ({event.purpose} in {printable(event.world)}, seed {event.seed})")
 
     def line(self, held: Atom | None, emergency: bool) -> str:
         """Return the status line."""

@@ -1,17 +1,18 @@
-"""The command line of a benchmark: the flags that all have, and errors of one line."""
+"""The command line of a benchmark: the flags that all have, and where their results go."""
 
 from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Callable
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
-from typing import NoReturn
+from typing import Any, NoReturn
 
 from services.cli import outputs
-from services.cli.interrupts import interrupted_by_signals
-from services.kit.errors import JobError, UsageError, describe_os_error
-from services.kit.node import EXIT_FAILED, EXIT_USAGE
+from services.kit.errors import UsageError
+from tests.benchmarks.results import write_json
 
 
 class Parser(argparse.ArgumentParser):
@@ -25,10 +26,16 @@ class Parser(argparse.ArgumentParser):
     """
 
     def __init__(self, name: str, description: str | None) -> None:
-        super().__init__(f"smal bench {name}", description=description, allow_abbrev=False)
+        raw = argparse.RawDescriptionHelpFormatter
+        super().__init__(f"smal bench {name}", description=description, formatter_class=raw, allow_abbrev=False)
         self.add_argument("--json", type=Path, metavar="FILE", help="write the results as JSON")
         self.add_argument("--out", type=Path, metavar="DIR", help="folder for pictures")
         self.add_argument("--quick", action="store_true", help="a small run of about a minute")
+
+    def add_model(self) -> None:
+        """Take a model for a robot that is to drive by itself (`faults.model`)."""
+        self.add_argument("--model", type=Path, metavar="FILE", help="model of the world yard, camera 160x120; "
+                          "without it one is taught first, in a minute or two")  # fmt: skip
 
     def parse(self, arguments: list[str]) -> argparse.Namespace:
         """Read the flags, and check that the results can be written, before the work begins."""
@@ -43,23 +50,19 @@ class Parser(argparse.ArgumentParser):
         raise UsageError(message)
 
 
-def run_benchmark(main: Callable[[list[str]], None]) -> NoReturn:
-    """Run a benchmark with the arguments of this process, and exit."""
-    status = 0
-    try:
-        with interrupted_by_signals():
-            main(sys.argv[1:])
-    except UsageError as error:
-        status = _say(str(error), EXIT_USAGE)
-    except JobError as error:
-        status = _say(str(error), EXIT_FAILED)
-    except OSError as error:
-        status = _say(describe_os_error(error), EXIT_FAILED)
-    except KeyboardInterrupt:
-        status = 130  # `smal bench` says it
-    sys.exit(status)
+def say(flags: argparse.Namespace, results: dict[str, Any], text: str) -> None:
+    """Write the results where ``--json`` wants them, and print their tables."""
+    if flags.json is not None:
+        write_json(flags.json, {"quick": flags.quick, **results})
+        text += f"\nresults: {flags.json}\n"
+    sys.stdout.write(text)
 
 
-def _say(message: str, status: int) -> int:
-    sys.stderr.write(f"smal: {message}\n")
-    return status
+@contextmanager
+def folder_for(out: Path | None) -> Iterator[Path]:
+    """Give the folder for logs and recordings; without ``--out`` it is removed again."""
+    if out is not None:
+        yield out
+        return
+    with tempfile.TemporaryDirectory(prefix="smal-bench-") as folder:
+        yield Path(folder)

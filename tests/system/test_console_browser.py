@@ -10,9 +10,9 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
-from contextlib import closing, contextmanager, suppress
+from contextlib import AbstractContextManager, closing, contextmanager, suppress
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import pytest
 
@@ -29,14 +29,15 @@ from services.simulator.world import load_world
 from services.simulator.world.loading import WORLDS_FOLDER
 from services.simulator.world.route import plan_route
 from services.table import stack_services
-from tests.services.waiting import eventually
+from tests.benchmarks.faults.proxy import link
+from tests.benchmarks.soak.page import CHROMIUM, FLAGS, NO_CHROMIUM, held, judge_page
+from tests.services.waiting import eventually, status_of
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser, Page
 
-CHROMIUM = shutil.which("chromium")
 if CHROMIUM is None:
-    pytest.skip("no chromium on this machine: the page is not tried in a browser", allow_module_level=True)
+    pytest.skip(f"{NO_CHROMIUM}: the page is not tried in a browser", allow_module_level=True)
 pytestmark = [pytest.mark.system, pytest.mark.rendering, pytest.mark.zenoh]
 KEYS = {"forward": "w", "left": "a", "right": "d", "backward": "s"}
 SPEED_M_S = 2.0
@@ -47,9 +48,11 @@ WHOLE_LOOP_S = 240.0
 class Site:
     """A stack with its page, and what the robot really does."""
 
-    def __init__(self, address: str, bus: Bus) -> None:
+    def __init__(self, address: str, stack: Stack, bus: Bus, root: Path) -> None:
         self.address = address
+        self.stack = stack
         self.bus = bus
+        self.root = root
         self.poses: list[Pose] = []
         #: What moved the robot, since when.
         self.applied: list[tuple[float, CommandApplied]] = []
@@ -68,6 +71,12 @@ class Site:
         """Wait until the actuator stands; return how long after a time it was last told to move."""
         eventually(lambda: not self.drives)
         return max((at for at, one in self.applied if one.atom != "stop"), default=since_s) - since_s
+
+    def pid_of_console(self) -> int:
+        """Wait until the console answers; return its process id."""
+        status = eventually(lambda: status_of(self.bus, "console"), timeout_s=30.0)
+        assert status is not None
+        return status.pid
 
     def robot(self, key: str) -> object:
         """Return what the robot tells of itself."""
@@ -88,8 +97,8 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Site]:
         "console": flags(console=address) + below,
     }
     plan = StackPlan(stack_services(), "rescuebot", endpoint, own, logs=root / "logs")
-    with Stack(plan), closing(Bus("rescuebot", endpoint)) as bus:
-        yield Site(f"http://{address}/", bus)
+    with Stack(plan) as stack, closing(Bus("rescuebot", endpoint)) as bus:
+        yield Site(address, stack, bus, root)
 
 
 @pytest.fixture(scope="module")
@@ -97,7 +106,7 @@ def browser() -> Iterator[Browser]:
     """Start Debian's Chromium; as root it runs without its sandbox."""
     playwright = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
     with playwright.sync_playwright() as play:
-        yield play.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox"])
+        yield play.chromium.launch(executable_path=CHROMIUM, args=FLAGS)
 
 
 @pytest.fixture
@@ -108,13 +117,16 @@ def page(browser: Browser, site: Site) -> Iterator[Page]:
 
 
 @contextmanager
-def opened(browser: Browser, site: Site) -> Iterator[Page]:
-    """Open the page in a context of its own, as another person would; no error may appear in it."""
+def opened(browser: Browser, site: Site, by: str | None = None) -> Iterator[Page]:
+    """Open the page in a context of its own, as another person would; no error may appear in it.
+
+    ``by`` is another address that leads to it.
+    """
     context = browser.new_context(viewport={"width": 1440, "height": 1000})
     page = context.new_page()
     errors: list[str] = []
     page.on("pageerror", lambda error: errors.append(str(error)))
-    page.goto(site.address)
+    page.goto(f"http://{by or site.address}/")
     eventually(lambda: told(page) and "onnect" not in told(page))
     try:
         yield page
@@ -147,8 +159,19 @@ def begin_a_drive(page: Page, site: Site) -> None:
 def drive_ahead(page: Page, site: Site) -> None:
     """Begin a drive, and hold the key for ahead."""
     begin_a_drive(page, site)
-    page.keyboard.down("w")
-    eventually(lambda: site.drives)
+    hold(page, site, lambda: page.keyboard.down("w"))
+
+
+def hold(page: Page, site: Site, press: Callable[[], None], atom: str = "forward") -> None:
+    """Press something until the robot moves by it."""
+    press()
+
+    def moves() -> bool:
+        if was_lost(page, site):
+            press()
+        return site.drives and site.applied[-1][1].atom == atom
+
+    eventually(moves, timeout_s=30.0)
 
 
 def was_lost(page: Page, site: Site) -> bool:
@@ -209,9 +232,13 @@ def test_teach_once_learn_run_found(page: Page, site: Site) -> None:
     assert run_in(page, "document.querySelector('#belief img').naturalWidth") == 320
 
 
-def run_in(page: Page, script: str) -> object:
+def run_in(page: Page, script: str) -> Any:
     """Run a script as the developer's tools do; the page's own policy forbids what Playwright would do."""
-    answer = page.context.new_cdp_session(page).send("Runtime.evaluate", {"expression": script})
+    tools = page.context.new_cdp_session(page)
+    asked = {"expression": script, "awaitPromise": True, "returnByValue": True}
+    answer = tools.send("Runtime.evaluate", asked)
+    assert "exceptionDetails" not in answer, answer
+    tools.detach()
     return answer["result"].get("value")
 
 
@@ -336,8 +363,7 @@ def test_a_second_tab_watches_and_stops_but_does_not_drive(browser: Browser, sit
         other.keyboard.down("s")
         # The first page may have lost its focus to this one, and the robot stands; it never drives backward.
         page.keyboard.up("w")
-        page.keyboard.down("w")
-        eventually(lambda: site.drives or (was_lost(page, site) and page.keyboard.down("w")))
+        hold(page, site, lambda: page.keyboard.down("w"))
         assert "backward" not in {one.atom for _, one in site.applied}
         other.keyboard.press("Escape")
         pressed_s = time.monotonic()
@@ -350,28 +376,16 @@ def test_a_second_tab_watches_and_stops_but_does_not_drive(browser: Browser, sit
 
 def test_the_pad_drives_while_it_is_held(page: Page, site: Site) -> None:
     begin_a_drive(page, site)
-    page.hover("#pad [data-atom=left]")
-    page.mouse.down()
-    eventually(lambda: site.drives and site.applied[-1][1].atom == "left")
+
+    def press() -> None:
+        page.mouse.up()
+        page.hover("#pad [data-atom=left]")
+        page.mouse.down()
+
+    hold(page, site, press, "left")
     released_s = time.monotonic()
     page.mouse.up()
     assert site.stood_s(released_s) <= STAND_WITHIN_S
-
-
-def test_the_keyboard_reaches_all_that_is_there(page: Page) -> None:
-    page.focus("#seat")
-    reached = []
-    while "scroll" not in reached:
-        page.keyboard.press("Tab")
-        reached.append(
-            str(
-                run_in(page, "(one => one.id || one.name || one.dataset.atom || one.className)(document.activeElement)")
-            )
-        )
-        assert len(reached) < 50, reached
-    assert {"stop", "left", "backward", "right", "resume", "world", "variation", "map", "goal", "scheme", "seed"} <= {
-        *reached
-    }
 
 
 def test_a_hostile_name_is_shown_as_it_is(page: Page, site: Site) -> None:
@@ -419,3 +433,231 @@ def test_a_map_that_is_dropped_is_a_world_to_drive_in(page: Page, site: Site) ->
     eventually(lambda: data(page, "episode") == "")
     drop(page, WORLDS_FOLDER / "indoor.json", "no map.osm")
     eventually(lambda: "Making a world of no map failed: no map.osm: not a readable" in page.inner_text("#job"), 60.0)
+
+
+# -- who sees and how --------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def taught_here(site: Site, taught: Path) -> Iterator[None]:
+    """Have a model, and the recording that it was learned from, where the page finds them."""
+    files = {taught / "model.smal": site.root / "models" / "taught.smal"}
+    files |= {one: site.root / "drives" / one.name for one in (taught / "drives").glob("*.mcap")}
+    for here, there in files.items():
+        there.parent.mkdir(exist_ok=True)
+        shutil.copy(here, there)
+    yield
+    for there in files.values():
+        there.unlink()
+
+
+def begin_a_run(page: Page) -> None:
+    """Begin a run where it was taught, and see the first belief."""
+    name = "models/taught.smal"
+    eventually(lambda: page.locator("#world-form option[value=yard]").count() == 1)
+    page.select_option("#world-form [name=world]", "yard")
+    eventually(lambda: page.locator(f"#run-form option[value='{name}']").count() == 1)
+    page.select_option("#run-form select[name=model]", name)
+    page.click("#run-form button")
+    eventually(lambda: data(page, "episode").startswith("run"), timeout_s=60.0)
+    eventually(lambda: page.locator("#belief img").get_attribute("src"), timeout_s=30.0)
+
+
+def look(page: Page, frames: int) -> None:
+    """Look on while so many frames of the robot pass."""
+
+    def frame() -> int:
+        _, _, text = page.inner_text("#episode").partition("frame ")
+        return int(text.split(",")[0] or 0)
+
+    until = frame() + frames
+    eventually(lambda: frame() >= until, timeout_s=30.0)
+
+
+SIZES = {1440: 1000, 1024: 900, 390: 844}
+# Of the results of a run of axe-core those that are wrong, with the elements that they are about.
+VIOLATIONS = """axe.run({resultTypes: ["violations"]}).then(({violations}) => violations.map(
+    ({id, nodes}) => `${id}: ${nodes.map(({target}) => target.join(" ")).join(", ")}`))"""
+
+
+@pytest.mark.usefixtures("taught_here")
+def test_axe_core_finds_nothing(page: Page) -> None:
+    axe = pytest.importorskip("axe_playwright_python.base", reason="axe-playwright-python is not installed")
+    run_in(page, f"{axe.AXE_SCRIPT}; 0")
+
+    def violations() -> dict[tuple[str, int], list[str]]:
+        found = {}
+        for scheme in ("light", "dark"):
+            page.emulate_media(color_scheme=scheme)  # type: ignore[arg-type]
+            for width, height in SIZES.items():
+                page.set_viewport_size({"width": width, "height": height})
+                found[scheme, width] = run_in(page, VIOLATIONS)
+        page.set_viewport_size({"width": 1440, "height": SIZES[1440]})
+        return {where: wrong for where, wrong in found.items() if wrong}
+
+    assert violations() == {}
+    for _ in range(30):  # more news than there is room for
+        page.keyboard.press("w")
+    begin_a_run(page)
+    assert violations() == {}
+    # It does look, and in all of them.
+    run_in(page, "document.querySelector('#resume').style.color = 'var(--line)'")
+    wrong = violations()
+    assert len(wrong) == 2 * len(SIZES)
+    assert all(one == ["color-contrast: #resume"] for one in wrong.values())
+
+
+SHIFTS = """window.shifted = 0; new PerformanceObserver((list) => {
+    for (const one of list.getEntries()) if (!one.hadRecentInput) shifted += one.value;
+}).observe({type: "layout-shift", buffered: true})"""
+#: What counts as good; Google's Web Vitals.
+MOST_SHIFT = 0.1
+
+
+@pytest.mark.usefixtures("taught_here")
+def test_nothing_moves_below_the_eyes(page: Page) -> None:
+    def shifted() -> float:
+        return float(run_in(page, "shifted"))
+
+    run_in(page, SHIFTS)
+    begin_a_run(page)
+    assert shifted() < MOST_SHIFT
+    for width, height in SIZES.items():
+        page.set_viewport_size({"width": width, "height": height})
+        run_in(page, "document.querySelector('#belief').scrollIntoView(); shifted = 0")
+        look(page, 10)
+        assert shifted() < MOST_SHIFT
+    run_in(page, "scrollTo(0, 0); document.querySelector('main').prepend(document.createElement('canvas'))")
+    eventually(lambda: shifted() >= MOST_SHIFT)
+
+
+CONTROLS = """window.controls = [...document.querySelectorAll("a, button, input, select, textarea, [tabindex]")]
+    .filter((one) => one.checkVisibility() && !one.disabled); controls.length"""
+FOCUSED = """(() => {
+    const one = document.activeElement, {outlineStyle, outlineWidth} = getComputedStyle(one);
+    return [controls.indexOf(one), outlineStyle, outlineWidth];
+})()"""
+
+
+def test_keys_alone_reach_everything_and_drive(page: Page, site: Site) -> None:
+    page.focus("#drive-form [name=goal]")
+    page.keyboard.press("Enter")
+    eventually(lambda: data(page, "episode") != "", timeout_s=60.0)
+    eventually(lambda: page.locator("#found").is_enabled())
+    count = run_in(page, CONTROLS)
+    assert count > 15
+    reached = {}
+    # Once round, by the browser's own controls as well.
+    for _ in range(2 * count):
+        page.keyboard.press("Tab")
+        place, *outline = run_in(page, FOCUSED)
+        reached[place] = outline
+        if set(range(count)) <= set(reached):
+            break
+    reached.pop(-1, None)
+    assert set(reached) == set(range(count))
+    assert [one for one in reached.values() if one != ["solid", "3px"]] == []
+    for key, let_go in (("Space", page.keyboard.up), ("Enter", lambda _: page.keyboard.press("Tab"))):
+
+        def press(key: str = key) -> None:
+            page.keyboard.up(key)
+            page.focus("#pad [data-atom=left]")
+            page.keyboard.down(key)
+
+        hold(page, site, press, "left")
+        released_s = time.monotonic()
+        let_go(key)
+        assert site.stood_s(released_s) <= STAND_WITHIN_S
+
+
+# Keeps every picture, ten nodes and a listener for each.
+LEAK = """(() => {
+    const kept = [], draw = createImageBitmap;
+    window.createImageBitmap = async (blob) => {
+        const node = document.createElement("p");
+        node.append(...Array.from({length: 9}, () => document.createElement("p")));
+        kept.push(await blob.arrayBuffer(), node);
+        addEventListener("resize", () => node);
+        return draw(blob);
+    };
+})()"""
+
+
+@pytest.mark.usefixtures("taught_here")
+def test_a_page_that_watches_does_not_grow(page: Page, site: Site) -> None:
+    """For ten minutes: ``smal bench soak --page``."""
+    begin_a_run(page)
+    begin_a_drive(page, site)
+    tools = page.context.new_cdp_session(page)
+    look(page, 20)
+    first = held(0.0, tools.send)
+    look(page, 70)
+    then = held(1.0, tools.send)
+    assert judge_page([first, then])[""] == "met"
+    run_in(page, LEAK)
+    eventually(
+        lambda: judge_page([then, held(2.0, tools.send)])[""] == "NOT MET: memory, nodes, listeners", timeout_s=30.0
+    )
+
+
+# -- faults ------------------------------------------------------------------------------------------------------------
+
+
+@contextmanager
+def killed(site: Site, _link: int) -> Iterator[None]:
+    """Kill the console; whoever looks after the stack starts it again."""
+    os.kill(site.pid_of_console(), signal.SIGKILL)
+    try:
+        yield
+    finally:
+        eventually(lambda: "console" in site.stack.restart_dead())
+        site.pid_of_console()
+
+
+@contextmanager
+def frozen(pid: int) -> Iterator[None]:
+    os.kill(pid, signal.SIGSTOP)
+    try:
+        yield
+    finally:
+        os.kill(pid, signal.SIGCONT)
+
+
+@pytest.mark.parametrize(
+    ("fault", "says"),
+    [
+        (killed, "No connection to the console for"),
+        (lambda site, _: frozen(site.pid_of_console()), "No word from the console for"),
+        (lambda _, link: frozen(link), "No word from the console for"),
+    ],
+    ids=["the console is killed", "the console is frozen", "the link is cut"],
+)
+def test_without_its_console_the_robot_stands_until_somebody_asks(
+    browser: Browser, site: Site, fault: Callable[[Site, int], AbstractContextManager[None]], says: str
+) -> None:
+    with link(f"tcp/{site.address}") as (by, link_pid), opened(browser, site, by.removeprefix("tcp/")) as page:
+        drive_ahead(page, site)
+        began_s = time.monotonic()
+        with fault(site, link_pid):
+            assert site.stood_s(began_s) <= STAND_WITHIN_S
+            eventually(lambda: told(page).startswith(says))
+        # The key is still down.
+        eventually(lambda: "the console" not in told(page))
+        said = len(site.applied)
+        eventually(lambda: len(site.applied) > said + 10)
+        assert not site.drives
+        assert site.robot("stop_cause") is not None
+        page.keyboard.up("w")
+        page.click("#resume")
+        eventually(lambda: site.robot("stop_cause") is None)
+        hold(page, site, lambda: page.keyboard.down("w"))
+
+
+def test_a_stop_that_may_not_arrive_is_said(page: Page, site: Site) -> None:
+    with frozen(site.pid_of_console()):
+        eventually(lambda: told(page).startswith("No word from the console for"))
+        page.keyboard.press("Escape")
+        eventually(lambda: "The console does not answer: the emergency stop may be late." in page.inner_text("#news"))
+    eventually(lambda: "EMERGENCY STOP" in told(page))
+    page.click("#resume")
+    eventually(lambda: site.robot("stop_cause") is None)

@@ -9,7 +9,7 @@ import { drawJob, drawLibrary, inWorld, OUTCOMES, wireTeaching } from "./teach.j
 import { Watch } from "./watch.js";
 import { drawWorlds, hideNews, opening, wireWorlds } from "./world.js";
 
-const OLD_S = 1, SILENT_S = 2, MOST_LINES = 50, LATEST_MS = 6000;
+const OLD_S = 1, SILENT_S = 2, NO_WORD_S = 3, MOST_LINES = 50, LATEST_MS = 6000;
 const CAUSES = {
   not_armed: "Not armed: a drive or a run arms it",
   emergency_stop: "EMERGENCY STOP: it stands until you press “Arm, resume”",
@@ -39,6 +39,7 @@ const draws = {
 };
 
 function onNews(channels) {
+  if (channels.length > 0 || !watch.connected) document.body.classList.add("told");
   for (const channel of channels) draws[channel]?.();
   drawStatus();
   if (channels.some((one) => ["belief", "plan", "model"].includes(one))) drawBelief(watch.state, (channel) => watch.age(channel));
@@ -56,6 +57,7 @@ async function onPicture(blob) {
 function status() {
   const { robot } = watch.state, ill = illness(watch.state.health, ["router", "robot"]);
   if (!watch.connected) return ["bad", `No connection to the console for ${seconds((performance.now() - watch.sinceMs) / 1000)}`];
+  if (watch.silence > NO_WORD_S) return ["bad", `No word from the console for ${seconds(watch.silence)}`];
   if (!robot || (!robot.answers && !robot.waiting)) return ["bad", ["The robot does not answer", ...(ill === "" || ill === "robot: does not answer" ? [] : [ill])].join(": ")];
   if (robot.emergency || robot.cause === "emergency_stop") return ["bad", CAUSES.emergency_stop];
   if (robot.waiting) return ["warn", `Waiting for the robot${drive.sits && opening() ? ` to open ${opening()}` : ""} …`];
@@ -132,6 +134,7 @@ function showLatest(text) {
 
 function stop() {
   if (![watch.stop(), drive.stop()].includes(true)) tell("NOT SENT: there is no connection to the console.");
+  else if (watch.silence > NO_WORD_S) tell("The console does not answer: the emergency stop may be late.");
 }
 
 $("#stop").onclick = stop;
@@ -162,9 +165,9 @@ for (const button of pad.children) {
     drive.sits ? drive.press(atom) : press();
   };
   for (const let_go of ["onpointerup", "onpointercancel", "onlostpointercapture", "onblur"]) button[let_go] = () => drive.release(atom);
-  // Listeners, not handlers: a handler that returns false takes the key from the browser, and Tab would lead nowhere.
-  button.addEventListener("keydown", ({ code, repeat }) => ["Space", "Enter"].includes(code) && !repeat && drive.sits && drive.press(atom));
-  button.addEventListener("keyup", ({ code }) => ["Space", "Enter"].includes(code) && drive.release(atom));
+  // Who returns false there keeps every key from what it does elsewhere, and Tab would not lead away.
+  button.onkeydown = ({ code, repeat }) => { if (["Space", "Enter"].includes(code) && !repeat && drive.sits) drive.press(atom); };
+  button.onkeyup = ({ code }) => { if (["Space", "Enter"].includes(code)) drive.release(atom); };
   button.oncontextmenu = (event) => event.preventDefault();
 }
 onNews(["belief", "pose"]);

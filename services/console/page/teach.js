@@ -22,7 +22,8 @@ export function wireTeaching(ask) {
     target.textContent = "Really delete?";
     setTimeout(() => { delete target.dataset.sure; target.textContent = "Delete"; }, REALLY_MS);
   };
-  run.elements.model.onchange = run.elements.scheme.onchange = fillGoals;
+  run.elements.model.onchange = fillGoals;
+  run.elements.scheme.onchange = ({ target }) => ((wishedScheme = target.value), fillGoals());
 }
 
 function send(event, what) {
@@ -93,11 +94,13 @@ function fillModels() {
   fillGoals();
 }
 
+let wishedScheme = "filter";
+
 function fillGoals() {
   const goals = library.models.find(({ name }) => name === run.elements.model.value)?.goals ?? [];
   const { goal, scheme } = run.elements, before = goal.value, mapped = scheme.options[0];
   mapped.disabled = goals.length === 0 && run.elements.model.value !== "";
-  if (mapped.disabled) scheme.value = "paper";
+  scheme.value = mapped.disabled ? "paper" : wishedScheme;
   goal.disabled = scheme.value === "paper";  // it goes to the nearest goal
   run.elements.goal.replaceChildren(...goals.map((goal) => element("option", { value: goal }, goal)));
   if (goals.includes(before)) run.elements.goal.value = before;

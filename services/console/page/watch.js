@@ -7,6 +7,7 @@ export class Watch {
     this.state = {};
     this.connected = false;
     this.sinceMs = performance.now();
+    this._askedMs = null;
     this._onNews = onNews;
     this._onPicture = onPicture;
     this._behindS = 0;
@@ -23,6 +24,11 @@ export class Watch {
   age(channel) {
     const at = this.state[channel]?.at;
     return at === undefined ? null : this.since(at);
+  }
+
+  /** Seconds that the console has let the page wait for news, of which it has some every two seconds. */
+  get silence() {
+    return this._askedMs === null ? 0 : (performance.now() - this._askedMs) / 1000;
   }
 
   /** Whether an emergency stop could be sent. */
@@ -47,10 +53,12 @@ export class Watch {
     if (is) [this._waitMs, this.state] = [FIRST_WAIT_MS, {}];
     if (is !== this.connected) this.sinceMs = performance.now();
     this.connected = is;
+    this._askedMs = is ? performance.now() : null;
     this._onNews([]);
   }
 
   _take({ now, picture, ...news }) {
+    this._askedMs = picture ? performance.now() : null;
     this._behindS = now - performance.now() / 1000;
     Object.assign(this.state, news);
     try {
@@ -61,6 +69,7 @@ export class Watch {
   }
 
   async _show(data) {
+    this._askedMs = null;
     try {
       await this._onPicture(new Blob([data], { type: "image/jpeg" }));
     } finally {
@@ -71,6 +80,10 @@ export class Watch {
   /** A page that nobody looks at takes nothing more until somebody does. */
   _seen() {
     const socket = this._socket;
-    requestAnimationFrame(() => socket.readyState === WebSocket.OPEN && socket.send('{"do":"seen"}'));
+    requestAnimationFrame(() => {
+      if (socket.readyState !== WebSocket.OPEN) return;
+      socket.send('{"do":"seen"}');
+      this._askedMs = performance.now();
+    });
   }
 }

@@ -3,6 +3,7 @@
 import { $, element, say } from "./element.js";
 
 const card = $("#map"), form = $("#world-form"), file = form.elements.map;
+const MOST_LETTERS = 64, MOST_BYTES = 200;
 let fresh = null;
 
 /** Wire the choice of a world; a map is handed to `take` with the name that its world will have. */
@@ -18,14 +19,20 @@ export function wireWorlds(take) {
   card.addEventListener("drop", ({ dataTransfer }) => !form.hidden && offer(dataTransfer.files));
 }
 
+/** The name of a file as one that a world may have; see WorldName in schemas/rpc.py. */
 function nameOf({ name }) {
-  return name.replace(/\.[^.]*$/, "").replace(/[^\p{L}\p{N}_ .-]/gu, "-").replace(/^[^\p{L}\p{N}_]+/u, "").slice(0, 64) || "map";
+  const plain = name.normalize().replace(/\.[^.]*$/, "").replace(/[^\p{Alphabetic}\p{M}\p{Nd}\p{Pc} ().-]/gu, "-");
+  const letters = [...plain.replace(/^[ ().-]+/, "")].slice(0, MOST_LETTERS);
+  while (new TextEncoder().encode(letters.join("")).length > MOST_BYTES) letters.pop();
+  return letters.join("") || "map";
 }
 
-/** Where the next drive or run is to be; nothing where the robot is real. */
+/** Where the next drive or run is to be; nothing where the robot is real, or is to stay where it is. */
 export function chosenWorld() {
-  return form.hidden ? {} : { world: form.elements.world.value, variation: form.elements.variation.value };
+  return form.hidden ? {} : { world: other(form.elements.world), variation: other(form.elements.variation) };
 }
+
+const other = ({ value, dataset }) => (value === dataset.now ? null : value || null);
 
 /** Take note of a world that has just been made: it is chosen when the robot knows it. */
 export function madeWorld(name) {
@@ -35,14 +42,14 @@ export function madeWorld(name) {
 export function drawWorlds(told) {
   form.hidden = !told.worlds;
   if (form.hidden) return;
-  fill(form.elements.world, told.worlds.split(", "), told.world);
-  fill(form.elements.variation, told.variations.split(", "), told.variation);
+  fill(form.elements.world, told.worlds, told.world);
+  fill(form.elements.variation, told.variations, told.variation);
   if ([...form.elements.world.options].some(({ value }) => value === fresh)) [form.elements.world.value, fresh] = [fresh, null];
 }
 
-/** Offer what there is; what is chosen stays so until the robot is elsewhere. */
-function fill(select, names, now) {
-  const before = select.value;
+/** Offer what there is, and where the robot is in any case; what is chosen stays so until the robot is elsewhere. */
+function fill(select, told = "", here = "") {
+  const now = String(here), names = [...new Set([...String(told).split(", "), now])].filter(Boolean), before = select.value;
   if ([...select.options].map(({ value }) => value).join() !== names.join()) {
     select.replaceChildren(...names.map((name) => element("option", { value: name }, name)));
     select.value = names.includes(before) ? before : now;

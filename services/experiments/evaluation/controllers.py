@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Final, Protocol
+from typing import Final, NamedTuple, Protocol
 
 import cv2
 import numpy as np
@@ -19,7 +19,7 @@ from smal.evaluation.baselines.nearest_neighbour_imitation import NearestNeighbo
 from smal.evaluation.baselines.seqslam_localization import SeqSlamLocalizer
 from smal.evaluation.baselines.teach_and_repeat import TaughtDrive, TeachAndRepeat
 from smal.evaluation.baselines.thumbnails import thumbnail
-from smal.features import FeatureSettings
+from smal.features import FeatureSettings, extract
 from smal.model import Model
 from smal.place_recognition.seqslam import SeqSlamSettings
 from smal.planning import Planner
@@ -35,6 +35,27 @@ SEQSLAM: Final = SeqSlamSettings(length=10, window=40)
 
 #: What the wheels tell: x, y in metres and heading in radians since the start.
 Pose = tuple[float, float, float]
+
+
+class Seen(NamedTuple):
+    """What a controller is shown of a frame.
+
+    Attributes
+    ----------
+    tick
+        Frame number, from 0, without gaps.
+    image
+        (height, width, 3) RGB.
+    features
+        (m,), from `smal.features.extract` with the controller's `features`; empty if it wants none.
+    odometry
+        By the wheels.
+    """
+
+    tick: int
+    image: NDArray[np.uint8]
+    features: NDArray[np.float32]
+    odometry: Pose
 
 
 @dataclass(frozen=True)
@@ -76,29 +97,20 @@ class Move:
 class Controller(Protocol):
     """Drives by what the camera shows."""
 
-    @property
-    def features(self) -> FeatureSettings | None:
-        """Which features it wants of every frame; None for a controller that looks at images only."""
+    features: FeatureSettings | None
+    """Which features it wants of every frame; None for a controller that looks at images only."""
 
     def reset(self) -> None:
         """Forget everything of the last episode."""
 
-    def act(
-        self, tick: int, image: NDArray[np.uint8], raw_features: NDArray[np.float32] | None, odometry: Pose
-    ) -> Move:
-        """Take one frame, and say what to do.
+    def act(self, seen: Seen) -> Move:
+        """Take one frame, and say what to do."""
 
-        Parameters
-        ----------
-        tick
-            Frame number, from 0, without gaps.
-        image
-            (height, width, 3) RGB.
-        raw_features
-            (m,), from `smal.features.extract` with `features`; None if it wants none.
-        odometry
-            x, y in metres and heading in radians by the wheels.
-        """
+
+def seen_by(controller: Controller, tick: int, image: NDArray[np.uint8], odometry: Pose) -> Seen:
+    """Return what a controller is shown of a frame, with the features that it wants."""
+    wanted = controller.features
+    return Seen(tick, image, np.zeros(0, np.float32) if wanted is None else extract(image, wanted), odometry)
 
 
 class FilterController:
@@ -115,12 +127,8 @@ class FilterController:
     def __init__(self, model: Model, goal: str | None = None) -> None:
         self._map = model.mapped
         self._localizer, self._planner = Localizer(model), Planner(model.mapped, goal)
+        self.features: FeatureSettings | None = self._localizer.features
         self.reset()
-
-    @property
-    def features(self) -> FeatureSettings:
-        """Those of the map."""
-        return self._localizer.features
 
     def reset(self) -> None:
         """Forget the belief, and what was being done."""
@@ -128,13 +136,10 @@ class FilterController:
         self._planner.reset()
         self._made = [Atom.STOP]
 
-    def act(
-        self, tick: int, image: NDArray[np.uint8], raw_features: NDArray[np.float32] | None, odometry: Pose
-    ) -> Move:
+    def act(self, seen: Seen) -> Move:
         """Decide at every frame."""
-        assert raw_features is not None  # noqa: S101 - it asks for them
         # The policy hears of so many places and no more.
-        belief = self._localizer.observe(raw_features, odometry, self._made).summary(MAX_PLACES)
+        belief = self._localizer.observe(seen.features, seen.odometry, self._made).summary(MAX_PLACES)
         decision = self._planner.decide(belief)
         self._made = [decision.atom]
         ahead, left, turned = belief.offsets[0].tolist()
@@ -154,24 +159,16 @@ class PaperController:
     def __init__(self, model: Model) -> None:
         self._length = model.sequence_length
         self._maker, self._recognizer = DecisionMaker(model), Recognizer(model)
-        self._features = model.feature_settings
-
-    @property
-    def features(self) -> FeatureSettings:
-        """Those of the model."""
-        return self._features
+        self.features: FeatureSettings | None = model.feature_settings
 
     def reset(self) -> None:
         """Forget frames and plan."""
         self._recognizer.reset()
         self._maker.reset()
 
-    def act(
-        self, tick: int, image: NDArray[np.uint8], raw_features: NDArray[np.float32] | None, odometry: Pose
-    ) -> Move:
+    def act(self, seen: Seen) -> Move:
         """Decide with every whole window, none of which overlap."""
-        assert raw_features is not None  # noqa: S101 - it asks for them
-        found = self._recognizer.observe(tick, raw_features, due=(tick + 1) % self._length == 0)
+        found = self._recognizer.observe(seen.tick, seen.features, due=(seen.tick + 1) % self._length == 0)
         if found.status == "collecting":
             return Move(self._maker.next_atom())
         decision = self._maker.decide(found)
@@ -193,23 +190,15 @@ class ImitationController:
 
     def __init__(self, drives: Sequence[Drive], features: FeatureSettings, frames: int = 1) -> None:
         self._imitation = NearestNeighbourImitation([one.demonstration for one in drives], features, frames)
-        self._features = features
-
-    @property
-    def features(self) -> FeatureSettings:
-        """Those of the drives."""
-        return self._features
+        self.features: FeatureSettings | None = features
 
     def reset(self) -> None:
         """Forget all frames."""
         self._imitation.reset()
 
-    def act(
-        self, tick: int, image: NDArray[np.uint8], raw_features: NDArray[np.float32] | None, odometry: Pose
-    ) -> Move:
+    def act(self, seen: Seen) -> Move:
         """Imitate the nearest frame."""
-        assert raw_features is not None  # noqa: S101 - it asks for them
-        return Move(self._imitation.act(raw_features))
+        return Move(self._imitation.act(seen.features))
 
 
 class TeachAndRepeatController:
@@ -239,11 +228,9 @@ class TeachAndRepeatController:
         """Forget the episode."""
         self._robot.reset()
 
-    def act(
-        self, tick: int, image: NDArray[np.uint8], raw_features: NDArray[np.float32] | None, odometry: Pose
-    ) -> Move:
+    def act(self, seen: Seen) -> Move:
         """Repeat."""
-        return Move(self._robot.act(_grey(image), odometry))
+        return Move(self._robot.act(_grey(seen.image), seen.odometry))
 
 
 def _grey(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
@@ -261,11 +248,9 @@ class CloningController:
     def reset(self) -> None:
         """Nothing to forget: it looks at one image."""
 
-    def act(
-        self, tick: int, image: NDArray[np.uint8], raw_features: NDArray[np.float32] | None, odometry: Pose
-    ) -> Move:
+    def act(self, seen: Seen) -> Move:
         """Ask the network."""
-        return Move(self._cloned.act(thumbnail(image)))
+        return Move(self._cloned.act(thumbnail(seen.image)))
 
 
 class SeqSlamController:
@@ -296,9 +281,7 @@ class SeqSlamController:
         """Forget all frames."""
         self._localizer.reset()
 
-    def act(
-        self, tick: int, image: NDArray[np.uint8], raw_features: NDArray[np.float32] | None, odometry: Pose
-    ) -> Move:
+    def act(self, seen: Seen) -> Move:
         """Continue the demonstration from the place that the last frames end at."""
-        place = self._localizer.observe(thumbnail(image))
+        place = self._localizer.observe(thumbnail(seen.image))
         return Move(Atom.STOP if place is None else Atom(int(self._atoms[place.demonstration][place.frame])))

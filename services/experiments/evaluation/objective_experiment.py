@@ -31,16 +31,29 @@ def objectives(model: Model, views: NDArray[np.float32], template_frames: int) -
     Returns
     -------
     dict
-        ``templates``, ``length``; ``ours``, a point for each tolerance with ``iterations``, ``objective`` and
-        ``duality_gap``; ``algorithm2``, the objective after every iteration; ``lower_bound``, the best that any
-        certificate gives; ``initial``, the objective of W = 0.
+        As `convergence`; and ``initial``, the objective of W = 0.
     """
     length = model.sequence_length
     end = min(len(views), len(views) // 2 + length)
     query = model.centering.apply(views)[end - length : end].T
     states = max(1, min(model.states, template_frames // length))
     templates = np.asfortranarray(model.templates[:, : states * length])
-    penalties = (model.lambda1, model.lambda2)
+    initial = float(np.linalg.norm(query.astype(np.float64), axis=0).sum())
+    return convergence(templates, query, length, (model.lambda1, model.lambda2)) | {"initial": initial}
+
+
+def convergence(
+    templates: NDArray[np.float32], query: NDArray[np.float32], length: int, penalties: tuple[float, float]
+) -> dict[str, Any]:
+    """Solve Eq. 7 to ever smaller tolerances, and run Algorithm 2 as long as it improves.
+
+    Returns
+    -------
+    dict
+        ``templates``, their number, and ``length``; ``ours``, a point for each tolerance with ``iterations``,
+        ``objective`` and ``duality_gap``; ``algorithm2``, the objective after every iteration; ``lower_bound``, the
+        best that any certificate gives.
+    """
     ours, bound = [], 0.0
     for tolerance in _TOLERANCES:
         found = solve(templates, query, length, *penalties, tolerance)
@@ -50,10 +63,9 @@ def objectives(model: Model, views: NDArray[np.float32], template_frames: int) -
         bound = max(bound, found.objective * (1.0 - found.duality_gap))
     theirs = algorithm2(templates, query, length, *penalties, tolerance=1e-9, max_iterations=_ITERATIONS)
     return {
-        "templates": states * length,
+        "templates": templates.shape[1],
         "length": length,
         "ours": ours,
         "algorithm2": list(theirs.objectives),
         "lower_bound": bound,
-        "initial": float(np.linalg.norm(query.astype(np.float64), axis=0).sum()),
     }

@@ -24,13 +24,14 @@ from services.simulator.simulation import Simulation
 from smal.evaluation.baselines.seqslam_localization import SeqSlamLocalizer
 from smal.evaluation.baselines.thumbnails import thumbnail
 from smal.evaluation.ground_truth import PoseTruth, judge
-from smal.evaluation.localization import DemonstratedFrames, nearest_windows
+from smal.evaluation.localization import DemonstratedFrames
 from smal.features import Centering, FeatureSettings, extract
 from smal.matching.streaming import StreamingMatcher
 from smal.model import Model
 from smal.phase import matched_phase
 from smal.place_recognition import Matches
 from smal.place_recognition.matches import NONE
+from smal.place_recognition.nearest_sequence import match_nearest_sequence
 
 
 def query_drive(
@@ -125,7 +126,7 @@ def _recognize_all(
         raw = [one.demonstration.features for one in taught]
         centering = Centering.fit(raw, workplace.features)
         templates = [centering.apply(each) for each in raw]
-        matches = Matches(*nearest_windows(templates, centering.apply(views), recognizer.length))
+        matches = recognize_nearest(templates, centering.apply(views), recognizer.length)
     return matches, poses
 
 
@@ -158,6 +159,17 @@ def _by_seqslam(localizer: SeqSlamLocalizer, lengths: list[int], views: NDArray[
             matches.reference[tick] = starts[place.demonstration] + place.frame
             matches.score[tick] = -place.cost
     return matches
+
+
+def recognize_nearest(drives: list[NDArray[np.float32]], views: NDArray[np.float32], length: int) -> Matches:
+    """Match each window with the most alike one of all drives, none of which spans two."""
+    found = [match_nearest_sequence(each, views, length) for each in drives]
+    starts = np.cumsum([0, *map(len, drives[:-1])])
+    scores = np.stack([np.where(one.matched, one.score, -np.inf) for one in found])
+    references = np.stack([start + one.reference for start, one in zip(starts, found, strict=True)])
+    best, every = scores.argmax(axis=0), np.arange(len(views))
+    matched = np.isfinite(scores.max(axis=0))
+    return Matches(np.where(matched, references[best, every], NONE), np.where(matched, scores[best, every], 0.0))
 
 
 def judged(

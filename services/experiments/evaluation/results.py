@@ -13,8 +13,6 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Final
 
-import services
-import smal
 from services.experiments.evaluation.plan import Plan
 from services.experiments.evaluation.units import Unit
 from services.kit.errors import JobError, UsageError
@@ -24,23 +22,27 @@ from smal.features import FeatureSettings
 
 #: What a unit found out: numbers, texts, lists of them.
 Finding = Mapping[str, Any]
+_CHECKOUT: Final = Path(__file__).parents[3]
 _PLAN, _UNITS, _WORK = "plan.json", "units.jsonl", "work"
 # Whatever a result depends on; that the report is written differently invalidates nothing.
-_SOURCES: Final = ("simulator/**/*", "expert/*", "commands/evaluation/*")
-_WORLDS: Final = "deploy/worlds/*"
+_SOURCES: Final = (
+    "smal/**/*.py", "services/simulator/**/*", "services/robot/*.py", "services/expert/*.py",
+    "services/experiments/evaluation/*.py", "deploy/worlds/*",
+)  # fmt: skip
 _OF_NO_RESULT: Final = ("results.py", "workers.py", "plan.py", "units.py")
 
 
-def code_fingerprint() -> str:
-    """Return a fingerprint of the code, the shaders and the worlds that the results depend on."""
-    here, method = (Path(str(package.__file__)).parent for package in (services, smal))
-    files = {path for pattern in _SOURCES for path in here.glob(pattern)}
-    files -= {here / "commands" / "evaluation" / name for name in _OF_NO_RESULT}
-    files |= {*method.rglob("*.py"), *here.parent.glob(_WORLDS)}
+def sources() -> list[Path]:
+    """Return the code, the shaders and the worlds that the results depend on."""
+    found = {path for pattern in _SOURCES for path in _CHECKOUT.glob(pattern)}
+    found -= {Path(__file__).with_name(name) for name in _OF_NO_RESULT}
+    return sorted(path for path in found if path.is_file() and path.suffix != ".pyc")
+
+
+def _code_fingerprint() -> str:
     digest = hashlib.sha256()
-    for path in sorted(files):
-        if path.is_file() and path.suffix != ".pyc":
-            digest.update(str(path.relative_to(here.parent)).encode() + b"\0" + path.read_bytes())
+    for path in sources():
+        digest.update(str(path.relative_to(_CHECKOUT)).encode() + b"\0" + path.read_bytes())
     return digest.hexdigest()[:12]
 
 
@@ -77,7 +79,7 @@ class ResultStore:
             "plan_fingerprint": plan.fingerprint,
             "version": program_version(),
             "features": FeatureSettings().fingerprint,
-            "code": code_fingerprint(),
+            "code": _code_fingerprint(),
         }
         path = self.folder / _PLAN
         if not path.exists():

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from schemas.base import Atom as AtomName
 from schemas.rpc import ResetRequest, Start
-from services.experiments.evaluation.controllers import Controller, Place
+from services.experiments.evaluation.controllers import Controller, Place, seen_by
 from services.experiments.evaluation.degradation import CLEAN, Degradation, Degrader
 from services.robot.episode import RunOutcome
 from services.robot.messages import rounded
@@ -24,7 +24,6 @@ from services.simulator.lockstep import LockstepEpisode
 from services.simulator.simulation import Simulation
 from services.simulator.world.route import route_length_m
 from smal.action_space import Atom
-from smal.features import extract
 
 #: Frames after which a search times out, at least, in `smal run`.
 MAX_TICKS: Final = 3000
@@ -144,8 +143,7 @@ def search(
         image = degrader.apply(tick, view.image)
         if keep(tick):
             pictures[tick] = image
-        features = None if controller.features is None else extract(image, controller.features)
-        move = controller.act(tick, image, features, rounded(view.odometry)[:3])
+        move = controller.act(seen_by(controller, tick, image, rounded(view.odometry)[:3]))
         places.append(move.place)
         if move.decision is not None:
             decisions[tick] = move.decision

@@ -64,7 +64,7 @@ class Drivers:
     def _clone(self, world: str, drives: int, seed: int) -> ClonedBehaviour:
         taught = self._workplace.drives(world, drives)
         images = [one.thumbnails for one in taught if one.thumbnails is not None]
-        return clone(images, [one.demonstration.atoms for one in taught], CloningSettings(seed=seed))[0]
+        return clone(images, [one.demonstration.atoms for one in taught], CloningSettings(seed=seed))
 
 
 def run_search(

@@ -1,4 +1,4 @@
-"""The units of work that a plan comes to, and about how long each takes."""
+"""The units of work that a plan comes to."""
 
 from __future__ import annotations
 
@@ -8,13 +8,11 @@ from typing import Literal
 
 from services.experiments.evaluation.plan import (
     DEFAULT_LENGTH,
-    JUDGED_TICKS,
     QUERY_SEED,
     RUN_SEED,
     RUNS,
     TEACHING_SEED,
     Plan,
-    Recognizer,
     Trial,
     WorldPlan,
 )
@@ -35,15 +33,12 @@ class Unit:
         All else that determines it; numbers and texts.
     needs
         Keys of the units that must be done before.
-    seconds
-        About how long it takes, for the progress bar.
     """
 
     kind: Kind
     world: str
     settings: Settings
     needs: tuple[str, ...] = ()
-    seconds: float = 1.0
 
     def __getitem__(self, name: str) -> str | int:
         """Return one of the settings."""
@@ -61,44 +56,6 @@ class Unit:
     def key(self) -> str:
         """What determines it, in one line."""
         return "/".join([self.kind, self.world, *(f"{name}={value}" for name, value in self.settings)])
-
-
-class _Costs:
-    """About how many seconds things take on one core, as measured on one machine; only for the progress bar."""
-
-    def __init__(self, world: WorldPlan) -> None:
-        indoors = world.world == "indoor"
-        self.frame_s = 0.008 if indoors else 0.012
-        self.drive_frames = 330 if indoors else 560
-
-    @property
-    def drive_s(self) -> float:
-        """A drive that teaches, or is recognized."""
-        return 1.1 * self.drive_frames * self.frame_s
-
-    def match_s(self, length: int, drives: int) -> float:
-        """Return what matching a window costs in a stream of frames."""
-        return 1e-3 + (1e-4 * length + 1.1e-5 * length**2) * drives * self.drive_frames / 1e3
-
-    def learn_s(self, drives: int, length: int) -> float:
-        """Return what learning costs; the map of views is learned with the usual length."""
-        frames = drives * self.drive_frames
-        return 1.0 + 1.5e-3 * frames + (0.04 * frames if length == DEFAULT_LENGTH else 0.0)
-
-    def recognize_s(self, recognizer: Recognizer, drives: int) -> float:
-        """Return what recognizing a drive costs; its frames are far apart, and the first match prepares templates."""
-        if recognizer.name != "smal":
-            return 1.0
-        return 2.5 + self.drive_frames / JUDGED_TICKS * (0.02 + self.match_s(recognizer.length, drives))
-
-    def errand_s(self) -> float:
-        """Return what an errand costs: two drives, learned and followed."""
-        return 2.0 * self.drive_s + self.learn_s(2, DEFAULT_LENGTH) + RUNS * self.drive_frames * (self.frame_s + 4e-3)
-
-    def search_s(self, trial: Trial, patience: float) -> float:
-        """Return what a search costs."""
-        lost = trial.controller not in {"smal", "teach-and-repeat"}
-        return self.drive_frames * (0.5 * patience if lost else 1.0) * (self.frame_s + 4e-3)
 
 
 def units(plan: Plan, *, cloning: bool) -> list[Unit]:
@@ -125,23 +82,16 @@ def whole_series(units: Sequence[Unit], done: Container[str]) -> list[Unit]:
 
 
 def _of_world(plan: Plan, world: WorldPlan, cloning: bool) -> Iterator[Unit]:
-    costs = _Costs(world)
     camera = ("camera", "x".join(map(str, plan.camera)))
-    taught = [
-        Unit("teach", world.world, (camera, ("seed", TEACHING_SEED + k)), (), costs.drive_s)
-        for k in range(world.all_drives)
-    ]
+    taught = [Unit("teach", world.world, (camera, ("seed", TEACHING_SEED + k))) for k in range(world.all_drives)]
     yield from taught
     learned = {}
     for drives, length in world.models:
         settings = (camera, ("drives", drives), ("length", length))
         needs = tuple(unit.key for unit in taught[:drives])
-        learned[drives, length] = Unit("learn", world.world, settings, needs, costs.learn_s(drives, length))
+        learned[drives, length] = Unit("learn", world.world, settings, needs)
         yield learned[drives, length]
-    queries = [
-        Unit("queries", world.world, (camera, ("seed", QUERY_SEED + k)), (), costs.drive_s)
-        for k in range(world.queries)
-    ]
+    queries = [Unit("queries", world.world, (camera, ("seed", QUERY_SEED + k))) for k in range(world.queries)]
     yield from queries
 
     # Who recognizes or searches needs the drives beside the model: their poses, or to imitate them.
@@ -156,13 +106,11 @@ def _of_world(plan: Plan, world: WorldPlan, cloning: bool) -> Iterator[Unit]:
                 asked: Settings = (camera, ("drives", world.drives), ("method", recognizer.name),
                             ("length", recognizer.length), ("degradation", degradation),
                             ("seed", QUERY_SEED + k))  # fmt: skip
-                cost_s = costs.recognize_s(recognizer, world.drives)
-                yield Unit("recognize", world.world, asked, (*needed(world.drives, model), query.key), cost_s)
+                yield Unit("recognize", world.world, asked, (*needed(world.drives, model), query.key))
     if queries:
         at = (camera, ("drives", world.drives), ("length", DEFAULT_LENGTH), ("seed", QUERY_SEED),
               ("templates", world.template_frames))  # fmt: skip
-        cost_s = 5.0 * (world.template_frames / 1000) ** 3
-        yield Unit("objective", world.world, at, (*needed(world.drives, DEFAULT_LENGTH), queries[0].key), cost_s)
+        yield Unit("objective", world.world, at, (*needed(world.drives, DEFAULT_LENGTH), queries[0].key))
     # What tells most first: whoever looks at the page before all is done sees the method and its peers.
     for trial in world.trials:
         if trial.controller == "cloning" and not cloning:
@@ -170,15 +118,13 @@ def _of_world(plan: Plan, world: WorldPlan, cloning: bool) -> Iterator[Unit]:
         model = trial.length if trial.controller in {"smal", "paper"} else None
         for k in range(trial.runs):
             tried: Settings = (camera, *settings_of(trial), ("patience", str(plan.patience)), ("seed", RUN_SEED + k))
-            cost_s = costs.search_s(trial, plan.patience)
-            yield Unit("search", world.world, tried, needed(trial.drives, model), cost_s)
+            yield Unit("search", world.world, tried, needed(trial.drives, model))
 
 
 def _errands(plan: Plan, world: WorldPlan) -> Iterator[Unit]:
     camera = ("camera", "x".join(map(str, plan.camera)))
     for errand in world.errands:
-        settings = (camera, ("errand", errand), ("runs", RUNS))
-        yield Unit("errand", world.world, settings, (), _Costs(world).errand_s())
+        yield Unit("errand", world.world, (camera, ("errand", errand), ("runs", RUNS)))
 
 
 def settings_of(trial: Trial) -> Settings:

@@ -1,4 +1,4 @@
-"""Processes that do the units of a plan, and the order in which they do them."""
+"""Processes that do the units of a plan, each after those that it needs."""
 
 from __future__ import annotations
 
@@ -6,32 +6,33 @@ import multiprocessing
 import os
 import signal
 from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
-from dataclasses import dataclass
-from multiprocessing.connection import Connection, wait
-from multiprocessing.context import SpawnProcess
+from functools import cache
 from pathlib import Path
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 from services.experiments.evaluation.plan import Plan
 from services.experiments.evaluation.units import Unit
 from services.kit.errors import JobError
 
+if TYPE_CHECKING:
+    from services.experiments.evaluation.work import Work
+
 _ONE_THREAD: Final = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
-Done = Callable[[Unit, dict[str, Any], float], None]
+#: What a unit found out, and the seconds of processor time that it took.
+Found = tuple[dict[str, Any], float]
 
 
-@dataclass
-class _Worker:
-    """A process, the pipe to it, and what it is doing."""
-
-    process: SpawnProcess
-    pipe: Connection
-    unit: Unit | None = None
-    last: Unit | None = None
-
-
-def do_all(plan: Plan, units: Sequence[Unit], finished: set[str], folder: Path, workers: int, done: Done) -> None:
+def do_all(
+    plan: Plan,
+    units: Sequence[Unit],
+    finished: set[str],
+    folder: Path,
+    workers: int,
+    done: Callable[[Unit, dict[str, Any], float], None],
+) -> None:
     """Do all units that are not finished, each after those that it needs.
 
     Parameters
@@ -54,115 +55,64 @@ def do_all(plan: Plan, units: Sequence[Unit], finished: set[str], folder: Path, 
     """
     waiting = [unit for unit in units if unit.key not in finished]
     ready = set(finished)
-    with _started(plan, folder, min(workers, max(1, len(waiting)))) as crew:
-        while waiting or any(worker.unit for worker in crew):
-            for worker in crew:
-                if worker.unit is None:
-                    _give(worker, waiting, ready)
-            busy = [worker for worker in crew if worker.unit is not None]
-            heard = wait([*(worker.pipe for worker in busy), *(worker.process.sentinel for worker in busy)])
-            for worker in busy:
-                if worker.pipe in heard or worker.process.sentinel in heard:
-                    unit = worker.unit
-                    assert unit is not None  # noqa: S101 - it is busy
-                    finding, seconds = _receive(worker, unit)
-                    worker.unit, worker.last = None, unit
-                    ready.add(unit.key)
-                    done(unit, finding, seconds)
-
-
-def _give(worker: _Worker, waiting: list[Unit], ready: set[str]) -> None:
-    """Give a worker one of the units whose needs are met: one like its last, for which it has everything open."""
-    possible = [unit for unit in waiting if all(need in ready for need in unit.needs)]
-    if not possible:
-        return
-    unit = max(possible, key=lambda one: _likeness(one, worker.last))
-    waiting.remove(unit)
-    try:
-        worker.pipe.send(unit)
-    except OSError:
-        raise _ended(worker, unit) from None
-    worker.unit = unit
-
-
-def _likeness(unit: Unit, last: Unit | None) -> tuple[bool, int]:
-    """Say how much of what a worker has open a unit uses; what others wait for comes first of all."""
-    preparing = unit.kind in {"teach", "learn", "queries"}
-    if last is None:
-        return preparing, 0
-    same = dict(unit.settings).items() & dict(last.settings).items()
-    return preparing, 8 * (unit.world == last.world) + 4 * (unit.kind == last.kind) + sum(
-        name in {"length", "controller", "method"} for name, _ in same
-    )
-
-
-def _receive(worker: _Worker, unit: Unit) -> tuple[dict[str, Any], float]:
-    try:
-        problem, finding, seconds = worker.pipe.recv()
-    except (EOFError, OSError):
-        raise _ended(worker, unit) from None
-    if problem is not None:
-        raise JobError(f"{unit.key}: {problem}")
-    return finding, seconds
-
-
-def _ended(worker: _Worker, unit: Unit) -> JobError:
-    worker.process.join()
-    return JobError(f"a worker ended with status {worker.process.exitcode} at {unit.key}; run again to go on")
+    under_way: dict[Future[Found], Unit] = {}
+    with _pool(workers) as pool:
+        while waiting or under_way:
+            for unit in [one for one in waiting if ready.issuperset(one.needs)][: workers - len(under_way)]:
+                waiting.remove(unit)
+                under_way[_submit(pool, plan, folder, unit)] = unit
+            for future in wait(under_way, return_when=FIRST_COMPLETED).done:
+                unit = under_way.pop(future)
+                finding, seconds = _found(future, unit)
+                ready.add(unit.key)
+                done(unit, finding, seconds)
 
 
 @contextmanager
-def _started(plan: Plan, folder: Path, count: int) -> Iterator[list[_Worker]]:
-    """Start processes; at the end, however it comes, none is left."""
-    context = multiprocessing.get_context("spawn")
-    before = {name: os.environ.get(name) for name in _ONE_THREAD}
+def _pool(workers: int) -> Iterator[ProcessPoolExecutor]:
+    """Start processes when there is work; at the end, however it comes, none is left."""
     # Read when a process loads its libraries; two that compute with two threads each are slower than with one.
     os.environ.update(dict.fromkeys(_ONE_THREAD, "1"))
-    crew = []
+    pool = ProcessPoolExecutor(workers, multiprocessing.get_context("spawn"))
+    before = set(multiprocessing.active_children())
     try:
-        for _ in range(count):
-            ours, theirs = context.Pipe()
-            process = context.Process(target=_labour, args=(theirs, plan, folder), daemon=True)
-            _start(process)
-            theirs.close()
-            crew.append(_Worker(process, ours))
-        yield crew
+        yield pool
     finally:
-        for name, value in before.items():
-            if value is None:
-                del os.environ[name]
-            else:
-                os.environ[name] = value
-        for worker in crew:
-            worker.pipe.close()
-            worker.process.kill()
-            worker.process.join()
+        for process in set(multiprocessing.active_children()) - before:
+            process.kill()
+        pool.shutdown(cancel_futures=True)
 
 
-def _start(process: SpawnProcess) -> None:
-    """Start a process that Ctrl-C does not reach, which goes to the whole group: this process ends the others."""
+def _submit(pool: ProcessPoolExecutor, plan: Plan, folder: Path, unit: Unit) -> Future[Found]:
+    """Have a unit done; Ctrl-C, which goes to the whole group, does not reach who does it: this process ends them."""
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
-        process.start()
+        return pool.submit(_do, plan, folder, unit)
+    except BrokenProcessPool:
+        raise _ended(unit) from None
     finally:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
-def _labour(pipe: Connection, plan: Plan, folder: Path) -> None:
-    """Do what comes over the pipe until it closes; an error is one line, which the other side raises."""
+def _found(future: Future[Found], unit: Unit) -> Found:
+    try:
+        return future.result()
+    except BrokenProcessPool:
+        raise _ended(unit) from None
+    except Exception as error:  # noqa: BLE001 - whatever it is, it is one line
+        raise JobError(f"{unit.key}: {type(error).__name__}: {' '.join(str(error).split())}") from None
+
+
+def _ended(unit: Unit) -> JobError:
+    return JobError(f"a worker was killed, perhaps for memory, at {unit.key} or beside it; run again to go on")
+
+
+@cache
+def _work(plan: Plan, folder: Path) -> Work:
     from services.experiments.evaluation.work import Work  # noqa: PLC0415 - loads what the first process does not need
 
-    work = Work(plan, folder)
-    while True:
-        try:
-            unit = pipe.recv()
-        except (EOFError, ConnectionError):
-            return
-        try:
-            answer: tuple[str | None, dict[str, Any], float] = (None, *work.do(unit))
-        except Exception as error:  # noqa: BLE001 - whatever it is, the other process says it
-            answer = (f"{type(error).__name__}: {' '.join(str(error).split())}", {}, 0.0)
-        try:
-            pipe.send(answer)
-        except (BrokenPipeError, ConnectionError):
-            return
+    return Work(plan, folder)
+
+
+def _do(plan: Plan, folder: Path, unit: Unit) -> Found:
+    return _work(plan, folder).do(unit)

@@ -23,13 +23,7 @@ _SHOWN: Final = 12
 
 @dataclass(frozen=True, eq=False)
 class Traverses:
-    """The two folders, and what of them is compared.
-
-    Parameters
-    ----------
-    references, queries : ImageFolder
-    reference_frames, query_frames : DescribedFrames
-    """
+    """The two folders, and what of them is compared."""
 
     references: ImageFolder
     queries: ImageFolder

@@ -36,10 +36,6 @@ class Parting:
 class Ways:
     """The taught ways of a map.
 
-    Parameters
-    ----------
-    taught : VisualMap
-
     Attributes
     ----------
     poses : float64 array (f, 3)

@@ -62,7 +62,6 @@ class OsmWay:
 
     id: int
     points: NDArray[np.float64]
-    closed: bool
     tags: Tags
 
 
@@ -277,7 +276,7 @@ def _to_metres(collector: _Collector, degrees: NDArray[np.float64]) -> OsmExtrac
 def _tagged_ways(lines: Mapping[int, tuple[NDArray[np.float64], dict[str, str]]], drawn: set[int]) -> Iterator[OsmWay]:
     for way_id, (points, tags) in lines.items():
         if tags and way_id not in drawn:
-            yield OsmWay(way_id, points, bool((points[0] == points[-1]).all()), tags)
+            yield OsmWay(way_id, points, tags)
 
 
 class _Relations:

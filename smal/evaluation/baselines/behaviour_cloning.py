@@ -4,7 +4,7 @@ Needs torch, which is no part of the package: ``pip install -e '.[cloning]'``.
 """
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import islice
 from types import ModuleType
 from typing import TYPE_CHECKING
@@ -59,27 +59,6 @@ class CloningSettings:
             raise ValueError(f"validation must be above 0 and below 1, got {self.validation}")
 
 
-@dataclass(frozen=True)
-class CloningReport:
-    """How the training went.
-
-    Parameters
-    ----------
-    epochs : int
-        That were the best.
-    train_images, validation_images : int
-        From which that was found; the network itself is trained on both.
-    validation_loss, validation_accuracy : float
-        Of the epoch that counts; the accuracy is the share of images with the expert's key.
-    """
-
-    epochs: int
-    train_images: int
-    validation_images: int
-    validation_loss: float
-    validation_accuracy: float
-
-
 def load_torch() -> ModuleType:
     """Import torch.
 
@@ -128,7 +107,7 @@ def clone(
     atoms: Sequence[NDArray[np.int8]],
     settings: CloningSettings | None = None,
     progress: Callable[[int, float], None] = lambda _epoch, _loss: None,
-) -> tuple[ClonedBehaviour, CloningReport]:
+) -> ClonedBehaviour:
     """Train a network on demonstrations.
 
     Some demonstrations tell how many epochs are enough; then a network is trained on all of them for so many.
@@ -163,12 +142,12 @@ def clone(
 
     with torch.random.fork_rng():
         torch.manual_seed(settings.seed)
-        chosen = _choose_epochs(torch, tensors(train), tensors(validation), settings, progress)
+        epochs = _choose_epochs(torch, tensors(train), tensors(validation), settings, progress)
         torch.manual_seed(settings.seed)
         network, everything = _network(torch), tensors(range(len(atoms)))
-        for _ in islice(_epochs(torch, network, everything, _loss(torch, everything[1]), settings), chosen.epochs):
+        for _ in islice(_epochs(torch, network, everything, _loss(torch, everything[1]), settings), epochs):
             pass
-    return ClonedBehaviour(network), chosen
+    return ClonedBehaviour(network)
 
 
 def _check(thumbnails: Sequence[NDArray[np.uint8]], atoms: Sequence[NDArray[np.int8]]) -> None:
@@ -238,20 +217,18 @@ def _choose_epochs(
     unseen: tuple["pytorch.Tensor", "pytorch.Tensor"],
     settings: CloningSettings,
     progress: Callable[[int, float], None],
-) -> CloningReport:
-    """Train until the validation loss falls no more, and report the best epoch."""
+) -> int:
+    """Train until the validation loss falls no more, and return the best epoch."""
     network, loss_of = _network(torch), _loss(torch, seen[1])
     images, labels = unseen
-    best = CloningReport(1, len(seen[1]), len(labels), float("inf"), 0.0)
+    best, least = 1, float("inf")
     for epoch in _epochs(torch, network, seen, loss_of, settings):
         with torch.inference_mode():
-            scores = network(_scaled(images))
-            loss = float(loss_of(scores, labels))
-            right = float((scores.argmax(dim=1) == labels).float().mean())
+            loss = float(loss_of(network(_scaled(images)), labels))
         progress(epoch, loss)
-        if loss < best.validation_loss:
-            best = replace(best, epochs=epoch, validation_loss=loss, validation_accuracy=right)
-        elif epoch - best.epochs >= settings.patience:
+        if loss < least:
+            best, least = epoch, loss
+        elif epoch - best >= settings.patience:
             break
     return best
 

@@ -11,7 +11,6 @@ a node, as every service does. built: the same, and built from its raw parts bef
 
 from __future__ import annotations
 
-import argparse
 import itertools
 import subprocess
 import sys
@@ -40,9 +39,9 @@ from tests.benchmarks.bus.flood import RATE_HZ
 from tests.benchmarks.bus.messages import CASES, Case
 from tests.benchmarks.bus.receiver import CALLBACK, NODE
 from tests.benchmarks.bus.sender import Exchange, Senders, receiver
-from tests.benchmarks.command_line import Parser
+from tests.benchmarks.command_line import Parser, say
 from tests.benchmarks.machine import machine
-from tests.benchmarks.results import Record, table, write_json
+from tests.benchmarks.results import Record, table
 
 #: What the target is about; the other ways tell where the time goes.
 _JUDGED: Final = "ours"
@@ -272,7 +271,6 @@ def as_text(results: dict[str, Any]) -> str:
 def main(arguments: list[str]) -> None:
     """Read the flags, measure, print and write."""
     parser = Parser("bus", __doc__)
-    parser.formatter_class = argparse.RawDescriptionHelpFormatter
     parser.add_argument("--rate", type=float, default=0.0, metavar="HZ", help="messages in a second, at most")
     parser.add_argument("--secure", action="store_true", help="measure what certificates cost, in place of the rest")
     parser.add_argument("--flood", action="store_true", help="measure commands beside a flood, in place of the rest")
@@ -280,8 +278,4 @@ def main(arguments: list[str]) -> None:
     shape = QUICK if flags.quick else Plan()
     measure = benchmark_secure if flags.secure else benchmark_flood if flags.flood else benchmark
     results = measure(Plan(shape.turns, shape.messages, flags.rate))
-    if flags.json is not None:
-        write_json(flags.json, {"quick": flags.quick, **results})
-    sys.stdout.write(as_text(results))
-    if flags.json is not None:
-        sys.stdout.write(f"\nresults: {flags.json}\n")
+    say(flags, results, as_text(results))

@@ -11,12 +11,9 @@ recorded; messages recorded twice; the machine's load, which above its number of
 
 from __future__ import annotations
 
-import argparse
 import itertools
 import sys
-import tempfile
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final
@@ -25,7 +22,7 @@ from tqdm import tqdm
 
 from services.cli import options
 from services.kit.errors import JobError, UsageError
-from tests.benchmarks.command_line import Parser
+from tests.benchmarks.command_line import Parser, folder_for, say
 from tests.benchmarks.faults.cells import LINKED, MATRIX, QUICK, Bench, Cell
 from tests.benchmarks.faults.harm import FAKETIME, clock_environment
 from tests.benchmarks.faults.model import taught_model
@@ -33,7 +30,7 @@ from tests.benchmarks.faults.picture import draw
 from tests.benchmarks.faults.rig import RigPlan, rig_for
 from tests.benchmarks.faults.run import Outcome, run_cell
 from tests.benchmarks.machine import machine
-from tests.benchmarks.results import Record, table, write_json
+from tests.benchmarks.results import Record, table
 
 _BENCHES: Final[tuple[Bench, ...]] = ("plain", "linked", "rolling", "clock")
 _NO_CLOCK: Final = "libfaketime is not installed (apt-get install libfaketime)"
@@ -126,11 +123,9 @@ def main(arguments: list[str]) -> None:
     chosen = _parser().parse(arguments)
     if chosen.model is not None:
         options.read_model(chosen.model, "filter", None)
-    with _folder(chosen.out) as folder:
+    with folder_for(chosen.out) as folder:
         results = benchmark(_cells(chosen.cell, quick=chosen.quick), chosen.model, folder, chosen.out)
-    if chosen.json is not None:
-        write_json(chosen.json, {"quick": chosen.quick, **results})
-    sys.stdout.write(as_text(results))
+    say(chosen, results, as_text(results))
 
 
 def _cells(names: Sequence[str], *, quick: bool) -> list[Cell]:
@@ -142,20 +137,8 @@ def _cells(names: Sequence[str], *, quick: bool) -> list[Cell]:
     return [known[name] for name in names]
 
 
-@contextmanager
-def _folder(out: Path | None) -> Iterator[Path]:
-    """Give the folder for logs and recordings; without ``--out`` it is removed again."""
-    if out is not None:
-        yield out
-        return
-    with tempfile.TemporaryDirectory(prefix="smal-faults-") as folder:
-        yield Path(folder)
-
-
 def _parser() -> Parser:
     parser = Parser("faults", __doc__)
-    parser.formatter_class = argparse.RawDescriptionHelpFormatter
-    parser.add_argument("--model", type=Path, metavar="FILE", help="model of the world yard, camera 160x120; without "
-                        "it one is taught first, in a minute or two")  # fmt: skip
+    parser.add_model()
     parser.add_argument("--cell", action="append", default=[], metavar="NAME", help="only this cell; may be repeated")
     return parser

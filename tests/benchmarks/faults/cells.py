@@ -100,7 +100,7 @@ def _controls() -> list[Cell]:
 
 
 def _harmed() -> list[str]:
-    """Return whom single faults harm; the console has tests of its own, and no run needs it."""
+    """Return whom single faults harm and a run needs; the console is none of them."""
     return [service for service in stack_services() if service != "console"]
 
 
@@ -161,7 +161,10 @@ def _others() -> list[Cell]:
     undisturbed = Limits(pause_s=_UNDISTURBED_S)
     # Between two episodes there is no command for a moment.
     slow = replace(undisturbed, pause_s=2 * _UNDISTURBED_S, rate_hz=9.0)
+    kill, freeze = partial(harm.kill, service="console"), partial(harm.freeze, service="console", seconds=3.0)
     return [
+        Cell("kill -9 console", kill, undisturbed, watched="console", drives_on=True),
+        Cell("freeze console 3 s", freeze, undisturbed, drives_on=True),
         Cell("full disk", partial(harm.fill_disk, seconds=_FULL_S), undisturbed, next_episode=True),
         Cell("slow consumer", partial(harm.consume_slowly, seconds=_SLOW_S), slow, drives_on=True),
         Cell("clock +1 h", partial(harm.jump, offset_s=_HOUR_S), undisturbed, bench="clock", drives_on=True),

@@ -68,12 +68,7 @@ def parse(lines: Iterable[str]) -> list[Entry]:
 
 
 class Tail:
-    """Follows a log while it is written.
-
-    Parameters
-    ----------
-    path : Path
-    """
+    """Follows a log while it is written."""
 
     def __init__(self, path: Path) -> None:
         self._file: IO[str] = path.open()

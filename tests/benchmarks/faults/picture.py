@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+
+from matplotlib.figure import Figure
 
 from services.simulator.robots import RESCUEBOT
 from tests.benchmarks.faults.judge import obeyed_s
@@ -14,9 +15,9 @@ from tests.benchmarks.soak.growth import Sample
 
 def draw(outcome: Outcome, path: Path) -> None:
     """Draw the robot's movement, the frames answered and the fault over time."""
-    plt = _pyplot()
     zero_s = outcome.fault.begin_s
-    figure, axes = plt.subplots(figsize=(9, 3), layout="constrained")
+    figure = Figure(figsize=(9, 3), layout="constrained")
+    axes = figure.add_subplot()
     axes.axvspan(0.0, max(0.02, outcome.fault.end_s - zero_s), color="tab:red", alpha=0.2, label="fault")
     if outcome.steps:
         speeds = [one.speed_m_s / RESCUEBOT.drive.speed_m_s for one in outcome.steps]
@@ -33,13 +34,12 @@ def draw(outcome: Outcome, path: Path) -> None:
     axes.set_ylim(-0.2, 1.3)
     axes.legend(loc="upper right", ncols=3)
     figure.savefig(path, dpi=110)
-    plt.close(figure)
 
 
 def draw_growth(samples: Sequence[Sample], path: Path) -> None:
     """Draw memory and descriptors of every service over time."""
-    plt = _pyplot()
-    figure, (memory, descriptors) = plt.subplots(2, 1, figsize=(9, 6), sharex=True, layout="constrained")
+    figure = Figure(figsize=(9, 6), layout="constrained")
+    memory, descriptors = figure.subplots(2, 1, sharex=True)
     for service in dict.fromkeys(one.service for one in samples):
         own = [one for one in samples if one.service == service]
         minutes = [one.t_s / 60.0 for one in own]
@@ -49,13 +49,3 @@ def draw_growth(samples: Sequence[Sample], path: Path) -> None:
     descriptors.set(ylabel="open descriptors", xlabel="minutes", ylim=(0.0, None))
     memory.legend(loc="lower right", ncols=3)
     figure.savefig(path, dpi=110)
-    plt.close(figure)
-
-
-def _pyplot() -> Any:
-    import matplotlib as mpl  # noqa: PLC0415 - takes a second to import
-
-    mpl.use("Agg")
-    import matplotlib.pyplot as plt  # noqa: PLC0415 - as above
-
-    return plt

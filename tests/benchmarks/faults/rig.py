@@ -9,6 +9,7 @@ from contextlib import ExitStack, closing, contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Final
+from unittest.mock import patch
 
 from schemas.rpc import ArmRequest, EndRequest, Nothing, RecordReply, ResetReply, ResetRequest, Status
 from schemas.topics import EPISODE
@@ -47,6 +48,8 @@ class RigPlan:
         More environment of the services.
     rolling : bool
         Whether the robot's base is a process of its own, which moves on in real time whatever is harmed.
+    console : str
+        Where the page is, host and port.
     """
 
     model: Path
@@ -54,6 +57,7 @@ class RigPlan:
     linked: tuple[str, ...] = ()
     environment: Mapping[str, str] = field(default_factory=dict)
     rolling: bool = False
+    console: str = "127.0.0.1:0"
 
     @property
     def recordings(self) -> Path:
@@ -78,7 +82,7 @@ class RigPlan:
             "recognition": chain,
             "policy": chain,
             "recorder": flags(recordings=self.recordings.resolve()),
-            "console": flags(console="127.0.0.1:0"),
+            "console": flags(console=self.console, root=self.folder.resolve()),
         }
         return {name: own.get(name, ()) + flags(router=links.get(name)) for name in stack_services()}
 
@@ -252,14 +256,6 @@ class Rig:
         status = self.status(service, timeout_s=0.3)
         return status is not None and status.state == "ready" and status.pid != not_pid
 
-    def all_ready(self) -> bool:
-        """Whether all services are ready."""
-        return all(self.ready(service) for service in stack_services())
-
-    def log_of(self, service: str) -> str:
-        """Return what a service has logged."""
-        return (self.plan.folder / "logs" / f"{service}.log").read_text(errors="replace")
-
 
 @contextmanager
 def rig_for(plan: RigPlan) -> Iterator[Rig]:
@@ -274,24 +270,9 @@ def rig_for(plan: RigPlan) -> Iterator[Rig]:
         stack = Stack(
             StackPlan(stack_services(), ROBOT, endpoint, service_flags, logs=plan.folder / "logs", modules=modules)
         )
-        with _environment(plan.environment):
+        with patch.dict(os.environ, plan.environment):
             stacked.enter_context(stack)
         stacked.enter_context(observing(ROBOT, endpoint, plan.log))
         bus = stacked.enter_context(closing(Bus(ROBOT, endpoint)))
         tail = stacked.enter_context(closing(Tail(plan.log)))
         yield Rig(plan, stack, bus, tail, {service: pid for service, (_, pid) in links.items()})
-
-
-@contextmanager
-def _environment(more: Mapping[str, str]) -> Iterator[None]:
-    """Give what is started meanwhile more environment."""
-    before = {name: os.environ.get(name) for name in more}
-    os.environ.update(more)
-    try:
-        yield
-    finally:
-        for name, value in before.items():
-            if value is None:
-                os.environ.pop(name, None)
-            else:
-                os.environ[name] = value

@@ -12,6 +12,8 @@ from tests.benchmarks.latency.robot import Answers
 from tests.benchmarks.results import Record, table
 
 LIMIT_MS: Final = 100.0
+#: How many times longer a decision may take while pages watch.
+MOST_WATCHED: Final = 1.2
 _SHOWN: Final = ("count", "missing", "p50_ms", "p95_ms", "p99_ms", "max_ms")
 
 
@@ -52,15 +54,25 @@ def judge(one: dict[str, Any]) -> Record:
             "verdict": "met" if met else "not met"}  # fmt: skip
 
 
+def judge_watched(quiet: dict[str, Any], watched: dict[str, Any]) -> Record:
+    """Compare what pages that watch cost with what they may: in the median, or at the 95th percentile if it is more."""
+    pairs = [(watched["decisions"][mark], quiet["decisions"][mark]) for mark in ("p50_ms", "p95_ms")]
+    ratio = None if any(None in pair for pair in pairs) else max(one / other for one, other in pairs)
+    where = f"{quiet['scheme']}, {quiet['camera']}, {watched['watchers']} watchers over none"
+    met = ratio is not None and ratio <= MOST_WATCHED
+    return {"target": f"decision latency, p50 or p95, {where}", "measured": ratio, "limit": f"{MOST_WATCHED:g} times",
+            "verdict": "met" if met else "not met"}  # fmt: skip
+
+
 def as_text(results: dict[str, Any]) -> str:
     """Write the tables."""
     rows: list[Record] = []
     stages: list[Record] = []
     for one in results["cases"]:
-        case = {name: one[name] for name in ("scheme", "camera", "keyframes", "templates")}
+        case = {name: one[name] for name in ("scheme", "camera", "watchers", "keyframes", "templates")}
         rows += [case | {"of": what} | {k: one[what][k] for k in _SHOWN} for what in ("decisions", "frames")]
         stages += [case | {"until": name} | {k: figures[k] for k in _SHOWN} for name, figures in one["stages"].items()]
-    loads = [{"scheme": one["scheme"], "camera": one["camera"]} | one["cores"] for one in results["cases"]]
+    loads = [{name: one[name] for name in ("scheme", "camera", "watchers")} | one["cores"] for one in results["cases"]]
     return (
         table("From the capture of a frame to its command, ms", rows)
         + table("From the capture of a frame to what came of it on the way, ms", stages)

@@ -15,6 +15,7 @@ from schemas import topics
 from schemas.action import Action
 from schemas.base import Message
 from schemas.command import Command, CommandApplied
+from schemas.compressed_image import CompressedImage
 from schemas.episode import Episode, EventName, Outcome
 from schemas.image import Image
 from schemas.observation import Observation
@@ -89,8 +90,12 @@ class Robot:
         frames: list[NDArray[np.uint8]],
         way: list[tuple[float, float, float]],
         on_tick: Callable[[], object],
+        pictures: list[bytes] | None = None,
     ) -> Answers:
-        """Show the frames, each at its time from the beginning on, and take the commands meanwhile."""
+        """Show the frames, each at its time from the beginning on, and take the commands meanwhile.
+
+        With ``pictures`` each is told as a JPEG as well, after the frame.
+        """
         self._answers, self._sent_s = Answers(), {}
         self._gate.begin(episode, "policy")
         self._step(episode, 0)
@@ -102,6 +107,10 @@ class Robot:
             self._answers.late_s = max(self._answers.late_s, time.monotonic() - due_s)
             self._step(episode, tick)
             self._show(tick, pixels, pose)
+            if pictures is not None:
+                height, width, _ = pixels.shape
+                jpeg = CompressedImage.after(self._header, width=width, height=height, data=pictures[tick])
+                self.node.publish(jpeg)
             on_tick()
         self.node.spin(timeout_s=_LAST_ANSWER_S)
         self.node.publish(self._event("ended", "aborted"))

@@ -17,7 +17,7 @@ from tests import corridor
 from tests.benchmarks.latency import benchmark as latency
 from tests.benchmarks.latency.drives import drives, resized
 from tests.benchmarks.latency.load import Load
-from tests.benchmarks.latency.results import judge, summary
+from tests.benchmarks.latency.results import judge, judge_watched, summary
 from tests.corridor import LENGTH
 from tests.services.chain import picture
 
@@ -60,6 +60,30 @@ def test_every_frame_is_answered(taught: tuple[Path, Path], capsys: pytest.Captu
         assert one["stages"].keys() == {"observation", "state"}
         assert set(one["cores"]) == {"bench", *latency.SERVICES}
     assert "64x48" in capsys.readouterr().out
+
+
+@pytest.mark.system
+def test_pages_that_watch_are_measured_against_none(
+    taught: tuple[Path, Path], capsys: pytest.CaptureFixture[str]
+) -> None:
+    model, recordings = taught
+    file = recordings / "results.json"
+    latency.main(["--model", str(model), "--recordings", str(recordings), "--json", str(file), "--ticks", "12",
+                  "--camera", "64x48", "--scheme", "filter", "--watchers", "3"])  # fmt: skip
+    results: dict[str, Any] = json.loads(file.read_text())
+    assert [one["watchers"] for one in results["cases"]] == [0, 3]
+    assert all(1 <= one["decisions"]["count"] <= 12 for one in results["cases"])
+    assert all("console" in one["cores"] for one in results["cases"])
+    assert "3 watchers over none" in results["targets"][-1]["target"]
+    assert "3 watchers over none" in capsys.readouterr().out
+
+
+def test_the_cost_of_watchers_is_judged() -> None:
+    quiet = {"scheme": "filter", "camera": "64x48", "decisions": summary([0.01, 0.02])}
+    for slower, verdict in ((1.1, "met"), (1.3, "not met")):
+        watched = {"watchers": 10, "decisions": summary([0.01, slower * 0.02])}
+        assert judge_watched(quiet, watched)["verdict"] == verdict
+    assert judge_watched(quiet, {"watchers": 10, "decisions": summary([0.01, None])})["verdict"] == "not met"
 
 
 def test_a_frame_without_a_command_took_for_ever() -> None:

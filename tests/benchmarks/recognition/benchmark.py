@@ -6,7 +6,6 @@ take turns; of these the median and the worst over queries are reported.
 
 from __future__ import annotations
 
-import argparse
 import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
@@ -16,13 +15,13 @@ from typing import Any, Final
 
 from tqdm import tqdm
 
-from services.kit.errors import UsageError
+from services.experiments.evaluation.objective_experiment import convergence
+from services.experiments.evaluation.report.recognition_figures import objective
 from services.recordings.dataset import find_recordings
-from tests.benchmarks.command_line import Parser
+from tests.benchmarks.command_line import Parser, say
 from tests.benchmarks.machine import machine
 from tests.benchmarks.recognition.algorithm2 import from_one_solve, whole_run
 from tests.benchmarks.recognition.campus import campus
-from tests.benchmarks.recognition.convergence import convergence, draw
 from tests.benchmarks.recognition.cvxpy_peer import against_cvxpy
 from tests.benchmarks.recognition.datasets import Dataset, Problem, Synthetic
 from tests.benchmarks.recognition.growth import growth
@@ -31,7 +30,7 @@ from tests.benchmarks.recognition.matching import TOLERANCE, measure, problems
 from tests.benchmarks.recognition.plan import QUICK, Plan
 from tests.benchmarks.recognition.tables import as_text
 from tests.benchmarks.recognition.targets import judge
-from tests.benchmarks.results import LeftOutError, Record, write_json
+from tests.benchmarks.results import LeftOutError, Record
 
 DATASETS: Final = ("synthetic", "campus", "real")
 PARTS: Final = ("matching", "algorithm2", "cvxpy", "convergence")
@@ -164,11 +163,11 @@ def _time_one_solve(report: Report, problem: Problem) -> None:
 
 
 def _converge(problem: Problem, out: Path | None, report: Report) -> None:
-    report.convergence = convergence(problem)
+    report.convergence = convergence(problem.templates, problem.queries[0], problem.length, (problem.penalty,) * 2)
     if out is None:
         report.leave_out("picture of the convergence", "no folder for pictures was given (--out DIR)")
         return
-    draw(report.convergence, out / "convergence.png")
+    objective({"a synthetic video": report.convergence}).savefig(out / "convergence.png", dpi=130)
 
 
 def main(arguments: list[str]) -> None:
@@ -182,23 +181,15 @@ def main(arguments: list[str]) -> None:
         flags.out,
     )
     if flags.recordings is not None:
-        try:
-            find_recordings([flags.recordings])
-        except OSError as error:
-            raise UsageError(f"--recordings {error}") from None
+        find_recordings([flags.recordings])
     results = benchmark(QUICK if flags.quick else Plan(), choice)
-    if flags.json is not None:
-        write_json(flags.json, {"quick": flags.quick, **results})
-    sys.stdout.write(as_text(results))
-    if flags.json is not None:
-        sys.stdout.write(f"\nresults: {flags.json}\n")
+    say(flags, results, as_text(results))
     if choice.out is not None and results["convergence"]:
         sys.stdout.write(f"picture: {choice.out / 'convergence.png'}\n")
 
 
 def _parser() -> Parser:
     parser = Parser("recognition", __doc__)
-    parser.formatter_class = argparse.RawDescriptionHelpFormatter
     parser.add_argument("--recordings", type=Path, metavar="DIR", help="drives on the campus (smal demonstrate "
                         "--camera 320x240); without them they are driven, which takes minutes")  # fmt: skip
     parser.add_argument("--images", type=Path, metavar="DIR", action="append", default=[], help="real frames, may be "

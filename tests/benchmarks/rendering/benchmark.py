@@ -11,7 +11,6 @@ no turns with the others, so that their ratios mean something on a quiet machine
 
 from __future__ import annotations
 
-import argparse
 import gc
 import json
 import math
@@ -36,10 +35,10 @@ from services.simulator.sensors.camera import CameraSettings
 from services.simulator.world import Pose, World, WorldError, known_worlds, load_world
 from services.simulator.world.route import plan_route
 from services.simulator.world.terrain import Terrain
-from tests.benchmarks.command_line import Parser
+from tests.benchmarks.command_line import Parser, say
 from tests.benchmarks.machine import machine
 from tests.benchmarks.rendering.towns import field, town
-from tests.benchmarks.results import Record, table, write_json
+from tests.benchmarks.results import Record, table
 
 #: A map of about 400 buildings is judged: at this size, at most so many times the time of the trivial scene.
 _JUDGED_BUILDINGS: Final = range(380, 421)
@@ -231,15 +230,10 @@ def _over_stock(results: dict[str, Any]) -> list[Record]:
 def main(arguments: list[str]) -> None:
     """Read the flags, measure, print and write."""
     parser = Parser("rendering", __doc__)
-    parser.formatter_class = argparse.RawDescriptionHelpFormatter
     parser.add_argument("--map", type=Path, metavar="FILE", help="a map or world file to measure as well")
     flags = parser.parse(arguments)
     try:
         results = benchmark(scenes(flags.map), QUICK if flags.quick else Plan())
     except RenderingUnavailableError as error:
         raise JobError(str(error)) from None
-    if flags.json is not None:
-        write_json(flags.json, {"quick": flags.quick, **results})
-    sys.stdout.write(as_text(results))
-    if flags.json is not None:
-        sys.stdout.write(f"\nresults: {flags.json}\n")
+    say(flags, results, as_text(results))

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Final
+from typing import Final, Protocol, TypeVar
 
 import numpy as np
 
@@ -16,6 +16,17 @@ WARM_UP_SHARE: Final = 0.1
 WARM_UP_S: Final = 120.0
 MOST_GROWTH: Final = 0.05
 _PROC: Final = Path("/proc")
+
+
+class Timed(Protocol):
+    """Something that was seen at one time."""
+
+    @property
+    def t_s(self) -> float:
+        """Since the beginning."""
+
+
+_Timed = TypeVar("_Timed", bound=Timed)
 
 
 @dataclass(frozen=True)
@@ -52,18 +63,23 @@ def sample(t_s: float, service: str, pid: int) -> Sample:
     return Sample(t_s, service, pid, 1024 * int(fields["VmRSS"][0]), descriptors, int(fields["Threads"][0]))
 
 
-def judge(samples: Sequence[Sample]) -> list[Record]:
-    """Judge each service by its samples after the warm-up; in a run too short for one, by the second half."""
+def warmed_up(samples: Sequence[_Timed]) -> list[_Timed]:
+    """Return the samples after the warm-up; in a run too short for one, those of the second half."""
     whole_s = max((one.t_s for one in samples), default=0.0)
     warm_s = min(max(WARM_UP_SHARE * whole_s, WARM_UP_S), whole_s / 2.0)
+    return [one for one in samples if one.t_s >= warm_s]
+
+
+def judge(samples: Sequence[Sample]) -> list[Record]:
+    """Judge each service by its samples after the warm-up."""
     services = dict.fromkeys(one.service for one in samples)
-    return [_judge([one for one in samples if one.service == service], warm_s) for service in services]
+    return [_judge([one for one in samples if one.service == service]) for service in services]
 
 
-def _judge(samples: Sequence[Sample], warm_s: float) -> Record:
-    warm = [one for one in samples if one.t_s >= warm_s]
+def _judge(samples: Sequence[Sample]) -> Record:
+    warm = warmed_up(samples)
     growth = _growth(warm)
-    descriptors, threads = (_rise([getattr(one, name) for one in warm]) for name in ("descriptors", "threads"))
+    descriptors, threads = (rise([getattr(one, name) for one in warm]) for name in ("descriptors", "threads"))
     restarts = len({one.pid for one in samples}) - 1
     not_met = [
         name
@@ -98,7 +114,7 @@ def _growth(warm: Sequence[Sample]) -> float:
     return float(slope * (times[-1] - times[0]) / (at_zero + slope * times[0]))
 
 
-def _rise(counts: Sequence[int]) -> float:
+def rise(counts: Sequence[int]) -> float:
     """Return by how much the median of the last quarter is above that of the first: what comes and goes is no leak."""
     quarter = max(1, len(counts) // 4)
     return float(np.median(counts[-quarter:]) - np.median(counts[:quarter]))

@@ -9,7 +9,8 @@ import pytest
 
 from services.kit.errors import UsageError
 from tests.benchmarks.soak import benchmark as soak
-from tests.benchmarks.soak.growth import Sample, judge, sample
+from tests.benchmarks.soak.growth import Sample, judge, sample, warmed_up
+from tests.benchmarks.soak.page import Held, judge_page
 
 
 def hour(growth: float = 0.0, descriptors: int = 0, threads: int = 0, pids: tuple[int, ...] = (7,)) -> list[Sample]:
@@ -58,6 +59,34 @@ def test_every_service_is_judged_by_itself() -> None:
 def test_a_short_run_has_figures_too() -> None:
     (found,) = judge([one for one in hour() if one.t_s <= 60.0])
     assert float(str(found["rss_mb_last"])) > 200.0
+
+
+def watching(kilobytes: int = 0, nodes: int = 0, listeners: int = 0) -> list[Held]:
+    """Return what a page holds in ten minutes of which it grows by so much after the warm-up."""
+    rng = np.random.default_rng(2)
+    samples = []
+    for minute in range(11):
+        share = max(0, minute - 2) / 8
+        size = int(9e5 + 1e5 * min(minute, 2) + 1000 * kilobytes * share + rng.normal(0.0, 3e4))
+        lines = min(50, 5 * minute) * 4
+        samples.append(Held(60.0 * minute, size, 400 + lines + round(nodes * share), 54 + round(listeners * share)))
+    return samples
+
+
+def test_a_page_that_fills_up_does_not_grow() -> None:
+    assert judge_page(warmed_up(watching()))[""] == "met"
+
+
+@pytest.mark.parametrize(
+    ("samples", "what"),
+    [
+        (watching(kilobytes=900), "memory"),
+        (watching(nodes=480), "nodes"),  # one a second
+        (watching(listeners=8), "listeners"),  # one a minute
+    ],
+)
+def test_a_page_that_grows(samples: list[Held], what: str) -> None:
+    assert judge_page(warmed_up(samples))[""] == f"NOT MET: {what}"
 
 
 def test_this_process_can_be_looked_at() -> None:

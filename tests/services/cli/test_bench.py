@@ -15,8 +15,6 @@ PROBE = """
 import json, os, sys
 print(json.dumps([sys.argv[1:], {k: v for k, v in os.environ.items() if k.endswith("_NUM_THREADS")}, os.getcwd()]))
 sys.exit(3)
-if __name__ == "__main__":
-    pass
 """
 
 
@@ -34,7 +32,8 @@ def test_a_benchmark_runs_with_its_threads_fixed_where_the_user_is(
     (folder / "probe").mkdir(parents=True)
     for package in (folder.parent, folder, folder / "probe"):
         (package / "__init__.py").touch()
-    (folder / "probe" / "__main__.py").write_text(PROBE)
+    (folder / "probe" / "benchmark.py").touch()
+    (folder / "__main__.py").write_text(PROBE)
     (folder / "helper.py").write_text("X = 1\n")
     monkeypatch.setattr(bench, "FOLDER", folder)
     monkeypatch.chdir(tmp_path)
@@ -43,7 +42,7 @@ def test_a_benchmark_runs_with_its_threads_fixed_where_the_user_is(
     status = run(monkeypatch, "probe", "--json", "a.json", "--speed", "7", "--quick", "--threads", "2")
     said, wrong = capfd.readouterr()
     assert (status, wrong) == (3, "")
-    assert '["--json", "a.json", "--quick", "--speed", "7"]' in said
+    assert '["probe", "--json", "a.json", "--quick", "--speed", "7"]' in said
     assert said.count('_NUM_THREADS": "2"') >= 4
     assert str(tmp_path) in said
 
@@ -59,9 +58,9 @@ def test_recognition_is_known() -> None:
         (["recognition", "--json", "."], "--json .: is a folder; give the name of a file"),
         (["recognition", "--json", "no/where.json"], "--json no/where.json: no folder no"),
         (["recognition", "--out", "file"], "--out file: is a file, not a folder"),
-        (["recognition", "--images", "nowhere"], "--images nowhere: no such folder"),
-        (["recognition", "--images", "."], "--images .: needs images, in it or in its folders ref and query"),
-        (["recognition", "--recordings", "nowhere"], "--recordings nowhere: no such file or folder"),
+        (["recognition", "--images", "nowhere"], "--images nowhere: No such file or directory"),
+        (["recognition", "--images", "."], "--images .: no image in this folder (files: 1)"),
+        (["recognition", "--recordings", "nowhere"], "nowhere: no such file or folder"),
         (["recognition", "--part"], "argument --part: expected one argument"),
         (["recognition", "--fast"], "unrecognized arguments: --fast"),
     ],

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import json
 import threading
-import time
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from http.client import HTTPConnection
 from typing import Any
 
@@ -119,6 +118,10 @@ class Page:
         except ConnectionClosed:
             return
 
+    def _hold_late(self, drive: ClientConnection, hold: str) -> None:
+        with suppress(ConnectionClosed, OSError):
+            drive.send(hold)
+
     def _answer(self, drive: ClientConnection) -> None:
         try:
             for text in drive:
@@ -131,10 +134,13 @@ class Page:
                     continue
                 self.beats += 1
                 self.beat = told["beat"]
-                if self.late_s:
-                    time.sleep(self.late_s)
-                if self.answers:
-                    drive.send(json.dumps({"do": "hold", "beat": told["beat"], "atom": self.held}))
+                hold = json.dumps({"do": "hold", "beat": told["beat"], "atom": self.held})
+                if self.answers and self.late_s:
+                    late = threading.Timer(self.late_s, self._hold_late, (drive, hold))
+                    late.daemon = True
+                    late.start()
+                elif self.answers:
+                    drive.send(hold)
         except (ConnectionClosed, OSError):
             pass
         self.closed = drive.close_code

@@ -12,16 +12,18 @@ from typing import Any
 import pytest
 from websockets.exceptions import ConnectionClosed
 
-from schemas.rpc import RecordRequest
-from services.console.seat import LEASE_S, LET_GO_S, Seat
+from schemas.rpc import RecordRequest, ResetRequest
+from services.console.seat import LET_GO_S, Seat
 from services.console.web import NONSENSE, TAKEN
 from services.kit.node import Node
 from services.kit.settings import ServiceSettings
 from services.recorder.service import RecorderService
+from services.robot.body import Beginning
 from services.robot.loop import STAND_WITHIN_S
 from tests.services.conftest import RunNode
 from tests.services.console.conftest import Console
 from tests.services.console.page import Page
+from tests.services.console.test_console_guard import left_over
 from tests.services.robot.line import Clock
 from tests.services.robot.wheels import Robot
 from tests.services.waiting import eventually
@@ -312,12 +314,11 @@ def test_the_seat() -> None:
     seat = Seat(clock)
     assert seat.take("a")
     beat = seat.beat()
-    clock.now_s += 0.1
-    assert seat.answered(beat) == pytest.approx(clock.now_s + 0.15)
-    clock.now_s += 0.16
-    assert seat.answered(beat) is None, "it is late"
-    assert seat.answered(beat, LEASE_S) == pytest.approx(clock.now_s + 0.74)
+    clock.now_s += 0.9
+    assert seat.answered(beat) == pytest.approx(clock.now_s - 0.9)
     assert seat.answered(beat + 1) is None, "it was never sent"
+    clock.now_s += 0.2
+    assert seat.answered(beat) is None, "it is late"
     clock.now_s += 0.9
     assert not seat.take("b"), "late answers are a sign of life, though they move nothing"
     clock.now_s += 0.2
@@ -327,6 +328,7 @@ def test_the_seat() -> None:
     assert seat.holds("b")
 
 
+@unattended
 def test_a_drive_has_the_name_that_its_person_gives_it(
     robot: Robot, recorder: RecorderService, open_page: OpenPage
 ) -> None:
@@ -368,3 +370,86 @@ def test_nothing_begins_for_who_has_left_before_it_could(
     eventually(lambda: "not begun: who asked for it has left" in other.news())
     assert other.state["robot"]["episode"] is None
     assert robot.gate.emergency_stop, "it was not armed"
+
+
+@unattended
+def test_who_answers_slowly_is_there_all_the_same(robot: Robot, recorder: RecorderService, open_page: OpenPage) -> None:
+    """By a slow link one cannot drive, and can begin and watch."""
+    page = open_page()
+    page.late_s = 1.5 * LET_GO_S
+    page.take()
+    eventually(lambda: page.beats > 20 and page.robot(answers=True))
+    page.say(do="drive", goal="dock")
+    eventually(lambda: page.state["robot"]["episode"] is not None or "left" in page.news())
+    assert page.state["robot"]["episode"] is not None, page.news()
+    page.held, beats = "forward", page.beats
+    eventually(lambda: page.beats > beats + 20)
+    assert not robot.wheels.driven
+
+
+@pytest.mark.parametrize("robot", [True, False], indirect=True, ids=["attended", "unattended"])
+def test_an_episode_ends_at_once_whose_person_has_left_while_another_world_was_opened(
+    robot: Robot, recorder: RecorderService, console: Console, open_page: OpenPage, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked, goes_on, begin = threading.Event(), threading.Event(), robot.wheels.begin
+
+    def open_world(request: ResetRequest) -> Beginning:
+        asked.set()
+        assert goes_on.wait(20.0)
+        return begin(request)
+
+    monkeypatch.setattr(robot.wheels, "begin", open_world)
+    page, other = open_page(), open_page()
+    page.take()
+    eventually(lambda: page.beats > 0 and page.robot(answers=True))
+    page.say(do="drive", goal="dock")
+    assert asked.wait(20.0)
+    page.say(do="leave")
+    eventually(lambda: not console.service.attended)
+    goes_on.set()
+    eventually(lambda: "ended at once: who asked for it has left" in other.news())
+    eventually(lambda: other.state["robot"]["episode"] is None and not other.state["robot"].get("waiting"))
+
+
+def test_an_emergency_stop_while_another_world_is_opened_is_latched_when_it_is(
+    robot: Robot, recorder: RecorderService, open_page: OpenPage, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked, goes_on, begin = threading.Event(), threading.Event(), robot.wheels.begin
+
+    def open_world(request: ResetRequest) -> Beginning:
+        asked.set()
+        assert goes_on.wait(20.0)
+        return begin(request)
+
+    monkeypatch.setattr(robot.wheels, "begin", open_world)
+    page, other = open_page(), open_page()
+    page.take()
+    eventually(lambda: page.beats > 0 and page.robot(answers=True))
+    page.held = "forward"
+    page.say(do="drive", goal="dock")
+    assert asked.wait(20.0)
+    other.stop()
+    eventually(lambda: robot.gate.stop_cause == "emergency_stop")
+    goes_on.set()
+    eventually(lambda: page.state["robot"]["episode"] is not None)
+    assert robot.gate.stop_cause == "emergency_stop"
+    assert not robot.wheels.driven
+
+
+@unattended
+def test_no_world_is_made_that_the_robot_would_take_for_another(
+    robot: Robot, console: Console, open_page: OpenPage, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """One of the project's, or the one that the stack was started in, goes before those below the root."""
+    monkeypatch.setattr(robot.wheels, "detail", lambda: {"worlds": "campus, yard"})
+    page = open_page()
+    page.take()
+    eventually(lambda: page.word and "campus, yard" in str(page.state.get("health")))
+    before = left_over()
+    page.post("/map?name=yard", b"<osm/>")
+    eventually(lambda: "there is a world yard already; give the file another name" in page.news())
+    assert not (console.root / "worlds").exists()
+    (console.root / "worlds").symlink_to("/")
+    page.post("/map?name=town", b"<osm/>")
+    eventually(lambda: "leads out of" in page.news())
+    assert left_over() <= before

@@ -14,6 +14,7 @@ from concurrent.futures import Future
 from contextlib import AbstractContextManager
 from http.client import HTTPConnection, HTTPSConnection
 from pathlib import Path
+from urllib.parse import quote
 
 import pytest
 from websockets.exceptions import InvalidStatus
@@ -44,7 +45,7 @@ class Nobody:
         self.library = Library(root)
         self.maps: list[tuple[str, bytes]] = []
 
-    def hold(self, atom: object, until_s: float) -> Future[None]:
+    def hold(self, atom: object, sent_s: float) -> Future[None]:
         return self.stop()
 
     def let_go(self) -> Future[None]:
@@ -356,3 +357,70 @@ def test_whoever_stands_up_sends_no_further(seated: Page, nobody: Nobody) -> Non
     assert seated.post("/map?name=town", b"<osm/>")[0] == 403
     assert nobody.maps == []
     eventually(lambda: left_over() <= before)
+
+
+def head(page: Page, name: str, *lines: str) -> bytes:
+    """Give how a map is begun to be sent."""
+    own = f"POST /map?name={name} HTTP/1.1", f"Host: {page.address}", f"Origin: http://{page.address}"
+    return "\r\n".join((*own, *lines, "", "")).encode()
+
+
+def connected(page: Page) -> socket.socket:
+    host, port = page.address.split(":")
+    return socket.create_connection((host, int(port)), timeout=10.0)
+
+
+def test_a_stranger_who_begins_to_send_leaves_nothing(seated: Page) -> None:
+    before = left_over()
+    with connected(seated) as sending:
+        sending.sendall(head(seated, "town", "Content-Length: 20"))
+        assert b" 403 " in sending.recv(100)
+        assert left_over() <= before
+
+
+@pytest.mark.parametrize("how", ["by length", "by chunks"])
+def test_a_map_that_is_cut_off_is_no_map(
+    seated: Page, nobody: Nobody, how: str, caplog: pytest.LogCaptureFixture
+) -> None:
+    before = left_over()
+    with connected(seated) as sending:
+        length = "Content-Length: 20" if how == "by length" else "Transfer-Encoding: chunked"
+        sending.sendall(head(seated, "town", f"Smal-Seat: {seated.word}", length) + b"5\r\nfirst\r\n")
+        eventually(lambda: left_over() - before)
+    eventually(lambda: left_over() <= before)
+    assert nobody.maps == []
+    seated.get("/")
+    assert caplog.records == []
+
+
+def test_of_two_maps_the_one_that_was_sent_last_is_taken(seated: Page, nobody: Nobody) -> None:
+    """One that has come to a standstill is in nobody's way, and however many are sent, one is being taken."""
+    before = left_over()
+    with connected(seated) as sending:
+        sending.sendall(head(seated, "town", f"Smal-Seat: {seated.word}", "Content-Length: 20") + b"first half")
+        eventually(lambda: left_over() - before)
+        assert seated.post("/map?name=town", b"<osm/>") == (202, "taken\n")
+        sending.sendall(b"other half")
+        assert b" 409 " in sending.recv(100)
+    assert nobody.maps == [("town", b"<osm/>")]
+    eventually(lambda: left_over() <= before)
+
+
+def test_a_map_for_which_there_is_no_room_is_refused(
+    seated: Page, nobody: Nobody, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path / "gone"))
+    status, why = seated.post("/map?name=town", b"<osm/>")
+    assert (status, why) == (507, "the map cannot be kept: No such file or directory\n")
+    monkeypatch.setattr(tempfile, "tempdir", None)
+    monkeypatch.setattr(Path, "open", lambda *_: open("/dev/full", "wb", buffering=0))  # noqa: SIM115, PTH123
+    status, why = seated.post("/map?name=town", b"<osm/>")
+    assert (status, why) == (507, "the map cannot be kept: No space left on device\n")
+    assert nobody.maps == []
+
+
+@pytest.mark.parametrize(("letters", "status"), [(50, 202), (51, 400), (64, 400)])
+def test_a_name_for_which_no_file_has_room_is_refused(seated: Page, nobody: Nobody, letters: int, status: int) -> None:
+    answer, said = seated.post(f"/map?name={quote('𠀀') * letters}", b"<osm/>")
+    assert (answer, len(nobody.maps)) == (status, int(status == 202))
+    assert status == 202 or "at most 200 bytes" in said

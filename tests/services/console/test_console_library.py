@@ -19,7 +19,7 @@ from schemas.rpc import LoadReply, LoadRequest
 from schemas.state import Place, State
 from services.console.jobs import Job, Jobs
 from services.console.learned import learned_of
-from services.console.library import Library
+from services.console.library import LearnedModel, Library
 from services.kit.model_service import identity_of
 from services.kit.node import Node, ServiceError
 from services.kit.settings import ServiceSettings
@@ -295,3 +295,11 @@ def test_a_job_is_cancelled_and_one_runs_at_a_time(tmp_path: Path) -> None:
     with pytest.raises(ServiceError, match="choose another name"):
         jobs.begin(learning(tmp_path / "way.smal", needed))
     assert not Path(needed.name).exists()
+
+
+@pytest.mark.parametrize(("goals", "nearest"), [((), "victim"), (("dock",), "dock"), (("dock", "ward"), "nearest")])
+def test_a_run_to_the_nearest_of_several_goals_is_not_said_to_lead_to_one_of_them(
+    goals: tuple[str, ...], nearest: str
+) -> None:
+    """Whoever learned from it would teach a goal where another one is."""
+    assert LearnedModel("way.smal", 0.0, 0, goals).nearest == nearest

@@ -66,9 +66,10 @@ def test_the_worlds_are_ours_the_user_s_and_the_first_one(made: Path) -> None:
 
 
 def test_what_has_no_name_that_could_be_asked_for_is_not_listed(made: Path) -> None:
-    for name in ("-x", "a,b", "<img>", ".hidden", "new\nline"):
+    for name in ("-x", "a,b", "<img>", ".hidden", "new\nline", "\udc80", "𠀀" * 51):
         (made / "worlds" / f"{name}.json").touch()
     assert worlds_of(made).names() == sorted([*OWN, "my town"])
+    assert "a,b" not in worlds_of(made, world=str(made / "a,b.osm")).names()
 
 
 def test_an_episode_begins_in_the_world_that_is_asked_for(made: Path, opened: list[tuple[str, str]]) -> None:
@@ -132,7 +133,7 @@ def test_a_world_that_cannot_be_used_leaves_the_robot_where_it_is(
     body = SimulatedBody(Simulation(load_world("yard"), StubCamera()), worlds=worlds)
     if make is rubbish:
         # What the file holds is only seen when it is opened in earnest.
-        with pytest.raises(ServiceError, match=why):
+        with pytest.raises(ServiceError, match=f"^bad.json: {why}"):
             Worlds.open(worlds, "bad")
     else:
         with pytest.raises(ServiceError, match=why):
@@ -160,3 +161,14 @@ def test_another_world_and_another_light_are_seen(made: Path) -> None:
     begin(body, variation="dark")
     dark = body.look(0).image
     assert dark.mean() < 0.7 * fair.mean()
+
+
+@pytest.mark.parametrize("name", ["map (1)", "e\u0301", "𠀀" * 50])
+def test_what_may_be_asked_for_is_listed(made: Path, opened: list[tuple[str, str]], name: str) -> None:
+    """Names of more than ASCII among them, and as a browser calls a second map."""
+    shutil.copy(made / "worlds" / "my town.json", made / "worlds" / f"{name}.json")
+    worlds = worlds_of(made, world="yard")
+    assert name in worlds.names()
+    body = SimulatedBody(worlds.open(), worlds=worlds)
+    begin(body, world=name)
+    assert body.name == name

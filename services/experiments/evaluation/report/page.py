@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import platform
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from functools import partial
 from html import escape
 from pathlib import Path
 from typing import Final
@@ -12,10 +13,9 @@ from typing import Final
 from services.experiments import html
 from services.experiments.evaluation.plan import DEFAULT_LENGTH, QUERY_SEED, RUN_SEED, TEACHING_SEED, Plan
 from services.experiments.evaluation.report.comparisons import Comparison, comparisons
-from services.experiments.evaluation.report.embedding import EmbeddedFigures
+from services.experiments.evaluation.report.figure_style import embed
 from services.experiments.evaluation.report.numbers import as_json
-from services.experiments.evaluation.report.objective_section import objective_section
-from services.experiments.evaluation.report.recognition_section import recognition_section
+from services.experiments.evaluation.report.recognition_section import objective_section, recognition_section
 from services.experiments.evaluation.report.search_section import search_section
 from services.experiments.evaluation.report.summary import results_of
 from services.experiments.evaluation.results import Finding, ResultStore
@@ -56,7 +56,9 @@ def write_page(plan: Plan, units: Sequence[Unit], store: ResultStore) -> Path:
         "worlds": as_json(found),
     }
     (store.folder / "results.json").write_text(json.dumps(numbers, indent=1) + "\n", encoding="utf-8")
-    put = EmbeddedFigures(store.folder / "figures")
+    figures = store.folder / "figures"
+    figures.mkdir(exist_ok=True)
+    put = partial(embed, figures)
     body = [*_introduction(plan, units, store)]
     if done < planned:
         body.append(

@@ -106,6 +106,7 @@ def objective(found: Mapping[str, Finding]) -> Figure:
         upper.plot(after, theirs, ".-", color=SINGLE, label="Algorithm 2 as published")
         upper.plot(steps, values, "o-", color=OURS, label="this project's solver")
         upper.axhline(bound, color=PALE, ls="--", lw=1.0, label="certified lower bound")
+        lower.axvspan(9, 12, color=PALE, alpha=0.18, lw=0.0, label="the paper: 9 and 12 iterations")
         upper.set(
             ylabel="objective (Eq. 7)", title=f"{world}: {one['templates']:,} template frames, l = {one['length']}"
         )

@@ -8,7 +8,7 @@ from typing import Final
 from services.experiments import html
 from services.experiments.evaluation.plan import CONTROLLERS, ERRANDS
 from services.experiments.evaluation.report import search_figures as figures
-from services.experiments.evaluation.report.embedding import EmbeddedFigures
+from services.experiments.evaluation.report.figure_style import Put
 from services.experiments.evaluation.report.summary import Results, Success
 from services.experiments.evaluation.results import ResultStore
 from services.experiments.evaluation.search_experiment import read_route, route_file
@@ -19,7 +19,7 @@ _WITHOUT_CLONING: Final = " <b>Behaviour cloning was not run</b>: torch is not i
 _SOON_S: Final = 3.0
 
 
-def search_section(found: Results, store: ResultStore, put: EmbeddedFigures, *, cloning: bool) -> Iterator[str]:
+def search_section(found: Results, store: ResultStore, put: Put, *, cloning: bool) -> Iterator[str]:
     """Write it as HTML, piece by piece; `cloning` says whether behaviour cloning is a part of it."""
     name = found.world.title
     yield "<h3>Finding the victim</h3>"
@@ -87,7 +87,7 @@ def _errands(found: Results) -> Iterator[str]:
     yield html.table(["errand", "what", "right", "95 %", "driven m, mean", "taught drives, m"], rows, left=2)
 
 
-def _example(found: Results, store: ResultStore, put: EmbeddedFigures) -> Iterator[str]:
+def _example(found: Results, store: ResultStore, put: Put) -> Iterator[str]:
     """Show the first search of SMAL after one drive that found the victim."""
     name = found.world.title
     mine = next(

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import closing
 from functools import partial
 from pathlib import Path
 from threading import Timer
@@ -89,15 +91,18 @@ def simulator(settings: ServiceSettings, run_node: RunNode) -> FakeSimulator:
     return fake
 
 
+@pytest.fixture
+def client(settings: ServiceSettings) -> Iterator[EpisodeClient]:
+    """Give a client that has episodes run, in place of the bus alone."""
+    with closing(EpisodeClient("test", settings)) as client:
+        client.node.bus.wait_connected(5.0)
+        yield client
+
+
 def test_decisions_without_a_state_and_before_the_end_are_counted(
-    simulator: FakeSimulator, settings: ServiceSettings
+    simulator: FakeSimulator, client: EpisodeClient
 ) -> None:
-    client = EpisodeClient("test", settings)
-    client.node.bus.wait_connected(5.0)
-    try:
-        record = client.run(REQUEST, done=lambda: bool(client._record and len(client._record.decisions) == 5))
-    finally:
-        client.close()
+    record = client.run(REQUEST, done=lambda: bool(client._record and len(client._record.decisions) == 5))
     assert list(record.decisions.values()) == ["follow", "look_around", "guess", "stop"]
     assert record.unknown == 1
     assert simulator.ended == ["e"]
@@ -105,26 +110,16 @@ def test_decisions_without_a_state_and_before_the_end_are_counted(
 
 @pytest.mark.parametrize(("truth", "outcome"), [("found", "found"), ("aborted", "false_goal")])
 def test_a_robot_that_says_that_it_has_arrived_is_judged(
-    truth: Outcome, outcome: RunOutcome, simulator: FakeSimulator, settings: ServiceSettings
+    truth: Outcome, outcome: RunOutcome, simulator: FakeSimulator, client: EpisodeClient
 ) -> None:
     simulator.decisions, simulator.outcome = (("follow", 4), ("goal", 9)), truth
-    client = EpisodeClient("test", settings)
-    client.node.bus.wait_connected(5.0)
-    try:
-        record = client.run(REQUEST)
-    finally:
-        client.close()
+    record = client.run(REQUEST)
     assert (record.outcome, record.arrived, simulator.ended) == (outcome, True, ["e"])
 
 
-def test_where_the_operator_judges_they_are_waited_for(simulator: FakeSimulator, settings: ServiceSettings) -> None:
+def test_where_the_operator_judges_they_are_waited_for(simulator: FakeSimulator, client: EpisodeClient) -> None:
     simulator.decisions, simulator.judge = (("goal", 9),), "operator"
-    client = EpisodeClient("test", settings)
-    client.node.bus.wait_connected(5.0)
-    try:
-        record = client.run(REQUEST)
-    finally:
-        client.close()
+    record = client.run(REQUEST)
     assert (record.outcome, simulator.ended) == ("found", ["found"])
 
 
@@ -133,41 +128,26 @@ def test_where_the_operator_judges_they_are_waited_for(simulator: FakeSimulator,
     [("not_armed", False, [7]), ("not_armed", True, []), ("emergency_stop", False, []), (None, False, [])],
 )
 def test_who_begins_a_run_arms_a_robot_that_was_just_started_and_no_other(
-    cause: str | None, attended: bool, armed: list[int], simulator: FakeSimulator, settings: ServiceSettings
+    cause: str | None, attended: bool, armed: list[int], simulator: FakeSimulator, client: EpisodeClient
 ) -> None:
     simulator.stop_cause, simulator.attended, simulator.decisions = cause, attended, (("goal", 9),)
-    client = EpisodeClient("test", settings)
-    client.node.bus.wait_connected(5.0)
-    try:
-        for _ in range(2):
-            client.run(REQUEST)
-    finally:
-        client.close()
+    for _ in range(2):
+        client.run(REQUEST)
     assert simulator.armed == armed, "once: one that was started again meanwhile is armed by a person"
 
 
-def test_only_a_robot_that_drives_itself_arrives(simulator: FakeSimulator, settings: ServiceSettings) -> None:
+def test_only_a_robot_that_drives_itself_arrives(simulator: FakeSimulator, client: EpisodeClient) -> None:
     simulator.decisions = (("goal", 9), ("goal", 9), ("follow", 4))
-    client = EpisodeClient("test", settings)
-    client.node.bus.wait_connected(5.0)
-    try:
-        request = ResetRequest(seed=3, purpose="drive", driver="expert")
-        record = client.run(request, done=lambda: bool(client._record and len(client._record.decisions) == 3))
-    finally:
-        client.close()
+    request = ResetRequest(seed=3, purpose="drive", driver="expert")
+    record = client.run(request, done=lambda: bool(client._record and len(client._record.decisions) == 3))
     assert (record.outcome, record.arrived) == ("found", False)
 
 
 def test_another_world_than_asked_for_is_an_error_and_its_episode_is_ended(
-    simulator: FakeSimulator, settings: ServiceSettings
+    simulator: FakeSimulator, client: EpisodeClient
 ) -> None:
-    client = EpisodeClient("test", settings)
-    client.node.bus.wait_connected(5.0)
-    try:
-        with pytest.raises(JobError, match="the stack runs campus, not yard; start it with --world yard"):
-            client.run(REQUEST, on_begin=partial(check_world_of, wanted="yard"))
-    finally:
-        client.close()
+    with pytest.raises(JobError, match="the stack runs campus, not yard; start it with --world yard"):
+        client.run(REQUEST, on_begin=partial(check_world_of, wanted="yard"))
     assert simulator.ended == ["e"]
 
 
@@ -190,22 +170,17 @@ def test_an_aborted_run_is_an_error_after_the_finished_ones(settings: ServiceSet
 @pytest.mark.parametrize("others", ["fedcba9876543210", None])
 @pytest.mark.parametrize("wrong", CHAIN)
 def test_results_of_another_model_are_an_error(
-    wrong: str, others: str | None, settings: ServiceSettings, run_node: RunNode
+    wrong: str, others: str | None, settings: ServiceSettings, run_node: RunNode, client: EpisodeClient
 ) -> None:
     has: dict[str, str | None] = dict.fromkeys(CHAIN, "0123456789abcdef")
     for service in CHAIN:
         node = Node(service, settings)
         node.detail = lambda service=service: {"checksum": has[service]}  # type: ignore[misc]
         run_node(node)
-    client = EpisodeClient("test", settings)
-    client.node.bus.wait_connected(5.0)
-    try:
+    _check_models(client, "0123456789abcdef", None)
+    has[wrong] = others
+    with pytest.raises(JobError, match=f"^{wrong} has model {others or 'none'}, not 0123456789abcdef"):
         _check_models(client, "0123456789abcdef", None)
-        has[wrong] = others
-        with pytest.raises(JobError, match=f"^{wrong} has model {others or 'none'}, not 0123456789abcdef"):
-            _check_models(client, "0123456789abcdef", None)
-    finally:
-        client.close()
 
 
 @pytest.mark.parametrize(

@@ -11,7 +11,9 @@ from services.experiments.evaluation.controllers import (
     Controller,
     ImitationController,
     PaperController,
+    Seen,
     SeqSlamController,
+    seen_by,
 )
 from services.experiments.evaluation.demonstrations import Drive
 from smal.action_space import Atom
@@ -50,11 +52,8 @@ def shown(controller: Controller, one: Drive) -> list[Atom]:
     """Return what a controller does in an episode in which it sees a drive again."""
     assert one.thumbnails is not None
     controller.reset()
-    moves = []
-    for tick, image in enumerate(one.thumbnails):
-        features = None if controller.features is None else extract(image, controller.features)
-        moves.append(controller.act(tick, image, features, STILL).atom)
-    return moves
+    images = enumerate(one.thumbnails)
+    return [controller.act(seen_by(controller, tick, image, STILL)).atom for tick, image in images]
 
 
 def make(name: str, model: Model) -> Controller:
@@ -83,7 +82,7 @@ def test_decisions_of_the_paper_come_with_every_whole_window(model: Model) -> No
     controller = PaperController(model)
     one = taught()[0]
     views = [*one.demonstration.features, *[model.mean] * LENGTH]
-    moves = [controller.act(tick, np.zeros(0, np.uint8), view, STILL) for tick, view in enumerate(views)]
+    moves = [controller.act(Seen(tick, np.zeros(0, np.uint8), view, STILL)) for tick, view in enumerate(views)]
     assert [tick for tick, move in enumerate(moves) if move.decision] == list(range(LENGTH - 1, len(views), LENGTH))
     assert (moves[-1].atom, moves[-1].decision, moves[-1].recognized) == (Atom.STOP, "stop", False)
     assert {move.recognized for move in moves[:-1]} == {True}

@@ -33,7 +33,6 @@ def test_every_unit_comes_once_and_after_those_that_it_needs(chosen: Plan, cloni
     for unit in units(chosen, cloning=cloning):
         assert unit.key not in done
         assert set(unit.needs) <= done
-        assert unit.seconds > 0.0
         done.add(unit.key)
 
 
@@ -67,8 +66,8 @@ def test_nobody_is_taught_recoveries_and_all_have_the_same_drives() -> None:
 
 def test_the_quick_plan_says_what_it_leaves_out_and_is_much_shorter() -> None:
     assert QUICK.omitted
-    quick, full = (sum(unit.seconds for unit in units(one, cloning=True)) for one in (QUICK, FULL))
-    assert 10 * quick < full
+    quick, full = (len(units(one, cloning=True)) for one in (QUICK, FULL))
+    assert 5 * quick < full
 
 
 def test_what_all_plans_have_in_common_is_part_of_their_fingerprint(monkeypatch: pytest.MonkeyPatch) -> None:

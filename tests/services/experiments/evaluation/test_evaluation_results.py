@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from services.experiments.evaluation.results import ResultStore
+from services.experiments.evaluation.results import ResultStore, sources
 from services.experiments.evaluation.units import units
 from services.kit.errors import JobError, UsageError
 from tests.services.experiments.evaluation.evaluated import SMALL, finding
@@ -65,6 +65,12 @@ def test_a_folder_of_another_version_is_refused(tmp_path: Path) -> None:
     path.write_text("[]")
     with pytest.raises(UsageError, match=r"plan.json: is no plan of an evaluation"):
         ResultStore(tmp_path, SMALL)
+
+
+def test_what_results_depend_on() -> None:
+    names = {path.name for path in sources()}
+    assert names >= {"search.py", "controllers.py", "filter.py", "gate.py", "lockstep.py", "driver.py", "campus.osm"}
+    assert not names & {"workers.py", "page.py"}
 
 
 def test_drives_whose_file_is_gone_are_made_again_only_where_somebody_needs_them(tmp_path: Path) -> None:

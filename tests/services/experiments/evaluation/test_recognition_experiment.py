@@ -8,7 +8,12 @@ import pytest
 from services.experiments.evaluation.degradation import CLEAN, DEGRADATIONS
 from services.experiments.evaluation.demonstrations import drive
 from services.experiments.evaluation.plan import Criterion
-from services.experiments.evaluation.recognition_experiment import judged, query_drive, recognize_states
+from services.experiments.evaluation.recognition_experiment import (
+    judged,
+    query_drive,
+    recognize_nearest,
+    recognize_states,
+)
 from services.simulator.simulation import Simulation
 from services.simulator.world import load_world
 from smal.features import FeatureSettings, extract
@@ -48,6 +53,20 @@ def test_states_that_were_taught_are_where_they_were_taught(novelty: str) -> Non
     assert matches.matched[3:].all()
     assert np.abs(matches.reference[3:] - np.arange(3, 40)).max() <= 1
     assert (matches.score[3:] > 0.1).all()
+
+
+def test_the_nearest_window_is_of_one_drive_and_counted_over_all() -> None:
+    rng = np.random.default_rng(1)
+    frames = rng.standard_normal((13, 8)).astype(np.float32)
+    frames /= np.linalg.norm(frames, axis=1, keepdims=True)
+    drives = [frames[:6], frames[6:8], frames[8:]]
+    matches = recognize_nearest(drives, frames, 3)
+    # What the second drive shows is too short for a window, and none leads over the seams.
+    whole = [2, 3, 4, 5, 10, 11, 12]
+    assert matches.reference[whole].tolist() == whole
+    assert matches.score[whole] == pytest.approx(1.0)
+    assert matches.reference[:2].tolist() == [-1, -1]
+    assert set(matches.reference[2:].tolist()) == set(whole)
 
 
 def test_answers_are_judged_by_pose_and_heading() -> None:

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from services.experiments.evaluation import search_experiment
-from services.experiments.evaluation.controllers import Move
+from services.experiments.evaluation.controllers import Move, Seen
 from services.experiments.evaluation.controllers import Place as EvaluatedPlace
 from services.experiments.evaluation.demonstrations import Drive, demonstrate
 from services.experiments.evaluation.plan import CONTROLLERS, Criterion, Trial
@@ -103,10 +103,10 @@ def patience(drives: tuple[Drive, ...]) -> float:
 def test_whoever_drives_the_finding_is_numbers(
     controller: str, place: Workplace, drives: tuple[Drive, ...], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def clone(images: list[np.ndarray], atoms: list[np.ndarray], settings: CloningSettings) -> tuple[Forward, None]:
+    def clone(images: list[np.ndarray], atoms: list[np.ndarray], settings: CloningSettings) -> Forward:
         assert settings.seed == 3 % CLONES
         assert [len(each) for each in images] == [len(each) for each in atoms]
-        return Forward(), None
+        return Forward()
 
     monkeypatch.setattr(search_experiment, "clone", clone)
     drivers = Drivers(place)
@@ -158,8 +158,8 @@ class Says:
     def reset(self) -> None:
         self._tick = 0
 
-    def act(self, tick: int, image: np.ndarray, raw: None, odometry: object) -> Move:
-        place = self._places[tick] if tick < len(self._places) else self._right
+    def act(self, seen: Seen) -> Move:
+        place = self._places[seen.tick] if seen.tick < len(self._places) else self._right
         return Move(Atom.STOP, "look_around" if place is None else "follow", place is not None, place=place)
 
 

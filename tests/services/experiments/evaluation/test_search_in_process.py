@@ -18,7 +18,14 @@ from schemas.observation import Observation
 from schemas.odometry import Odometry
 from schemas.pose import Pose as TruePose
 from schemas.rpc import ResetRequest, Scheme
-from services.experiments.evaluation.controllers import Controller, FilterController, Move, PaperController, Pose
+from services.experiments.evaluation.controllers import (
+    Controller,
+    FilterController,
+    Move,
+    PaperController,
+    Seen,
+    seen_by,
+)
 from services.experiments.evaluation.degradation import Degradation
 from services.experiments.evaluation.search import search
 from services.expert.driver import RouteDriver
@@ -51,10 +58,8 @@ class Script:
     def reset(self) -> None:
         pass
 
-    def act(
-        self, tick: int, image: NDArray[np.uint8], raw_features: NDArray[np.float32] | None, odometry: Pose
-    ) -> Move:
-        return Move(self._atoms[min(tick, len(self._atoms) - 1)])
+    def act(self, seen: Seen) -> Move:
+        return Move(self._atoms[min(seen.tick, len(self._atoms) - 1)])
 
 
 def by_services(
@@ -88,7 +93,7 @@ def obeying(controller: Controller) -> Callable[[Image | Odometry], Iterator[Mes
     def answer(image: Image | Odometry) -> Iterator[Message]:
         if isinstance(image, Odometry):
             return
-        move = controller.act(image.tick, image.to_numpy(), None, (0.0, 0.0, 0.0))
+        move = controller.act(seen_by(controller, image.tick, image.to_numpy(), (0.0, 0.0, 0.0)))
         yield Command.after(image, source="policy", atom=move.atom.name.lower())
 
     return answer
@@ -146,11 +151,9 @@ def test_pictures_of_chosen_ticks_are_what_the_controller_saw() -> None:
     seen: dict[int, NDArray[np.uint8]] = {}
 
     class Looking(Script):
-        def act(
-            self, tick: int, image: NDArray[np.uint8], raw_features: NDArray[np.float32] | None, odometry: Pose
-        ) -> Move:
-            seen[tick] = image.copy()
-            return super().act(tick, image, raw_features, odometry)
+        def act(self, frame: Seen) -> Move:
+            seen[frame.tick] = frame.image.copy()
+            return super().act(frame)
 
     found = search(
         Simulation(YARD, StubCamera()), Looking([Atom.LEFT]), 1, degradation=Degradation(noise=20.0), max_ticks=10,

@@ -1,46 +1,32 @@
-"""A worker that ends, whenever it does, is one line."""
+"""A worker that is killed is one line, and what was done before is kept."""
 
 from __future__ import annotations
 
 import multiprocessing
-from multiprocessing.connection import Connection
-from types import SimpleNamespace
-from typing import cast
+import os
+import signal
+from pathlib import Path
 
 import pytest
 
+from services.experiments.evaluation import workers
+from services.experiments.evaluation.plan import Plan
 from services.experiments.evaluation.units import Unit
-from services.experiments.evaluation.workers import _give, _receive, _Worker
 from services.kit.errors import JobError
 
-UNIT = Unit("teach", "yard", (("seed", 1),))
-LINE = "a worker ended with status -9 at teach/yard/seed=1; run again to go on"
+UNITS = [Unit("teach", "yard", (("seed", 1),)), Unit("learn", "yard", (), needs=("teach/yard/seed=1",))]
 
 
-def killed() -> tuple[_Worker, Connection]:
-    """Return a worker whose process is gone, and the end of the pipe that was its own."""
-    ours, theirs = multiprocessing.Pipe()
-    process = SimpleNamespace(join=lambda: None, exitcode=-9)
-    return _Worker(cast("multiprocessing.context.SpawnProcess", process), ours), theirs
+def killed_at_the_second(_plan: Plan, _folder: Path, unit: Unit) -> workers.Found:
+    if unit.needs:
+        os.kill(os.getpid(), signal.SIGKILL)
+    return {}, 0.0
 
 
-def test_while_it_waits() -> None:
-    worker, theirs = killed()
-    theirs.close()
-    with pytest.raises(JobError, match=LINE):
-        _give(worker, [UNIT], set())
-
-
-def test_before_it_answers() -> None:
-    worker, theirs = killed()
-    theirs.close()
-    with pytest.raises(JobError, match=LINE):
-        _receive(worker, UNIT)
-
-
-def test_in_the_middle_of_an_answer() -> None:
-    worker, theirs = killed()
-    theirs._send(b"\x00\x00\x10\x00half")  # type: ignore[attr-defined]  # says 4096 bytes
-    theirs.close()
-    with pytest.raises(JobError, match=LINE):
-        _receive(worker, UNIT)
+def test_a_worker_that_is_killed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(workers, "_do", killed_at_the_second)
+    done: list[str] = []
+    with pytest.raises(JobError, match=r"a worker was killed, .* at learn/yard or beside it; run again to go on"):
+        workers.do_all(Plan("none", ()), UNITS, set(), tmp_path, 2, lambda unit, *_: done.append(unit.key))
+    assert done == ["teach/yard/seed=1"]
+    assert multiprocessing.active_children() == []

@@ -4,59 +4,69 @@ from __future__ import annotations
 
 import socket
 import struct
-import subprocess
-from collections.abc import Iterator
+import sys
+from collections.abc import Callable
 from pathlib import Path
+from typing import NamedTuple
 
 import pytest
 
+from services.cli.main import main
 from services.kit.node import EXIT_FAILED, EXIT_USAGE
 from smal.model import FORMAT_VERSION
 from tests import corridor
 from tests.command import run_smal
-from tests.services.chain import save_model
 from tests.services.recordings.recorded_messages import episode, event
 from tests.services.recordings.test_recorder_files import record
-from tests.system.forked import Forked
-
-pytestmark = pytest.mark.system
 
 
-def expect_one_line(result: subprocess.CompletedProcess[str], status: int, *named: str) -> None:
-    stderr = result.stderr
-    lines = stderr.strip().splitlines()
-    assert result.returncode == status, stderr
-    assert len(lines) == 1, stderr
-    assert "Traceback" not in stderr
+class Said(NamedTuple):
+    """Exit status and errors of a command."""
+
+    returncode: int
+    stderr: str
+
+
+Smal = Callable[..., Said]
+
+
+@pytest.fixture
+def smal(monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]) -> Smal:
+    """Run a command in this process; what the processes say that it starts counts as well."""
+
+    def run(*arguments: object) -> Said:
+        monkeypatch.setattr(sys, "argv", ["smal", *map(str, arguments)])
+        with pytest.raises(SystemExit) as ended:
+            main()
+        assert isinstance(ended.value.code, int)
+        return Said(ended.value.code, capfd.readouterr().err)
+
+    return run
+
+
+def expect_one_line(said: Said, status: int, *named: str) -> None:
+    lines = said.stderr.strip().splitlines()
+    assert said.returncode == status, said.stderr
+    assert len(lines) == 1, said.stderr
     for name in named:
         assert name in lines[0]
 
 
-@pytest.fixture(scope="module")
-def smal(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Forked]:
-    with Forked(tmp_path_factory.mktemp("said")) as run:
-        yield run
-
-
-def test_a_process_that_was_started_for_it_alone_says_the_same(smal: Forked, tmp_path: Path) -> None:
-    arguments = ("demonstrate", "--world", "atlantis", "--episodes", 1, "--out", tmp_path)
-    one, other = smal(*arguments), run_smal(*arguments)
-    assert (one.returncode, one.stdout, one.stderr) == (other.returncode, other.stdout, other.stderr)
-
-
-def test_unknown_world(smal: Forked, tmp_path: Path) -> None:
+def test_unknown_world(smal: Smal, tmp_path: Path) -> None:
     result = smal("demonstrate", "--world", "atlantis", "--episodes", 1, "--out", tmp_path)
     expect_one_line(result, EXIT_USAGE, "atlantis", "campus")
 
 
-def test_no_vulkan_driver(smal: Forked, tmp_path: Path) -> None:
-    result = smal(
+@pytest.mark.system
+def test_no_vulkan_driver(tmp_path: Path) -> None:
+    result = run_smal(
         "demonstrate", "--world", "yard", "--episodes", 1, "--out", tmp_path, VK_ICD_FILENAMES="/nonexistent.json"
     )
-    expect_one_line(result, EXIT_FAILED, "nonexistent.json", "mesa")
+    expect_one_line(Said(result.returncode, result.stderr), EXIT_FAILED, "nonexistent.json", "mesa")
 
 
-def test_busy_port(smal: Forked) -> None:
+@pytest.mark.zenoh
+def test_busy_port(smal: Smal) -> None:
     with socket.socket() as taken:
         taken.bind(("127.0.0.1", 0))
         taken.listen()
@@ -65,29 +75,30 @@ def test_busy_port(smal: Forked) -> None:
     expect_one_line(result, EXIT_FAILED, str(port), "in use")
 
 
-def test_no_stack_to_connect_to(smal: Forked, tmp_path: Path) -> None:
+@pytest.mark.zenoh
+def test_no_stack_to_connect_to(smal: Smal, tmp_path: Path) -> None:
     result = smal("demonstrate", "--connect", "tcp/127.0.0.1:9", "--episodes", 1, "--out", tmp_path)
     expect_one_line(result, EXIT_FAILED, "127.0.0.1:9")
 
 
 @pytest.mark.parametrize("content", [b"", b"not a model", b"SMAL"])
-def test_file_that_is_no_model(smal: Forked, tmp_path: Path, content: bytes) -> None:
+def test_file_that_is_no_model(smal: Smal, tmp_path: Path, content: bytes) -> None:
     model = tmp_path / "broken.smal"
     model.write_bytes(content)
     expect_one_line(smal("run", "--model", model), EXIT_USAGE, "broken.smal")
 
 
-def test_missing_model(smal: Forked, tmp_path: Path) -> None:
+def test_missing_model(smal: Smal, tmp_path: Path) -> None:
     expect_one_line(smal("run", "--model", tmp_path / "none.smal"), EXIT_USAGE, "none.smal")
 
 
-def test_recordings_that_are_none(smal: Forked, tmp_path: Path) -> None:
+def test_recordings_that_are_none(smal: Smal, tmp_path: Path) -> None:
     (tmp_path / "noise.mcap").write_bytes(b"\0" * 100)
     result = smal("learn", tmp_path / "noise.mcap", "--out", tmp_path / "model.smal")
     expect_one_line(result, EXIT_FAILED, "noise.mcap")
 
 
-def test_truncated_recording(smal: Forked, tmp_path: Path) -> None:
+def test_truncated_recording(smal: Smal, tmp_path: Path) -> None:
     path = record(tmp_path, list(episode("drive-1")))
     path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
     result = smal("learn", path, "--out", tmp_path / "model.smal", "--length", 1000)
@@ -99,7 +110,7 @@ def test_truncated_recording(smal: Forked, tmp_path: Path) -> None:
     assert "Traceback" not in stderr
 
 
-def test_recording_without_an_episode(smal: Forked, tmp_path: Path) -> None:
+def test_recording_without_an_episode(smal: Smal, tmp_path: Path) -> None:
     path = record(tmp_path, [event("drive-1", 0, "started")])
     result = smal("learn", path, "--out", tmp_path / "model.smal")
     stderr = result.stderr
@@ -114,14 +125,7 @@ def model(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.mark.parametrize("command", ["run", "up"])
-def test_model_that_does_not_go_with_the_scheme(smal: Forked, model: Path, tmp_path: Path, command: str) -> None:
-    unmapped = save_model(tmp_path / "unmapped.smal")
-    expect_one_line(smal(command, "--model", unmapped), EXIT_USAGE, "unmapped.smal", "no map of views")
-    expect_one_line(smal(command, "--model", model, "--stride", 2), EXIT_USAGE, "stride 2", "paper's scheme")
-
-
-@pytest.mark.parametrize("command", ["run", "up"])
-def test_model_of_another_version(smal: Forked, model: Path, tmp_path: Path, command: str) -> None:
+def test_model_of_another_version(smal: Smal, model: Path, tmp_path: Path, command: str) -> None:
     content = bytearray(model.read_bytes())
     content[8:12] = struct.pack("<I", FORMAT_VERSION + 1)
     newer = tmp_path / "newer.smal"
@@ -129,7 +133,7 @@ def test_model_of_another_version(smal: Forked, model: Path, tmp_path: Path, com
     expect_one_line(smal(command, "--model", newer), EXIT_USAGE, "newer.smal", f"format {FORMAT_VERSION + 1}")
 
 
-def test_places_for_results_are_checked_before_the_stack_starts(smal: Forked, model: Path, tmp_path: Path) -> None:
+def test_places_for_results_are_checked_before_the_stack_starts(smal: Smal, model: Path, tmp_path: Path) -> None:
     (tmp_path / "file").touch()
     for option, value in (
         ("--json", tmp_path / "none" / "runs.json"),
@@ -144,13 +148,14 @@ def test_places_for_results_are_checked_before_the_stack_starts(smal: Forked, mo
 
 
 @pytest.mark.parametrize("command", ["up", "demonstrate"])
-def test_robot_that_cannot_be_a_key(smal: Forked, tmp_path: Path, command: str) -> None:
+def test_robot_that_cannot_be_a_key(smal: Smal, tmp_path: Path, command: str) -> None:
     out = ("--out", tmp_path) if command == "demonstrate" else ()
     expect_one_line(smal(command, "--world", "yard", "--robot", "A B", *out), EXIT_USAGE, "--robot", "A B")
 
 
-def test_settings_of_the_environment_are_checked(smal: Forked, tmp_path: Path) -> None:
-    result = smal("demonstrate", "--world", "yard", "--episodes", 1, "--out", tmp_path, SMAL_LOG_LEVEL="loud")
+def test_settings_of_the_environment_are_checked(smal: Smal, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("SMAL_LOG_LEVEL", "loud")
+    result = smal("demonstrate", "--world", "yard", "--episodes", 1, "--out", tmp_path)
     expect_one_line(result, EXIT_USAGE, "log_level")
 
 
@@ -171,12 +176,5 @@ def test_settings_of_the_environment_are_checked(smal: Forked, tmp_path: Path) -
         ("up", "--model", "none.smal"),
     ],
 )
-def test_bad_use(smal: Forked, arguments: tuple[str, ...]) -> None:
+def test_bad_use(smal: Smal, arguments: tuple[str, ...]) -> None:
     expect_one_line(smal(*arguments), EXIT_USAGE)
-
-
-@pytest.mark.parametrize("command", ["up", "demonstrate", "teleop", "learn", "run", "topic", "doctor"])
-def test_help_shows_an_example(smal: Forked, command: str) -> None:
-    result = smal(command, "--help")
-    assert result.returncode == 0
-    assert "Example" in result.stdout

@@ -1,9 +1,0 @@
-"""Run it: ``smal bench soak``."""
-
-from __future__ import annotations
-
-from tests.benchmarks.command_line import run_benchmark
-from tests.benchmarks.soak.benchmark import main
-
-if __name__ == "__main__":
-    run_benchmark(main)

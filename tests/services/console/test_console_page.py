@@ -1,0 +1,159 @@
+"""What the page makes of what it is told, in a real browser, without a stack."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import pytest
+
+from services.console.board import Board
+from services.console.config import ConsoleSettings
+from services.console.web import WebServer
+from tests.services.console.test_console_guard import Nobody
+from tests.services.waiting import eventually
+
+if TYPE_CHECKING:
+    from playwright.sync_api import Browser, Page
+
+CHROMIUM = shutil.which("chromium")
+if CHROMIUM is None:
+    pytest.skip("no chromium on this machine: the page is not tried in a browser", allow_module_level=True)
+pytestmark = pytest.mark.system
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Browser]:
+    """Start Debian's Chromium; as root it runs without its sandbox."""
+    playwright = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
+    with playwright.sync_playwright() as play:
+        yield play.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox"])
+
+
+class Person(Nobody):
+    """Notes what is asked for."""
+
+    def __init__(self, root: Path) -> None:
+        super().__init__(root)
+        self.asked: list[Any] = []
+
+    def ask(self, ask: object, until_s: float) -> Any:
+        self.asked.append(ask)
+        return super().ask(ask, until_s)
+
+
+@pytest.fixture
+def person(tmp_path: Path) -> Person:
+    return Person(tmp_path)
+
+
+@pytest.fixture
+def board() -> Board:
+    return Board()
+
+
+@pytest.fixture
+def page(browser: Browser, person: Person, board: Board, tmp_path: Path) -> Iterator[Page]:
+    """Open the page; a test in which its script fails has failed."""
+    server = WebServer(person, board, ConsoleSettings(root=tmp_path, console="127.0.0.1:0"))
+    errors: list[str] = []
+    page = browser.new_page()
+    page.on("pageerror", lambda error: errors.append(str(error)))
+    page.goto(server.address)
+    yield page
+    page.close()
+    server.close()
+    assert errors == []
+
+
+def tell_robot(board: Board, **told: object) -> None:
+    """Have the robot tell of itself."""
+    row = {"idle": 0.0, "uptime": 1, "rates": {}, "dropped": 0, "bad": 0, "failed": 0}
+    board.put("health", {"services": [{"name": "robot", "ailment": None, "told": told, **row}]})
+
+
+def tell_models(board: Board, **goals: list[str]) -> None:
+    """Have models in the library, the newest first."""
+    models = [{"name": name, "goals": known, "useless": ""} for name, known in goals.items()]
+    board.put("library", {"folder": "drives", "recordings": [], "models": models})
+
+
+def choice(page: Page, name: str) -> str:
+    return page.input_value(f"#world-form [name={name}]")
+
+
+def begin(page: Page, person: Person) -> Any:
+    """Begin a drive; return what was asked for."""
+    page.click("#drive-form button")
+    return eventually(lambda: person.asked.pop() if person.asked else None)
+
+
+@pytest.mark.parametrize("name", ["map (1)", "Berlin, Mitte", "x" * 100, "#7", "<img src=x onerror=alert(1)>"])
+def test_a_robot_whose_world_has_a_name_that_cannot_be_asked_for_is_driven_there(
+    page: Page, person: Person, board: Board, name: str
+) -> None:
+    """As `smal up --world "map (1).osm"` has it."""
+    tell_robot(board, world=name, worlds="campus, yard", variation="day", variations="day, dark")
+    page.wait_for_selector("#world-form:visible")
+    assert choice(page, "world") == name
+    assert begin(page, person).world is None
+    page.select_option("#world-form [name=world]", "yard")
+    assert (asked := begin(page, person)).world == "yard"
+    assert asked.variation is None
+
+
+@pytest.mark.parametrize("told", [{"worlds": "x"}, {"worlds": 5, "variations": 3}, {"worlds": "x", "variation": True}])
+def test_what_another_robot_tells_of_worlds_breaks_nothing(
+    page: Page, person: Person, board: Board, told: dict[str, object]
+) -> None:
+    tell_robot(board, world="x", **told)
+    page.wait_for_selector("#world-form:visible")
+    board.put("robot", {"answers": True, "episode": None, "outcome": "found"})
+    eventually(lambda: "Armed" in page.inner_text("#status"))
+    assert begin(page, person).variation is None
+
+
+def test_the_page_follows_the_robot_into_the_world_that_somebody_else_has_chosen(page: Page, board: Board) -> None:
+    tell: Callable[[str], None] = lambda world: tell_robot(  # noqa: E731
+        board, world=world, worlds="campus, yard", variation="day", variations="day, dark"
+    )
+    tell("yard")
+    page.wait_for_selector("#world-form:visible")
+    page.select_option("#world-form [name=variation]", "dark")
+    tell("campus")
+    eventually(lambda: choice(page, "world") == "campus")
+    assert choice(page, "variation") == "dark", "that is still one's own choice"
+
+
+def test_a_model_with_a_map_is_run_by_it_again_after_one_without(page: Page, board: Board) -> None:
+    scheme = page.locator("#run-form [name=scheme]")
+    tell_models(board, plain=[])
+    eventually(lambda: scheme.input_value() == "paper")
+    tell_models(board, mapped=["dock", "victim"], plain=[])
+    eventually(lambda: page.input_value("#run-form [name=model]") == "mapped")
+    assert scheme.input_value() == "filter"
+    page.select_option("#run-form [name=scheme]", "paper")
+    page.select_option("#run-form [name=model]", "plain")
+    page.select_option("#run-form [name=model]", "mapped")
+    assert scheme.input_value() == "paper", "that was chosen"
+
+
+@pytest.mark.parametrize(
+    ("file", "name"),
+    [
+        ("Ko\u0308ln (Süd).osm", "Köln (Süd)"),
+        ("हिन्दी.osm", "हिन्दी"),
+        ("½.osm", "map"),
+        ("..%2F..\\etc.osm", "2F..-etc"),
+        ("𠀀" * 63 + ".osm", "𠀀" * 50),
+    ],
+)
+def test_a_map_s_file_name_becomes_a_world_s_name_that_may_be(
+    page: Page, person: Person, board: Board, file: str, name: str
+) -> None:
+    tell_robot(board, world="yard", worlds="campus, yard", variation="day", variations="day, dark")
+    page.wait_for_selector("#world-form:visible")
+    page.set_input_files("#world-form [name=map]", {"name": file, "mimeType": "", "buffer": b"<osm/>"})
+    assert eventually(lambda: person.maps or page.locator("#news li").count() > 1) == [(name, b"<osm/>")]
