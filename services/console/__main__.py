@@ -19,7 +19,8 @@ def serve() -> None:
         service = ConsoleService(node, board, settings.root)
         server = WebServer(service, board, settings)
         service.feed.start()
-        node.log.info("the page is at %s", server.address)
+        # Where it listens on every address, this one leads there from this machine.
+        node.log.info("the page is at %s", server.address.replace("//0.0.0.0:", "//127.0.0.1:"))
         try:
             node.spin()
         finally:

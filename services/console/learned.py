@@ -43,6 +43,8 @@ class Learned:
         Of each keyframe, x, y and heading: in the world, where its recording tells; else by the wheels.
     images
         Of each keyframe, the taught image as it was recorded; None where its recording is gone.
+    world
+        Where all of it was taught; empty where the recordings are gone, or several worlds are in them.
     """
 
     identity: str
@@ -52,6 +54,7 @@ class Learned:
     cost_s: NDArray[np.float64]
     poses: NDArray[np.float64]
     images: tuple[memoryview | None, ...]
+    world: str = ""
 
     def image(self, keyframe: int) -> bytes | None:
         """Return the taught image of a keyframe as JPEG."""
@@ -63,6 +66,7 @@ class Learned:
         return {
             "id": self.identity,
             "goal": self.goal,
+            "world": self.world,
             "drives": [int(drive) for drive in self.drives],
             "along": _rounded(self.along_m, 2),
             "cost": [round(cost, 1) if math.isfinite(cost) else None for cost in self.cost_s.tolist()],
@@ -122,8 +126,10 @@ def learned_of(model: Model, goal: str | None, recordings: dict[str, Path]) -> L
     first = np.searchsorted(mapped.drives, np.arange(len(mapped.goals)))
     poses = mapped.key_poses.copy()
     images: list[memoryview | None] = [None] * len(drives)
+    worlds: set[str] = set()
     for drive, (episode, ticks) in enumerate(_taught(model)):
         recorded = _recorded(recordings.get(episode), episode)
+        worlds.add("" if recorded is None else recorded.world)
         if recorded is None:
             continue
         for key in np.flatnonzero(drives == drive).tolist():
@@ -135,7 +141,8 @@ def learned_of(model: Model, goal: str | None, recordings: dict[str, Path]) -> L
                 poses[key] = (pose.x_m, pose.y_m, pose.heading_rad)
     costs, _ = cost_to_go(mapped, goal)
     along_m = mapped.arc[mapped.keyframes] - mapped.arc[first][drives]
-    return Learned(identity_of(model), goal, drives, along_m, costs, poses, tuple(images))
+    world = worlds.pop() if len(worlds) == 1 else ""
+    return Learned(identity_of(model), goal, drives, along_m, costs, poses, tuple(images), world)
 
 
 def _length(mapped: VisualMap, drive: int) -> int:

@@ -140,8 +140,10 @@ def unusable(episode: RecordedEpisode, *, include_runs: bool) -> str | None:
 
     An episode whose end was not recorded teaches the way, but no goal.
     """
-    if episode.purpose == "run" and not (include_runs and episode.outcome == "found"):
+    if episode.purpose == "run" and not include_runs:
         return "the robot drove by itself (--include-runs takes such runs if they found the victim)"
+    if episode.purpose == "run" and episode.outcome != "found":
+        return f"the robot drove by itself and did not find the victim ({episode.outcome})"
     if episode.outcome == "collision":
         return "it ended in a collision"
     if episode.purpose == "drive" and episode.outcome in ("timeout", "aborted"):

@@ -1,6 +1,6 @@
 // Where the robot thinks it is: the belief over the taught frames, and the taught image that it matches.
 
-import { $, cleared, color, element, percent, say } from "./element.js";
+import { $, cleared, color, element, percent, say, seconds } from "./element.js";
 
 const BAR_PX = 4, HEIGHT = 64, LEAST = 0.01, DOES = { forward: "↑ forward", backward: "↓ backward", left: "← turn left", right: "→ turn right", stop: "■ stop" };
 const WHY = {
@@ -12,6 +12,8 @@ const section = $("#belief");
 const parts = { empty: section.querySelector(".empty"), content: section.querySelector(".content"), facts: section.querySelector(".facts") };
 const strip = section.querySelector(".strip"), image = section.querySelector("img"), caption = section.querySelector("figcaption"), list = section.querySelector("dl");
 
+let recognized = "";
+
 export function drawBelief({ model, belief, plan }, age) {
   const known = model && !model.trouble && model.id;
   parts.content.hidden = !known;
@@ -20,17 +22,22 @@ export function drawBelief({ model, belief, plan }, age) {
   const fresh = belief && age("belief") < 2;
   const lost = fresh && belief.status === "unknown";
   section.classList.toggle("lost", Boolean(lost));
-  say(parts.facts, !fresh ? `No belief for ${belief ? Math.round(age("belief")) + " s" : "now"}.` : lost ? `Lost: ${percent(belief.lost)} sure that it is nowhere near.` : `${percent(belief.sure ?? 0)} sure of this place, ${percent(belief.lost)} lost.`);
+  section.classList.toggle("old", !fresh);
+  section.classList.toggle("nowhere", Boolean(fresh) && belief.keyframe === undefined);
+  if (!fresh) recognized = "";
+  else if (Number.isInteger(belief.state)) recognized = `The paper's scheme: state ${belief.state}, duality gap ${belief.gap.toExponential(0)}.`;
+  say(parts.facts, !fresh ? (belief ? `As it was ${seconds(age("belief"))} ago.` : "It tells nothing before a run.") : belief.keyframe === undefined ? (belief.status === "unknown" ? "No taught place looks like this." : belief.status === "recognized" && !Number.isInteger(belief.state) ? "The model is being read …" : recognized || "No taught place is recognized yet.") : lost ? `Lost: ${percent(belief.lost)} sure that it is nowhere near.` : `${percent(belief.sure ?? 0)} sure of this place, ${percent(belief.lost)} lost.`);
   drawStrip(model, fresh ? belief : null);
-  const key = fresh ? belief.keyframe : undefined;
+  if (!fresh) return;
+  const rows = { Plan: plan ? WHY[plan.kind] : "–", Now: plan ? plan.atoms.slice(0, 3).map((atom) => DOES[atom]).join(", ") : "–", "To go": belief.cost === undefined ? "–" : belief.cost === null ? "no way to the goal" : `${belief.cost.toFixed(0)} s to ${model.goal}` };
+  if (list.children.length === 0) for (const name in rows) list.append(element("dt", {}, name), element("dd"));
+  Object.values(rows).forEach((text, k) => say(list.children[2 * k + 1], text));
+  const key = belief.keyframe;
   if (key === undefined) return;
   const source = `taught/${model.id}/${key}`;
   if (image.getAttribute("src") !== source) image.setAttribute("src", source);
   image.alt = `The taught image that the view matches, ${model.along[key]} m along the way`;
   say(caption, `The taught image that it matches, ${model.along[key].toFixed(1)} m along drive ${model.drives[key] + 1}; cosine ${belief.cosine.toFixed(2)}${belief.gap ? `, duality gap ${belief.gap.toExponential(0)}` : ""}.`);
-  const rows = { Plan: plan ? WHY[plan.kind] : "–", Now: plan ? plan.atoms.slice(0, 3).map((atom) => DOES[atom]).join(", ") : "–", "To go": belief.cost === null ? "no way to the goal" : `${belief.cost.toFixed(0)} s to ${model.goal}` };
-  if (list.children.length === 0) for (const name in rows) list.append(element("dt", {}, name), element("dd"));
-  Object.values(rows).forEach((text, k) => say(list.children[2 * k + 1], text));
 }
 
 /** One track a drive, as long as its way; a bar is the belief on that stretch. */

@@ -108,7 +108,7 @@ export class Drive {
     if (event.code === "Escape") return down && !event.repeat && this._onStop();
     if (event.metaKey || event.key === "Meta") return this.letGo();  // macOS tells of no other key's release then
     const atom = KEYS[event.code];
-    const types = event.target instanceof Element && event.target.closest("input, select, textarea");
+    const types = event.target instanceof Element && event.target.closest("input:not([type=checkbox], [type=file]), select, textarea");
     if (!atom || (down && (types || event.ctrlKey || event.altKey))) return;
     if (this.sits && down) event.preventDefault();
     if (down && event.repeat) return;

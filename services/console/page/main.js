@@ -5,18 +5,18 @@ import { Drive } from "./drive.js";
 import { $, element, say, seconds } from "./element.js";
 import { drawHealth, illness } from "./health.js";
 import { drawMap } from "./map.js";
-import { drawJob, drawLibrary, inWorld, wireTeaching } from "./teach.js";
+import { drawJob, drawLibrary, inWorld, OUTCOMES, wireTeaching } from "./teach.js";
 import { Watch } from "./watch.js";
-import { drawWorlds, wireWorlds } from "./world.js";
+import { drawWorlds, hideNews, opening, wireWorlds } from "./world.js";
 
-const OLD_S = 1, SILENT_S = 2, NO_WORD_S = 3, MOST_LINES = 50;
+const OLD_S = 1, SILENT_S = 2, NO_WORD_S = 3, MOST_LINES = 50, LATEST_MS = 6000;
 const CAUSES = {
-  not_armed: "Not armed: begin a drive or a run, or arm it",
-  emergency_stop: "EMERGENCY STOP: it stands until it is armed",
-  operator_lost: "It stands: it had lost its operator. Arm, resume",
-  fault: "It stands: its body has failed. Look at it, then arm it",
+  not_armed: "Not armed: a drive or a run arms it",
+  emergency_stop: "EMERGENCY STOP: it stands until you press “Arm, resume”",
+  operator_lost: "It stands: it lost its operator for a moment. Press “Arm, resume”",
+  fault: "It stands: its body has failed. Look at it, then press “Arm, resume”",
 };
-const BY = { teleop: "by hand", policy: "by itself", expert: "by the expert" };
+const BY = { teleop: "Driven by hand", policy: "Drives by itself", expert: "Driven by the expert" };
 const DOING = { forward: "drives forward", backward: "drives backward", left: "turns left", right: "turns right", stop: "stands" };
 
 const camera = $("#camera canvas"), noCamera = $("#camera .empty"), pad = $("#pad");
@@ -55,36 +55,43 @@ async function onPicture(blob) {
 
 /** How the robot is, in one line, and whether that is good, a warning or bad. */
 function status() {
-  const { robot } = watch.state;
+  const { robot } = watch.state, ill = illness(watch.state.health, ["router", "robot"]);
   if (!watch.connected) return ["bad", `No connection to the console for ${seconds((performance.now() - watch.sinceMs) / 1000)}`];
   if (watch.silence > NO_WORD_S) return ["bad", `No word from the console for ${seconds(watch.silence)}`];
-  if (!robot || (!robot.answers && !robot.waiting)) return ["bad", `The robot does not answer ${illness(watch.state.health, ["router", "robot"])}`];
-  if (robot.emergency || robot.cause) return ["bad", CAUSES[robot.emergency ? "emergency_stop" : robot.cause]];
-  if (robot.waiting) return ["warn", "Waiting for the robot …"];
-  if (!robot.episode) return ["good", robot.outcome ? `Armed; the last episode ended: ${robot.outcome}` : "Armed"];
+  if (!robot || (!robot.answers && !robot.waiting)) return ["bad", ["The robot does not answer", ...(ill === "" || ill === "robot: does not answer" ? [] : [ill])].join(": ")];
+  if (robot.emergency || robot.cause === "emergency_stop") return ["bad", CAUSES.emergency_stop];
+  if (robot.waiting) return ["warn", `Waiting for the robot${drive.sits && opening() ? ` to open ${opening()}` : ""} …`];
+  if (robot.cause) return [robot.cause === "not_armed" ? "warn" : "bad", CAUSES[robot.cause]];
+  if (!robot.episode) return ["good", robot.outcome ? `Armed; the last ${robot.purpose}: ${OUTCOMES[robot.outcome] ?? robot.outcome}` : "Armed"];
   if (watch.age("robot") > SILENT_S) return ["bad", `No sign of the robot for ${seconds(watch.age("robot"))}`];
-  if (robot.reason === "taken_over") return ["warn", "It stands: you have taken over. Resume, and the driver goes on"];
-  if (robot.reason === "silence") return ["warn", robot.driver === "teleop" ? "It stands: hold a key to drive" : "It stands: nobody drives"];
-  return ["good", `Driven ${BY[robot.source]}`];
+  if (robot.reason === "taken_over") return ["warn", "It stands: taken over by hand. Drive on, or press “Arm, resume” and it goes on by itself"];
+  if (robot.reason === "silence") return ["warn", robot.driver !== "teleop" ? "It stands: no command has come" : drive.sits ? "It stands: hold a key to drive" : watch.state.taken ? "It stands: who drives holds no key" : "It stands: take control, and hold a key to drive"];
+  return ["good", `${BY[robot.source] ?? "It stands"}${robot.source === "policy" && drive.sits ? "; hold a key to correct it" : ""}`];
 }
 
+let waitingSinceMs = 0;
+
 function drawStatus() {
+  if (!watch.state.robot?.waiting) waitingSinceMs = performance.now();
   const [how, text] = status(), pill = $("#status"), { robot } = watch.state;
   pill.className = `pill ${how}`;
   say(pill, text);
+  pill.title = text;  // where it is cut off
   $("#stop").setAttribute("aria-pressed", String(Boolean(robot?.emergency || robot?.cause === "emergency_stop")));
   const running = Boolean(robot?.episode);
+  if (running && document.body.dataset.episode !== robot.episode) hideNews();
   document.body.dataset.episode = robot?.episode ?? "";
   document.body.dataset.outcome = robot?.outcome ?? "";
   for (const id of ["found", "end"]) $(`#${id}`).disabled = !running;
-  say($("#episode"), !robot?.purpose ? "" : `${robot.purpose === "run" ? "Run" : "Drive"} to ${robot.goal} in ${robot.world}: frame ${robot.tick}${robot.episode ? `, it ${DOING[robot.atom] ?? "stands"}` : ""}${robot.outcome ? `, ${robot.outcome}` : ""}${robot.refused ? `; commands refused: ${robot.refused}` : ""}`);
+  say($("#episode"), !robot?.purpose ? "" : `${robot.purpose === "run" ? "Run" : "Drive"} to ${robot.goal} in ${robot.world}: frame ${robot.tick}${robot.episode ? `, it ${DOING[robot.atom] ?? "stands"}` : ""}${robot.outcome ? `, ${OUTCOMES[robot.outcome] ?? robot.outcome}` : ""}`);
   drawCameraAge(running);
 }
 
 function drawCameraAge(running) {
-  const age = watch.age("camera");
-  noCamera.hidden = age !== null && (age < OLD_S || !running);
-  if (age === null) say(noCamera, "No camera frame yet. Begin a drive or a run.");
+  const age = watch.age("camera"), waits = Boolean(watch.state.robot?.waiting);
+  noCamera.hidden = !waits && age !== null && (age < OLD_S || !running);
+  if (waits) say(noCamera, `${drive.sits && opening() ? `Opening ${opening()}, which may take 20 s` : "Waiting for the robot"}: ${seconds((performance.now() - waitingSinceMs) / 1000)}`);
+  else if (age === null) say(noCamera, "No camera frame yet. Begin a drive or a run.");
   else if (!noCamera.hidden) say(noCamera, `No camera frame for ${seconds(age)}${illness(watch.state.health, ["router", "robot"]).replace(/^(?=.)/, ": ")}`);
 }
 
@@ -112,8 +119,17 @@ function drawSeat() {
 function tell(text, when = new Date()) {
   const list = $("#news");
   if (text) list.prepend(element("li", {}, element("time", {}, when.toLocaleTimeString()), text));
+  if (text && Date.now() - when < LATEST_MS) showLatest(text);
   if (list.children.length > MOST_LINES) list.lastChild.remove();
   $("#news-empty").hidden = list.children.length > 0;
+}
+
+/** The news may be out of sight: the latest is shown for a while wherever one has scrolled to. */
+function showLatest(text) {
+  clearTimeout(showLatest.timer);
+  say($("#latest"), text);
+  $("#latest").hidden = false;
+  showLatest.timer = setTimeout(() => ($("#latest").hidden = true), LATEST_MS);
 }
 
 function stop() {
@@ -126,7 +142,10 @@ $("#seat").onclick = () => (drive.sits ? drive.leave() : drive.take());
 $("#resume").onclick = () => drive.ask({ do: "resume" });
 $("#found").onclick = () => drive.ask({ do: "end", found: true });
 $("#end").onclick = () => drive.ask({ do: "end", found: false });
-wireTeaching((what) => drive.ask(what));
+wireTeaching((what) => {
+  drive.ask(what);
+  if (["drive", "run"].includes(what.do)) $("#camera").scrollIntoView({ block: "start" });  // what is to be looked at now
+});
 wireWorlds(async (map, name) => {
   if (!(await drive.take())) return;
   tell(`Sending ${map.name} …`);
@@ -151,4 +170,5 @@ for (const button of pad.children) {
   button.onkeyup = ({ code }) => { if (["Space", "Enter"].includes(code)) drive.release(atom); };
   button.oncontextmenu = (event) => event.preventDefault();
 }
-setInterval(() => { drawStatus(); drawBelief(watch.state, (channel) => watch.age(channel)); }, 500);
+onNews(["belief", "pose"]);
+setInterval(() => onNews(["belief", "pose"]), 500);

@@ -5,11 +5,13 @@ import { $, cleared, color } from "./element.js";
 const HEIGHT = 220, MARGIN = 18, LEAST_M = 4;
 const canvas = $("#map canvas");
 
-export function drawMap({ model, way, pose, tracked, belief }, age) {
+export function drawMap({ model, way, pose, tracked, belief, robot }, age) {
   const [pen, width] = cleared(canvas, HEIGHT);
-  const taught = model?.x ? model.x.map((x, k) => [x, model.y[k]]) : [];
+  // What was taught in another world is nowhere in this one.
+  const elsewhere = Boolean(model?.world && robot?.world && model.world !== robot.world);
+  const taught = model?.x && !elsewhere ? model.x.map((x, k) => [x, model.y[k]]) : [];
   const today = way && pose && way.episode === pose.episode ? [...way.points, pose.pose] : pose ? [pose.pose] : [];
-  const believed = age("belief") < 2 ? belief?.pose : undefined;
+  const believed = age("belief") < 2 && !elsewhere ? belief?.pose : undefined;
   const all = [...taught, ...today, ...(believed ? [believed] : [])];
   if (all.length === 0) {
     pen.fillStyle = color("soft");
@@ -40,7 +42,7 @@ export function drawMap({ model, way, pose, tracked, belief }, age) {
     pen.restore();
   };
 
-  for (const drive of new Set(model?.drives ?? [])) {
+  for (const drive of new Set(taught.length > 0 ? model.drives : [])) {
     const points = taught.filter((_, k) => model.drives[k] === drive);
     line(points, "taught", 3);
     const [gx, gy] = at(points.at(-1));

@@ -1,9 +1,9 @@
 // Recordings, learning, and running what was learned.
 
 import { $, element, percent, say } from "./element.js";
-import { chosenWorld, madeWorld } from "./world.js";
+import { chosenWorld, madeWorld, showNews } from "./world.js";
 
-const OUTCOMES = { found: "found", collision: "collision", timeout: "time was out", aborted: "ended before the goal" };
+export const OUTCOMES = { found: "found", collision: "collision", timeout: "time was out", aborted: "ended before the goal" };
 const REALLY_MS = 3000;
 const list = $("#recordings"), learn = $("#learn-form"), run = $("#run-form"), job = $("#job");
 const chosen = new Map();
@@ -78,9 +78,12 @@ function recordingItem(one) {
   return element("li", {}, element("label", {}, box, text), element("div", { className: "thumbnails" }, ...pictures), remove);
 }
 
+/** A model as one has named it: where it lies means nothing here. */
+const short = (name) => name.replace(/^models\//, "").replace(/\.smal$/, "");
+
 function fillModels() {
   const select = run.elements.model, before = select.value;
-  const options = library.models.map(({ name, useless }) => element("option", { value: name, disabled: Boolean(useless) }, useless ? `${name}: ${useless}` : name));
+  const options = library.models.map(({ name, useless }) => element("option", { value: name, disabled: Boolean(useless) }, useless ? `${short(name)}: ${useless}` : short(name)));
   select.replaceChildren(...options);
   const usable = library.models.filter(({ useless }) => !useless).map(({ name }) => name);
   // The newest model is the one that somebody has just learned.
@@ -112,11 +115,13 @@ export function drawJob(now) {
     if (!job.querySelector("progress")) job.replaceChildren(element("p"), element("progress", { max: 1 }));
     working = now.name;
     say(job.firstChild, [now.doing, now.stage].filter(Boolean).join(": "));
+    if (now.kind === "world") showNews(`${now.doing} …`);
     now.share === null ? job.lastChild.removeAttribute("value") : (job.lastChild.value = now.share);
     job.lastChild.setAttribute("aria-label", now.share === null ? now.doing : `${now.stage}: ${percent(now.share)}`);
     return;
   }
   if (now.kind === "world" && now.outcome === "done" && working === now.name) madeWorld(now.name);
   const said = { done: now.done, cancelled: `${now.name} was cancelled.`, failed: `${now.doing} failed: ${now.why}` };
+  if (now.kind === "world" && working === now.name) showNews(said[now.outcome]);
   job.replaceChildren(element("p", {}, said[now.outcome]), ...now.remarks.filter((text) => text !== now.why).map((text) => element("p", { className: "hint" }, text)));
 }

@@ -1,6 +1,6 @@
 // The world that a simulated robot is in, those that it can be in, and maps that become worlds.
 
-import { $, element } from "./element.js";
+import { $, element, say } from "./element.js";
 
 const card = $("#map"), form = $("#world-form"), file = form.elements.map;
 const MOST_LETTERS = 64, MOST_BYTES = 200;
@@ -55,4 +55,24 @@ function fill(select, told = "", here = "") {
     select.value = names.includes(before) ? before : now;
   }
   if (select.dataset.now !== now) [select.dataset.now, select.value] = [now, now];
+}
+
+/** What the robot would have to open for the next drive or run, which takes a while; nothing where it is there. */
+export function opening() {
+  if (form.hidden) return "";
+  const { world, variation } = form.elements;
+  return world.value !== world.dataset.now || variation.value !== variation.dataset.now ? `${world.value} (${variation.value})` : "";
+}
+
+const news = card.querySelector(".empty");
+
+/** Show what becomes of a map, on the place of the drawing: that moves nothing. */
+export function showNews(text) {
+  say(news, text);
+  news.hidden = !text;
+}
+
+/** The drawing is looked at again. */
+export function hideNews() {
+  news.hidden = true;
 }

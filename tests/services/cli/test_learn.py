@@ -142,7 +142,9 @@ def test_what_must_not_teach_is_left_out(tmp_path: Path, purpose: Purpose, outco
 def test_successful_runs_teach_on_request(tmp_path: Path) -> None:
     for name, outcome in (("good", "found"), ("bad", "timeout")):
         record(tmp_path, drive(name, purpose="run", outcome=outcome))
-    assert [one.name for one in teach(tmp_path, include_runs=True).teaching.demonstrations] == ["good"]
+    taught = teach(tmp_path, include_runs=True).teaching
+    assert [one.name for one in taught.demonstrations] == ["good"]
+    assert any("drove by itself and did not find the victim (timeout)" in remark for remark in taught.remarks)
 
 
 def test_a_gap_splits_a_drive(tmp_path: Path) -> None:

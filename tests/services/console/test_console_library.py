@@ -24,6 +24,7 @@ from services.kit.model_service import identity_of
 from services.kit.node import Node, ServiceError
 from services.kit.settings import ServiceSettings
 from services.recorder.service import RecorderService
+from services.recordings.reader import read_recording
 from services.recordings.writer import EpisodeWriter
 from smal.learning import LearningSettings, fit
 from tests import corridor
@@ -158,6 +159,9 @@ def test_the_taught_image_is_that_of_the_recording(tmp_path: Path) -> None:
     assert last is not None
     assert last == recorded_messages.image("x", corridor.FRAMES - 1).data
     assert first != last
+    episodes = read_recording(path).episodes
+    assert learned.shown()["world"] == learned.world == episodes[0].world != ""
+    assert learned_of(model, "victim", {}).world == "", "nobody knows"
 
 
 def test_a_hostile_name_reaches_the_page_as_text(console: Console, open_page: Callable[[], Page]) -> None:
