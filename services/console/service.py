@@ -14,7 +14,7 @@ from typing import Final
 from schemas import topics
 from schemas.action import Action
 from schemas.base import Atom
-from schemas.rpc import LoadReply, LoadRequest, Nothing, RecordRequest, ResetRequest, Status
+from schemas.rpc import LoadReply, LoadRequest, Nothing, RecordRequest, ResetReply, ResetRequest, Status
 from services.console.asks import LATE, Ask, Cancel, Delete, Drive, End, Learn, Resume, Run
 from services.console.board import Board
 from services.console.feed import Feed
@@ -238,7 +238,12 @@ class ConsoleService:
 
     def _begin(self, request: ResetRequest, prepare: Callable[[], None]) -> None:
         """Begin an episode when that is prepared, which may take seconds, and nobody has left meanwhile."""
-        self._operator.begin(request, prepare, lambda: self.attended)
+        self._operator.begin(request, prepare, lambda: self.attended, self._show_goal)
+
+    def _show_goal(self, begun: ResetReply) -> None:
+        """Show where the way leads, which only a simulator knows."""
+        goal = [round(metres, 2) for metres in begun.route[-1]] if begun.route else None
+        self._board.put("goal", {"episode": begun.episode, "at": goal})
 
     def _record(self) -> None:
         """Have the recorder record, unless it does."""

@@ -144,6 +144,7 @@ class Operator:
         request: ResetRequest,
         prepare: Callable[[], None] = lambda: None,
         there: Callable[[], bool] = lambda: True,
+        begun: Callable[[ResetReply], None] = lambda _: None,
     ) -> bool:
         """Arm the robot if it has to be, and ask for an episode.
 
@@ -155,6 +156,8 @@ class Operator:
             Called first, on another thread; what it raises is told, and no episode begins.
         there
             Whether the person is still there, who may have left meanwhile: both to prepare and to begin may take long.
+        begun
+            Called when the episode has begun, on the node's thread.
 
         Returns
         -------
@@ -178,7 +181,13 @@ class Operator:
             if not there():
                 self.call("end", EndRequest(episode=reply.episode))
                 raise ServiceError("ended at once: who asked for it has left")
-            return lambda: self._begun(reply.episode, request)
+
+            def done() -> None:
+                begun(reply)
+                if reply.episode != self.commands.last_ended:
+                    self.mine, self.request = reply.episode, request
+
+            return done
 
         self._reports.on_request()
         self.ask(ask, self._reports.on_failure)
@@ -194,10 +203,6 @@ class Operator:
             self.call("end", EndRequest(episode=str(detail["episode"])))
         heard = self.commands.heard
         self.call("resume", ResumeRequest(episode=heard.episode, tick=heard.tick, session=self._node.session))
-
-    def _begun(self, episode: str, request: ResetRequest) -> None:
-        if episode != self.commands.last_ended:
-            self.mine, self.request = episode, request
 
     def resume(self) -> None:
         """Arm the robot if it has to be, and have whoever the operator has taken over from go on, or begin the next."""

@@ -43,7 +43,7 @@ function onNews(channels) {
   for (const channel of channels) draws[channel]?.();
   drawStatus();
   if (channels.some((one) => ["belief", "plan", "model"].includes(one))) drawBelief(watch.state, (channel) => watch.age(channel));
-  if (channels.some((one) => ["pose", "way", "model", "belief", "tracked"].includes(one))) drawMap(watch.state, (channel) => watch.age(channel));
+  if (channels.some((one) => ["pose", "way", "model", "belief", "tracked", "goal"].includes(one))) drawMap(watch.state, (channel) => watch.age(channel));
 }
 
 async function onPicture(blob) {

@@ -3,16 +3,18 @@
 import { $, cleared, color } from "./element.js";
 
 const HEIGHT = 220, MARGIN = 18, LEAST_M = 4;
-const canvas = $("#map canvas");
+const canvas = $("#map canvas"), legend = $("#map .victim");
 
-export function drawMap({ model, way, pose, tracked, belief, robot }, age) {
+export function drawMap({ model, way, pose, tracked, belief, robot, goal }, age) {
   const [pen, width] = cleared(canvas, HEIGHT);
   // What was taught in another world is nowhere in this one.
   const elsewhere = Boolean(model?.world && robot?.world && model.world !== robot.world);
   const taught = model?.x && !elsewhere ? model.x.map((x, k) => [x, model.y[k]]) : [];
   const today = way && pose && way.episode === pose.episode ? [...way.points, pose.pose] : pose ? [pose.pose] : [];
   const believed = age("belief") < 2 && !elsewhere ? belief?.pose : undefined;
-  const all = [...taught, ...today, ...(believed ? [believed] : [])];
+  const victim = goal?.at && goal.episode === robot?.episode ? goal.at : null;
+  legend.classList.toggle("absent", !victim);
+  const all = [...taught, ...today, ...(believed ? [believed] : []), ...(victim ? [victim] : [])];
   if (all.length === 0) {
     pen.fillStyle = color("soft");
     pen.font = "14px system-ui, sans-serif";
@@ -52,6 +54,16 @@ export function drawMap({ model, way, pose, tracked, belief, robot }, age) {
     pen.fill();
   }
   line(today, "way", 2);
+  if (victim) {
+    const [vx, vy] = at(victim), half = 6;
+    for (const rise of [-half, half]) {
+      pen.beginPath();
+      pen.moveTo(vx - half, vy - rise);
+      pen.lineTo(vx + half, vy + rise);
+      [pen.strokeStyle, pen.lineWidth] = [color("bad"), 3];
+      pen.stroke();
+    }
+  }
   if (tracked && age("tracked") < 2) arrow(tracked.pose, "soft", false);
   if (pose && age("pose") < 5) arrow(pose.pose, "good", true);
   if (believed) arrow(believed, "believed", false);

@@ -49,7 +49,7 @@ export function inWorld(now) {
 
 export function drawLibrary(now) {
   library = now;
-  list.replaceChildren(...now.recordings.map(recordingItem));
+  drawRecordings(now.recordings);
   const empty = $("#recordings-empty");
   empty.hidden = now.recordings.length > 0;
   if (now.folder === null) say(empty, "The recorder records outside of the console's folder; start the stack with --root.");
@@ -62,6 +62,17 @@ export function drawLibrary(now) {
   }
   fillModels();
   allowLearning();
+}
+
+let items = new Map();
+
+/** Draw anew what has changed alone: who is in the list by keys stays there. */
+function drawRecordings(recordings) {
+  const keys = recordings.map((one) => JSON.stringify([one, world]));
+  items = new Map(keys.map((key, k) => [key, items.get(key) ?? recordingItem(recordings[k])]));
+  const now = [...items.values()];
+  for (const item of [...list.children]) if (!now.includes(item)) item.remove();
+  now.forEach((item, k) => list.children[k] !== item && list.insertBefore(item, list.children[k] ?? null));
 }
 
 function recordingItem(one) {

@@ -157,3 +157,26 @@ def test_a_map_s_file_name_becomes_a_world_s_name_that_may_be(
     page.wait_for_selector("#world-form:visible")
     page.set_input_files("#world-form [name=map]", {"name": file, "mimeType": "", "buffer": b"<osm/>"})
     assert eventually(lambda: person.maps or page.locator("#news li").count() > 1) == [(name, b"<osm/>")]
+
+
+def recording(name: str) -> dict[str, object]:
+    facts = {"when_s": 1.0, "size": 1, "purpose": "drive", "goal": "victim", "world": "yard", "outcome": "found"}
+    return {"name": f"drives/{name}.mcap", "episode": name, "frames": 9, "seconds": 1.0, "useless": "", **facts} | {
+        "thumbnails": 0
+    }
+
+
+def test_who_is_in_the_list_of_recordings_stays_there_when_it_grows(page: Page, board: Board) -> None:
+    tell_robot(board, world="yard", worlds="yard", variation="day", variations="day")
+    board.put("library", {"folder": "drives", "models": [], "recordings": [recording("b-s-2"), recording("a-s-1")]})
+    boxes = page.locator("#recordings input")
+    eventually(lambda: boxes.evaluate_all("all => all.map(({checked}) => checked)") == [True, True])
+    boxes.nth(1).uncheck()
+    boxes.nth(1).focus()
+    names = ["c-s-3", "a-s-1"]
+    board.put("library", {"folder": "drives", "models": [], "recordings": [recording(name) for name in names]})
+    eventually(
+        lambda: boxes.evaluate_all("all => all.map(({value}) => value)") == [f"drives/{one}.mcap" for one in names]
+    )
+    assert boxes.evaluate_all("all => all.map(({checked}) => checked)") == [True, False]
+    assert page.evaluate("document.activeElement.value") == "drives/a-s-1.mcap"
