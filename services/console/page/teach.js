@@ -68,11 +68,21 @@ let items = new Map();
 
 /** Draw anew what has changed alone: who is in the list by keys stays there. */
 function drawRecordings(recordings) {
-  const keys = recordings.map((one) => JSON.stringify([one, world]));
-  items = new Map(keys.map((key, k) => [key, items.get(key) ?? recordingItem(recordings[k])]));
+  const known = items;
+  items = new Map();
+  for (const one of recordings) {
+    const key = JSON.stringify(one), item = known.get(key) ?? recordingItem(one);
+    items.set(key, item);
+    item.querySelector("input").checked = teaches(one);
+  }
   const now = [...items.values()];
   for (const item of [...list.children]) if (!now.includes(item)) item.remove();
   now.forEach((item, k) => list.children[k] !== item && list.insertBefore(item, list.children[k] ?? null));
+}
+
+/** Whether it is learned from: as somebody has chosen, else what was driven here to the end. */
+function teaches(one) {
+  return !one.useless && (chosen.get(one.name) ?? (one.purpose === "drive" && one.outcome === "found" && one.world === world));
 }
 
 function recordingItem(one) {
@@ -80,7 +90,7 @@ function recordingItem(one) {
   const named = one.episode.replace(/-[^-]+-\d+$/, ""), name = /^(drive|run|recovery)-\d+$/.test(named) ? "" : named;
   const title = `${name && `${name}: `}${one.purpose === "run" ? "Run" : "Drive"} to ${one.goal || "?"}`;
   const facts = one.useless || `${OUTCOMES[one.outcome] ?? "end not recorded"}, ${one.world}, ${Math.round(one.seconds)} s, ${one.frames} frames, ${when}`;
-  const box = element("input", { type: "checkbox", value: one.name, disabled: Boolean(one.useless), checked: !one.useless && (chosen.get(one.name) ?? (one.purpose === "drive" && one.outcome === "found" && one.world === world)) });
+  const box = element("input", { type: "checkbox", value: one.name, disabled: Boolean(one.useless) });
   const pictures = Array.from({ length: one.thumbnails }, (_, k) => element("img", { alt: "", loading: "lazy", width: 72, height: 54, src: `thumbnail?${new URLSearchParams({ of: one.name, k })}` }));
   const text = element("span", {}, title, element("small", {}, facts));
   text.title = one.name;
