@@ -150,8 +150,7 @@ def data(page: Page, name: str) -> str:
 
 def begin_a_drive(page: Page, site: Site) -> None:
     before = data(page, "episode")
-    page.click("#drive-form button")
-    eventually(lambda: data(page, "episode") not in ("", before), timeout_s=60.0)
+    insist(page, site, lambda: page.click("#drive-form button"), lambda: data(page, "episode") not in ("", before))
     episode = data(page, "episode")
     eventually(lambda: site.poses and site.poses[-1].episode == episode)
 
@@ -162,16 +161,21 @@ def drive_ahead(page: Page, site: Site) -> None:
     hold(page, site, lambda: page.keyboard.down("w"))
 
 
-def hold(page: Page, site: Site, press: Callable[[], None], atom: str = "forward") -> None:
-    """Press something until the robot moves by it."""
+def insist(page: Page, site: Site, press: Callable[[], None], done: Callable[[], object]) -> None:
+    """Press something until it is done: a busy machine loses the robot's operator meanwhile, and refuses."""
     press()
 
-    def moves() -> bool:
+    def is_done() -> object:
         if was_lost(page, site):
             press()
-        return site.drives and site.applied[-1][1].atom == atom
+        return done()
 
-    eventually(moves, timeout_s=30.0)
+    eventually(is_done, timeout_s=60.0)
+
+
+def hold(page: Page, site: Site, press: Callable[[], None], atom: str = "forward") -> None:
+    """Press something until the robot moves by it."""
+    insist(page, site, press, lambda: site.drives and site.applied[-1][1].atom == atom)
 
 
 def was_lost(page: Page, site: Site) -> bool:
@@ -224,8 +228,7 @@ def test_teach_once_learn_run_found(page: Page, site: Site) -> None:
     page.click("#learn-form button:not([type])")
     eventually(lambda: "way-1 is learned" in page.inner_text("#job"), timeout_s=WHOLE_LOOP_S)
     eventually(lambda: page.locator("#run-form select[name=model] option").count() == 1)
-    page.click("#run-form button")
-    eventually(lambda: data(page, "episode").startswith("run"), timeout_s=60.0)
+    insist(page, site, lambda: page.click("#run-form button"), lambda: data(page, "episode").startswith("run"))
     eventually(lambda: page.locator("#belief img").get_attribute("src"), timeout_s=30.0)
     eventually(lambda: not was_lost(page, site) and data(page, "episode") == "", timeout_s=120.0)
     assert data(page, "outcome") == "found"
@@ -404,8 +407,8 @@ def test_the_paper_s_scheme_drives_when_it_is_chosen(page: Page, site: Site) -> 
         pytest.skip("nothing is learned: run the whole file")
     page.select_option("#run-form [name=scheme]", "paper")
     assert page.is_disabled("#run-form [name=goal]"), "it goes to the nearest"
-    page.click("#run-form button")
-    eventually(lambda: site.drives and site.applied[-1][1].source == "policy", timeout_s=60.0)
+    by_itself = lambda: site.drives and site.applied[-1][1].source == "policy"  # noqa: E731
+    insist(page, site, lambda: page.click("#run-form button"), by_itself)
     for service in ("recognition", "policy"):
         assert site.bus.call(service, "status", Nothing(), Status).detail["scheme"] == "paper"
     page.click("#end")
@@ -452,15 +455,14 @@ def taught_here(site: Site, taught: Path) -> Iterator[None]:
         there.unlink()
 
 
-def begin_a_run(page: Page) -> None:
+def begin_a_run(page: Page, site: Site) -> None:
     """Begin a run where it was taught, and see the first belief."""
     name = "models/taught.smal"
     eventually(lambda: page.locator("#world-form option[value=yard]").count() == 1)
     page.select_option("#world-form [name=world]", "yard")
     eventually(lambda: page.locator(f"#run-form option[value='{name}']").count() == 1)
     page.select_option("#run-form select[name=model]", name)
-    page.click("#run-form button")
-    eventually(lambda: data(page, "episode").startswith("run"), timeout_s=60.0)
+    insist(page, site, lambda: page.click("#run-form button"), lambda: data(page, "episode").startswith("run"))
     eventually(lambda: page.locator("#belief img").get_attribute("src"), timeout_s=30.0)
 
 
@@ -482,7 +484,7 @@ VIOLATIONS = """axe.run({resultTypes: ["violations"]}).then(({violations}) => vi
 
 
 @pytest.mark.usefixtures("taught_here")
-def test_axe_core_finds_nothing(page: Page) -> None:
+def test_axe_core_finds_nothing(page: Page, site: Site) -> None:
     axe = pytest.importorskip("axe_playwright_python.base", reason="axe-playwright-python is not installed")
     run_in(page, f"{axe.AXE_SCRIPT}; 0")
 
@@ -499,7 +501,7 @@ def test_axe_core_finds_nothing(page: Page) -> None:
     assert violations() == {}
     for _ in range(30):  # more news than there is room for
         page.keyboard.press("w")
-    begin_a_run(page)
+    begin_a_run(page, site)
     assert violations() == {}
     # It does look, and in all of them.
     run_in(page, "document.querySelector('#resume').style.color = 'var(--line)'")
@@ -516,12 +518,12 @@ MOST_SHIFT = 0.1
 
 
 @pytest.mark.usefixtures("taught_here")
-def test_nothing_moves_below_the_eyes(page: Page) -> None:
+def test_nothing_moves_below_the_eyes(page: Page, site: Site) -> None:
     def shifted() -> float:
         return float(run_in(page, "shifted"))
 
     run_in(page, SHIFTS)
-    begin_a_run(page)
+    begin_a_run(page, site)
     assert shifted() < MOST_SHIFT
     for width, height in SIZES.items():
         page.set_viewport_size({"width": width, "height": height})
@@ -541,9 +543,12 @@ FOCUSED = """(() => {
 
 
 def test_keys_alone_reach_everything_and_drive(page: Page, site: Site) -> None:
-    page.focus("#drive-form [name=goal]")
-    page.keyboard.press("Enter")
-    eventually(lambda: data(page, "episode") != "", timeout_s=60.0)
+
+    def enter() -> None:
+        page.focus("#drive-form [name=goal]")
+        page.keyboard.press("Enter")
+
+    insist(page, site, enter, lambda: data(page, "episode") != "")
     eventually(lambda: page.locator("#found").is_enabled())
     count = run_in(page, CONTROLS)
     assert count > 15
@@ -588,7 +593,7 @@ LEAK = """(() => {
 @pytest.mark.usefixtures("taught_here")
 def test_a_page_that_watches_does_not_grow(page: Page, site: Site) -> None:
     """For ten minutes: ``smal bench soak --page``."""
-    begin_a_run(page)
+    begin_a_run(page, site)
     begin_a_drive(page, site)
     tools = page.context.new_cdp_session(page)
     look(page, 20)
