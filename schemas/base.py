@@ -9,6 +9,8 @@ from pydantic import BaseModel, ConfigDict, Field
 ROBOT_ID_PATTERN: Final = r"^[a-z0-9][a-z0-9_-]{0,31}$"
 EPISODE_ID_PATTERN: Final = r"^[a-z0-9][a-z0-9_-]{0,63}$"
 MAX_TICK: Final = 10_000_000
+#: In the place of an episode, where there is none; every episode has a longer name.
+NO_EPISODE: Final = "none"
 
 RobotId = Annotated[str, Field(pattern=ROBOT_ID_PATTERN, description="Which robot: lower case, at most 32 characters.")]
 EpisodeId = Annotated[str, Field(pattern=EPISODE_ID_PATTERN, description="Which episode: one reset to one end.")]

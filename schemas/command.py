@@ -52,6 +52,8 @@ class CommandApplied(Message):
     """The movement carried out."""
     speed: Annotated[float, Field(ge=0, le=1)]
     """Fraction of the nominal speed."""
+    ahead: Annotated[float, Field(ge=-1, le=1)] = 0.0
+    """Fraction of the nominal speed that it goes ahead at in turning, as a car does: 0 of a turn on the spot."""
     source: Source | None
     """Whose command it is; none when the robot stands for want of one."""
     reason: Literal["command", "silence", "taken_over", "emergency_stop"]

@@ -12,14 +12,18 @@ from schemas.base import Message, SessionId
 class Heartbeat(Message):
     """Sign of life of whoever is responsible for what the robot does."""
 
+    version: ClassVar[int] = 2
     topic: ClassVar[str] = "heartbeat"
     max_bytes: ClassVar[int] = 1024
 
     session: SessionId
     """The process that sends."""
+    name: Annotated[str, Field(pattern=r"^[a-z0-9_-]{1,32}$")]
+    """What it is, for others who have to wait for it: ``teleop``, ``console``."""
     sequence: Annotated[int, Field(ge=0, lt=2**63)]
     """Order of what one process sends, from 0."""
-    operator: bool
-    """Whether a person sits there: when the robot no longer hears of the operator, it stands."""
+    answers: Annotated[int | None, Field(ge=1, lt=2**63)] = None
+    """Number of the robot's pulse that an operator answers, so that it tells of that moment and of no later one; when
+    the robot has no answer to its recent ones it stands. None for a program, which is not missed."""
     present: bool = True
     """False says good-bye; whoever leaves so is not missed."""

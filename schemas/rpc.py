@@ -140,8 +140,8 @@ class ResetRequest(Strict):
     """Where the drive leads, for those who learn from it."""
     mode: Mode = "lockstep"
     """Whether time waits for commands."""
-    max_ticks: Annotated[int, Field(ge=1, le=MAX_TICKS)] = 3000
-    """Frames after which the episode times out."""
+    max_ticks: Annotated[int | None, Field(ge=1, le=MAX_TICKS)] = 3000
+    """Frames after which the episode times out; null where somebody ends it, as a person who drives does."""
 
 
 class ResetReply(Strict):

@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 import re
 from dataclasses import dataclass
-from typing import Final
+from typing import Final, Literal, get_args
 
 from schemas.action import Action
 from schemas.base import ROBOT_ID_PATTERN, SOURCES, Message
@@ -24,6 +24,7 @@ from schemas.observation import Observation
 from schemas.odometry import Odometry
 from schemas.overhead_image import OverheadImage
 from schemas.pose import Pose
+from schemas.pulse import Pulse
 from schemas.state import State
 from schemas.taught_map import TaughtMap
 from schemas.tracked_pose import TrackedPose
@@ -31,6 +32,10 @@ from schemas.tracked_pose import TrackedPose
 ROOT: Final = "smal"
 #: How long, at least, a sender keeps what is recorded, so that a recorder which was away gets it afterwards.
 KEPT_S: Final = 30.0
+#: What flows by one link waits for nothing that flows by another: no image stands before a command, and nothing at all
+#: before an emergency stop. Whatever is not ordinary is sent at once.
+Lane = Literal["ordinary", "urgent", "stop"]
+LANES: Final[tuple[Lane, ...]] = get_args(Lane)
 
 
 @dataclass(frozen=True)
@@ -49,8 +54,8 @@ class Topic:
         Messages that a receiver keeps; the oldest gives way to the newest.
     recorded
         Whether the recorder writes it.
-    urgent
-        Express, with real-time priority, in a session of its own.
+    lane
+        Which of a process's links it travels by; see `Lane`.
     reliable
         Whether the sender waits rather than drops when the network is full.
     """
@@ -60,7 +65,7 @@ class Topic:
     rate_hz: float | None
     queue: int
     recorded: bool
-    urgent: bool = False
+    lane: Lane = "ordinary"
     reliable: bool = False
 
     def key(self, robot: str) -> str:
@@ -101,13 +106,15 @@ COMMANDS: Final = {
         rate_hz=None if source == "emergency_stop" else 10,
         queue=8,
         recorded=True,
-        urgent=True,
+        lane="stop" if source == "emergency_stop" else "urgent",
     )
     for source in SOURCES
 }
-APPLIED: Final = Topic("command/applied", CommandApplied, 10, 8, True, urgent=True)
-#: Of an operator at 20 Hz, so that two may be lost; see `services.robot.gate.OPERATOR_S`.
-HEARTBEAT: Final = Topic("heartbeat", Heartbeat, 20, 8, False, urgent=True)
+APPLIED: Final = Topic("command/applied", CommandApplied, 10, 8, True, lane="urgent")
+#: At 20 Hz, so that two may be lost; see `services.robot.gate.OPERATOR_S`. Of several only the newest is answered.
+PULSE: Final = Topic("pulse", Pulse, 20, 1, False, lane="urgent")
+#: Of an operator as often, since each pulse is answered.
+HEARTBEAT: Final = Topic("heartbeat", Heartbeat, 20, 8, False, lane="urgent")
 EPISODE: Final = Topic("episode", Episode, None, 64, True, reliable=True)
 
 TOPICS: Final[dict[str, Topic]] = {
@@ -116,7 +123,7 @@ TOPICS: Final[dict[str, Topic]] = {
         *(CAMERA, JPEG, CAMERA_INFO, DEPTH, OVERHEAD),
         *(ODOMETRY, IMU, POSE, TRACKED),
         *(OBSERVATION, MAP, STATE, ACTION),
-        *(*COMMANDS.values(), APPLIED, HEARTBEAT, EPISODE),
+        *(*COMMANDS.values(), APPLIED, PULSE, HEARTBEAT, EPISODE),
     )
 }
 

@@ -61,13 +61,13 @@ SERVICES: Final = {
         Service(
             "robot",
             "the gate, the loop, and the body behind it: a simulated or a real one",
-            takes=(*COMMANDS.values(), topics.HEARTBEAT),
+            takes=(*COMMANDS.values(), topics.HEARTBEAT, topics.PULSE),
             gives=(
                 *(topics.CAMERA, topics.JPEG, topics.CAMERA_INFO, topics.DEPTH, topics.OVERHEAD),
-                *(topics.ODOMETRY, topics.IMU, topics.POSE, topics.APPLIED, topics.EPISODE),
+                *(topics.ODOMETRY, topics.IMU, topics.POSE, topics.APPLIED, topics.PULSE, topics.EPISODE),
             ),
             serves=("arm", "reset", "resume", "end"),
-            # Whether there is another robot of its id.
+            # Whether there is another robot of its id; so does the pulse tell that it takes.
             calls=("robot/status",),
             image="simulator",
             module="services.simulator",
@@ -99,7 +99,10 @@ SERVICES: Final = {
         Service(
             "console",
             "the page in a browser: drive, teach, watch",
-            (topics.JPEG, topics.STATE, topics.ACTION, topics.POSE, topics.TRACKED, topics.APPLIED, topics.EPISODE),
+            (
+                *(topics.JPEG, topics.STATE, topics.ACTION, topics.POSE, topics.TRACKED),
+                *(topics.APPLIED, topics.PULSE, topics.EPISODE),
+            ),
             (COMMANDS["teleop"], COMMANDS["emergency_stop"], topics.HEARTBEAT),
             # It learns as well, as the smal command does.
             image="simulator",
@@ -107,7 +110,7 @@ SERVICES: Final = {
         Service(
             "teleop",
             "a person at the keyboard",
-            (topics.APPLIED, topics.EPISODE),
+            (topics.APPLIED, topics.PULSE, topics.EPISODE),
             (COMMANDS["teleop"], COMMANDS["emergency_stop"], topics.HEARTBEAT),
             image=None,
             role="operator",

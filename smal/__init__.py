@@ -2,7 +2,7 @@
 
 Read in the order of the paper: `features`, `objective`, `state_matching`, `state_space`, `action_space`,
 `transitions`, `reward`, `policy`; `learning` puts them together to a `model`, `recognition` and `decision` execute it.
-Beside it are `place_recognition`, the same matching on two traverses, `tuning`, `evaluation` and `tracking`.
+Beside it are `place_recognition`, the same matching on two traverses, and `evaluation`.
 
 Words of the paper and of this project:
 

@@ -161,7 +161,8 @@ class _Particles:
             scaled: NDArray[np.float64] = mixed / _norm(f, by_turn[k, place, t])
             return scaled
 
-        found = ((1.0 - g) * at(p) + g * at(p + 1)) / _norm(g, by_place[k, p, t])
+        places_alike = (1.0 - f) * by_place[k, p, t] + f * by_place[k, p, t + 1]
+        found = ((1.0 - g) * at(p) + g * at(p + 1)) / _norm(g, places_alike)
         length = self._map.correlation_length
         beyond = np.hypot(
             np.maximum(np.abs(offsets[:, 1]) - self._map.aside, 0.0) / self._map.aside,
@@ -285,7 +286,7 @@ class Filter:
     def _weigh(self, tracked: _Particles, cosines: NDArray[np.float32], outlier: float, newness: float) -> None:
         self._odds[0] += tracked.update(cosines, outlier, newness, self._rng)
         if self._scouts is None:
-            self._send_scouts(cosines, outlier)
+            self._send_scouts(cosines, outlier, newness)
         else:
             self._odds[1] += self._scouts.update(cosines, outlier, newness, self._rng)
 
@@ -301,18 +302,18 @@ class Filter:
         poses[:, 2] += turns
         return _Particles(self._map, keyframes, poses)
 
-    def _send_scouts(self, cosines: NDArray[np.float32], outlier: float) -> None:
-        """Draw particles from everywhere by one view."""
+    def _send_scouts(self, cosines: NDArray[np.float32], outlier: float, newness: float) -> None:
+        """Draw particles from everywhere by one view, which counts for them as much as for those that are tracked."""
         likelihood = _likelihood(self._map.kappa, cosines[:, 1] - outlier)
         keyframes, turns = np.divmod(_systematic(likelihood.ravel(), _PARTICLES, self._rng), TURNS_DEG.size)
         half = math.radians(float(TURNS_DEG[1] - TURNS_DEG[0])) / 2.0
         self._scouts = self._beside(keyframes, np.radians(TURNS_DEG[turns]), half)
-        self._odds[1] += math.log(float(likelihood.mean()))
+        self._odds[1] += math.log(float((likelihood**newness).mean()))
 
     def _leak(self, elapsed_s: float) -> None:
         """Let a little of what is known become lost."""
         shares = _normalized(self._odds)
-        leaked = shares[:2] * (elapsed_s / KIDNAP_S)
+        leaked = shares[:2] * _carried_away(elapsed_s)
         shares[:2] -= leaked
         shares[2] += leaked.sum()
         self._odds = np.log(np.maximum(shares, 1e-12))
@@ -337,7 +338,7 @@ class Filter:
             self._tracked.followed = np.concatenate([old.followed[kept], scouts.followed[taken]])
             self._tracked.cosine = scouts.cosine if 2 * new > _PARTICLES else old.cosine
         tracked, lost = shares[0] + shares[1], shares[2]
-        carried, back = tracked * min(self._waited_s / KIDNAP_S, 0.5), _BACK * lost
+        carried, back = tracked * _carried_away(self._waited_s), _BACK * lost
         self._odds = np.log(np.maximum([tracked - carried, carried + back, lost - back], 1e-12))
         self._waited_s = 0.0
         self._scouts = None
@@ -360,6 +361,11 @@ class Filter:
 
 #: New views that scouts have to explain before they may take over.
 _TRIAL = 1.5
+
+
+def _carried_away(elapsed_s: float) -> float:
+    """Return the probability of having been carried away in so many seconds: below 1 however long they are."""
+    return -math.expm1(-elapsed_s / KIDNAP_S)
 
 
 def _normalized(log_odds: NDArray[np.float64]) -> NDArray[np.float64]:

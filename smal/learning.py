@@ -5,7 +5,7 @@ import re
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,6 +26,7 @@ from smal.visual_map import GOAL_NAME, ImageChain, MappedDrive, VisualMap, learn
 #: Where drives lead that do not say so.
 USUAL_GOAL = "victim"
 
+_F = TypeVar("_F", bound=np.floating[Any])
 # Called with the stage, what is done of it and how much there is of it.
 StageProgress = Callable[[str, int, int], None]
 
@@ -56,6 +57,9 @@ class Demonstration:
         Where it leads.
     focal : float, optional
         Focal length of the camera over the width of its image, above 0; estimated from the images if not given.
+    ahead : float32 array (f,), optional
+        How fast the robot went ahead in the atoms of turning, -1 to 1 times its speed straight on, as a car does; on
+        the spot if not given.
     """
 
     name: str
@@ -68,6 +72,7 @@ class Demonstration:
     episode: str = ""
     goal: str = USUAL_GOAL
     focal: float | None = None
+    ahead: NDArray[np.float32] | None = None
 
     def __post_init__(self) -> None:
         if self.features.ndim != 2 or self.atoms.shape != (self.features.shape[0],):
@@ -85,6 +90,8 @@ class Demonstration:
             raise ValueError(
                 f"demonstration {self.name}: the focal length must be finite and positive, got {self.focal}"
             )
+        if self.ahead is not None and not (self.ahead.shape == (frames,) and (np.abs(self.ahead) <= 1.0).all()):
+            raise ValueError(f"demonstration {self.name}: ahead must be {frames} numbers of -1 to 1")
         if self.odometry is not None and self.odometry.shape != (frames, 3):
             raise ValueError(f"demonstration {self.name}: odometry {self.odometry.shape} for {frames} frames")
 
@@ -305,10 +312,11 @@ def _mapped(parts: Sequence[Demonstration], centering: Centering, of_images: Cen
         _joined([part.odometry for part in parts]),
         parts[-1].goal,
         parts[-1].focal,
+        _joined([part.ahead for part in parts]),
     )
 
 
-def _joined(parts: Sequence[NDArray[np.float64] | None]) -> NDArray[np.float64] | None:
+def _joined(parts: Sequence[NDArray[_F] | None]) -> NDArray[_F] | None:
     known = [part for part in parts if part is not None]
     return np.concatenate(known) if len(known) == len(parts) else None
 

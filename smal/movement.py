@@ -97,7 +97,9 @@ def atom_movements(poses: Sequence[NDArray[np.float64]], atoms: Sequence[NDArray
     Returns
     -------
     float64 array (5, 2)
-        Way ahead and turn in radians of each `Atom`. One that was never made is the opposite of its opposite, or still.
+        Way ahead and turn in radians of each `Atom`. Of one that was never made: a turn is that to the other side in a
+        mirror, backward is the opposite of forward, and a car that never drove straight on does so as fast as it turns.
+        Else it is still.
     """
     found: dict[int, list[tuple[float, float]]] = {int(atom): [] for atom in Atom}
     for way, made in zip(poses, atoms, strict=True):
@@ -105,11 +107,26 @@ def atom_movements(poses: Sequence[NDArray[np.float64]], atoms: Sequence[NDArray
             step = Movement.between(before, after)
             found[atom].append((step.ahead, step.turn_rad))
     table = np.array([np.median(found[int(atom)], axis=0) if found[int(atom)] else (0.0, 0.0) for atom in Atom])
-    for one, other in ((Atom.LEFT, Atom.RIGHT), (Atom.FORWARD, Atom.BACKWARD)):
+    if not found[Atom.FORWARD] and not found[Atom.BACKWARD]:
+        found[Atom.FORWARD] = found[Atom.LEFT] + found[Atom.RIGHT]
+        table[Atom.FORWARD, 0] = np.median([ahead for ahead, _ in found[Atom.FORWARD] or [(0.0, 0.0)]])
+    for one, other, mirror in ((Atom.LEFT, Atom.RIGHT, (1.0, -1.0)), (Atom.FORWARD, Atom.BACKWARD, (-1.0, -1.0))):
         for this, opposite in ((one, other), (other, one)):
             if not found[this] and found[opposite]:
-                table[this] = -table[opposite]
+                table[this] = table[opposite] * mirror
     return table
+
+
+def turns_ahead(movements: NDArray[np.float64]) -> bool:
+    """Tell whether the robot is a car, which goes ahead in turning: nearer to its way straight on than to none.
+
+    Parameters
+    ----------
+    movements : float64 array (5, 2)
+        From `atom_movements`.
+    """
+    ahead = np.abs(movements[:, 0])
+    return bool(ahead[[Atom.LEFT, Atom.RIGHT]].max() > 0.5 * ahead[Atom.FORWARD])
 
 
 def dead_reckoning(atoms: NDArray[np.int8], movements: NDArray[np.float64]) -> NDArray[np.float64]:

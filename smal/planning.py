@@ -21,7 +21,7 @@ from scipy.sparse.csgraph import dijkstra
 
 from smal.action_space import Atom
 from smal.filter import Belief
-from smal.movement import placed, seen_from, wrapped
+from smal.movement import placed, seen_from, turns_ahead, wrapped
 from smal.visual_map import VisualMap
 
 #: How far ahead on the taught way the robot aims, as time of driving: less follows noise, more cuts corners.
@@ -81,7 +81,8 @@ def cost_to_go(visual_map: VisualMap, goal: str) -> tuple[NDArray[np.float64], N
     The graph is deterministic and costs are positive, so that Dijkstra's algorithm is value iteration in the order in
     which values become final. The goal is the end of each drive that leads there. Going over to another drive costs
     the time for the turn and the way between the two, and `GO_OVER_S`. Who has to go over does so where the drives
-    first share a place, and not at the last one before they part, where a robot between two keyframes would hear both.
+    first share a place from which the goal is nearer, and not at the last one before they part, where a robot between
+    two keyframes would hear both. So the cost to go falls with every step, and nobody goes in circles.
     Where no way leads to the goal the time is infinite; there, and at goals, nothing is next (-1).
     """
     count = len(visual_map.keyframes)
@@ -98,18 +99,18 @@ def cost_to_go(visual_map: VisualMap, goal: str) -> tuple[NDArray[np.float64], N
     apart = np.hypot(*offsets[:, :2].T) / max(ahead, 1e-9) + np.abs(offsets[:, 2]) / max(turn_rad, 1e-9)
     costs = np.concatenate([taken_s, GO_OVER_S + apart * visual_map.tick_s, np.full(goals.size, 1e-9)])
     graph = sparse.csr_array((costs, (rows, columns)), shape=(count + 1, count + 1))
-    costs_to_go, previous = dijkstra(graph, indices=np.array([count]), return_predecessors=True)
-    following = previous[0, :-1].astype(np.intp)
+    found, previous = dijkstra(graph, indices=np.array([count]), return_predecessors=True)
+    to_go_s, following = found[0, :-1], previous[0, :-1].astype(np.intp)
     following = np.where((following == count) | (following < 0), -1, following)
     goes_over_to = of.copy()
-    for here in np.argsort(costs_to_go[0, :-1]):
+    for here in np.argsort(to_go_s):
         then = following[here]
         if then >= 0:
             goes_over_to[here] = of[then] if of[then] != of[here] else goes_over_to[then]
     for one, other in visual_map.stitched:
-        if goes_over_to[one] == of[other] and goes_over_to[other] != of[one]:
+        if goes_over_to[one] == of[other] and to_go_s[other] < to_go_s[one]:
             following[one] = other
-    return costs_to_go[0, :-1], following
+    return to_go_s, following
 
 
 class Planner:
@@ -133,6 +134,7 @@ class Planner:
         # Turning begins where an atom of it makes the direction better, and ends where another one would not.
         self._turn_rad = abs(float(visual_map.movements[Atom.LEFT, 1])) or math.radians(5.0)
         self._ahead = LOOKAHEAD_S * visual_map.speed
+        self._going = {Atom.FORWARD, Atom.LEFT, Atom.RIGHT} if turns_ahead(visual_map.movements) else {Atom.FORWARD}
         of = visual_map.drives[visual_map.keyframes]
         self._start_frame = np.searchsorted(visual_map.drives, of, side="left")
         self._end_frame = np.searchsorted(visual_map.drives, of, side="right") - 1
@@ -209,13 +211,13 @@ class Planner:
         Not before: a place that a few views look like would have it turn to and fro for ever.
         """
         atom = self._steer(error)
-        self._followed_m += self._map.speed * elapsed_s if atom is Atom.FORWARD else 0.0
+        self._followed_m += self._map.speed * elapsed_s if atom in self._going else 0.0
         if self._followed_m > self._map.correlation_length:
             self._looked_rad = self._guessed_s = 0.0
         return atom
 
     def _look(self, error: float, elapsed_s: float) -> Atom:
-        """Turn to the side of a direction, then to the other."""
+        """Turn to the side of a direction, then to the other; a car does so in bends, and once round in a circle."""
         before = self._looked_rad
         self._looked_rad += self._turn_rad * elapsed_s / self._map.tick_s
         if self._turning is None:
@@ -225,7 +227,7 @@ class Planner:
         return self._turning
 
     def _steer(self, error: float) -> Atom:
-        """Turn on the spot while the direction is off by more than an atom of turning; drive otherwise."""
+        """Turn while the direction is off by more than an atom of turning; drive straight on otherwise."""
         if self._turning is not None:
             error -= self._pending_rad if self._turning is Atom.LEFT else -self._pending_rad
         wanted = Atom.LEFT if error > 0.0 else Atom.RIGHT

@@ -142,6 +142,22 @@ def fit_scene(
     return _best(scene, near, images, steps, describe)
 
 
+def focal_of_curves(
+    images: Sequence[Image],
+    poses: NDArray[np.float64],
+    drives: NDArray[np.intp],
+    describe: Callable[[Image], NDArray[np.float32]],
+) -> float:
+    """Find the focal length of a car's camera, by how far a curve moves what it sees; parameters as of `fit_scene`.
+
+    A robot that turns on the spot tells it more exactly (`fit_scene`); this one goes ahead as well.
+    """
+    curves = _pairs(poses, drives, lambda _, turn: turn > math.radians(9))
+    turns = [(frame, other, 0.0, 0.0, turn) for frame, other, _, _, turn in curves]
+    scenes = [Scene(_focal_of(field), 1.0, 1e6) for field in _FIELDS_DEG]
+    return _best(Scene(USUAL_FOCAL, 1.0, 1e6), scenes, images, turns, describe).focal
+
+
 def turn_of_views(
     images: Sequence[Image],
     atoms: Sequence[NDArray[np.int8]],

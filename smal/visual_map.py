@@ -22,8 +22,9 @@ from scipy.linalg import eigh
 
 from smal.action_space import Atom
 from smal.features import Centering, extract
-from smal.movement import Movement, atom_movements, dead_reckoning, wrapped
-from smal.virtual_views import USUAL_FOCAL, Image, Maps, Scene, fit_scene, remapped, turn_of_views
+from smal.likeness import correlation_length, likelihood, turns_undone
+from smal.movement import Movement, atom_movements, dead_reckoning, turns_ahead
+from smal.virtual_views import USUAL_FOCAL, Image, Maps, Scene, fit_scene, focal_of_curves, remapped, turn_of_views
 
 #: What names of goals are: letters, digits, and what may stand between them.
 GOAL_NAME = r"\w[\w .-]{0,63}"
@@ -275,6 +276,9 @@ class MappedDrive:
         Where it leads.
     focal : float, optional
         Focal length over the image's width, where it is known.
+    ahead : float32 array (f,), optional
+        How fast the robot went ahead in the atoms of turning, as a share of its speed straight on; on the spot if not
+        given. It counts where there is no odometry.
     """
 
     images: Sequence[Image]
@@ -283,6 +287,7 @@ class MappedDrive:
     odometry: NDArray[np.float64] | None
     goal: str
     focal: float | None = None
+    ahead: NDArray[np.float32] | None = None
 
 
 def learn_visual_map(
@@ -297,7 +302,7 @@ def learn_visual_map(
     ----------
     taught : sequence of MappedDrive
         By one robot. If one is without odometry, all go by the usual movements of atoms: a forward atom is one unit
-        long, and an atom of turning turns as far as the views say (`turn_of_views`).
+        long, and an atom of turning turns as far as the views say (`turn_of_views`), on the spot or ahead as well.
     centering : Centering
     tick_s : float
         Time between two frames.
@@ -318,18 +323,23 @@ def learn_visual_map(
         movements = atom_movements(ways, atoms)
     else:
         focal = USUAL_FOCAL if focal is None else focal
-        movements = _unit_movements(turn_of_views(every, atoms, focal, describe) or USUAL_TURN_RAD_S * tick_s)
+        turn_rad = turn_of_views(every, atoms, focal, describe) or USUAL_TURN_RAD_S * tick_s
+        movements = _unit_movements(turn_rad, _ahead_in_turns(taught))
         ways = [dead_reckoning(one, movements) for one in atoms]
     poses = np.concatenate(ways)
     drives = np.repeat(np.arange(len(ways), dtype=np.int32), [len(way) for way in ways])
     centred = np.concatenate([centering.apply(one.raw) for one in taught])
-    length, unrelated = _correlation_length(centred, poses, drives)
+    undone = None
+    if turns_ahead(movements):
+        focal = focal_of_curves(every, poses, drives.astype(np.intp), describe) if focal is None else focal
+        undone = turns_undone(every, centred, poses, drives, focal, describe)
+    length, unrelated = correlation_length(centred, poses, drives, undone)
     if not centred.any():
         raise ValueError("all images of the demonstrations look the same")
     scene = fit_scene(every, poses, drives.astype(np.intp), length, describe, focal)
     keyframes = _choose_keyframes(poses, drives, length)
     views, basis = _make_views(every, keyframes, scene, _ASIDE * length, describe, progress)
-    kappa, outlier_cosine, alike_cosine = _likelihood(centred, poses, drives, length)
+    kappa, outlier_cosine, alike_cosine = likelihood(centred, poses, drives, (_SPACING * length, length), undone)
     return VisualMap(
         poses=poses,
         drives=drives,
@@ -369,52 +379,15 @@ class ImageChain(Sequence[Image]):
 USUAL_TURN_RAD_S = math.radians(45.0)
 
 
-def _unit_movements(turn_rad: float) -> NDArray[np.float64]:
-    """Return the movements of atoms, (5, 2), in units of a forward one."""
-    return np.array([[0.0, 0.0], [1.0, 0.0], [-1.0, 0.0], [0.0, turn_rad], [0.0, -turn_rad]])
+def _unit_movements(turn_rad: float, ahead: float) -> NDArray[np.float64]:
+    """Return the movements of atoms, (5, 2), in units of a forward one; turns go ahead by so many of them."""
+    return np.array([[0.0, 0.0], [1.0, 0.0], [-1.0, 0.0], [ahead, turn_rad], [ahead, -turn_rad]])
 
 
-def _apart(poses: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return distances and angles between all poses, (f, f) each."""
-    across = poses[:, None, :2] - poses[None, :, :2]
-    return np.hypot(across[..., 0], across[..., 1]), np.abs(wrapped(poses[:, None, 2] - poses[None, :, 2]))
-
-
-#: Frames of a drive that the statistics of views are taken from; their number grows with the square.
-_LOOKED_AT = 1000
-
-
-def _spread(drives: NDArray[np.int32]) -> list[NDArray[np.intp]]:
-    """Choose at most `_LOOKED_AT` frames of each drive, all over it."""
-    each = [np.flatnonzero(drives == drive) for drive in np.unique(drives)]
-    return [one[np.unique(np.linspace(0, one.size - 1, min(one.size, _LOOKED_AT)).astype(int))] for one in each]
-
-
-def _correlation_length(
-    centred: NDArray[np.float32], poses: NDArray[np.float64], drives: NDArray[np.int32]
-) -> tuple[float, float]:
-    """Measure the way ahead over which views become half as alike as they can be, and the cosine of unrelated ones."""
-    found: list[tuple[NDArray[Any], NDArray[Any]]] = []
-    unrelated = []
-    for frames in _spread(drives):
-        cosines = centred[frames] @ centred[frames].T
-        distance, angle = _apart(poses[frames])
-        reach = float(distance.max())
-        unrelated.append(cosines[distance >= 0.1 * reach] if reach > 0.0 else np.zeros(1))
-        same = (angle < math.radians(3.0)) & (distance < 0.2 * reach)
-        found.append((distance[same], cosines[same]))
-    background = float(np.concatenate(unrelated).mean())
-    distances, cosines = (np.concatenate([one[k] for one in found]) for k in (0, 1))
-    reach = float(distances.max(initial=0.0))
-    if reach <= 0.0:
-        raise ValueError("the robot does not move in any demonstration")
-    edges = np.linspace(0.0, reach, 100)
-    where = np.digitize(distances, edges[1:-1])
-    count = np.bincount(where, minlength=99)
-    mean = np.bincount(where, cosines, minlength=99)[count > 0] / count[count > 0]
-    middle = ((edges[:-1] + edges[1:]) / 2.0)[count > 0]
-    half = (1.0 + background) / 2.0
-    return float(np.interp(-half, -np.minimum.accumulate(mean), middle)), background
+def _ahead_in_turns(taught: Sequence[MappedDrive]) -> float:
+    """Return how fast the robot usually goes ahead in turning, as a share of its speed straight on."""
+    told = [one.ahead[(one.atoms == Atom.LEFT) | (one.atoms == Atom.RIGHT)] for one in taught if one.ahead is not None]
+    return float(np.median(np.concatenate(told))) if any(map(len, told)) else 0.0
 
 
 def _correlation_turn(views: NDArray[np.float32], unrelated: float) -> float:
@@ -425,31 +398,6 @@ def _correlation_turn(views: NDArray[np.float32], unrelated: float) -> float:
     half = (float(mean[0]) + unrelated) / 2.0
     turn_deg = float(np.interp(-half, -np.minimum.accumulate(mean), TURNS_DEG[middle:]))
     return math.radians(max(turn_deg, float(TURNS_DEG[1] - TURNS_DEG[0])))
-
-
-def _likelihood(
-    centred: NDArray[np.float32], poses: NDArray[np.float64], drives: NDArray[np.int32], length: float
-) -> tuple[float, float, float]:
-    """Measure how the cosines of views of one place, and of unrelated places, are distributed.
-
-    Return kappa, the cosine in the middle between both, and the one that most views of one place exceed.
-
-    One place is what lies within the correlation length and a few degrees; unrelated is four times as far.
-    """
-    near, far = [], []
-    for frames in _spread(drives):
-        cosines = centred[frames] @ centred[frames].T
-        distance, angle = _apart(poses[frames])
-        near.append(cosines[(distance > _SPACING * length) & (distance < length) & (angle < math.radians(5.0))])
-        far.append(cosines[distance > 4.0 * length])
-    one, other = np.concatenate(near), np.concatenate(far)
-    if not one.size:
-        raise ValueError(
-            "the demonstrations are too short, or their frames too far apart, to tell how alike views of one place are"
-        )
-    other = other if other.size else np.zeros(1)
-    mean, deviation = float(one.mean()), max(float(one.std()), 1e-2)
-    return 1.0 / deviation, (mean + float(other.mean())) / 2.0, mean - deviation
 
 
 def _choose_keyframes(poses: NDArray[np.float64], drives: NDArray[np.int32], length: float) -> NDArray[np.int32]:

@@ -4,13 +4,18 @@ from __future__ import annotations
 
 import os
 import signal
+from collections.abc import Iterator
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import pytest
 from hypothesis import settings
 
 from tests.command import run_smal
 from tests.sharing import made_once
+
+if TYPE_CHECKING:
+    from playwright.sync_api import Browser
 
 # Numpy reads it when it is loaded. A second thread does nothing for products as small as ours, and where another
 # process wants the core it waits in a loop: learning then takes four times the processor time.
@@ -43,3 +48,13 @@ def taught(tmp_path_factory: pytest.TempPathFactory) -> Path:
             assert done.returncode == 0, done.stderr
 
     return made_once(tmp_path_factory, "taught", make)
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Browser]:
+    """Start Debian's Chromium, for tests of pages; a module of theirs is skipped where there is none."""
+    from tests.benchmarks.soak.page import CHROMIUM, FLAGS  # noqa: PLC0415 - only tests of pages need it
+
+    playwright = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
+    with playwright.sync_playwright() as play:
+        yield play.chromium.launch(executable_path=CHROMIUM, args=FLAGS)

@@ -33,15 +33,16 @@ def bench(
 ) -> None:
     """Run a benchmark, print its tables and write its results as JSON. It needs a checkout of the project.
 
-    Options that are not listed here are the benchmark's own; smal bench NAME -- --help lists them. Those of
-    recognition: --recordings DIR (drives made by smal demonstrate --camera 320x240; without it some are driven),
-    --images DIR (real frames; may be repeated), and to run less --part and --dataset.
+    Options that are not listed here are the benchmark's own; smal bench NAME -- --help lists them.
+
+    recognition: time of matching over one product, against other solvers; --recordings DIR (drives made by smal
+    demonstrate --camera 320x240; without it some are driven).
 
     bus: time of a message from process to process over that of plain Zenoh; --rate HZ;
     --secure: what certificates cost; --flood: what a flood costs commands.
 
     latency: from the capture of a frame to its command, in real time; --model FILE and --recordings DIR (without them
-    both are made), --stride, --camera, --ticks, --stages.
+    both are made), --camera, --ticks, --watchers.
 
     faults: a driving stack under kills, freezes, outages, a full disk and a jumping clock; --cell NAME (may be
     repeated), --model FILE. soak: memory and descriptors over an hour; --minutes M, --model FILE,
@@ -49,7 +50,7 @@ def bench(
 
     rendering: time of a frame of each scene over a trivial one; --map FILE.
 
-    Example: smal bench recognition --json results.json --images photos
+    Example: smal bench recognition --json results.json --out pictures
     """
     known = benchmarks(FOLDER)
     if name not in known:

@@ -15,7 +15,6 @@ from services.experiments.evaluation.results import ResultStore
 from services.experiments.evaluation.units import Unit, units
 from services.experiments.evaluation.workers import do_all
 from services.kit.errors import UsageError
-from smal.evaluation.baselines.behaviour_cloning import CloningUnavailableError, load_torch
 
 
 def evaluate(
@@ -33,7 +32,6 @@ def evaluate(
     OUT/index.html shows everything and needs nothing beside it; the figures lie in OUT/figures, the numbers in
     OUT/results.json. The whole evaluation takes about an hour on two cores. It can be interrupted at any time: the
     same command goes on where it was, and while it works another one with --report-only shows what there is so far.
-    Behaviour cloning needs torch (pip install -e '.[cloning]').
 
     Example: smal evaluate --out evaluation --quick
     """
@@ -44,9 +42,7 @@ def evaluate(
         raise UsageError("--quick: an evaluation of one's own world (--world) has one size")
     plan = PLANS["quick" if quick else "full"] if world is None else _plan_in(world)
     store = ResultStore(out, plan)
-    # What was cloned elsewhere, or before torch was removed, is shown all the same.
-    cloned = any("/controller=cloning/" in key for key in store.findings)
-    planned = units(plan, cloning=_can_clone() or cloned)
+    planned = units(plan)
     with interrupted_by_signals():
         if not report_only:
             store.forget_missing(planned)
@@ -60,15 +56,6 @@ def evaluate(
 def _plan_in(world: str) -> Plan:
     there = options.read_world(world)
     return in_world(str(Path(world).resolve()) if Path(world).is_file() else world, there.scale.aside_m)
-
-
-def _can_clone() -> bool:
-    try:
-        load_torch()
-    except CloningUnavailableError as error:
-        typer.echo(f"note: {error}; the report says that it was left out", err=True)
-        return False
-    return True
 
 
 def _work(plan: Plan, planned: list[Unit], store: ResultStore, workers: int) -> None:

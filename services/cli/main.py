@@ -35,7 +35,6 @@ COMMANDS: Final = {
     "run": ("services.cli.run:run", "Let the robot find the victim by itself."),
     "evaluate": ("services.cli.evaluate:evaluate", "Run the paper's experiments in simulation."),
     "match": ("services.cli.match:match", "Match the places of two image folders."),
-    "tune": ("services.cli.tune:tune", "Choose settings for matching and learning."),
     "topic": ("services.cli.topic:app", "List the topics; listen to them."),
     "secure": ("services.cli.secure:app", "Make and check certificates: who may do what."),
     "world": ("services.cli.world:app", "Make worlds out of maps; draw them."),

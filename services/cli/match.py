@@ -23,7 +23,7 @@ from services.experiments.matching.image_folder import (
 from services.experiments.matching.report import Quality, Result, Traverses, as_json, as_text, described_by
 from services.kit.errors import JobError, UsageError
 from smal.evaluation.ground_truth import IntervalTruth, judge
-from smal.evaluation.precision_recall import PrecisionRecall, block_length, bootstrap_intervals
+from smal.evaluation.precision_recall import PrecisionRecall, block_length, bootstrap, intervals_of
 from smal.features import MODALITY_NAMES, FeatureSettings
 from smal.place_recognition import Matches
 from smal.place_recognition.methods import METHODS, MatchSettings, Method
@@ -242,7 +242,7 @@ def _advance(bar: tqdm[NoReturn], done: int) -> None:
 def _quality(matches: Matches, truth: IntervalTruth, length: int) -> Quality:
     judgement = judge(matches, truth)
     judged, to_find = int(truth.judged.sum()), int(truth.findable.sum())
-    intervals = bootstrap_intervals(judgement, block_length(judged, length))
+    intervals = intervals_of(bootstrap(judgement, block_length(judged, length)))
     return Quality(PrecisionRecall.of(judgement), intervals, judged, to_find)
 
 

@@ -22,21 +22,10 @@ def choose(
         raise UsageError(f"--method {name}: unknown; known are {', '.join(METHODS)}")
     method = METHODS[name]
     features = _features(name, method, modalities, weights)
-    check_length(name, method, length)
-    chosen = MatchSettings(features, method.length if length is None else length, _penalty(name, method, penalty))
-    return method, chosen
-
-
-def check_length(name: str, method: Method, length: int | None) -> None:
-    """Refuse a ``--length`` that a method does not work with.
-
-    Raises
-    ------
-    UsageError
-        When it works with its own only, and that is another one.
-    """
     if length not in (None, method.length) and not method.any_length:
         raise UsageError(f"--length {length}: the method {name} is made for {method.length}")
+    chosen = MatchSettings(features, method.length if length is None else length, _penalty(name, method, penalty))
+    return method, chosen
 
 
 def _penalty(name: str, method: Method, penalty: float | None) -> float | None:

@@ -38,14 +38,14 @@ Secure = Annotated[
 ]
 Json = Annotated[bool, typer.Option("--json", help="Print JSON.")]
 World = Annotated[
-    str, typer.Option(help="World: a name in deploy/worlds, or the path of an OpenStreetMap or world file.")
+    str, typer.Option(help="World: a name, such as campus or indoor, or the path of an OpenStreetMap or world file.")
 ]
 WorldOfStack = Annotated[
     str | None,
     typer.Option(
         "--world",
-        help="World: a name in deploy/worlds, or the path of an OpenStreetMap or world file. [default: campus; with "
-        "--connect whatever the robot is in]",
+        help="World: a name, such as campus or indoor, or the path of an OpenStreetMap or world file. "
+        "[default: campus; with --connect whatever the robot is in]",
     ),
 ]
 Seed = Annotated[int, typer.Option(min=0, help="Seed of the first episode; episode k uses SEED + k.")]

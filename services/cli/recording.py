@@ -68,7 +68,7 @@ def check(recordings: Paths, as_json: Json = False) -> None:
 
 @app.command("repair")
 def mend(
-    recording: Annotated[Path, typer.Argument(help="Recording (MCAP); with it go its parts (.partial, .partial-2).")],
+    recordings: Annotated[list[Path], typer.Argument(help="Recording (MCAP); several of one drive become one.")],
     out: Annotated[
         Path | None,
         typer.Option(help="The repaired one. [default: NAME.mcap of NAME.mcap.partial, else NAME-repaired.mcap]"),
@@ -77,25 +77,26 @@ def mend(
         bool, typer.Option("--replace", help="Put it in the place of the damaged one, or of the file at --out.")
     ] = False,
 ) -> None:
-    """Make a sealed recording of all that is whole in one that is damaged, or was left behind.
+    """Make a sealed recording of all that is whole in one that is damaged, was left behind, or is in several files.
 
-    The damaged one stays as it is, but for --replace. Says what was lost.
+    Where a recorder was killed, what it recorded after its restart is in a file of its own. The damaged ones stay as
+    they are, but for --replace. Says what was lost.
 
-    Example: smal recording repair drives/drive-1.mcap.partial
+    Example: smal recording repair drives/drive-1.mcap drives/drive-1-2.mcap --out drives/whole.mcap
     """
     if out is not None and out.exists() and not replace:
         raise UsageError(f"--out {out}: is there already; give another name, or --replace")
     outputs.check_file(out, "--out")
     try:
-        made = out or usual_name(recording, replace=replace)
-        before, after = repair(recording, made, replace=replace)
+        made = out or usual_name(recordings[0], replace=replace)
+        before, after = repair(recordings, made, replace=replace)
     except (RecordingError, RepairError) as error:
         raise JobError(str(error)) from None
     if after is None:
-        typer.echo(f"{recording}: nothing is to be repaired")
+        typer.echo(f"{recordings[0]}: nothing is to be repaired")
         return
     typer.echo(f"{made}: sealed, {_sum(after)} messages")
-    for line in before.damage:
+    for line in (line for one in before for line in one.damage):
         typer.echo(f"  it was: {line}")
     for line in after.findings:
         typer.echo(f"  lost:   {line}")

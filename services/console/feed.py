@@ -52,10 +52,10 @@ class Feed:
         self._way: list[tuple[float, float]] = []
         self._way_of = ""
         self._closed = threading.Event()
-        node.subscribe(topics.JPEG, self.on_image, depth=1)
-        node.subscribe(topics.STATE, self.on_state)
-        node.subscribe(topics.POSE, self.on_pose)
-        node.subscribe(topics.TRACKED, self.on_tracked)
+        node.subscribe(topics.JPEG, self._on_image, depth=1)
+        node.subscribe(topics.STATE, self._on_state)
+        node.subscribe(topics.POSE, self._on_pose)
+        node.subscribe(topics.TRACKED, self._on_tracked)
         self._rounds = [
             threading.Thread(target=self._repeat, args=(round_,), name=round_.__name__, daemon=True)
             for round_ in (self._look_at_services, self._look_at_files)
@@ -75,14 +75,12 @@ class Feed:
 
     # -- what is heard --------------------------------------------------------------------------------------------
 
-    def on_image(self, image: CompressedImage) -> None:
-        """Show the newest picture."""
+    def _on_image(self, image: CompressedImage) -> None:
         if is_jpeg(image.data):
             self._board.show(image.data)
             self._put("camera", tick=image.tick, width=image.width, height=image.height)
 
-    def on_state(self, state: State) -> None:
-        """Show where the robot thinks it is."""
+    def _on_state(self, state: State) -> None:
         learned = self.learned
         belief = {} if learned is None else learned.belief(state)
         self._put(
@@ -101,28 +99,23 @@ class Feed:
         """Show what it does, and why."""
         self._put("plan", tick=action.tick, kind=action.kind, atoms=action.atoms[:20], arrived=action.arrived)
 
-    def on_pose(self, pose: Pose) -> None:
-        """Show where it truly is."""
-        self._go(pose.episode, "truth", (pose.x_m, pose.y_m, pose.heading_rad))
-
-    def on_tracked(self, pose: TrackedPose) -> None:
-        """Show where it is seen from above."""
-        if pose.x_m is not None and pose.y_m is not None and pose.heading_rad is not None:
-            self._put("tracked", pose=_rounded((pose.x_m, pose.y_m, pose.heading_rad)))
-
-    def _go(self, episode: str, by: str, pose: tuple[float, float, float]) -> None:
-        """Take note of where the robot is, and of the way that it has come in this episode."""
-        if episode != self._way_of:
-            self._way, self._way_of = [], episode
-        here = (round(pose[0], 2), round(pose[1], 2))
+    def _on_pose(self, pose: Pose) -> None:
+        """Take note of where the robot truly is, and of the way that it has come in this episode."""
+        if pose.episode != self._way_of:
+            self._way, self._way_of = [], pose.episode
+        here = (round(pose.x_m, 2), round(pose.y_m, 2))
         if not self._way or math.dist(here, self._way[-1]) >= 0.1:
             self._way.append(here)
             if len(self._way) > _POINTS:
                 del self._way[1:-1:2]
             # Every tenth point, since the page draws the rest itself from where the robot is.
             if len(self._way) % 10 == 1:
-                self._board.put("way", {"episode": episode, "points": self._way})
-        self._put("pose", episode=episode, by=by, pose=_rounded(pose))
+                self._board.put("way", {"episode": pose.episode, "points": self._way})
+        self._put("pose", episode=pose.episode, pose=_rounded((pose.x_m, pose.y_m, pose.heading_rad)))
+
+    def _on_tracked(self, pose: TrackedPose) -> None:
+        if pose.x_m is not None and pose.y_m is not None and pose.heading_rad is not None:
+            self._put("tracked", pose=_rounded((pose.x_m, pose.y_m, pose.heading_rad)))
 
     def _put(self, channel: str, **content: object) -> None:
         self._board.put(channel, content | {"at": round(self._board.clock(), 3)})
@@ -145,7 +138,7 @@ class Feed:
             self._library.record_in(Path(str(folder)))
 
     def _look_at_files(self) -> None:
-        self._board.put("library", self._library.look())
+        self._board.put("library", self._library.look(lambda shown: self._board.put("library", shown)))
         recognition = self.health.statuses.get("recognition")
         if recognition is not None:
             told = recognition.detail

@@ -14,7 +14,7 @@ from services.kit.health import ailment
 #: How often services are asked, and how long one may take to answer.
 ASK_S: Final = 1.0
 #: What a service tells of itself that the page needs.
-_TOLD: Final = ("world", "worlds", "variation", "variations")
+_TOLD: Final = ("world", "worlds", "variation", "variations", "disk")
 
 
 class Health:

@@ -2,59 +2,30 @@
 
 from __future__ import annotations
 
-import logging
-from collections.abc import Iterable, Iterator
+import time
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from threading import Lock
 from typing import Final
 
-import cv2
 from pydantic import TypeAdapter, ValidationError
 
 from schemas.codec import printable
 from schemas.rpc import FileName
-from schemas.topics import CAMERA, JPEG
-from services.kit.jpeg import encode_jpeg
+from services.console.listing import Readers, Recording
 from services.kit.root import OutsideError, below, name_below, open_below
-from services.recordings.dataset import unusable
-from services.recordings.encoding import decode_image
-from services.recordings.reader import RecordingError, read_recording
-from services.recordings.recorded import RecordedEpisode
-from services.robot.clock import TICK_S
 from smal import container
 from smal.container import ModelError
 from smal.model import FORMAT_VERSION
 
-#: Folders below the root: of the drives, unless the recorder says otherwise, and of the models and worlds made here.
+#: Folders below the root: of the drives, unless the recorder says otherwise, and of the models that are learned here.
 DRIVES: Final = "drives"
 MODELS: Final = "models"
-WORLDS: Final = "worlds"
-#: Pictures along a drive, and their width; six of them fill a row of the list.
-THUMBNAILS: Final = 6
-_WIDTH: Final = 160
+#: How often what is known is shown while many recordings are read.
+_SHOW_S: Final = 1.0
 _NAME: Final[TypeAdapter[str]] = TypeAdapter(FileName)
-_log = logging.getLogger("console")
 _Stamp = tuple[int, int]
-
-
-@dataclass(frozen=True)
-class Recording:
-    """A recording as the page lists it; ``thumbnails`` are JPEG, along the drive."""
-
-    name: str
-    when_s: float
-    size: int
-    episode: str = ""
-    purpose: str | None = None
-    goal: str = ""
-    world: str = ""
-    outcome: str | None = None
-    frames: int = 0
-    seconds: float = 0.0
-    #: Why it teaches nothing; empty where it does.
-    useless: str = ""
-    thumbnails: tuple[bytes, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -106,13 +77,35 @@ class Library:
         """Take note of where the recorder records."""
         self.folder = name_below(self.root, folder)
 
-    def look(self) -> dict[str, object]:
-        """Look at what is there; return it for the page."""
-        recordings = {path: self._recording(path, stamp) for path, stamp in self._files(self._recording_files())}
+    def look(self, show: Callable[[dict[str, object]], None] = lambda _: None) -> dict[str, object]:
+        """Look at what is there; return it for the page.
+
+        Parameters
+        ----------
+        show
+            Is given what is known so far, now and then while recordings are read.
+        """
+        stamps = dict(self._files(self._recording_files()))
         models = {path: self._model(path, stamp) for path, stamp in self._files(self._model_files())}
         with self._lock:
-            self._recordings, self._models = recordings, models
-        newest_first = sorted((one for _, one in recordings.values()), key=lambda one: -one.when_s)
+            self._recordings = {path: known for path, known in self._recordings.items() if path in stamps}
+            self._models = models
+        anew = [path for path in stamps if self._recordings.get(path, (None,))[0] != stamps[path]]
+        shown_s = time.monotonic()
+        with Readers() as readers:
+            for path in sorted(anew, key=lambda path: stamps[path], reverse=True):
+                changed_ns, size = stamps[path]
+                listed = Recording(path.relative_to(self.root).as_posix(), changed_ns / 1e9, size)
+                recording = readers.read(path, listed)
+                with self._lock:
+                    self._recordings[path] = stamps[path], recording
+                if time.monotonic() - shown_s > _SHOW_S:
+                    show(self._shown())
+                    shown_s = time.monotonic()
+        return self._shown()
+
+    def _shown(self) -> dict[str, object]:
+        newest_first = sorted(self.recordings(), key=lambda one: -one.when_s)
         return {
             "folder": self.folder,
             "recordings": [asdict(one) | {"thumbnails": len(one.thumbnails)} for one in newest_first],
@@ -176,31 +169,6 @@ class Library:
                 continue
             yield path, (stat.st_mtime_ns, stat.st_size)
 
-    def _recording(self, path: Path, stamp: _Stamp) -> tuple[_Stamp, Recording]:
-        known = self._recordings.get(path)
-        if known is not None and known[0] == stamp:
-            return known
-        name = path.relative_to(self.root).as_posix()
-        listed = Recording(name, stamp[0] / 1e9, stamp[1])
-        try:
-            episode, *others = read_recording(path, topics=(JPEG, CAMERA)).episodes
-        except RecordingError as error:
-            return stamp, replace(listed, useless=printable(str(error)).removeprefix(f"{path}: "))
-        useless = "it holds several episodes; use smal learn" if others else unusable(episode, include_runs=True)
-        ticks = sorted(episode.images)
-        return stamp, replace(
-            listed,
-            episode=episode.episode,
-            purpose=episode.purpose,
-            goal=episode.goal,
-            world=episode.world,
-            outcome=episode.outcome,
-            frames=episode.frames,
-            seconds=(ticks[-1] - ticks[0]) * TICK_S if ticks else 0.0,
-            useless=useless or "",
-            thumbnails=tuple(_thumbnails(episode, ticks)),
-        )
-
     def _model(self, path: Path, stamp: _Stamp) -> tuple[_Stamp, LearnedModel]:
         known = self._models.get(path)
         if known is not None and known[0] == stamp:
@@ -215,17 +183,3 @@ class Library:
                                        longest=max(int(frames) for frames in meta["frames"]))  # fmt: skip
         except (ModelError, LookupError, TypeError, ValueError, ArithmeticError, OSError) as error:
             return stamp, replace(listed, useless=printable(str(error)).removeprefix(f"{name}: "))
-
-
-def _thumbnails(episode: RecordedEpisode, ticks: list[int]) -> Iterator[bytes]:
-    """Give small pictures along a drive, its first and last frame among them."""
-    count = min(THUMBNAILS, len(ticks))
-    for k in range(count):
-        tick = ticks[round(k * (len(ticks) - 1) / max(count - 1, 1))]
-        try:
-            image = decode_image(bytes(episode.images[tick]))
-        except ValueError as error:
-            _log.warning("%s, frame %d: %s", episode.episode, tick, error)
-            continue
-        height = max(1, round(image.shape[0] * _WIDTH / image.shape[1]))
-        yield encode_jpeg(cv2.resize(image, (_WIDTH, height), interpolation=cv2.INTER_AREA).astype("uint8"))

@@ -12,9 +12,10 @@ import secrets
 from collections.abc import Callable
 from typing import Final
 
-from services.operator.operator import BEAT_S
-from services.robot.clock import now_s
+from services.robot.clock import PULSE_S, now_s
 
+#: How often a browser has to answer: as often as the operator of a robot.
+BEAT_S: Final = PULSE_S
 #: Time after its beat was sent when an answer counts no more, and when what was held is let go.
 LET_GO_S: Final = 0.25
 #: Silence after which somebody else may take the seat, and a robot that would move alone misses who had it. What is

@@ -6,7 +6,7 @@ import math
 import secrets
 from collections.abc import Callable
 from concurrent.futures import Future, InvalidStateError
-from contextlib import AbstractContextManager, ExitStack, suppress
+from contextlib import ExitStack, closing, suppress
 from pathlib import Path
 from queue import Empty, SimpleQueue
 from typing import Final
@@ -18,15 +18,16 @@ from schemas.rpc import LoadReply, LoadRequest, Nothing, RecordRequest, ResetRep
 from services.console.asks import LATE, Ask, Cancel, Delete, Drive, End, Learn, Resume, Run
 from services.console.board import Board
 from services.console.feed import Feed
+from services.console.folder import Folder
 from services.console.jobs import Job, Jobs
 from services.console.learned import Learned
-from services.console.library import DRIVES, MODELS, WORLDS, LearnedModel, Library
+from services.console.library import DRIVES, MODELS, LearnedModel, Library
 from services.console.reports import BoardReports
 from services.console.seat import LEASE_S, LET_GO_S
 from services.kit.node import Detail, Node, ServiceError
-from services.kit.root import below
+from services.kit.root import WORLDS, below
 from services.operator.hold import KeyHold
-from services.operator.operator import BEAT_S, POLL_S, Operator
+from services.operator.operator import POLL_S, Operator
 
 #: Reading a model takes as long.
 LOAD_S: Final = 60.0
@@ -56,7 +57,8 @@ class ConsoleService:
         self._node = node
         self._board = board
         self._reports = BoardReports(board)
-        self._operator = Operator(node, KeyHold(board.clock, LET_GO_S, LET_GO_S), self._reports)
+        keys = KeyHold(board.clock, LET_GO_S, LET_GO_S)
+        self._operator = Operator(node, keys, self._reports, board.clock, self._bridges)
         self.library = Library(root)
         self.feed = Feed(node, board, self.library)
         self._jobs = Jobs(lambda job: board.put("job", job))
@@ -65,7 +67,6 @@ class ConsoleService:
         self._wake = node.soon(self._work)
         node.subscribe(topics.ACTION, self._on_action)
         node.every(POLL_S, self._work)
-        node.every(BEAT_S, self._bridge)
         node.detail = self._detail
         board.put("robot_id", node.robot)
         board.put("taken", content=False)
@@ -99,7 +100,7 @@ class ConsoleService:
             self._there_until_s = sent_s + LEASE_S
             if self._board.clock() >= until_s:
                 return
-            self._operator.beat()
+            self._operator.beat(sent_s)
             if atom is None:
                 self._operator.release()
             else:
@@ -149,15 +150,15 @@ class ConsoleService:
 
         return self._do(take)
 
-    def make_world(self, name: str, osm_map: Path, needs: AbstractContextManager[object]) -> Future[None]:
-        """Make a world of a map; ``needs`` is exited when the map has been read."""
+    def make_world(self, name: str, osm_map: Path, folder: Folder) -> Future[None]:
+        """Make a world of a map; its folder is closed when the map has been read."""
 
         def take() -> None:
             robot = self.feed.health.statuses.get("robot")
             known = "" if robot is None else str(robot.detail.get("worlds", ""))
             try:
                 with ExitStack() as read:
-                    read.enter_context(needs)
+                    read.enter_context(closing(folder))
                     if name in known.split(", "):
                         # Of two worlds of one name the robot opens the project's, or the one that it was started in.
                         raise ServiceError(f"there is a world {name} already; give the file another name")
@@ -169,22 +170,22 @@ class ConsoleService:
                         arguments=("world", "import", str(osm_map)),
                         out=below(self.library.root, f"{WORLDS}/{name}.json"),
                         hidden=f"{osm_map.parent}/",
-                        needs=read.pop_all(),
+                        needs=folder,
                     )
+                    read.pop_all()
                 self._jobs.begin(job)
             except (ServiceError, OSError) as error:
                 self._reports.say(str(error))
 
         return self._do(take)
 
-    def _bridge(self) -> None:
-        """Have a robot that would move alone not miss a browser that stutters: what it held is let go all the same.
+    def _bridges(self) -> bool:
+        """Whether the robot, which would move alone, is not to miss a browser that stutters; what it held is let go.
 
-        A robot that moves only while its operator is there hears of none but their own answers.
+        A robot that moves only while its operator is there hears of none but their own answers, as of their own time.
         """
         robot = self.feed.health.statuses.get("robot")
-        if self.attended and robot is not None and robot.detail.get("attended") is False:
-            self._operator.beat()
+        return self.attended and robot is not None and robot.detail.get("attended") is False
 
     def _do(self, what: Callable[[], None]) -> Future[None]:
         done: Future[None] = Future()
@@ -223,6 +224,7 @@ class ConsoleService:
                     goal=ask.goal,
                     driver="teleop",
                     mode="realtime",
+                    max_ticks=None,
                 )
                 self._begin(request, self._record)
             case Run():

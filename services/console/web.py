@@ -5,19 +5,17 @@ from __future__ import annotations
 import asyncio
 import logging
 import ssl
-import tempfile
 import threading
 from collections.abc import AsyncIterator, Callable, Coroutine
 from concurrent.futures import Future
-from contextlib import AbstractContextManager, ExitStack, suppress
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, Final, Protocol
 
 import uvicorn
-from pydantic import TypeAdapter, ValidationError
+from pydantic import ValidationError
 from starlette.applications import Starlette
-from starlette.exceptions import HTTPException
-from starlette.requests import ClientDisconnect, Request
+from starlette.requests import Request
 from starlette.responses import PlainTextResponse, Response
 from starlette.routing import Mount, Route, WebSocketRoute
 from starlette.staticfiles import StaticFiles
@@ -26,32 +24,29 @@ from uvicorn.protocols.websockets.websockets_sansio_impl import WebSocketsSansIO
 
 from schemas.base import Atom
 from schemas.codec import describe
-from schemas.rpc import WorldName
 from services.console.address import listen
 from services.console.asks import LATE, OF_DRIVER, OF_WATCHERS, Ask, Hold, Leave, Stop
 from services.console.board import Board, FullError
 from services.console.config import ConsoleSettings
+from services.console.folder import Folder
 from services.console.guard import MAP, Guard
 from services.console.learned import Learned
 from services.console.library import Library
-from services.console.seat import LEASE_S, Seat
+from services.console.maps import Maps
+from services.console.seat import BEAT_S, LEASE_S, Seat
 from services.kit.node import ServiceError, Throttle
-from services.operator.operator import BEAT_S
 
 PAGE: Final = Path(__file__).parent / "page"
 #: A watcher is sent something at most so often.
 _APART_S: Final = 0.05
 #: Most bytes that a browser says at once: the names of a thousand recordings.
 _MOST_BYTES: Final = 1 << 20
+#: Bytes of a socket that are read before it is the others' turn: 20 answers to beats, which take 1 ms.
+_AT_ONCE: Final = 1024
 #: Codes by which a socket is closed: too many watch; somebody else drives; what was said makes no sense.
 FULL, TAKEN, NONSENSE = 4001, 4002, 4003
 #: How long open sockets may take to close at the end.
 _FAREWELL_S: Final = 1
-#: Most bytes of a map, as `smal world import` has it; and how long it may take to come: at 2 Mbit/s and more.
-_LARGEST_MAP: Final = 64 << 20
-_UPLOAD_S: Final = 300
-_NOT_THEIRS: Final = "only who drives may do that: take control first\n"
-_WORLD_NAME: Final[TypeAdapter[str]] = TypeAdapter(WorldName)
 #: Digits of the number of a picture, at most.
 _DIGITS: Final = 9
 #: Opens no key that is encrypted, for which the terminal would be asked.
@@ -89,8 +84,8 @@ class Person(Protocol):
     def ask(self, ask: Ask, until_s: float) -> Future[None]:
         """Ask for something, to be done until a time of the board's clock."""
 
-    def make_world(self, name: str, osm_map: Path, needs: AbstractContextManager[object]) -> Future[None]:
-        """Have a world made of a map, and then what it needs exited."""
+    def make_world(self, name: str, osm_map: Path, folder: Folder) -> Future[None]:
+        """Have a world made of a map, and then its folder closed."""
 
 
 class Web:
@@ -108,15 +103,14 @@ class Web:
         self._person = person
         self._board = board
         self._seat = Seat(board.clock)
-        #: How many maps were begun to be sent.
-        self._maps = 0
+        self._maps = Maps(person.make_world, self._seat)
 
     def application(self) -> Starlette:
         """Return what answers; without its guard."""
         return Starlette(
             routes=[
                 Route("/thumbnail", self._thumbnail),
-                Route(MAP, self._map, methods=["POST"]),
+                Route(MAP, self._maps.take, methods=["POST"]),
                 Route("/taught/{model}/{keyframe}", self._taught),
                 WebSocketRoute("/watch", self._watch),
                 WebSocketRoute("/drive", self._drive),
@@ -142,57 +136,20 @@ class Web:
         picture = learned.image(keyframe) if learned is not None and known and keyframe is not None else None
         return PlainTextResponse("no such picture\n", 404) if picture is None else _picture(picture)
 
-    # -- maps -----------------------------------------------------------------------------------------------------
-
-    async def _map(self, request: Request) -> Response:
-        """Take a map from whoever drives, to make a world of it; what becomes of that is told as a job."""
-        try:
-            name = _WORLD_NAME.validate_python(request.query_params.get("name", ""))
-        except ValidationError as error:
-            return PlainTextResponse(f"the world's name: {describe(error)}\n", 400)
-        if not self._seat.knows(request.headers.get("smal-seat", "")):
-            return PlainTextResponse(_NOT_THEIRS, 403)
-        try:
-            with ExitStack() as needs:
-                folder = needs.enter_context(tempfile.TemporaryDirectory(prefix="smal-map-"))
-                osm_map = Path(folder) / f"{name}.osm"
-                async with asyncio.timeout(_UPLOAD_S):
-                    await self._receive(request, osm_map)
-                await asyncio.wrap_future(self._person.make_world(name, osm_map, needs.pop_all()))
-        except TimeoutError:
-            return PlainTextResponse(f"the map took longer than {_UPLOAD_S:g} s\n", 408)
-        except ClientDisconnect as gone:
-            raise HTTPException(400) from gone
-        except OSError as error:
-            return PlainTextResponse(f"the map cannot be kept: {error.strerror}\n", 507)
-        return PlainTextResponse("taken\n", 202)
-
-    async def _receive(self, request: Request, file: Path) -> None:
-        """Write what is sent into a file, while whoever sends it drives, and has not begun to send another one."""
-        self._maps += 1
-        mine, size, word = self._maps, 0, request.headers.get("smal-seat", "")
-        with file.open("wb") as out:
-            async for chunk in request.stream():
-                if not self._seat.knows(word):
-                    raise HTTPException(403, _NOT_THEIRS)
-                if mine != self._maps:
-                    raise HTTPException(409, "another map was sent after this one\n")
-                size += len(chunk)
-                if size > _LARGEST_MAP:
-                    raise HTTPException(413, f"a map has at most {_LARGEST_MAP / 1e6:.0f} MB; cut it smaller\n")
-                await asyncio.to_thread(out.write, chunk)
-
     # -- watching -------------------------------------------------------------------------------------------------
 
     async def _watch(self, browser: WebSocket) -> None:
         """Send the newest, and more when that was seen: at most one message is on its way, however slow that is."""
         await browser.accept()
         seen = asyncio.Event()
+        seen.set()
 
         async def listen() -> None:
             async for said in _said(browser):
                 if isinstance(OF_WATCHERS.validate_json(said), Stop):
                     await asyncio.wrap_future(self._person.stop())
+                elif seen.is_set():
+                    raise _NonsenseError("there is nothing more to be seen")
                 else:
                     seen.set()
 
@@ -202,12 +159,12 @@ class Web:
                 async def tell() -> None:
                     while True:
                         text, picture = await watcher.newest()
+                        seen.clear()
                         await browser.send_text(text)
                         if picture:
                             await browser.send_bytes(picture)
                         await asyncio.sleep(_APART_S)
                         await seen.wait()
-                        seen.clear()
 
                 await _until_one_ends(browser, listen(), tell())
         except FullError:
@@ -269,6 +226,10 @@ class Web:
             how()
 
 
+class _NonsenseError(Exception):
+    """A browser says what is no answer to what it was sent."""
+
+
 async def _said(browser: WebSocket) -> AsyncIterator[str]:
     """Give what a browser says until it is gone; bytes say nothing."""
     while (message := await browser.receive())["type"] != "websocket.disconnect":
@@ -283,9 +244,10 @@ async def _until_one_ends(browser: WebSocket, *tasks: Coroutine[Any, Any, None])
         for task in running:
             if task.done():
                 task.result()
-    except ValidationError as error:
+    except (ValidationError, _NonsenseError) as error:
+        why = describe(error) if isinstance(error, ValidationError) else str(error)
         with suppress(RuntimeError, WebSocketDisconnect):
-            await browser.close(NONSENSE, describe(error)[:100])
+            await browser.close(NONSENSE, why[:100])
     except (WebSocketDisconnect, RuntimeError):
         return  # it went away while it was being sent something
     finally:
@@ -310,8 +272,21 @@ def _picture(jpeg: bytes) -> Response:
     return Response(jpeg, media_type="image/jpeg", headers={"Cache-Control": "private, max-age=3600"})
 
 
-class _Socket(WebSocketsSansIOProtocol):
-    """Answers no pings of who does not take the answers: they would fill the memory."""
+class _Socket(WebSocketsSansIOProtocol, asyncio.BufferedProtocol):
+    """Takes turns with all others, however much its browser says: what is read is read to its end before they go on.
+
+    It answers no pings of who does not take the answers: they would fill the memory.
+    """
+
+    def connection_made(self, transport: asyncio.BaseTransport) -> None:
+        self._read = bytearray(_AT_ONCE)
+        super().connection_made(transport)
+
+    def get_buffer(self, sizehint: int) -> bytearray:
+        return self._read
+
+    def buffer_updated(self, nbytes: int) -> None:
+        self.data_received(bytes(self._read[:nbytes]))
 
     def handle_ping(self) -> None:
         if self.writable.is_set():

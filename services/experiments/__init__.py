@@ -1,1 +1,1 @@
-"""What is measured with the method: evaluation, tuning, matching of image folders."""
+"""What is measured with the method: evaluation, matching of image folders, showing what was learned."""

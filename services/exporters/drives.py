@@ -154,7 +154,8 @@ class Drive:
             return None
         ahead, left = DIRECTIONS[applied.atom]
         speed, turn_rate = self.nominal.speed.value, self.nominal.turn_rate.value
-        return Velocity(round(ahead * speed * applied.speed, _DIGITS), round(left * turn_rate * applied.speed, _DIGITS))
+        forward = speed * (ahead * applied.speed + applied.ahead)
+        return Velocity(round(forward, _DIGITS), round(left * turn_rate * applied.speed, _DIGITS))
 
 
 def read(files: Iterable[Path], speed: float | None, turn_rate: float | None, tally: Tally) -> list[Drive]:

@@ -2,7 +2,7 @@
 
 An atom is all or nothing: forward, backward, a turn, or a stop. How fast this robot usually drives and turns is
 measured on the source itself, so that one rule does for a toy car's throttle and for metres a second. A tick that does
-both is a turn where the turn is sharp, as one who has only keys would drive it.
+both is a turn where the turn is sharp, as one who has only keys would drive it, and keeps how fast it went ahead.
 """
 
 from __future__ import annotations
@@ -83,3 +83,9 @@ def atoms_of(velocities: Array, usual: Nominal, thresholds: Thresholds) -> NDArr
     atoms = np.where(np.abs(angular) >= thresholds.turning, turns, drives)
     stands = (np.abs(linear) < thresholds.still) & (np.abs(angular) < thresholds.still)
     return np.where(stands, _STOP, atoms).astype(np.int8)
+
+
+def ahead_in_turns(velocities: Array, atoms: NDArray[np.int8], usual: Nominal) -> Array:
+    """Return how fast the robot goes ahead in each tick of turning, (n,), -1 to 1 times the nominal speed; else 0."""
+    ahead = np.clip(velocities[0] / usual.linear, -1.0, 1.0)
+    return np.where((atoms == _LEFT) | (atoms == _RIGHT), ahead, 0.0)

@@ -19,7 +19,7 @@ from schemas.command import CommandApplied
 from schemas.compressed_image import CompressedImage
 from schemas.episode import Episode
 from schemas.odometry import Odometry
-from services.importers.atoms import Nominal, Thresholds, atoms_of
+from services.importers.atoms import Nominal, Thresholds, ahead_in_turns, atoms_of
 from services.importers.drive import Array, Drive, Frame, ImportFailure, NotAnImage, Tally
 from services.importers.images import size_of
 from services.importers.resample import TICK_S, Moves, odometry, ticks
@@ -122,11 +122,13 @@ def write(
             return None
         moves = Moves(drive.motion)
         tally.count("ticks lack a velocity; the robot is taken to stand", moves.silent(spool.times_s))
-        atoms = atoms_of(moves.velocities(spool.times_s), usual, thresholds)
+        velocities = moves.velocities(spool.times_s)
+        atoms = atoms_of(velocities, usual, thresholds)
+        ahead = ahead_in_turns(velocities, atoms, usual)
         way = odometry(drive, spool.times_s, moves if purpose.reckon else None)
         success = drive.success if drive.success is not None else True
         success = success if purpose.success is None else purpose.success
-        path = _recorded(folder, drive, purpose, spool, atoms, way, success)
+        path = _recorded(folder, drive, purpose, spool, (atoms, ahead), way, success)
     return Written(path, len(spool.numbers), atoms, way is not None, success)
 
 
@@ -159,7 +161,7 @@ def _recorded(
     drive: Drive,
     purpose: Purpose,
     spool: _Spool,
-    atoms: NDArray[np.int8],
+    made: tuple[NDArray[np.int8], Array],
     way: tuple[Array, NDArray[np.bool_]] | None,
     success: bool,
 ) -> Path:
@@ -182,7 +184,7 @@ def _recorded(
             writer.write(_camera_info(cause, width, height, focal))
         if way is not None and way[1][row]:
             writer.write(_pose(cause, way[0], row, spool))
-        writer.write(_applied(cause, int(atoms[row])))
+        writer.write(_applied(cause, int(made[0][row]), float(made[1][row])))
     ended = {"outcome": "found", "judge": "operator"} if success else {"outcome": "aborted"}
     writer.write(Episode.after(last, event="ended", **told, **ended))
     path = writer.seal()
@@ -224,7 +226,8 @@ def _pose(cause: Message, poses: Array, row: int, spool: _Spool) -> Odometry:
     )
 
 
-def _applied(cause: Message, atom: int) -> CommandApplied:
+def _applied(cause: Message, atom: int, ahead: float) -> CommandApplied:
+    speed = 0.0 if atom == _STOP else 1.0
     return CommandApplied.after(
-        cause, atom=ATOMS[atom], speed=0.0 if atom == _STOP else 1.0, source="teleop", reason="command"
+        cause, atom=ATOMS[atom], speed=speed, ahead=round(ahead, _DIGITS), source="teleop", reason="command"
     )

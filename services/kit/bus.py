@@ -15,19 +15,12 @@ from pydantic import ValidationError
 from schemas.base import Message, Strict
 from schemas.codec import describe, encode, printable
 from schemas.rpc import Failure
-from schemas.topics import TOPICS, Topic, rpc_key
+from schemas.topics import TOPICS, Lane, Topic, rpc_key
 from services.kit.credentials import Credentials
 from services.kit.memory_wire import MEMORY, MemoryRouter, MemoryWire
 from services.kit.wire import Answer, BusError, Refused, Take, Wire
-from services.kit.zenoh_wire import (
-    DEFAULT_ROUTER,
-    PATIENCE_S,
-    Router,
-    ZenohWire,
-    check_credentials,
-    host_and_port,
-    zenohd_configuration,
-)
+from services.kit.zenoh_settings import DEFAULT_ROUTER, check_credentials, host_and_port, zenohd_configuration
+from services.kit.zenoh_wire import PATIENCE_S, Router, ZenohWire
 
 __all__ = [
     "DEFAULT_ROUTER",
@@ -146,7 +139,7 @@ class Bus:
         """
         self._wire.subscribe(topic, take, refused, replay=replay)
 
-    def listen(self, keys: str, take: Callable[[str, bytes, str], None], *, urgent: bool = False) -> None:
+    def listen(self, keys: str, take: Callable[[str, bytes, str], None], *, lane: Lane = "ordinary") -> None:
         """Call ``take(key, payload, encoding)`` for every sample on matching keys, on the bus's thread.
 
         Raises
@@ -154,7 +147,7 @@ class Bus:
         BusError
             When ``keys`` is no valid key expression.
         """
-        self._wire.listen(keys, take, urgent=urgent)
+        self._wire.listen(keys, take, lane=lane)
 
     def serve(
         self,

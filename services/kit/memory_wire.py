@@ -19,7 +19,7 @@ from typing import Final, NamedTuple
 from weakref import WeakSet
 
 from schemas.codec import encoding_of
-from schemas.topics import KEPT_S, Topic
+from schemas.topics import KEPT_S, LANES, Lane, Topic
 from services.kit.wire import TIMEOUT, Answer, BusError, Refused, Serve, Take, Wire, flaw
 
 MEMORY: Final = "memory/"
@@ -149,7 +149,7 @@ class MemoryWire(Wire):
             )
         self._router = _ROUTERS[endpoint]
         self._robot = robot
-        self._lanes = {urgent: _Lane(f"bus of {robot}{', urgent' * urgent}") for urgent in (False, True)}
+        self._lanes = {lane: _Lane(f"bus of {robot}, {lane}") for lane in LANES}
         self._kept: dict[str, deque[Sample]] = {}
         self.subscriptions: list[_Subscription] = []
         self._services: dict[str, Serve] = {}
@@ -187,7 +187,7 @@ class MemoryWire(Wire):
 
     def subscribe(self, topic: Topic, take: Take, refused: Refused, *, replay: bool) -> None:
         """Call ``take`` for every sample of a topic."""
-        key, lane = topic.key(self._robot), self._lanes[topic.urgent]
+        key, lane = topic.key(self._robot), self._lanes[topic.lane]
 
         def on_sample(sample: Sample) -> None:
             if (why := flaw(key, topic.message, sample.key, len(sample.payload), sample.encoding)) is not None:
@@ -203,7 +203,7 @@ class MemoryWire(Wire):
                         lane.put(partial(on_sample, sample))
             self.subscriptions.append(_Subscription(tuple(key.split("/")), lane, on_sample))
 
-    def listen(self, keys: str, take: Callable[[str, bytes, str], None], *, urgent: bool) -> None:
+    def listen(self, keys: str, take: Callable[[str, bytes, str], None], *, lane: Lane) -> None:
         """Call ``take(key, payload, encoding)`` for every sample on matching keys."""
 
         def on_sample(sample: Sample) -> None:
@@ -211,7 +211,7 @@ class MemoryWire(Wire):
 
         parts = key_expression(keys)
         with self._routing():
-            self.subscriptions.append(_Subscription(parts, self._lanes[urgent], on_sample))
+            self.subscriptions.append(_Subscription(parts, self._lanes[lane], on_sample))
 
     def serve(self, key: str, answer: Serve, refused: Refused) -> None:
         """Answer calls of a key."""
@@ -228,7 +228,7 @@ class MemoryWire(Wire):
 
     def call(self, key: str, request: bytes, timeout_s: float) -> Answer | None:
         """Call a key and wait for the answer."""
-        if threading.current_thread() is self._lanes[False].thread:
+        if threading.current_thread() is self._lanes["ordinary"].thread:
             raise BusError(f"call of {key} on the bus's own thread: it would wait for itself")
         with self._routing() as wires:
             server = next((wire for wire in wires if key in wire._services), None)
@@ -245,7 +245,7 @@ class MemoryWire(Wire):
     def _ask(self, key: str, request: bytes) -> SimpleQueue[Answer | None]:
         query = _Query()
         self._asked.add(query)
-        self._lanes[False].put(partial(query.give, self._services[key], request))
+        self._lanes["ordinary"].put(partial(query.give, self._services[key], request))
         return query.answers
 
     def close(self) -> None:

@@ -6,7 +6,7 @@ import re
 from collections.abc import Callable, Iterator
 from typing import Final
 
-from prometheus_client import CollectorRegistry, Histogram, ProcessCollector, generate_latest
+from prometheus_client import CollectorRegistry, Histogram, ProcessCollector
 from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, Metric
 from prometheus_client.registry import Collector
 
@@ -41,9 +41,9 @@ class Metrics:
 
     def __init__(self, service: str, robot: str, status: Callable[[], Status]) -> None:
         self._labels = (service, robot)
-        self._registry = CollectorRegistry()
-        self._registry.register(_StatusCollector(robot, status))
-        ProcessCollector(registry=self._registry)
+        self.registry = CollectorRegistry()
+        self.registry.register(_StatusCollector(robot, status))
+        ProcessCollector(registry=self.registry)
         self._transit = self._histogram(
             "smal_transit_seconds", "From the sender to here, by the clocks of both machines.", _BY_TOPIC
         )
@@ -68,12 +68,8 @@ class Metrics:
         """Count one command that the actuator accepted."""
         self._decision.labels(*self._labels, source).observe(seconds)
 
-    def text(self) -> bytes:
-        """Return everything in Prometheus' text format."""
-        return generate_latest(self._registry)
-
     def _histogram(self, name: str, meaning: str, labels: tuple[str, ...]) -> Histogram:
-        return Histogram(name, meaning, labels, buckets=BUCKETS_S, registry=self._registry)
+        return Histogram(name, meaning, labels, buckets=BUCKETS_S, registry=self.registry)
 
 
 class _StatusCollector(Collector):

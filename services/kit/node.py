@@ -29,9 +29,9 @@ from schemas.codec import DecodeError, decode, describe
 from schemas.command import Command
 from schemas.rpc import Failure, Nothing, Status
 from schemas.topics import Topic, key_of
-from services.kit.bus import PATIENCE_S, BusError
+from services.kit.bus import PATIENCE_S, BusError, Refused
 from services.kit.health import ailment
-from services.kit.http import HttpError, HttpServer
+from services.kit.http import HttpError, serve_http
 from services.kit.inbox import Inbox, Item
 from services.kit.metrics import Metrics
 from services.kit.settings import ServiceSettings
@@ -136,6 +136,8 @@ class Node:
         self._inbox = Inbox()
         self._handlers: dict[str, Callable[[object], None]] = {}
         self._timers: list[_Timer] = []
+        self._apart: list[threading.Thread] = []
+        self._closed = threading.Event()
         self._stop = threading.Event()
         self._state: Literal["starting", "ready", "stopping"] = "starting"
         self._started_s = self._worked_s = time.monotonic()
@@ -148,9 +150,9 @@ class Node:
         self._counting = threading.Lock()
         self._failed = 0
         self.metrics = Metrics(name, settings.robot, self.status)
-        self._http: HttpServer | None = None
+        self._http = None
         if settings.http is not None:
-            self._http = HttpServer(settings.http, lambda: ailment(self.status()), self.metrics.text)
+            self._http = serve_http(settings.http, lambda: ailment(self.status()), self.metrics.registry)
         self.bus.serve(
             name, "status", lambda _request, reply: reply(self.status()), partial(self._refuse, "rpc/status")
         )
@@ -177,7 +179,8 @@ class Node:
             Whether to be sent what was missed, see ``Bus.subscribe``.
         """
         self._inbox.open(topic.name, depth or topic.queue)
-        read = self._reader(topic, handler)
+        refuse = partial(self._refuse, topic.name)
+        read = self._reader(topic, handler, refuse)
         self._handlers[topic.name] = lambda item: self.publish(read(*cast("tuple[bytes, str]", item)))
 
         def take(payload: bytes, encoding: str, transit_s: float | None) -> None:
@@ -185,19 +188,27 @@ class Node:
             if transit_s is not None:
                 self.metrics.transit(topic.name, transit_s)
 
-        self.bus.subscribe(topic, take, partial(self._refuse, topic.name), replay=replay)
+        self.bus.subscribe(topic, take, refuse, replay=replay)
 
-    def at_once(self, topic: Topic, handler: Callable[[M], None]) -> None:
-        """Handle every message of a topic on the bus's own thread, before all that waits; it must return at once."""
-        read = self._reader(topic, handler)
+    def at_once(self, topic: Topic, handler: Callable[[M], None], otherwise: Callable[[], None] = lambda: None) -> None:
+        """Handle every message of a topic on the bus's own thread, before all that waits; it must return at once.
+
+        ``otherwise`` is called there for what comes and is no such message.
+        """
+
+        def refuse(why: str) -> None:
+            otherwise()
+            self._refuse(topic.name, why)
+
+        read = self._reader(topic, handler, refuse)
 
         def take(payload: bytes, encoding: str, _transit_s: float | None) -> None:
             with self._surviving(topic.name):
                 read(payload, encoding)
 
-        self.bus.subscribe(topic, take, partial(self._refuse, topic.name))
+        self.bus.subscribe(topic, take, refuse)
 
-    def _reader(self, topic: Topic, handler: Callable[[M], A]) -> Callable[[bytes, str], A | None]:
+    def _reader(self, topic: Topic, handler: Callable[[M], A], refuse: Refused) -> Callable[[bytes, str], A | None]:
         """Make what hands a payload to a handler, and counts it, as received or as bad."""
 
         def read(payload: bytes, encoding: str) -> A | None:
@@ -206,7 +217,7 @@ class Node:
                 if key_of(message) != topic.key(self.robot):
                     raise DecodeError(f"message of {message.robot}/{message.topic_name} on the key of {self.robot}")
             except DecodeError as error:
-                self._refuse(topic.name, str(error))
+                refuse(str(error))
                 return None
             self._received[topic.name] += 1
             return handler(cast("M", message))
@@ -229,8 +240,8 @@ class Node:
                 if self._complaints["refused", name].due():
                     self.log.warning("%s refused: %s", verb, error)
                 reply(Failure(error=str(error)))
-            except Exception as error:
-                reply(Failure(error=f"internal error: {type(error).__name__}: {error}"))
+            except Exception:
+                reply(Failure(error=self.own_fault))
                 raise
 
         self._handlers[name] = work
@@ -259,6 +270,26 @@ class Node:
     def every(self, period_s: float, handler: Callable[[], object]) -> None:
         """Call ``handler`` every ``period_s`` seconds; periods missed while busy are not made up."""
         self._timers.append(_Timer(period_s, handler, time.monotonic() + period_s))
+
+    @property
+    def own_fault(self) -> str:
+        """What others are told of an exception that is a bug here: it means nothing to them, and stands in the log."""
+        return f"internal error; the log of {self.name} says more"
+
+    def apart(self, period_s: float, handler: Callable[[], Message | None]) -> None:
+        """Publish what ``handler`` returns every ``period_s`` seconds, whatever the node is busy with, until it closes.
+
+        It is called on a thread of its own.
+        """
+
+        def repeat() -> None:
+            while not self._closed.wait(period_s):
+                with self._surviving(handler.__name__):
+                    self.publish(handler())
+
+        thread = threading.Thread(target=repeat, name=f"{self.name}, {handler.__name__}", daemon=True)
+        self._apart.append(thread)
+        thread.start()
 
     # -- work -----------------------------------------------------------------------------------------------------
 
@@ -377,7 +408,11 @@ class Node:
     def close(self) -> None:
         """Leave the bus."""
         if self._http is not None:
-            self._http.close()
+            self._http.shutdown()
+            self._http.server_close()
+        self._closed.set()
+        for thread in self._apart:
+            thread.join()
         self.bus.close()
 
     def __enter__(self) -> Self:

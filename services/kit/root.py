@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import os
 from pathlib import Path
-from typing import IO, Annotated
+from typing import IO, Annotated, Final
 
 from pydantic import AfterValidator
 
 from services.kit.settings import ServiceSettings
 from smal.regular_file import open_regular
+
+#: Folder below the root of the worlds that were made from maps: the console makes them, the simulator opens them.
+WORLDS: Final = "worlds"
 
 
 def _folder(path: Path) -> Path:

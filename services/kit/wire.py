@@ -25,7 +25,7 @@ from typing import Final, NamedTuple, Self
 from schemas.base import Message
 from schemas.codec import misfit, printable
 from schemas.rpc import Failure
-from schemas.topics import TOPICS, Topic
+from schemas.topics import TOPICS, Lane, Topic
 
 #: What a caller hears when its time is over.
 TIMEOUT: Final = b"Timeout"
@@ -109,8 +109,8 @@ class Wire(ABC):
         """
 
     @abstractmethod
-    def listen(self, keys: str, take: Callable[[str, bytes, str], None], *, urgent: bool) -> None:
-        """Call ``take(key, payload, encoding)`` for every sample on matching keys, on the thread for ``urgent``.
+    def listen(self, keys: str, take: Callable[[str, bytes, str], None], *, lane: Lane) -> None:
+        """Call ``take(key, payload, encoding)`` for every sample on matching keys, on the thread of a lane.
 
         In ``keys``, ``*`` stands for one part of a key and ``**`` for any number of them. Whatever is on them is taken
         as it is; between processes at most ``LARGEST_BYTES`` of it, and a little.

@@ -1,12 +1,13 @@
 """The wire between processes: Zenoh's sessions, publishers, subscribers, queryables and calls.
 
-This is the only file that imports zenoh, and the one place for its configuration.
+This is the only file that imports zenoh; what it is told stands in ``zenoh_settings``.
 """
 
 from __future__ import annotations
 
 import json
 import logging
+import os
 import re
 import socket
 import threading
@@ -18,18 +19,25 @@ import zenoh
 import zenoh.ext
 
 from schemas.codec import encoding_of, printable
-from schemas.topics import KEPT_S, Topic
-from services.kit.access import access_control
-from services.kit.credentials import Certificate, Credentials, Password, encrypted, others_reach, why_refused
+from schemas.topics import KEPT_S, LANES, Lane, Topic
+from services.kit.credentials import Certificate, Credentials, Password, others_reach, why_refused
 from services.kit.heap import keep_freed_memory
 from services.kit.replay import Budget, Replay
-from services.kit.wire import LARGEST_BYTES, MAX_RPC_BYTES, Answer, BusError, Refused, Serve, Take, Wire, flaw
+from services.kit.wire import Answer, BusError, Refused, Serve, Take, Wire, flaw
+from services.kit.zenoh_settings import (
+    CLIENT_THREADS,
+    DEFAULT_ROUTER,
+    MAX_SESSIONS,
+    ROUTER_THREADS,
+    check_credentials,
+    host_and_port,
+    named,
+    quality,
+    router_settings,
+    runtime,
+    settings_of,
+)
 
-DEFAULT_ROUTER: Final = "tcp/127.0.0.1:7447"
-#: Others that Zenoh knows are left out: who asks for them can hold up everybody, or is not bound by a certificate.
-ENDPOINT_PATTERN: Final = r"(?:tcp|tls)/([^\s/]+):(\d{1,5})"
-#: How long one attempt to reach the router lasts; between two attempts a signal is noticed.
-ATTEMPT_MS: Final = 500
 #: How long a process waits for a router that is perhaps just starting.
 PATIENCE_S: Final = 10.0
 #: A publisher that was silent tells at most this long after its last sample how many there were, so that a subscriber
@@ -43,155 +51,54 @@ REPLAY_TIMEOUT_S: Final = 10.0
 #: Bytes that samples may take while they wait for what their senders kept, over all topics: for ten seconds, six
 #: megabytes a second, which is frames as JPEG at 10 Hz and all else.
 HELD_BYTES: Final = 64 << 20
-#: What a message takes beside its payload: key, encoding and Zenoh's own fields are 300 bytes.
-_OVERHEAD_BYTES: Final = 1024
-LINK_BYTES: Final = LARGEST_BYTES + _OVERHEAD_BYTES
-#: After so long a silence a link is dead, and so is one that has not said who it is.
-LEASE_MS: Final = 2000
-#: Sessions that a router takes: with Zenoh's thousand, each with messages that are not yet whole, it would run out of
-#: memory. Every process has two, those of a stack 14; as many again are counted while dead links have their lease. The
-#: rest is for 18 programs of people.
-MAX_SESSIONS: Final = 64
 #: Calls of one key that wait; where more come, nobody answers the oldest.
 WAITING_CALLS: Final = 32
 #: Most of a processor's time that answering the calls of one key takes.
 CALLS_SHARE: Final = 0.1
-#: A call that is being answered at the end is waited for so long.
-_LAST_ANSWER_S: Final = 1.0
-#: Largest call that a router passes on, for who is called to refuse it by name; `WAITING_CALLS` of them may wait.
-_CALL_BYTES: Final = 2 * MAX_RPC_BYTES
 #: Of calls: ahead of images and of what is replayed.
 _CALL_PRIORITY: Final = zenoh.Priority.INTERACTIVE_LOW
+#: A call that is being answered at the end is waited for so long.
+_LAST_ANSWER_S: Final = 1.0
 #: How a publisher that keeps samples calls itself: its session, and its number there.
 _SENDER_PATTERN: Final = r"[0-9a-f]{1,32}/[0-9]+(?=/|$)"
 _PUT: Final = zenoh.SampleKind.PUT
+_PRIORITY: Final = {
+    "real_time": zenoh.Priority.REAL_TIME,
+    "interactive_high": zenoh.Priority.INTERACTIVE_HIGH,
+    "interactive_low": zenoh.Priority.INTERACTIVE_LOW,
+    "data_high": zenoh.Priority.DATA_HIGH,
+}
+_CONGESTION: Final = {"block": zenoh.CongestionControl.BLOCK, "drop": zenoh.CongestionControl.DROP}
 JSON_ENCODING: Final = zenoh.Encoding("application/json")
+#: Zenoh's own variable for how many threads it has for what, in a process.
+_RUNTIME: Final = "ZENOH_RUNTIME"
+_OPENING: Final = threading.Lock()
 _logger = logging.getLogger("bus")
 
 
-def settings_of(mode: str, endpoint: str, credentials: Credentials) -> dict[str, object]:
-    """Return what a router, or a client of one, tells Zenoh, by the paths of Zenoh's own settings."""
-    where = "listen" if mode == "router" else "connect"
-    if mode == "client":
-        endpoint = _named(endpoint)
-    settings: dict[str, object] = {
-        "mode": mode,
-        f"{where}/endpoints": [endpoint],
-        # Nothing is found by multicast: a robot must never be steered by a stranger's stack on the same network.
-        "scouting/multicast/enabled": False,
-        # A router would otherwise wait half a second for the scouting that is off.
-        "scouting/delay": 0,
-        "transport/link/tx/lease": LEASE_MS,
-        "transport/shared_memory/enabled": False,
-        # What is larger is dropped while it comes in, and not passed on: otherwise a message takes up to 1 GiB here.
-        "transport/link/rx/max_message_size": LINK_BYTES,
-        # Every sample tells when it was sent: the receiver's metrics want it, and so does replay.
-        "timestamping/enabled": True,
-        # A full-size frame is 40 fragments; a machine busy with rendering may not drain them within the default 50 ms.
-        "transport/link/tx/queue/congestion_control/drop/max_wait_before_drop_fragments": 500_000,
-        # Nor is the default of 1 ms enough for a few commands in a row: a busy machine dropped 1 in 100 of them.
-        "transport/link/tx/queue/congestion_control/drop/wait_before_drop": 100_000,
-        # Episode events wait rather than be dropped. A client that does not read must not hold up everybody else for
-        # the default of 5 s: its connection is closed, and it may connect again.
-        "transport/link/tx/queue/congestion_control/block/wait_before_close": 250_000,
-    }
-    if mode == "router":
-        settings |= {"transport/unicast/max_sessions": MAX_SESSIONS, "transport/unicast/accept_timeout": LEASE_MS}
-        settings["low_pass_filter"] = [
-            {"id": "calls", "messages": ["query"], "flows": ["ingress"], "key_exprs": ["**"], "size_limit": _CALL_BYTES}
-        ]
-    else:
-        # Only the first connection: after an outage it is made again for as long as it takes. Without this limit
-        # `zenoh.open` blocks for ever where there is no router, deaf to signals.
-        settings["connect/timeout_ms"] = ATTEMPT_MS
-        settings["connect/exit_on_failure"] = False
-        settings["connect/retry"] = {"period_init_ms": 100, "period_max_ms": 500, "period_increase_factor": 1.5}
-    if isinstance(credentials, Certificate):
-        settings |= {
-            "transport/link/tls/root_ca_certificate": str(credentials.ca),
-            f"transport/link/tls/{where}_certificate": str(credentials.certificate),
-            f"transport/link/tls/{where}_private_key": str(credentials.key),
-            "transport/link/tls/enable_mtls": True,
-            "transport/link/tls/verify_name_on_connect": True,
-            "transport/link/tls/close_link_on_expiration": True,
-        }
-    elif isinstance(credentials, Password):
-        settings |= {
-            "transport/auth/usrpwd/user": credentials.user,
-            "transport/auth/usrpwd/password": credentials.password,
-        }
-        if mode == "router":
-            settings["transport/auth/usrpwd/dictionary_file"] = str(credentials.dictionary)
-    return settings
+def _open(settings: dict[str, object], threads: int) -> zenoh.Session:
+    """Open a session; the first one of a process decides how many threads take in what comes.
 
-
-def _named(endpoint: str) -> str:
-    """Name what a client goes to: every address of this machine is one to listen on, which no certificate has."""
-    return re.sub(r"/(0\.0\.0\.0|\[::\]):", "/localhost:", endpoint)
-
-
-def _configuration(settings: dict[str, object]) -> zenoh.Config:
+    That is told to Zenoh by the environment, which is not for the processes that this one starts.
+    """
     config = zenoh.Config()
     for key, value in settings.items():
         config.insert_json5(key, json.dumps(value))
-    return config
-
-
-def router_settings(endpoint: str, robot: str, credentials: Credentials) -> dict[str, object]:
-    """Return what a router tells Zenoh: who comes with credentials may do what the table of services says."""
-    settings = settings_of("router", endpoint, credentials)
-    if credentials is not None:
-        settings["access_control"] = access_control(robot)
-        settings["adminspace"] = {"enabled": True, "permissions": {"read": True, "write": False}}
-    return settings
-
-
-def zenohd_configuration(endpoint: str, robot: str, credentials: Credentials) -> dict[str, object]:
-    """Return what makes Eclipse's own router, a program of its own, the same router as ``Router``."""
-    tree: dict[str, Any] = {}
-    for path, value in router_settings(endpoint, robot, credentials).items():
-        *folders, last = path.split("/")
-        at = tree
-        for folder in folders:
-            at = at.setdefault(folder, {})
-        at[last] = value
-    return tree
-
-
-def host_and_port(endpoint: str) -> tuple[str, int]:
-    """Return the two parts of a router's address.
-
-    Raises
-    ------
-    BusError
-        When the address is malformed; Zenoh would try an impossible one for ever.
-    """
-    match = re.fullmatch(ENDPOINT_PATTERN, endpoint)
-    if match is None or int(match[2]) > 65535:
-        form = f"tcp/<host>:<port> or tls/<host>:<port>, for example {DEFAULT_ROUTER}"
-        raise BusError(f"router address {endpoint[:100]!r}: expected {form}")
-    return match[1].strip("[]"), int(match[2])
-
-
-def check_credentials(endpoint: str, credentials: Credentials) -> None:
-    """Check that an address is of the kind that credentials are for.
-
-    Raises
-    ------
-    BusError
-        When it is encrypted and they are no certificate, or the other way round.
-    """
-    if encrypted(endpoint) and not isinstance(credentials, Certificate):
-        raise BusError(f"{endpoint} needs a certificate: give --secure DIR, or set SMAL_TLS_CA, _CERT and _KEY")
-    if isinstance(credentials, Certificate) and not encrypted(endpoint):
-        raise BusError(f"{endpoint} is not encrypted: with a certificate give an address that begins with tls/")
+    with _OPENING:
+        before = os.environ.get(_RUNTIME)
+        os.environ[_RUNTIME] = before or runtime(threads)
+        try:
+            return zenoh.open(config)
+        finally:
+            if before is None:
+                del os.environ[_RUNTIME]
 
 
 def _open_client(endpoint: str, credentials: Credentials, patience_s: float) -> zenoh.Session:
     deadline = time.monotonic() + patience_s
     while True:
         try:
-            return zenoh.open(_configuration(settings_of("client", endpoint, credentials)))
+            return _open(settings_of("client", endpoint, credentials), CLIENT_THREADS)
         except zenoh.ZError:
             if time.monotonic() > deadline:
                 raise BusError(_why_no_router(endpoint, credentials)) from None
@@ -203,9 +110,9 @@ def _why_no_router(endpoint: str, credentials: Credentials) -> str:
         socket.create_connection(host_and_port(endpoint), 1.0).close()
     except OSError:
         return f"no router at {endpoint}; start the stack with `smal up`"
-    full = f"is full (it takes {MAX_SESSIONS} sessions, two of each program)"
+    full = f"is full (it takes {MAX_SESSIONS} sessions, {len(LANES)} of each program)"
     if isinstance(credentials, Certificate):
-        refused = why_refused(credentials, *host_and_port(_named(endpoint)))
+        refused = why_refused(credentials, *host_and_port(named(endpoint)))
         return refused or f"what listens at {endpoint} is no router that encrypts, does not answer, or {full}"
     who = "who gives this password" if isinstance(credentials, Password) else "without a certificate or a password"
     return f"what listens at {endpoint} is no router, or takes nobody in {who}, or {full}"
@@ -249,7 +156,7 @@ class Router:
             )
         keep_freed_memory()
         try:
-            self._session = zenoh.open(_configuration(router_settings(endpoint, robot, credentials)))
+            self._session = _open(router_settings(endpoint, robot, credentials), ROUTER_THREADS)
         except zenoh.ZError as error:
             reason = "the port is in use" if "in use" in str(error) else str(error).partition(" at /")[0][:200]
             raise BusError(
@@ -264,7 +171,7 @@ class Router:
 class ZenohWire(Wire):
     """One process's connection to a Zenoh router.
 
-    Commands travel in a session of their own, so that no image can stand before them in a queue.
+    Each lane is a session of its own: no image can stand before a command in a queue, and nothing before a stop.
 
     Parameters
     ----------
@@ -288,14 +195,14 @@ class ZenohWire(Wire):
         check_credentials(endpoint, credentials)
         keep_freed_memory()
         self._robot = robot
-        self.sessions = {urgent: _open_client(endpoint, credentials, patience_s) for urgent in (False, True)}
+        self.sessions = {lane: _open_client(endpoint, credentials, patience_s) for lane in LANES}
         self._publishers: dict[str, zenoh.Publisher | zenoh.ext.AdvancedPublisher] = {}
         self._held = Budget(HELD_BYTES)
         self._declared: list[zenoh.Subscriber[None] | zenoh.ext.AdvancedSubscriber[None] | zenoh.Queryable[Any]] = []
         self._answering: list[threading.Thread] = []
 
     def connected(self) -> bool:
-        """Whether both sessions have a router."""
+        """Whether every session has a router."""
         return all(session.info.routers_zid() for session in self.sessions.values())
 
     def publish(self, topic: Topic, payload: bytes) -> None:
@@ -318,13 +225,13 @@ class ZenohWire(Wire):
 
     def declare_publisher(self, topic: Topic) -> zenoh.Publisher | zenoh.ext.AdvancedPublisher:
         """Declare the publisher that a topic asks for."""
-        session, key = self.sessions[topic.urgent], topic.key(self._robot)
+        session, key = self.sessions[topic.lane], topic.key(self._robot)
         encoding = zenoh.Encoding(encoding_of(topic.message))
-        congestion = zenoh.CongestionControl.BLOCK if topic.reliable else zenoh.CongestionControl.DROP
-        priority = _priority(topic)
+        how = quality(topic)
+        congestion, priority = _CONGESTION[how.congestion_control], _PRIORITY[how.priority]
         if not topic.recorded:
             return session.declare_publisher(
-                key, encoding=encoding, congestion_control=congestion, priority=priority, express=topic.urgent
+                key, encoding=encoding, congestion_control=congestion, priority=priority, express=how.express
             )
         replies = zenoh.ext.RepliesConfig(
             congestion_control=zenoh.CongestionControl.BLOCK, priority=REPLAY_PRIORITY, express=False
@@ -335,7 +242,7 @@ class ZenohWire(Wire):
             encoding=encoding,
             congestion_control=congestion,
             priority=priority,
-            express=topic.urgent,
+            express=how.express,
             cache=zenoh.ext.CacheConfig(topic.kept, replies_config=replies),
             sample_miss_detection=zenoh.ext.MissDetectionConfig(heartbeat=None, sporadic_heartbeat=HEARTBEAT_S),
             publisher_detection=True,
@@ -343,7 +250,7 @@ class ZenohWire(Wire):
 
     def subscribe(self, topic: Topic, take: Take, refused: Refused, *, replay: bool) -> None:
         """Call ``take`` for every sample of a topic, with ``replay`` also for what got lost in an outage."""
-        key, session = topic.key(self._robot), self.sessions[topic.urgent]
+        key, session = topic.key(self._robot), self.sessions[topic.lane]
 
         def on_sample(sample: zenoh.Sample) -> None:
             payload, encoding, put = sample.payload, str(sample.encoding), sample.kind == _PUT
@@ -406,14 +313,14 @@ class ZenohWire(Wire):
             session.liveliness().declare_subscriber(f"{senders}/**", _in_order(on_sender), history=True),
         ]
 
-    def listen(self, keys: str, take: Callable[[str, bytes, str], None], *, urgent: bool) -> None:
+    def listen(self, keys: str, take: Callable[[str, bytes, str], None], *, lane: Lane) -> None:
         """Call ``take(key, payload, encoding)`` for every sample on matching keys."""
 
         def on_sample(sample: zenoh.Sample) -> None:
             take(str(sample.key_expr), sample.payload.to_bytes(), str(sample.encoding))
 
         try:
-            self._declared.append(self.sessions[urgent].declare_subscriber(keys, _in_order(on_sample)))
+            self._declared.append(self.sessions[lane].declare_subscriber(keys, _in_order(on_sample)))
         except zenoh.ZError as error:
             raise BusError(str(error).partition(" at /")[0]) from None  # without the place in Zenoh's source
 
@@ -451,7 +358,7 @@ class ZenohWire(Wire):
         # What waits does so outside of Python, whose threads take turns: ten thousand calls of a status in a second,
         # which whoever looks at a robot may make, would otherwise take them from the loop that drives.
         calls: zenoh.handlers.RingChannel[zenoh.Query] = zenoh.handlers.RingChannel(WAITING_CALLS)
-        queryable = self.sessions[False].declare_queryable(key, calls, complete=True)
+        queryable = self.sessions["ordinary"].declare_queryable(key, calls, complete=True)
         self._declared.append(queryable)
         thread = threading.Thread(target=answer_all, name=f"calls of {key}", daemon=True)
         self._answering.append(thread)
@@ -459,7 +366,7 @@ class ZenohWire(Wire):
 
     def call(self, key: str, request: bytes, timeout_s: float) -> Answer | None:
         """Call a key and wait for the answer."""
-        replies = self.sessions[False].get(
+        replies = self.sessions["ordinary"].get(
             key,
             # Room for one reply, and the first is taken: whoever answers a thousand times fills no memory.
             zenoh.handlers.FifoChannel(1),
@@ -490,16 +397,6 @@ class ZenohWire(Wire):
         for thread in self._answering:
             if thread is not threading.current_thread():
                 thread.join(_LAST_ANSWER_S)
-
-
-def _priority(topic: Topic) -> zenoh.Priority:
-    """Return a topic's queue. What waits must not wait behind images: a slow link would then be closed for them.
-
-    And nothing must wait behind what is replayed.
-    """
-    if topic.urgent:
-        return zenoh.Priority.REAL_TIME
-    return zenoh.Priority.INTERACTIVE_LOW if topic.reliable else zenoh.Priority.DATA_HIGH
 
 
 def _origin(sample: zenoh.Sample) -> str:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 
-from schemas.base import Atom, Message, Source
+from schemas.base import NO_EPISODE, Atom, Message, Source
 from schemas.command import Command, CommandApplied
 from schemas.episode import Episode
 from services.operator.hold import KeyHold
@@ -30,7 +30,7 @@ class Commands:
     def __init__(self, keys: KeyHold, robot: str) -> None:
         self._keys = keys
         #: What an emergency stop descends from: the last heartbeat; the actuator takes it whatever its episode.
-        self._heard = Message(robot=robot, episode="none", tick=0, stamp_ns=0)
+        self._heard = Message(robot=robot, episode=NO_EPISODE, tick=0, stamp_ns=0)
         self._arming = False
         self._sent: Atom | None = None
         self._answered = -1
@@ -67,7 +67,7 @@ class Commands:
         self.applied = self._heard = applied
         self.stop = applied.emergency_stop
         if self.emergency:
-            return self._insist()
+            return self.insist()
         if self._keys.held() is not None and applied.tick != self._answered:
             return self._drive()
         return self.poll()
@@ -75,7 +75,7 @@ class Commands:
     def told(self, stop: int) -> Command | None:
         """Take what the robot answers when it is asked: the number of its stop."""
         self.stop = stop
-        return self._insist()
+        return self.insist()
 
     def press(self, atom: Atom, until_s: float | None = None) -> Command | None:
         """Take a press or a repeat of a key that moves the robot or stops it; see ``KeyHold.press``."""
@@ -98,6 +98,10 @@ class Commands:
         self.emergency = True
         self._arming = False
         return self._emergency()
+
+    def insist(self) -> Command | None:
+        """Repeat an emergency stop of which the robot has not told that it stands for it."""
+        return self._emergency() if self.emergency and not self.stop and not self._arming else None
 
     def arming(self) -> None:
         """Take note that the robot is being asked to release its stop."""
@@ -144,10 +148,6 @@ class Commands:
         self._sent = held
         self._answered = self.applied.tick
         return self._command("teleop", held or "stop")
-
-    def _insist(self) -> Command | None:
-        """Repeat an emergency stop that the robot does not stand for."""
-        return self._emergency() if self.emergency and not self.stop and not self._arming else None
 
     def _emergency(self) -> Command:
         return self._command("emergency_stop", "stop")

@@ -5,32 +5,39 @@ from __future__ import annotations
 import math
 import threading
 import time
+from collections import deque
 from collections.abc import Callable
 from contextlib import suppress
 from itertools import count
 from queue import Empty, SimpleQueue
-from typing import Final, Protocol, cast
+from typing import Final, Protocol
 
 from schemas import topics
-from schemas.base import Atom, Strict
+from schemas.base import NO_EPISODE, Atom, Strict
 from schemas.command import CommandApplied, StopCause
 from schemas.episode import Episode
 from schemas.heartbeat import Heartbeat
+from schemas.pulse import Pulse
 from schemas.rpc import ArmRequest, EndRequest, Nothing, ResetReply, ResetRequest, ResumeRequest, Status
+from services.kit.bus import BusError, RpcError
 from services.kit.node import Node, ServiceError
 from services.operator.commands import Commands
 from services.operator.hold import KeyHold
 
 #: How often releases of keys and the robot's answers have to be noticed, see ``Operator.poll``.
 POLL_S: Final = 0.02
-#: How often the robot has to hear that the operator is there; it misses them after five times that.
-BEAT_S: Final = 0.05
 #: A simulator's first frame takes seconds; another world of thousands of houses opens in minutes.
 RESET_S: Final = 60.0
 _OPEN_S: Final = 600.0
 ANSWER_S: Final = 5.0
-#: How often the robot is asked how it is, where it does not tell by its heartbeat, which beats ten times a second.
-ASK_S: Final = 0.5
+#: How often it is told how the robot is that has no episode, of which it would tell ten times a second.
+LOOK_S: Final = 0.5
+#: Silence after which the robot is said to be silent; twenty pulses.
+SILENCE_S: Final = 1.0
+#: Pulses that may still be answered, and some more; they come every 0.05 s.
+_PULSES: Final = 16
+#: How often an emergency stop is repeated until the robot has told that it stands for it: as often as it would tell.
+INSIST_S: Final = 0.1
 
 
 class Reports(Protocol):
@@ -61,7 +68,7 @@ class Reports(Protocol):
 class Operator:
     """Wires what a person does to a node; everything happens on the node's thread.
 
-    Whoever owns it calls ``poll`` every ``POLL_S`` or sooner, and ``beat`` every ``BEAT_S`` while the person is there.
+    Whoever owns it calls ``poll`` every ``POLL_S`` or sooner.
 
     Parameters
     ----------
@@ -73,10 +80,18 @@ class Operator:
         Tells the person.
     clock
         Monotonic seconds.
+    there
+        Whether the person is there for as long as this process is, so that each pulse of the robot is answered; where
+        that is known for moments alone, ``beat`` tells it.
     """
 
     def __init__(
-        self, node: Node, keys: KeyHold, reports: Reports, clock: Callable[[], float] = time.monotonic
+        self,
+        node: Node,
+        keys: KeyHold,
+        reports: Reports,
+        clock: Callable[[], float] = time.monotonic,
+        there: Callable[[], bool] = lambda: True,
     ) -> None:
         self._node = node
         self._reports = reports
@@ -85,22 +100,25 @@ class Operator:
         #: The running episode, if it was begun here, and how it was asked for.
         self.mine: str | None = None
         self.request: ResetRequest | None = None
+        self._there = there
         self._beats = count()
-        self._heard_s = -math.inf
-        self._inquiring = False
+        #: When something was heard of the robot, and of its episode.
+        self._heard_s = self._applied_s = -math.inf
+        self._pulses: deque[tuple[float, Pulse]] = deque(maxlen=_PULSES)
         # One question to the robot at a time, in a thread of its own: an emergency stop must not wait for its answer.
         self._asking: threading.Thread | None = None
         self._answers: SimpleQueue[Callable[[], None]] = SimpleQueue()
         node.subscribe(topics.APPLIED, self.on_applied)
         node.subscribe(topics.EPISODE, self.on_event)
-        node.every(ASK_S, self._inquire)
-        self._inquire()
+        node.subscribe(topics.PULSE, self.on_pulse)
+        node.every(LOOK_S, self._look)
+        node.every(INSIST_S, self._insist)
 
     # -- what is heard --------------------------------------------------------------------------------------------
 
     def on_applied(self, applied: CommandApplied) -> None:
         """Answer the robot's heartbeat."""
-        self._heard_s = self._clock()
+        self._heard_s = self._applied_s = self._clock()
         self._node.publish(self.commands.handle(applied))
         self._reports.on_applied(applied)
 
@@ -111,6 +129,15 @@ class Operator:
         if event.event == "ended" and event.episode == self.mine:
             self.mine = None
 
+    def on_pulse(self, pulse: Pulse) -> None:
+        """Answer the robot's sign of life where the person is there."""
+        first, self._heard_s = not self._pulses, self._clock()
+        self._pulses.append((self._heard_s, pulse))
+        if self._there():
+            self.beat()
+        if first:
+            self._look()
+
     def poll(self) -> None:
         """Notice releases of keys, and answers."""
         self._node.publish(self.commands.poll())
@@ -120,12 +147,17 @@ class Operator:
 
     # -- what is done ---------------------------------------------------------------------------------------------
 
-    def beat(self, *, present: bool = True) -> None:
-        """Tell the robot that the operator is there, or leaves."""
-        beat = Heartbeat.after(
-            self.commands.heard, session=self._node.session, sequence=next(self._beats), operator=True, present=present
-        )
-        self._node.publish(beat)
+    def beat(self, as_of_s: float = math.inf, *, present: bool = True) -> None:
+        """Tell the robot that the operator is there, or leaves, as of a time of the clock: now if not given.
+
+        So it answers the last pulse that was heard by then; where none was, nobody has to be told.
+        """
+        for heard_s, pulse in reversed(self._pulses):
+            if heard_s <= as_of_s:
+                node, sequence = self._node, next(self._beats)
+                fields = {"session": node.session, "name": node.name, "sequence": sequence, "answers": pulse.number}
+                node.publish(Heartbeat.after(pulse, **fields, present=present))
+                return
 
     def press(self, atom: Atom, until_s: float | None = None) -> None:
         """Take a press or a repeat of a key that moves the robot or stops it; see ``KeyHold.press``."""
@@ -179,7 +211,7 @@ class Operator:
             stays = request.world is None and request.variation is None
             reply = self._node.bus.call("robot", "reset", request, ResetReply, RESET_S if stays else _OPEN_S)
             if not there():
-                self.call("end", EndRequest(episode=reply.episode))
+                self.call("end", EndRequest(episode=reply.episode, session=self._node.session))
                 raise ServiceError("ended at once: who asked for it has left")
 
             def done() -> None:
@@ -200,7 +232,7 @@ class Operator:
         if not detail["taken_over"]:
             return
         if detail["episode"] is not None:
-            self.call("end", EndRequest(episode=str(detail["episode"])))
+            self.call("end", EndRequest(episode=str(detail["episode"]), session=self._node.session))
         heard = self.commands.heard
         self.call("resume", ResumeRequest(episode=heard.episode, tick=heard.tick, session=self._node.session))
 
@@ -236,7 +268,7 @@ class Operator:
     def end_mine(self) -> None:
         """End the episode that was begun here, as its task says."""
         if self.mine is not None:
-            request = EndRequest(episode=self.mine)
+            request = EndRequest(episode=self.mine, session=self._node.session)
             self.ask(lambda: self.call("end", request))
 
     # -- asking ---------------------------------------------------------------------------------------------------
@@ -260,8 +292,12 @@ class Operator:
         def ask() -> None:
             try:
                 done = question()
-            except Exception as error:  # noqa: BLE001 - else nothing could ever be asked again
-                reason = str(error)
+            except Exception as error:
+                # Whatever it is: else nothing could ever be asked again.
+                expected = isinstance(error, ServiceError | RpcError | BusError)
+                if not expected:
+                    self._node.log.exception("asking failed")
+                reason = str(error) if expected else self._node.own_fault
                 self._answers.put(lambda: refused(reason))
             else:
                 self._answers.put(done)
@@ -300,30 +336,17 @@ class Operator:
 
         return arm
 
-    def _inquire(self) -> None:
-        """Ask the robot how it is where it has fallen silent, or has no episode yet."""
-        asked_s = self._clock()
-        if self._inquiring or asked_s - self._heard_s < ASK_S:
-            return
-        self._inquiring = True
+    def _insist(self) -> None:
+        self._node.publish(self.commands.insist())
 
-        def take(status: Status | None) -> None:
-            self._inquiring = False
-            if self._heard_s > asked_s:
-                return
-            if status is None:
-                self._reports.on_silence()
-                return
-            if status.detail["episode"] is None:
+    def _look(self) -> None:
+        """Tell how the robot is where it is silent, or has no episode."""
+        now = self._clock()
+        if now - self._heard_s > SILENCE_S:
+            self._reports.on_silence()
+        elif self._pulses and now - self._applied_s >= LOOK_S:
+            _, pulse = self._pulses[-1]
+            if pulse.episode == NO_EPISODE:
                 self.commands.no_episode()
-                self._reports.on_answer(cast("StopCause | None", status.detail["stop_cause"]))
-            self._node.publish(self.commands.told(cast("int", status.detail["emergency_stop"])))
-
-        def inquire() -> None:
-            try:
-                status = self._node.bus.call("robot", "status", Nothing(), Status, ANSWER_S)
-            except Exception:  # noqa: BLE001 - whatever it is, the robot does not tell
-                status = None
-            self._answers.put(lambda: take(status))
-
-        threading.Thread(target=inquire, name="inquiry", daemon=True).start()
+                self._reports.on_answer(pulse.stop_cause)
+            self._node.publish(self.commands.told(pulse.emergency_stop))

@@ -17,8 +17,10 @@ from schemas.rpc import Nothing, RecordReply, RecordRequest
 from schemas.topics import TOPICS
 from services.kit.node import Detail, Node, ServiceError
 from services.kit.root import below
-from services.recordings.sink import PARTIAL_SUFFIX, leftovers
-from services.recordings.writer import EpisodeWriter, RecoveryError
+from services.recorder.disk import LOOK_S, Disk
+from services.recordings.leftover import LeftoverError, Sealed, seal_leftover
+from services.recordings.sink import leftovers
+from services.recordings.writer import EpisodeWriter
 
 #: Messages that wait while the disk is slow, as a multiple of what is replayed at once after an outage.
 QUEUE_FACTOR: Final = 2
@@ -26,8 +28,8 @@ QUEUE_FACTOR: Final = 2
 #: and nothing more has come for ``QUIET_S``, or else nothing for ``GRACE_S``.
 QUIET_S: Final = 0.2
 GRACE_S: Final = 1.0
-#: So long a recording that a killed recorder left waits for its episode to go on, and for what is replayed of it.
-RESUME_S: Final = 5.0
+#: How long `flush` and `stop` wait for that.
+_SETTLE_S: Final = 10.0
 SEAL_PERIOD_S: Final = 0.05
 #: Messages kept of episodes whose beginning has not arrived yet, and for how long: order holds within a topic, not
 #: between topics, and less so in a replay.
@@ -44,8 +46,6 @@ class _Recording:
     writer: EpisodeWriter | None
     touched_s: float
     closing: bool = False
-    #: When a killed recorder's recording was gone on with.
-    resumed_s: float | None = None
     #: When it is finished whatever still comes: nobody told that the episode ended.
     deadline_s: float | None = None
 
@@ -54,8 +54,6 @@ class _Recording:
         quiet_s = now_s - self.touched_s
         if self.deadline_s is not None and now_s >= self.deadline_s:
             return True
-        if self.resumed_s is not None and (now_s < self.resumed_s + RESUME_S or not self.closing):
-            return quiet_s >= RESUME_S
         return self.closing and quiet_s >= (QUIET_S if self._whole() else GRACE_S)
 
     def _whole(self) -> bool:
@@ -88,6 +86,8 @@ class RecorderService:
         Folder to record in from the start; None waits for the call ``start``.
     clock
         Seconds, for the grace after an episode's end.
+    disk
+        Tells how long there is room.
 
     Raises
     ------
@@ -96,17 +96,26 @@ class RecorderService:
     """
 
     def __init__(
-        self, node: Node, root: Path, folder: Path | None = None, clock: Callable[[], float] = time.monotonic
+        self,
+        node: Node,
+        root: Path,
+        folder: Path | None = None,
+        clock: Callable[[], float] = time.monotonic,
+        disk: Disk | None = None,
     ) -> None:
         self._node = node
         self._root = root
         self._clock = clock
+        self._disk = disk or Disk(clock)
         self._folder: Path | None = None
         self._open: dict[str, _Recording] = {}
         self._early: deque[_Early] = deque()
         self._early_bytes = 0
         self._files: list[Path] = []
-        self._unfinished = False
+        #: Episodes of which a killed recorder left the beginning.
+        self._cut: set[str] = set()
+        #: What it left that cannot be sealed.
+        self._given_up: set[Path] = set()
         self._sealed: Counter[str] = Counter()
         self._lost = 0
         self._dropped_before = 0
@@ -123,6 +132,7 @@ class RecorderService:
         node.serve("flush", Nothing, self.flush)
         node.serve("stop", Nothing, self.stop)
         node.every(SEAL_PERIOD_S, self.seal_complete)
+        node.every(LOOK_S, self.look_at_disk)
         node.detail = self.detail
 
     # -- calls ----------------------------------------------------------------------------------------------------
@@ -141,7 +151,7 @@ class RecorderService:
     def flush(self, _request: Nothing) -> RecordReply:
         """Finish the files of the episodes that have ended, and name all files since ``start``."""
         self._settle()
-        self._retry(self._folder)
+        self._seal_leftovers(self._folder)
         return self._reply()
 
     def stop(self, _request: Nothing) -> RecordReply:
@@ -149,7 +159,7 @@ class RecorderService:
         folder, self._folder = self._folder, None
         self._close_all()
         self._settle()
-        self._retry(folder)
+        self._seal_leftovers(folder)
         return self._reply()
 
     def close(self) -> None:
@@ -160,30 +170,35 @@ class RecorderService:
 
     def _record_in(self, folder: Path) -> None:
         folder.mkdir(parents=True, exist_ok=True)
-        for partial in leftovers(folder):
-            self._resume(partial)
+        # Of such an episode what is still sent is a recording of its own.
+        self._cut = {one.episode for one in self._seal_leftovers(folder) if not one.ended}
         self._folder = folder.resolve()
         self._files, self._lost = [], 0
         self._dropped_before = self._dropped_by_node()
         self._node.log.info("recording in %s", self._folder)
 
-    def _resume(self, partial: Path) -> None:
-        """Go on with a recording that was left behind: its episode may still run."""
-        try:
-            writer = EpisodeWriter.resume(partial)
-        except BlockingIOError:
-            return  # its recorder lives
-        except (RecoveryError, OSError) as error:
-            self._node.log.warning("cannot go on with %s: %s", partial, error)
-            return
-        self._node.log.info("going on with %s, left by a recorder that was killed", writer.path)
-        resumed = _Recording(writer, self._clock(), resumed_s=self._clock())
-        if self._open.setdefault(writer.episode, resumed) is not resumed:
-            self._finish(resumed)  # two recorders recorded that episode, and both were killed
+    def _seal_leftovers(self, folder: Path | None) -> list[Sealed]:
+        """Seal what a recorder left that was killed, and what there was no room to seal."""
+        done = []
+        for partial in set() if folder is None else set(leftovers(folder)) - self._given_up:
+            try:
+                one = seal_leftover(partial)
+            except LeftoverError as error:
+                self._given_up.add(partial)
+                self._node.log.warning("%s stays as it is: %s", partial, error)
+            except BlockingIOError:
+                pass  # its recorder lives
+            except OSError as error:
+                self._complain(f"cannot seal {partial}: {error.strerror or error}; tried again with the next episode")
+            else:
+                self._node.log.info("sealed %s, which was left behind", one.path)
+                self._files = [one.path if path == partial else path for path in self._files]
+                done.append(one)
+        return done
 
     def _settle(self) -> None:
         """Go on recording until the grace of every ended episode is over."""
-        self._node.spin(until=lambda: not any(r.closing for r in self._open.values()), timeout_s=2 * RESUME_S)
+        self._node.spin(until=lambda: not any(r.closing for r in self._open.values()), timeout_s=_SETTLE_S)
 
     def _reply(self) -> RecordReply:
         dropped = self._lost + self._dropped_by_node() - self._dropped_before
@@ -226,21 +241,36 @@ class RecorderService:
         self._early_bytes -= self._early.popleft().size
 
     def _is_recorded(self, episode: str, folder: Path) -> bool:
-        """Whether there is a recording of an episode: what is replayed of it is in that."""
-        return (folder / f"{episode}.mcap").exists()
+        """Whether there is a recording of a whole episode: what is replayed of it is in that."""
+        return episode not in self._cut and (folder / f"{episode}.mcap").exists()
 
     def _begin(self, started: Episode, folder: Path) -> None:
         if started.episode in self._open or self._is_recorded(started.episode, folder):
             return
         # A robot runs one episode at a time: a new one means that the end of the last did not reach us.
         self._close_all()
-        self._retry(folder)
+        self._seal_leftovers(folder)
+        self._cut.discard(started.episode)
         writer = None
         try:
+            self._disk.check_room(folder)
             writer = EpisodeWriter.begin(folder, started)
         except OSError as error:
             self._complain(f"cannot record episode {started.episode}: {error.strerror or error}")
         self._open[started.episode] = _Recording(writer, self._clock())
+
+    def look_at_disk(self) -> None:
+        """Seal what is being recorded while there is room for that."""
+        writing = any(recording.writer is not None for recording in self._open.values())
+        if self._open and not writing and self._disk.warning is not None:
+            return  # who drives has to know it for as long as nothing is recorded
+        with suppress(OSError):  # the folder is gone, as the next message says
+            if self._folder is None or self._disk.look(self._folder, self._figures()["size"]):
+                return
+            for recording in self._open.values():
+                if recording.writer is not None:
+                    self._complain(f"{self._disk.warning}; what was before is sealed")
+                    self._finish(recording)
 
     def _write_early(self, recording: _Recording, episode: str) -> None:
         held, self._early, self._early_bytes = self._early, deque(), 0
@@ -259,23 +289,9 @@ class RecorderService:
             recording.writer.write(message)
         except OSError as error:
             self._lost += 1
+            self._disk.warning = f"{error.strerror or error}: no more is recorded"
             self._complain(f"cannot go on recording {recording.writer.path}: {error.strerror or error}")
             self._finish(recording)
-
-    def _retry(self, folder: Path | None) -> None:
-        """Finish what could not be finished because the disk was full."""
-        if not self._unfinished or folder is None:
-            return
-        done: dict[Path, Path] = {}
-        for partial in leftovers(folder):
-            with suppress(OSError, RecoveryError):
-                writer = EpisodeWriter.resume(partial)
-                done[partial] = writer.seal()
-        self._files = [done.get(path, path) for path in self._files]
-        self._unfinished = any(path.suffix == PARTIAL_SUFFIX for path in self._files)
-        for partial, path in done.items():
-            if path != partial:
-                self._node.log.info("finished %s, now that there is room", path)
 
     def _close_all(self) -> None:
         for recording in self._open.values():
@@ -291,8 +307,7 @@ class RecorderService:
             return
         path = writer.seal()
         if path != writer.path:
-            self._unfinished = True
-            self._complain(f"cannot finish {path}: {writer.problem}; tried again with the next episode")
+            self._complain(f"cannot seal {path}: {writer.problem}; tried again with the next episode")
         self._files.append(path)
         self._sealed = self._sealed + _figures(writer)  # another one: `detail` may be adding up this one
         gaps = "; ".join(f"{topic} lacks frames {ticks}" for topic, ticks in writer.ledger.gaps().items())
@@ -304,11 +319,14 @@ class RecorderService:
 
     # -- health ---------------------------------------------------------------------------------------------------
 
+    def _figures(self) -> Counter[str]:
+        # A thread of the bus asks as well: list() takes the open recordings at one moment.
+        writers = [recording.writer for recording in list(self._open.values())]
+        return sum((_figures(writer) for writer in writers if writer is not None), self._sealed)
+
     def detail(self) -> Detail:
         """Tell what was recorded so far."""
-        # This runs on a thread of the bus: list() takes the open recordings at one moment.
-        writers = [recording.writer for recording in list(self._open.values())]
-        totals = sum((_figures(writer) for writer in writers if writer is not None), self._sealed)
+        totals = self._figures()
         return {
             "root": str(self._root),
             "folder": str(self._folder) if self._folder else None,
@@ -319,12 +337,12 @@ class RecorderService:
             "duplicates": totals["duplicates"],
             "gap_ticks": totals["gap_ticks"],
             "lost": self._lost,
+            "disk": self._disk.warning,
             "last_error": self._last_error,
         }
 
 
 def _figures(writer: EpisodeWriter) -> Counter[str]:
     """Return the figures of one recording, to be added up."""
-    # What a part lacks may be in an earlier one: that is known when they are merged.
-    gap_ticks = 0 if writer.resumed else writer.ledger.gap_ticks
-    return Counter(messages=writer.messages, size=writer.size, duplicates=writer.ledger.duplicates, gap_ticks=gap_ticks)
+    ledger = writer.ledger
+    return Counter(messages=writer.messages, size=writer.size, duplicates=ledger.duplicates, gap_ticks=ledger.gap_ticks)

@@ -23,9 +23,10 @@ from schemas.odometry import Odometry
 from schemas.topics import TOPICS, Topic, topic_of
 from services.recordings.encoding import decode_image, size_of_image
 from services.recordings.ledger import Ledger, Order, order_of
-from services.recordings.reader import IMAGES, RecordingError, being_recorded, open_parts
-from services.recordings.records import Allowance, MemoryLimitError, summary_of, surveyed
-from services.recordings.sink import PARTIAL_SUFFIX, parts_of
+from services.recordings.reader import IMAGES, RecordingError, being_recorded, open_recording
+from services.recordings.records import MemoryLimitError
+from services.recordings.sink import PARTIAL_SUFFIX
+from services.recordings.survey import Summary, summary_of, surveyed
 from services.recordings.views import is_view
 from services.recordings.writer import EPISODE_METADATA
 
@@ -114,11 +115,11 @@ class Contents:
     Attributes
     ----------
     path
-        The file, or its first part.
+        The file.
     state
         ``sealed``, ``not sealed``, or ``being recorded``.
     size
-        Bytes, of all its parts.
+        Bytes.
     about
         What the recorder wrote of itself: software, when.
     episodes
@@ -189,28 +190,20 @@ class _Survey:
 
     def __init__(self, path: Path, *, thorough: bool) -> None:
         recorded = being_recorded(path)
-        parts = open_parts(path)
-        summaries = [summary_of(part) for part in parts]
-        sealed = path.suffix != PARTIAL_SUFFIX and all(summary is not None for summary in summaries)
+        data = open_recording(path)
+        summary = summary_of(data)
+        sealed = path.suffix != PARTIAL_SUFFIX and summary is not None
         state = "being recorded" if recorded else "sealed" if sealed else "not sealed"
-        self.contents = Contents(path, state, sum(map(len, parts)))
+        self.contents = Contents(path, state, len(data))
         self._thorough = thorough
         self._found: dict[tuple[str, str], _EpisodeSurvey] = {}
         if not sealed:
             left = path.suffix == PARTIAL_SUFFIX
             self._tell(f"{state}: {'left behind' if left else 'its end, with the index, is missing or damaged'}")
-        allowance = Allowance()
-        for part, name, summary in zip(parts, parts_of(path), summaries, strict=True):
-            prefix = f"{name.name}: " if len(parts) > 1 else ""
-            channels: dict[int, Channel] = {}
-            known = () if summary is None else summary.records
-            channels.update({one.id: one for one in known if isinstance(one, Channel)})
-            try:
-                count = self._read(part, channels, prefix, allowance)
-            except MemoryLimitError as error:
-                raise RecordingError(f"{path}: {error}; unpack it first (mcap decompress)") from None
-            if summary is not None and summary.messages not in (None, count):
-                self._tell(f"{prefix}its index tells of {summary.messages} messages, and there are {count}")
+        try:
+            self._read(data, summary)
+        except MemoryLimitError as error:
+            raise RecordingError(f"{path}: {error}; unpack it first (mcap decompress)") from None
         for survey in self._found.values():
             if survey.episode.topics:
                 self.contents.episodes.append(survey.episode)
@@ -224,9 +217,11 @@ class _Survey:
     def _tell(self, line: str) -> None:
         self.contents.damage.append(line)
 
-    def _read(self, part: memoryview, channels: dict[int, Channel], prefix: str, allowance: Allowance) -> int:
+    def _read(self, data: memoryview, summary: Summary | None) -> None:
+        known = () if summary is None else summary.records
+        channels = {one.id: one for one in known if isinstance(one, Channel)}
         count = unknown = 0
-        for record in surveyed(part, lambda line: self._tell(prefix + line), allowance):
+        for record in surveyed(data, self._tell):
             match record:
                 case Channel():
                     channels[record.id] = record
@@ -239,8 +234,9 @@ class _Survey:
                     if channel is not None:
                         self._take(channel, record)
         if unknown:
-            self._tell(f"{prefix}{unknown} messages are of a channel that is lost")
-        return count
+            self._tell(f"{unknown} messages are of a channel that is lost")
+        if summary is not None and summary.messages not in (None, count):
+            self._tell(f"its index tells of {summary.messages} messages, and there are {count}")
 
     def _take(self, channel: Channel, stored: StoredMessage) -> None:
         topic = topic_of(channel.topic)
@@ -291,7 +287,7 @@ class _EpisodeSurvey:
             decode_image(payload)
         if self.episode.width is None:
             self.episode.width, self.episode.height = size_of_image(payload)
-        return (stored.sequence,)
+        return stored.sequence, 0
 
     def _take_message(self, topic: Topic, payload: bytes, stored: StoredMessage) -> Order | None:
         if not self._thorough and not self._tells(topic):

@@ -229,6 +229,7 @@ def _demonstration(episode: RecordedEpisode, piece: Piece, whole: bool) -> Demon
         episode=episode.episode,
         goal=episode.goal,
         focal=episode.focal,
+        ahead=piece.ahead,
     )
 
 

@@ -2,84 +2,117 @@
 
 from __future__ import annotations
 
+from array import array
+from bisect import bisect_right
 from collections import defaultdict
 from collections.abc import Iterator
-from typing import Final
+from typing import Final, get_args
 
 from schemas.base import Message
 from schemas.command import Command, CommandApplied
-from schemas.episode import Episode
+from schemas.episode import Episode, EventName
 from schemas.topics import APPLIED, JPEG, OBSERVATION, POSE, STATE
 
 #: Topics with a message for every tick. At its end an episode has no command applied and perhaps no state any more.
 EVERY_TICK: Final = (JPEG.name, POSE.name, OBSERVATION.name, STATE.name, APPLIED.name)
 TO_THE_END: Final = (JPEG.name, POSE.name, OBSERVATION.name)
+#: In the order in which they happen within a tick.
+_EVENTS: Final = get_args(EventName)
 
-Order = tuple[int, ...]
-#: Messages whose place among their like is more than their tick.
-ORDERED: Final[tuple[type[Message], ...]] = (Episode, Command, CommandApplied)
+#: Tick, and place among the messages of the same topic and tick.
+Order = tuple[int, int]
 
 
 def order_of(message: Message) -> Order:
     """Return where a message stands among those of its topic and episode; no two have the same place."""
     if isinstance(message, Episode):
-        rank = {"started": 0, "ended": 2}.get(message.event, 1)
-        return rank, message.tick, ("victim_found", "collision", "timed_out", "started", "ended").index(message.event)
-    if isinstance(message, Command | CommandApplied):
-        return message.tick, message.sequence
-    return (message.tick,)
+        return message.tick, _EVENTS.index(message.event)
+    return message.tick, message.sequence if isinstance(message, Command | CommandApplied) else 0
+
+
+class Spans:
+    """A set of whole numbers as spans of successive ones: a drive of hours that lacks nothing is a single one."""
+
+    def __init__(self) -> None:
+        self._begins = array("q")
+        #: The first number behind each.
+        self._ends = array("q")
+        self.count = 0
+
+    def add(self, number: int) -> bool:
+        """Add a number; return whether it is new."""
+        after = bisect_right(self._begins, number)
+        before = after - 1
+        if before >= 0 and number < self._ends[before]:
+            return False
+        self.count += 1
+        joins_before = before >= 0 and self._ends[before] == number
+        joins_after = after < len(self._begins) and self._begins[after] == number + 1
+        if joins_before and joins_after:
+            self._ends[before] = self._ends.pop(after)
+            self._begins.pop(after)
+        elif joins_before:
+            self._ends[before] = number + 1
+        elif joins_after:
+            self._begins[after] = number
+        else:
+            self._begins.insert(after, number)
+            self._ends.insert(after, number + 1)
+        return True
+
+    def missing(self, last: int) -> Iterator[tuple[int, int]]:
+        """Yield first and last number of each gap from 0 to `last`."""
+        expected = 0
+        for begin, end in zip([*self._begins, last + 1], [*self._ends, last + 1], strict=True):
+            if expected < begin:
+                yield expected, begin - 1
+            expected = end
 
 
 class Ledger:
     """Keeps account of the messages of one episode.
 
-    A message may come again: in lockstep a frame is repeated until it is answered, and what is replayed to a recorder
-    that was started again may be in an earlier part. It may also come late, after others of its topic.
+    A message may come again: in lockstep a frame is repeated until it is answered, and what was kept for a recorder
+    that was away may have come before. It may also come late, after others of its topic.
     """
 
     def __init__(self) -> None:
-        self._seen: defaultdict[str, set[Order]] = defaultdict(set)
-        self._ticks: dict[str, set[int]] = {topic: set() for topic in EVERY_TICK}
+        self._seen: defaultdict[tuple[str, int], Spans] = defaultdict(Spans)
+        self._ticks = {topic: Spans() for topic in EVERY_TICK}
         self._last: dict[str, int] = dict.fromkeys(EVERY_TICK, -1)
         self.duplicates = 0
 
     def admit(self, topic: str, order: Order) -> bool:
         """Whether a message is new."""
-        if order in self._seen[topic]:
+        tick, place = order
+        if not self._seen[topic, place].add(tick):
             self.duplicates += 1
             return False
-        self._seen[topic].add(order)
         if topic in self._ticks:
-            self._ticks[topic].add(order[0])
-            self._last[topic] = max(self._last[topic], order[0])
+            self._ticks[topic].add(tick)
+            self._last[topic] = max(self._last[topic], tick)
         return True
 
     def close(self, end_tick: int) -> None:
         """Note that the episode ended at this tick: so far every topic reaches that was recorded at all."""
         for topic in TO_THE_END:
-            if self._ticks[topic]:
+            if self._ticks[topic].count:
                 self._last[topic] = max(self._last[topic], end_tick)
 
     def whole(self, end_tick: int) -> bool:
         """Whether nothing is missing of an episode that ended at this tick."""
-        return not self.gap_ticks and all(self._last[topic] >= end_tick for topic in TO_THE_END if self._ticks[topic])
+        reach = all(self._last[topic] >= end_tick for topic in TO_THE_END if self._ticks[topic].count)
+        return reach and not self.gap_ticks
 
     @property
     def gap_ticks(self) -> int:
         """How many messages of per-tick topics are missing."""
-        return sum(self._last[topic] + 1 - len(ticks) for topic, ticks in self._ticks.items())
+        return sum(self._last[topic] + 1 - ticks.count for topic, ticks in self._ticks.items())
 
     def gaps(self) -> dict[str, str]:
         """Return the missing ticks by topic, for example ``{"camera/jpeg": "3-5 9"}``."""
-        return {topic: text for topic in EVERY_TICK if (text := " ".join(_text(*span) for span in self._spans(topic)))}
-
-    def _spans(self, topic: str) -> Iterator[tuple[int, int]]:
-        """Yield first and last tick of each gap."""
-        expected = 0
-        for tick in [*sorted(self._ticks[topic]), self._last[topic] + 1]:
-            if expected < tick:
-                yield expected, tick - 1
-            expected = tick + 1
+        found = {topic: list(ticks.missing(self._last[topic])) for topic, ticks in self._ticks.items()}
+        return {topic: " ".join(_text(*span) for span in spans) for topic, spans in found.items() if spans}
 
 
 def _text(first: int, last: int) -> str:

@@ -28,7 +28,7 @@ from schemas.pose import Pose
 from schemas.topics import APPLIED, CAMERA, CAMERA_INFO, EPISODE, JPEG, OBSERVATION, ODOMETRY, POSE, Topic, topic_of
 from services.recordings.recorded import RecordedEpisode
 from services.recordings.records import MAGIC, Allowance, MemoryLimitError, mapped, records
-from services.recordings.sink import PARTIAL_SUFFIX, is_being_recorded, parts_of
+from services.recordings.sink import PARTIAL_SUFFIX, is_being_recorded
 
 #: Where images are; recordings of older versions have them, as JPEG too, on the key of the raw ones.
 IMAGES: Final = (JPEG, CAMERA)
@@ -83,7 +83,7 @@ def read_recording(
     Parameters
     ----------
     path
-        An MCAP file, finished or left behind; with it are read the parts that were recorded after a kill.
+        An MCAP file, sealed or left behind.
     fingerprint
         Which feature vectors to take from the observations; none of them if not given.
     allowance
@@ -101,14 +101,13 @@ def read_recording(
     """
     if being_recorded(path):
         raise RecordingError(f"{path}: still being recorded; end the episode or stop the recorder first")
-    parts = open_parts(path)
+    data = open_recording(path)
     allowance = allowance or Allowance()
     before = allowance.left
     reader = _Reader(fingerprint, allowance, keep, topics)
     try:
-        for part in parts:
-            for record in records(part, allowance):
-                reader.take(record)
+        for record in records(data, allowance):
+            reader.take(record)
     except MemoryLimitError as error:
         # It is left out, and what it took is free again.
         allowance.left = before
@@ -120,7 +119,7 @@ def read_recording(
         raise RecordingError(f"{path}: holds no episode")
     if not any(episode.frames for episode in episodes):
         raise RecordingError(f"{path}: holds no camera frame")
-    truncated = any(len(part) < 2 * len(MAGIC) or part[-len(MAGIC) :] != MAGIC for part in parts)
+    truncated = len(data) < 2 * len(MAGIC) or data[-len(MAGIC) :] != MAGIC
     return Recording(path, episodes, truncated, reader.bad)
 
 
@@ -138,8 +137,8 @@ def being_recorded(path: Path) -> bool:
         raise RecordingError(f"{path}: {error.strerror or error}") from None
 
 
-def open_parts(path: Path) -> list[memoryview]:
-    """Return the bytes of a recording, and those of the parts that were recorded after a kill.
+def open_recording(path: Path) -> memoryview:
+    """Return the bytes of a recording.
 
     Raises
     ------
@@ -147,14 +146,14 @@ def open_parts(path: Path) -> list[memoryview]:
         When it cannot be read, or is no MCAP file.
     """
     try:
-        parts = [mapped(part) for part in parts_of(path)]
+        data = mapped(path)
     except OSError as error:
         raise RecordingError(f"{path}: {error.strerror or error}") from None
-    if not parts[0]:
+    if not data:
         raise RecordingError(f"{path}: empty")
-    if parts[0][: len(MAGIC)] != MAGIC:
+    if data[: len(MAGIC)] != MAGIC:
         raise RecordingError(f"{path}: not an MCAP file")
-    return parts
+    return data
 
 
 class _Reader:

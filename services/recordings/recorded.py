@@ -28,6 +28,8 @@ class Piece:
         (f, m) float32, raw feature vectors.
     atoms
         (f,) int8, index in ``schemas.base.ATOMS`` of the movement between frame k and frame k + 1.
+    ahead
+        (f,) float32, fraction of the nominal speed at which the robot went ahead in turning then.
     images
         As recorded (for ``encoding.decode_image``), one a frame; None if one is missing.
     odometry
@@ -39,6 +41,7 @@ class Piece:
     ticks: NDArray[np.int64]
     features: NDArray[np.float32]
     atoms: NDArray[np.int8]
+    ahead: NDArray[np.float32]
     images: tuple[memoryview, ...] | None
     odometry: NDArray[np.float64] | None
     at_goal: bool
@@ -112,6 +115,8 @@ class RecordedEpisode:
     def _piece(self, ticks: NDArray[np.int64]) -> Piece:
         features = np.stack([self.features[tick] for tick in ticks.tolist()])
         atoms = np.array([self._atom(tick) for tick in ticks.tolist()], dtype=np.int8)
+        made = [self.applied.get(tick) for tick in ticks.tolist()]
+        ahead = np.array([0.0 if one is None else one.ahead for one in made], dtype=np.float32)
         held = [self.images.get(tick) for tick in ticks.tolist()]
         images = tuple(image for image in held if image is not None)
         way = [self.odometry[tick] for tick in ticks.tolist() if tick in self.odometry]
@@ -119,6 +124,7 @@ class RecordedEpisode:
             ticks,
             features,
             atoms,
+            ahead,
             images if len(images) == ticks.size else None,
             np.array(way) if len(way) == ticks.size else None,
             at_goal=self._is_goal(int(ticks[-1])),

@@ -14,7 +14,6 @@ from schemas.observation import Observation
 from schemas.topics import OBSERVATION, topic_of
 from services.kit.errors import UsageError
 from services.recordings.records import mapped, records
-from services.recordings.sink import parts_of
 from smal.features import FeatureSettings
 
 
@@ -42,8 +41,7 @@ def features_in(path: Path) -> tuple[FeatureSettings, ...]:
     Not those of another version, and none of a file that cannot be read: reading it says why.
     """
     try:
-        parts = [mapped(part) for part in parts_of(path)]
-        found = dict.fromkeys(_settings(observation) for part in parts for observation in _observations(part))
+        found = dict.fromkeys(_settings(observation) for observation in _observations(mapped(path)))
     except (OSError, McapError, ValueError, struct.error):
         return ()
     return tuple(features for features in found if features is not None)

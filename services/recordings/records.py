@@ -6,8 +6,7 @@ import mmap
 import os
 import struct
 import zlib
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, Final, cast
 
@@ -15,8 +14,7 @@ from lz4.frame import LZ4FrameDecompressor
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import EndOfFile, McapError
 from mcap.opcode import Opcode
-from mcap.records import Channel, Chunk, DataEnd, Footer, McapRecord, Message, Metadata, Schema, Statistics
-from mcap.stream_reader import read_magic
+from mcap.records import Channel, Chunk, DataEnd, McapRecord, Message, Metadata, Schema
 from mcap.writer import MCAP0_MAGIC
 from zstandard import ZstdDecompressor, ZstdError
 
@@ -25,36 +23,37 @@ from smal.regular_file import open_regular
 
 #: First and last bytes of every MCAP file.
 MAGIC: Final = MCAP0_MAGIC
+#: Head of a chunk that is not packed: opcode, bytes that follow, times of the first and last message, size, checksum,
+#: length of the compression's name, size.
+CHUNK_HEAD: Final = struct.Struct("<BQQQQIIQ")
+#: Opcode of a place that is kept free for one; those from 0x80 on are left to programs.
+KEPT_FREE: Final = 0x80
 #: Most bytes that a packed chunk may unpack to. Other tools make chunks of a few megabytes, and at least of one
 #: message; the largest is a raw image of 38 MB.
-_LARGEST_CHUNK: Final = 64 * 2**20
+LARGEST_CHUNK: Final = 64 * 2**20
 #: Most bytes of a record that is taken apart, which takes 15 times as much memory. The largest is the list of what a
 #: recording lacks: 12 MB, where every other frame of a day is missing.
-_LARGEST_RECORD: Final = 16 * 2**20
+LARGEST_RECORD: Final = 16 * 2**20
 #: Most bytes that packed recordings may take in memory. 12 drives of 1024x768 unpack to 1.6 GB, and our own recordings
 #: are not packed at all: their images stay on the disk.
 MOST_UNPACKED: Final = 4 * 2**30
+#: What a file may unpack to, times its own size: as much as LZ4 can pack at all. Messages of a robot that stands reach
+#: 18.
+_MOST_RATIO: Final = 256
+#: Bytes that a packed record takes at least. A message has another time and number than the last one: with the
+#: strongest compression of Zstandard those of a robot that stands, with an exact clock, take 8.8.
+_LEAST_RECORD: Final = 4
 #: What is read; the index and all else is passed over.
 _KINDS: Final[dict[int, type[Schema | Channel | Metadata | DataEnd]]] = {
     Opcode.SCHEMA: Schema, Opcode.CHANNEL: Channel, Opcode.METADATA: Metadata, Opcode.DATA_END: DataEnd,
 }  # fmt: skip
-
-
-_KNOWN: Final = frozenset(int(opcode) for opcode in Opcode)
-#: What of a summary is read.
-_SUMMARIZED: Final[dict[int, type[Schema | Channel | Statistics]]] = {
-    Opcode.SCHEMA: Schema, Opcode.CHANNEL: Channel, Opcode.STATISTICS: Statistics,
-}  # fmt: skip
+_IN_CHUNKS: Final = (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE)
 #: Of every record: what it is, and how many bytes follow.
-_HEAD: Final = struct.Struct("<BQ")
-#: What follows the summary: the footer, and the magic.
-_FOOTER: Final = _HEAD.size + 20
-#: And what comes before it: the end of the data, with its checksum.
-_DATA_END: Final = _HEAD.size + 4
-
+HEAD: Final = struct.Struct("<BQ")
+_MESSAGE: Final = struct.Struct("<HIQQ")
 
 #: What is raised where there is no record.
-_UNREADABLE: Final = (McapError, ValueError, struct.error)
+UNREADABLE: Final = (McapError, ValueError, struct.error)
 
 
 class MemoryLimitError(McapError):
@@ -82,6 +81,51 @@ class Allowance:
         if size > self.left:
             raise MemoryLimitError(f"takes more than {self._size / 2**30:.3g} GiB of memory, with what was read before")
         self.left -= size
+
+
+class Fair:
+    """What a file of some size may still unpack to: all that is honest fits, and nothing that takes for ever."""
+
+    def __init__(self, size: int, allowance: Allowance) -> None:
+        self._bytes = _MOST_RATIO * size
+        self._records = size // _LEAST_RECORD
+        self._allowance = allowance
+
+    def unpack(self, chunk: Chunk) -> memoryview:
+        """Unpack a chunk, never more of it than it announces.
+
+        Raises
+        ------
+        MemoryLimitError
+            When that is too much.
+        McapError
+            When it is damaged.
+        """
+        size = chunk.uncompressed_size
+        if size > LARGEST_CHUNK:
+            raise McapError(f"a chunk of {size} bytes, at most {LARGEST_CHUNK} are read")
+        self._bytes -= size
+        if self._bytes < 0:
+            raise MemoryLimitError(f"unpacks to more than {_MOST_RATIO} times its size")
+        self._allowance.take(size)
+        data = _unpacked(chunk, size)
+        if len(data) != size or chunk.uncompressed_crc not in (0, zlib.crc32(data)):
+            raise McapError("a chunk cannot be unpacked: its content is not what it says")
+        return memoryview(data)
+
+    def count(self, opcode: int) -> None:
+        """Count a record in a chunk that was unpacked.
+
+        Raises
+        ------
+        McapError
+            When none of its kind may be in chunks, or there are too many.
+        """
+        if opcode not in _IN_CHUNKS:
+            raise McapError(f"a record of kind {opcode} in a chunk")
+        self._records -= 1
+        if self._records < 0:
+            raise McapError(f"a record for less than {_LEAST_RECORD} bytes of the file")
 
 
 def mapped(path: Path) -> memoryview:
@@ -117,40 +161,78 @@ def records(data: memoryview, allowance: Allowance | None = None) -> Iterator[Mc
     McapError, ValueError, struct.error
         When the file is damaged otherwise.
     """
-    allowance = allowance or Allowance()
-    for record in _records(data):
-        if not isinstance(record, Chunk):
+    if not MAGIC.startswith(bytes(data[: len(MAGIC)])):
+        raise McapError("does not begin as an MCAP file")
+    yield from walk(data, len(MAGIC), Fair(len(data), allowance or Allowance()))
+
+
+def walk(data: memoryview, at: int, fair: Fair, *, unpacked: bool = False) -> Iterator[McapRecord]:
+    """Yield the whole records from a place on, those inside chunks in place of their chunk; raises as `records`."""
+    while at + HEAD.size <= len(data):
+        opcode, length = HEAD.unpack_from(data, at)
+        begin, end = at + HEAD.size, at + HEAD.size + length
+        if unpacked:
+            fair.count(opcode)
+        if opcode == Opcode.CHUNK and (inside := inside_of(data, at)) is not None:
+            at = inside
+            continue
+        if end > len(data):
+            return
+        record = record_of(opcode, data[begin:end])
+        if isinstance(record, DataEnd):
+            return
+        if isinstance(record, Chunk):
+            yield from walk(fair.unpack(record), 0, fair, unpacked=True)
+        elif record is not None:
             yield record
-        elif record.compression:
-            yield from _records(memoryview(_unpacked(record, allowance)), inside=True)
-        else:
-            yield from _records(memoryview(record.data), inside=True)
+        at = end
 
 
-def _records(data: memoryview, *, inside: bool = False) -> Iterator[McapRecord]:
-    stream = _stream(data)
-    try:
-        if not inside:
-            read_magic(stream)
-        while True:
-            opcode, length = stream.read1(), stream.read8()
-            body = _stream(stream.read(length))
-            if opcode == Opcode.MESSAGE:
-                yield Message.read(body, length)
-            elif opcode == Opcode.CHUNK:
-                yield Chunk.read(body)
-            elif opcode in _KINDS:
-                if length > _LARGEST_RECORD:
-                    raise McapError(f"a record of {length} bytes, at most {_LARGEST_RECORD} are read")
-                record = _KINDS[opcode].read(body)
-                if isinstance(record, DataEnd):
-                    return
-                yield record
-    except EndOfFile:
-        return
+def inside_of(data: memoryview, at: int) -> int | None:
+    """Return where the records of the chunk begin that stands here; None where they are packed, or its head is cut.
+
+    Records of a chunk that is not packed are read like those of a file without chunks: as far as they are there.
+
+    Raises
+    ------
+    McapError
+        When its head is damaged.
+    """
+    if at + CHUNK_HEAD.size > len(data):
+        return None
+    _, length, _, _, _, _, packed, size = CHUNK_HEAD.unpack_from(data, at)
+    if packed:
+        return None
+    if length != CHUNK_HEAD.size - HEAD.size + size:
+        raise McapError("a chunk of another size than its records")
+    return at + CHUNK_HEAD.size
 
 
-def _stream(data: bytes | memoryview) -> ReadDataStream:
+def record_of(opcode: int, body: memoryview) -> McapRecord | None:
+    """Return a record, or None where it holds nothing that is read.
+
+    Raises
+    ------
+    McapError, ValueError, struct.error
+        When it is damaged.
+    """
+    if opcode == Opcode.MESSAGE:
+        channel, tick, time, sent = _MESSAGE.unpack_from(body)
+        data = cast("bytes", body[_MESSAGE.size :])
+        return Message(channel_id=channel, sequence=tick, log_time=time, publish_time=sent, data=data)
+    if opcode == Opcode.CHUNK:
+        return cast("Chunk", Chunk.read(stream_of(body)))
+    if opcode == 0:
+        raise McapError("a record of no kind")
+    if opcode not in _KINDS:
+        return None
+    if len(body) > LARGEST_RECORD:
+        raise McapError(f"a record of {len(body)} bytes, at most {LARGEST_RECORD} are read")
+    return cast("McapRecord", _KINDS[opcode].read(stream_of(body)))
+
+
+def stream_of(data: bytes | memoryview) -> ReadDataStream:
+    """Return what the ``mcap`` package reads a record from."""
     # It asks its input for no more than to read.
     return ReadDataStream(cast("Any", _Slices(memoryview(data))))
 
@@ -174,176 +256,15 @@ class _Slices:
         return self._data[begin:end]
 
 
-def _unpacked(chunk: Chunk, allowance: Allowance) -> bytes:
-    """Unpack a chunk, never more of it than it announces."""
-    size = chunk.uncompressed_size
-    if size > _LARGEST_CHUNK:
-        raise McapError(f"a chunk of {size} bytes, at most {_LARGEST_CHUNK} are read")
-    allowance.take(size)
+def _unpacked(chunk: Chunk, size: int) -> bytes:
     try:
         match chunk.compression:
             case "zstd":
-                data = ZstdDecompressor().stream_reader(chunk.data).read(size + 1)
+                return ZstdDecompressor().stream_reader(chunk.data).read(size + 1)
             case "lz4":
-                data = bytes(LZ4FrameDecompressor().decompress(chunk.data, max_length=size + 1))
+                return bytes(LZ4FrameDecompressor().decompress(chunk.data, max_length=size + 1))
             case other:
                 raise McapError(f"a chunk has the unknown compression {printable(other)}")
     except (ZstdError, RuntimeError, MemoryError) as error:
         # What the two decompressors raise is no business of the caller's.
         raise McapError(f"a chunk cannot be unpacked: {error}") from None
-    if len(data) != size or chunk.uncompressed_crc not in (0, zlib.crc32(data)):
-        raise McapError("a chunk cannot be unpacked: its content is not what it says")
-    return data
-
-
-def surveyed(data: memoryview, tell: Callable[[str], None], allowance: Allowance | None = None) -> Iterator[McapRecord]:
-    """Yield all that is whole in the data section, also behind what is damaged, and tell what is damaged.
-
-    It takes the whole file to be read, images too. After a power failure zeros may stand in place of what was written.
-    A record whose length is damaged leads astray. Chunks tell by their checksum that they are whole: the next one is
-    looked for behind the last that was. What has no chunks has no checksums either.
-
-    Parameters
-    ----------
-    data, allowance
-        As for `records`.
-    tell
-        Called with each finding, a line.
-
-    Raises
-    ------
-    MemoryLimitError
-        When it unpacks to too much.
-    """
-    allowance = allowance or Allowance()
-    summary = summary_of(data)
-    data_end = len(data) if summary is None else summary.data_end
-    at = sure = len(MAGIC)
-    if data[:at] != MAGIC:
-        tell("does not begin as an MCAP file")
-    # The summary repeats schemas and channels: nothing that leads astray may lead there.
-    data = data[: data_end + _DATA_END]
-    while at < len(data):
-        try:
-            end, record = _record_at(data, at)
-            inside = _whole(record, allowance) if isinstance(record, Chunk) else [record]
-        except MemoryLimitError:
-            raise
-        except _UNREADABLE as error:
-            found = _next_chunk(data, sure + 1, data_end)
-            # What is cut off at its end, as by a kill, is told of as not sealed.
-            if found < len(data) or not isinstance(error, EndOfFile):
-                tell(f"damaged at byte {at}: what stands from byte {sure} to {found} is lost")
-            if found <= sure:
-                return
-            at = sure = found
-            continue
-        if isinstance(record, DataEnd):
-            if record.data_section_crc not in (0, zlib.crc32(data[:at])):
-                tell("the checksum of its data is wrong")
-            return
-        yield from (one for one in inside if one is not None)
-        at, sure = end, end if isinstance(record, Chunk | Message) else sure
-
-
-def _record_at(data: memoryview, at: int) -> tuple[int, McapRecord | None]:
-    """Return where a record ends, and the record if it holds something.
-
-    Raises
-    ------
-    McapError, ValueError, struct.error
-        When there is none.
-    """
-    if at + _HEAD.size > len(data):
-        raise EndOfFile
-    opcode, length = _HEAD.unpack_from(data, at)
-    begin = at + _HEAD.size
-    if begin + length > len(data):
-        raise EndOfFile
-    if opcode not in _KNOWN:
-        raise McapError("no record")
-    if opcode in _KINDS and length > _LARGEST_RECORD:
-        raise McapError("too large a record")
-    body = _stream(data[begin : begin + length])
-    if opcode == Opcode.MESSAGE:
-        return begin + length, Message.read(body, length)
-    kind = Chunk if opcode == Opcode.CHUNK else _KINDS.get(opcode)
-    return begin + length, None if kind is None else kind.read(body)
-
-
-def _whole(chunk: Chunk, allowance: Allowance) -> list[McapRecord]:
-    """Return the records of a chunk, whose checksum must be right."""
-    if chunk.compression:
-        content = memoryview(_unpacked(chunk, allowance))
-    else:
-        content = memoryview(chunk.data)
-        if chunk.uncompressed_size != len(content) or chunk.uncompressed_crc not in (0, zlib.crc32(content)):
-            raise McapError("its checksum is wrong")
-    return list(_records(content, inside=True))
-
-
-def _next_chunk(data: memoryview, at: int, end: int) -> int:
-    """Return where the next chunk begins whose checksum is right, or `end`."""
-    source = cast("mmap.mmap | bytes", data.obj)
-    while (at := source.find(bytes([Opcode.CHUNK]), at, end)) >= 0:
-        try:
-            _, chunk = _record_at(data, at)
-            if isinstance(chunk, Chunk) and chunk.uncompressed_crc:
-                _whole(chunk, Allowance(_LARGEST_CHUNK))
-                return at
-        except _UNREADABLE:
-            pass
-        at += 1
-    return end
-
-
-@dataclass(frozen=True)
-class Summary:
-    """What stands at the end of a sealed recording.
-
-    Attributes
-    ----------
-    data_end
-        Where the record is that ends the data section.
-    records
-        Schemas and channels once more.
-    messages
-        How many there are; None if it does not say.
-    """
-
-    data_end: int
-    records: tuple[McapRecord, ...]
-    messages: int | None
-
-
-def summary_of(data: memoryview) -> Summary | None:
-    """Return what stands at the end of a sealed recording; None where it is not sealed, or its end is damaged."""
-    end = len(data) - len(MAGIC) - _FOOTER
-    if end < len(MAGIC) or data[-len(MAGIC) :] != MAGIC:
-        return None
-    footer = Footer.read(_stream(data[end + _HEAD.size : -len(MAGIC)]))
-    begin = footer.summary_start or end
-    if _HEAD.unpack_from(data, end) != (Opcode.FOOTER, 20) or not len(MAGIC) + _DATA_END <= begin <= end:
-        return None
-    # The checksum is of everything before itself.
-    if footer.summary_crc not in (0, zlib.crc32(data[begin : len(data) - len(MAGIC) - 4])):
-        return None
-    try:
-        found = list(_summary(data[begin:end]))
-    except _UNREADABLE:
-        return None
-    counts = [one.message_count for one in found if isinstance(one, Statistics)]
-    kept = tuple(one for one in found if isinstance(one, Schema | Channel))
-    return Summary(begin - _DATA_END, kept, counts[0] if counts else None)
-
-
-def _summary(data: memoryview) -> Iterator[McapRecord]:
-    stream = _stream(data)
-    try:
-        while True:
-            opcode, length = stream.read1(), stream.read8()
-            body = _stream(stream.read(length))
-            if opcode in _SUMMARIZED and length <= _LARGEST_RECORD:
-                yield _SUMMARIZED[opcode].read(body)
-    except EndOfFile:
-        return

@@ -1,11 +1,11 @@
-"""A recording that is not sealed, or damaged, becomes a sealed one of all that is whole in it."""
+"""Recordings that are not sealed, damaged, or in several files become a sealed one of all that is whole in them."""
 
 from __future__ import annotations
 
 import os
 import tempfile
-from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from collections.abc import Iterator, Sequence
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import replace as changed
 from itertools import chain
 from pathlib import Path
@@ -13,12 +13,13 @@ from pathlib import Path
 from mcap.records import Channel, Schema
 from mcap.records import Message as StoredMessage
 
+from schemas.base import Message
 from schemas.topics import topic_of
 from services.recordings.contents import Contents, decoded, verify
 from services.recordings.encoding import ChannelFormat, decode_image, format_of
-from services.recordings.reader import IMAGES, open_parts
-from services.recordings.records import summary_of, surveyed
-from services.recordings.sink import PARTIAL_SUFFIX, claim, finished, free_path, parts_of, publish
+from services.recordings.reader import IMAGES, open_recording
+from services.recordings.sink import PARTIAL_SUFFIX, claim, finished, free_path, publish
+from services.recordings.survey import summary_of, surveyed
 from services.recordings.writer import EpisodeWriter
 
 
@@ -33,48 +34,54 @@ def usual_name(path: Path, *, replace: bool) -> Path:
     return path if replace else free_path(path.parent, f"{path.stem}-repaired")
 
 
-def repair(path: Path, out: Path, *, replace: bool = False) -> tuple[Contents, Contents | None]:
-    """Write the recording of all that is whole in another one.
+def repair(paths: Sequence[Path], out: Path, *, replace: bool = False) -> tuple[list[Contents], Contents | None]:
+    """Write the recording of all that is whole in others.
 
     Parameters
     ----------
-    path
-        A recording, finished or left behind, with its parts. It stays as it is.
+    paths
+        Recordings of one episode, sealed or left behind, in their order. They stay as they are.
     out
         The new one.
     replace
-        Whether a file that is there is replaced, and the parts of what was left behind are removed.
+        Whether a file that is there is replaced, and what was left behind is removed.
 
     Returns
     -------
     before, after : Contents
-        What was wrong, and what still is: what it lacks was lost before. None where nothing was to be repaired, and
-        nothing is written.
+        What was wrong with each, and what still is: what it lacks was lost before. None where nothing was to be
+        repaired, and nothing is written.
 
     Raises
     ------
     RepairError
-        When nothing can be made of it, it is still being recorded, or there is a file already.
+        When nothing can be made of them, one is still being recorded, or there is a file already.
     RecordingError
-        When it is no recording.
+        When one is no recording.
     OSError
         When the new one cannot be written.
     """
-    before = verify(path)
-    if before.state == "sealed" and not before.damage:
+    before = [verify(path) for path in paths]
+    if len(before) == 1 and before[0].state == "sealed" and not before[0].damage:
         return before, None
-    if len(before.episodes) != 1:
-        several = f"{len(before.episodes)} episodes; one can be repaired at a time"
-        raise RepairError(f"{path}: holds {several if before.episodes else 'nothing of an episode to save'}")
-    with _locked(path), tempfile.TemporaryDirectory(prefix=".repair-", dir=out.parent) as folder:
-        made = _written(path, Path(folder) / out.name, before)
+    for one in before:
+        if len(one.episodes) != 1:
+            several = f"{len(one.episodes)} episodes; one can be repaired at a time"
+            raise RepairError(f"{one.path}: holds {several if one.episodes else 'nothing of an episode to save'}")
+        first, other = before[0].episodes[0], one.episodes[0]
+        if (first.robot, first.episode) != (other.robot, other.episode):
+            raise RepairError(f"{one.path}: is of episode {other.episode}, and {before[0].path} of {first.episode}")
+    with ExitStack() as held, tempfile.TemporaryDirectory(prefix=".repair-", dir=out.parent) as folder:
+        for path in paths:
+            held.enter_context(_locked(path))
+        made = _written(before, Path(folder) / out.name)
         after = verify(made)
         if out.exists() and not replace:
             raise RepairError(f"{out}: is there already; give another name, or --replace")
         publish(made, out)
-        if replace and path.suffix == PARTIAL_SUFFIX:
-            for part in parts_of(path):
-                part.unlink()
+        for path in paths:
+            if replace and path.suffix == PARTIAL_SUFFIX:
+                path.unlink()
     after.path = out
     return before, after
 
@@ -95,14 +102,14 @@ def _locked(path: Path) -> Iterator[None]:
         os.close(lock)
 
 
-def _written(path: Path, out: Path, before: Contents) -> Path:
-    (episode,) = before.episodes
-    metadata = {name: str(value) for name, value in episode.said.items()} | before.about
+def _written(before: Sequence[Contents], out: Path) -> Path:
+    (episode,) = before[0].episodes
+    metadata = {name: str(value) for name, value in episode.said.items()} | before[0].about
     metadata |= {"robot": episode.robot, "episode": episode.episode}
     writer = EpisodeWriter(out.with_name(f"{out.name}{PARTIAL_SUFFIX}"), out, metadata)
     try:
-        for part in open_parts(path):
-            _copy(part, writer)
+        for one in before:
+            _copy(open_recording(one.path), writer)
     finally:
         sealed = writer.seal()
     if sealed != out:
@@ -110,12 +117,12 @@ def _written(path: Path, out: Path, before: Contents) -> Path:
     return sealed
 
 
-def _copy(part: memoryview, writer: EpisodeWriter) -> None:
-    """Write what is whole in a part; `verify` has told of all else."""
+def _copy(data: memoryview, writer: EpisodeWriter) -> None:
+    """Write what is whole in a recording; `verify` has told of all else."""
     schemas: dict[int, Schema] = {}
     channels: dict[int, Channel] = {}
-    summary = summary_of(part)
-    for record in chain(() if summary is None else summary.records, surveyed(part, lambda _line: None)):
+    summary = summary_of(data)
+    for record in chain(() if summary is None else summary.records, surveyed(data, lambda _line: None)):
         match record:
             case Schema():
                 schemas[record.id] = record
@@ -125,21 +132,27 @@ def _copy(part: memoryview, writer: EpisodeWriter) -> None:
                 channel = channels[number]
                 # A message that does not decode is left out.
                 with suppress(ValueError):
-                    writer.copy(channel.topic, _form(channel, schemas), _checked(channel, record))
+                    writer.copy(channel.topic, _form(channel, schemas), *_checked(channel, record))
             case _:
                 pass
 
 
-def _checked(channel: Channel, stored: StoredMessage) -> StoredMessage:
-    """Return a message with the tick and the time that it tells itself; ValueError where it is none of ours."""
+def _checked(channel: Channel, stored: StoredMessage) -> tuple[StoredMessage, Message | None]:
+    """Return a message with the tick and the time that it tells itself, and what it says unless it is an image.
+
+    Raises
+    ------
+    ValueError
+        When it is none of ours.
+    """
     topic, payload = topic_of(channel.topic), bytes(stored.data)
     if topic is None:
         raise ValueError(channel.topic)
     if topic in IMAGES:
         decode_image(payload)
-        return stored
+        return stored, None
     message = decoded(topic, channel.metadata["robot"], channel.metadata["episode"], payload)
-    return changed(stored, sequence=message.tick, log_time=message.stamp_ns)
+    return changed(stored, sequence=message.tick, log_time=message.stamp_ns), message
 
 
 def _form(channel: Channel, schemas: dict[int, Schema]) -> ChannelFormat:

@@ -21,7 +21,7 @@ from schemas.topics import Topic, topic_of
 from services.kit.jpeg import decode_jpeg
 from services.recordings.encoding import stamped_jpeg
 from services.recordings.ledger import order_of
-from services.recordings.reader import IMAGES, RecordingError, being_recorded, open_parts
+from services.recordings.reader import IMAGES, RecordingError, being_recorded, open_recording
 from services.recordings.records import Allowance, records
 from services.table import SERVICES
 
@@ -154,8 +154,7 @@ def tracks_of(path: Path) -> tuple[Track, ...]:
     tracks: dict[tuple[str, str], Track] = {}
     allowance = Allowance()
     try:
-        for part in open_parts(path):
-            _read(part, tracks, allowance)
+        _read(open_recording(path), tracks, allowance)
     except (McapError, ValueError, struct.error) as error:
         raise RecordingError(
             f"{path}: damaged: {str(error) or type(error).__name__}; see smal recording repair"
@@ -165,9 +164,9 @@ def tracks_of(path: Path) -> tuple[Track, ...]:
     return tuple(tracks.values())
 
 
-def _read(part: memoryview, tracks: dict[tuple[str, str], Track], allowance: Allowance) -> None:
+def _read(data: memoryview, tracks: dict[tuple[str, str], Track], allowance: Allowance) -> None:
     channels: dict[int, tuple[Topic, tuple[str, str]]] = {}
-    for record in records(part, allowance):
+    for record in records(data, allowance):
         match record:
             case Channel(metadata={"robot": robot, "episode": episode}):
                 topic = topic_of(record.topic)

@@ -1,14 +1,11 @@
-"""The files of a recording, and one that survives what happens to it: written at once, on the disk within a second.
+"""The file of a recording: written at once, on the disk within a second, and one recorder's at a time.
 
-A recording is ``NAME.mcap.partial`` until it is finished. A recorder that finds what a killed one left goes on in
-``NAME.mcap.partial-2``, the next in ``-3``: parts of one recording, which become one file at its end. Who has locked
-the first part owns them all.
+A recording is ``NAME.mcap.partial`` until it is sealed. Whoever has locked it owns it.
 """
 
 from __future__ import annotations
 
 import fcntl
-import glob
 import os
 import threading
 from pathlib import Path
@@ -61,7 +58,7 @@ def free_path(folder: Path, stem: str) -> Path:
 
 
 def partial_of(path: Path) -> Path:
-    """Return the name that a recording has until it is finished."""
+    """Return the name that a recording has until it is sealed."""
     return path.with_name(path.name + PARTIAL_SUFFIX)
 
 
@@ -72,28 +69,12 @@ def finished(partial: Path) -> Path:
 
 
 def leftovers(folder: Path) -> list[Path]:
-    """Return the first parts of the unfinished recordings in a folder, those of living recorders too; never a link."""
+    """Return the recordings in a folder that are not sealed, those of living recorders too; never a link."""
     return sorted(part for part in folder.glob(f"*.mcap{PARTIAL_SUFFIX}") if not part.is_symlink())
 
 
-def parts_of(path: Path) -> list[Path]:
-    """Return the files of a recording in their order: an unfinished one has more where its recorder was killed."""
-    if path.suffix != PARTIAL_SUFFIX:
-        return [path]
-    others = (part for part in path.parent.glob(f"{glob.escape(path.name)}-*") if not part.is_symlink())
-    return [path, *sorted(others, key=lambda part: (len(part.name), part.name))]
-
-
-def next_part(first: Path) -> Path:
-    """Return the name of another part of a recording."""
-    number = 2
-    while (part := first.with_name(f"{first.name}-{number}")).exists():
-        number += 1
-    return part
-
-
 def publish(partial: Path, path: Path) -> None:
-    """Give a finished recording its name, and make the name itself durable."""
+    """Give a sealed recording its name, and make the name itself durable."""
     partial.rename(path)
     folder = os.open(path.parent, os.O_RDONLY)
     try:
@@ -103,37 +84,46 @@ def publish(partial: Path, path: Path) -> None:
 
 
 class Sink:
-    """An unbuffered new file being recorded; what ``mcap.writer.Writer`` writes to.
+    """An unbuffered file being recorded.
 
     A killed process loses nothing that was written, and a machine without power at most the last second.
 
-    Raises
-    ------
-    OSError
-        When the file cannot be made.
+    Parameters
+    ----------
+    descriptor
+        Of the file, from `claim`; closed with this.
+    size
+        Bytes that it goes on after; what stands behind them is cut off.
     """
 
-    def __init__(self, path: Path) -> None:
-        self._descriptor = claim(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL)
-        self._size = 0
+    def __init__(self, descriptor: int, size: int = 0) -> None:
+        self._descriptor = descriptor
+        self._size = os.lseek(descriptor, size, os.SEEK_SET)
+        os.ftruncate(descriptor, size)
         self._closed = threading.Event()
-        self._syncer = threading.Thread(target=self._sync_often, name=f"sync {path.name}", daemon=True)
+        self._syncer = threading.Thread(target=self._sync_often, name="sync", daemon=True)
         self._syncer.start()
 
-    def write(self, data: bytes) -> int:
-        """Append all of ``data``, however many calls of the system that takes."""
+    def write(self, data: bytes) -> None:
+        """Append all of ``data``, however many calls of the system that takes.
+
+        Raises
+        ------
+        OSError
+            When the disk is full; a part of it may stand in the file.
+        """
         rest = memoryview(data)
         while rest:
             rest = rest[os.write(self._descriptor, rest) :]
         self._size += len(data)
-        return len(data)
+
+    def overwrite(self, at: int, data: bytes) -> None:
+        """Put ``data`` in the place of what was written there, which needs no room on the disk."""
+        os.pwrite(self._descriptor, data, at)
 
     def tell(self) -> int:
         """Return how many bytes were written."""
         return self._size
-
-    def flush(self) -> None:
-        """Do nothing: nothing is held back."""
 
     def sync(self) -> None:
         """Wait until everything is on the disk."""

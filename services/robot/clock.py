@@ -1,4 +1,4 @@
-"""The actuator's clock, and the tick."""
+"""The actuator's clock, the tick, and the pulse."""
 
 from __future__ import annotations
 
@@ -7,6 +7,8 @@ from typing import Final
 
 #: Time from one camera frame to the next, seconds (10 Hz).
 TICK_S: Final = 0.1
+#: Time from one pulse, which the robot's operator answers, to the next, seconds.
+PULSE_S: Final = 0.05
 
 
 def now_s() -> float:

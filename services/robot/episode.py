@@ -24,7 +24,7 @@ class Episode(Generic[V]):
     task
         What for.
     request
-        Seed, purpose, where to begin, and after how many frames the time is out.
+        Seed, purpose, where to begin, and after how many frames the time is out, if ever.
 
     Raises
     ------
@@ -57,7 +57,7 @@ class Episode(Generic[V]):
         """
         self.tick += 1
         self.view, self._reached = self._body.look(self.tick), None
-        timed_out = self.tick >= self.request.max_ticks
+        timed_out = self.request.max_ticks is not None and self.tick >= self.request.max_ticks
         if self.view.contact:
             self.outcome = "collision"
         # Whether the goal is reached is asked only where it matters: to look for a victim takes a picture more.

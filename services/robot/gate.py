@@ -2,7 +2,8 @@
 
 Everything is judged on the actuator's own clock. A command names the frame (tick) that it descends from, and the gate
 remembers when it captured that frame; so neither a wrong clock in another process, nor a clock that jumps, nor a
-process that was frozen and wakes with old plans can make an old command look fresh.
+process that was frozen and wakes with old plans can make an old command look fresh. An operator's sign of life names
+the pulse that it answers, and is as old as that: by a slow link nobody who was there looks as if they were there now.
 """
 
 from __future__ import annotations
@@ -21,7 +22,8 @@ from schemas.heartbeat import Heartbeat
 #: Age at which a command is no longer obeyed, seconds since the capture of the frame that it descends from. The robot
 #: must stand 0.5 s after the last command; the rest is for braking, see `services.robot.loop`.
 MAX_AGE_S: Final = 0.25
-#: Silence after which an operator is lost, seconds; five of their heartbeats.
+#: Age of the last pulse that was answered at which an operator is lost, seconds; five pulses. The answer may take what
+#: is left of that after one, 0.2 s, to and fro.
 OPERATOR_S: Final = 0.25
 #: Silence after which another process of the same kind may command in place of one that was heard, seconds; a killed
 #: one that is started again takes longer.
@@ -68,8 +70,10 @@ class _Operator:
     """Whoever was the operator last; one who has left is kept, so that an old sign of life does not bring them back."""
 
     session: str
+    name: str
     sequence: int
-    heard_s: float
+    #: When the newest pulse was sent that they have answered.
+    answered_s: float
     there: bool
 
 
@@ -97,6 +101,9 @@ class CommandGate:
         self._released = 0
         self._cause: StopCause = "not_armed"
         self._operator: _Operator | None = None
+        # By chance, so that no answer to a pulse from before a restart is one to another now.
+        self._pulse = secrets.randbits(48)
+        self._pulsed_s: dict[int | None, float] = {}
         self._begin("", "policy")
 
     # -- stops ----------------------------------------------------------------------------------------------------
@@ -112,10 +119,14 @@ class CommandGate:
         return self._cause if self.emergency_stop else None
 
     def stop(self, cause: StopCause = "emergency_stop") -> None:
-        """Latch a stop. Takes no lock: it waits for nobody.
+        """Latch a stop.
 
         A latched emergency stop stays one, whatever stops the robot as well: whoever arms it has to know.
         """
+        with self._lock:
+            self._latch(cause)
+
+    def _latch(self, cause: StopCause) -> None:
         if self.stop_cause != "emergency_stop":
             self._cause = cause
         self._stops += 1
@@ -131,7 +142,7 @@ class CommandGate:
             if refusal is not None:
                 return refusal
             if self.attended and self.operator is None:
-                return "no operator is heard; this robot moves only while one is"
+                return "no operator answers in time; this robot moves only while one does"
             if stop != self.emergency_stop:
                 return "another stop was latched meanwhile" if self.emergency_stop else "no stop is latched"
             self._taken_over = self._episode != ""
@@ -147,39 +158,53 @@ class CommandGate:
         operator = self._operator
         return operator.session if operator is not None and operator.there else None
 
-    def hear(self, beat: Heartbeat, now_s: float) -> None:
-        """Take an operator's sign of life; that of another one than the one who is there changes nothing."""
+    def pulse(self, now_s: float) -> int:
+        """Return the number of the pulse that is sent now; older ones than an operator may answer are forgotten."""
         with self._lock:
-            last = self._operator
-            if last is not None and beat.session == last.session:
+            self._pulse += 1
+            self._pulsed_s = {number: at for number, at in self._pulsed_s.items() if now_s - at <= OPERATOR_S}
+            self._pulsed_s[self._pulse] = now_s
+            return self._pulse
+
+    def hear(self, beat: Heartbeat, now_s: float) -> None:
+        """Take an operator's sign of life, unless it answers no recent pulse.
+
+        That of another one than the one who is there changes nothing.
+        """
+        with self._lock:
+            answered_s, last = self._pulsed_s.get(beat.answers, -math.inf), self._operator
+            if now_s - answered_s > OPERATOR_S:
+                theirs = False
+            elif last is not None and beat.session == last.session:
                 theirs = beat.sequence > last.sequence
+                answered_s = max(answered_s, last.answered_s)
             else:
                 theirs = self.operator is None
             if theirs:
                 was_there = self.operator is not None
-                self._operator = _Operator(beat.session, beat.sequence, now_s, beat.present)
+                self._operator = _Operator(beat.session, beat.name, beat.sequence, answered_s, beat.present)
                 if was_there and not beat.present and self.attended:
-                    self.stop("operator_lost")
+                    self._latch("operator_lost")
 
     def watch(self, now_s: float) -> None:
-        """Latch a stop where the operator has fallen silent.
+        """Latch a stop where the operator has answered no pulse for too long.
 
         Parameters
         ----------
         now_s
-            Of the clock that ``hear`` is told, which never stands.
+            Of the clock that ``pulse`` and ``hear`` are told, which never stands.
         """
         with self._lock:
             last = self._operator
-            if last is not None and last.there and now_s - last.heard_s > OPERATOR_S:
+            if last is not None and last.there and now_s - last.answered_s > OPERATOR_S:
                 self._operator = replace(last, there=False)
-                self.stop("operator_lost")
+                self._latch("operator_lost")
 
     def not_theirs(self, session: str) -> str | None:
         """Say why something is not theirs to say: where an operator is there, it is the operator's alone."""
-        operator = self.operator
-        if operator is not None and operator != session:
-            return "an operator is there, and only they may say so"
+        operator = self._operator
+        if operator is not None and operator.there and operator.session != session:
+            return f"an operator has the robot (at {operator.name}), and only they may say so"
         return None
 
     # -- episodes -------------------------------------------------------------------------------------------------

@@ -13,13 +13,14 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Final, Generic, Protocol, TypeVar
 
-from schemas.base import Message, Source
+from schemas.base import NO_EPISODE, Message, Source
 from schemas.command import Command, CommandApplied
 from schemas.compressed_image import CompressedImage
 from schemas.episode import Episode as EpisodeEvent
 from schemas.episode import EventName, Judge, Outcome
 from schemas.heartbeat import Heartbeat
 from schemas.image import Image
+from schemas.pulse import Pulse
 from schemas.rpc import ArmRequest, EndRequest, Mode, ResetReply, ResetRequest, ResumeRequest
 from services.kit.jpeg import encode_jpeg
 from services.kit.node import Detail, ServiceError
@@ -179,7 +180,7 @@ class RealTime(Generic[V]):
 class EpisodeRunner(Generic[V]):
     """Runs episodes of one robot.
 
-    ``offer``, ``hear`` and the gate's ``stop`` may be called on any thread; everything else on one.
+    ``offer``, ``hear``, ``pulse`` and the gate's ``stop`` may be called on any thread; everything else on one.
 
     Parameters
     ----------
@@ -219,7 +220,8 @@ class EpisodeRunner(Generic[V]):
         self.wake: Callable[[], None] = lambda: None
         self.task = task
         self._robot = robot
-        self._session = session
+        #: Of this process.
+        self.session = session
         self._paces: dict[Mode, Callable[[], Pace[V]]] = {"realtime": self._real_time, **(paces or {})}
         self._clock = clock
         self._wall_clock_ns = wall_clock_ns
@@ -264,8 +266,8 @@ class EpisodeRunner(Generic[V]):
         Raises
         ------
         ServiceError
-            While a stop is latched, a person has taken over, somebody else's episode runs, or in a mode that this
-            robot does not know.
+            While a stop is latched, a person has taken over, somebody else's episode runs, an operator is there who
+            has taken over, or would drive in place of who asks, or in a mode that this robot does not know.
         """
         if request.mode not in self._paces:
             raise ServiceError(f"{self.body.name} cannot wait for commands; ask for real time")
@@ -277,6 +279,8 @@ class EpisodeRunner(Generic[V]):
                 "fault": "the robot's body has failed; look at it, then arm it",
             }[self.gate.stop_cause or "not_armed"]
             raise ServiceError(f"{cause}, from the console's page or smal teleop (n)")
+        if self.gate.taken_over or request.driver == "teleop":
+            self._unless(self.gate.not_theirs(request.session))
         if self.gate.taken_over and request.driver != "teleop":
             raise ServiceError("a person has taken over; resume, from the console's page or smal teleop (r)")
         run = self._running
@@ -305,7 +309,7 @@ class EpisodeRunner(Generic[V]):
         messages = self.end()
         pace = self._paces[request.mode]()
         self._count += 1
-        name = f"{request.name or f'{request.purpose}-{request.seed}'}-{self._session}-{self._count}"
+        name = f"{request.name or f'{request.purpose}-{request.seed}'}-{self.session}-{self._count}"
         # From here on nothing that was said before counts.
         self.gate.begin(name, request.driver)
         episode = Episode(self.body, self.task, request)
@@ -335,15 +339,16 @@ class EpisodeRunner(Generic[V]):
         Raises
         ------
         ServiceError
-            Another episode runs, or none; or somebody else than the operator says that something was found.
+            Another episode runs, or none; or an operator is there, and somebody else says that something was found, or
+            ends what a person drives and another one has begun.
         """
         run = self._running
         if run is None or run.id != request.episode:
             raise ServiceError(f"episode {request.episode} is not running")
-        if not request.found:
-            return self.end()
-        self._unless(self.gate.not_theirs(request.session))
-        return self.end("found", "operator")
+        driven = self.gate.taken_over or run.request.driver == "teleop"
+        if request.found or (driven and request.session != run.request.session):
+            self._unless(self.gate.not_theirs(request.session))
+        return self.end("found", "operator") if request.found else self.end()
 
     def end(self, outcome: Outcome | None = None, judge: Judge = "task") -> list[Message]:
         """End the running episode; without an outcome it is ``found`` if the last frame shows the goal reached.
@@ -373,11 +378,23 @@ class EpisodeRunner(Generic[V]):
     def hear(self, beat: Heartbeat) -> None:
         """Take a sign of life."""
         now, run = self._clock(), self._running
-        if beat.operator:
+        if beat.answers is not None:
             self.gate.hear(beat, now)
         if run is not None and beat.session == run.request.session and beat.sequence > run.client_beat:
             run.client_beat = beat.sequence
             run.client_s = now if beat.present else -math.inf
+
+    def pulse(self) -> Pulse:
+        """Return the next sign of life of the robot."""
+        run = self._running
+        nowhere = Message(robot=self._robot, episode=NO_EPISODE, tick=0, stamp_ns=0)
+        return Pulse.after(
+            nowhere if run is None else self.header(run),
+            session=self.session,
+            number=self.gate.pulse(self._clock()),
+            emergency_stop=self.gate.emergency_stop,
+            stop_cause=self.gate.stop_cause,
+        )
 
     def poll(self) -> Iterator[Message]:
         """Let time pass: frames are taken when they are due, and what moves the robot is told."""

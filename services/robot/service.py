@@ -11,12 +11,14 @@ from typing import Final, TypeVar
 from schemas.base import Message
 from schemas.command import Command, CommandApplied
 from schemas.episode import Episode
+from schemas.pulse import Pulse
 from schemas.rpc import ArmRequest, EndRequest, Nothing, ResetReply, ResetRequest, ResumeRequest, Status
-from schemas.topics import COMMANDS, HEARTBEAT
+from schemas.topics import COMMANDS, HEARTBEAT, PULSE
 from services.kit.bus import RpcError
 from services.kit.node import Detail, Node, ServiceError
 from services.kit.settings import ServiceSettings
 from services.robot.body import Body, View
+from services.robot.clock import PULSE_S
 from services.robot.config import RobotSettings
 from services.robot.gate import CommandGate
 from services.robot.loop import PERIOD_S, check_stopping
@@ -54,7 +56,9 @@ class RobotService:
     """Wires an ``EpisodeRunner`` to a node.
 
     Commands and signs of life are judged on the bus's own thread: nothing that waits or renders goes before them, and
-    no queue can lose an emergency stop. Everything else happens on the node's thread, which renders as well.
+    no queue can lose an emergency stop. Pulses are sent on a thread of their own: an operator is missed for their
+    silence, and not for that of a robot which opens a world or takes long for a picture. Everything else happens on
+    the node's thread, which renders as well.
 
     Parameters
     ----------
@@ -68,20 +72,40 @@ class RobotService:
         self._runner = runner
         self._node = node
         self._timed: tuple[str, int | None] | None = None
+        #: Whether another robot of this id is there, to which it is left.
+        self.left = False
         runner.wake = node.soon(self.poll)
-        for topic in COMMANDS.values():
-            node.at_once(topic, self.take)
+        for source, topic in COMMANDS.items():
+            # Whoever may send a stop may send nonsense in its place; a flood of that must not keep the stop away.
+            node.at_once(topic, self.take, self.stop if source == "emergency_stop" else lambda: None)
         node.at_once(HEARTBEAT, runner.hear)
+        node.at_once(PULSE, self.meet)
         node.serve("arm", ArmRequest, self.arm)
         node.serve("reset", ResetRequest, self.reset)
         node.serve("resume", ResumeRequest, self.resume)
         node.serve("end", EndRequest, self.end)
         node.every(PERIOD_S, self.poll)
+        node.apart(PULSE_S, runner.pulse)
         node.detail = self.detail
 
     def take(self, command: Command) -> None:
         """Offer a command to the gate; what comes of it is told by the next poll."""
         self._runner.offer(command)
+        self._runner.wake()
+
+    def meet(self, pulse: Pulse) -> None:
+        """Leave the robot to another process of its id, where both have been started in the same instant.
+
+        A robot that is armed stays; of two that stand for a stop, as every one does that was just started, one leaves.
+        """
+        mine, stands = self._runner.session, self._runner.gate.emergency_stop
+        if pulse.session != mine and stands and (not pulse.emergency_stop or pulse.session < mine):
+            self.left = True
+            self._node.stop()
+
+    def stop(self) -> None:
+        """Stop for an emergency that was not put into the form of a command."""
+        self._runner.gate.stop()
         self._runner.wake()
 
     def poll(self) -> None:
@@ -195,8 +219,10 @@ def serve_robot(
             paces=paces,
             wall_clock_ns=wall_clock_ns,
         )
-        RobotService(runner, node)
+        service = RobotService(runner, node)
         try:
             node.spin()
         finally:
             node.publish(runner.end())
+        if service.left:
+            raise ServiceError(f"another robot {settings.robot} has been started; give this one another id")

@@ -6,7 +6,7 @@ import logging
 import time
 from collections.abc import Callable, Collection, Iterator
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Final, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,8 +19,11 @@ from services.robot.clock import now_s
 from services.robot.gate import MAX_AGE_S
 from services.ros2.config import Ros2Config
 from services.ros2.messages import MessageError
-from services.ros2.senses import Frame, Senses, Wheels, pixels, reading
+from services.ros2.senses import Frame, Senses, pixels
+from services.ros2.wheels import Wheels, reading
 
+#: Readings of the inertial unit that lie nearer together are the same one; its messages have microseconds.
+_SAME_S: Final = 2e-6
 _log = logging.getLogger("ros2")
 
 
@@ -83,6 +86,7 @@ class Ros2Body:
         self._since: Wheels | None = None
         self._last: Wheels | None = None
         self._lacked = False
+        self._asked: Atom = "stop"
 
     @property
     def name(self) -> str:
@@ -121,14 +125,16 @@ class Ros2Body:
         if why is not None:
             self.stand()
             raise ServiceError(f"{self.name} must not go {atom}: {why}; it stands until it is armed again")
+        self._asked = atom
         if self._lacks() is not None:
-            self.stand()
+            self._send(0.0, 0.0)
             return
         ahead, turn = DIRECTIONS[atom]
         self._send(ahead * speed * self._config.speed_m_s, turn * speed * self._config.turn_rate_rad_s)
 
     def stand(self) -> None:
         """Stop, and stay."""
+        self._asked = "stop"
         self._send(0.0, 0.0)
 
     def _send(self, ahead_m_s: float, turn_rad_s: float) -> None:
@@ -136,7 +142,7 @@ class Ros2Body:
         self._link.send(ahead_m_s, turn_rad_s, None if offset_s is None else self._clock() - offset_s)
 
     def _lacks(self) -> str | None:
-        return self._senses.silent() or self._link.lacks()
+        return self._link.lacks() or self._senses.silent(self._asked)
 
     def begin(self, request: ResetRequest) -> Beginning:
         """Be ready where it stands: a person has put it there.
@@ -159,7 +165,8 @@ class Ros2Body:
             raise ServiceError(f"{self.name}: the last picture of {topic} is {age_s:.1f} s old")
         lacks = self._lacks()
         if lacks is not None:
-            raise ServiceError(f"{self.name}: {lacks}; {self._hint()}")
+            hint = "" if lacks == self._senses.learning() else f"; {self._hint()}"
+            raise ServiceError(f"{self.name}: {lacks}{hint}")
         self._begun_s = self._felt_s = self._clock()
         self._senses.touched = False
         self._senses.imu_since_last()
@@ -189,7 +196,7 @@ class Ros2Body:
 
     def _tell_lack(self) -> None:
         """Log once why the robot stands, and when it need not any more."""
-        lacks = self._link.lacks() or self._senses.silent()
+        lacks = self._lacks()
         if lacks is not None and not self._lacked:
             _log.warning("%s stands: %s", self.name, lacks)
         elif lacks is None and self._lacked:
@@ -221,7 +228,7 @@ class Ros2Body:
             return None
         new = []
         for one in self._senses.imu_since_last():
-            if one.after_s > self._felt_s:
+            if one.after_s > self._felt_s + _SAME_S:
                 self._felt_s = one.after_s
                 new.append(one._replace(after_s=one.after_s - self._begun_s))
         return tuple(new)
@@ -239,7 +246,7 @@ class Ros2Body:
             "camera_age_s": None if frame is None else round(self._clock() - frame.captured_s, 3),
             "camera_delay_s": round(clock.delay_s, 3),
             "robot_clock_ahead_s": None if clock.offset_s is None else self._ahead_s(clock.offset_s),
-            "camera_clock_set_back": clock.set_back,
+            "camera_clock_leaps": clock.leaps,
             "odometry_leaps": self._senses.track.leaps,
             **{f"refused {topic}": count for topic, count in list(self._senses.refused.items())},
             **self._link.detail(),

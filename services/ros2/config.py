@@ -69,6 +69,20 @@ class Scan(Input):
     """How far to both sides of the way ahead, and back, is looked."""
     blind_m: Seconds = 0.0
     """Nearer than this are parts of the robot."""
+    gap_rad: Annotated[float, Field(gt=0, lt=3.15)] = 0.2
+    """The widest angle of a way of which the scanner may say nothing; at 0.3 m a table's leg, 6 cm, is as wide."""
+    zero_is_free: bool = False
+    """Whether a range of 0 says that nothing is within reach; a scanner that is covered or broken says the same."""
+    behind: bool = True
+    """Whether the way back must be seen to be free as well; false for a scanner that only looks ahead."""
+
+    @model_validator(mode="after")
+    def _check(self) -> Self:
+        if self.blind_m >= self.stop_m:
+            raise ValueError(
+                f"scan: nothing would stop it, as blind_m is {self.blind_m:g} m and stop_m {self.stop_m:g} m"
+            )
+        return self
 
 
 class Stop(_Part):
@@ -81,7 +95,8 @@ class Stop(_Part):
     ]
     """What comes there; of a Bool, True means: do not move."""
     silence_s: Annotated[float, Field(gt=0, le=10, allow_inf_nan=False)] | None = 0.5
-    """Seconds without a message after which the robot is not moved; null for a topic that speaks only of changes."""
+    """Seconds without a message after which the robot is not moved; null for a topic that speaks only of changes: it
+    must have spoken once since its publisher, and we, were there."""
 
 
 class Velocity(_Part):

@@ -23,6 +23,8 @@ BOOL: Final = "std_msgs/msg/Bool"
 HAZARDS: Final = "irobot_create_msgs/msg/HazardDetectionVector"
 SENSOR_STATE: Final = "turtlebot3_msgs/msg/SensorState"
 
+#: The last moment that a stamp, which has 32 bits of seconds, can hold.
+_LAST_NS: Final = (2**31 - 1) * 1_000_000_000
 # Of bases whose messages are not among those of the distributions.
 _MORE: Final = {
     "irobot_create_msgs/msg/HazardDetection": "std_msgs/Header header\nuint8 type\n",
@@ -87,13 +89,15 @@ class Messages:
         ahead_m_s, turn_rad_s
             Speed ahead, and counter-clockwise.
         stamp_ns
-            By the robot's clock, nanoseconds since 1970; 0 where it is not known.
+            By the robot's clock, nanoseconds since 1970; 0 where it is not known. Of a clock beyond what a stamp can
+            hold it is the nearest that one can.
         """
         types = self._store.types
         vector = types["geometry_msgs/msg/Vector3"]
         twist = types[TWIST](vector(ahead_m_s, 0.0, 0.0), vector(0.0, 0.0, turn_rad_s))
         if stamp_ns is None:
             return self.write(TWIST, twist)
-        stamp = types["builtin_interfaces/msg/Time"](*divmod(stamp_ns, 1_000_000_000))
+        seconds, rest_ns = divmod(min(max(0, stamp_ns), _LAST_NS), 1_000_000_000)
+        stamp = types["builtin_interfaces/msg/Time"](seconds, rest_ns)
         header = types["std_msgs/msg/Header"](stamp, "base_link")
         return self.write(TWIST_STAMPED, types[TWIST_STAMPED](header, twist))

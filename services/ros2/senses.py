@@ -8,7 +8,7 @@ from collections import Counter, deque
 from collections.abc import Callable
 from dataclasses import dataclass
 from threading import Lock
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,19 +18,27 @@ from schemas.imu import MAX_SAMPLES
 from services.kit.jpeg import decode_jpeg
 from services.kit.node import Throttle
 from services.kit.raw_image import rgb_of
-from services.robot.body import ImuReading, OdometryReading, Triple
+from services.kit.wire import LARGEST_BYTES
+from services.robot.body import ImuReading, Triple
 from services.robot.clock import now_s
 from services.ros2 import messages
-from services.ros2.clock import StampedClock
-from services.ros2.config import Ros2Config, Scan
+from services.ros2.clock import LEARN_S, StampedClock
+from services.ros2.config import Ros2Config
 from services.ros2.messages import MessageError, Messages, RosMessage
+from services.ros2.scanner import ways
+from services.ros2.wheels import Track, Wheels
 
 #: Wheels that were read within this time of a frame are looked through for those of its moment.
 _KEPT: Final = 100
-# Poses further apart than the base can have gone, by this much, are of wheels that began to count anew.
-_LEAP_M, _LEAP_RAD = 0.3, 0.3
-#: As `schemas.imu` has it; and far more than any base does.
-_MOST_RAD_S, _MOST_M_S2, _MOST_M_S = 100.0, 1000.0, 100.0
+#: As `schemas.imu`, `schemas.camera_info` and `schemas.image` have it; and far more than any base does.
+_MOST_RAD_S, _MOST_M_S2 = 100.0, 1000.0
+_LEAST_FOCAL_PX, _MOST_FOCAL_PX = 1.0, 1e5
+_MOST_COLUMNS, _MOST_ROWS = 4096, 3072
+#: Most bytes of a message: of a picture as the stack's own bus takes it, of 130,000 beams, of anything else.
+_MOST_BYTES: Final = {
+    messages.IMAGE: LARGEST_BYTES, messages.COMPRESSED_IMAGE: LARGEST_BYTES, messages.LASER_SCAN: 1 << 20
+}  # fmt: skip
+_MOST_OTHER_BYTES: Final = 1 << 16
 _MOVING: Final = frozenset(ATOMS) - {"stop"}
 # Of irobot_create_msgs/msg/HazardDetection, by number: what it forbids, and its name.
 _HAZARDS: Final[dict[int, tuple[str, frozenset[Atom]]]] = {
@@ -63,79 +71,22 @@ class Frame:
     captured_s: float
 
 
-@dataclass(frozen=True)
-class Wheels:
-    """Where the wheels say that the base is, since we listen.
+class Heard(NamedTuple):
+    """A topic that is listened to.
 
     Attributes
     ----------
-    read_s
-        When, by our clock.
-    ahead_m
-        The way so far, backwards less.
+    type_name
+        What comes there.
+    take
+        Takes a message, and when it was made by our clock.
+    clock
+        That of its stamps; None where messages count from their arrival.
     """
 
-    read_s: float
-    x_m: float
-    y_m: float
-    heading_rad: float
-    ahead_m: float
-    turned_rad: float
-
-
-class Track:
-    """Adds up what the wheels say, so that a base whose count begins anew does not leap.
-
-    Parameters
-    ----------
-    speed_m_s, turn_rate_rad_s
-        What the base does at most; twice of it is believed.
-    silence_s
-        After so much silence the count may have begun anew: it has where it is nearer to nothing than to what it was.
-    """
-
-    def __init__(self, speed_m_s: float, turn_rate_rad_s: float, silence_s: float) -> None:
-        self._silence_s = silence_s
-        self._speed_m_s = speed_m_s
-        self._turn_rate_rad_s = turn_rate_rad_s
-        self._raw: tuple[float, float, float] | None = None
-        self._now = Wheels(0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
-        #: How many times it leapt.
-        self.leaps = 0
-
-    def add(self, read_s: float, x_m: float, y_m: float, heading_rad: float) -> Wheels:
-        """Take the next pose."""
-        now, raw = self._now, self._raw
-        self._raw = x_m, y_m, heading_rad
-        if raw is None:
-            self._now = Wheels(read_s, 0.0, 0.0, 0.0, 0.0, 0.0)
-            return self._now
-        turned = math.remainder(heading_rad - raw[2], math.tau)
-        dx, dy = x_m - raw[0], y_m - raw[1]
-        passed_s = max(0.0, read_s - now.read_s)
-        far = math.hypot(dx, dy) > _LEAP_M + 2 * self._speed_m_s * passed_s
-        far |= abs(turned) > _LEAP_RAD + 2 * self._turn_rate_rad_s * passed_s
-        if passed_s > self._silence_s:
-            far |= _size(x_m, y_m, math.remainder(heading_rad, math.tau)) < _size(dx, dy, turned)
-        if far:
-            self.leaps += 1
-            dx = dy = turned = 0.0
-        # What was gone is seen from where the base stood, and laid on to where we say that it stood.
-        by = now.heading_rad - raw[2]
-        middle = raw[2] + turned / 2
-        self._now = Wheels(
-            read_s,
-            now.x_m + dx * math.cos(by) - dy * math.sin(by),
-            now.y_m + dx * math.sin(by) + dy * math.cos(by),
-            math.remainder(now.heading_rad + turned, math.tau),
-            now.ahead_m + dx * math.cos(middle) + dy * math.sin(middle),
-            now.turned_rad + turned,
-        )
-        return self._now
-
-
-def _size(x_m: float, y_m: float, angle_rad: float) -> float:
-    return math.hypot(x_m / _LEAP_M, y_m / _LEAP_M, angle_rad / _LEAP_RAD)
+    type_name: str
+    take: Callable[[RosMessage, float], None]
+    clock: StampedClock | None = None
 
 
 class Senses:
@@ -156,8 +107,6 @@ class Senses:
         self._lock = Lock()
         self._heard_s: dict[str, float] = {}
         self._silences: dict[str, float] = {}
-        self.camera_clock = StampedClock()
-        self._odometry_clock, self._imu_clock = StampedClock(), StampedClock()
         self._frame: Frame | None = None
         self._wheels: deque[Wheels] = deque(maxlen=_KEPT)
         self._imu: deque[ImuReading] = deque(maxlen=MAX_SAMPLES)
@@ -165,33 +114,36 @@ class Senses:
         self.track = Track(config.speed_m_s, config.turn_rate_rad_s, silence_s)
         self._focal: tuple[float, int] | None = None
         self._forbidden: dict[str, tuple[tuple[str, frozenset[Atom]], ...]] = {}
+        self._unseen: dict[Atom, str] = {}
         #: Whether the bumper was pressed since this was last set.
         self.touched = False
         #: Messages that were none, or not newer than the one before, by topic.
         self.refused: Counter[str] = Counter()
         self._complaints = Throttle()
+        self.camera_clock = StampedClock()
         self.inputs = self._plan()
 
-    def _plan(self) -> dict[str, tuple[str, Callable[[RosMessage, float], None]]]:
-        """Return what is listened to: by topic its type, and what takes it."""
+    def _plan(self) -> dict[str, Heard]:
         config = self.config
-        inputs: dict[str, tuple[str, Callable[[RosMessage, float], None]]] = {}
-        inputs[config.full(config.camera.topic)] = (str(config.camera.type), self._see)
+        camera = config.full(config.camera.topic)
+        inputs = {camera: Heard(str(config.camera.type), self._see, self.camera_clock)}
         if config.camera.info is not None:
-            inputs[config.full(config.camera.info)] = (messages.CAMERA_INFO, self._calibrate)
+            inputs[config.full(config.camera.info)] = Heard(messages.CAMERA_INFO, self._calibrate)
         if config.odometry is not None:
-            inputs[config.full(config.odometry.topic)] = (messages.ODOMETRY, self._roll)
+            inputs[config.full(config.odometry.topic)] = Heard(messages.ODOMETRY, self._roll, StampedClock())
             self._silences[config.full(config.odometry.topic)] = config.odometry.silence_s
         if config.imu is not None:
-            inputs[config.full(config.imu.topic)] = (messages.IMU, self._feel)
+            inputs[config.full(config.imu.topic)] = Heard(messages.IMU, self._feel, StampedClock())
         if config.scan is not None:
-            inputs[config.full(config.scan.topic)] = (messages.LASER_SCAN, self._scan)
+            inputs[config.full(config.scan.topic)] = Heard(messages.LASER_SCAN, self._scan, StampedClock())
             self._silences[config.full(config.scan.topic)] = config.scan.silence_s
         for stop in config.stops:
             topic = config.full(stop.topic)
-            inputs[topic] = (str(stop.type), self._stopper(topic, str(stop.type)))
-            if stop.silence_s is not None:
-                self._silences[topic] = stop.silence_s
+            # What speaks of changes only is as old as it is; and a Bool has no stamp.
+            stamped = stop.silence_s is not None and stop.type != messages.BOOL
+            take = self._stopper(topic, str(stop.type))
+            inputs[topic] = Heard(str(stop.type), take, StampedClock() if stamped else None)
+            self._silences[topic] = math.inf if stop.silence_s is None else stop.silence_s
         return inputs
 
     # -- what comes -----------------------------------------------------------------------------------------------
@@ -199,14 +151,26 @@ class Senses:
     def take(self, topic: str, payload: bytes) -> None:
         """Take the bytes of a message; whatever they are, nothing is raised."""
         arrived_s = self._clock()
-        type_name, handler = self.inputs[topic]
+        heard = self.inputs[topic]
         try:
-            message = self._messages.read(type_name, payload)
+            most = _MOST_BYTES.get(heard.type_name, _MOST_OTHER_BYTES)
+            if len(payload) > most:
+                raise MessageError(f"{len(payload)} bytes, more than {most}")
+            message = self._messages.read(heard.type_name, payload)
             with self._lock:
-                handler(message, arrived_s)
-                self._heard_s[topic] = arrived_s
+                made_s = arrived_s if heard.clock is None else _made_s(heard.clock, message, arrived_s)
+                heard.take(message, made_s)
+                self._heard_s[topic] = made_s
         except MessageError as error:
             self.refuse(topic, str(error))
+
+    def changes(self) -> list[str]:
+        """Return the topics that speak only of changes."""
+        return [topic for topic, silence_s in self._silences.items() if silence_s == math.inf]
+
+    def forget(self, topic: str) -> None:
+        """Forget that a topic has spoken; what it forbade stays forbidden until it speaks again."""
+        self._heard_s.pop(topic, None)
 
     def refuse(self, topic: str, why: str) -> None:
         """Count a message that is not taken."""
@@ -214,45 +178,52 @@ class Senses:
         if self._complaints.due():
             _log.warning("%s: message refused (%d so far): %s", topic, self.refused[topic], why)
 
-    def _see(self, message: RosMessage, arrived_s: float) -> None:
-        captured_s = _made_s(self.camera_clock, message, arrived_s)
-        self._frame = Frame(message, captured_s - self.config.camera.latency_s)
+    def _see(self, message: RosMessage, made_s: float) -> None:
+        self._frame = Frame(message, made_s - self.config.camera.latency_s)
 
-    def _calibrate(self, message: RosMessage, _arrived_s: float) -> None:
+    def _calibrate(self, message: RosMessage, _at_s: float) -> None:
         focal_px, width = float(message.k[0]), int(message.width)
         if not (math.isfinite(focal_px) and focal_px > 0 and width > 0):
             raise MessageError("no focal length in it; the camera is not calibrated")
         self._focal = focal_px, width
 
-    def _roll(self, message: RosMessage, arrived_s: float) -> None:
+    def _roll(self, message: RosMessage, made_s: float) -> None:
         pose = message.pose.pose
         q = pose.orientation
         heading_rad = math.atan2(2 * (q.w * q.z + q.x * q.y), 1 - 2 * (q.y * q.y + q.z * q.z))
         _check_finite("pose", (pose.position.x, pose.position.y, heading_rad), 1e6)
-        read_s = _made_s(self._odometry_clock, message, arrived_s)
-        self._wheels.append(self.track.add(read_s, pose.position.x, pose.position.y, heading_rad))
+        self._wheels.append(self.track.add(made_s, pose.position.x, pose.position.y, heading_rad))
 
-    def _feel(self, message: RosMessage, arrived_s: float) -> None:
+    def _feel(self, message: RosMessage, made_s: float) -> None:
         turn, push = _triple(message.angular_velocity), _triple(message.linear_acceleration)
         _check_finite("angular velocity", turn, _MOST_RAD_S)
         _check_finite("acceleration", push, _MOST_M_S2)
-        self._imu.append(ImuReading(_made_s(self._imu_clock, message, arrived_s), turn, push))
+        self._imu.append(ImuReading(made_s, turn, push))
 
-    def _scan(self, message: RosMessage, _arrived_s: float) -> None:
+    def _scan(self, message: RosMessage, _at_s: float) -> None:
         assert self.config.scan is not None  # noqa: S101 - it is listened to
         topic, scan = self.config.full(self.config.scan.topic), self.config.scan
-        front_m, back_m = nearest_m(message, scan)
+        places: tuple[tuple[Atom, str, bool], ...] = (("forward", "ahead", True), ("backward", "behind", scan.behind))
+        try:
+            told = ways(message, scan)
+        except MessageError as error:
+            # Whatever the one before has said: where this one cannot be read, nothing is known.
+            self._unseen = {atom: f"{topic}: {error}" for atom, _, must in places if must}
+            raise
+        unclear = "" if scan.zero_is_free or np.all(message.ranges) else "; is its 0 a free way? see zero_is_free"
         forbidden: list[tuple[str, frozenset[Atom]]] = []
-        if front_m < scan.stop_m:
-            forbidden.append((f"something is {front_m:.2f} m ahead", frozenset({"forward"})))
-        if back_m < scan.stop_m:
-            forbidden.append((f"something is {back_m:.2f} m behind", frozenset({"backward"})))
-        self._forbidden[topic] = tuple(forbidden)
+        unseen: dict[Atom, str] = {}
+        for (atom, where, must), way in zip(places, told, strict=True):
+            if way.nearest_m < math.inf:
+                forbidden.append((f"something is {way.nearest_m:.2f} m {where}", frozenset({atom})))
+            if must and not way.seen:
+                unseen[atom] = f"{topic} says nothing of {math.degrees(way.unseen_rad):.0f} degrees {where}{unclear}"
+        self._forbidden[topic], self._unseen = tuple(forbidden), unseen
 
     def _stopper(self, topic: str, type_name: str) -> Callable[[RosMessage, float], None]:
         read = {messages.HAZARDS: _hazards, messages.SENSOR_STATE: _bumpers, messages.BOOL: _button}[type_name]
 
-        def take(message: RosMessage, _arrived_s: float) -> None:
+        def take(message: RosMessage, _at_s: float) -> None:
             touched, forbidden = read(message)
             self.touched |= touched
             self._forbidden[topic] = forbidden
@@ -269,8 +240,14 @@ class Senses:
                     return f"{why} ({topic})"
         return None
 
-    def silent(self) -> str | None:
-        """Say who must be heard for the base to be moved, and is not; None where everybody is."""
+    def silent(self, atom: Atom = "stop") -> str | None:
+        """Say who must be heard for the base to be moved, and is not; None where everybody is.
+
+        Parameters
+        ----------
+        atom
+            The movement: the scanner must have seen that its way is free.
+        """
         now = self._clock()
         for topic, silence_s in self._silences.items():
             heard_s = self._heard_s.get(topic)
@@ -278,6 +255,14 @@ class Senses:
                 return f"nothing has come from {topic}"
             if now - heard_s > silence_s:
                 return f"nothing has come from {topic} for {now - heard_s:.1f} s"
+        return self.learning() or self._unseen.get(atom)
+
+    def learning(self) -> str | None:
+        """Say whose clock is not known yet, of those who must be heard; None where all are."""
+        for topic in (self.config.full(self.config.camera.topic), *self._silences):
+            clock = self.inputs[topic].clock
+            if clock is not None and not clock.known:
+                return f"how the clock of {topic} stands is learned; that takes {LEARN_S:g} s"
         return None
 
     def frame(self) -> Frame | None:
@@ -285,8 +270,11 @@ class Senses:
         return self._frame
 
     def focal_px(self, width: int) -> float | None:
-        """Return the focal length in an image of so many columns, if the camera has told it."""
-        return None if self._focal is None else self._focal[0] * width / self._focal[1]
+        """Return the focal length in an image of so many columns, if the camera has told one that can be."""
+        if self._focal is None:
+            return None
+        focal_px = self._focal[0] * width / self._focal[1]
+        return focal_px if _LEAST_FOCAL_PX <= focal_px <= _MOST_FOCAL_PX else None
 
     def wheels_at(self, at_s: float) -> Wheels | None:
         """Return what the wheels said nearest to a moment."""
@@ -301,33 +289,6 @@ class Senses:
         return readings
 
 
-def reading(now: Wheels, since: Wheels, last: Wheels) -> OdometryReading:
-    """Return what the wheels say now, from where they were when an episode began, and when they were last read."""
-    dx, dy = now.x_m - since.x_m, now.y_m - since.y_m
-    cos, sin = math.cos(since.heading_rad), math.sin(since.heading_rad)
-    elapsed_s = now.read_s - last.read_s
-    speed_m_s = (now.ahead_m - last.ahead_m) / elapsed_s if elapsed_s > 0 else 0.0
-    turn_rad_s = (now.turned_rad - last.turned_rad) / elapsed_s if elapsed_s > 0 else 0.0
-    return OdometryReading(
-        dx * cos + dy * sin,
-        dy * cos - dx * sin,
-        math.remainder(now.heading_rad - since.heading_rad, math.tau),
-        min(max(speed_m_s, -_MOST_M_S), _MOST_M_S),
-        min(max(turn_rad_s, -_MOST_RAD_S), _MOST_RAD_S),
-    )
-
-
-def nearest_m(message: RosMessage, scan: Scan) -> tuple[float, float]:
-    """Return how far the nearest thing is ahead, and behind, in metres; infinity where there is none."""
-    ranges = np.asarray(message.ranges, dtype=np.float64)
-    angles = message.angle_min + message.angle_increment * np.arange(ranges.size) - scan.ahead_rad
-    off = np.abs(np.arctan2(np.sin(angles), np.cos(angles)))
-    # What the scanner does not see is not a number, infinite or 0; nearer than its least range it sees nothing.
-    seen = np.isfinite(ranges) & (ranges > max(scan.blind_m, float(message.range_min)))
-    ahead, behind = seen & (off <= scan.half_angle_rad), seen & (off >= math.pi - scan.half_angle_rad)
-    return float(ranges[ahead].min(initial=math.inf)), float(ranges[behind].min(initial=math.inf))
-
-
 Forbidden = tuple[bool, tuple[tuple[str, frozenset[Atom]], ...]]
 
 
@@ -338,12 +299,14 @@ def _hazards(message: RosMessage) -> Forbidden:
 
 
 def _bumpers(message: RosMessage) -> Forbidden:
-    ahead, behind = bool(message.bumper & _BUMPER_FORWARD), bool(message.bumper & _BUMPER_BACKWARD)
+    ahead, behind = bool(message.bumper & _BUMPER_FORWARD), bool(message.bumper & ~_BUMPER_FORWARD)
     forbidden: list[tuple[str, frozenset[Atom]]] = []
     if ahead:
         forbidden.append((_HAZARDS[_BUMP][0], _MOVING - {"backward"}))
     if behind:
-        forbidden.append(("its rear bumper is pressed", _MOVING - {"forward"}))
+        known = message.bumper & ~_BUMPER_FORWARD == _BUMPER_BACKWARD
+        why = "its rear bumper is pressed" if known else "a bumper that is not known is pressed"
+        forbidden.append((why, _MOVING - {"forward"} if known else _MOVING))
     return ahead or behind, tuple(forbidden)
 
 
@@ -378,7 +341,12 @@ def pixels(message: RosMessage) -> NDArray[np.uint8]:
     """
     try:
         if hasattr(message, "format"):
-            return decode_jpeg(message.data.tobytes())
-        return rgb_of(message.encoding, message.width, message.height, message.step, message.data)
+            image = decode_jpeg(message.data.tobytes())
+        else:
+            image = rgb_of(message.encoding, message.width, message.height, message.step, message.data)
     except ValueError as error:
         raise MessageError(str(error)) from None
+    height, width, _ = image.shape
+    if width > _MOST_COLUMNS or height > _MOST_ROWS:
+        raise MessageError(f"{width}x{height} pixels, more than {_MOST_COLUMNS}x{_MOST_ROWS}")
+    return image

@@ -10,9 +10,11 @@ from threading import Lock
 from typing import Any, Final
 
 import zenoh
+import zenoh.ext
 
 from schemas.codec import printable
 from services.kit.node import Detail, ServiceError
+from services.kit.zenoh_settings import LINK_BYTES
 from services.ros2 import messages
 from services.ros2.config import Ros2Config
 from services.ros2.messages import Messages
@@ -32,8 +34,10 @@ from services.ros2.wire import (
 #: How long the robot's router is waited for at the start; after an outage the connection is made again by itself.
 PATIENCE_MS: Final = 5000
 _VELOCITIES: Final = (messages.TWIST, messages.TWIST_STAMPED)
-#: Sensors' topics are best effort, as `rmw_qos_profile_sensor_data`; commands are reliable.
+#: Sensors' topics are best effort, as `rmw_qos_profile_sensor_data`; commands are reliable. Of what speaks only of
+#: changes, the last word is wanted that was said before we came.
 _SENSOR, _COMMAND = Qos(reliable=False, depth=5), Qos(reliable=True, depth=10)
+_CHANGES = Qos(reliable=True, depth=1, latched=True)
 _log = logging.getLogger("ros2")
 
 
@@ -56,6 +60,8 @@ def _settings(config: Ros2Config) -> zenoh.Config:
         "scouting/multicast/enabled": False,
         "transport/link/tx/lease": 2000,
         "transport/shared_memory/enabled": False,
+        # What is larger is dropped while it comes in; otherwise a message takes up to 1 GiB here.
+        "transport/link/rx/max_message_size": LINK_BYTES,
     }
     made = zenoh.Config()
     for key, value in settings.items():
@@ -86,8 +92,10 @@ class Ros2Session:
         self._dialect = dialect_of(config)
         self._topic = config.full(config.velocity.topic)
         self._lock = Lock()
+        self._closed = False
         self._tokens: dict[str, Endpoint] = {}
         self._heard: dict[str, tuple[bytes, int]] = {}
+        self._changes: dict[str, zenoh.ext.AdvancedSubscriber[None]] = {}
         self._type: str | None = None if config.velocity.type == "auto" else str(config.velocity.type)
         try:
             self._session = zenoh.open(_settings(config))
@@ -104,10 +112,16 @@ class Ros2Session:
         if token is not None:
             self._declared.append(self._session.liveliness().declare_token(token))
         self._number = 0
-        for topic, (type_name, _) in senses.inputs.items():
-            self._listen(topic, type_name)
+        changes = senses.changes()
+        for topic, heard in senses.inputs.items():
+            if topic in changes:
+                self._ask(topic)
+            else:
+                key = self._dialect.key(topic, heard.type_name)
+                self._declared.append(self._session.declare_subscriber(key, self._listener(topic)))
+            self._announce("MS", topic, heard.type_name, _CHANGES if topic in changes else _SENSOR)
         self._declared.append(
-            self._session.liveliness().declare_subscriber(self._dialect.tokens, self._on_token, history=True)
+            self._session.liveliness().declare_subscriber(self._dialect.tokens, _called(self._on_token), history=True)
         )
 
     def _announce(self, kind: Kind, topic: str, type_name: str, qos: Qos) -> str:
@@ -121,14 +135,28 @@ class Ros2Session:
 
     # -- what is heard --------------------------------------------------------------------------------------------
 
-    def _listen(self, topic: str, type_name: str) -> None:
+    def _listener(self, topic: str) -> Callable[[zenoh.Sample], None]:
         def on_sample(sample: zenoh.Sample) -> None:
             if self._in_order(topic, sample):
                 self._senses.take(topic, sample.payload.to_bytes())
 
-        key = self._dialect.key(topic, type_name)
-        self._declared.append(self._session.declare_subscriber(key, _called(on_sample)))
-        self._announce("MS", topic, type_name, _SENSOR)
+        return _called(on_sample)
+
+    def _ask(self, topic: str) -> None:
+        """Listen to a topic that speaks only of changes, and have its publishers tell what they said last.
+
+        This is done again whenever one of them comes or goes: what was said before counts no more. A publisher that
+        keeps nothing (volatile) is heard with its next change.
+        """
+        self._senses.forget(topic)
+        self._heard.pop(topic, None)
+        key = self._dialect.key(topic, self._senses.inputs[topic].type_name)
+        last = zenoh.ext.HistoryConfig(max_samples=1)
+        asked = zenoh.ext.declare_advanced_subscriber(self._session, key, self._listener(topic), history=last)
+        # Only now, or a change between the two would be lost.
+        before, self._changes[topic] = self._changes.get(topic), asked
+        if before is not None:
+            before.undeclare()
 
     def _in_order(self, topic: str, sample: zenoh.Sample) -> bool:
         """Whether a message is newer than all that its publisher has sent before, as far as the dialect tells."""
@@ -139,7 +167,8 @@ class Ros2Session:
             self._senses.refuse(topic, "without the attachment that rmw_zenoh sends")
             return False
         gid, last = self._heard.get(topic, (b"", -1))
-        if attached.sequence <= (last if attached.gid == gid else -1):
+        # What speaks only of changes may say the last one twice: while it is asked anew, it is listened to twice.
+        if attached.gid == gid and attached.sequence < last + (topic not in self._changes):
             self._senses.refuse(topic, f"number {attached.sequence} of its publisher came after a later one")
             return False
         # Of each topic the publisher that is heard now; one that was started again has another id.
@@ -151,14 +180,23 @@ class Ros2Session:
     def _on_token(self, sample: zenoh.Sample) -> None:
         token = str(sample.key_expr)
         endpoint = self._dialect.read_token(token)
-        if endpoint is None or (endpoint.kind, endpoint.topic) != ("MS", self._topic):
-            return
         with self._lock:
+            if endpoint is None or self._closed:
+                return
+            speaks = endpoint.kind == "MP" and endpoint.topic in self._changes
+            if not (speaks or (endpoint.kind == "MS" and endpoint.topic == self._topic)):
+                return
+            if speaks:
+                self._ask(endpoint.topic)  # before it counts as there: what it said in another life is forgotten first
             if sample.kind == zenoh.SampleKind.DELETE:
                 self._tokens.pop(token, None)
             else:
                 self._tokens[token] = endpoint
-            self._choose(list(self._tokens.values()))
+            if not speaks:
+                self._choose(self._there("MS", endpoint.topic))
+
+    def _there(self, kind: Kind, topic: str) -> list[Endpoint]:
+        return [one for one in list(self._tokens.values()) if (one.kind, one.topic) == (kind, topic)]
 
     def _choose(self, endpoints: list[Endpoint]) -> None:
         wanted = velocity_type(endpoints, self._topic, _VELOCITIES)
@@ -185,10 +223,13 @@ class Ros2Session:
     # -- what is sent ---------------------------------------------------------------------------------------------
 
     def lacks(self) -> str | None:
-        """Say what is missing for the base to take velocities."""
+        """Say who is missing for the base to take velocities, or to say when it must not."""
         if not self._session.info.routers_zid():
             return f"no connection to {self._config.router}"
-        if self._type is None or (not self._tokens and self._config.velocity.type == "auto"):
+        for topic in self._changes:
+            if not self._there("MP", topic):
+                return f"nobody publishes {topic}"
+        if self._type is None or (self._config.velocity.type == "auto" and not self._there("MS", self._topic)):
             return f"nobody subscribes to {self._topic}"
         return None
 
@@ -197,7 +238,7 @@ class Ros2Session:
         type_name = self._type
         if type_name is None:
             return
-        stamp_ns = None if type_name == messages.TWIST else 0 if robot_s is None else max(0, round(robot_s * 1e9))
+        stamp_ns = None if type_name == messages.TWIST else round((robot_s or 0.0) * 1e9)
         publisher, gid = self._publisher(type_name)
         self._sequence += 1
         publisher.put(
@@ -224,6 +265,8 @@ class Ros2Session:
 
     def close(self) -> None:
         """Leave."""
+        with self._lock:
+            self._closed = True
         self._session.close()
 
 

@@ -31,14 +31,16 @@ class Endpoint(NamedTuple):
 
 
 class Qos(NamedTuple):
-    """What is said of an endpoint's quality of service; all else is the default (volatile, keep last)."""
+    """What is said of an endpoint's quality of service; all else is the default (keep last)."""
 
     reliable: bool
     depth: int
+    #: Transient local: who comes late wants what was said last.
+    latched: bool = False
 
     def text(self) -> str:
         """Return it as it stands in a liveliness token; empty is the default."""
-        return f"{'' if self.reliable else 2}::,{self.depth}:,:,:,,"
+        return f"{'' if self.reliable else 2}:{1 if self.latched else ''}:,{self.depth}:,:,:,,"
 
 
 class Attachment(NamedTuple):

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import logging
+
 from services.kit.node import Node, configure_logging, read_settings, run_service
 from services.robot.runner import Paces
 from services.robot.service import ROBOT, serve_robot
@@ -17,6 +19,8 @@ def serve() -> None:
     """Simulate until stopped."""
     settings = read_settings(SimulatorSettings, "simulator")
     configure_logging(settings.log_level)
+    # A large one takes minutes, and whoever waits is shown the last line.
+    logging.getLogger(ROBOT).info("opening the world %s", settings.world)
     worlds = Worlds(settings)
     simulation = worlds.open()
 

@@ -21,7 +21,7 @@ class SimulatorSettings(RobotSettings, RootSettings):
     """Who says that the goal is reached: the simulator, when the victim is near and in view; or only the person at smal
     teleop, as with a real robot."""
     world: str = "campus"
-    """Name of a world in deploy/worlds, or the path of an OpenStreetMap or world file."""
+    """Name of a world that comes with the project, or the path of an OpenStreetMap or world file."""
     camera_width: Annotated[int, Field(ge=32, le=4096)] = 1024
     """Columns of the camera image."""
     camera_height: Annotated[int, Field(ge=24, le=3072)] = 768

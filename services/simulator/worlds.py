@@ -9,7 +9,7 @@ from pydantic import TypeAdapter, ValidationError
 
 from schemas.rpc import WorldName
 from services.kit.node import ServiceError
-from services.kit.root import OutsideError, below
+from services.kit.root import WORLDS, OutsideError, below
 from services.simulator.opening import open_simulation
 from services.simulator.physics.engine import PhysicsUnavailableError
 from services.simulator.scene.vulkan import RenderingUnavailableError
@@ -21,8 +21,6 @@ if TYPE_CHECKING:
     from services.simulator.config import SimulatorSettings
     from services.simulator.simulation import Simulation
 
-#: Folder below the root of the worlds that were made from maps: ``smal world import MAP --out worlds/NAME.json``.
-FOLDER: Final = "worlds"
 _NAME: Final[TypeAdapter[str]] = TypeAdapter(WorldName)
 
 
@@ -43,7 +41,7 @@ class Worlds:
 
     def names(self) -> list[str]:
         """Return the names of all worlds that can be asked for, sorted."""
-        own = [path.stem for path in (self._settings.root / FOLDER).glob("*.json")]
+        own = [path.stem for path in (self._settings.root / WORLDS).glob("*.json")]
         return sorted({*known_worlds(), *filter(_may_be_asked_for, [self._first, *own])})
 
     def open(self, world: str | None = None, variation: str | None = None) -> Simulation:
@@ -73,7 +71,7 @@ class Worlds:
             )
         except (WorldError, RenderingUnavailableError, PhysicsUnavailableError) as error:
             # Where the files lie means nothing to who asks for a name.
-            raise ServiceError(str(error).replace(f"{self._settings.root / FOLDER}/", "")) from None
+            raise ServiceError(str(error).replace(f"{self._settings.root / WORLDS}/", "")) from None
         self.here = world, variation
         return simulation
 
@@ -84,7 +82,7 @@ class Worlds:
         if world in known_worlds():
             return world
         try:
-            path = below(self._settings.root, f"{FOLDER}/{world}.json")
+            path = below(self._settings.root, f"{WORLDS}/{world}.json")
         except OutsideError as error:
             raise ServiceError(f"world {world!r}: {error}") from None
         if not path.is_file():

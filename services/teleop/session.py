@@ -8,11 +8,13 @@ from collections.abc import Callable
 from typing import Final
 
 from schemas.base import ATOMS
+from schemas.codec import printable
 from schemas.rpc import ResetRequest
 from services.kit.node import Node
 from services.operator.hold import KeyHold
-from services.operator.operator import ANSWER_S, BEAT_S, POLL_S, RESET_S, Operator
+from services.operator.operator import ANSWER_S, POLL_S, RESET_S, Operator
 from services.teleop.config import TeleopSettings
+from services.teleop.disk import ASK_S, DiskNews
 from services.teleop.keys import Key, KeyEvent, KeyParser, News
 from services.teleop.status import Status
 from services.teleop.terminal import Terminal, open_terminal
@@ -77,9 +79,10 @@ class TeleopSession:
         self._first_hold_s = settings.first_hold_s
         self._tells_by_s: float | None = clock() + TELLS_S
         self._leaving = False
+        self._disk = DiskNews(node)
+        self._disk_told: str | None = None
+        node.every(ASK_S, self._disk.ask)
         node.every(POLL_S, self.poll)
-        node.every(BEAT_S, self._operator.beat)
-        self._operator.beat()
 
     def poll(self) -> None:
         """Read the keys, notice releases and answers, and draw the status line."""
@@ -92,6 +95,10 @@ class TeleopSession:
         if self._tells_by_s is not None and self._clock() > self._tells_by_s:
             self._tells_by_s = None
             self._terminal.say(NO_RELEASES.format(self._first_hold_s))
+        disk = self._disk.text
+        if disk is not None and disk != self._disk_told:
+            self._terminal.say(f"RECORDING: {printable(disk)}")
+        self._disk_told = disk
         commands = self._operator.commands
         self._terminal.show(self._status.line(commands.held, commands.emergency))
 
@@ -110,7 +117,6 @@ class TeleopSession:
         """Wait for an answer. The operator is still there: they are not missed, and an emergency stop is heard."""
         until_s = self._clock() + timeout_s
         while self._operator.asking and self._clock() < until_s:
-            self._operator.beat()
             self._node.drain()
             self.poll()
             time.sleep(POLL_S)
@@ -146,7 +152,9 @@ class TeleopSession:
             self._operator.end(found=True)
 
     def _begin_episode(self) -> None:
-        request = ResetRequest(seed=self._seed, purpose="drive", goal=self._goal, driver="teleop", mode="realtime")
+        request = ResetRequest(
+            seed=self._seed, purpose="drive", goal=self._goal, driver="teleop", mode="realtime", max_ticks=None
+        )
         if self._operator.begin(request):
             self._seed += 1
             self._terminal.say(f"new episode, seed {request.seed} ...")

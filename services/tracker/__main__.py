@@ -6,7 +6,7 @@ from schemas import topics
 from services.kit.node import Node, configure_logging, read_settings, run_service
 from services.tracker.config import TrackerSettings
 from services.tracker.service import TrackerService
-from smal.tracking.tag_tracking import Tag
+from services.tracker.tag_tracking import Tag
 
 
 def serve() -> None:

@@ -7,7 +7,7 @@ import logging
 from schemas.overhead_image import Calibration, OverheadImage
 from schemas.tracked_pose import TrackedPose
 from services.kit.node import Detail, ServiceError
-from smal.tracking.tag_tracking import OverheadCamera, Tag, TagNotSeen, TagTracker
+from services.tracker.tag_tracking import OverheadCamera, Tag, TagNotSeen, TagTracker
 
 _log = logging.getLogger("tracker")
 

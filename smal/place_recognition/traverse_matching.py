@@ -13,13 +13,11 @@ from numpy.typing import NDArray
 from smal.place_recognition.matches import Matches, Progress, check_features, ignore
 from smal.place_recognition.ordered_matching import OrderedSolution, solve_ordered
 from smal.place_recognition.speed import local_speeds
-from smal.place_recognition.stops import first_frames, recent_of_gram, recent_products, windows
+from smal.place_recognition.stops import first_frames, windows
 from smal.place_recognition.template_sequences import SPEEDS, TemplateSequences
 
 #: Sequences whose last frames lie this near to each other show one place.
 _REACH: Final = 3
-#: Query rows of X^T Y that are computed at a time.
-_ROWS: Final = 256
 
 
 @dataclass(frozen=True)
@@ -60,38 +58,6 @@ class OrderedSettings:
             raise ValueError(f"the tolerance must be above 0 and below 1, got {self.tolerance}")
 
 
-@dataclass(frozen=True, eq=False)
-class TraverseProducts:
-    """All that matching needs of two traverses: the inner products of their features.
-
-    Parameters
-    ----------
-    gram : float32 array (n, n)
-        x_a . x_b of the references.
-    products : float32 array (q, n)
-        x_a . y_i of every query with every reference.
-    norms : float64 array (q,)
-        ||y_i||.
-    recent : float32 array (q, 16)
-        Of every query with those before it (`stops.recent_products`).
-    """
-
-    gram: NDArray[np.float32]
-    products: NDArray[np.float32]
-    norms: NDArray[np.float64]
-    recent: NDArray[np.float32]
-
-    @classmethod
-    def of(cls, references: NDArray[np.float32], queries: NDArray[np.float32]) -> Self:
-        """Multiply features (n, m) and (q, m)."""
-        products = np.empty((queries.shape[0], references.shape[0]), dtype=np.float32)
-        for start in range(0, queries.shape[0], _ROWS):
-            rows = slice(start, start + _ROWS)
-            np.matmul(queries[rows], references.T, out=products[rows])
-        norms = np.linalg.norm(queries, axis=1).astype(np.float64)
-        return cls(references @ references.T, products, norms, recent_products(queries))
-
-
 def match_traverses(
     references: NDArray[np.float32],
     queries: NDArray[np.float32],
@@ -126,28 +92,31 @@ def match_traverses(
     Takes 4 n (n + q) bytes beside the features.
     """
     check_features(references, queries)
-    return match_products(TraverseProducts.of(references, queries), settings, progress)
-
-
-def match_products(traverses: TraverseProducts, settings: OrderedSettings, progress: Progress) -> Matches:
-    """Match two traverses that are known by their inner products; see `match_traverses`."""
-    total, references = traverses.products.shape
-    if settings.length > references:
+    total, count = queries.shape[0], references.shape[0]
+    if settings.length > count:
         progress(total)
         return Matches.none(total)
+    seen = _Seen(queries @ references.T, np.linalg.norm(queries, axis=1).astype(np.float64))
+    gram = references @ references.T
     if settings.length == 1:
-        every = _Places.of(traverses.gram, np.arange(references))
-        return _match(traverses, every, np.arange(total)[:, np.newaxis], np.ones(total), settings, 0.0, progress)
-    norms = np.sqrt(traverses.gram.diagonal(), dtype=np.float64)
-    places = _Places.of(traverses.gram, first_frames(recent_of_gram(traverses.gram), norms))
+        every = _Places.of(gram, np.arange(count))
+        return _match(seen, every, np.arange(total)[:, np.newaxis], np.ones(total), settings, 0.0, progress)
+    places = _Places.of(gram, first_frames(references))
     if places.frames.size < settings.length:
-        places = _Places.of(traverses.gram, np.arange(references))
-    asked = first_frames(traverses.recent, traverses.norms)
+        places = _Places.of(gram, np.arange(count))
+    asked = first_frames(queries)
     moving, own = np.unique(asked, return_inverse=True)
     frames, penalty = windows(asked, settings.length), settings.speed_penalty
-    first = _match(traverses, places, frames, np.ones(total), settings, penalty / 2, lambda done: progress(done // 2))
+    first = _match(seen, places, frames, np.ones(total), settings, penalty / 2, lambda done: progress(done // 2))
     speeds = local_speeds(first.of(moving), settings.length)[own]
-    return _match(traverses, places, frames, speeds, settings, penalty, lambda done: progress((total + done) // 2))
+    return _match(seen, places, frames, speeds, settings, penalty, lambda done: progress((total + done) // 2))
+
+
+class _Seen(NamedTuple):
+    """Queries: their products with every reference (q, n), and their lengths (q,)."""
+
+    products: NDArray[np.float32]
+    norms: NDArray[np.float64]
 
 
 class _Places(NamedTuple):
@@ -165,7 +134,7 @@ class _Places(NamedTuple):
 
 
 def _match(
-    traverses: TraverseProducts,
+    seen: _Seen,
     places: _Places,
     frames: NDArray[np.int64],
     speeds: NDArray[np.float64],
@@ -175,13 +144,13 @@ def _match(
 ) -> Matches:
     """Match all windows, at about the expected speeds (q,)."""
     matches = Matches.none(speeds.size)
-    everywhere = places.frames.size == traverses.products.shape[1]
+    everywhere = places.frames.size == seen.products.shape[1]
     sequences = TemplateSequences(settings.length, (1.0,) if settings.length == 1 else SPEEDS)
     for query, window in enumerate(frames, settings.length - 1):
-        products = traverses.products[window]
+        products = seen.products[window]
         solution = solve_ordered(
             products if everywhere else products[:, places.frames],
-            traverses.norms[window],
+            seen.norms[window],
             places.gram,
             sequences,
             speed_penalty * np.abs(sequences.octaves - np.log2(speeds[query])),

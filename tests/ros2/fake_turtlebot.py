@@ -45,6 +45,7 @@ def opened(mode: str, endpoint: str) -> zenoh.Session:
     config.insert_json5("mode", json.dumps(mode))
     config.insert_json5("listen/endpoints" if mode == "router" else "connect/endpoints", json.dumps([endpoint]))
     config.insert_json5("scouting/multicast/enabled", "false")
+    config.insert_json5("timestamping/enabled", "true")  # as rmw_zenoh does
     if mode == "client":
         config.insert_json5("connect/timeout_ms", "-1")
         config.insert_json5("connect/retry", '{"period_init_ms": 100, "period_max_ms": 500}')
@@ -97,10 +98,15 @@ class Ros:
     def header(self, frame: str) -> Any:
         return self.types.types["std_msgs/msg/Header"](self.stamp(), frame)
 
-    def publisher(self, topic: str, type_name: str) -> Any:
+    def publisher(self, topic: str, type_name: str, *, latched: bool = False) -> Any:
+        """Return what publishes messages; latched (transient local), who comes later has the last one as well."""
         key, token = self._names("MP", topic, type_name)
+        if latched:
+            cached = {"cache": zenoh.ext.CacheConfig(max_samples=1), "publisher_detection": True}
+            publisher = zenoh.ext.declare_advanced_publisher(self.session, key, **cached)
+        else:
+            publisher = self.session.declare_publisher(key, congestion_control=zenoh.CongestionControl.DROP)
         self._alive(token)
-        publisher = self.session.declare_publisher(key, congestion_control=zenoh.CongestionControl.DROP)
         digest = xxhash.xxh3_128(token.encode()).intdigest()
         gid = struct.pack("<QQ", digest % 2**64, digest >> 64)
         sent = 0

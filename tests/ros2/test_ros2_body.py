@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from rosbags.typesys import Stores, get_typestore
 
 from schemas.rpc import ResetRequest
 from services.kit.node import ServiceError
@@ -20,110 +19,12 @@ from services.robot.loop import check_stopping
 from services.robot.runner import EpisodeRunner
 from services.robot.task import OperatorsTask
 from services.ros2 import messages
-from services.ros2.body import Ros2Body, Ros2View
-from services.ros2.clock import DRIFT, StampedClock
-from services.ros2.config import Ros2Config, read_config
-from services.ros2.messages import MessageError, Messages
-from services.ros2.senses import Senses, Track, pixels
+from services.ros2.body import Ros2View
+from services.ros2.messages import MessageError
+from services.ros2.senses import pixels
+from services.ros2.wheels import Track
 from tests.ros2.fake_turtlebot import encoded
-from tests.services.robot.line import Clock
-
-STORE = get_typestore(Stores.ROS2_JAZZY)
-T = STORE.types
-OURS = Messages("jazzy")
-PICTURE = np.kron(np.random.default_rng(1).integers(0, 255, (6, 8, 3), dtype=np.uint8), np.ones((8, 8, 1), np.uint8))
-CAMERA, ODOM, SCAN, HAZARDS, IMU = "/camera/image_raw/compressed", "/odom", "/scan", "/hazards", "/imu"
-# The robot's clock began at another time than ours.
-AHEAD_S = 1_000_000.0
-
-
-def header(at_s: float) -> Any:
-    stamp_s = at_s + AHEAD_S
-    return T["std_msgs/msg/Header"](T["builtin_interfaces/msg/Time"](int(stamp_s), int(stamp_s % 1 * 1e9)), "")
-
-
-class Air:
-    """The link of a test: keeps what was sent."""
-
-    def __init__(self) -> None:
-        self.sent: list[tuple[float, float]] = []
-        self.lack: str | None = None
-
-    def send(self, ahead_m_s: float, turn_rad_s: float, robot_s: float | None) -> None:
-        self.sent.append((ahead_m_s, turn_rad_s))
-        self.robot_s = robot_s
-
-    def lacks(self) -> str | None:
-        return self.lack
-
-    def detail(self) -> dict[str, str | int | float | bool | None]:
-        return {}
-
-
-class Rig:
-    """A body, and a robot whose messages the test sends."""
-
-    def __init__(self, folder: Path) -> None:
-        path = folder / "mine.yaml"
-        path.write_text(
-            "preset: generic\nwatchdog_s: 0.2\nspeed_m_s: 0.5\nturn_rate_rad_s: 1.5\nbraking_s: 0.1\n"
-            "camera: {latency_s: 0.0}\nimu: {topic: imu}\nscan: {topic: scan, stop_m: 0.4, blind_m: 0.1}\n"
-            "stops: [{topic: hazards, type: irobot_create_msgs/msg/HazardDetectionVector}]\n"
-        )
-        self.config: Ros2Config = read_config(path)
-        self.clock = Clock()
-        self.air = Air()
-        self.senses = Senses(self.config, self.clock)
-        self.body = Ros2Body(self.config, self.senses, self.air, self.clock)
-
-    def picture(self, at_s: float | None = None, data: bytes | None = None) -> None:
-        jpeg = cv2.imencode(".jpg", PICTURE)[1].tobytes() if data is None else data
-        message = T[messages.COMPRESSED_IMAGE](header(self.at(at_s)), "jpeg", np.frombuffer(jpeg, np.uint8))
-        self.senses.take(CAMERA, bytes(STORE.serialize_cdr(message, messages.COMPRESSED_IMAGE)))
-
-    def wheels(self, x: float = 0.0, y: float = 0.0, heading: float = 0.0, at_s: float | None = None) -> None:
-        vector, nothing = T["geometry_msgs/msg/Vector3"](0.0, 0.0, 0.0), np.zeros(36)
-        turned = T["geometry_msgs/msg/Quaternion"](0.0, 0.0, math.sin(heading / 2), math.cos(heading / 2))
-        pose = T["geometry_msgs/msg/Pose"](T["geometry_msgs/msg/Point"](x, y, 0.0), turned)
-        message = T[messages.ODOMETRY](
-            header(self.at(at_s)),
-            "base",
-            T["geometry_msgs/msg/PoseWithCovariance"](pose, nothing),
-            T["geometry_msgs/msg/TwistWithCovariance"](T[messages.TWIST](vector, vector), nothing),
-        )
-        self.senses.take(ODOM, bytes(STORE.serialize_cdr(message, messages.ODOMETRY)))
-
-    def scan(self, metres: float = 5.0, angle: float = 0.0) -> None:
-        ranges = np.full(360, 5.0, np.float32)
-        ranges[round(math.degrees(angle)) % 360] = metres
-        ranges[90] = math.nan
-        ranges[5] = 0.05  # a part of the robot
-        none = np.zeros(0, np.float32)
-        step = math.radians(1.0)
-        message = T[messages.LASER_SCAN](header(self.at()), 0.0, math.tau, step, 0.0, 0.1, 0.02, 12.0, ranges, none)
-        self.senses.take(SCAN, bytes(STORE.serialize_cdr(message, messages.LASER_SCAN)))
-
-    def hazards(self, *numbers: int) -> None:
-        types = OURS._store.types
-        found = [types["irobot_create_msgs/msg/HazardDetection"](header(self.at()), number) for number in numbers]
-        self.senses.take(HAZARDS, OURS.write(messages.HAZARDS, types[messages.HAZARDS](header(self.at()), found)))
-
-    def at(self, at_s: float | None = None) -> float:
-        return self.clock.now_s if at_s is None else at_s
-
-    def all(self) -> None:
-        """Have everything be heard, now."""
-        self.clock.now_s += 0.01
-        self.wheels()
-        self.scan()
-        self.hazards()
-        self.picture()
-
-    def begun(self) -> Rig:
-        self.all()
-        self.body.begin(ResetRequest(seed=1, mode="realtime"))
-        self.body.look(0)
-        return self
+from tests.ros2.rig import AHEAD_S, CAMERA, ODOM, OURS, PICTURE, STORE, Rig, T, header
 
 
 @pytest.fixture
@@ -155,6 +56,24 @@ def test_who_must_be_heard_and_is_silent_stands_the_robot(rig: Rig, silent: str)
     rig.all()
     rig.body.drive("forward", 1.0)
     assert rig.air.sent[-1] == (0.5, 0.0)
+
+
+def test_a_button_that_speaks_only_of_changes_must_have_spoken_once(tmp_path: Path) -> None:
+    rig = Rig(tmp_path, stops=", {topic: button, type: std_msgs/msg/Bool, silence_s: null}")
+    rig.known()
+    with pytest.raises(ServiceError, match=r"^base: nothing has come from /button; does"):
+        rig.body.begin(ResetRequest(seed=1, mode="realtime"))
+    assert not rig.may_go("forward")
+    rig.says("/button", pressed=True)
+    with pytest.raises(ServiceError, match="it is told not to move"):
+        rig.body.drive("forward", 1.0)
+    rig.says("/button", pressed=False)
+    assert rig.may_go("forward")
+    rig.clock.now_s += 3600
+    rig.begun()
+    assert rig.may_go("forward")
+    rig.senses.forget("/button")
+    assert not rig.may_go("forward")
 
 
 def test_a_base_that_nobody_reaches_is_told_to_stand(rig: Rig) -> None:
@@ -244,8 +163,9 @@ def test_what_is_not_finite_or_no_message_or_out_of_order_is_refused_and_counted
     rig.wheels(0.1, at_s=rig.clock.now_s - 0.5)
     rig.senses.take(ODOM, b"\0\1\0\0" + b"\xff" * 40)
     rig.senses.take(ODOM, b"")
+    rig.senses.take(ODOM, bytes(100_000))
     assert rig.senses.wheels_at(rig.clock.now_s) == before
-    assert rig.senses.refused[ODOM] == 5
+    assert rig.senses.refused[ODOM] == 6
     rig.clock.now_s += 0.3  # what is refused is not heard either
     assert "/odom" in str(rig.body.detail()["lacks"])
 
@@ -261,11 +181,7 @@ def test_a_picture_that_is_none_leaves_the_last_one_old(rig: Rig) -> None:
 
 
 def test_odometry_begins_anew_with_an_episode_and_never_leaps(rig: Rig) -> None:
-    rig.clock.now_s += 1
-    rig.wheels(10.0, 5.0, math.pi / 2)
-    rig.scan()
-    rig.hazards()
-    rig.picture()
+    rig.known(10.0, 5.0, math.pi / 2)
     rig.body.begin(ResetRequest(seed=1, mode="realtime"))
     for k in range(1, 11):
         rig.clock.now_s += 0.1
@@ -349,37 +265,6 @@ def test_raw_pixels_that_cannot_be_are_one_line(fields: dict[str, Any], line: st
     )
     with pytest.raises(MessageError, match=line):
         pixels(message)
-
-
-@given(st.floats(-1e6, 1e6), st.lists(st.floats(0.001, 0.2), min_size=2, max_size=50))
-def test_a_frame_is_never_older_than_the_truth_nor_newer_than_its_arrival(ahead: float, delays: list[float]) -> None:
-    clock, least = StampedClock(), math.inf
-    for number, delay in enumerate(delays):
-        made = 1000.0 + number * 0.3
-        told = clock.made_s(made + ahead, made + delay)
-        least = min(least, delay)
-        assert told is not None
-        assert made - 1e-6 <= told <= made + least + DRIFT * 0.3 * (number + 1) + 1e-6
-        assert told <= made + delay + 1e-6
-
-
-def test_a_link_that_became_slow_makes_frames_old() -> None:
-    clock = StampedClock()
-    assert clock.made_s(0.0, 0.01) == pytest.approx(0.01)
-    for number in range(1, 600):  # for a minute
-        told = clock.made_s(number / 10, number / 10 + 0.3)
-    assert told == pytest.approx(number / 10 + 0.01, abs=0.02)
-    assert clock.delay_s == pytest.approx(0.29, abs=0.02)
-
-
-def test_a_clock_that_was_set_is_learned_anew() -> None:
-    clock = StampedClock()
-    clock.made_s(5000.0, 100.0)
-    assert clock.made_s(1400.0, 100.1) == pytest.approx(100.1)  # an hour back
-    assert clock.set_back == 1
-    assert clock.made_s(1399.9, 100.2) is None  # late
-    assert clock.made_s(9000.0, 100.3) == pytest.approx(100.3)  # and forward
-    assert clock.made_s(9000.1, 100.4) == pytest.approx(100.4)
 
 
 def test_what_is_missing_is_one_line_at_the_beginning(rig: Rig) -> None:

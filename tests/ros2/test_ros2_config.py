@@ -27,9 +27,9 @@ def test_a_preset_needs_only_what_nobody_else_knows(preset: str, tmp_path: Path)
     assert config.camera.latency_s == 0.12
     listened = Senses(config).inputs
     assert listened
-    for topic, (type_name, _) in listened.items():
+    for topic, heard in listened.items():
         assert topic.startswith("/robot1/")
-        assert Messages(config.distribution).type_hash(type_name).startswith("RIHS01_")
+        assert Messages(config.distribution).type_hash(heard.type_name).startswith("RIHS01_")
 
 
 BASE = "preset: generic\nwatchdog_s: 0.2\n"
@@ -57,6 +57,7 @@ BASE = "preset: generic\nwatchdog_s: 0.2\n"
         (BASE + "namespace: robot1\n", "namespace: String should match pattern"),
         (BASE + "router: robot.local\n", "mine.yaml: router address 'robot.local': expected tcp/<host>:<port>"),
         (BASE + "scan: {topic: scan}\n", "scan.stop_m: Field required"),
+        (BASE + "scan: {topic: scan, stop_m: 0.2, blind_m: 0.3}\n", "scan: nothing would stop it, as blind_m is 0.3 m"),
         (BASE + "stops: [{topic: bump, type: x}]\n", "stops.0.type: Input should be"),
         (BASE + "stops: 3\n", "stops: Input should be a valid tuple"),
         ("- a\n", "expected settings such as `preset: turtlebot4`"),

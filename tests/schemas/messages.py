@@ -27,6 +27,7 @@ from schemas.observation import Observation
 from schemas.odometry import Odometry
 from schemas.overhead_image import Calibration, OverheadImage
 from schemas.pose import Pose
+from schemas.pulse import Pulse
 from schemas.state import MAX_PLACES, Place, State
 from schemas.taught_map import TaughtMap
 from schemas.topics import TOPICS
@@ -83,13 +84,15 @@ EXAMPLES: dict[type[Message], Message] = {
         tracked_m=12.5,
     ),
     Action: Action(**HEADER, kind="follow", state=7, atoms=("forward",)),
-    Heartbeat: Heartbeat(**HEADER, session="0123456789abcdef", sequence=7, operator=True),
+    Pulse: Pulse(**HEADER, session="fedcba987654", number=41, emergency_stop=3, stop_cause="fault"),
+    Heartbeat: Heartbeat(**HEADER, session="0123456789abcdef", name="teleop", sequence=7, answers=41),
     Command: Command(**HEADER, source="teleop", session="0123456789abcdef", sequence=2, atom="forward", speed=0.5),
     CommandApplied: CommandApplied(
         **HEADER,
         sequence=1,
         atom="forward",
         speed=0.5,
+        ahead=0.25,
         source="teleop",
         reason="command",
         answered_tick=299,
@@ -299,9 +302,19 @@ _fields: dict[type[Message], st.SearchStrategy[dict[str, object]]] = {
         {
             **_header,
             "session": _sessions,
+            "name": st.from_regex(r"[a-z0-9_-]{1,32}", fullmatch=True),
             "sequence": st.integers(0, 2**63 - 1),
-            "operator": st.booleans(),
+            "answers": st.none() | st.integers(1, 2**63 - 1),
             "present": st.booleans(),
+        }
+    ),
+    Pulse: st.fixed_dictionaries(
+        {
+            **_header,
+            "session": _sessions,
+            "number": st.integers(1, 2**63 - 1),
+            "emergency_stop": st.integers(0, 2**63 - 1),
+            "stop_cause": st.sampled_from([None, "not_armed", "emergency_stop", "operator_lost", "fault"]),
         }
     ),
     CommandApplied: st.fixed_dictionaries(
@@ -310,6 +323,7 @@ _fields: dict[type[Message], st.SearchStrategy[dict[str, object]]] = {
             "sequence": _counts,
             "atom": _atoms,
             "speed": st.floats(0, 1),
+            "ahead": st.floats(-1, 1),
             "source": st.none() | _sources,
             "reason": st.sampled_from(["command", "silence", "taken_over", "emergency_stop"]),
             "emergency_stop": st.integers(0, 2**63 - 1),

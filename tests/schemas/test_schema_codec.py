@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 import tracemalloc
 
 import msgpack
@@ -183,16 +182,13 @@ def blown_up(leaf: bytes, size: int) -> bytes:
 
 @pytest.mark.parametrize("leaf", [b"\x80", b"\x90", b"\x91\xc0", b"\x81\xa1a\xc0", b"\xcd\xff\xff"], ids=bytes.hex)
 def test_four_megabytes_of_containers_cost_little(leaf: bytes) -> None:
-    """By default msgpack makes 280 MB of them in a second."""
+    """By default msgpack makes 280 MB of them, which also takes a second."""
     payload = blown_up(leaf, 4_000_000)
     assert 4_000_000 <= len(payload) < LARGEST.max_bytes
     tracemalloc.start()
-    begin_s = time.process_time()
     refusal(LARGEST, payload)
-    spent_s = time.process_time() - begin_s
     _, peak_bytes = tracemalloc.get_traced_memory()
     tracemalloc.stop()
-    assert spent_s < 0.2
     assert peak_bytes < 8_000_000
 
 

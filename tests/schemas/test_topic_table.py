@@ -26,12 +26,10 @@ def test_rows_are_complete(topic: Topic) -> None:
     assert topic.rate_hz is None or topic.rate_hz > 0
 
 
-def test_commands_and_heartbeats_go_before_everything_else() -> None:
-    assert {topic.name for topic in TOPICS.values() if topic.urgent} == {
-        *(f"command/{source}" for source in SOURCES),
-        "command/applied",
-        "heartbeat",
-    }
+def test_commands_and_signs_of_life_go_before_everything_else() -> None:
+    lanes = {topic.name: topic.lane for topic in TOPICS.values() if topic.lane != "ordinary"}
+    urgent = [*(f"command/{source}" for source in SOURCES), "command/applied", "heartbeat", "pulse"]
+    assert lanes == dict.fromkeys(urgent, "urgent") | {"command/emergency_stop": "stop"}
 
 
 def test_episode_events_are_never_dropped() -> None:

@@ -69,7 +69,7 @@ def send_as_stranger(bus: Bus, topic: Topic, payload: bytes, encoding: str = "ze
     if isinstance(wire, ZenohWire):
         # One who does not let Zenoh drop anything of it.
         wait = zenoh.CongestionControl.BLOCK
-        wire.sessions[topic.urgent].put(key, payload, encoding=encoding, congestion_control=wait)
+        wire.sessions[topic.lane].put(key, payload, encoding=encoding, congestion_control=wait)
     elif isinstance(wire, MemoryWire):
         with wire._router.lock:
             wire._router.send(Sample(key, payload, encoding, time.time()))

@@ -159,8 +159,12 @@ def taught(
     odometry: bool = True,
     settings: FeatureSettings = COLOR,
     scene: Scene | None = None,
+    ahead: NDArray[np.float32] | None = None,
 ) -> tuple[VisualMap, Centering]:
-    """Learn the map of drives through a room; a scene that is given is not fitted, which takes half of the time."""
+    """Learn the map of drives through a room; a scene that is given is not fitted, which takes half of the time.
+
+    A car's drives say how fast it goes ahead in turning.
+    """
     images = [[room.look(pose) for pose in one.poses] for one in drives]
     raw = [np.stack([extract(image, settings) for image in each]) for each in images]
     centering = Centering.fit(raw, settings)
@@ -170,7 +174,7 @@ def taught(
             changed.enter_context(patch("smal.visual_map.fit_scene", lambda *_: scene))
         found = learn_visual_map(
             [
-                MappedDrive(seen, features, one.atoms, one.poses if odometry else None, "victim")
+                MappedDrive(seen, features, one.atoms, one.poses if odometry else None, "victim", ahead=ahead)
                 for seen, features, one in zip(images, raw, drives, strict=True)
             ],
             centering,

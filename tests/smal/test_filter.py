@@ -11,9 +11,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from smal.features import extract
-from smal.filter import Belief, Filter
-from smal.movement import STILL, Movement
-from smal.visual_map import VisualMap
+from smal.filter import KIDNAP_S, Belief, Filter, _Particles
+from smal.movement import STILL, Movement, placed
+from smal.visual_map import TURNS_DEG, VisualMap
 from tests.smal.synthetic_world import (
     COLOR,
     COLUMNS,
@@ -133,6 +133,43 @@ def test_a_robot_that_stands_still_does_not_become_surer(frames_before: int) -> 
     # It may have been carried away meanwhile, once in 300 s.
     assert before.lost <= after.lost < before.lost + 0.03
     assert after.tracked == before.tracked
+
+
+def test_a_view_that_is_not_new_does_not_count_however_it_looks() -> None:
+    """Not for the scouts either, whose first view it may be: of a robot that may well have been carried away."""
+    one, found = drive(), Filter(*usual_map())
+    far = extract(ROOM.look(one.poses[-1]), COLOR)
+    for pose, movement in list(zip(one.poses, [STILL, *one.movements()], strict=True))[:40]:
+        before = found.observe(extract(ROOM.look(pose), COLOR), movement, 0.1 * KIDNAP_S)
+        after = copy.deepcopy(found).observe(far, STILL, 0.0)
+        assert after.lost == pytest.approx(before.lost)
+
+
+@pytest.mark.parametrize("pause_s", [100.0, 400.0, 3600.0])
+def test_in_a_pause_a_robot_may_be_carried_away_but_need_not_be(pause_s: float) -> None:
+    one, found = drive(), Filter(*usual_map())
+    follow(Drive(one.poses[:30], one.atoms[:30]), found)
+    dark = np.zeros(COLOR.size, dtype=np.float32) + usual_map()[1].mean
+    paused = found.observe(dark, one.movements()[29], pause_s)
+    assert paused.lost == pytest.approx(1.0 - math.exp(-pause_s / KIDNAP_S), abs=0.02)
+
+
+@settings(deadline=None)
+@given(
+    key=st.integers(0, 30),
+    aside=st.floats(-1.0, 1.0),
+    turn=st.integers(1, TURNS_DEG.size - 2),
+    seed=st.integers(0, 2**16),
+)
+def test_the_likelihood_does_not_jump_between_the_virtual_views(key: int, aside: float, turn: int, seed: int) -> None:
+    visual_map = usual_map()[0]
+    cosines = np.random.default_rng(seed).uniform(-1.0, 1.0, visual_map.views.shape[:3]).astype(np.float32)
+    keys = np.full(2, key)
+    offsets = np.array([[0.0, aside * visual_map.aside, math.radians(TURNS_DEG[turn] + by)] for by in (-1e-6, 1e-6)])
+    particles = _Particles(visual_map, keys, placed(offsets, visual_map.key_poses[keys]))
+    found, beyond = particles._interpolated(cosines)
+    assert found[0] == pytest.approx(found[1], abs=1e-4)
+    assert beyond[0] == pytest.approx(beyond[1], abs=1e-4)
 
 
 @pytest.mark.parametrize("moves", [True, False])

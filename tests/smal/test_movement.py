@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from smal.action_space import Atom
-from smal.movement import Movement, atom_movements, dead_reckoning, wrapped
+from smal.movement import Movement, atom_movements, dead_reckoning, turns_ahead, wrapped
 
 COORDINATE = st.floats(-50.0, 50.0)
 ANGLE = st.floats(-10.0, 10.0)
@@ -95,15 +95,30 @@ def test_the_table_that_made_a_noisy_drive_is_found() -> None:
 
 
 @pytest.mark.parametrize(
-    ("made", "missing"), [(Atom.RIGHT, Atom.LEFT), (Atom.LEFT, Atom.RIGHT), (Atom.FORWARD, Atom.BACKWARD)]
-)
-def test_an_atom_that_was_never_made_is_the_opposite_of_its_opposite(made: Atom, missing: Atom) -> None:
+    ("made", "missing", "sign"),
+    [
+        (Atom.RIGHT, Atom.LEFT, (1.0, -1.0)), (Atom.LEFT, Atom.RIGHT, (1.0, -1.0)),
+        (Atom.FORWARD, Atom.BACKWARD, (-1.0, -1.0)),
+    ],
+)  # fmt: skip
+def test_an_atom_that_was_never_made_is_the_opposite_of_its_opposite(
+    made: Atom, missing: Atom, sign: tuple[float, float]
+) -> None:
+    """Of a turn that is the one in a mirror: who goes ahead in one goes ahead in the other."""
     atoms = np.full(20, made, dtype=np.int8)
     found = atom_movements([dead_reckoning(atoms, TABLE)], [atoms])
     np.testing.assert_allclose(found[made], TABLE[made], atol=1e-9)
-    np.testing.assert_array_equal(found[missing], -found[made])
-    others = [atom for atom in Atom if atom not in (made, missing)]
-    assert not found[others].any()
+    np.testing.assert_array_equal(found[missing], found[made] * sign)
+    assert not found[Atom.STOP].any()
+
+
+def test_a_car_that_never_drove_straight_on_does_so_as_fast_as_it_turns() -> None:
+    car = TABLE + np.array([0.0, 0.0, 0.0, 0.05, 0.05])[:, None] * (1.0, 0.0)
+    atoms = np.array([Atom.LEFT, Atom.RIGHT] * 10 + [Atom.STOP], dtype=np.int8)
+    found = atom_movements([dead_reckoning(atoms, car)], [atoms])
+    np.testing.assert_allclose(found[Atom.FORWARD], [0.0525, 0.0], atol=1e-9)
+    np.testing.assert_array_equal(found[Atom.BACKWARD], -found[Atom.FORWARD])
+    assert (turns_ahead(car), turns_ahead(found), turns_ahead(TABLE)) == (True, True, False)
 
 
 def test_what_the_last_atom_does_is_not_known() -> None:

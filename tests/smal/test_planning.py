@@ -6,6 +6,8 @@ from collections import Counter
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from smal.action_space import Atom
 from smal.filter import Belief, Filter
@@ -279,6 +281,45 @@ def test_costs_to_go_satisfy_bellman_s_equation() -> None:
         else:
             assert all(np.isinf(value) for value in onward.values())
             assert following[here] == -1
+
+
+LENGTHS_M = (1.0, 1.5, 2.0)
+ENDS = np.cumsum([0, *(round(metres / 0.1) + 1 for metres in LENGTHS_M)])
+
+
+@st.composite
+def meetings(draw: st.DrawFn) -> Stitches:
+    """Three drives that share any places, as far apart from each other as may be."""
+    found: dict[tuple[int, int], tuple[float, float, float]] = {}
+    for _ in range(draw(st.integers(0, 30))):
+        one, other = draw(st.permutations(range(3)))[:2]
+        pair = [draw(st.integers(int(ENDS[drive]), int(ENDS[drive + 1]) - 1)) for drive in (one, other)]
+        left_m = draw(st.sampled_from([0.0, 0.05, 0.5]))
+        found[pair[0], pair[1]] = (0.0, left_m, 0.0)
+        found[pair[1], pair[0]] = (0.0, -left_m, 0.0)
+    return tuple(sorted(found.items()))
+
+
+@settings(deadline=None, max_examples=200)
+@given(meetings())
+def test_every_step_is_nearer_to_the_goal_so_that_nobody_goes_in_circles(stitches: Stitches) -> None:
+    three = map_of(*LENGTHS_M, goals=("victim", "victim", "elsewhere"), stitches=stitches)
+    cost, following = cost_to_go(three, "victim")
+    on_way = np.flatnonzero(following >= 0)
+    assert (cost[following[on_way]] < cost[on_way]).all()
+    assert np.isin(np.flatnonzero(np.isfinite(cost) & (following < 0)), ENDS[1:3] - 1).all()
+    Planner(three, "victim")
+
+
+def test_three_drives_that_share_a_place_and_are_each_best_left_for_the_next_do_not_lead_in_circles() -> None:
+    """From the place the first soon meets the second far along it, and that the third; the third is long."""
+    lengths_m = (1.0, 4.0, 6.0)
+    one, two, three = (int(first) for first in np.cumsum([0, 11, 41]))
+    meet = [*itertools.combinations((one, two, three), 2), (one + 2, two + 20), (two + 21, three + 40)]
+    both_ways = sorted([*meet, *((other, this) for this, other in meet)])
+    stitches = tuple((pair, (0.0, 0.0, 0.0)) for pair in both_ways)
+    planner = Planner(map_of(*lengths_m, goals=("a", "b", "c"), stitches=stitches), "c")
+    assert planner.decide(belief((one, 0.0, 0.0, 0.0))).kind == "follow"
 
 
 @pytest.mark.parametrize(("start", "end"), [(0, 40), (41, 40), (61, 101)])

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from smal.evaluation import precision_recall
 from smal.evaluation.ground_truth import Judgement
-from smal.evaluation.precision_recall import PrecisionRecall, block_length, bootstrap, bootstrap_intervals
+from smal.evaluation.precision_recall import PrecisionRecall, block_length, bootstrap, intervals_of
 
 
 @st.composite
@@ -162,22 +162,21 @@ def test_intervals_hold_the_figures_and_shrink_with_more_queries() -> None:
     for count in (100, 1600):
         score = rng.random(count)
         judgement = all_answered(score, rng.random(count) < score)
-        curve, intervals = PrecisionRecall.of(judgement), bootstrap_intervals(judgement, 5, seed=1)
+        curve, intervals = PrecisionRecall.of(judgement), intervals_of(bootstrap(judgement, 5, seed=1))
         assert intervals.auc[0] < curve.auc < intervals.auc[1]
         low, high = intervals.recall_at_100_precision
         assert low <= curve.recall_at_100_precision <= high
-        wider = bootstrap_intervals(judgement, 5, confidence=0.99, seed=1)
-        assert wider.auc[0] < intervals.auc[0] < intervals.auc[1] < wider.auc[1]
         widths.append(intervals.auc[1] - intervals.auc[0])
     assert 3.0 < widths[0] / widths[1] < 5.0
 
 
-def test_the_same_seed_gives_the_same_intervals() -> None:
+def test_the_same_seed_gives_the_same_draws() -> None:
     rng = np.random.default_rng(6)
     judgement = all_answered(rng.random(60), rng.random(60) < 0.5)
-    assert bootstrap_intervals(judgement, 4, seed=2) == bootstrap_intervals(judgement, 4, seed=2)
-    assert bootstrap_intervals(judgement, 4, seed=2) != bootstrap_intervals(judgement, 4, seed=3)
-    perfect = bootstrap_intervals(all_answered(rng.random(60), np.ones(60, dtype=np.bool_)), 4)
+    first, again, other = (bootstrap(judgement, 4, seed=seed) for seed in (2, 2, 3))
+    np.testing.assert_array_equal(first, again)
+    assert (first != other).any()
+    perfect = intervals_of(bootstrap(all_answered(rng.random(60), np.ones(60, dtype=np.bool_)), 4))
     assert (perfect.auc, perfect.recall_at_100_precision) == ((1.0, 1.0), (1.0, 1.0))
 
 
@@ -192,7 +191,7 @@ def coverage(count: int, together: int, block: int) -> float:
         score = rng.random(count // together)
         right = rng.random(count // together) < score
         judgement = all_answered(np.repeat(score, together), np.repeat(right, together))
-        low, high = bootstrap_intervals(judgement, block, resamples=300, seed=seed).auc
+        low, high = intervals_of(bootstrap(judgement, block, resamples=300, seed=seed)).auc
         held += low <= 5 / 12 <= high
     return held / 200
 
@@ -220,6 +219,3 @@ def test_bad_numbers_are_refused() -> None:
             bootstrap(judgement, block)
     with pytest.raises(ValueError, match="at least 1 resample, got 0"):
         bootstrap(judgement, 1, resamples=0)
-    for confidence in (0.0, 1.0, np.nan):
-        with pytest.raises(ValueError, match="a confidence lies between 0 and 1"):
-            bootstrap_intervals(judgement, 1, confidence=confidence)

@@ -30,7 +30,7 @@ from services.simulator.world.loading import WORLDS_FOLDER
 from services.simulator.world.route import plan_route
 from services.table import stack_services
 from tests.benchmarks.faults.proxy import link
-from tests.benchmarks.soak.page import CHROMIUM, FLAGS, NO_CHROMIUM, held, judge_page
+from tests.benchmarks.soak.page import CHROMIUM, NO_CHROMIUM, held, judge_page
 from tests.services.waiting import eventually, status_of
 
 if TYPE_CHECKING:
@@ -99,14 +99,6 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Site]:
     plan = StackPlan(stack_services(), "rescuebot", endpoint, own, logs=root / "logs")
     with Stack(plan) as stack, closing(Bus("rescuebot", endpoint)) as bus:
         yield Site(address, stack, bus, root)
-
-
-@pytest.fixture(scope="module")
-def browser() -> Iterator[Browser]:
-    """Start Debian's Chromium; as root it runs without its sandbox."""
-    playwright = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
-    with playwright.sync_playwright() as play:
-        yield play.chromium.launch(executable_path=CHROMIUM, args=FLAGS)
 
 
 @pytest.fixture

@@ -226,13 +226,13 @@ class EpisodeClient:
     def _beat(self) -> None:
         if self._record is not None and self._episode and not self._ended:
             header = Message(robot=self.node.robot, episode=self._episode, tick=self._record.ticks, stamp_ns=0)
-            beat = Heartbeat.after(header, session=self.node.session, sequence=next(self._beats), operator=False)
-            self.node.publish(beat)
+            own = {"session": self.node.session, "name": self.node.name, "sequence": next(self._beats)}
+            self.node.publish(Heartbeat.after(header, **own))
 
     def _end(self, episode: str) -> None:
         refusal: RpcError | None = None
         try:
-            self.node.bus.call("robot", "end", EndRequest(episode=episode), Nothing)
+            self.node.bus.call("robot", "end", EndRequest(episode=episode, session=self.node.session), Nothing)
         except RpcError as error:
             # It may have ended by itself in the meantime; then its last message is on the way.
             refusal = error

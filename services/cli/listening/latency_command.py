@@ -81,7 +81,7 @@ def _listen(bus: Bus, frames: Topic, trace: LatencyTrace) -> None:
 
     for topic in (frames, OBSERVATION, STATE, ACTION, *COMMANDS.values(), APPLIED):
         # Images in a session of their own, so that nothing else waits behind them; the rest in one, in order.
-        bus.listen(topic.key(bus.robot), partial(take, topic), urgent=topic is not CAMERA)
+        bus.listen(topic.key(bus.robot), partial(take, topic), lane="ordinary" if topic is CAMERA else "urgent")
 
 
 def _why_nothing(trace: LatencyTrace, frames: Topic, robot: str) -> str:

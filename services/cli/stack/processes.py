@@ -22,13 +22,12 @@ from services.cli.interrupts import interrupted_by_signals
 from services.cli.options import check_robot, settings_for
 from services.cli.stack.backoff import Backoff
 from services.cli.stack.child import tied
+from services.cli.stack.patience import Patience
 from services.kit.bus import Bus, BusError, RpcError
 from services.kit.errors import JobError
 from services.kit.settings import ServiceSettings
 from services.table import SERVICES
 
-#: The first frame of a software renderer compiles its pipelines; on a busy machine that has taken 20 s.
-READY_TIMEOUT_S: Final = 60.0
 STOP_TIMEOUT_S: Final = 5.0
 #: What a process is told of its certificate: each service of a stack has another one.
 _KEYS: Final = ("SMAL_SECURE", "SMAL_TLS_CA", "SMAL_TLS_CERT", "SMAL_TLS_KEY")
@@ -91,13 +90,12 @@ class Stack:
     def __enter__(self) -> Self:
         try:
             router, *others = self.plan.services
-            deadline_s = time.monotonic() + READY_TIMEOUT_S
             self._start(router)
             # The others would each give up on a router that takes longer than their patience.
-            with closing(self._reach_router(deadline_s)) as bus:
+            with closing(self._reach_router()) as bus:
                 for service in others:
                     self._start(service)
-                self._wait_ready(bus, deadline_s)
+                self._wait_ready(bus)
         except BaseException:
             self.stop()
             raise
@@ -168,25 +166,24 @@ class Stack:
                 command, env=environment, stdout=log, stderr=log, start_new_session=True
             )
 
-    def _reach_router(self, deadline_s: float) -> Bus:
+    def _reach_router(self) -> Bus:
         """Connect to the router; notice at once when it could not start."""
+        refusal = ""
+        patience = Patience(lambda _router: refusal)
         while True:
             self.check()
             try:
                 return self.settings.open_bus("watcher", patience_s=0.0)
             except BusError as error:
-                if time.monotonic() > deadline_s:
-                    raise JobError(f"not ready after {READY_TIMEOUT_S:.0f} s: router: {error}") from None
+                refusal = str(error)
+            patience.wait({"router": self._children["router"].pid})
 
-    def _wait_ready(self, bus: Bus, deadline_s: float) -> None:
-        waiting = set(self.plan.services)
-        while waiting:
+    def _wait_ready(self, bus: Bus) -> None:
+        patience = Patience(self._last_line)
+        waiting = self.plan.services
+        while waiting := tuple(service for service in waiting if not _ready(bus, service)):
             self.check()
-            waiting -= {service for service in waiting if _ready(bus, service)}
-            if waiting and time.monotonic() > deadline_s:
-                raise JobError(f"not ready after {READY_TIMEOUT_S:.0f} s: {', '.join(sorted(waiting))}")
-            if waiting:
-                time.sleep(0.05)
+            patience.wait({service: self._children[service].pid for service in waiting})
 
     def _log(self, service: str) -> Path:
         assert self._logs is not None  # noqa: S101 - only asked where logs go to files
@@ -195,11 +192,12 @@ class Stack:
     def _epitaph(self, service: str, child: subprocess.Popen[bytes]) -> str:
         if child.returncode < 0:
             return f"{service} was killed by {signal.Signals(-child.returncode).name}"
-        if self._logs is None:
-            return f"{service} ended with status {child.returncode}"
-        lines = self._log(service).read_text(errors="replace").strip().splitlines()
-        last = lines[-1].split(f" {service}: ", 1)[-1] if lines else f"it ended with status {child.returncode}"
-        return f"{service}: {last}"
+        return f"{service}: {self._last_line(service) or f'it ended with status {child.returncode}'}"
+
+    def _last_line(self, service: str) -> str:
+        """Return what a service said last; nothing where it said it to this terminal."""
+        lines = [] if self._logs is None else self._log(service).read_text(errors="replace").strip().splitlines()
+        return lines[-1].split(f" {service}: ", 1)[-1] if lines else ""
 
 
 def _ready(bus: Bus, service: str) -> bool:

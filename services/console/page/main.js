@@ -31,6 +31,9 @@ const draws = {
     drawHealth(watch.state.health);
     const told = watch.state.health.services.find(({ name }) => name === "robot")?.told;
     if (told) drawWorlds(told), inWorld(told.world);
+    const disk = watch.state.health.services.find(({ name }) => name === "recorder")?.told?.disk;
+    say($("#disk"), disk ? `Recording: ${disk}` : "");
+    $("#disk").hidden = !disk;
   },
   job: () => drawJob(watch.state.job),
   news: () => drawNews(watch.state.news),

@@ -41,7 +41,7 @@ export class Watch {
     const socket = (this._socket = new WebSocket(`${location.origin.replace("http", "ws")}/watch`));
     socket.binaryType = "arraybuffer";
     socket.onopen = () => this._connection(true);
-    socket.onmessage = ({ data }) => (typeof data === "string" ? this._take(JSON.parse(data)) : this._show(data));
+    socket.onmessage = ({ data }) => (typeof data === "string" ? this._take(JSON.parse(data), socket) : this._show(data, socket));
     socket.onclose = () => {
       this._connection(false);
       setTimeout(() => this._open(), this._waitMs);
@@ -57,29 +57,28 @@ export class Watch {
     this._onNews([]);
   }
 
-  _take({ now, picture, ...news }) {
+  _take({ now, picture, ...news }, socket) {
     this._askedMs = picture ? performance.now() : null;
     this._behindS = now - performance.now() / 1000;
     Object.assign(this.state, news);
     try {
       this._onNews(Object.keys(news));
     } finally {  // what cannot be drawn must not end the news: the picture, if one follows, is seen by itself
-      if (!picture) this._seen();
+      if (!picture) this._seen(socket);
     }
   }
 
-  async _show(data) {
+  async _show(data, socket) {
     this._askedMs = null;
     try {
       await this._onPicture(new Blob([data], { type: "image/jpeg" }));
     } finally {
-      this._seen();
+      this._seen(socket);
     }
   }
 
   /** A page that nobody looks at takes nothing more until somebody does. */
-  _seen() {
-    const socket = this._socket;
+  _seen(socket) {
     requestAnimationFrame(() => {
       if (socket.readyState !== WebSocket.OPEN) return;
       socket.send('{"do":"seen"}');

@@ -59,9 +59,8 @@ function fill(select, told = "", here = "") {
 
 /** What the robot would have to open for the next drive or run, which takes a while; nothing where it is there. */
 export function opening() {
-  if (form.hidden) return "";
   const { world, variation } = form.elements;
-  return world.value !== world.dataset.now || variation.value !== variation.dataset.now ? `${world.value} (${variation.value})` : "";
+  return Object.values(chosenWorld()).some(Boolean) ? `${world.value} (${variation.value})` : "";
 }
 
 const news = card.querySelector(".empty");

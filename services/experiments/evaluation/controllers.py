@@ -14,11 +14,9 @@ from schemas.state import MAX_PLACES
 from services.experiments.evaluation.demonstrations import Drive
 from smal.action_space import Atom
 from smal.decision import DecisionMaker
-from smal.evaluation.baselines.behaviour_cloning import ClonedBehaviour
 from smal.evaluation.baselines.nearest_neighbour_imitation import NearestNeighbourImitation
 from smal.evaluation.baselines.seqslam_localization import SeqSlamLocalizer
 from smal.evaluation.baselines.teach_and_repeat import TaughtDrive, TeachAndRepeat
-from smal.evaluation.baselines.thumbnails import thumbnail
 from smal.features import FeatureSettings, extract
 from smal.model import Model
 from smal.place_recognition.seqslam import SeqSlamSettings
@@ -31,7 +29,7 @@ from smal.robot import Localizer
 #: 2.5 m in one of ten frames, with 40 frames by 0.13 m. On the campus it collides whatever the settings: neighbourhoods
 #: of 10 to 160 frames, trajectories of 5 to 40, velocities of 0.5 to 2 (three searches each).
 SEQSLAM: Final = SeqSlamSettings(length=10, window=40)
-
+SEQSLAM_FEATURES: Final = FeatureSettings.of(("thumbnail",))
 
 #: What the wheels tell: x, y in metres and heading in radians since the start.
 Pose = tuple[float, float, float]
@@ -217,10 +215,10 @@ class TeachAndRepeatController:
     def __init__(self, drives: Sequence[Drive], field_of_view_rad: float) -> None:
         taught = []
         for one in drives:
-            images, odometry = one.demonstration.images, one.demonstration.odometry
-            if images is None or odometry is None:
-                raise ValueError(f"demonstration {one.demonstration.name} has no images or no odometry")
-            grey = np.stack([_grey(image) for image in images])
+            odometry = one.demonstration.odometry
+            if odometry is None:
+                raise ValueError(f"demonstration {one.demonstration.name} has no odometry")
+            grey = np.stack([_grey(image) for image in images_of(one)])
             taught.append(TaughtDrive(grey, odometry, one.demonstration.atoms, field_of_view_rad))
         self._robot = TeachAndRepeat(taught)
 
@@ -237,44 +235,21 @@ def _grey(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
     return np.asarray(cv2.cvtColor(image, cv2.COLOR_RGB2GRAY), dtype=np.uint8)
 
 
-class CloningController:
-    """Behaviour cloning: a network says which key the expert would hold."""
-
-    features: FeatureSettings | None = None
-
-    def __init__(self, cloned: ClonedBehaviour) -> None:
-        self._cloned = cloned
-
-    def reset(self) -> None:
-        """Nothing to forget: it looks at one image."""
-
-    def act(self, seen: Seen) -> Move:
-        """Ask the network."""
-        return Move(self._cloned.act(thumbnail(seen.image)))
-
-
 class SeqSlamController:
     """SeqSLAM says which demonstrated frame the robot is at, and it does what was done there.
 
     Parameters
     ----------
     drives
-        With thumbnails.
+        With images.
     settings
         Of SeqSLAM, `SEQSLAM` unless given.
-
-    Raises
-    ------
-    ValueError
-        A drive has no thumbnails.
     """
 
-    features: FeatureSettings | None = None
+    features: FeatureSettings | None = SEQSLAM_FEATURES
 
     def __init__(self, drives: Sequence[Drive], settings: SeqSlamSettings = SEQSLAM) -> None:
-        thumbnails = {one.demonstration.name: one.thumbnails for one in drives if one.thumbnails is not None}
-        names = tuple(one.demonstration.name for one in drives)
-        self._localizer = SeqSlamLocalizer(thumbnails, names, settings, shorten=True)
+        self._localizer = SeqSlamLocalizer(seqslam_templates(drives), settings, shorten=True)
         self._atoms = [one.demonstration.atoms for one in drives]
 
     def reset(self) -> None:
@@ -283,5 +258,23 @@ class SeqSlamController:
 
     def act(self, seen: Seen) -> Move:
         """Continue the demonstration from the place that the last frames end at."""
-        place = self._localizer.observe(thumbnail(seen.image))
+        place = self._localizer.observe(seen.features)
         return Move(Atom.STOP if place is None else Atom(int(self._atoms[place.demonstration][place.frame])))
+
+
+def seqslam_templates(drives: Sequence[Drive]) -> list[NDArray[np.float32]]:
+    """Return what SeqSLAM knows of each drive: the features (f, m) of its images."""
+    return [np.stack([extract(image, SEQSLAM_FEATURES) for image in images_of(one)]) for one in drives]
+
+
+def images_of(drive: Drive) -> Sequence[NDArray[np.uint8]]:
+    """Return the images of a drive.
+
+    Raises
+    ------
+    ValueError
+        It has none.
+    """
+    if drive.demonstration.images is None:
+        raise ValueError(f"demonstration {drive.demonstration.name} has no images")
+    return drive.demonstration.images

@@ -73,7 +73,7 @@ def run_errand(workplace: Workplace, world: str, errand: Errand, seeds: range) -
     demonstrations, taught_m = [], []
     for number, one in enumerate(task.taught):
         simulation = workplace.task(world, one.start, one.victim)
-        made = drive(simulation, workplace.features, TEACHING_SEED + number, "drive", via=one.via)
+        made = drive(simulation, workplace.features, TEACHING_SEED + number, one.via)
         if made is None:
             raise ValueError(f"{errand}: the expert's drive {number} in {world} did not reach the victim")
         taught_m.append(round(route_length_m(made.poses[:, :2]), 2))

@@ -42,7 +42,6 @@ CONTROLLERS: Final = {
     "nearest-1": "does what was done at the most alike frame",
     "nearest-5": "the same, of five frames in a row",
     "seqslam": "goes on from where SeqSLAM says that it is",
-    "cloning": "a network from image to key",
 }
 #: Light and season other than those of the drives.
 VARIATIONS: Final = ("dark", "overcast", "evening", "other-day")

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from schemas.rpc import ResetRequest
-from services.experiments.evaluation.controllers import SEQSLAM
+from services.experiments.evaluation.controllers import SEQSLAM, SEQSLAM_FEATURES, seqslam_templates
 from services.experiments.evaluation.degradation import Degradation, Degrader, degradation_named
 from services.experiments.evaluation.demonstrations import expert_of
 from services.experiments.evaluation.plan import JUDGED_TICKS, Criterion, Recognizer
@@ -22,7 +22,6 @@ from services.expert.driver import DRIVE_TICKS
 from services.simulator.lockstep import LockstepEpisode
 from services.simulator.simulation import Simulation
 from smal.evaluation.baselines.seqslam_localization import SeqSlamLocalizer
-from smal.evaluation.baselines.thumbnails import thumbnail
 from smal.evaluation.ground_truth import PoseTruth, judge
 from smal.evaluation.localization import DemonstratedFrames
 from smal.features import Centering, FeatureSettings, extract
@@ -53,14 +52,14 @@ def query_drive(
     Returns
     -------
     dict
-        ``poses`` (f, 3), and for every view NAME ``features_NAME`` (f, m) and ``thumbnails_NAME`` (f, 48, 64, 3).
+        ``poses`` (f, 3), and for every view NAME ``features_NAME`` (f, m) and ``seqslam_NAME``, what SeqSLAM looks at.
     """
     request = ResetRequest(seed=seed, purpose="drive", driver="expert", max_ticks=DRIVE_TICKS)
     episode = LockstepEpisode(simulation, request)
     expert = expert_of(simulation)
     degraders = {name: Degrader(how, seed) for name, how in views.items()}
     poses: list[tuple[float, float, float]] = []
-    parts = [f"{part}_{name}" for name in views for part in ("features", "thumbnails")]
+    parts = [f"{part}_{name}" for name in views for part in ("features", "seqslam")]
     kept: dict[str, list[NDArray[Any]]] = {part: [] for part in parts}
     while episode.outcome is None:
         image, pose = episode.view.image, episode.view.pose
@@ -68,7 +67,7 @@ def query_drive(
         for name, degrader in degraders.items():
             seen = degrader.apply(episode.tick, image)
             kept[f"features_{name}"].append(extract(seen, features))
-            kept[f"thumbnails_{name}"].append(thumbnail(seen))
+            kept[f"seqslam_{name}"].append(extract(seen, SEQSLAM_FEATURES))
         if expert.arrived(pose.x, pose.y):
             break
         episode.step(expert.key(*poses[-1]))
@@ -110,7 +109,7 @@ def _recognize_all(
 ) -> tuple[Matches, NDArray[np.float64]]:
     with np.load(workplace.folder / query_file(world, seed), allow_pickle=False) as held:
         poses = held["poses"]
-        part = "thumbnails" if recognizer.name == "seqslam" else "features"
+        part = "seqslam" if recognizer.name == "seqslam" else "features"
         views = held[f"{part}_{degradation}"]
     if recognizer.name == "smal":
         model = workplace.model(world, drives, recognizer.length)
@@ -119,8 +118,7 @@ def _recognize_all(
         return recognize_states(model, views, JUDGED_TICKS), poses
     taught = workplace.drives(world, drives)
     if recognizer.name == "seqslam":
-        small = {one.demonstration.name: one.thumbnails for one in taught if one.thumbnails is not None}
-        localizer = SeqSlamLocalizer(small, tuple(small), replace(SEQSLAM, length=recognizer.length))
+        localizer = SeqSlamLocalizer(seqslam_templates(taught), replace(SEQSLAM, length=recognizer.length))
         matches = _by_seqslam(localizer, [len(one.poses) for one in taught], views)
     else:
         raw = [one.demonstration.features for one in taught]
@@ -149,7 +147,7 @@ def recognize_states(model: Model, views: NDArray[np.float32], every: int = 1) -
     return matches
 
 
-def _by_seqslam(localizer: SeqSlamLocalizer, lengths: list[int], views: NDArray[np.uint8]) -> Matches:
+def _by_seqslam(localizer: SeqSlamLocalizer, lengths: list[int], views: NDArray[np.float32]) -> Matches:
     """Take the mean enhanced difference, whose least is the best, as the score with its sign changed."""
     starts = np.cumsum([0, *lengths])
     matches = Matches.none(len(views))

@@ -22,19 +22,20 @@ from smal.features import FeatureSettings
 
 #: What a unit found out: numbers, texts, lists of them.
 Finding = Mapping[str, Any]
-_CHECKOUT: Final = Path(__file__).parents[3]
+#: What holds our packages: a checkout, or where they are installed.
+_PACKAGES: Final = Path(__file__).parents[3]
 _PLAN, _UNITS, _WORK = "plan.json", "units.jsonl", "work"
 # Whatever a result depends on; that the report is written differently invalidates nothing.
 _SOURCES: Final = (
     "smal/**/*.py", "services/simulator/**/*", "services/robot/*.py", "services/expert/*.py",
-    "services/experiments/evaluation/*.py", "deploy/worlds/*",
+    "services/experiments/evaluation/*.py",
 )  # fmt: skip
 _OF_NO_RESULT: Final = ("results.py", "workers.py", "plan.py", "units.py")
 
 
 def sources() -> list[Path]:
     """Return the code, the shaders and the worlds that the results depend on."""
-    found = {path for pattern in _SOURCES for path in _CHECKOUT.glob(pattern)}
+    found = {path for pattern in _SOURCES for path in _PACKAGES.glob(pattern)}
     found -= {Path(__file__).with_name(name) for name in _OF_NO_RESULT}
     return sorted(path for path in found if path.is_file() and path.suffix != ".pyc")
 
@@ -42,7 +43,7 @@ def sources() -> list[Path]:
 def _code_fingerprint() -> str:
     digest = hashlib.sha256()
     for path in sources():
-        digest.update(str(path.relative_to(_CHECKOUT)).encode() + b"\0" + path.read_bytes())
+        digest.update(str(path.relative_to(_PACKAGES)).encode() + b"\0" + path.read_bytes())
     return digest.hexdigest()[:12]
 
 

@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
 from services.experiments.evaluation.controllers import (
-    CloningController,
     Controller,
     FilterController,
     ImitationController,
@@ -27,13 +26,10 @@ from services.experiments.evaluation.search import Search, search
 from services.experiments.evaluation.workplace import Workplace, replace_file
 from services.kit.jpeg import encode_jpeg
 from services.robot.clock import TICK_S
-from smal.evaluation.baselines.behaviour_cloning import ClonedBehaviour, CloningSettings, clone
 from smal.movement import placed, seen_from
 
 #: Frames from one kept picture of an example route to the next, and of one kept position of any way.
 PICTURE_TICKS, WAY_TICKS = 10, 5
-#: Networks of behaviour cloning, from other first weights: how well it searches depends on them.
-CLONES = 3
 
 
 class Drivers:
@@ -42,12 +38,9 @@ class Drivers:
     def __init__(self, workplace: Workplace) -> None:
         self._workplace = workplace
         self._made = lru_cache(maxsize=2)(self._make)
-        self._cloned = lru_cache(maxsize=CLONES)(self._clone)
 
-    def of_search(self, world: str, trial: Trial, seed: int) -> Controller:
-        """Return who drives in a search; of cloning's networks another for every seed, in turn."""
-        if trial.controller == "cloning":
-            return CloningController(self._cloned(world, trial.drives, seed % CLONES))
+    def of_search(self, world: str, trial: Trial) -> Controller:
+        """Return who drives in a search."""
         return self._made(world, trial.controller, trial.drives, trial.length)
 
     def _make(self, world: str, name: str, drives: int, length: int) -> Controller:
@@ -60,11 +53,6 @@ class Drivers:
         if name == "teach-and-repeat":
             return TeachAndRepeatController(taught, self._workplace.field_of_view_rad)
         return ImitationController(taught, self._workplace.features, int(name.removeprefix("nearest-")))
-
-    def _clone(self, world: str, drives: int, seed: int) -> ClonedBehaviour:
-        taught = self._workplace.drives(world, drives)
-        images = [one.thumbnails for one in taught if one.thumbnails is not None]
-        return clone(images, [one.demonstration.atoms for one in taught], CloningSettings(seed=seed))
 
 
 def run_search(
@@ -86,7 +74,7 @@ def run_search(
     kept = (trial.controller, trial.drives, trial.condition) == ("smal", 1, "as taught")
     found = search(
         simulation,
-        drivers.of_search(world, trial, seed),
+        drivers.of_search(world, trial),
         seed,
         degradation=how,
         start=trial.start,

@@ -58,17 +58,9 @@ class Unit:
         return "/".join([self.kind, self.world, *(f"{name}={value}" for name, value in self.settings)])
 
 
-def units(plan: Plan, *, cloning: bool) -> list[Unit]:
-    """Return all units of a plan, each after those that it needs.
-
-    Parameters
-    ----------
-    plan
-        What is to be done.
-    cloning
-        Whether behaviour cloning can run on this machine.
-    """
-    return [unit for world in plan.worlds for unit in (*_of_world(plan, world, cloning), *_errands(plan, world))]
+def units(plan: Plan) -> list[Unit]:
+    """Return all units of a plan, each after those that it needs."""
+    return [unit for world in plan.worlds for unit in (*_of_world(plan, world), *_errands(plan, world))]
 
 
 def whole_series(units: Sequence[Unit], done: Container[str]) -> list[Unit]:
@@ -81,7 +73,7 @@ def whole_series(units: Sequence[Unit], done: Container[str]) -> list[Unit]:
     return [unit for unit in units if series(unit) not in torn]
 
 
-def _of_world(plan: Plan, world: WorldPlan, cloning: bool) -> Iterator[Unit]:
+def _of_world(plan: Plan, world: WorldPlan) -> Iterator[Unit]:
     camera = ("camera", "x".join(map(str, plan.camera)))
     taught = [Unit("teach", world.world, (camera, ("seed", TEACHING_SEED + k))) for k in range(world.all_drives)]
     yield from taught
@@ -113,8 +105,6 @@ def _of_world(plan: Plan, world: WorldPlan, cloning: bool) -> Iterator[Unit]:
         yield Unit("objective", world.world, at, (*needed(world.drives, DEFAULT_LENGTH), queries[0].key))
     # What tells most first: whoever looks at the page before all is done sees the method and its peers.
     for trial in world.trials:
-        if trial.controller == "cloning" and not cloning:
-            continue
         model = trial.length if trial.controller in {"smal", "paper"} else None
         for k in range(trial.runs):
             tried: Settings = (camera, *settings_of(trial), ("patience", str(plan.patience)), ("seed", RUN_SEED + k))

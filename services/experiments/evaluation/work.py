@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from services.experiments.evaluation.demonstrations import demonstrate, save_drives
+from services.experiments.evaluation.demonstrations import drive, save_drive
 from services.experiments.evaluation.errands import run_errand
 from services.experiments.evaluation.objective_experiment import objectives
 from services.experiments.evaluation.plan import DEFAULT_LENGTH, ERRANDS, RUN_SEED, Plan, Recognizer, Trial
@@ -52,12 +52,12 @@ class Work:
 
     def _teach(self, unit: Unit) -> dict[str, Any]:
         simulation, features, seed = self._place.simulation(unit.world, None), self._place.features, unit.number("seed")
-        made = demonstrate(simulation, features, 1, 0, seed, thumbnails=True)
-        if not made:
+        made = drive(simulation, features, seed)
+        if made is None:
             raise ValueError(f"the expert's drive with seed {seed} in {unit.world} did not reach the victim")
         name = teach_file(unit.world, seed)
-        save_drives(self._place.folder / name, made, features)
-        return {"drives": 1, "frames": len(made[0].poses), "files": [name]}
+        save_drive(self._place.folder / name, made, features)
+        return {"drives": 1, "frames": len(made.poses), "files": [name]}
 
     def _learn(self, unit: Unit) -> dict[str, Any]:
         count = unit.number("drives")

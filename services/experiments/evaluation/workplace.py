@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from services.experiments.evaluation.demonstrations import Drive, load_drives
+from services.experiments.evaluation.demonstrations import Drive, load_drive
 from services.experiments.evaluation.plan import TEACHING_SEED
 from services.simulator.opening import open_simulation
 from services.simulator.sensors.camera import CameraSettings
@@ -58,7 +58,7 @@ class Workplace:
 
     def _drives(self, world: str, count: int) -> tuple[Drive, ...]:
         files = [self.folder / teach_file(world, TEACHING_SEED + k) for k in range(count)]
-        return tuple(one for path in files for one in load_drives(path, self.features))
+        return tuple(load_drive(path, self.features) for path in files)
 
     def poses(self, world: str, drives: int) -> NDArray[np.float64]:
         """Return the true pose of every demonstrated frame, (n, 3)."""

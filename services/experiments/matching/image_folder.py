@@ -11,7 +11,7 @@ import os
 import re
 import sys
 from collections import deque
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import partial
@@ -52,10 +52,6 @@ class ImageFolder:
     path: Path
     frames: tuple[str, ...]
     others: tuple[str, ...]
-
-
-#: Of an image (height, width, 3) and the number of its frame: another image of that place.
-Change = Callable[[NDArray[np.uint8], int], NDArray[np.uint8]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -151,9 +147,6 @@ def describe_frames(
     settings: FeatureSettings,
     depth: ImageFolder | None,
     title: str,
-    *,
-    frames: Sequence[int] | None = None,
-    change: Change | None = None,
 ) -> DescribedFrames:
     """Compute the features of the frames, with a progress bar.
 
@@ -167,31 +160,26 @@ def describe_frames(
         As many depth images, in the same order, if the features need them.
     title
         What the progress bar says.
-    frames
-        Numbers of those that are described, ascending; all if None.
-    change
-        What is done to the images before.
 
     Raises
     ------
     JobError
         When no frame can be read, a feature cannot be computed, or the features do not fit into memory.
     """
-    asked = range(len(folder.frames)) if frames is None else frames
-    count = len(asked)
+    count = len(folder.frames)
     try:
         features = np.zeros((count, settings.size), dtype=np.float32)
     except MemoryError:
         raise JobError(f"{folder.path}: the features of {count} frames do not fit into memory") from None
     numbers: list[int] = []
     unreadable: list[str] = []
-    work = partial(_describe, folder, settings, depth, change)
+    work = partial(_describe, folder, settings, depth)
     with (
         quiet_opencv(),
         ThreadPoolExecutor(_WORKERS) as pool,
         tqdm(total=count, desc=title, unit="image", dynamic_ncols=True, disable=None) as bar,
     ):
-        for number, described in zip(asked, _in_order(pool, work, asked), strict=True):
+        for number, described in enumerate(_in_order(pool, work, count)):
             if described is None:
                 unreadable.append(folder.frames[number])
             else:
@@ -211,26 +199,22 @@ def _nothing_readable(folder: ImageFolder, depth: ImageFolder | None, names: lis
     return f"{folder.path}: no image can be read: {_named(tuple(names))}"
 
 
-def _describe(
-    folder: ImageFolder, settings: FeatureSettings, depth: ImageFolder | None, change: Change | None, number: int
-) -> _Described:
+def _describe(folder: ImageFolder, settings: FeatureSettings, depth: ImageFolder | None, number: int) -> _Described:
     path = folder.path / folder.frames[number]
     image = read_color(path)
     depth_mm = None if depth is None else read_depth(depth.path / depth.frames[number])
     if image is None or (depth is not None and depth_mm is None):
         return None
     try:
-        return extract(image if change is None else change(image, number), settings, depth_mm)
+        return extract(image, settings, depth_mm)
     except ValueError as error:
         raise JobError(f"{path}: {error}") from None
 
 
-def _in_order(
-    pool: ThreadPoolExecutor, work: Callable[[int], _Described], frames: Sequence[int]
-) -> Iterator[_Described]:
+def _in_order(pool: ThreadPoolExecutor, work: Callable[[int], _Described], count: int) -> Iterator[_Described]:
     """Yield work of each frame, a few of them under way at any time: results do not pile up."""
     pending: deque[Future[_Described]] = deque()
-    for number in frames:
+    for number in range(count):
         pending.append(pool.submit(work, number))
         if len(pending) >= 2 * _WORKERS:
             yield pending.popleft().result()

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from services.simulator.world.place import Pose
 
 #: Rubber on dry asphalt or a clean floor.
-TYRE_FRICTION: Final = 1.1
+_TYRE_FRICTION: Final = 1.1
 # The motors' torque, as the acceleration that it gives to the robot: more than the tyres carry, so that a robot at a
 # wall spins its wheels.
 _TORQUE_M_S2: Final = 12.0
@@ -35,7 +35,7 @@ _SOLVER_ITERATIONS: Final = 16
 _AXLE: Final = (math.sqrt(0.5), 0.0, 0.0, math.sqrt(0.5))
 
 
-def add_robot(scene: Any, robot: RobotModel, drive: Drive, pose: Pose, friction: float) -> Any:  # noqa: ANN401
+def add_robot(scene: Any, robot: RobotModel, drive: Drive, pose: Pose) -> Any:  # noqa: ANN401
     """Put a robot into a scene, at rest, and return its articulation.
 
     The root is the chassis, its origin the middle of the wheels' axis, x ahead. The two joints are the left and the
@@ -49,12 +49,10 @@ def add_robot(scene: Any, robot: RobotModel, drive: Drive, pose: Pose, friction:
         The wheels.
     pose
         Where it stands.
-    friction
-        Of the tyres on the floor, at least 0.
     """
     sapien = load()
     chassis = _chassis(sapien, robot, drive.wheel_radius_m)
-    wheels = [_wheel(sapien, chassis, robot.mass_kg, drive, side, friction) for side in (1.0, -1.0)]
+    wheels = [_wheel(sapien, chassis, robot.mass_kg, drive, side) for side in (1.0, -1.0)]
     turn = (math.cos(pose.heading / 2), 0.0, 0.0, math.sin(pose.heading / 2))
     for link in (chassis, *wheels):
         entity = sapien.Entity()
@@ -103,7 +101,7 @@ def _stopped_by_all(shape: Any) -> Any:  # noqa: ANN401 - sapien has no types
     return shape
 
 
-def _wheel(sapien: Any, chassis: Any, mass_kg: float, drive: Drive, side: float, friction: float) -> Any:  # noqa: ANN401
+def _wheel(sapien: Any, chassis: Any, mass_kg: float, drive: Drive, side: float) -> Any:  # noqa: ANN401
     """Return a driven wheel, to the left with `side` 1 and to the right with -1.
 
     It touches the floor as a ball, in one point, which rolls more smoothly than a cylinder of many faces. The hull
@@ -111,7 +109,7 @@ def _wheel(sapien: Any, chassis: Any, mass_kg: float, drive: Drive, side: float,
     """
     radius_m = drive.wheel_radius_m
     link = sapien.physx.PhysxArticulationLinkComponent(chassis)
-    tyre = sapien.physx.PhysxCollisionShapeSphere(radius_m, friction_against_floor(friction))
+    tyre = sapien.physx.PhysxCollisionShapeSphere(radius_m, friction_against_floor(_TYRE_FRICTION))
     tyre.set_collision_groups([0, FLOOR, 0, 0])
     link.attach(tyre)
     link.mass = wheel_kg = _WHEEL_MASS * mass_kg

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from services.simulator.base import Motion
 from services.simulator.drive import Actuator, WheelSpeeds
-from services.simulator.physics.articulation import TYRE_FRICTION, add_robot
+from services.simulator.physics.articulation import add_robot
 from services.simulator.physics.collision_shapes import upright_sides
 from services.simulator.physics.engine import TIMESTEP_S, new_scene, obstacle_entity
 from services.simulator.physics.motors import STANDING, STOPPING_M_S2, TURN_ACCELERATION_RAD_S2, lead
@@ -42,23 +42,16 @@ class PhysicalBase:
         Where it drives, and with which robot.
     drive
         Other wheels than the robot's.
-    friction
-        Coefficient of friction of the tyres on the floor, at least 0.
 
     Raises
     ------
     PhysicsUnavailableError
         SAPIEN, with PhysX in it, is not installed.
-    ValueError
-        The friction is negative.
     """
 
-    def __init__(self, place: Place, drive: Drive | None = None, friction: float = TYRE_FRICTION) -> None:
-        if not friction >= 0:
-            raise ValueError(f"friction={friction} of the tyres must be at least 0")
+    def __init__(self, place: Place, drive: Drive | None = None) -> None:
         self._robot = place.robot
         self._drive = drive or place.robot.drive
-        self._friction = friction
         self._scene = new_scene()
         self._obstacles = obstacle_entity(upright_sides(place.solids, place.robot.top_m))
         self._scene.add_entity(self._obstacles)
@@ -74,7 +67,7 @@ class PhysicalBase:
         self._scene = new_scene()
         self._scene.add_entity(self._obstacles)
         self._body = self._obstacles.components[0]
-        self._articulation = add_robot(self._scene, self._robot, self._drive, pose, self._friction)
+        self._articulation = add_robot(self._scene, self._robot, self._drive, pose)
         self._wheels = self._articulation.active_joints
         self._angles = self._articulation.qpos.tolist()
         self._commanded = STANDING

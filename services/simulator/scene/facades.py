@@ -55,8 +55,8 @@ class _Plan:
     surround: bool
 
 
-def alike(facades: Iterable[Facade], most: int = MOST_LOOKS) -> dict[Facade, Facade]:
-    """Return for each façade the one that is painted for it, at most `most` different ones.
+def alike(facades: Iterable[Facade]) -> dict[Facade, Facade]:
+    """Return for each façade the one that is painted for it, at most `MOST_LOOKS` different ones.
 
     Few enough façades stay as they are. Of more, colours and then variants are rounded, in coarser and coarser steps,
     since every picture takes memory: those that become equal are the ones that look most alike.
@@ -64,9 +64,9 @@ def alike(facades: Iterable[Facade], most: int = MOST_LOOKS) -> dict[Facade, Fac
     wanted = dict.fromkeys(facades)
     for colours, variants in _ROUNDINGS:
         found = {facade: _rounded(facade, colours, variants) for facade in wanted}
-        if len(set(found.values())) <= most:
+        if len(set(found.values())) <= MOST_LOOKS:
             return found
-    raise AssertionError("the coarsest rounding leaves fewer looks than any limit in use")
+    raise AssertionError("the coarsest rounding leaves fewer looks than the limit")
 
 
 def _rounded(facade: Facade, colours: int, variants: int) -> Facade:

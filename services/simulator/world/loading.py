@@ -29,7 +29,7 @@ from services.simulator.world.terrain_format import FORMAT
 if TYPE_CHECKING:
     from services.simulator.world.osm import OsmExtract
 
-WORLDS_FOLDER: Final = Path(__file__).resolve().parents[3] / "deploy" / "worlds"
+WORLDS_FOLDER: Final = Path(__file__).parents[1] / "known_worlds"
 _ROOM_FORMAT: Final = "smal.room/1"
 _SUFFIXES: Final = (".osm", ".json")
 # A route leaves out points that are this close to it.
@@ -67,9 +67,9 @@ def load_world(name_or_path: str | Path) -> World:
     Parameters
     ----------
     name_or_path
-        The name of a world in `deploy/worlds/`, or the path of an OpenStreetMap XML file or of a world file (its name
-        ends in .json). In a map, a node tagged `smal:role=start` (with `direction=` in degrees clockwise from north)
-        and one tagged `smal:role=victim` set the task; a plain extract has none, and gets one by rule (see
+        The name of a world that comes with the project, or the path of an OpenStreetMap XML file or of a world file
+        (its name ends in .json). In a map, a node tagged `smal:role=start` (with `direction=` in degrees clockwise from
+        north) and one tagged `smal:role=victim` set the task; a plain extract has none, and gets one by rule (see
         `roles.choose_roles`).
 
     Raises

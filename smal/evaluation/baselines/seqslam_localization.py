@@ -6,13 +6,12 @@ the robot is.
 """
 
 from collections import deque
-from collections.abc import Mapping
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from smal.features.thumbnail import thumbnail_descriptor
 from smal.place_recognition.seqslam import SeqSlamSettings, differences, enhanced
 
 
@@ -33,10 +32,8 @@ class SeqSlamLocalizer:
 
     Parameters
     ----------
-    thumbnails : mapping of str to uint8 array (f, height, width, 3)
-        Small RGB images of every demonstration, by its name.
-    names : sequence of str
-        Which demonstrations, in the order in which places are numbered.
+    drives : sequence of float32 arrays (f, m)
+        Patch-normalized thumbnails (the modality `thumbnail`) of every demonstration.
     settings : SeqSlamSettings
     shorten : bool
         Whether it answers from the first frame on, by as many frames as there are: a robot that waits for d_s frames
@@ -45,26 +42,16 @@ class SeqSlamLocalizer:
     Raises
     ------
     ValueError
-        A demonstration has no thumbnails, or none is long enough for a trajectory.
+        No demonstration is long enough for a trajectory.
     """
 
-    def __init__(
-        self,
-        thumbnails: Mapping[str, NDArray[np.uint8]],
-        names: tuple[str, ...],
-        settings: SeqSlamSettings,
-        shorten: bool = False,
-    ) -> None:
-        missing = [name for name in names if name not in thumbnails]
-        if missing:
-            raise ValueError(f"demonstration {missing[0]} has no thumbnails")
+    def __init__(self, drives: Sequence[NDArray[np.float32]], settings: SeqSlamSettings, shorten: bool = False) -> None:
         self._settings, self._least = settings, 1 if shorten else settings.length
         self._lines = settings.trajectories()
-        small = [np.stack([thumbnail_descriptor(image) for image in thumbnails[name]]) for name in names]
-        self._ends = np.cumsum([0, *map(len, small)])
-        self._templates = np.concatenate(small)
+        self._ends = np.cumsum([0, *map(len, drives)])
+        self._templates = np.concatenate(drives)
         # Where in its demonstration each template is: a trajectory must not begin before it.
-        self._frame = np.concatenate([np.arange(len(each)) for each in small])
+        self._frame = np.concatenate([np.arange(len(each)) for each in drives])
         if not any(line[-1] <= self._frame.max() for line in self._lines):
             raise ValueError(f"no demonstration is long enough for SeqSLAM with a length of {settings.length}")
         self._rows: deque[NDArray[np.float32]] = deque(maxlen=settings.length)
@@ -73,9 +60,9 @@ class SeqSlamLocalizer:
         """Forget all frames, for a new episode."""
         self._rows.clear()
 
-    def observe(self, image: NDArray[np.uint8]) -> Place | None:
-        """Take one RGB frame, and find where the last d_s ended; None as long as there are too few."""
-        self._rows.append(self._contrast(thumbnail_descriptor(image)))
+    def observe(self, frame: NDArray[np.float32]) -> Place | None:
+        """Take one frame, (m,), and find where the last d_s ended; None as long as there are too few."""
+        self._rows.append(self._contrast(frame))
         if len(self._rows) < self._least:
             return None
         rows = list(reversed(self._rows))

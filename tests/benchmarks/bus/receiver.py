@@ -38,7 +38,7 @@ def beside(topic: Topic, way: str) -> Topic:
 def session_of(bus: Bus, topic: Topic) -> zenoh.Session:
     """Return the session that a bus uses for a topic: plain Zenoh is measured on the very same one."""
     assert isinstance(bus._wire, ZenohWire)
-    return bus._wire.sessions[topic.urgent]
+    return bus._wire.sessions[topic.lane]
 
 
 def main() -> None:

@@ -74,6 +74,8 @@ class Cell:
         Whether episodes go on meanwhile.
     stands : bool
         Whether the robot has to stand in the meantime, since whoever commands or moves it is gone for longer.
+    abandoned : bool
+        Whether the robot has to stand in the meantime, and may stand already when the fault begins.
     next_episode : bool
         Whether the next episode's recording is judged, in place of this one's, of which only what is there must be
         readable.
@@ -86,6 +88,7 @@ class Cell:
     watched: str | None = None
     drives_on: bool = False
     stands: bool = False
+    abandoned: bool = False
     next_episode: bool = False
 
 
@@ -154,7 +157,12 @@ def _rolling() -> list[Cell]:
     kills = [replace(cell, stands=cell.watched in gone) for cell in (*_kills(), _outages()[0])]
     freezes = [replace(_freeze(service, s), stands=True) for service in chain for s in _FREEZES_S]
     links = [replace(cell, stands=True) for cell in _links() if cell.name.split()[2] in ("robot", "policy")]
-    return [replace(cell, name=f"{cell.name}, moving base", bench="rolling") for cell in (*kills, *freezes, *links)]
+    operators = [
+        Cell(name, partial(harm.abandon, slow=slow), drives_on=True, abandoned=True)
+        for name, slow in (("kill -9 operator", False), ("kill -9 operator, link grown slow", True))
+    ]
+    cells = (*kills, *freezes, *links, *operators)
+    return [replace(cell, name=f"{cell.name}, moving base", bench="rolling") for cell in cells]
 
 
 def _others() -> list[Cell]:

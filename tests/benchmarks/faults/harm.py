@@ -16,6 +16,8 @@ from services.kit.bus import host_and_port
 from services.kit.errors import JobError
 from services.recordings.sink import PARTIAL_SUFFIX
 from tests.benchmarks.faults.judge import Window
+from tests.benchmarks.faults.operator import looking_on
+from tests.benchmarks.faults.proxy import GROWTH, LATE_S, link
 from tests.benchmarks.faults.rig import Rig
 from tests.benchmarks.faults.slow import slow_consumer
 
@@ -24,6 +26,8 @@ _RESTART_S: Final = 40.0
 _ROOM: Final = 100_000
 #: Debian's package libfaketime.
 FAKETIME: Final = tuple(Path("/usr/lib").glob("*/faketime/libfaketimeMT.so.1"))
+#: How long an operator looks on, and how long after the last sign of life there is nobody, seconds.
+_LOOKS_ON_S: Final = 1.0
 #: How soon a process with libfaketime looks at its file again, seconds.
 _NOTICED_S: Final = 1.0
 
@@ -50,6 +54,22 @@ def freeze(rig: Rig, service: str, seconds: float) -> Window:
 def link_down(rig: Rig, service: str, seconds: float) -> Window:
     """Let the link of a service forward nothing for some time."""
     return _frozen(rig, rig.links[service], seconds)
+
+
+def abandon(rig: Rig, slow: bool) -> Window:
+    """Kill an operator who looks on, behind a link that is as it should be or has grown slow; then arm the robot."""
+    with link(rig.bus.endpoint) as (address, link_pid), looking_on(rig.bus.robot, address) as operator_pid:
+        if not rig.until(lambda: rig.detail().get("operator") is True, _RESTART_S):
+            raise JobError("the robot does not hear of its operator")
+        rig.hold(_LOOKS_ON_S)
+        if slow:
+            os.kill(link_pid, signal.SIGUSR1)
+            rig.hold(LATE_S / GROWTH)
+        begin_s = time.monotonic()
+        os.kill(operator_pid, signal.SIGKILL)
+        rig.hold(LATE_S + _LOOKS_ON_S)
+    rig.resume()
+    return Window(begin_s, time.monotonic())
 
 
 def _frozen(rig: Rig, pid: int, seconds: float) -> Window:

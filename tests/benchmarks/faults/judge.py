@@ -168,6 +168,12 @@ def stood_s(steps: Iterable[Step], fault: Window) -> tuple[float | None, float |
     return max(0.0, last_s - fault.begin_s), None
 
 
+def moved_on_s(steps: Iterable[Step], fault: Window) -> float:
+    """Return how long after the begin of a fault, and before its end, the base last moved; 0 where it stood already."""
+    moving = [one.t_s for one in steps if one.speed_m_s and fault.begin_s <= one.t_s <= fault.end_s]
+    return max(moving, default=fault.begin_s) - fault.begin_s
+
+
 def refused(track: Track) -> int:
     """Return how many commands the actuator refused."""
     return max((int(one.told.get("refused", 0)) for one in track.applied), default=0)

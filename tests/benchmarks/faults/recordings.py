@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import struct
-from collections import Counter, defaultdict
+from collections import defaultdict
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -35,21 +35,19 @@ class Recorded:
     files : list of str
     unfinished : list of str
         Those of them that have no index, or not their final name.
-    places : Counter
-        How often each message was recorded.
+    places : set
+        Of all messages.
+    duplicates : int
+        How many messages are in a file that were there already; a recorder that was killed begins a new one.
     gaps : dict of str to set of int
         Ticks that the files say are missing, by topic.
     """
 
     files: list[str] = field(default_factory=list)
     unfinished: list[str] = field(default_factory=list)
-    places: Counter[Place] = field(default_factory=Counter)
+    places: set[Place] = field(default_factory=set)
+    duplicates: int = 0
     gaps: defaultdict[str, set[int]] = field(default_factory=lambda: defaultdict(set))
-
-    @property
-    def duplicates(self) -> int:
-        """How many messages are there that were there already."""
-        return sum(count - 1 for count in self.places.values())
 
 
 def read_recordings(folder: Path) -> dict[str, Recorded]:
@@ -96,7 +94,7 @@ def _as_far_as_it_goes(file: IO[bytes]) -> Iterator[tuple[Channel, Message]]:
 
 
 def _count(messages: Iterable[tuple[Channel, Message]], found: defaultdict[str, Recorded]) -> set[str]:
-    episodes = set()
+    own: set[tuple[str, Place]] = set()
     for channel, message in messages:
         topic = topic_of(channel.topic)
         if topic is not None:
@@ -105,9 +103,11 @@ def _count(messages: Iterable[tuple[Channel, Message]], found: defaultdict[str, 
             kept = topic.name.startswith("command") or topic is EPISODE
             order = order_of(message.sequence, told if kept else {})
             episode = channel.metadata["episode"]
-            found[episode].places[topic.name, order] += 1
-            episodes.add(episode)
-    return episodes
+            place = topic.name, order
+            found[episode].duplicates += (episode, place) in own
+            found[episode].places.add(place)
+            own.add((episode, place))
+    return {episode for episode, _ in own}
 
 
 def ticks_of(text: str) -> set[int]:
@@ -170,7 +170,7 @@ def _unsaid(topic: str, lost: set[int], recorded: Recorded) -> list[int]:
 def _published(track: Track, recorded: Recorded) -> set[Place]:
     """Return all messages of recorded topics that there were: seen by the observer, recorded, or of a known frame."""
     seen: set[Place] = {(topic, order) for topic, of_it in track.topics.items() for order in of_it}
-    seen |= set(recorded.places)
+    seen |= recorded.places
     seen = {(topic, order) for topic, order in seen if TOPICS[topic].recorded}
     last = {name: max((int(o[0]) for t, o in seen if t == name), default=-1) for name in FROM_THE_ROBOT}
     for name in (JPEG.name, POSE.name):

@@ -11,12 +11,13 @@ from pathlib import Path
 from typing import Final
 from unittest.mock import patch
 
-from schemas.rpc import ArmRequest, EndRequest, Nothing, RecordReply, ResetReply, ResetRequest, Status
+from schemas.rpc import ArmRequest, EndRequest, Nothing, RecordReply, ResetReply, ResetRequest, ResumeRequest, Status
 from schemas.topics import EPISODE
 from services.cli.stack.processes import Stack, StackPlan, flags, free_endpoint
 from services.cli.up import WATCH_S
 from services.kit.bus import Bus, RpcError
 from services.kit.errors import JobError
+from services.kit.node import Detail
 from services.table import stack_services
 from tests.benchmarks.faults.judge import moving
 from tests.benchmarks.faults.log import Entry, Step, Tail, boot_ahead_s, read_steps
@@ -206,6 +207,15 @@ class Rig:
             self.bus.call("robot", "arm", ArmRequest(stop=int(detail["emergency_stop"] or 0)), Nothing)
         self._armed = True
 
+    def resume(self) -> None:
+        """Arm the robot for which stop it may stand, and have the policy go on."""
+        told = self.detail()
+        if told.get("emergency_stop"):
+            self.bus.call("robot", "arm", ArmRequest(stop=int(told["emergency_stop"] or 0)), Nothing)
+        if told.get("episode") is not None:
+            request = ResumeRequest(episode=str(told["episode"]), tick=int(told["tick"] or 0))
+            self.bus.call("robot", "resume", request, Nothing)
+
     def end_episode(self) -> None:
         """Have the running episode end, if any."""
         if self._episode is None:
@@ -237,6 +247,11 @@ class Rig:
             return self.bus.call(service, "status", Nothing(), Status, timeout_s)
         except RpcError:
             return None
+
+    def detail(self) -> Detail:
+        """Return what the robot tells of itself; nothing where it does not answer."""
+        status = self.status("robot")
+        return {} if status is None else status.detail
 
     def pid(self, service: str) -> int:
         """Return a service's process id.

@@ -149,6 +149,8 @@ def _judge_base(cell: Cell, outcome: Outcome, steps: list[Step]) -> None:
     outcome.stale += judge.stale_orders(steps, asked)
     if cell.stands:
         outcome.stood_s, outcome.moved_again_s = judge.stood_s(steps, outcome.fault)
+    elif cell.abandoned:
+        outcome.stood_s = judge.moved_on_s(steps, outcome.fault)
 
 
 def _compare(outcome: Outcome, recorded: dict[str, Recorded], excused: set[str]) -> None:
@@ -156,7 +158,7 @@ def _compare(outcome: Outcome, recorded: dict[str, Recorded], excused: set[str])
     for track in outcome.tracks:
         of_it = recorded.get(track.episode, Recorded())
         balanced = balance(track, of_it)
-        outcome.recorded += sum(of_it.places.values())
+        outcome.recorded += len(of_it.places)
         outcome.duplicates += balanced.duplicates
         outcome.unreadable += of_it.unfinished or ([] if of_it.files else [f"{track.episode} (nothing)"])
         if track.episode not in excused:
@@ -182,8 +184,9 @@ def verdict(cell: Cell, outcome: Outcome) -> list[str]:
         "pause": limits.pause_s is not None and outcome.pause_s > limits.pause_s,
         "rate": limits.rate_hz is not None and (outcome.rate_hz or 0.0) < limits.rate_hz,
     }
-    if cell.stands:
+    if cell.stands or cell.abandoned:
         found["stand"] = outcome.stood_s is None or outcome.stood_s > still_s
+    if cell.stands:
         found["drive again"] = outcome.moved_again_s is None
     if limits.recovery_s is not None and outcome.recovery_s is not None:
         found["recovery"] |= outcome.recovery_s > limits.recovery_s

@@ -10,7 +10,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from multiprocessing.connection import Connection
 
-from schemas.topics import ROOT
+from schemas.topics import LANES, ROOT
 from services.kit.bus import Bus
 from tests.benchmarks.faults.child import child
 
@@ -32,8 +32,8 @@ def consume_slowly(robot: str, endpoint: str, owner: Connection) -> None:
 
     bus = Bus(robot, endpoint)
     bus.wait_connected(10.0)
-    for urgent in (False, True):
-        bus.listen(f"{ROOT}/**", block, urgent=urgent)
+    for lane in LANES:
+        bus.listen(f"{ROOT}/**", block, lane=lane)
     owner.send("ready")
     with contextlib.suppress(EOFError, OSError):
         owner.recv_bytes()

@@ -7,15 +7,20 @@ from pathlib import Path
 
 import pytest
 
-from schemas.topics import ACTION, APPLIED, COMMANDS, JPEG, OBSERVATION, POSE
+from schemas.base import NO_EPISODE
+from schemas.topics import ACTION, APPLIED, COMMANDS, JPEG, OBSERVATION, POSE, PULSE
+from services.recordings.ledger import Ledger
+from services.recordings.writer import EpisodeWriter
 from tests.benchmarks.faults import judge
 from tests.benchmarks.faults.cells import MATRIX, QUICK, Cell, Limits
 from tests.benchmarks.faults.judge import Window
 from tests.benchmarks.faults.log import Entry, Step, Tail, entry_of, parse, read_log
-from tests.benchmarks.faults.recordings import Recorded, balance, ticks_of
+from tests.benchmarks.faults.recordings import Recorded, balance, read_recordings, ticks_of
 from tests.benchmarks.faults.run import Outcome, verdict
 from tests.benchmarks.faults.track import Track, tracks
 from tests.schemas.messages import EXAMPLES
+from tests.services.recordings.recorded_messages import event, frame
+from tests.services.recordings.test_recorder_files import record
 
 BEGIN_S = 1000.0
 NEVER = Window(0.0, 0.0)
@@ -201,6 +206,12 @@ def test_when_a_base_stood_after_a_fault_and_moved_again() -> None:
     assert judge.stood_s(steps((0.2, 0.5), (1.1, 1.5)), fault) == (None, None)
 
 
+def test_how_long_after_a_fault_a_base_still_moved_that_may_have_stood_before() -> None:
+    fault = Window(BEGIN_S + 1.0, BEGIN_S + 2.0)
+    assert judge.moved_on_s(steps((0.2, 0.5), (2.1, 3.0)), fault) == 0.0
+    assert judge.moved_on_s(steps((0.2, 1.3), (1.5, 1.7), (2.1, 3.0)), fault) == pytest.approx(0.7, abs=0.001)
+
+
 # -- recordings -------------------------------------------------------------------------------------------------------
 
 
@@ -229,7 +240,7 @@ def test_what_is_lost_is_named_and_must_be_said() -> None:
     assert found.lost == {ACTION.name: [4, 9], POSE.name: [3, 4]}
     assert found.lost_ticks == 3
     assert found.unsaid == {POSE.name: [3, 4]}
-    recorded.places["episode", (19, "ended")] += 1
+    recorded.places.add(("episode", (19, "ended")))
     recorded.gaps[POSE.name] = {3, 4}
     assert balance(seen(20), recorded).unsaid == {}
 
@@ -245,14 +256,23 @@ def test_a_recording_that_was_cut_says_so_by_having_no_end() -> None:
     recorded = recording(seen(20), *((POSE.name, tick) for tick in range(12, 20)))
     assert balance(seen(20), recorded).unsaid == {}
     assert balance(seen(20), recorded).lost_ticks == 8
-    recorded.places["episode", (19, "ended")] += 1
+    recorded.places.add(("episode", (19, "ended")))
     assert balance(seen(20), recorded).unsaid == {POSE.name: list(range(12, 20))}
 
 
-def test_what_is_recorded_twice_is_counted() -> None:
-    recorded = recording(seen(20))
-    recorded.places[POSE.name, (5,)] += 2
-    assert balance(seen(20), recorded).duplicates == 2
+def test_what_is_twice_in_a_file_is_counted_and_what_two_files_have_is_not(tmp_path: Path) -> None:
+    """A recorder that was killed and started again has what the senders kept."""
+    sent = [event("e", 0, "started"), *(one for tick in range(6) for one in frame("e", tick))]
+    record(tmp_path, sent[:40])
+    record(tmp_path, [sent[0], *sent[30:]])
+    (found,) = read_recordings(tmp_path).values()
+    assert (len(found.places), found.duplicates, found.files) == (len(sent), 0, ["e-2.mcap", "e.mcap"])
+    writer = EpisodeWriter.begin(tmp_path, sent[0])
+    writer.write(sent[1])
+    writer.ledger = Ledger()
+    writer.write(sent[1])
+    writer.seal()
+    assert read_recordings(tmp_path)["e"].duplicates == 1
 
 
 def test_ticks_are_read_as_the_recorder_writes_them() -> None:
@@ -283,7 +303,8 @@ def test_a_log_comes_back_and_holds_nothing_big(tmp_path: Path) -> None:
 
 def test_episodes_are_kept_apart() -> None:
     log = [*drive(0.4), Entry(1.0, POSE.name, "other", 0, 0, (0,), {"x_m": 0.0, "y_m": 0.0, "heading_rad": 0.0})]
-    assert [one.episode for one in tracks(log)] == ["e", "other"]
+    pulse = Entry(1.0, PULSE.name, NO_EPISODE, 0, 0, (0,))
+    assert [one.episode for one in tracks([pulse, *log])] == ["e", "other"]
 
 
 # -- verdicts ---------------------------------------------------------------------------------------------------------
@@ -317,6 +338,12 @@ def test_verdicts(cost: dict[str, object], not_met: list[str]) -> None:
 def test_a_robot_that_has_to_stand(stood_s: float | None, again_s: float | None, not_met: list[str]) -> None:
     cell = Cell("freeze policy 1 s", lambda _rig: NEVER, Limits(), stands=True)
     assert verdict(cell, Outcome(cell.name, NEVER, recovery_s=0.2, stood_s=stood_s, moved_again_s=again_s)) == not_met
+
+
+@pytest.mark.parametrize(("stood_s", "not_met"), [(0.0, []), (0.5, []), (3.3, ["stand"]), (None, ["stand"])])
+def test_a_robot_whose_operator_is_gone(stood_s: float | None, not_met: list[str]) -> None:
+    cell = Cell("kill -9 operator", lambda _rig: NEVER, abandoned=True)
+    assert verdict(cell, Outcome(cell.name, NEVER, recovery_s=0.2, stood_s=stood_s)) == not_met
 
 
 def test_a_killed_service_that_does_not_come_back_is_no_recovery() -> None:

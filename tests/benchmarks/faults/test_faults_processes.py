@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import os
 import signal
+import time
 from collections.abc import Iterator
 from contextlib import closing
 from pathlib import Path
@@ -13,7 +14,7 @@ import numpy as np
 import pytest
 
 from schemas.rpc import Nothing, Status
-from schemas.topics import POSE
+from schemas.topics import HEARTBEAT, POSE, PULSE
 from services.cli.stack.processes import Stack, StackPlan, free_endpoint
 from services.kit.bus import Bus, RpcError
 from services.kit.errors import JobError, UsageError
@@ -24,7 +25,8 @@ from services.simulator.world import load_world
 from tests.benchmarks.faults import benchmark as faults
 from tests.benchmarks.faults.log import read_log, read_steps
 from tests.benchmarks.faults.observer import observing
-from tests.benchmarks.faults.proxy import link
+from tests.benchmarks.faults.operator import looking_on
+from tests.benchmarks.faults.proxy import GROWTH, link
 from tests.benchmarks.faults.slow import slow_consumer
 from tests.benchmarks.faults.wheels import FarBase, Wheels, rolling
 from tests.schemas.messages import EXAMPLES
@@ -72,6 +74,36 @@ def test_a_link_goes_down_and_comes_back(endpoint: str) -> None:
         assert not answers()
         os.kill(pid, signal.SIGCONT)
         assert eventually(answers)
+
+
+@system
+def test_a_link_grows_slow_each_way_and_loses_nothing(endpoint: str) -> None:
+    with link(endpoint) as (address, pid), closing(Bus(ROBOT, address)) as far, closing(Bus(ROBOT, endpoint)) as near:
+        arrived: list[float] = []
+        near.subscribe(POSE, lambda *_sample: arrived.append(time.monotonic()))
+        for bus in (far, near):
+            bus.wait_connected(10.0)
+        example = EXAMPLES[POSE.message]
+        eventually(lambda: (far.publish(example), arrived)[1])
+        os.kill(pid, signal.SIGUSR1)
+        begun_s = time.monotonic()
+        eventually(lambda: time.monotonic() - begun_s > 1.0)
+        sent_s = time.monotonic()
+        assert far.call("router", "status", Nothing(), Status, timeout_s=10.0).service == "router"
+        assert time.monotonic() - sent_s > 2 * GROWTH * 1.0
+        arrived.clear()
+        for _ in range(20):
+            far.publish(example)
+        eventually(lambda: len(arrived) == 20)
+
+
+@system
+def test_an_operator_looks_on_until_killed(endpoint: str) -> None:
+    with closing(Bus(ROBOT, endpoint)) as bus, looking_on(ROBOT, endpoint) as pid:
+        answers: list[object] = []
+        bus.subscribe(HEARTBEAT, lambda *sample: answers.append(sample))
+        eventually(lambda: (bus.publish(EXAMPLES[PULSE.message].model_copy(update={"robot": ROBOT})), answers)[1])
+        os.kill(pid, signal.SIGKILL)
 
 
 @system

@@ -9,6 +9,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Final
 
+from schemas.base import NO_EPISODE
 from schemas.topics import APPLIED, POSE
 from services.robot.clock import TICK_S
 from services.simulator.robots import RESCUEBOT
@@ -110,5 +111,6 @@ def tracks(entries: Iterable[Entry], offset_s: float | None = None) -> list[Trac
     """Sort a log into episodes, in order of appearance; for ``offset_s`` see ``Track``."""
     episodes: defaultdict[str, list[Entry]] = defaultdict(list)
     for entry in entries:
-        episodes[entry.episode].append(entry)
+        if entry.episode != NO_EPISODE:
+            episodes[entry.episode].append(entry)
     return [Track(episode, of_it, offset_s) for episode, of_it in episodes.items()]

@@ -3,24 +3,19 @@
 from __future__ import annotations
 
 import time
-from collections import Counter
 from collections.abc import Callable
-from dataclasses import dataclass, field
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from schemas import topics
-from schemas.action import Action
 from schemas.base import Message
 from schemas.command import Command, CommandApplied
 from schemas.compressed_image import CompressedImage
 from schemas.episode import Episode, EventName, Outcome
 from schemas.image import Image
-from schemas.observation import Observation
 from schemas.odometry import Odometry
-from schemas.state import State
 from services.kit.node import Node
 from services.kit.settings import ServiceSettings
 from services.robot.clock import TICK_S
@@ -32,34 +27,6 @@ _LAST_ANSWER_S: Final = 1.0
 _PREPARE_S: Final = 0.5
 
 
-@dataclass
-class Answers:
-    """What became of the frames of a drive.
-
-    Attributes
-    ----------
-    ticks
-        Frames that were sent.
-    latency_s
-        From before a frame was packed and sent to the acceptance of its command, by tick.
-    decided
-        Ticks with a decision.
-    stages_s
-        From before a frame was packed to the arrival of what came of it on the way, by topic.
-    refused
-        Commands by reason.
-    late_s
-        By how much a frame was sent behind its time, at most.
-    """
-
-    ticks: int = 0
-    latency_s: dict[int, float] = field(default_factory=dict)
-    decided: set[int] = field(default_factory=set)
-    stages_s: dict[str, list[float]] = field(default_factory=dict)
-    refused: Counter[str] = field(default_factory=Counter)
-    late_s: float = 0.0
-
-
 class Robot:
     """Stands in for the simulator, without the rendering.
 
@@ -67,22 +34,16 @@ class Robot:
     ----------
     settings
         Robot and router.
-    stages
-        Whether to listen to what the services say to each other as well; it costs a little.
     """
 
-    def __init__(self, settings: ServiceSettings, *, stages: bool = False) -> None:
+    def __init__(self, settings: ServiceSettings) -> None:
         self.node = Node("bench", settings)
         self._gate = CommandGate(first_stop=1)
         self._gate.arm(1, "")
-        self._answers = Answers()
         self._sent_s: dict[int, float] = {}
+        self._taken_s: dict[int, float] = {}
         self._header = Message(robot=settings.robot, episode="none", tick=0, stamp_ns=0)
         self.node.subscribe(topics.COMMANDS["policy"], self._on_command, depth=256)
-        self.node.subscribe(topics.ACTION, self._on_action, depth=256)
-        if stages:
-            self.node.subscribe(topics.OBSERVATION, self._on_stage, depth=256)
-            self.node.subscribe(topics.STATE, self._on_stage, depth=256)
 
     def drive(
         self,
@@ -91,12 +52,17 @@ class Robot:
         way: list[tuple[float, float, float]],
         on_tick: Callable[[], object],
         pictures: list[bytes] | None = None,
-    ) -> Answers:
+    ) -> list[float | None]:
         """Show the frames, each at its time from the beginning on, and take the commands meanwhile.
 
         With ``pictures`` each is told as a JPEG as well, after the frame.
+
+        Returns
+        -------
+        list
+            Seconds from before each frame was packed to the acceptance of its command; None where there was none.
         """
-        self._answers, self._sent_s = Answers(), {}
+        self._sent_s, self._taken_s = {}, {}
         self._gate.begin(episode, "policy")
         self._step(episode, 0)
         self.node.publish(self._event("started"))
@@ -104,7 +70,6 @@ class Robot:
         for tick, (pixels, pose) in enumerate(zip(frames, way, strict=True)):
             due_s = start_s + tick * TICK_S
             self.node.spin(timeout_s=max(0.001, due_s - time.monotonic()))
-            self._answers.late_s = max(self._answers.late_s, time.monotonic() - due_s)
             self._step(episode, tick)
             self._show(tick, pixels, pose)
             if pictures is not None:
@@ -114,9 +79,7 @@ class Robot:
             on_tick()
         self.node.spin(timeout_s=_LAST_ANSWER_S)
         self.node.publish(self._event("ended", "aborted"))
-        self._answers.ticks = len(frames)
-        self._answers.refused.update(self._gate.refused)
-        return self._answers
+        return [self._taken_s.get(tick) for tick in range(len(frames))]
 
     def _show(self, tick: int, pixels: NDArray[np.uint8], pose: tuple[float, float, float]) -> None:
         height, width, _ = pixels.shape
@@ -150,16 +113,7 @@ class Robot:
     def _on_command(self, command: Command) -> None:
         now_s = time.monotonic()
         if self._gate.offer(command, now_s) is None:
-            self._answers.latency_s.setdefault(command.tick, now_s - self._sent_s[command.tick])
-
-    def _on_action(self, action: Action) -> None:
-        if action.episode == self._header.episode:
-            self._answers.decided.add(action.tick)
-
-    def _on_stage(self, message: Observation | State) -> None:
-        if message.episode == self._header.episode:
-            taken_s = time.monotonic() - self._sent_s[message.tick]
-            self._answers.stages_s.setdefault(message.topic_name, []).append(taken_s)
+            self._taken_s.setdefault(command.tick, now_s - self._sent_s[command.tick])
 
     def close(self) -> None:
         """Leave the bus."""

@@ -16,9 +16,6 @@ from smal.features import FeatureSettings
 from tests import corridor
 from tests.benchmarks.latency import benchmark as latency
 from tests.benchmarks.latency.drives import drives, resized
-from tests.benchmarks.latency.load import Load
-from tests.benchmarks.latency.results import judge, judge_watched, summary
-from tests.corridor import LENGTH
 from tests.services.chain import picture
 
 FRAMES = 12
@@ -42,57 +39,29 @@ def taught(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> tuple[Path, Path]
 
 
 @pytest.mark.system
-def test_every_frame_is_answered(taught: tuple[Path, Path], capsys: pytest.CaptureFixture[str]) -> None:
+@pytest.mark.parametrize("watchers", [[0], [0, 3]])
+def test_every_frame_is_answered(
+    taught: tuple[Path, Path], watchers: list[int], capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A drive of 12 frames and one of 6; on a busy machine some decisions may be late."""
     model, recordings = taught
     file = recordings / "results.json"
     latency.main(["--model", str(model), "--recordings", str(recordings), "--json", str(file), "--ticks", "18",
-                  "--camera", "64x48", "--scheme", "filter", "--scheme", "paper", "--stages"])  # fmt: skip
+                  "--camera", "64x48", "--watchers", str(watchers[-1])])  # fmt: skip
     results: dict[str, Any] = json.loads(file.read_text())
-    assert [(one["camera"], one["scheme"]) for one in results["cases"]] == [("64x48", "filter"), ("64x48", "paper")]
-    # A drive of 12 frames and one of 6; the paper's scheme decides at every third frame. On a busy machine some
-    # decisions may be late.
-    for one, due in zip(results["cases"], (FRAMES + 6, (FRAMES + 6) // LENGTH), strict=True):
+    assert [(one["camera"], one["watchers"]) for one in results["cases"]] == [("64x48", count) for count in watchers]
+    for one in results["cases"]:
         assert one["templates"] > 0
-        assert one["frames"]["count"] == 18
-        assert one["decisions"]["due"] == due
-        assert 1 <= one["decisions"]["count"] <= one["decisions"]["due"]
-        assert one["frames"]["missing"] < 18
-        assert one["stages"].keys() == {"observation", "state"}
-        assert set(one["cores"]) == {"bench", *latency.SERVICES}
+        assert one["frames"] == 18
+        assert one["missing"] < 18
     assert "64x48" in capsys.readouterr().out
 
 
-@pytest.mark.system
-def test_pages_that_watch_are_measured_against_none(
-    taught: tuple[Path, Path], capsys: pytest.CaptureFixture[str]
-) -> None:
-    model, recordings = taught
-    file = recordings / "results.json"
-    latency.main(["--model", str(model), "--recordings", str(recordings), "--json", str(file), "--ticks", "12",
-                  "--camera", "64x48", "--scheme", "filter", "--watchers", "3"])  # fmt: skip
-    results: dict[str, Any] = json.loads(file.read_text())
-    assert [one["watchers"] for one in results["cases"]] == [0, 3]
-    assert all(1 <= one["decisions"]["count"] <= 12 for one in results["cases"])
-    assert all("console" in one["cores"] for one in results["cases"])
-    assert "3 watchers over none" in results["targets"][-1]["target"]
-    assert "3 watchers over none" in capsys.readouterr().out
-
-
-def test_the_cost_of_watchers_is_judged() -> None:
-    quiet = {"scheme": "filter", "camera": "64x48", "decisions": summary([0.01, 0.02])}
-    for slower, verdict in ((1.1, "met"), (1.3, "not met")):
-        watched = {"watchers": 10, "decisions": summary([0.01, slower * 0.02])}
-        assert judge_watched(quiet, watched)["verdict"] == verdict
-    assert judge_watched(quiet, {"watchers": 10, "decisions": summary([0.01, None])})["verdict"] == "not met"
-
-
 def test_a_frame_without_a_command_took_for_ever() -> None:
-    answered = summary([0.01] * 96 + [None] * 4)
-    assert (answered["p95_ms"], answered["p99_ms"], answered["missing"]) == (10.0, None, 4)
-    case: dict[str, Any] = {"templates": 9000, "keyframes": 500, "camera": "320x240", "scheme": "filter"}
-    assert judge(case | {"decisions": answered})["verdict"] == "met"
-    assert judge(case | {"decisions": summary([0.01, None])})["verdict"] == "not met"
-    assert judge(case | {"decisions": summary([])})["verdict"] == "not met"
+    answered = latency.summary([0.01] * 96 + [None] * 4)
+    assert (answered["p50_ms"], answered["p95_ms"], answered["missing"]) == (10.0, 10.0, 4)
+    assert latency.summary([0.01, None])["p95_ms"] is None
+    assert latency.summary([])["p50_ms"] is None
 
 
 def test_images_are_brought_to_a_size() -> None:
@@ -108,10 +77,3 @@ def test_mistakes_are_said(tmp_path: Path) -> None:
     (tmp_path / "empty.mcap").touch()
     with pytest.raises(JobError, match="empty"):
         next(drives(tmp_path))
-
-
-def test_the_load_of_a_process_that_is_gone_is_not_known() -> None:
-    load = Load({"gone": 2**30})
-    with load.watched():
-        pass
-    assert load.cores() == {"gone": None}

@@ -9,7 +9,7 @@ import numpy as np
 
 from smal import algorithm2
 from smal.state_matching import solve
-from tests.benchmarks.timing import seconds_of
+from tests.benchmarks.recognition.timing import seconds_of
 
 if TYPE_CHECKING:
     from tests.benchmarks.recognition.datasets import Problem
@@ -34,7 +34,6 @@ def whole_run(problem: Problem) -> Record:
     return {
         "n": problem.n,
         "l": problem.length,
-        "measured": "a whole run",
         "iterations": iterations,
         "reaches_our_objective": bool(close.size),
         "relative_excess": float(above[iterations - 1]),
@@ -65,8 +64,6 @@ def from_one_solve(problem: Problem, iterations: int) -> Record:
     return {
         "n": problem.n,
         "l": problem.length,
-        "measured": f"one of {problem.length} solves of an iteration, times {problem.length}, times the iterations "
-        "that the largest whole run took",
         "iterations": iterations,
         "solve_seconds": seconds,
         "algorithm2_seconds": total,

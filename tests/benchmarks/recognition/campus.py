@@ -48,5 +48,4 @@ def _read(folder: Path) -> Recorded:
         "campus",
         [centering.apply(one.features) for one in taught],
         [centering.apply(one.features) for one in queries],
-        overlapping=False,
     )

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from smal.objective import objective
 from smal.state_matching import solve
+from tests.benchmarks.recognition.timing import seconds_of
 from tests.benchmarks.results import LeftOutError
-from tests.benchmarks.timing import seconds_of
 
 if TYPE_CHECKING:
     from tests.benchmarks.recognition.datasets import Problem

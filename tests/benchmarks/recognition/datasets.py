@@ -26,14 +26,11 @@ class Problem:
     queries : tuple of float32 arrays (m, l)
     length : int
         l.
-    stride : int
-        Frames from the beginning of one template sequence to that of the next.
     """
 
     templates: Frames
     queries: tuple[Frames, ...]
     length: int
-    stride: int
 
     @property
     def n(self) -> int:
@@ -58,7 +55,7 @@ class Dataset(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class Recorded:
-    """Frames of real or rendered streams.
+    """Frames of rendered streams.
 
     Parameters
     ----------
@@ -67,31 +64,22 @@ class Recorded:
         Streams to cut templates from, in order.
     held_out : sequence of float32 arrays (f, m)
         Streams to cut queries from.
-    overlapping : bool
-        Whether sequences may overlap where n frames cannot be had otherwise.
     """
 
     name: str
     taught: Sequence[Frames]
     held_out: Sequence[Frames]
-    overlapping: bool = True
 
     def problem(self, n: int, length: int, queries: int) -> Problem:
-        """Cut the first sequences; they overlap where n frames cannot be had otherwise."""
-        count = n // length
-        shortest = 1 if self.overlapping else length
-        stride = next((s for s in range(length, shortest, -1) if len(self._starts(s, length)) >= count), shortest)
-        starts = self._starts(stride, length)[:count]
-        rows = np.concatenate([self.taught[k][start : start + length] for k, start in starts])
+        """Cut the first sequences, without overlap."""
+        cuts = [one[k : k + length] for one in self.taught for k in range(0, len(one) - length + 1, length)]
+        rows = np.concatenate(cuts[: n // length])
         windows = [(k, start) for k, one in enumerate(self.held_out) for start in range(len(one) - length + 1)]
         if not windows:
             raise ValueError(f"no held-out stream of {self.name} has {length} frames")
         chosen = np.linspace(0, len(windows) - 1, queries + 2)[1:-1].round().astype(int)
         cut = (self.held_out[k][start : start + length].T for k, start in (windows[i] for i in chosen))
-        return Problem(rows.T, tuple(cut), length, stride)
-
-    def _starts(self, stride: int, length: int) -> list[tuple[int, int]]:
-        return [(k, start) for k, one in enumerate(self.taught) for start in range(0, len(one) - length + 1, stride)]
+        return Problem(rows.T, tuple(cut), length)
 
 
 @dataclass(frozen=True)
@@ -133,7 +121,7 @@ class Synthetic:
         rng = np.random.default_rng((self.seed, n, length))
         starts = rng.integers(0, n - length, queries, endpoint=True)
         views = tuple(self._view(rng, start, length).T for start in starts)
-        return Problem(self._video[:n].T, views, length, length)
+        return Problem(self._video[:n].T, views, length)
 
     def _view(self, rng: np.random.Generator, start: int, count: int) -> Frames:
         noise = rng.standard_normal((count, self.features), dtype=np.float32)

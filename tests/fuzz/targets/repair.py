@@ -17,7 +17,7 @@ def run(data: bytes) -> bool:
     path = scratch.file_of(data, "e.mcap")
     out = path.with_name("e-repaired.mcap")
     try:
-        before, after = repair(path, out)
+        (before,), after = repair([path], out)
     except (RecordingError, RepairError) as error:
         check_line(error)
         assert not out.exists()

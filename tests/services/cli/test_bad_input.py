@@ -16,8 +16,6 @@ from services.kit.node import EXIT_FAILED, EXIT_USAGE
 from smal.model import FORMAT_VERSION
 from tests import corridor
 from tests.command import run_smal
-from tests.services.recordings.recorded_messages import episode, event
-from tests.services.recordings.test_recorder_files import record
 
 
 class Said(NamedTuple):
@@ -86,37 +84,6 @@ def test_file_that_is_no_model(smal: Smal, tmp_path: Path, content: bytes) -> No
     model = tmp_path / "broken.smal"
     model.write_bytes(content)
     expect_one_line(smal("run", "--model", model), EXIT_USAGE, "broken.smal")
-
-
-def test_missing_model(smal: Smal, tmp_path: Path) -> None:
-    expect_one_line(smal("run", "--model", tmp_path / "none.smal"), EXIT_USAGE, "none.smal")
-
-
-def test_recordings_that_are_none(smal: Smal, tmp_path: Path) -> None:
-    (tmp_path / "noise.mcap").write_bytes(b"\0" * 100)
-    result = smal("learn", tmp_path / "noise.mcap", "--out", tmp_path / "model.smal")
-    expect_one_line(result, EXIT_FAILED, "noise.mcap")
-
-
-def test_truncated_recording(smal: Smal, tmp_path: Path) -> None:
-    path = record(tmp_path, list(episode("drive-1")))
-    path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
-    result = smal("learn", path, "--out", tmp_path / "model.smal", "--length", 1000)
-    stderr = result.stderr
-    said = [line for line in stderr.splitlines() if line.startswith("smal: ")]
-    assert result.returncode == EXIT_FAILED, stderr
-    assert f"{path}: truncated" in said[0]
-    assert "nothing to learn from" in said[-1]
-    assert "Traceback" not in stderr
-
-
-def test_recording_without_an_episode(smal: Smal, tmp_path: Path) -> None:
-    path = record(tmp_path, [event("drive-1", 0, "started")])
-    result = smal("learn", path, "--out", tmp_path / "model.smal")
-    stderr = result.stderr
-    assert result.returncode == EXIT_FAILED, stderr
-    assert stderr.splitlines()[-1] == f"smal: {path}: holds no camera frame"
-    assert "Traceback" not in stderr
 
 
 @pytest.fixture(scope="module")

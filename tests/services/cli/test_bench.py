@@ -47,10 +47,6 @@ def test_a_benchmark_runs_with_its_threads_fixed_where_the_user_is(
     assert str(tmp_path) in said
 
 
-def test_recognition_is_known() -> None:
-    assert "recognition" in bench.benchmarks(bench.FOLDER)
-
-
 @pytest.mark.parametrize(
     ("arguments", "line"),
     [
@@ -58,10 +54,7 @@ def test_recognition_is_known() -> None:
         (["recognition", "--json", "."], "--json .: is a folder; give the name of a file"),
         (["recognition", "--json", "no/where.json"], "--json no/where.json: no folder no"),
         (["recognition", "--out", "file"], "--out file: is a file, not a folder"),
-        (["recognition", "--images", "nowhere"], "--images nowhere: No such file or directory"),
-        (["recognition", "--images", "."], "--images .: no image in this folder (files: 1)"),
         (["recognition", "--recordings", "nowhere"], "nowhere: no such file or folder"),
-        (["recognition", "--part"], "argument --part: expected one argument"),
         (["recognition", "--fast"], "unrecognized arguments: --fast"),
     ],
 )  # fmt: skip
@@ -82,10 +75,3 @@ def test_without_a_checkout_there_are_none(
     said = capfd.readouterr().err
     assert said.startswith("smal: benchmarks need a checkout of the project")
     assert said.count("\n") == 1
-
-
-def test_help_has_an_example(monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]) -> None:
-    assert run(monkeypatch, "--help") == 0
-    assert "Example: smal bench recognition --json results.json" in capfd.readouterr().out
-    assert run(monkeypatch, "recognition", "--", "--help") == 0
-    assert "--recordings DIR" in capfd.readouterr().out

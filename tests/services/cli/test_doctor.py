@@ -2,21 +2,16 @@
 
 from __future__ import annotations
 
-import json
 import socket
 import sys
 from collections.abc import Iterator
-from pathlib import Path
 
 import pytest
 
 from services.cli.checks import (
     Check,
-    check_disk,
     check_port,
-    check_python,
     check_rendering,
-    check_zenoh,
 )
 from services.cli.main import main
 from services.kit.node import Node
@@ -27,21 +22,6 @@ from tests.services.conftest import RunNode
 def printing(text: str, ending: str = "") -> tuple[str, ...]:
     """Return a command that prints a text, in place of the renderer's probe."""
     return (sys.executable, "-c", f"print({text!r}); {ending}")
-
-
-@pytest.mark.parametrize(("version", "ok"), [((3, 10), False), ((3, 11), True), ((3, 13), True), ((3, 14), False)])
-def test_python(version: tuple[int, int], ok: bool) -> None:
-    assert check_python(version).ok is ok
-
-
-@pytest.mark.parametrize(
-    ("software", "kind"), [(True, "Some Driver (software, on the CPU)"), (False, "Some Driver (GPU)")]
-)
-def test_rendering_names_the_driver(software: bool, kind: str) -> None:
-    answer = json.dumps({"driver": "Some Driver", "software": software, "seconds": 1.5})
-    assert check_rendering(printing(f"noise of a driver\n{answer}")) == Check(
-        "rendering", True, f"{kind}; first frame after 1.5 s"
-    )
 
 
 @pytest.mark.parametrize(
@@ -65,19 +45,6 @@ def test_rendering_that_fails(command: tuple[str, ...], text: str) -> None:
 def test_rendering_for_real() -> None:
     check = check_rendering()
     assert check.ok, check.text
-
-
-@pytest.mark.zenoh
-def test_zenoh() -> None:
-    check = check_zenoh()
-    assert check.ok
-    assert check.text.startswith("a message through a router takes ")
-
-
-def test_a_free_port(free_endpoint: str) -> None:
-    assert check_port(ServiceSettings(router=free_endpoint)) == Check(
-        "port", True, f"{free_endpoint} is free, for whoever is on this machine"
-    )
 
 
 @pytest.mark.zenoh
@@ -110,27 +77,6 @@ def test_a_port_that_wants_a_certificate_is_not_one_to_stop(stranger: str) -> No
     check = check_port(ServiceSettings(router=stranger.replace("tcp/", "tls/")))
     assert not check.ok
     assert check.text.endswith("needs a certificate: give --secure DIR, or set SMAL_TLS_CA, _CERT and _KEY")
-
-
-def test_a_port_of_something_else(stranger: str) -> None:
-    check = check_port(ServiceSettings(router=stranger))
-    assert not check.ok
-    assert "is no router, or takes nobody in without a certificate or a password, or is full" in check.text
-    assert "SMAL_ROUTER" in check.text
-
-
-@pytest.mark.parametrize("endpoint", ["nonsense", "tcp/127.0.0.1:99999", "tcp/no-such-host.invalid:7447"])
-def test_an_address_that_cannot_be(endpoint: str) -> None:
-    check = check_port(ServiceSettings(router=endpoint))
-    assert not check.ok
-    assert endpoint in check.text
-
-
-def test_disk(tmp_path: Path) -> None:
-    assert check_disk(tmp_path, needed_gb=0.0).ok
-    full = check_disk(tmp_path, needed_gb=1e9)
-    assert not full.ok
-    assert str(tmp_path) in full.text
 
 
 def test_a_problem_is_one_line_and_exit_status_1(

@@ -24,7 +24,7 @@ TINY = Plan(
             "yard", (Criterion(3.0, 25.0), Criterion(1.5, 15.0)), drives=1, queries=1, lengths=(1, 5),
             recognized=("clean", "occluded"), template_frames=50,
             trials=(
-                *(Trial(name, 1, 1) for name in CONTROLLERS if name != "cloning"),
+                *(Trial(name, 1, 1) for name in CONTROLLERS),
                 Trial("smal", 1, 1, kidnap_tick=5), Trial("nearest-1", 2, 1), Trial("paper", 1, 1, 1),
             ),
         ),
@@ -83,7 +83,7 @@ def test_an_evaluation_goes_on_where_it_was_interrupted(
     after = lines_of(out)
     assert after[: len(before)] == before
     keys = [json.loads(line)["key"] for line in after]
-    assert len(keys) == len(set(keys)) == len(units(TINY, cloning=any("cloning" in key for key in keys)))
+    assert len(keys) == len(set(keys)) == len(units(TINY))
     first = json.loads((out / "results.json").read_text())
 
     # Nothing is left to do; and what is lost is found out again, by one worker, the same to the last digit.
@@ -102,18 +102,12 @@ def test_an_evaluation_goes_on_where_it_was_interrupted(
     assert said.startswith(f"smal: --out {out}: holds results of the plan 'quick' (quick, now full); give another")
 
 
-def test_a_file_is_no_folder(tmp_path: Path, smal: Smal) -> None:
+def test_a_file_is_no_folder_and_of_nothing_there_is_no_report(tmp_path: Path, smal: Smal) -> None:
     (tmp_path / "file").touch()
-    status, _, said = smal("evaluate", "--out", str(tmp_path / "file"))
-    assert (status, said) == (2, f"smal: --out {tmp_path / 'file'}: is a file, not a folder\n")
-
-
-def test_there_is_nothing_to_report(tmp_path: Path, smal: Smal) -> None:
-    status, _, said = smal("evaluate", "--out", str(tmp_path / "none"), "--report-only")
-    assert (status, said) == (
-        2,
-        f"smal: --out {tmp_path / 'none'}: there is no such folder, and so nothing to report\n",
-    )
+    for name, flags, said in (("file", (), "is a file, not a folder"), ("none", ("--report-only",), "no such folder")):
+        status, _, line = smal("evaluate", "--out", str(tmp_path / name), *flags)
+        assert (status, line.count("\n")) == (2, 1)
+        assert said in line
     assert not (tmp_path / "none").exists()
 
 

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from services.cli.episodes.client import EpisodeClient
-from services.cli.feature_options import feature_flags, features_for_model, features_of_own_stack
+from services.cli.feature_options import feature_flags, features_for_model
 from services.cli.run import _check_features
 from services.features.service import FeaturesService
 from services.kit.errors import JobError, UsageError
@@ -18,11 +18,6 @@ from tests.services.conftest import RunNode
 
 PLAIN = FeatureSettings()
 ALL = FeatureSettings.of(("color", "hog", "depth"))
-
-
-def test_the_features_of_a_stack_become_the_flags_of_its_service() -> None:
-    assert feature_flags(features_of_own_stack(None, None)) == ("--modalities", "color,hog")
-    assert feature_flags(features_of_own_stack("color, hog,depth", None)) == ("--modalities", "color,hog,depth")
 
 
 def test_what_a_model_says_makes_no_network_run(tmp_path: Path) -> None:
@@ -39,12 +34,6 @@ def test_what_a_model_says_makes_no_network_run(tmp_path: Path) -> None:
     assert feature_flags(features_for_model(text, learned_on)) == ("--modalities", text)
     with pytest.raises(UsageError, match=r"the model was learned on color,onnx:abab"):
         features_for_model(text, named)
-
-
-def test_a_running_stack_has_its_features() -> None:
-    assert features_of_own_stack(None, "tcp/127.0.0.1:7447") == PLAIN
-    with pytest.raises(UsageError, match=r"^--modalities: with --connect .* give it to `smal up`$"):
-        features_of_own_stack("color", "tcp/127.0.0.1:7447")
 
 
 def test_a_stack_with_a_model_has_the_features_of_the_model() -> None:

@@ -57,8 +57,6 @@ def test_a_folder_becomes_recordings_that_teach(smal, tmp_path: Path) -> None:  
         (("folder", "x", "--robot", "Burger"), 2, "--robot: "),
         (("folder", "x", "--from", "5", "--to", "5"), 2, "--to 5: is not after --from 5"),
         (("folder", "x", "--speed", "-1"), 2, "speed"),
-        (("folder", "x", "--still", "nan"), 2, "still"),
-        (("folder", "x", "--turning", "7"), 2, "turning"),
     ],
 )
 def test_bad_use_is_one_line(smal, arguments: tuple[str, ...], status: int, said: str, tmp_path: Path) -> None:  # noqa: ANN001

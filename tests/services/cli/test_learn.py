@@ -25,7 +25,6 @@ from smal.action_space import Atom
 from smal.features import FeatureSettings, extract
 from smal.model import Model
 from smal.novelty import WeightTest
-from smal.reward import RewardError
 from smal.virtual_views import USUAL_FOCAL
 from tests import corridor
 from tests.services.recordings.recorded_messages import applied, event, header
@@ -165,17 +164,6 @@ def test_two_pieces_of_one_drive_share_no_state(tmp_path: Path, capsys: pytest.C
     assert "shared states 0 (seen in at least two episodes)" in capsys.readouterr().out
 
 
-def test_a_reward_that_is_not_found_fails_the_job(
-    drives: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def fail(*_: object) -> None:
-        raise RewardError("the reward program of 8 states was not solved")
-
-    monkeypatch.setattr("smal.learning.learn_reward", fail)
-    with pytest.raises(JobError, match="not solved"):
-        learn([drives], tmp_path / "model.smal")
-
-
 def test_an_episode_teaches_once(drives: Path, tmp_path: Path) -> None:
     copy = tmp_path / "copy.mcap"
     copy.write_bytes((drives / "drive-1.mcap").read_bytes())
@@ -213,9 +201,7 @@ def test_every_mistake_is_one_line(drives: Path, tmp_path: Path) -> None:
         ([tmp_path / "none"], {}, UsageError, f"{tmp_path}/none: no such file or folder"),
         ([empty], {}, UsageError, f"{empty}: no recording (*.mcap) in this folder"),
         ([drives], {"gamma": 1.5}, UsageError, "gamma"),
-        ([drives], {"gamma": float("nan")}, UsageError, "gamma"),
         ([drives], {"lambda2": float("inf")}, UsageError, "lambda2 must be finite and positive, got inf"),
-        ([drives], {"lambda1": -1.0}, UsageError, "lambda1 must be finite and positive, got -1.0"),
         ([bad], {}, JobError, f"{bad}: empty"),
         ([drives], {"length": 41}, JobError, "nothing to learn from in 4 recordings, for the reasons above"),
         ([failed], {}, JobError, "cannot learn from these recordings: "),
@@ -248,12 +234,6 @@ def test_progress_is_told_to_programs_as_lines_of_json(
     assert all(0 <= line["done"] <= line["total"] for line in lines)
 
 
-def test_the_papers_test_is_chosen_by_its_threshold(drives: Path, tmp_path: Path) -> None:
-    learn([drives], tmp_path / "model.smal", tau=0.4)
-    model = Model.load(tmp_path / "model.smal")
-    assert (model.novelty, model.novelty_parameters) == ("weight", {"tau": 0.4})
-
-
 def test_one_drive_gives_a_map_of_views_and_the_papers_scheme_none(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -272,17 +252,8 @@ def test_one_drive_gives_a_map_of_views_and_the_papers_scheme_none(
     assert "keyframes     none: no map of views\n" in capsys.readouterr().out
 
 
-def test_a_drive_with_a_lost_frame_is_one_way_of_the_map(tmp_path: Path) -> None:
-    path = record(tmp_path, [message for message in drive("e") if message.tick != 10])
-    learn([path], tmp_path / "model.smal")
-    model = Model.load(tmp_path / "model.smal")
-    assert model.names == ("e[0-9]", "e[11-39]")
-    assert set(model.mapped.drives.tolist()) == {0}
-    np.testing.assert_array_equal(model.mapped.poses, [odometry(tick) for tick in range(40) if tick != 10])
-
-
-@pytest.mark.parametrize("kind", [CompressedImage, Odometry])
-def test_a_frame_without_image_or_odometry_is_left_out_and_the_rest_is_one_way(
+@pytest.mark.parametrize("kind", [CompressedImage, Odometry, Message])
+def test_a_frame_without_image_odometry_or_anything_is_left_out_and_the_rest_is_one_way(
     tmp_path: Path, kind: type[Message]
 ) -> None:
     lost = [m for m in drive("e") if not (isinstance(m, kind) and m.tick == 20)]

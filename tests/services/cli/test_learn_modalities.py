@@ -9,8 +9,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from schemas.base import Message
-from schemas.observation import Observation
 from services.cli.learn import learn
 from services.kit.errors import JobError, UsageError
 from services.recordings.recorded_features import features_in, features_of_recordings
@@ -69,22 +67,6 @@ def test_the_model_of_a_subset_is_that_of_a_recording_without_the_rest(with_dept
     assert Model.load(tmp_path / "subset.smal").checksum == Model.load(tmp_path / "plain.smal").checksum
 
 
-def renamed(messages: list[Message], names: tuple[str, ...]) -> list[Message]:
-    return [one.model_copy(update={"modalities": names}) if isinstance(one, Observation) else one for one in messages]
-
-
-@pytest.mark.parametrize(("features", "found"), [(FEATURES, (FEATURES,)), (ALL, ())], ids=["usual", "others"])
-def test_of_recordings_that_name_no_modalities_the_usual_ones_are_known(
-    tmp_path: Path, features: FeatureSettings, found: tuple[FeatureSettings, ...]
-) -> None:
-    assert features_in(record(tmp_path, renamed(drive("d", features=features), ()))) == found
-
-
-@pytest.mark.parametrize("names", [("color", "smell"), ("hog", "color"), ("hog", "hog")])
-def test_names_that_the_fingerprint_does_not_confirm_are_not_believed(tmp_path: Path, names: tuple[str, ...]) -> None:
-    assert features_in(record(tmp_path, renamed(drive("d"), names))) == ()
-
-
 def test_weights_go_with_the_modalities_in_their_order(
     with_depth: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -109,13 +91,6 @@ def test_depth_is_in_no_image(with_depth: Path, tmp_path: Path) -> None:
         learn([path], tmp_path / "model.smal", modalities="depth")
     mixed = teach(with_depth, path, features=ALL).teaching
     assert (len(mixed.demonstrations), mixed.remarks) == (2, [line])
-
-
-def test_frames_whose_depth_never_came_are_a_gap(tmp_path: Path) -> None:
-    kept = [m for m in drive("e", features=ALL) if not (m.topic == "observation" and m.tick in (10, 11))]
-    teaching = teach(record(tmp_path, kept), features=ALL).teaching
-    assert [one.name for one in teaching.demonstrations] == ["e[0-9]", "e[12-39]"]
-    assert teaching.remarks == [f"{tmp_path}/e.mcap: episode e: 2 frames beside gaps are left out"]
 
 
 def test_recordings_with_different_features_need_a_choice(with_depth: Path, tmp_path: Path) -> None:
@@ -149,10 +124,8 @@ def test_what_says_nothing_of_its_features_leaves_the_usual_ones(tmp_path: Path)
     ("options", "line"),
     [
         ({"modalities": "color,smell"}, "--modalities color,smell: unknown feature modality 'smell'; known are"),
-        ({"modalities": "hog,hog"}, "--modalities hog,hog: the feature modality hog is named twice"),
         ({"modalities": "hog", "weights": "1,2"}, "--weights 1,2: 1 modalities need as many weights, got 2"),
         ({"weights": "1,0,1"}, "--weights 1,0,1: modality weights must be finite and positive"),
-        ({"weights": "heavy"}, "--weights heavy: modality weights must be numbers separated by commas"),
     ],
 )
 def test_a_wrong_choice_is_one_line(with_depth: Path, tmp_path: Path, options: dict[str, str], line: str) -> None:

@@ -15,12 +15,9 @@ import pytest
 from schemas.base import Message
 from schemas.compressed_image import CompressedImage
 from schemas.odometry import Odometry
-from services.experiments.drawing import svg
-from services.experiments.showing.belief import Believed
 from services.experiments.showing.drives import find_drives
-from services.experiments.showing.figures import draw_ways
 from services.experiments.showing.page import write_page
-from services.experiments.showing.ways import Ways, schematic
+from services.experiments.showing.ways import Ways
 from services.kit.jpeg import encode_jpeg
 from services.recordings.dataset import Teacher, find_recordings
 from services.recordings.taught import drives_of_map, ticks_of
@@ -121,38 +118,6 @@ def test_the_fork_of_two_joined_drives_is_one_and_where_they_part(model: Model) 
     assert drives_of_map(model) == [(0,), (1,)]
 
 
-def test_ways_that_share_their_end_meet_where_they_come_together(model: Model) -> None:
-    """Drive both ways backwards: with time turned round a fork is a meeting."""
-    found = model.mapped
-    turned = np.concatenate([np.flatnonzero(found.drives == drive)[::-1] for drive in (0, 1)])
-    place = np.argsort(turned)
-    keys = np.sort(place[found.keyframes])
-    new_of = {int(old): int(np.searchsorted(keys, place[frame])) for old, frame in enumerate(found.keyframes)}
-    stitched = [tuple(new_of[key] for key in pair) for pair in found.stitched.tolist()]
-    order = sorted(range(len(stitched)), key=stitched.__getitem__)
-    backwards = replace(
-        found,
-        poses=found.poses[turned],
-        keyframes=keys.astype(np.int32),
-        stitched=np.array([stitched[k] for k in order], dtype=np.int32),
-        stitch_offsets=found.stitch_offsets[order],
-    )
-    (meeting,) = Ways(backwards).partings
-    assert not meeting.fork
-    assert meeting.drives == (0, 1)
-
-
-def test_drives_are_brought_to_common_axes(model: Model) -> None:
-    found = model.mapped
-    poses, moved = found.poses.copy(), found.drives == 1
-    cos, sin = np.cos(0.7), np.sin(0.7)
-    poses[moved, :2] = poses[moved, :2] @ np.array([[cos, sin], [-sin, cos]]) + (10.0, -4.0)
-    poses[moved, 2] += 0.7
-    ways = Ways(replace(found, poses=poses))
-    truth = np.concatenate([one.poses for one in DRIVES.values()])
-    assert np.hypot(*(ways.poses - truth)[:, :2].T).max() < 0.3
-
-
 def test_the_page_shows_the_fork_the_states_and_where_the_belief_was(taught: Path, tmp_path: Path, smal: Smal) -> None:
     page, err = shown(smal, tmp_path, taught / "two.smal", "--recordings", taught / "drives")
     assert "missing" not in err
@@ -166,30 +131,6 @@ def test_the_page_shows_the_fork_the_states_and_where_the_belief_was(taught: Pat
     assert [row[0] for row in belief] == ["to-left", "to-right"]
     assert all(float(row[1].rstrip("%")) > 80 for row in belief)
     assert f"It gave {(model.reward > 1e-6).sum()} of {model.states} states a reward" in text
-
-
-def test_a_wide_belief_is_marked_on_the_way(model: Model) -> None:
-    ways = Ways(model.mapped)
-    frames = int((model.mapped.drives == 0).sum())
-    sure = Believed(np.ones(frames), np.zeros(frames), np.zeros(frames))
-    here = np.where(np.isin(np.arange(frames), (0, 5, 6, 7, frames - 1)), 0.4, 1.0)
-    unsure = replace(sure, here=here, lost=1.0 - here)
-    assert (sure.wide(), unsure.wide()) == ([], [(0, 0), (5, 7), (frames - 1, frames - 1)])
-    marked = [svg(draw_ways(ways, list(DRIVES), {0: one}), "ways", "") for one in (sure, unsure)]
-    assert ["wide belief" in one for one in marked] == [False, True]
-
-
-def test_cost_to_go_falls_along_the_way(taught: Path, tmp_path: Path, smal: Smal) -> None:
-    page, _ = shown(smal, tmp_path, taught / "two.smal")
-    rows = {(row[0], row[1]): row[2:] for row in page.rows if len(row) == 7 and row[0] in DRIVES}
-    assert len(rows) == 4
-    for goal in DRIVES:
-        costs = [float(cell.removesuffix(" s")) for cell in rows[goal, f"to-{goal}"]]
-        assert costs == sorted(set(costs), reverse=True)
-        assert costs[-1] == 0.0
-    # Who has parted from it does not reach the other goal.
-    assert rows["right", "to-left"][0] != "no way"
-    assert rows["right", "to-left"][-1] == "no way"
 
 
 @pytest.mark.parametrize("recordings", [True, False])
@@ -244,12 +185,6 @@ def test_a_model_without_odometry_or_without_a_map_is_a_schematic(tmp_path: Path
     text = write_page(tmp_path, Model.load(file), file, None).read_text()
     assert ("as a schematic, since they are without odometry" in text) == odometry
     assert ("There is no map of views" in text) != odometry
-
-
-def test_a_schematic_has_a_row_for_what_is_new() -> None:
-    places = schematic([[(node, 1.0) for node in way] for way in ("abcd", "abxy", "abc")])
-    assert [places[node] for node in "abcd"] == [(1, 0), (2, 0), (3, 0), (4, 0)]
-    assert [places[node] for node in "xy"] == [(3, -1), (4, -1)]
 
 
 @pytest.mark.parametrize(

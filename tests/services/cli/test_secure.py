@@ -103,18 +103,6 @@ def test_check_names_what_is_wrong(keys: Path, smal: Smal, tmp_path: Path) -> No
     assert said["operator"].startswith("ok")
 
 
-def test_check_names_secrets_that_others_can_read(tmp_path: Path, smal: Smal) -> None:
-    keys = make_keys(tmp_path / "keys")
-    secrets = ("ca.key", "passwords", "operator.password")
-    for name in secrets:
-        (keys / name).chmod(0o640)
-    status, out, _err = smal("secure", "check", str(keys))
-    assert status == 1
-    said = [line for line in out.splitlines() if line.startswith("problem")]
-    assert [line.split()[1] for line in said] == list(secrets)
-    assert all("can be read by others; run: chmod 600" in line for line in said)
-
-
 def test_a_key_or_certificate_of_another_make_is_one_line(keys: Path, smal: Smal) -> None:
     """An encrypted key, and a certificate that does not say what it is for, as other programs make them."""
     pem, pkcs8 = certificates.serialization.Encoding.PEM, certificates.serialization.PrivateFormat.PKCS8
@@ -205,22 +193,6 @@ def test_what_has_expired_is_replaced_by_its_own_command(tmp_path: Path, smal: S
     assert said.endswith("run: smal secure rotate")
 
 
-def test_names_that_cannot_be_read_are_not_forgotten_silently(keys: Path, smal: Smal) -> None:
-    (keys / "router.pem").write_text("nothing")
-    status, _out, err = smal("secure", "renew", str(keys))
-    assert status == 2
-    assert "router.pem: no certificate to take names from" in err
-    assert err.count("\n") == 1
-
-
-def test_the_folder_is_not_committed(keys: Path) -> None:
-    assert (keys / ".gitignore").read_text() == "*\n"
-
-
-def test_nothing_is_forgotten_where_there_is_one_authority(keys: Path, smal: Smal) -> None:
-    assert smal("secure", "retire", str(keys))[1] == f"{keys} has one authority; nothing to forget\n"
-
-
 def test_up_names_a_certificate_of_no_use_before_anything_starts(keys: Path, tls_endpoint: str, smal: Smal) -> None:
     _replace(keys, "operator", days=-1 / 1440)  # Not shown by a stack.
     _replace(keys, "policy", days=-1 / 1440)
@@ -248,14 +220,6 @@ def test_up_tells_the_router_that_it_may_let_everybody_in(
     assert smal("up", "--world", "yard", "--router", everywhere, "--insecure")[2] == "smal: enough\n"
     monkeypatch.setattr("sys.argv", ["router", *plans[0].flags["router"]])
     assert read_settings(RouterSettings, "router").insecure
-
-
-def test_check_says_when_the_end_is_near(keys: Path, smal: Smal) -> None:
-    _replace(keys, "features", days=5.0)
-    status, out, _err = smal("secure", "check", str(keys))
-    assert status == 0
-    end = datetime.now(UTC) + timedelta(days=5)
-    assert f"valid until {end:%Y-%m-%d}: soon" in out
 
 
 def test_a_folder_without_an_authority_is_one_line(tmp_path: Path, smal: Smal) -> None:

@@ -29,6 +29,8 @@ from tests.services.robot.wheels import Robot
 from tests.services.waiting import eventually
 
 OpenPage = Callable[[], Page]
+#: A world is being opened; the robot goes on.
+Opening = tuple[threading.Event, threading.Event]
 #: Where the test is about something else: a busy machine may have the robot stand for a moment, and no longer.
 unattended = pytest.mark.parametrize("robot", [False], indirect=True, ids=["unattended"])
 
@@ -385,10 +387,9 @@ def test_who_answers_slowly_is_there_all_the_same(robot: Robot, recorder: Record
     assert not robot.wheels.driven
 
 
-@pytest.mark.parametrize("robot", [True, False], indirect=True, ids=["attended", "unattended"])
-def test_an_episode_ends_at_once_whose_person_has_left_while_another_world_was_opened(
-    robot: Robot, recorder: RecorderService, console: Console, open_page: OpenPage, monkeypatch: pytest.MonkeyPatch
-) -> None:
+@pytest.fixture
+def opening(robot: Robot, monkeypatch: pytest.MonkeyPatch) -> Opening:
+    """Have the robot open another world until the test lets it go on."""
     asked, goes_on, begin = threading.Event(), threading.Event(), robot.wheels.begin
 
     def open_world(request: ResetRequest) -> Beginning:
@@ -397,6 +398,14 @@ def test_an_episode_ends_at_once_whose_person_has_left_while_another_world_was_o
         return begin(request)
 
     monkeypatch.setattr(robot.wheels, "begin", open_world)
+    return asked, goes_on
+
+
+@pytest.mark.parametrize("robot", [True, False], indirect=True, ids=["attended", "unattended"])
+def test_an_episode_ends_at_once_whose_person_has_left_while_another_world_was_opened(
+    recorder: RecorderService, console: Console, open_page: OpenPage, opening: Opening
+) -> None:
+    asked, goes_on = opening
     page, other = open_page(), open_page()
     page.take()
     eventually(lambda: page.beats > 0 and page.robot(answers=True))
@@ -408,17 +417,20 @@ def test_an_episode_ends_at_once_whose_person_has_left_while_another_world_was_o
     eventually(lambda: other.state["robot"]["episode"] is None and not other.state["robot"].get("waiting"))
 
 
-def test_an_emergency_stop_while_another_world_is_opened_is_latched_when_it_is(
-    robot: Robot, recorder: RecorderService, open_page: OpenPage, monkeypatch: pytest.MonkeyPatch
+def test_a_drive_by_hand_has_no_time_limit(
+    recorder: RecorderService, robot: Robot, open_page: OpenPage, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    asked, goes_on, begin = threading.Event(), threading.Event(), robot.wheels.begin
+    asked: list[ResetRequest] = []
+    begin = robot.wheels.begin
+    monkeypatch.setattr(robot.wheels, "begin", lambda request: asked.append(request) or begin(request))
+    open_page().begin()
+    assert [(request.driver, request.max_ticks) for request in asked] == [("teleop", None)]
 
-    def open_world(request: ResetRequest) -> Beginning:
-        asked.set()
-        assert goes_on.wait(20.0)
-        return begin(request)
 
-    monkeypatch.setattr(robot.wheels, "begin", open_world)
+def test_an_emergency_stop_while_another_world_is_opened_is_latched_when_it_is(
+    robot: Robot, recorder: RecorderService, open_page: OpenPage, opening: Opening
+) -> None:
+    asked, goes_on = opening
     page, other = open_page(), open_page()
     page.take()
     eventually(lambda: page.beats > 0 and page.robot(answers=True))

@@ -7,23 +7,27 @@ import re
 import socket
 import ssl
 import subprocess
+import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future
-from contextlib import AbstractContextManager
+from contextlib import closing
 from http.client import HTTPConnection, HTTPSConnection
 from pathlib import Path
 from urllib.parse import quote
 
+import numpy as np
 import pytest
-from websockets.exceptions import InvalidStatus
+from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import connect
 
 from services.console.board import Board
 from services.console.config import ConsoleSettings
+from services.console.folder import PREFIX, Folder, remove_left_over
 from services.console.guard import COOKIE
 from services.console.library import Library
+from services.console.seat import LEASE_S
 from services.console.web import PAGE, WebServer
 from services.kit.bus import BusError
 from services.kit.node import ServiceError
@@ -62,8 +66,8 @@ class Nobody:
     def ask(self, ask: object, until_s: float) -> Future[None]:
         return self.stop()
 
-    def make_world(self, name: str, osm_map: Path, needs: AbstractContextManager[object]) -> Future[None]:
-        with needs:
+    def make_world(self, name: str, osm_map: Path, folder: Folder) -> Future[None]:
+        with closing(folder):
             self.maps.append((name, osm_map.read_bytes()))
         return self.stop()
 
@@ -81,6 +85,14 @@ def page(nobody: Nobody, tmp_path: Path) -> Iterator[Page]:
     yield page
     page.close()
     server.close()
+
+
+@pytest.fixture
+def seated(page: Page) -> Page:
+    """Give a page whose person drives."""
+    page.take()
+    eventually(lambda: page.word)
+    return page
 
 
 @pytest.mark.parametrize(
@@ -164,6 +176,37 @@ def test_pings_whose_answers_nobody_takes_fill_no_memory(page: Page) -> None:
         while got := there.recv(1 << 20):
             answered += len(got)
     assert answered < 20e6
+
+
+def test_a_watcher_says_once_of_each_message_that_it_was_seen(page: Page) -> None:
+    watch = page.open("watch")
+    assert "now" in str(watch.recv(5.0))
+    watch.send('{"do": "seen"}')
+    watch.send('{"do": "seen"}')
+    with pytest.raises(ConnectionClosed, match=r"4003.*nothing more to be seen"):
+        list(watch)
+
+
+@pytest.mark.parametrize(
+    ("opcode", "said"), [(0x1, b'{"do":"stop"}'), (0x9, b""), (0xA, b"")], ids=["stop", "ping", "pong"]
+)
+def test_whoever_floods_a_socket_leaves_its_turn_to_who_drives(
+    seated: Page, nobody: Nobody, monkeypatch: pytest.MonkeyPatch, opcode: int, said: bytes
+) -> None:
+    """The robot misses a driver who is not heard for LEASE_S."""
+    heard_s: list[float] = []
+
+    def hold(_atom: object, _sent_s: float) -> Future[None]:
+        heard_s.append(time.monotonic())
+        return nobody.stop()
+
+    monkeypatch.setattr(nobody, "hold", hold)
+    frame = bytes((0x80 | opcode, 0x80 | len(said), 0, 0, 0, 0)) + said
+    eventually(lambda: heard_s)
+    with closing(seated.open("watch")) as watch:
+        for _ in range(10):
+            watch.socket.sendall(frame * 20_000)
+    assert max(np.diff([*heard_s, time.monotonic()])) < LEASE_S
 
 
 def test_every_answer_forbids_foreign_code(page: Page) -> None:
@@ -288,16 +331,8 @@ def test_a_port_that_is_taken_is_named(page: Page, tmp_path: Path) -> None:
 # -- maps ------------------------------------------------------------------------------------------------------------
 
 
-@pytest.fixture
-def seated(page: Page) -> Page:
-    """Give a page whose person drives."""
-    page.take()
-    eventually(lambda: page.word)
-    return page
-
-
 def left_over() -> set[Path]:
-    return set(Path(tempfile.gettempdir()).glob("smal-map-*"))
+    return set(Path(tempfile.gettempdir()).glob(f"{PREFIX}*"))
 
 
 def test_a_map_of_whoever_drives_is_taken_whole(seated: Page, nobody: Nobody) -> None:
@@ -336,7 +371,7 @@ def test_a_map_without_an_origin_is_not_taken(seated: Page, nobody: Nobody) -> N
 
 
 def test_a_map_that_is_too_large_ends_early(seated: Page, nobody: Nobody, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("services.console.web._LARGEST_MAP", 1_000_000)
+    monkeypatch.setattr("services.console.maps._LARGEST_MAP", 1_000_000)
     before = left_over()
     status, why = seated.post("/map?name=town", bytes(1_000_001))
     assert (status, why) == (413, "a map has at most 1 MB; cut it smaller\n")
@@ -424,3 +459,30 @@ def test_a_name_for_which_no_file_has_room_is_refused(seated: Page, nobody: Nobo
     answer, said = seated.post(f"/map?name={quote('𠀀') * letters}", b"<osm/>")
     assert (answer, len(nobody.maps)) == (status, int(status == 202))
     assert status == 202 or "at most 200 bytes" in said
+
+
+def test_the_map_of_a_console_that_was_killed_goes_when_nobody_uses_it_any_more() -> None:
+    """Not while what makes a world of it still reads it; nor one that another console has."""
+    making = "import sys, time; print('reading', flush=True); sys.stdin.read()"
+    console = f"""if True:
+        import subprocess, sys, time
+        from services.console.folder import Folder
+        folder = Folder()
+        subprocess.Popen([sys.executable, "-c", {making!r}], pass_fds=(folder.lock,))
+        print(folder.path, flush=True)
+        time.sleep(60)
+    """
+    pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE}
+    with closing(Folder()) as other, subprocess.Popen([sys.executable, "-c", console], text=True, **pipes) as killed:
+        assert killed.stdout is not None
+        told = {killed.stdout.readline().strip() for _ in range(2)}
+        (path,) = (Path(one) for one in told - {"reading"})
+        killed.kill()
+        killed.wait()
+        remove_left_over()
+        assert path.exists(), "it is read"
+        assert killed.stdin is not None
+        killed.stdin.close()  # its end
+        eventually(lambda: remove_left_over() or not path.exists())
+        assert other.path.exists()
+    assert not other.path.exists()

@@ -2,29 +2,36 @@
 
 from __future__ import annotations
 
+import multiprocessing
 import os
+import signal
 import sys
 from collections.abc import Callable
-from contextlib import nullcontext
+from dataclasses import replace
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
 import pytest
+import zstandard
+from mcap.data_stream import RecordBuilder
+from mcap.records import Chunk
 
 from schemas.base import Message
 from schemas.episode import Episode
 from schemas.rpc import LoadReply, LoadRequest
 from schemas.state import Place, State
+from services.console.folder import Folder
 from services.console.jobs import Job, Jobs
 from services.console.learned import learned_of
 from services.console.library import LearnedModel, Library
+from services.console.listing import Readers, Recording, end_after
 from services.kit.model_service import identity_of
 from services.kit.node import Node, ServiceError
 from services.kit.settings import ServiceSettings
 from services.recorder.service import RecorderService
 from services.recordings.reader import read_recording
+from services.recordings.records import MAGIC
 from services.recordings.writer import EpisodeWriter
 from smal.learning import LearningSettings, fit
 from tests import corridor
@@ -77,6 +84,54 @@ def test_a_file_is_read_once_and_again_when_it_has_changed(library: Library, tmp
     path.unlink()
     library.look()
     assert library.recordings() == []
+
+
+def test_a_file_that_unpacks_to_much_is_listed_as_unreadable_and_the_others_as_they_are(
+    library: Library, tmp_path: Path
+) -> None:
+    chunk = Chunk("zstd", zstandard.compress(bytes(64 << 20)), 0, 0, 0, 64 << 20)
+    builder = RecordBuilder()
+    chunk.write(builder)
+    (tmp_path / "drives" / "bomb.mcap").write_bytes(MAGIC + builder.end())
+    listed = {one["name"]: one["useless"] for one in library.look()["recordings"]}  # type: ignore[attr-defined]
+    assert listed["drives/drive-1.mcap"] == ""
+    assert listed["drives/bomb.mcap"].startswith("unpacks to more than 256 times its size")
+
+
+def work_for_ever() -> None:
+    end_after(1)
+    while True:
+        pass
+
+
+def test_a_reader_ends_that_has_worked_for_too_long() -> None:
+    process = multiprocessing.get_context("spawn").Process(target=work_for_ever)
+    process.start()
+    process.join()
+    assert process.exitcode == -signal.SIGXCPU
+
+
+def test_a_file_that_ends_its_reader_is_unreadable_and_the_next_is_read(library: Library) -> None:
+    path, listed = library.root / "drives" / "drive-1.mcap", Recording("drives/drive-1.mcap", 1.0, 5)
+    with Readers() as readers:
+        assert readers.read(path, listed).outcome == "found"
+        assert readers._process is not None
+        readers._process[0].kill()
+        died = "it cannot be read: the process that read it has died"
+        assert readers.read(path, listed) == replace(listed, useless=died)
+        assert readers.read(path, listed).outcome == "found"
+    assert not [one for one in multiprocessing.active_children() if one.name == "recordings"]
+
+
+def test_what_is_known_is_shown_while_more_is_read(
+    library: Library, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("services.console.library._SHOW_S", 0.0)
+    record(tmp_path / "drives", list(recorded_messages.episode("drive-2")))
+    shown: list[Any] = []
+    library.look(shown.append)
+    names = [[one["name"] for one in each["recordings"]] for each in shown]
+    assert names == [["drives/drive-2.mcap"], ["drives/drive-2.mcap", "drives/drive-1.mcap"]], "the newest first"
 
 
 @pytest.mark.parametrize(("outcome", "why"), [("collision", "collision"), ("aborted", "did not reach the victim")])
@@ -246,20 +301,21 @@ def test_a_run_is_of_the_model_and_scheme_that_are_chosen_and_recorded(
 
 
 SCRIPT = """
-import sys, time
+import signal, sys, time
+STAGE = '{"stage": "deaf", "done": 1, "total": 1}'
 print('{"stage": "reading", "done": 1, "total": 4}', flush=True)
 print("a line for people", flush=True)
 """
 
 
-def jobs_of(script: str) -> tuple[Jobs, list[dict[str, object]]]:
+def jobs_of(script: str, patience_s: float = 60.0) -> tuple[Jobs, list[dict[str, object]]]:
     shown: list[dict[str, object]] = []
-    return Jobs(shown.append, (sys.executable, "-c", SCRIPT + script)), shown
+    return Jobs(shown.append, (sys.executable, "-c", SCRIPT + script), patience_s), shown
 
 
-def learning(out: Path, needs: TemporaryDirectory[str] | None = None) -> Job:
-    arguments, needed = ("learn", "a.mcap"), needs or nullcontext()
-    return Job("model", out.stem, f"Learning {out.stem}", "it is learned", arguments, out, "/root/", needed)
+def learning(out: Path, needs: Folder | None = None) -> Job:
+    arguments = ("learn", "a.mcap")
+    return Job("model", out.stem, f"Learning {out.stem}", "it is learned", arguments, out, "/root/", needs)
 
 
 @pytest.mark.parametrize(
@@ -272,14 +328,14 @@ def learning(out: Path, needs: TemporaryDirectory[str] | None = None) -> Job:
 )
 def test_a_job_tells_how_far_it_is_and_how_it_ended(tmp_path: Path, script: str, outcome: str, why: str) -> None:
     jobs, shown = jobs_of(script)
-    needed = TemporaryDirectory(dir=tmp_path)
+    needed = Folder()
     jobs.begin(learning(tmp_path / "models" / "way.smal", needed))
     eventually(lambda: not jobs.running)
     end = eventually(lambda: shown[-1] if "outcome" in shown[-1] else None)
     said = {"kind": "model", "name": "way", "doing": "Learning way", "done": "it is learned"}
     assert {**said, "stage": "reading", "share": 0.25} in shown
     assert (end["outcome"], end["why"]) == (outcome, why)
-    assert not Path(needed.name).exists()
+    assert not needed.path.exists()
 
 
 def test_a_job_is_cancelled_and_one_runs_at_a_time(tmp_path: Path) -> None:
@@ -291,10 +347,40 @@ def test_a_job_is_cancelled_and_one_runs_at_a_time(tmp_path: Path) -> None:
     jobs.cancel()
     eventually(lambda: shown[-1].get("outcome") == "cancelled")
     (tmp_path / "way.smal").touch()
-    needed = TemporaryDirectory(dir=tmp_path)
+    needed = Folder()
     with pytest.raises(ServiceError, match="choose another name"):
         jobs.begin(learning(tmp_path / "way.smal", needed))
-    assert not Path(needed.name).exists()
+    assert not needed.path.exists()
+
+
+#: As one that calculates something in one piece does.
+DEAF = "signal.signal(signal.SIGTERM, signal.SIG_IGN); print(STAGE, flush=True); "
+
+
+@pytest.mark.parametrize("how", ["cancelled", "says nothing"])
+def test_a_job_that_does_not_hear_is_ended(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, how: str) -> None:
+    monkeypatch.setattr("services.console.jobs._ENDING_S", 0.1)
+    jobs, shown = jobs_of(DEAF + "time.sleep(60)", patience_s=60.0 if how == "cancelled" else 3.0)
+    jobs.begin(learning(tmp_path / "way.smal"))
+    eventually(lambda: any(one.get("stage") == "deaf" for one in shown))
+    if how == "cancelled":
+        jobs.cancel()
+    end = eventually(lambda: shown[-1] if "outcome" in shown[-1] else None, timeout_s=20.0)
+    assert not jobs.running
+    if how == "cancelled":
+        assert end["outcome"] == "cancelled"
+    else:
+        assert (end["outcome"], "it has said nothing for" in str(end["why"])) == ("failed", True)
+
+
+def test_another_job_begins_where_the_last_one_s_folder_could_not_be_removed(tmp_path: Path) -> None:
+    jobs, shown = jobs_of("")
+    needed = Folder()
+    needed.path.rmdir()
+    jobs.begin(learning(tmp_path / "way.smal", needed))
+    eventually(lambda: shown and shown[-1].get("outcome") == "done")
+    jobs.begin(learning(tmp_path / "other.smal"))
+    eventually(lambda: shown[-1].get("name") == "other" and shown[-1].get("outcome") == "done")
 
 
 @pytest.mark.parametrize(("goals", "nearest"), [((), "victim"), (("dock",), "dock"), (("dock", "ward"), "nearest")])

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shutil
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -12,24 +11,16 @@ import pytest
 from services.console.board import Board
 from services.console.config import ConsoleSettings
 from services.console.web import WebServer
+from tests.benchmarks.soak.page import CHROMIUM, NO_CHROMIUM
 from tests.services.console.test_console_guard import Nobody
 from tests.services.waiting import eventually
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser, Page
 
-CHROMIUM = shutil.which("chromium")
 if CHROMIUM is None:
-    pytest.skip("no chromium on this machine: the page is not tried in a browser", allow_module_level=True)
+    pytest.skip(f"{NO_CHROMIUM}: the page is not tried in a browser", allow_module_level=True)
 pytestmark = pytest.mark.system
-
-
-@pytest.fixture(scope="module")
-def browser() -> Iterator[Browser]:
-    """Start Debian's Chromium; as root it runs without its sandbox."""
-    playwright = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
-    with playwright.sync_playwright() as play:
-        yield play.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox"])
 
 
 class Person(Nobody):
@@ -115,6 +106,15 @@ def test_what_another_robot_tells_of_worlds_breaks_nothing(
     assert begin(page, person).variation is None
 
 
+def test_who_drives_sees_how_long_the_recorder_has_room(page: Page, board: Board) -> None:
+    row = {"name": "recorder", "ailment": None, "idle": 0.0, "rates": {}, "dropped": 0, "bad": 0, "failed": 0}
+    board.put("health", {"services": [row | {"told": {"disk": "the disk has room for 9 minutes more"}}]})
+    page.wait_for_selector("#disk:visible")
+    assert page.inner_text("#disk") == "Recording: the disk has room for 9 minutes more"
+    board.put("health", {"services": [row | {"told": {}}]})
+    page.wait_for_selector("#disk", state="hidden")
+
+
 def test_the_page_follows_the_robot_into_the_world_that_somebody_else_has_chosen(page: Page, board: Board) -> None:
     tell: Callable[[str], None] = lambda world: tell_robot(  # noqa: E731
         board, world=world, worlds="campus, yard", variation="day", variations="day, dark"
@@ -161,9 +161,8 @@ def test_a_map_s_file_name_becomes_a_world_s_name_that_may_be(
 
 def recording(name: str) -> dict[str, object]:
     facts = {"when_s": 1.0, "size": 1, "purpose": "drive", "goal": "victim", "world": "yard", "outcome": "found"}
-    return {"name": f"drives/{name}.mcap", "episode": name, "frames": 9, "seconds": 1.0, "useless": "", **facts} | {
-        "thumbnails": 0
-    }
+    shown = {"frames": 9, "seconds": 1.0, "useless": "", "thumbnails": 0}
+    return {"name": f"drives/{name}.mcap", "episode": name, **facts, **shown}
 
 
 def test_who_is_in_the_list_of_recordings_stays_there_when_it_grows(page: Page, board: Board) -> None:

@@ -31,6 +31,7 @@ from tests.services.exporters.recorded_drive import (
     poses,
     recording,
 )
+from tests.services.importers import sources
 from tests.services.importers.test_formats import imported
 
 pytest.importorskip("rosbags", reason="needs the extra formats")
@@ -122,6 +123,16 @@ def test_velocities_are_measured_by_the_wheels(share: float, tmp_path: Path) -> 
     assert nominal.turn_rate == (pytest.approx(TURN_RATE, rel=1e-4), "by its odometry")
     rows = (tmp_path / "out" / "drive.csv").read_text().splitlines()[1:]
     assert {float(row.split(",")[3]) for row in rows} == {share * SPEED, -share * SPEED, 0.0}
+
+
+def test_a_turn_that_went_ahead_is_exported_so(tmp_path: Path) -> None:
+    """A car's: at 0.6 of its speed straight on."""
+    report, _ = imported(sources.donkeycar(tmp_path / "tub"), "donkeycar", tmp_path / "recordings")
+    exported([Path(report.files[0])], "folder", tmp_path / "out", speed=2.0, turn_rate=1.0)
+    rows = [line.split(",") for line in (tmp_path / "out" / "drive.csv").read_text().splitlines()]
+    at = [rows[0].index(name) for name in ("linear_m_s", "angular_rad_s")]
+    velocities = {tuple(round(float(row[k]), 4) for k in at) for row in rows[1:]}
+    assert velocities == {(2.0, 0.0), (1.2, 1.0), (1.2, -1.0), (0.0, 0.0)}
 
 
 def test_without_odometry_velocities_are_what_the_user_says(tmp_path: Path) -> None:

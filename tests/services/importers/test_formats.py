@@ -17,6 +17,7 @@ from services.recordings.dataset import Teacher
 from services.recordings.encoding import decode_image
 from services.recordings.reader import read_recording
 from services.recordings.recorded import RecordedEpisode
+from smal.action_space import Atom
 from smal.features import extract
 from smal.learning import LearningSettings, learn
 from smal.robot import Localizer
@@ -181,6 +182,19 @@ def test_a_tub_with_its_speeds_has_a_way(tmp_path: Path) -> None:
     way = episode_of(report).odometry
     assert way[15][0] == pytest.approx(3.0, abs=0.02)
     assert way[19][2] == pytest.approx(0.32, abs=0.02)
+
+
+@pytest.mark.parametrize(("form", "ahead"), [("donkeycar", 0.6), ("folder", 0.0)])
+def test_a_turn_is_taught_with_the_speed_that_it_was_driven_with(form: str, ahead: float, tmp_path: Path) -> None:
+    """The car drives its turns at 0.3 of full throttle, and straight on at 0.5; the other robot turns on the spot."""
+    report, _ = imported(FORMATS[form](tmp_path / "source"), form, tmp_path / "out", reckon=False)
+    teacher = Teacher(corridor.FEATURES, shortest=corridor.LENGTH)
+    teacher.read(Path(report.files[0]))
+    (demonstration,) = teacher.teaching.demonstrations
+    assert demonstration.ahead is not None
+    turns = (demonstration.atoms == Atom.LEFT) | (demonstration.atoms == Atom.RIGHT)
+    assert np.median(demonstration.ahead[turns]) == pytest.approx(ahead, abs=1e-4)
+    assert not demonstration.ahead[~turns].any()
 
 
 def test_deleted_records_are_left_out_and_their_time_is_a_gap(tmp_path: Path) -> None:

@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from schemas.base import ATOMS
-from services.importers.atoms import Thresholds, atoms_of, nominal
+from services.importers.atoms import Thresholds, ahead_in_turns, atoms_of, nominal
 from services.importers.drive import Drive, Frame, ImportFailure, Motion, Tally, Track
 from services.importers.resample import GAP_S, HOLD_S, TICK_S, Moves, odometry, ticks
 
@@ -141,6 +141,15 @@ def test_atoms_of_velocities_as_shares_of_what_is_usual(linear: float, angular: 
     thresholds = Thresholds()
     usual = nominal(scale * np.array([[1.0, 1.0, 1.0], [0.0, 1.0, -1.0]]), thresholds)
     assert ATOMS[atoms_of(scale * np.array([[linear], [angular]]), usual, thresholds)[0]] == atom
+
+
+def test_a_turn_keeps_how_fast_it_goes_ahead() -> None:
+    """As a share of the usual speed, which backwards is negative; nothing else needs it."""
+    thresholds = Thresholds()
+    velocities = 3.0 * np.array([[1.0, 1.0, 0.6, 0.0, -0.5, 2.0, 0.0], [0.0, 1.0, -1.0, 1.0, 1.0, -1.0, 0.0]])
+    usual = nominal(3.0 * np.array([[1.0, 1.0, 1.0], [0.0, 1.0, -1.0]]), thresholds)
+    ahead = ahead_in_turns(velocities, atoms_of(velocities, usual, thresholds), usual)
+    assert ahead == pytest.approx([0.0, 1.0, 0.6, 0.0, -0.5, 1.0, 0.0])
 
 
 def test_noise_of_a_robot_that_never_turns_is_no_turn() -> None:

@@ -19,11 +19,11 @@ from typing import Final
 import pytest
 import zenoh
 
-from schemas.topics import COMMANDS, TOPICS, rpc_key
+from schemas.topics import COMMANDS, LANES, TOPICS, rpc_key
 from services.cli import certificates
 from services.kit.bus import Bus, BusError, Router, host_and_port
 from services.kit.credentials import Credentials, Password, credentials_in, why_refused
-from services.kit.zenoh_wire import LEASE_MS, MAX_SESSIONS, router_settings
+from services.kit.zenoh_settings import LEASE_MS, MAX_SESSIONS, router_settings
 from services.table import Role, roles, stack_services
 from tests.services.secured import ROBOT, certificate_in, make_keys, open_session, secured_router
 from tests.services.waiting import eventually
@@ -298,8 +298,8 @@ def test_a_full_router_says_so_and_who_is_in_goes_on(endpoint: str, keys: Path, 
 
 
 def test_a_stack_leaves_half_of_the_router_to_others() -> None:
-    """Two sessions of each process, counted twice while the lease of dead links runs."""
-    assert 2 * 2 * len(stack_services()) <= MAX_SESSIONS / 2
+    """A session for each lane of each process, counted twice while the lease of dead links runs."""
+    assert 2 * len(LANES) * len(stack_services()) <= MAX_SESSIONS / 2
 
 
 @pytest.mark.parametrize("knock", ["silent", "leaves"])

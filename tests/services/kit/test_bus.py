@@ -520,12 +520,12 @@ def test_what_is_kept_is_bounded(client: Bus, other: Bus) -> None:
 )
 def test_key_expressions(client: Bus, other: Bus, keys: str, topic: topics.Topic, hears: bool) -> None:
     found: list[str] = []
-    other.listen(keys, lambda key, _payload, _encoding: found.append(key), urgent=topic.urgent)
+    other.listen(keys, lambda key, _payload, _encoding: found.append(key), lane=topic.lane)
     control = heard(other, topic)
     for _ in range(2):  # the control is declared later: once it has heard, the listener is known
         publish_until(
             client,
-            EXAMPLES[topic.message].model_copy(update={"source": "teleop"} if topic.urgent else {}),
+            EXAMPLES[topic.message].model_copy(update={"source": "teleop"} if topic.lane == "urgent" else {}),
             lambda: not control.empty(),
         )
         control.get()

@@ -23,12 +23,12 @@ from schemas.compressed_image import CompressedImage
 from schemas.image import Image
 from schemas.rpc import EndRequest, Failure, Nothing, Status
 from schemas.state import State
-from schemas.topics import rpc_key
+from schemas.topics import TOPICS, rpc_key
 from services.kit.bus import Bus, RpcError
 from services.kit.node import Node, ServiceError
 from services.kit.settings import ServiceSettings
 from services.kit.wire import LARGEST_BYTES, MAX_RPC_BYTES, flaw
-from services.kit.zenoh_wire import LEASE_MS, LINK_BYTES, MAX_SESSIONS
+from services.kit.zenoh_settings import ROUTER_THREADS, runtime, zenohd_configuration
 from tests.schemas.messages import EXAMPLES
 from tests.services.conftest import RunNode
 from tests.services.waiting import eventually, introduce, ready, send_as_stranger, status_of
@@ -38,6 +38,8 @@ TELEOP = topics.COMMANDS["teleop"]
 KEY = TELEOP.key("rescuebot")
 COMMAND = Command(robot="rescuebot", episode="e", tick=1, stamp_ns=0, source="teleop", atom="left")
 ENCODING = encoding_of(Command)
+#: Where Eclipse's router listens, in its container.
+OTHERS = "tcp/0.0.0.0:7447"
 
 
 def status(client: Bus) -> Status:
@@ -150,14 +152,34 @@ def test_forged_samples_are_refused_and_their_sender_named(
     eventually(lambda: handled)
     handled.clear()
     with stranger(router_endpoint) as session:
-        for key in ("**", "smal/**", "smal/*/command/teleop", KEY.replace("teleop", "*")):
+        # One after the other: on the way those to everybody have another priority, and replay drops what is overtaken.
+        for count, key in enumerate(("**", "smal/**", "smal/*/command/teleop", KEY.replace("teleop", "*")), start=1):
             session.put(key, encode(COMMAND), encoding=ENCODING)
-        session.delete(KEY)
-        session.delete("**")
+            bad(client, TELEOP.name, count)
+        for count, key in enumerate((KEY, "**"), start=5):
+            session.delete(key)
+            bad(client, TELEOP.name, count)
         name = str(session.info.zid())
-        bad(client, TELEOP.name, 6)
     assert handled == []
     assert f"its key is **, not {KEY}; stamped by {name}" in caplog.text
+
+
+@pytest.mark.zenoh
+@pytest.mark.parametrize("name", [*TOPICS, "anything"])
+def test_nobody_chooses_how_their_messages_travel(router_endpoint: str, name: str) -> None:
+    """Whoever could would make all wait for a slow one, or go before an emergency stop."""
+    key, came = f"smal/rescuebot/{name}", SimpleQueue[zenoh.Sample]()
+    block, first = zenoh.CongestionControl.BLOCK, zenoh.Priority.REAL_TIME
+    with stranger(router_endpoint) as rude, stranger(router_endpoint) as receiver:
+        receiver.declare_subscriber(key, came.put)
+        publisher = rude.declare_publisher(key, congestion_control=block, priority=first, express=True)
+        eventually(lambda: publisher.matching_status.matching)
+        publisher.put(b"")
+        sample = came.get(timeout=10.0)
+    topic = TOPICS.get(name, topics.STATE)
+    assert (sample.congestion_control == block) == topic.reliable
+    assert (sample.priority == first) == (topic.lane == "stop")
+    assert sample.express == (topic.lane != "ordinary")
 
 
 @pytest.mark.zenoh
@@ -268,11 +290,14 @@ def test_a_client_of_a_router_without_bounds_has_its_own(free_endpoint: str) -> 
             bus.close()
 
 
-def test_the_other_router_has_the_same_bounds() -> None:
-    configured = (ROOT / "deploy" / "zenohd.json5").read_text()
-    assert f"rx: {{ max_message_size: {LINK_BYTES} }}" in configured
-    assert f"size_limit: {2 * MAX_RPC_BYTES}" in configured
-    assert f"unicast: {{ max_sessions: {MAX_SESSIONS}, accept_timeout: {LEASE_MS} }}" in configured
+def test_the_other_router_is_told_the_same() -> None:
+    comment, configured = (ROOT / "deploy" / "zenohd.json5").read_text().split("{", 1)
+    assert all(line.startswith("//") for line in comment.splitlines())
+    rows = (
+        f"  {json.dumps(key)}: {json.dumps(value)}" for key, value in zenohd_configuration(OTHERS, "", None).items()
+    )
+    assert "{" + configured == "{\n" + ",\n".join(rows) + "\n}\n", "what differs is to be written there"
+    assert f"ZENOH_RUNTIME: {runtime(ROUTER_THREADS)!r}" in (ROOT / "docker-compose.yml").read_text()
 
 
 def test_what_waits_in_a_node_is_bounded(settings: ServiceSettings) -> None:

@@ -3,20 +3,27 @@
 from __future__ import annotations
 
 import math
+import threading
+import time
 from collections.abc import Iterator
 
 import pytest
 
-from schemas.command import CommandApplied, StopCause
+from schemas.command import Command, CommandApplied, StopCause
 from schemas.episode import Episode
-from schemas.rpc import ResetRequest
+from schemas.rpc import ResetReply, ResetRequest
+from schemas.topics import APPLIED, COMMANDS
+from services.kit.bus import Bus
 from services.kit.node import Node
 from services.kit.settings import ServiceSettings
 from services.operator.hold import KeyHold
-from services.operator.operator import BEAT_S, POLL_S, Operator
+from services.operator.operator import POLL_S, Operator
+from services.robot.body import Beginning
 from services.robot.clock import now_s
+from services.robot.gate import OPERATOR_S
 from tests.services.conftest import RunNode
 from tests.services.robot.wheels import Robot, run_robot
+from tests.services.waiting import eventually, status_of
 
 
 class Notes:
@@ -43,9 +50,13 @@ class Notes:
     def on_silence(self) -> None: ...
 
 
+RUN = ResetRequest(seed=1, purpose="run", driver="policy", mode="realtime")
+DRIVE = RUN.model_copy(update={"purpose": "drive", "driver": "teleop"})
+
+
 @pytest.fixture
-def robot(settings: ServiceSettings, run_node: RunNode) -> Robot:
-    return run_robot(settings, run_node, attended=False)
+def robot(request: pytest.FixtureRequest, settings: ServiceSettings, run_node: RunNode) -> Robot:
+    return run_robot(settings, run_node, attended=getattr(request, "param", False))
 
 
 @pytest.fixture
@@ -54,17 +65,29 @@ def node(robot: Robot, settings: ServiceSettings) -> Iterator[Node]:
         yield node
 
 
-@pytest.mark.parametrize("stopped", [False, True], ids=["taken over", "taken over and stopped"])
-def test_a_driver_begins_anew_where_the_person_says_so_who_has_taken_over(
-    node: Node, robot: Robot, stopped: bool
-) -> None:
-    notes = Notes()
+def misses_nobody(_now_s: float) -> None:
+    """Miss no operator whom a busy machine holds up, where the test is about something else."""
+
+
+@pytest.fixture
+def notes() -> Notes:
+    return Notes()
+
+
+@pytest.fixture
+def operator(node: Node, notes: Notes) -> Operator:
+    """Give an operator who has heard of the robot, and of whom it has heard."""
     operator = Operator(node, KeyHold(now_s), notes)
     node.every(POLL_S, operator.poll)
-    node.every(BEAT_S, operator.beat)
-    run = ResetRequest(seed=1, purpose="run", driver="policy", mode="realtime")
     assert node.spin(lambda: operator.commands.to_release is not None, 10.0)
-    assert operator.begin(run)
+    return operator
+
+
+@pytest.mark.parametrize("stopped", [False, True], ids=["taken over", "taken over and stopped"])
+def test_a_driver_begins_anew_where_the_person_says_so_who_has_taken_over(
+    node: Node, robot: Robot, operator: Operator, notes: Notes, stopped: bool
+) -> None:
+    assert operator.begin(RUN)
     assert node.spin(lambda: operator.mine is not None and operator.commands.applied is not None, 10.0)
     first = operator.mine
     operator.press("forward", math.inf)
@@ -73,9 +96,127 @@ def test_a_driver_begins_anew_where_the_person_says_so_who_has_taken_over(
     if stopped:
         operator.stop_for_emergency()
         assert node.spin(lambda: bool(operator.commands.stop), 10.0)
-    assert operator.begin(run)
+    assert operator.begin(RUN)
     assert node.spin(lambda: operator.mine not in (None, first), 10.0), notes.said
     assert not robot.gate.taken_over
     assert robot.gate.stop_cause is None
     ended = [event for event in notes.events if event.event == "ended"]
     assert [event.episode for event in ended] == [first]
+
+
+def test_a_stop_is_repeated_though_nothing_is_heard_of_the_robot(settings: ServiceSettings, client: Bus) -> None:
+    """Neither its heartbeat nor an answer comes: a stop that was lost must not wait for either."""
+    stops: list[bytes] = []
+    client.subscribe(COMMANDS["emergency_stop"], lambda payload, _encoding, _transit_s: stops.append(payload))
+    with Node("teleop", settings) as node:
+        operator = Operator(node, KeyHold(now_s), Notes())
+        operator.stop_for_emergency()
+        assert node.spin(lambda: len(stops) >= 3, 10.0)
+
+
+@pytest.mark.parametrize("who", ["its person", "a program"])
+def test_after_a_drive_that_was_found_the_policy_is_run(
+    node: Node,
+    robot: Robot,
+    operator: Operator,
+    notes: Notes,
+    client: Bus,
+    monkeypatch: pytest.MonkeyPatch,
+    who: str,
+) -> None:
+    """As the page does by Drive, Found and Run, and `smal run --connect` beside `smal teleop`."""
+    monkeypatch.setattr(robot.gate, "watch", misses_nobody)
+    assert operator.begin(DRIVE)
+    assert node.spin(lambda: operator.mine is not None and operator.commands.applied is not None, 10.0), notes.said
+    drive = operator.mine
+    operator.press("forward", math.inf)
+    assert node.spin(lambda: robot.wheels.driven, 10.0)
+    operator.release()
+    operator.end(found=True)
+    assert node.spin(lambda: operator.mine is None and not operator.asking, 10.0), notes.said
+    if who == "its person":
+        assert operator.begin(RUN)
+    else:
+        client.call("robot", "reset", RUN.model_copy(update={"session": "program"}), ResetReply)
+    assert node.spin(lambda: operator.commands.episode != drive and operator.commands.applied is not None, 10.0)
+    assert (robot.gate.operator, robot.gate.stop_cause, robot.gate.taken_over) == (node.session, None, False)
+
+
+def test_what_goes_wrong_in_here_is_told_in_one_plain_line_and_stands_in_the_log(
+    node: Node, operator: Operator, notes: Notes, caplog: pytest.LogCaptureFixture
+) -> None:
+    def prepare() -> None:
+        raise KeyError("/home/somebody/secret")
+
+    assert operator.begin(RUN, prepare)
+    assert node.spin(lambda: notes.said != [], 10.0)
+    assert notes.said == ["internal error; the log of teleop says more"]
+    assert "KeyError: '/home/somebody/secret'" in caplog.text
+
+
+# -- presence ---------------------------------------------------------------------------------------------------------
+
+attended = pytest.mark.parametrize("robot", [True], indirect=True, ids=["attended"])
+
+
+def there(robot: Robot, node: Node) -> bool:
+    return (robot.gate.operator, robot.gate.stop_cause) == (node.session, None)
+
+
+@attended
+def test_a_robot_whose_pictures_take_long_misses_nobody(
+    node: Node, robot: Robot, operator: Operator, notes: Notes, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It tells of its episode three times a second; an operator who would answer that would be lost each time."""
+    monkeypatch.setattr(robot.wheels, "render", lambda _x: time.sleep(0.3))
+    assert operator.begin(DRIVE)
+    assert node.spin(lambda: operator.commands.applied is not None, 10.0), notes.said
+    since = operator.commands.heard.tick
+
+    def five_frames() -> bool:
+        nonlocal since
+        if not there(robot, node):  # which a busy machine may do once, and such a robot would with every frame
+            since = operator.commands.heard.tick
+            operator.resume()
+        return operator.commands.heard.tick >= since + 5
+
+    assert node.spin(five_frames, 30.0), notes.said
+
+
+@attended
+@pytest.mark.parametrize("stays", [True, False])
+def test_a_robot_that_opens_another_world_misses_who_is_gone_when_it_is_open_and_nobody_else(
+    node: Node,
+    robot: Robot,
+    operator: Operator,
+    client: Bus,
+    run_node: RunNode,
+    settings: ServiceSettings,
+    monkeypatch: pytest.MonkeyPatch,
+    stays: bool,
+) -> None:
+    """It was armed before, and sets out as soon as it can: with a policy that commands, and nobody who looks on."""
+    opening, opened, begin = threading.Event(), threading.Event(), robot.wheels.begin
+
+    def open_world(request: ResetRequest) -> Beginning:
+        opening.set()
+        assert opened.wait(20.0)
+        return begin(request)
+
+    monkeypatch.setattr(robot.wheels, "begin", open_world)
+    policy = Node("policy", settings)
+    policy.subscribe(APPLIED, lambda applied: Command.after(applied, source="policy", atom="forward"))
+    run_node(policy)
+    assert operator.begin(RUN)
+    assert node.spin(opening.is_set, 10.0)
+    node.spin(timeout_s=4 * OPERATOR_S)
+    assert there(robot, node)
+    if not stays:
+        time.sleep(2 * OPERATOR_S)  # dead: it answers no pulse
+    opened.set()
+    if stays:
+        assert node.spin(lambda: robot.wheels.driven, 10.0)
+    else:
+        eventually(lambda: robot.gate.stop_cause == "operator_lost")
+        eventually(lambda: status_of(client, "robot"))
+        assert all(atom == "stop" for _, atom in robot.wheels.told)

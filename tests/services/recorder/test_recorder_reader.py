@@ -243,17 +243,6 @@ def test_a_living_recording_is_refused_and_a_dead_one_read(tmp_path: Path) -> No
     assert len(recording.episodes[0].features) == 5
 
 
-def test_a_part_that_holds_nothing_yet_or_nonsense(tmp_path: Path) -> None:
-    partial = leave(tmp_path, list(episode("e")))
-    part = tmp_path / "e.mcap.partial-2"
-    for begun in (b"", partial.read_bytes()[:5], partial.read_bytes()[:100]):
-        part.write_bytes(begun)
-        assert len(read_recording(partial, FINGERPRINT).episodes[0].features) == 5
-    part.write_bytes(b"holiday pictures")
-    with pytest.raises(RecordingError, match=f"^{partial}: damaged: "):
-        read_recording(partial)
-
-
 def test_other_peoples_topics_are_let_be(tmp_path: Path) -> None:
     path = record(tmp_path, list(episode("e")))
     content = path.read_bytes().replace(b"smal/rescuebot/camera/jpeg", b"else/rescuebot/camera/jpeg")

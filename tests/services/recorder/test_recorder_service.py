@@ -9,7 +9,7 @@ import signal
 import subprocess
 import sys
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 
 import pytest
@@ -23,10 +23,23 @@ from schemas.topics import JPEG, TOPICS
 from services.kit.bus import Bus, Router, RpcError
 from services.kit.node import Node, ServiceError
 from services.kit.settings import ServiceSettings
-from services.recorder.service import GRACE_S, RESUME_S, RecorderService
+from services.recorder.disk import LEAST_BYTES, Disk
+from services.recorder.service import GRACE_S, RecorderService
+from services.recordings.contents import contents_of, verify
 from services.recordings.reader import read_recording
+from services.recordings.repair import repair
 from services.recordings.sink import partial_of
-from tests.services.recordings.recorded_messages import FINGERPRINT, applied, episode, event, frame, header, observation
+from services.robot.clock import TICK_S
+from tests.services.recordings.recorded_messages import (
+    FINGERPRINT,
+    applied,
+    episode,
+    event,
+    frame,
+    header,
+    image,
+    observation,
+)
 from tests.services.recordings.test_recorder_files import FullDisk, leave, read_all, wanted
 from tests.services.waiting import eventually, introduce, ready, send_as_stranger, status_of
 
@@ -197,7 +210,7 @@ def test_a_full_disk_ends_the_file_and_not_the_recorder(
     send(client, sent)
     eventually(lambda: sealed(client, 1))
     detail = ready(client, "recorder").detail
-    assert "cannot finish" in str(detail["last_error"])
+    assert "cannot seal" in str(detail["last_error"])
     assert "No space left on device" in str(detail["last_error"])
     assert partial_of(tmp_path / "full.mcap").exists()
     monkeypatch.undo()
@@ -206,21 +219,21 @@ def test_a_full_disk_ends_the_file_and_not_the_recorder(
     assert len(read_all(tmp_path / "room.mcap")) == len(list(episode("room")))
     written = len(read_all(tmp_path / "full.mcap"))
     assert written > 10
-    # Of the message that did not fit all but its index may stand in the file.
+    # Of the message that did not fit all but its view may stand in the file.
     lost = stop(client).dropped
     assert lost == detail["lost"]
     assert len(sent) <= written + lost <= len(sent) + 1
+
+
+def no_space(*_: object) -> None:
+    raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
 
 def test_a_file_that_could_not_be_finished_is_when_there_is_room(
     recorder: RecorderService, client: Bus, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     send(client, list(episode("full"))[:-1])
-
-    def full(*_: object) -> None:
-        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
-
-    monkeypatch.setattr("services.recordings.sink.Sink.write", full)
+    monkeypatch.setattr("services.recordings.sink.Sink.write", no_space)
     publish(client, list(episode("full"))[-1:])
     eventually(lambda: sealed(client, 1))
     assert partial_of(tmp_path / "full.mcap").exists()
@@ -306,7 +319,7 @@ def test_kill_loses_nothing_that_was_taken(
 def test_a_recorder_that_is_killed_and_started_again_loses_nothing(
     process: subprocess.Popen[str], client: Bus, router_endpoint: str, tmp_path: Path
 ) -> None:
-    """What was sent while there was no recorder is had from the senders, and what it had already is not had twice."""
+    """What was sent while there was no recorder is had from the senders, in a file of its own."""
     introduce(client, "recorder", *introductions())
     before, killed = list(episode("before", frames=3)), list(episode("killed", frames=40))
     publish(client, before)
@@ -317,68 +330,97 @@ def test_a_recorder_that_is_killed_and_started_again_loses_nothing(
     publish(client, killed[50:-1])
     command = [*process.args[:-1], str(tmp_path)]
     with subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as again:
-        eventually(lambda: received(client) > len(killed))
-        during = sorted(path.name for path in tmp_path.iterdir())
+        eventually((tmp_path / "killed-2.mcap.partial").exists)
         publish(client, killed[-1:])
-        eventually((tmp_path / "killed.mcap").exists)
+        eventually((tmp_path / "killed-2.mcap").exists)
         again.send_signal(signal.SIGTERM)
         log = again.stderr.read()
-    assert contents(tmp_path / "killed.mcap") == wanted(killed)
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["before.mcap", "killed-2.mcap", "killed.mcap"]
+    assert f"sealed {tmp_path}/killed.mcap, which was left behind" in log
     assert contents(tmp_path / "before.mcap") == wanted(before)
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["before.mcap", "killed.mcap"]
-    assert f"going on with {tmp_path}/killed.mcap" in log
-    assert "lacks" not in log
-    assert during == ["before.mcap", "killed.mcap.partial", "killed.mcap.partial-2"]
+    assert contents(tmp_path / "killed.mcap") == wanted(killed[:50])
+    repair([tmp_path / "killed.mcap", tmp_path / "killed-2.mcap"], tmp_path / "whole.mcap")
+    assert contents(tmp_path / "whole.mcap") == wanted(killed)
+    assert verify(tmp_path / "whole.mcap").findings == []
 
 
-def test_a_recording_left_behind_whose_episode_does_not_go_on_is_finished(
-    settings: ServiceSettings, run_node: RunNode, client: Bus, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+def test_a_recording_left_behind_is_sealed_and_what_is_still_sent_of_its_episode_is_another_one(
+    settings: ServiceSettings, tmp_path: Path
 ) -> None:
-    monkeypatch.setattr("services.recorder.service.RESUME_S", 0.3)
-    sent = list(episode("left", frames=2))[:-1]
-    leave(tmp_path, sent)
-    node = Node("recorder", settings)
-    RecorderService(node, tmp_path, tmp_path)
-    run_node(node)
-    eventually(lambda: sealed(client, 1))
-    assert contents(tmp_path / "left.mcap") == wanted(sent)
-
-
-def test_what_two_recorders_of_one_episode_left_is_finished_apart(settings: ServiceSettings, tmp_path: Path) -> None:
-    sent = list(episode("e", frames=2))
+    sent, over = list(episode("e", frames=2)), list(episode("over", frames=2))
     leave(tmp_path, sent[:20])
-    leave(tmp_path, sent[:10])
+    leave(tmp_path, over)
+    (tmp_path / "bad.mcap.partial").write_bytes(b"holiday pictures")
     with Node("recorder", settings) as node:
         recorder = RecorderService(node, tmp_path, tmp_path)
-        for message in sent:
+        for message in (*over, *sent):
             recorder.handle(message)
         recorder.close()
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["e-2.mcap", "e.mcap"]
+    names = ["bad.mcap.partial", "e-2.mcap", "e.mcap", "over.mcap"]
+    assert sorted(path.name for path in tmp_path.iterdir()) == names, "of what was over nothing is recorded again"
     assert contents(tmp_path / "e.mcap") == wanted(sent[:20])
     assert contents(tmp_path / "e-2.mcap") == wanted(sent)
+    assert contents(tmp_path / "over.mcap") == wanted(over)
 
 
-def test_what_is_replayed_late_is_waited_for(
-    settings: ServiceSettings, client: Bus, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+class Room:
+    """A disk that fills as time goes by, and a clock."""
+
+    def __init__(self, free: int) -> None:
+        self.now_s, self.free = 0.0, free
+
+    def disk(self) -> Disk:
+        return Disk(lambda: self.now_s, lambda _: self.free)
+
+    def drive(self, recorder: RecorderService, ticks: Iterable[int]) -> None:
+        """Drive, with images of 100 kB; each takes that from the disk."""
+        for tick in ticks:
+            data = image("e", tick).data + bytes(100_000)
+            recorder.handle(image("e", tick).model_copy(update={"data": data}))
+            self.now_s, self.free = self.now_s + TICK_S, self.free - 100_000
+            if tick % 10 == 9:
+                recorder.look_at_disk()
+
+
+def test_who_drives_is_told_in_time_and_a_drive_is_sealed_before_the_disk_is_full(
+    settings: ServiceSettings, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The end is there, and observations up to it; poses in between are still on the way."""
-    sent = list(episode("late", frames=8))
-    late = [m for m in sent if m.topic_name == "pose/truth" and 2 <= m.tick <= 5]
-    leave(tmp_path, sent[:15])
-    now_s = 0.0
+    room = Room(LEAST_BYTES + 700 * 1_000_000)
     with Node("recorder", settings) as node:
-        recorder = RecorderService(node, tmp_path, tmp_path, lambda: now_s)
-        for message in sent:
-            if message not in late:
-                recorder.handle(message)
-        now_s = RESUME_S - 0.5
-        recorder.seal_complete()
-        assert not (tmp_path / "late.mcap").exists()
-        for message in late:
-            recorder.handle(message)
-        now_s += GRACE_S
-        recorder.seal_complete()
-    assert contents(tmp_path / "late.mcap") == wanted(sent)
+        recorder = RecorderService(node, tmp_path, tmp_path, lambda: room.now_s, room.disk())
+        recorder.handle(event("e", 0, "started"))
+        room.drive(recorder, range(100))
+        assert recorder.detail()["disk"] is None, "690 seconds are left"
+        room.free -= 120 * 1_000_000
+        room.drive(recorder, range(100, 200))
+        assert recorder.detail()["disk"] == "the disk has room for 9 minutes more"
+        room.free -= 500 * 1_000_000
+        room.drive(recorder, range(200, 260))
+        assert recorder.detail()["disk"] == "the disk has room for 50 seconds more"
+        room.drive(recorder, range(260, 900))
+        detail = recorder.detail()
+        assert str(detail["disk"]).startswith("the disk is full (")
+        assert str(detail["last_error"]) == f"{detail['disk']}; what was before is sealed"
+        whole = contents_of(tmp_path / "e.mcap")
+        assert (whole.state, whole.damage) == ("sealed", [])
+        assert whole.episodes[0].frames + int(str(detail["lost"])) == 900
+        assert whole.episodes[0].frames > 650
+        room.free = LEAST_BYTES - 1
+        recorder.handle(event("next", 0, "started"))
+        assert str(recorder.detail()["last_error"]).startswith("cannot record episode next: the disk is full")
+        room.free = 2 * LEAST_BYTES
+        recorder.handle(event("last", 0, "started"))
+        recorder.look_at_disk()
+        assert recorder.detail()["disk"] is None
+        with monkeypatch.context() as full:
+            full.setattr("services.recordings.sink.Sink.write", no_space)
+            recorder.handle(image("last", 0))
+        recorder.look_at_disk()
+        assert recorder.detail()["disk"] == "No space left on device: no more is recorded"
+        recorder.stop(Nothing())
+        recorder.close()
+    assert (tmp_path / "last.mcap").exists()
+    assert not (tmp_path / "next.mcap").exists()
 
 
 def test_an_outage_of_the_router_leaves_no_gap(free_endpoint: str, tmp_path: Path) -> None:

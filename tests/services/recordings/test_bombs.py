@@ -6,20 +6,26 @@ import os
 import struct
 import subprocess
 import sys
+import time
+from contextlib import suppress
 from pathlib import Path
 
+import lz4.frame
+import numpy as np
 import pytest
 import zstandard
 from mcap.data_stream import RecordBuilder
 from mcap.opcode import Opcode
-from mcap.records import Channel, Chunk, McapRecord, Message
+from mcap.records import Channel, Chunk, DataEnd, McapRecord, Message
 from mcap.writer import CompressionType, Writer
 
 from schemas.episode import Purpose
 from schemas.topics import key_of
+from services.recordings.contents import contents_of
 from services.recordings.encoding import payload_of
 from services.recordings.reader import RecordingError, read_recording
 from services.recordings.records import MAGIC, MOST_UNPACKED, Allowance
+from services.recordings.replay import tracks_of
 from tests.services.recordings.recorded_messages import FINGERPRINT, applied, episode, event, frame
 
 MIB = 2**20
@@ -27,6 +33,8 @@ ALLOWED = 256 * MIB
 #: What reading may take beside what is allowed: the largest chunk while it is unpacked and checked, and the reader.
 BESIDE = 160 * MIB
 CHUNKS, PADDING = 40, 48 * MIB
+#: What can be packed as well as a fair recording may be, a hundred times.
+FAIR = np.random.default_rng(1).bytes(MIB // 2) * (PADDING // (MIB // 2))
 _KEYS = {"episode": 1, "camera/jpeg": 2, "padding": 3, "pose/truth": 4}
 
 _READ = """
@@ -90,12 +98,11 @@ def reading(*paths: Path) -> tuple[int, list[str]]:
 
 
 def test_chunks_that_an_image_keeps_are_bounded_in_total(tmp_path: Path) -> None:
-    padding = message("padding", 0, bytes(PADDING))
+    padding = message("padding", 0, FAIR)
     bomb = write(
         tmp_path / "bomb.mcap", *(packed(message("camera/jpeg", tick, b"x") + padding) for tick in range(CHUNKS))
     )
-    size = bomb.stat().st_size
-    assert size < MIB
+    assert bomb.stat().st_size < 24 * MIB
     assert CHUNKS * PADDING > 1800 * MIB
     peak, remarks = reading(bomb)
     assert peak < ALLOWED + BESIDE
@@ -130,17 +137,21 @@ def drive(path: Path, name: str, purpose: Purpose = "drive") -> Path:
                 numbers[key] = writer.register_channel(key, "json", schema, metadata)
             writer.add_message(numbers[key], one.stamp_ns, payload_of(one), one.stamp_ns, one.tick)
         number = writer.register_channel("padding", "none", schema, {})
-        writer.add_message(number, 0, bytes(PADDING), 0, 0)
+        writer.add_message(number, 0, FAIR, 0, 0)
         writer.finish()
     return path
 
 
 def test_messages_that_are_small_count_by_what_they_become(tmp_path: Path) -> None:
     """Two hundred thousand true poses, each of 100 bytes in a file, and of 1.2 kB in memory."""
-    pose = '{"robot":"rescuebot","episode":"e","tick":%d,"stamp_ns":1,"x_m":0,"y_m":0,"heading_rad":0}'
-    ticks = range(200_000)
+    pose = '{"robot":"rescuebot","episode":"e","tick":%d,"stamp_ns":%d,"x_m":0,"y_m":0,"heading_rad":0}'
+    ticks, stamps = range(200_000), np.random.default_rng(1).integers(10**9, size=200_000).tolist()
     chunks = [
-        packed(b"".join(message("pose/truth", tick, (pose % tick).encode()) for tick in ticks[at : at + 50_000]))
+        packed(
+            b"".join(
+                message("pose/truth", tick, (pose % (tick, stamps[tick])).encode()) for tick in ticks[at : at + 50_000]
+            )
+        )
         for at in range(0, len(ticks), 50_000)
     ]
     peak, remarks = reading(write(tmp_path / "poses.mcap", *chunks))
@@ -154,13 +165,13 @@ def test_an_index_is_passed_over_and_what_is_taken_apart_is_small(tmp_path: Path
     numbers = bytes(10) * (3 * MIB)
     statistics = struct.pack("<BQ", Opcode.STATISTICS, len(numbers)) + numbers
     beyond = struct.pack("<BQ", Opcode.CHUNK_INDEX, 2**62)
-    path = write(tmp_path / "index.mcap", index, packed(index), statistics, packed(statistics), packed(beyond))
+    path = write(tmp_path / "index.mcap", index, statistics, beyond)
     peak, remarks = reading(path)
     assert peak < BESIDE
     assert remarks == [f"{path}: holds no camera frame"]
     pairs = {str(number): "" for number in range(MIB + MIB // 2)}
     channel = raw(Channel(1, "smal/rescuebot/episode", "json", pairs, 0))
-    path = write(tmp_path / "map.mcap", packed(channel))
+    path = write(tmp_path / "map.mcap", channel)
     peak, remarks = reading(path)
     assert peak < BESIDE
     assert remarks == [f"{path}: damaged: a record of {len(channel) - 9} bytes, at most {16 * MIB} are read"]
@@ -173,6 +184,39 @@ def test_a_chunk_is_not_unpacked_that_says_that_it_is_large(tmp_path: Path) -> N
             read_recording(write(tmp_path / "lie.mcap", lie))
 
 
+NO_RECORDS = [
+    pytest.param(bytes(64 * MIB), r"unpacks to more than 256 times its size|a record of kind 0", id="zeros"),
+    pytest.param(bytes(9) * 4, r"damaged: a record of kind 0 in a chunk$", id="of no kind"),
+    pytest.param(raw(DataEnd(0)) + bytes(20), r"damaged: a record of kind 15 in a chunk$", id="of another place"),
+    pytest.param(raw(Message(9, 0, b"", 0, 0)) * 4000, r"damaged: a record for less than 4 bytes", id="too many"),
+]
+
+
+@pytest.mark.parametrize(("content", "why"), NO_RECORDS)
+@pytest.mark.parametrize("compression", ["zstd", "lz4"])
+def test_what_a_few_bytes_unpack_to_costs_no_time(tmp_path: Path, content: bytes, why: str, compression: str) -> None:
+    """A file of 2 kB once took 13 s of the processor, one of 1 MB took 4 GiB."""
+    pack = zstandard.compress if compression == "zstd" else lz4.frame.compress
+    path = write(tmp_path / "bomb.mcap", raw(Chunk(compression, pack(content), 0, 0, 0, len(content))))
+    began_s = time.process_time()
+    for read in (read_recording, contents_of, tracks_of):
+        with pytest.raises(RecordingError, match=why) if read is read_recording else suppress(RecordingError):
+            read(path)
+    assert time.process_time() - began_s < 3.0
+
+
+def test_the_worst_file_of_a_megabyte_takes_seconds(tmp_path: Path) -> None:
+    """As many of the smallest messages as may be in it, in chunks of those that nobody knows."""
+    times = np.random.default_rng(1).integers(2**40, size=50_000).tolist()
+    chunk = packed(b"".join(raw(Message(9, 0, b"", time_ns, 0)) for time_ns in times))
+    path = write(tmp_path / "worst.mcap", *[chunk] * (MIB // len(chunk)))
+    began_s = time.process_time()
+    with pytest.raises(RecordingError, match="holds no camera frame"):
+        read_recording(path)
+    assert time.process_time() - began_s < 8.0
+    assert path.stat().st_size > MIB // 2
+
+
 def test_what_is_left_out_leaves_room_for_the_next(tmp_path: Path) -> None:
     records = b"".join(
         message(one.topic_name, one.tick, one.model_dump_json().encode())
@@ -180,7 +224,7 @@ def test_what_is_left_out_leaves_room_for_the_next(tmp_path: Path) -> None:
     )  # fmt: skip
     image = message("camera/jpeg", 0, b"x")
     small = write(tmp_path / "small.mcap", packed(records + image))
-    large = write(tmp_path / "large.mcap", packed(image), packed(message("padding", 0, bytes(MIB))))
+    large = write(tmp_path / "large.mcap", packed(image), packed(message("padding", 0, FAIR[:MIB])))
     allowance = Allowance(MIB)
     with pytest.raises(RecordingError, match=r"takes more than .* GiB of memory"):
         read_recording(large, FINGERPRINT, allowance)

@@ -27,12 +27,11 @@ from schemas.state import Place, State
 from schemas.taught_map import TaughtMap
 from schemas.topics import key_of, topic_of
 from services.recordings.reader import read_recording
-from services.recordings.sink import partial_of
+from services.recordings.repair import repair
 from services.recordings.views import view_key
-from services.recordings.writer import EpisodeWriter
 from tests.services.recordings import driven_corridor
 from tests.services.recordings.recorded_messages import MODEL, episode
-from tests.services.recordings.test_recorder_files import die, go_on, record
+from tests.services.recordings.test_recorder_files import leave, record
 
 LAYOUT = Path(__file__).parents[3] / "deploy" / "foxglove.json"
 #: The true pose is that of the wheels, turned by a quarter and 5 m further.
@@ -164,14 +163,10 @@ def test_the_log_tells_what_changes_once(path: Path) -> None:
     ]
 
 
-def test_parts_that_kills_left_are_drawn_as_one_drive(path: Path, tmp_path: Path) -> None:
-    sent = drive()
+def test_what_is_made_of_two_files_is_drawn_as_one_drive(path: Path, tmp_path: Path) -> None:
+    sent, merged = drive(), tmp_path / "merged.mcap"
     (tmp_path / "killed").mkdir()
-    writer = EpisodeWriter.begin(tmp_path / "killed", sent[0])  # type: ignore[arg-type]
-    for message in sent[:12]:
-        writer.write(message)
-    die(writer)
-    merged = go_on(partial_of(writer.path), sent[10:])
+    repair([leave(tmp_path / "killed", sent[:12]), record(tmp_path / "killed", [sent[0], *sent[10:]])], merged)
     drawn, expected = (
         {name: [message.SerializeToString() for message in messages] for name, messages in views_of(one).items()}
         for one in (merged, path)

@@ -82,12 +82,13 @@ def command(
     sequence: int = 0,
     speed: float = 1.0,
     source: Source = "policy",
+    session: str = "",
 ) -> Command:
     """Return an answer to the last frame, or to another one."""
     run = runner.running
     assert run is not None
     header = Message(robot="r", episode=run.id, tick=run.tick if tick is None else tick, stamp_ns=0)
-    return Command.after(header, source=source, sequence=sequence, atom=atom, speed=speed)
+    return Command.after(header, source=source, session=session, sequence=sequence, atom=atom, speed=speed)
 
 
 def answer(runner: Runner, atom: Atom = "forward", **how: Any) -> list[Message]:

@@ -31,7 +31,10 @@ class Body(LineBody):
 def test_no_forged_command_reaches_the_gate(
     settings: ServiceSettings, router_endpoint: str, run_node: RunNode, client: Bus
 ) -> None:
-    """Sent to everybody, deleted, of another encoding, too large: each is counted on each topic that it reaches."""
+    """Sent to everybody, deleted, of another encoding, too large: each is counted on each topic that it reaches.
+
+    But whatever comes on the key of the emergency stop stops the robot: who is there may stop it, by any form.
+    """
     body, gate = Body(now_s), CommandGate(first_stop=7)
     check_stopping(body)
     node = Node("robot", settings)
@@ -53,4 +56,5 @@ def test_no_forged_command_reaches_the_gate(
     status = status_of(client, "robot")
     assert status is not None
     assert status.received == {}
-    assert gate.emergency_stop == latched
+    assert gate.emergency_stop == latched + each[COMMANDS["emergency_stop"].name]
+    assert gate.stop_cause == "emergency_stop"

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import math
 import pickle
+import threading
 from collections.abc import Callable
 from dataclasses import FrozenInstanceError
 from itertools import pairwise
@@ -18,6 +20,7 @@ from schemas.heartbeat import Heartbeat
 from services.robot.gate import LEASE_S, MAX_AGE_S, OPERATOR_S, Applied, CommandGate
 
 STAND = Applied("stop", 0.0, None, "silence")
+THEIRS = "an operator has the robot (at desk), and only they may say so"
 
 
 def command(
@@ -36,16 +39,20 @@ def command(
     return whole.model_copy(update={"speed": speed})
 
 
-def beat(session: str, sequence: int, *, present: bool = True) -> Heartbeat:
-    return Heartbeat(
-        robot="r", episode="e", tick=0, stamp_ns=0, session=session, sequence=sequence, operator=True, present=present
-    )
+def beat(session: str, sequence: int, answers: int | None, *, present: bool = True) -> Heartbeat:
+    header = {"robot": "r", "episode": "e", "tick": 0, "stamp_ns": 0}
+    return Heartbeat(**header, session=session, name="desk", sequence=sequence, answers=answers, present=present)
+
+
+def hear(gate: CommandGate, session: str, sequence: int, now_s: float, *, present: bool = True) -> None:
+    """Have an operator answer a pulse at once."""
+    gate.hear(beat(session, sequence, gate.pulse(now_s), present=present), now_s)
 
 
 def armed(max_age_s: float = MAX_AGE_S, *, attended: bool = False) -> CommandGate:
     gate = CommandGate(max_age_s, attended=attended, first_stop=1)
     if attended:
-        gate.hear(beat("o", 0), 0.0)
+        hear(gate, "o", 0, 0.0)
     assert gate.arm(1, "o" if attended else "") is None
     return gate
 
@@ -132,10 +139,12 @@ def test_a_gate_that_runs_for_long_stays_small(gate: CommandGate) -> None:
 
     for tick in range(10):
         gate.captured(tick, 10.0 + 0.1 * tick)
+        gate.pulse(10.0 + 0.1 * tick)
         gate.offer(command(tick), 10.0 + 0.1 * tick)
     after_a_second = size()
     for tick in range(10, 1000):
         gate.captured(tick, 10.0 + 0.1 * tick)
+        gate.pulse(10.0 + 0.1 * tick)
     gate.offer(command(999), 10.0 + 0.1 * 999)
     assert size() < after_a_second + 100
 
@@ -252,8 +261,8 @@ def test_the_driver_goes_on_only_from_what_the_person_knew(gate: CommandGate) ->
 
 def test_where_no_episode_runs_nobody_has_to_know_the_last_one(gate: CommandGate) -> None:
     gate.offer(command(0, source="teleop"), 10.0)
-    gate.hear(beat("o", 0), 10.0)
-    assert gate.resume(None, 0, "another") == "an operator is there, and only they may say so"
+    hear(gate, "o", 0, 10.0)
+    assert gate.resume(None, 0, "another") == THEIRS
     assert gate.taken_over
     assert gate.resume(None, 0, "o") is None
     assert not gate.taken_over
@@ -384,6 +393,33 @@ def test_a_latched_emergency_stop_is_not_hidden_by_another_stop(gate: CommandGat
     assert gate.stop_cause == other
 
 
+class Interrupted(CommandGate):
+    """A gate of which another thread stops the robot for an emergency, in the middle of its latching another stop."""
+
+    @property
+    def stop_cause(self) -> StopCause | None:
+        found = super().stop_cause
+        if getattr(self, "other", None) is None:
+            self.other = threading.Thread(target=self.stop)
+            self.other.start()
+            self.other.join(0.001)  # it waits, or has done it
+        return found
+
+
+@pytest.mark.parametrize("how", ["stop", "silence", "good bye"])
+def test_an_emergency_stop_of_the_same_instant_is_not_hidden_by_another_stop(how: str) -> None:
+    gate = Interrupted(attended=True, first_stop=1)
+    hear(gate, "o", 0, 10.0)
+    if how == "stop":
+        gate.stop("fault")
+    elif how == "silence":
+        gate.watch(11.0)
+    else:
+        hear(gate, "o", 1, 10.0, present=False)
+    gate.other.join()
+    assert (gate.stop_cause, gate.emergency_stop) == ("emergency_stop", 3)
+
+
 def test_a_robot_that_is_armed_before_its_first_episode_is_taken_over_by_nobody() -> None:
     assert not armed().taken_over
 
@@ -396,11 +432,11 @@ def test_emergency_stop_before_the_first_episode_holds() -> None:
 
 
 def test_an_operator_who_falls_silent_is_missed(gate: CommandGate) -> None:
-    gate.hear(beat("o", 0), 10.0)
+    hear(gate, "o", 0, 10.0)
     assert gate.operator == "o"
     gate.watch(10.25)
     assert gate.emergency_stop == 0
-    gate.hear(beat("o", 1), 10.25)
+    hear(gate, "o", 1, 10.25)
     gate.watch(10.5)
     assert gate.operator == "o"
     gate.watch(10.5001)
@@ -412,82 +448,160 @@ def test_an_operator_who_falls_silent_is_missed(gate: CommandGate) -> None:
 
 @pytest.mark.parametrize("sequence", [0, 1])
 def test_a_sign_of_life_that_comes_twice_or_late_is_none(gate: CommandGate, sequence: int) -> None:
-    gate.hear(beat("o", 1), 10.0)
-    gate.hear(beat("o", sequence), 10.2)
+    hear(gate, "o", 1, 10.0)
+    hear(gate, "o", sequence, 10.2)
     gate.watch(10.1 + OPERATOR_S)
     assert gate.stop_cause == "operator_lost"
 
 
 def test_an_operator_who_says_good_bye_is_not_missed(gate: CommandGate) -> None:
-    gate.hear(beat("o", 0), 10.0)
-    gate.hear(beat("o", 1, present=False), 10.1)
-    assert gate.operator is None
+    hear(gate, "o", 0, 10.0)
+    hear(gate, "o", 1, 10.1, present=False)
+    assert (gate.operator, gate.not_theirs("p")) == (None, None)
     gate.watch(99.0)
     assert gate.emergency_stop == 0
 
 
 @pytest.mark.parametrize("late", [0, 1])
 def test_a_sign_of_life_from_before_the_good_bye_brings_nobody_back(gate: CommandGate, late: int) -> None:
-    gate.hear(beat("o", 0), 10.0)
-    gate.hear(beat("o", 1, present=False), 10.1)
-    gate.hear(beat("o", late), 10.2)
+    hear(gate, "o", 0, 10.0)
+    hear(gate, "o", 1, 10.1, present=False)
+    hear(gate, "o", late, 10.2)
     assert gate.operator is None
     gate.watch(99.0)
     assert gate.emergency_stop == 0
-    gate.hear(beat("o", 2), 99.0)
+    hear(gate, "o", 2, 99.0)
     assert gate.operator == "o"
 
 
 def test_one_who_was_lost_and_is_heard_again_is_the_operator_again(gate: CommandGate) -> None:
-    gate.hear(beat("o", 3), 10.0)
+    hear(gate, "o", 3, 10.0)
     gate.watch(10.0 + 2 * OPERATOR_S)
     assert gate.operator is None
-    gate.hear(beat("o", 3), 11.0)
+    hear(gate, "o", 3, 11.0)
     assert gate.operator is None
-    gate.hear(beat("o", 4), 11.0)
+    hear(gate, "o", 4, 11.0)
     assert gate.operator == "o"
+
+
+def test_an_operator_is_missed_by_the_age_of_what_they_answer(gate: CommandGate) -> None:
+    pulse = gate.pulse(10.0)
+    gate.hear(beat("o", 0, pulse), 10.2)
+    gate.watch(10.25)
+    assert gate.operator == "o"
+    gate.watch(10.2501)
+    assert gate.stop_cause == "operator_lost", "not 0.25 s after their answer was heard"
+
+
+@pytest.mark.parametrize(("heard_s", "there"), [(10.25, True), (10.2501, False), (13.0, False)])
+def test_an_answer_that_took_too_long_is_no_sign_of_life(gate: CommandGate, heard_s: float, there: bool) -> None:
+    pulse = gate.pulse(10.0)
+    gate.pulse(heard_s)
+    gate.hear(beat("o", 0, pulse), heard_s)
+    assert (gate.operator == "o") == there
+    gate.watch(heard_s)
+    assert gate.emergency_stop == 0, "nobody was there whom it could miss"
+
+
+def test_by_a_link_that_grows_slow_an_operator_is_lost_however_steadily_they_answer(gate: CommandGate) -> None:
+    """An answer comes every 0.06 s, and each is of an ever older moment: whoever gave it may be dead by now."""
+    sent_s = [10.0 + 0.05 * k for k in range(300)]
+    pulses, answers = sent_s.copy(), [(at + min(3.0, 0.01 * k), k) for k, at in enumerate(sent_s)]
+    numbers, there_s = [], 0.0
+    while answers:
+        if pulses and pulses[0] <= answers[0][0]:
+            now_s = pulses.pop(0)
+            numbers.append(gate.pulse(now_s))
+        else:
+            now_s, k = answers.pop(0)
+            gate.hear(beat("o", k, numbers[k]), now_s)
+        gate.watch(now_s)
+        if gate.operator is not None:
+            there_s = now_s
+    assert sent_s[20] < there_s <= sent_s[25] + OPERATOR_S, "the 26th answer took 0.26 s"
+    assert gate.stop_cause == "operator_lost"
+
+
+@pytest.mark.parametrize("off", [-1, 1, 7, None])
+def test_what_answers_no_pulse_is_no_sign_of_life(gate: CommandGate, off: int | None) -> None:
+    pulse = gate.pulse(10.0)
+    gate.hear(beat("o", 0, None if off is None else pulse + off), 10.0)
+    assert gate.operator is None
+
+
+def test_no_pulse_from_before_a_restart_is_one_after_it() -> None:
+    numbers = [CommandGate().pulse(0.0) for _ in range(100)]
+    assert len({number // 1000 for number in numbers}) == 100
+    assert all(0 < number < 2**62 for number in numbers)
+
+
+def test_pulses_are_told_apart(gate: CommandGate) -> None:
+    first, second = gate.pulse(10.0), gate.pulse(10.1)
+    assert second == first + 1
+    gate.hear(beat("o", 0, first), 10.1)
+    gate.watch(10.2501)
+    assert gate.stop_cause == "operator_lost", "by the time of the one that was answered"
+
+
+def test_an_answer_to_an_older_pulse_makes_nobody_older(gate: CommandGate) -> None:
+    older, newer = gate.pulse(10.0), gate.pulse(10.2)
+    gate.hear(beat("o", 0, newer), 10.2)
+    gate.hear(beat("o", 1, older), 10.2)
+    gate.watch(10.45)
+    assert gate.operator == "o"
+    gate.watch(10.4501)
+    assert gate.stop_cause == "operator_lost"
+
+
+def test_who_comes_next_is_as_old_as_their_own_answer(gate: CommandGate) -> None:
+    older, newer = gate.pulse(10.0), gate.pulse(10.2)
+    gate.hear(beat("o", 0, newer), 10.2)
+    gate.hear(beat("o", 1, newer, present=False), 10.2)
+    gate.hear(beat("p", 0, older), 10.2)
+    assert gate.operator == "p"
+    gate.watch(10.26)
+    assert gate.stop_cause == "operator_lost"
 
 
 def test_a_good_bye_of_nobody_changes_nothing() -> None:
     gate = CommandGate(attended=True, first_stop=5)
     gate.watch(9.9)
-    gate.hear(beat("o", 0, present=False), 10.0)
+    hear(gate, "o", 0, 10.0, present=False)
     assert (gate.operator, gate.emergency_stop) == (None, 5)
 
 
 @pytest.mark.parametrize("other", ["n", "p"])
 def test_one_operator_at_a_time(gate: CommandGate, other: str) -> None:
-    gate.hear(beat("o", 0), 10.0)
-    gate.hear(beat(other, 7), 10.1)
-    gate.hear(beat(other, 8, present=False), 10.1)
+    hear(gate, "o", 0, 10.0)
+    hear(gate, other, 7, 10.1)
+    hear(gate, other, 8, 10.1, present=False)
     assert gate.operator == "o"
     assert gate.offer(command(0, source="teleop", session=other), 10.0) == "not the operator"
     gate.stop()
-    theirs = "an operator is there, and only they may say so"
-    assert gate.arm(2, other) == gate.arm(7, other) == theirs
+    assert gate.arm(2, other) == gate.arm(7, other) == THEIRS
     assert gate.emergency_stop == 2
     assert gate.arm(2, "o") is None
-    assert gate.resume("e", 0, other) == theirs
+    assert gate.resume("e", 0, other) == THEIRS
     assert gate.taken_over
     assert gate.resume("e", 0, "o") is None
     assert gate.offer(command(0, source="teleop", session="o"), 10.0) is None
-    gate.hear(beat("o", 1, present=False), 10.1)
-    gate.hear(beat(other, 9), 10.2)
+    hear(gate, "o", 1, 10.1, present=False)
+    hear(gate, other, 9, 10.2)
     assert gate.operator == other
 
 
 def test_an_attended_robot_moves_only_while_an_operator_is_there() -> None:
     gate = CommandGate(attended=True, first_stop=1)
-    assert gate.arm(1, "o") == "no operator is heard; this robot moves only while one is"
-    gate.hear(beat("o", 0), 10.0)
-    assert gate.arm(1, "x") == "an operator is there, and only they may say so"
+    assert gate.arm(1, "o") == "no operator answers in time; this robot moves only while one does"
+    hear(gate, "o", 0, 10.0)
+    assert gate.arm(1, "x") == THEIRS
     assert gate.arm(1, "o") is None
     gate.begin("e", "policy")
     gate.captured(0, 10.0)
     gate.offer(command(0), 10.0)
-    gate.hear(beat("o", 1), 10.05)
+    hear(gate, "o", 1, 10.05)
     assert gate.applied(10.0).atom == "forward"
-    gate.hear(beat("o", 2, present=False), 10.1)
+    hear(gate, "o", 2, 10.1, present=False)
     assert (gate.emergency_stop, gate.stop_cause) == (2, "operator_lost")
 
 
@@ -570,7 +684,8 @@ class GateMachine(RuleBasedStateMachine):
         self.stop = self.gate.emergency_stop
         self.emergency = False
         self.operator: str | None = None
-        self.heard_s = 0.0
+        self.answered_s = -math.inf
+        self.pulses = [(7, -math.inf)]
         self.beats = getattr(self, "beats", 0)
         self.last_beat = ("none", -1)
         self.forget("none", "policy")
@@ -588,7 +703,7 @@ class GateMachine(RuleBasedStateMachine):
     def wait(self, step: float) -> None:
         self.now += step
         self.gate.watch(self.now)
-        if self.operator is not None and self.now - self.heard_s > OPERATOR_S:
+        if self.operator is not None and self.now - self.answered_s > OPERATOR_S:
             self.operator = None
             self.latched("operator_lost")
 
@@ -604,14 +719,27 @@ class GateMachine(RuleBasedStateMachine):
         self.captured[self.tick] = self.now
         self.gate.captured(self.tick, self.now)
 
-    @rule(session=SESSIONS, present=st.sampled_from([True, True, True, False]), again=st.booleans())
-    def hear(self, session: str, present: bool, again: bool) -> None:
+    @rule()
+    def pulse(self) -> None:
+        self.pulses.append((self.gate.pulse(self.now), self.now))
+
+    @rule(
+        session=SESSIONS,
+        present=st.sampled_from([True, True, True, False]),
+        again=st.booleans(),
+        back=st.sampled_from([0, 0, 1, 2, 9]),
+    )
+    def hear(self, session: str, present: bool, again: bool, back: int) -> None:
         self.beats += not again
-        self.gate.hear(beat(session, self.beats, present=present), self.now)
+        number, sent_s = self.pulses[max(-1 - back, -len(self.pulses))]
+        self.gate.hear(beat(session, self.beats, number, present=present), self.now)
+        if self.now - sent_s > OPERATOR_S:
+            return  # it tells of long ago
         if self.last_beat == (session, self.beats) or self.operator not in (None, session):
             return  # it was heard before, or somebody else is there
         left = self.operator is not None and not present
-        self.operator, self.heard_s = session if present else None, self.now
+        known_s = self.answered_s if self.last_beat[0] == session else -math.inf
+        self.operator, self.answered_s = session if present else None, max(known_s, sent_s)
         self.last_beat = session, self.beats
         if left and self.attended:
             self.latched("operator_lost")

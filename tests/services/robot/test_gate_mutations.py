@@ -32,6 +32,8 @@ EQUIVALENT: Final = {
     "CommandGate.arm: return None -> pass": _NONE,
     "CommandGate.__init__: 48 -> 49": _BY_CHANCE,
     "CommandGate.__init__: 48 -> 47": _BY_CHANCE,
+    "CommandGate.__init__: 48 -> 49 (2)": _BY_CHANCE,
+    "CommandGate.__init__: 48 -> 47 (2)": _BY_CHANCE,
     "CommandGate.__init__: 1 -> 2": _BY_CHANCE,
     "CommandGate.__init__: 1 -> 0": _BY_CHANCE,
     "CommandGate.__init__: 0 -> -1": "neither is the number of a stop",
@@ -39,6 +41,7 @@ EQUIVALENT: Final = {
         "only the last stop is ever released"
     ),
     "CommandGate.arm: self._episode != '' -> self._episode > ''": "every name comes after the empty one",
+    "CommandGate.hear: max(answered_s, last.answered_s) -> max(last.answered_s, answered_s)": "the larger of the two",
     "CommandGate.not_theirs: return None -> pass": _NONE,
     "CommandGate._check_sender: return None -> pass": _NONE,
     "CommandGate._check_sender: command.source == 'teleop' -> command.source >= 'teleop'": (

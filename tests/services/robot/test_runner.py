@@ -40,8 +40,9 @@ from tests.services.robot.line import Clock, LineBody, LineView
 
 
 def beat(runner: Runner, session: str, sequence: int = 0, *, operator: bool = False, present: bool = True) -> None:
-    header = {"robot": "r", "episode": "e", "tick": 0, "stamp_ns": 0}
-    runner.hear(Heartbeat(**header, session=session, sequence=sequence, operator=operator, present=present))
+    header = {"robot": "r", "episode": "e", "tick": 0, "stamp_ns": 0, "session": session, "name": "desk"}
+    answers = runner.pulse().number if operator else None
+    runner.hear(Heartbeat(**header, sequence=sequence, answers=answers, present=present))
 
 
 def applied(messages: list[Message]) -> list[CommandApplied]:
@@ -359,6 +360,81 @@ def test_a_person_who_has_taken_over_begins_an_episode_whosever_runs() -> None:
     assert runner.running.request.session == "o"
 
 
+HELD = r"an operator has the robot \(at desk\), and only they may say so"
+
+
+def taken_over() -> Runner:
+    """Return a runner of client a's run, from which operator o has taken over."""
+    runner, _ = begin(LineBody(Clock()), session="a", mode="realtime")
+    beat(runner, "o", operator=True)
+    answer(runner, "stop", source="teleop", session="o")
+    assert runner.gate.taken_over
+    return runner
+
+
+def test_nobody_else_begins_an_episode_while_the_operator_is_there_who_has_taken_over() -> None:
+    """An episode that a person drives would make their takeover forgotten, and the next one could be the policy's."""
+    runner = taken_over()
+    run = runner.running
+    for session in ("a", "b", ""):
+        for driver in ("teleop", "policy", "expert"):
+            with pytest.raises(ServiceError, match=HELD):
+                reset(runner, session=session, driver=driver)
+    assert (runner.running, runner.gate.taken_over) == (run, True)
+
+
+def test_the_end_of_its_episode_does_not_undo_a_takeover() -> None:
+    runner = taken_over()
+    assert runner.running is not None
+    with pytest.raises(ServiceError, match=HELD):
+        runner.end_by(EndRequest(episode=runner.running.id, session="b"))
+    runner.end_by(EndRequest(episode=runner.running.id, session="a"))
+    with pytest.raises(ServiceError, match=HELD):
+        reset(runner, session="a", driver="teleop")
+    with pytest.raises(ServiceError, match=HELD):
+        reset(runner, session="a")
+    runner.resume(ResumeRequest(episode="none", tick=0, session="o"))
+    reset(runner, session="a")
+
+
+@pytest.mark.parametrize("how", ["leaves", "is lost"])
+def test_who_has_taken_over_and_is_gone_holds_the_robot_no_longer(how: str) -> None:
+    runner = taken_over()
+    if how == "leaves":
+        beat(runner, "o", 1, operator=True, present=False)
+    else:
+        runner.gate.watch(1000.0)
+        runner.arm(ArmRequest(stop=runner.gate.emergency_stop))
+    with pytest.raises(ServiceError, match="a person has taken over; resume"):
+        reset(runner, session="a")
+    reset(runner, session="b", driver="teleop")
+
+
+def test_nobody_ends_what_an_operator_drives_to_begin_something_else() -> None:
+    runner, _ = begin(LineBody(Clock()), session="o", driver="teleop", mode="realtime")
+    beat(runner, "o", operator=True)
+    run = runner.running
+    assert run is not None
+    with pytest.raises(ServiceError, match=HELD):
+        runner.end_by(EndRequest(episode=run.id, session="b"))
+    with pytest.raises(ServiceError, match=HELD):
+        reset(runner, session="b", driver="teleop")
+    with pytest.raises(ServiceError, match="is another client's"):
+        reset(runner, session="b")
+    runner.end_by(EndRequest(episode=run.id, session="o", found=True))
+    reset(runner, session="b")
+    assert runner.running is not None, "an operator who looks on holds up no program"
+    assert runner.running.request.session == "b"
+
+
+def test_only_the_operator_who_is_there_begins_what_a_person_drives() -> None:
+    runner = runner_of(LineBody(Clock()))
+    beat(runner, "o", operator=True)
+    with pytest.raises(ServiceError, match=HELD):
+        reset(runner, session="b", driver="teleop")
+    reset(runner, session="o", driver="teleop")
+
+
 def test_an_operator_who_is_lost_stops_the_robot_in_every_mode() -> None:
     for mode in ("lockstep", "realtime"):
         clock = Clock()
@@ -389,7 +465,7 @@ def test_what_the_operator_says_was_found_was_found() -> None:
     run = runner.running
     assert run is not None
     beat(runner, "o", operator=True)
-    with pytest.raises(ServiceError, match="an operator is there, and only they may say so"):
+    with pytest.raises(ServiceError, match=r"an operator has the robot \(at desk\), and only they may say so"):
         runner.end_by(EndRequest(episode=run.id, found=True, session="x"))
     with pytest.raises(ServiceError, match="episode other is not running"):
         runner.end_by(EndRequest(episode="other", found=True, session="o"))
@@ -413,6 +489,16 @@ def test_a_robot_without_a_task_goes_on_past_every_goal() -> None:
     runner: Runner = EpisodeRunner(body, OperatorsTask(), gate, "r", "s", paces=runner_of(body, gate)._paces)
     reset(runner, max_ticks=5)
     assert [e for _ in range(5) for e in events(answer(runner))] == [("timed_out", None), ("ended", "timeout")]
+
+
+def test_a_drive_of_a_person_has_no_time_limit() -> None:
+    """The default ended it after five minutes, as a drive that teaches nothing."""
+    runner = runner_of(LineBody(Clock(), goal=1e9))
+    reset(runner, max_ticks=None)
+    for _ in range(3100):
+        assert not events(answer(runner))
+    assert runner.running is not None
+    assert runner.running.tick == 3100
 
 
 class Real(LineBody):

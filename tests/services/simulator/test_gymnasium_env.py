@@ -56,13 +56,6 @@ def test_the_same_seed_gives_the_same_episode() -> None:
     check_environments_match(blind(), blind(), num_steps=50, seed=3)
 
 
-def test_without_a_seed_chance_goes_on_from_the_last_one() -> None:
-    env, again = blind(), blind()
-    starts = [[e.reset(seed=5)[1]["pose"], e.reset()[1]["pose"], e.reset()[1]["pose"]] for e in (env, again)]
-    np.testing.assert_array_equal(starts[0], starts[1])
-    assert len({tuple(pose) for pose in starts[0]}) == 3
-
-
 def test_a_wall_ends_the_episode_with_a_penalty() -> None:
     env = blind()
     env.reset(seed=0)

@@ -24,6 +24,8 @@ from services.simulator.lockstep import GIVE_UP_S, RESEND_S
 from tests.services.robot.driving import answer, armed, begin, command, events, reset, runner_of
 from tests.services.robot.line import Clock, LineBody
 
+Event = tuple[str, str | None]
+
 
 def test_it_waits_for_each_answer_and_moves_exactly_one_tick() -> None:
     clock = Clock()
@@ -82,24 +84,6 @@ def test_a_driver_that_was_started_again_is_heard_when_the_frame_is_sent_again()
     assert said.atom == "left"
 
 
-@pytest.mark.parametrize("listened", [False, True])
-def test_costly_pictures_are_made_only_while_somebody_listens(listened: bool) -> None:
-    clock, wanted = Clock(), set[Topic]()
-    body = LineBody(clock, wanted=wanted.__contains__)
-    runner, _ = begin(body)
-    assert not [m for m in answer(runner) if isinstance(m, DepthImage)]
-    if listened:
-        wanted.add(DEPTH)
-    messages = answer(runner)
-    assert [m.tick for m in messages if isinstance(m, DepthImage)] == [2] * listened
-    assert [type(m) for m in messages][-2:] == [Image, CompressedImage], "what is answered comes last"
-    clock.now_s += RESEND_S + 0.1
-    assert [m for m in messages if isinstance(m, Pose | DepthImage | Image)] == list(runner.poll())
-    wanted.clear()
-    answer(runner)
-    assert body.made[DEPTH] == listened, "a frame that is sent again is not made again"
-
-
 def test_who_comes_after_the_frame_was_made_gets_its_picture_when_it_is_sent_again() -> None:
     """Otherwise a features service that needs depth could never answer the first frame, and lockstep would stand."""
     clock, wanted = Clock(), set[Topic]()
@@ -114,65 +98,38 @@ def test_who_comes_after_the_frame_was_made_gets_its_picture_when_it_is_sent_aga
     assert isinstance(image, Image)
 
 
-def test_a_run_ends_when_the_goal_is_reached() -> None:
-    runner, _ = begin(LineBody(Clock(), goal=0.3))
-    assert events(answer(runner)) == []
-    assert events(answer(runner)) == [("victim_found", None), ("ended", "found")]
-    assert runner.running is None
-
-
-def test_a_demonstration_goes_on_after_the_goal_is_reached_until_it_is_ended() -> None:
-    runner, _ = begin(LineBody(Clock(), goal=0.3), purpose="drive")
-    answer(runner)
-    assert events(answer(runner)) == [("victim_found", None)]
-    assert events(answer(runner)) == []
-    assert events(runner.end()) == [("ended", "found")]
-
-
-def test_a_demonstration_that_passes_the_goal_and_goes_on_has_not_reached_it() -> None:
-    runner, _ = begin(LineBody(Clock(), goal=0.3, sight=0.2), purpose="drive")
-    answer(runner)
-    assert events(answer(runner)) == [("victim_found", None)]
-    assert events(answer(runner)) == []
-    assert events(runner.end()) == [("ended", "aborted")]
-
-
-def test_a_demonstration_that_comes_back_to_the_goal_has_reached_it_there() -> None:
-    runner, _ = begin(LineBody(Clock(), goal=0.3, sight=0.2), purpose="drive")
-    for atom in ("forward", "forward", "forward", "backward"):
-        messages = answer(runner, atom)  # type: ignore[arg-type]
-        assert events(messages) in ([], [("victim_found", None)])
-    (ended,) = runner.end()
-    assert isinstance(ended, Episode)
-    assert (ended.outcome, ended.tick) == ("found", 4)
+FOUND: Event = ("victim_found", None)
+ENDED = {name: ("ended", name) for name in ("found", "aborted", "collision", "timeout")}
 
 
 @pytest.mark.parametrize(
-    ("sight", "expected"), [(1.0, [("ended", "found")]), (0.2, [("timed_out", None), ("ended", "timeout")])]
-)
-@pytest.mark.parametrize("purpose", ["drive", "recovery"])
-def test_the_last_frame_allowed_is_a_goal_if_it_shows_it(
-    sight: float, expected: list[tuple[str, str | None]], purpose: str
-) -> None:
-    runner, _ = begin(LineBody(Clock(), goal=0.3, sight=sight), purpose=purpose, max_ticks=3)
-    answer(runner)
-    answer(runner)
-    assert events(answer(runner)) == expected
-
-
-@pytest.mark.parametrize(
-    ("wall", "goal", "request_", "expected"),
+    ("line", "asked", "atoms", "told"),
     [
-        (0.1, 1e9, {}, [("collision", None), ("ended", "collision")]),
-        (0.1, 0.1, {}, [("victim_found", None), ("collision", None), ("ended", "collision")]),
-        (1e9, 1e9, {"max_ticks": 1}, [("timed_out", None), ("ended", "timeout")]),
+        ({"goal": 0.3}, {}, 2, [FOUND, ENDED["found"]]),
+        # A demonstration goes on after the goal is reached; it has reached it where it ends there, or came back.
+        ({"goal": 0.3}, {"purpose": "drive"}, 3, [FOUND, ENDED["found"]]),
+        ({"goal": 0.3, "sight": 0.2}, {"purpose": "drive"}, 3, [FOUND, ENDED["aborted"]]),
+        ({"goal": 0.3, "sight": 0.2}, {"purpose": "drive"}, -1, [FOUND, ENDED["found"]]),
+        # The last frame allowed is a goal if it shows it.
+        ({"goal": 0.3}, {"purpose": "drive", "max_ticks": 3}, 3, [FOUND, ENDED["found"]]),
+        ({"goal": 0.3}, {"purpose": "recovery", "max_ticks": 3}, 3, [FOUND, ENDED["found"]]),
+        ({"goal": 0.3, "sight": 0.2}, {"purpose": "drive", "max_ticks": 3}, 3,
+         [FOUND, ("timed_out", None), ENDED["timeout"]]),
+        ({"wall": 0.1}, {}, 1, [("collision", None), ENDED["collision"]]),
+        ({"wall": 0.1, "goal": 0.1}, {}, 1, [FOUND, ("collision", None), ENDED["collision"]]),
+        ({}, {"max_ticks": 1}, 1, [("timed_out", None), ENDED["timeout"]]),
     ],
-)
-def test_other_ends(
-    wall: float, goal: float, request_: dict[str, object], expected: list[tuple[str, str | None]]
-) -> None:
-    runner, _ = begin(LineBody(Clock(), wall=wall, goal=goal), **request_)
-    assert events(answer(runner)) == expected
+)  # fmt: skip
+def test_how_an_episode_ends(line: dict[str, float], asked: dict[str, object], atoms: int, told: list[Event]) -> None:
+    """After so many steps forward, or three and one back; then a demonstration is ended."""
+    runner, _ = begin(LineBody(Clock(), **line), **asked)
+    said: list[Event] = []
+    for atom in ["forward"] * 3 + ["backward"] if atoms < 0 else ["forward"] * atoms:
+        assert runner.running is not None
+        said += events(answer(runner, atom))  # type: ignore[arg-type]
+    if runner.running is not None:
+        said += events(runner.end())
+    assert said == told
 
 
 def test_a_reset_ends_the_running_episode_first() -> None:
@@ -180,12 +137,6 @@ def test_a_reset_ends_the_running_episode_first() -> None:
     messages = reset(runner, seed=2)
     assert events(messages) == [("ended", "aborted"), ("started", None)]
     assert messages[0].episode != messages[1].episode
-
-
-def test_it_says_once_a_tick_what_moves_the_robot() -> None:
-    runner, _ = begin(LineBody(Clock()))
-    said = [m for _ in range(3) for m in answer(runner) if isinstance(m, CommandApplied)]
-    assert [(m.tick, m.sequence, m.answered_tick) for m in said] == [(0, 0, 0), (1, 0, 1), (2, 0, 2)]
 
 
 def test_a_latched_robot_stands_and_renders_nothing_for_those_who_go_on_commanding() -> None:
@@ -217,44 +168,34 @@ def test_a_stop_that_comes_while_a_step_is_told_of_ends_that_step() -> None:
 
 
 class Broken(LineBody):
-    """A body whose picture fails once, at a place."""
+    """A body whose picture fails once at a place, or which cannot be moved."""
 
     fails_at: float | None = None
+    wheels = True
 
     def render(self, x: float) -> None:
         if self.fails_at is not None and abs(x - self.fails_at) < 0.01:
             self.fails_at = None
             raise RuntimeError("no picture")
 
+    def advance(self, atom: Atom, speed: float, duration_s: float) -> None:
+        if not self.wheels:
+            raise RuntimeError("no wheels")
+        super().advance(atom, speed, duration_s)
 
-def test_an_episode_whose_next_frame_cannot_be_made_ends() -> None:
+
+@pytest.mark.parametrize("broken", ["picture", "wheels"])
+def test_an_episode_whose_step_or_next_frame_cannot_be_made_ends(broken: str) -> None:
     body = Broken(Clock())
-    body.fails_at = 0.4
     runner, _ = begin(body)
     answer(runner)
+    body.fails_at, body.wheels = (0.4, True) if broken == "picture" else (None, False)
     runner.offer(command(runner))
     sent: list[Message] = []
-    with pytest.raises(RuntimeError, match="no picture"):
+    with pytest.raises(RuntimeError, match=f"no {broken}"):
         sent.extend(runner.poll())
     assert events(sent) == [("ended", "aborted")]
     assert runner.running is None
-    assert not list(runner.poll())
-
-
-class Stuck(LineBody):
-    """A body that cannot be moved."""
-
-    def advance(self, atom: Atom, speed: float, duration_s: float) -> None:
-        raise RuntimeError("no wheels")
-
-
-def test_an_episode_whose_step_cannot_be_made_ends() -> None:
-    runner, _ = begin(Stuck(Clock()))
-    runner.offer(command(runner))
-    sent: list[Message] = []
-    with pytest.raises(RuntimeError, match="no wheels"):
-        sent.extend(runner.poll())
-    assert events(sent) == [("ended", "aborted")]
     assert not list(runner.poll())
 
 

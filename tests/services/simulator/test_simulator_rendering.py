@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import math
+from functools import cache
 
+import cv2
 import numpy as np
 import pytest
+import shapely
 
 from services.simulator.scene.rendering import ROBOT, SceneCamera
 from services.simulator.sensors.camera import CameraSettings
@@ -17,67 +20,66 @@ from tests.services.simulator.simulator_driving import drive_to
 
 pytestmark = pytest.mark.rendering
 
-YARD = load_world("yard")
-SMALL = CameraSettings(160, 120)
+YARD, INDOOR = (load_world(name) for name in ("yard", "indoor"))
+both = pytest.mark.parametrize("name", ["yard", "indoor"])
 
 
-@pytest.fixture(scope="module")
-def camera() -> SceneCamera:
-    return SceneCamera(YARD, SMALL)
+@cache
+def camera_in(name: str) -> SceneCamera:
+    return SceneCamera(load_world(name), CameraSettings(160, 120))
 
 
-def facing_the_victim(away_m: float) -> Pose:
-    """Return a pose on the last leg of the route, looking at the victim."""
-    corner, victim = plan_route(YARD, (YARD.start.x, YARD.start.y))[-2:]
-    direction = math.atan2(*(victim - corner)[::-1])
-    return Pose(victim[0] - away_m * math.cos(direction), victim[1] - away_m * math.sin(direction), direction)
+def facing_the_victim(name: str, away_m: float) -> Pose:
+    """Return a pose that looks at the victim, on the last leg of the route or, indoors, before its face."""
+    victim = load_world(name).victim
+    corner = plan_route(YARD, (YARD.start.x, YARD.start.y))[-2]
+    looks = victim.heading + math.pi if name == "indoor" else math.atan2(victim.y - corner[1], victim.x - corner[0])
+    return Pose(victim.x - away_m * math.cos(looks), victim.y - away_m * math.sin(looks), looks)
 
 
-def test_an_image_has_the_size_asked_for_and_something_in_it(camera: SceneCamera) -> None:
-    image = camera.render(YARD.start)
-    assert (image.shape, image.dtype) == ((120, 160, 3), np.uint8)
-    sky, ground = image[:20].reshape(-1, 3).mean(axis=0), image[-20:].reshape(-1, 3).mean(axis=0)
-    assert image.std() > 25
-    assert not np.allclose(sky, ground, atol=20)
-    assert image.min(axis=2).max() < 255, "nothing is burnt out"
+@both
+def test_an_image_has_the_size_asked_for_and_something_in_it_and_repeats_to_the_bit(name: str) -> None:
+    """In another order as well, so that nothing is left over from the frame before; indoors nothing is black."""
+    camera, other, start = (
+        camera_in(name),
+        SceneCamera(load_world(name), CameraSettings(160, 120)),
+        load_world(name).start,
+    )
+    poses = [start, facing_the_victim(name, 0.8), *(Pose(start.x, start.y, turn) for turn in (-3.0, -1.5, 0.0, 1.5))]
+    for pose in (*poses, *reversed(poses)):
+        image = camera.render(pose)
+        assert (image.shape, image.dtype) == ((120, 160, 3), np.uint8)
+        assert image.std() > 5
+        assert name == "yard" or image.max(axis=2).min() > 8
+        assert not (camera._labels(pose) == ROBOT).any(), "the robot does not see itself"
+        np.testing.assert_array_equal(image, other.render(pose))
 
 
-def test_a_second_camera_sees_the_same_to_the_bit(camera: SceneCamera) -> None:
-    other = SceneCamera(load_world("yard"), SMALL)
-    poses = [YARD.start, facing_the_victim(4.0), Pose(YARD.start.x, YARD.start.y + 3, 2.0)]
-    for pose in poses:
-        np.testing.assert_array_equal(camera.render(pose), other.render(pose))
-    # And in another order, so that nothing is left over from the frame before.
-    for pose in reversed(poses):
-        np.testing.assert_array_equal(camera.render(pose), other.render(pose))
-
-
-def test_the_victim_is_seen_near_and_facing_and_not_otherwise(camera: SceneCamera) -> None:
-    near = facing_the_victim(4.5)
-    assert camera.victim_pixels(near) > 0.002
-    assert camera.victim_pixels(facing_the_victim(3.0)) > camera.victim_pixels(near)
+@pytest.mark.parametrize(
+    ("name", "near_m", "nearer_m", "share"), [("yard", 4.5, 3.0, 0.002), ("indoor", 1.2, 0.8, 0.02)]
+)
+def test_the_victim_is_seen_near_and_facing_and_from_no_start(
+    name: str, near_m: float, nearer_m: float, share: float
+) -> None:
+    camera, near = camera_in(name), facing_the_victim(name, near_m)
+    assert camera.victim_pixels(near) > share
+    assert camera.victim_pixels(facing_the_victim(name, nearer_m)) > camera.victim_pixels(near)
     assert camera.victim_pixels(Pose(near.x, near.y, near.heading + math.pi)) == 0
-
-
-def test_no_start_sees_the_victim(camera: SceneCamera) -> None:
-    simulation = Simulation(YARD, camera)
+    simulation = Simulation(load_world(name), camera)
     for seed in range(10):
-        assert camera.victim_pixels(simulation.reset(seed, "run")) == 0
+        start = simulation.reset(seed, "run")
+        for turn in (0.0, *(np.linspace(1.0, 6.0, 5) if name == "indoor" else ())):
+            assert camera.victim_pixels(Pose(start.x, start.y, start.heading + float(turn))) == 0
 
 
-def test_the_simulation_finds_the_victim_by_its_own_eyes(camera: SceneCamera) -> None:
-    simulation = Simulation(YARD, camera)
+def test_the_simulation_finds_the_victim_by_its_own_eyes() -> None:
+    simulation = Simulation(YARD, camera_in("yard"))
     simulation.reset(0, "run")
     assert not simulation.look().victim_found
     for x, y in simulation.route()[1:]:
         drive_to(simulation, x, y, lambda: simulation.look().victim_found)
     assert simulation.look().victim_found
     assert not simulation.collided
-
-
-def test_the_robot_does_not_see_itself(camera: SceneCamera) -> None:
-    for heading in np.linspace(-3, 3, 7):
-        assert not (camera._labels(Pose(YARD.start.x, YARD.start.y, float(heading))) == ROBOT).any()
 
 
 def test_supersampling_comes_closer_to_the_true_image() -> None:
@@ -89,9 +91,23 @@ def test_supersampling_comes_closer_to_the_true_image() -> None:
     assert np.abs(better - best).mean() < 0.75 * np.abs(plain - best).mean()
 
 
-def test_shadows_darken_the_ground_only() -> None:
-    pose = YARD.start
-    with_shade, without = (SceneCamera(YARD, CameraSettings(160, 120, shadows=on)).render(pose) for on in (True, False))
-    difference = without.astype(int) - with_shade.astype(int)
-    assert difference[70:].mean() > 1
-    np.testing.assert_array_equal(with_shade[:40], without[:40])
+@pytest.mark.parametrize("heading", [0.0, 0.7, 2.0, -2.5])
+def test_the_marker_is_found_from_above_with_its_number_place_and_direction(heading: float) -> None:
+    mount, tag = INDOOR.place.overhead, INDOOR.robot.tag
+    assert mount is not None
+    assert tag is not None
+    camera = camera_in("indoor")
+    route = shapely.LineString(plan_route(INDOOR, (INDOOR.start.x, INDOOR.start.y)))
+    detector = cv2.aruco.ArucoDetector(cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_4X4_50))
+    for fraction in (0.0, 0.3, 0.55, 0.8, 0.95):
+        place = route.interpolate(fraction, normalized=True)
+        pose = Pose(place.x, place.y, heading)
+        corners, numbers, _ = detector.detectMarkers(cv2.cvtColor(camera.overhead(pose), cv2.COLOR_RGB2GRAY))
+        assert numbers is not None, f"not found at {pose}"
+        assert numbers.ravel().tolist() == [tag.number]
+        # A pinhole at (x, y, height) that looks down, its image's up to the north: columns east, rows south.
+        metres = (corners[0][0] + 0.5 - (mount.width / 2, mount.height / 2)) * (mount.height_m - tag.height_m)
+        places = metres / mount.focal_px * (1, -1) + (mount.x, mount.y)
+        np.testing.assert_allclose(places.mean(axis=0), (pose.x, pose.y), atol=0.03)
+        front = places[:2].mean(axis=0) - places[2:].mean(axis=0)
+        assert abs(math.remainder(math.atan2(front[1], front[0]) - heading, math.tau)) < math.radians(6)

@@ -58,14 +58,6 @@ def test_from_anywhere_the_way_is_free_or_missing_but_never_through_a_wall(x: fl
         assert not shapely.LineString(route).intersects(SOLID["campus"])
 
 
-def test_a_start_on_the_road_follows_the_road() -> None:
-    world = WORLDS["campus"]
-    route = plan_route(world, (world.start.x, world.start.y))
-    roads = shapely.union_all([road.line.buffer(0.1) for road in world.place.roads])
-    on_road = shapely.LineString(route[:-1])
-    assert on_road.within(roads)
-
-
 def test_the_route_is_the_shorter_way_round() -> None:
     world = WORLDS["campus"]
     east = plan_route(world, (40.0, 20.0))

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from services.simulator.robots import TURTLEBOT
 from services.simulator.sensors.blur import blur
-from services.simulator.sensors.shake import LEVEL, STILL, Shake, ShakeSettings, Tilt, TiltRate
+from services.simulator.sensors.shake import LEVEL, STILL, Shake, ShakeSettings, TiltRate
 from services.simulator.sensors.step import Step
 from services.simulator.world.place import Pose
 
@@ -58,46 +58,6 @@ def test_at_the_nominal_speed_each_angle_varies_as_set() -> None:
     np.testing.assert_allclose(LONG[100:, 0].mean(axis=0), 0, atol=math.radians(0.04))
 
 
-def test_the_angles_forget_within_the_correlation_time() -> None:
-    """The autocorrelation of a critically damped oscillator is (1 + k t) exp(-k t), whose integral is 2 / k."""
-    for angle in LONG[100:, 0].T:
-        at_lag = [np.corrcoef(angle[: -lag or None], angle[lag:])[0, 1] for lag in range(40)]
-        kt = 2 / ShakeSettings().correlation_s * STEP_S * np.arange(40)
-        np.testing.assert_allclose(at_lag, (1 + kt) * np.exp(-kt), atol=0.05)
-        assert STEP_S * (sum(at_lag) - 0.5) == pytest.approx(ShakeSettings().correlation_s, rel=0.15)
-
-
-def test_the_three_angles_are_independent() -> None:
-    correlation = np.corrcoef(LONG[100:, 0].T)
-    np.testing.assert_allclose(correlation, np.eye(3), atol=0.04)
-
-
-def test_the_rate_is_that_at_which_the_angle_changes() -> None:
-    """In a step of t the rate walks with density 4 k^3, so the mean of both ends errs by the root of 4 k^3 t / 12."""
-    fine = swings([step(1.0, duration_s=0.001)] * 5000)
-    change = np.diff(fine[:, 0], axis=0) / 0.001
-    mean = (fine[1:, 1] + fine[:-1, 1]) / 2
-    error = np.sqrt(np.mean((change - mean) ** 2, axis=0)) / np.radians([1.0, 1.0, 0.5])
-    np.testing.assert_allclose(error, math.sqrt(4 * 20**3 * 0.001 / 12), rtol=0.06)
-    np.testing.assert_allclose(LONG[100:, 1].std(axis=0), 20 * np.radians([1.0, 1.0, 0.5]), rtol=0.04)
-
-
-@pytest.mark.parametrize("parts", [2, 5])
-def test_statistics_do_not_depend_on_the_length_of_a_step(parts: int) -> None:
-    fine = swings([step(1.0, duration_s=STEP_S / parts)] * (20_000 * parts))[100 * parts :: parts, 0]
-    np.testing.assert_allclose(fine.std(axis=0), LONG[:, 0].std(axis=0), rtol=0.08)
-
-
-def test_more_motion_shakes_more() -> None:
-    def strength(speed: float, turning: float) -> float:
-        return float(np.degrees(swings([step(speed, turning)] * 5000)[100:, 0, 0].std()))
-
-    assert strength(0.5, 0.0) == pytest.approx(0.5 * strength(1.0, 0.0))
-    assert 0 < strength(0.0, 0.5) < strength(0.0, 1.0) < strength(1.0, 0.0) < strength(1.0, 1.0)
-    assert strength(0.0, -1.0) == pytest.approx(strength(0.0, 1.0))
-    assert strength(100.0, 0.0) == pytest.approx(1.5 * strength(1.0, 0.0)), "a fall through the world is no earthquake"
-
-
 @given(strength=st.floats(0, 10), seed=st.integers(0, 1000), moves=st.lists(st.floats(-1, 1), max_size=20))
 @settings(max_examples=50, deadline=None)
 def test_strength_is_one_factor_and_a_seed_repeats(strength: float, seed: int, moves: list[float]) -> None:
@@ -105,30 +65,6 @@ def test_strength_is_one_factor_and_a_seed_repeats(strength: float, seed: int, m
     plain = swings(steps, seed)
     np.testing.assert_allclose(swings(steps, seed, ShakeSettings(strength)), strength * plain, atol=1e-12)
     np.testing.assert_array_equal(swings(steps, seed), plain)
-
-
-def test_seeds_differ() -> None:
-    assert not np.allclose(swings([step(1.0)] * 5, 1), swings([step(1.0)] * 5, 2))
-
-
-@given(st.builds(Tilt, *[st.floats(-1.5, 1.5)] * 3))
-def test_a_tilt_rolls_first_then_pitches_then_yaws(tilt: Tilt) -> None:
-    def about(axis: int, angle: float) -> NDArray[np.float64]:
-        matrix = np.eye(3)
-        a, b = [(1, 2), (2, 0), (0, 1)][axis]
-        matrix[a, a] = matrix[b, b] = math.cos(angle)
-        matrix[a, b], matrix[b, a] = -math.sin(angle), math.sin(angle)
-        return matrix
-
-    expected = about(2, tilt.yaw_rad) @ about(1, tilt.pitch_rad) @ about(0, tilt.roll_rad)
-    np.testing.assert_allclose(tilt.matrix(), expected, atol=1e-12)
-
-
-def test_signs_of_a_tilt() -> None:
-    ahead, left = np.array([1.0, 0, 0]), np.array([0, 1.0, 0])
-    assert (Tilt(0.1, 0, 0).matrix() @ left)[2] > 0
-    assert (Tilt(0, 0.1, 0).matrix() @ ahead)[2] < 0
-    assert (Tilt(0, 0, 0.1).matrix() @ ahead)[1] > 0
 
 
 # -- blur -------------------------------------------------------------------------------------------------------------
@@ -166,23 +102,6 @@ def test_a_point_becomes_a_line_as_long_as_its_way(yaw: float, pitch: float) -> 
     assert xx - xx0 == pytest.approx(a**2 / 12, abs=tolerance)
     assert yy - yy0 == pytest.approx(b**2 / 12, abs=tolerance)
     assert xy == pytest.approx(a * b / 12, abs=tolerance)
-
-
-def test_brightness_is_kept() -> None:
-    even = np.full((48, 64, 3), 117, dtype=np.uint8)
-    np.testing.assert_array_equal(blur(even, TiltRate(1.0, 2.0, -3.0), EXPOSURE_S, FOCAL_PX), even)
-    noise = np.random.default_rng(0).integers(0, 256, (240, 320, 3), dtype=np.uint8)
-    blurred = blur(noise, TiltRate(0.5, 1.0, 1.0), EXPOSURE_S, FOCAL_PX)
-    assert blurred.mean() == pytest.approx(noise.mean(), abs=0.5)
-    assert blurred.std() < 0.7 * noise.std()
-
-
-def test_a_roll_blurs_the_edge_and_not_the_middle() -> None:
-    noise = np.random.default_rng(0).integers(0, 256, (241, 321, 3), dtype=np.uint8)
-    blurred = blur(noise, TiltRate(2.0, 0.0, 0.0), EXPOSURE_S, FOCAL_PX).astype(float)
-    middle, edge = blurred[115:126, 155:166], blurred[:20, :20]
-    assert middle.std() > 0.85 * noise.std()
-    assert edge.std() < 0.6 * noise.std()
 
 
 @pytest.mark.parametrize(("rate", "exposure_s"), [(STILL, 0.02), (TiltRate(3.0, 3.0, 3.0), 0.0)])

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
 import pytest
 import shapely
 from hypothesis import given, settings
@@ -38,15 +37,6 @@ def test_the_same_seed_gives_the_same_episode_however_it_is_stepped(seed: int, p
     assert (whole.pose, whole.collided) == (sliced.pose, sliced.collided)
     one, other = whole.look(), sliced.look()
     assert (one.odometry, one.imu) == (other.odometry, other.imu)
-
-
-def test_reset_forgets_the_episode_before() -> None:
-    simulation = Simulation(YARD, StubCamera())
-    simulation.reset(3, "run")
-    first = [(simulation.advance("forward", 1.0, 0.1), simulation.pose)[1] for _ in range(40)]
-    simulation.reset(3, "run")
-    assert not simulation.collided
-    assert [(simulation.advance("forward", 1.0, 0.1), simulation.pose)[1] for _ in range(40)] == first
 
 
 def test_seeds_and_purposes_differ() -> None:
@@ -121,14 +111,6 @@ def test_a_wall_stops_the_robot_where_they_touch_and_lets_it_back_away() -> None
     assert simulation.collided, "a collision stays on record until the reset"
 
 
-@pytest.mark.parametrize("speed", [0.0, 0.5, 1.0])
-def test_speed_scales_the_movement(speed: float) -> None:
-    simulation = Simulation(YARD, StubCamera(), KinematicBase(YARD.place, PERFECT))
-    start = simulation.reset(0, "run")
-    simulation.advance("forward", speed, 0.5)
-    assert math.hypot(simulation.pose.x - start.x, simulation.pose.y - start.y) == pytest.approx(speed)
-
-
 @pytest.mark.parametrize("name", ["yard", "campus"])
 def test_following_the_route_leads_to_the_victim_without_a_collision(name: str) -> None:
     camera = StubCamera(fraction=0.01)
@@ -152,11 +134,3 @@ def test_the_victim_is_found_only_when_near_and_seen() -> None:
     assert simulation.look().victim_found
     camera.fraction = 0.0004
     assert not simulation.look().victim_found
-
-
-def test_the_route_is_that_of_this_episode() -> None:
-    simulation = Simulation(YARD, StubCamera())
-    start = simulation.reset(4, "recovery")
-    simulation.advance("forward", 1.0, 0.5)
-    np.testing.assert_allclose(simulation.route()[0], (start.x, start.y))
-    assert shapely.LineString(simulation.route()).is_simple

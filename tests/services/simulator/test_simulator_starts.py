@@ -51,25 +51,6 @@ def test_a_recovery_starts_beside_the_route(name: str, seed: int) -> None:
     assert obstacles_of(world.place).is_free(pose.x, pose.y, world.robot.radius_m)
 
 
-def test_recoveries_cover_the_whole_route_and_both_sides() -> None:
-    world = WORLDS["campus"]
-    route = shapely.LineString(plan_route(world, (world.start.x, world.start.y)))
-    rng = np.random.default_rng(5)
-    poses = [sample_start(world, rng, "recovery") for _ in range(300)]
-    along = np.array([route.project(shapely.Point(pose.x, pose.y)) for pose in poses]) / route.length
-    assert np.histogram(along, bins=8, range=(0, 1))[0].min() >= 15
-    aside = np.array([pose.x - world.start.x for pose in poses if pose.y < -18])
-    assert aside.min() < -1.0
-    assert aside.max() > 1.0
-
-
-@given(name=worlds, seed=seeds, purpose=st.sampled_from(["drive", "run", "recovery"]))
-@settings(max_examples=50, deadline=None)
-def test_the_same_chance_gives_the_same_start(name: str, seed: int, purpose: str) -> None:
-    first, second = (sample_start(WORLDS[name], np.random.default_rng(seed), purpose) for _ in range(2))  # type: ignore[arg-type]
-    assert first == second
-
-
 def test_a_start_without_room_is_an_error_and_not_an_endless_search() -> None:
     world = WORLDS["campus"]
     terrain = cast("Terrain", world.place)

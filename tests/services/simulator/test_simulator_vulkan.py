@@ -12,42 +12,32 @@ import pytest
 from services.simulator.scene.vulkan import RenderingUnavailableError, choose_driver
 
 
-@pytest.fixture
-def folder(tmp_path: Path) -> Path:
+@pytest.mark.parametrize(
+    ("environment", "gpu", "chosen"),
+    [
+        ({}, False, "lvp_icd.x86_64.json"),
+        ({}, True, None),
+        ({"VK_ICD_FILENAMES": "intel_icd.json"}, False, None),
+        ({"VK_DRIVER_FILES": "intel_icd.json"}, False, None),
+    ],
+)
+def test_the_software_driver_is_named_where_neither_a_device_nor_the_user_chooses(
+    environment: dict[str, str], gpu: bool, chosen: str | None, tmp_path: Path
+) -> None:
     for name in ("intel_icd.json", "lvp_icd.x86_64.json", "nvidia_icd.json"):
         (tmp_path / name).write_text("{}")
-    return tmp_path
-
-
-def test_without_a_graphics_device_the_software_driver_is_named(folder: Path) -> None:
-    assert choose_driver({}, [folder], gpu=False) == folder / "lvp_icd.x86_64.json"
-
-
-def test_with_a_graphics_device_the_choice_is_the_loaders(folder: Path) -> None:
-    assert choose_driver({}, [folder], gpu=True) is None
-
-
-def test_a_users_choice_stands(folder: Path) -> None:
-    chosen = str(folder / "intel_icd.json")
-    assert choose_driver({"VK_ICD_FILENAMES": chosen}, [folder], gpu=False) is None
-    assert choose_driver({"VK_DRIVER_FILES": chosen}, [folder], gpu=False) is None
-
-
-def test_a_users_choice_that_does_not_exist_is_named(folder: Path) -> None:
-    with pytest.raises(RenderingUnavailableError, match=r"names /nowhere\.json, a missing file"):
-        choose_driver({"VK_ICD_FILENAMES": "/nowhere.json"}, [folder], gpu=False)
+    named = {name: str(tmp_path / file) for name, file in environment.items()}
+    assert choose_driver(named, [tmp_path], gpu=gpu) == (None if chosen is None else tmp_path / chosen)
 
 
 @pytest.mark.parametrize("gpu", [False, True])
-def test_no_driver_at_all_says_what_to_install(tmp_path: Path, gpu: bool) -> None:
+def test_no_driver_that_could_work_says_what_to_install(tmp_path: Path, gpu: bool) -> None:
+    if not gpu:
+        (tmp_path / "nvidia_icd.json").write_text("{}")
     with pytest.raises(RenderingUnavailableError, match=r"no Vulkan driver found; install Mesa 24\.3"):
         choose_driver({}, [tmp_path / "absent", tmp_path], gpu=gpu)
-
-
-def test_only_hardware_drivers_without_hardware_are_as_good_as_none(tmp_path: Path) -> None:
-    (tmp_path / "nvidia_icd.json").write_text("{}")
-    with pytest.raises(RenderingUnavailableError, match="no Vulkan driver found"):
-        choose_driver({}, [tmp_path], gpu=False)
+    with pytest.raises(RenderingUnavailableError, match=r"names /nowhere\.json, a missing file"):
+        choose_driver({"VK_ICD_FILENAMES": "/nowhere.json"}, [tmp_path], gpu=gpu)
 
 
 @pytest.mark.rendering

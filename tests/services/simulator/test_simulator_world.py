@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import time
 from collections import Counter
 from pathlib import Path
@@ -9,9 +10,8 @@ from xml.etree import ElementTree
 
 import numpy as np
 import pytest
-import shapely
 
-from services.simulator.world import World, WorldError, load_world, looks
+from services.simulator.world import WorldError, load_world
 from services.simulator.world.collision import obstacles_of
 from services.simulator.world.loading import WORLDS_FOLDER
 from services.simulator.world.osm import read_osm
@@ -29,41 +29,6 @@ STRANGE_FILE = (
     '<!DOCTYPE osm [<!ENTITY file SYSTEM "file:///etc/hostname">]><osm version="0.6">'
     '<node id="1" version="1" lat="1" lon="1"><tag k="natural" v="&file;"/></node></osm>'
 )
-
-
-def turns(world: World) -> int:
-    legs = np.diff(plan_route(world, (world.start.x, world.start.y)), axis=0)
-    angles = np.unwrap(np.arctan2(legs[:, 1], legs[:, 0]))
-    return int((np.abs(np.diff(angles)) > np.radians(30)).sum())
-
-
-def test_the_campus_is_as_large_and_as_ambiguous_as_the_issue_asks() -> None:
-    world = load_world("campus")
-    x_min, y_min, x_max, y_max = world.place.bounds
-    assert (x_max - x_min, y_max - y_min) == pytest.approx((200, 200), abs=0.5)
-    assert len(world.place.buildings) >= 25
-    assert world.place.skipped == 0
-    route = shapely.LineString(plan_route(world, (world.start.x, world.start.y)))
-    assert 80 <= route.length <= 110
-    assert 3 <= turns(world) <= 5
-    beside = [building.facade for building in world.place.buildings if building.footprint.distance(route) < 6]
-    assert max(beside.count(facade) for facade in beside) >= 4, "the route passes houses that look the same"
-    assert len({building.facade for building in world.place.buildings}) >= 20
-
-
-def test_no_building_of_our_worlds_stands_on_a_road_or_in_another_building() -> None:
-    for name in ("campus", "yard"):
-        world = load_world(name)
-        footprints = [building.footprint for building in world.place.buildings]
-        roads = shapely.union_all([road.line.buffer(road.width_m / 2) for road in world.place.roads])
-        assert not any(footprint.intersects(roads) for footprint in footprints)
-        assert shapely.union_all(footprints).area == pytest.approx(sum(footprint.area for footprint in footprints))
-
-
-def test_the_yard_is_small() -> None:
-    world = load_world("yard")
-    assert len(world.place.buildings) >= 6
-    assert 25 <= route_length_m(plan_route(world, (world.start.x, world.start.y))) <= 32
 
 
 @pytest.mark.parametrize(("latitude", "east_m", "north_m"), [(0.0, 111.320, 110.574), (45.0, 78.847, 111.132)])
@@ -121,16 +86,12 @@ def test_a_bad_file_gives_one_line_that_names_it(tmp_path: Path, content: str, c
     assert "\n" not in str(caught.value)
 
 
-def test_a_file_of_100_mb_is_refused_before_it_is_read(tmp_path: Path) -> None:
+def test_a_map_that_is_too_large_is_refused_before_and_while_it_is_read(tmp_path: Path) -> None:
     path = tmp_path / "large.osm"
-    with path.open("wb") as file:
-        file.truncate(100_000_000)
+    path.touch()
+    os.truncate(path, 100_000_000)
     with pytest.raises(WorldError, match=r"large\.osm: 100 MB; a map has at most 67 MB"):
         load_world(path)
-
-
-def test_more_points_than_a_world_can_have_are_refused_while_reading(tmp_path: Path) -> None:
-    path = tmp_path / "long.osm"
     way = '<way id="{}" version="1">' + '<nd ref="1"/>' * 2000 + "</way>"
     ways = "".join(way.format(k) for k in range(1, 510))
     path.write_text(f'<osm version="0.6"><node id="1" version="1" lat="1" lon="1"/>{ways}</osm>')
@@ -165,37 +126,9 @@ def test_an_unknown_world_names_those_that_are_known() -> None:
         load_world("somewhere/moon.osm")
 
 
-def test_broken_ways_are_left_out_and_counted(tmp_path: Path) -> None:
-    broken = """
-      <way id="900001" version="1"><nd ref="1"/><nd ref="987654321"/><tag k="highway" v="service"/></way>
-      <way id="900002" version="1"><tag k="building" v="yes"/></way>
-      <way id="900003" version="1"><nd ref="1"/><nd ref="2"/><tag k="building" v="yes"/></way></osm>"""
-    path = tmp_path / "broken.osm"
-    path.write_text(CAMPUS.replace("</osm>", broken))
-    world = load_world(path)
-    assert world.place.skipped == 3
-    assert len(world.place.buildings) == len(load_world("campus").place.buildings)
-
-
 def test_a_world_without_roles_gets_them_by_rule(tmp_path: Path) -> None:
     path = tmp_path / "plain.osm"
     path.write_text(CAMPUS.replace('"smal:role"', '"note"'))
     world = load_world(path)
     assert obstacles_of(world.place).is_free(world.start.x, world.start.y)
     assert 50 <= route_length_m(plan_route(world, (world.start.x, world.start.y))) <= 150
-
-
-@pytest.mark.parametrize(
-    ("text", "value"),
-    [("12", 12.0), ("12.5 m", 12.5), ("12,5", 12.5), ("40'", 12.192), ("high", None), (None, None), ("-3", None)],
-)
-def test_lengths_are_read_as_people_write_them(text: str | None, value: float | None) -> None:
-    assert looks.metres(text) == pytest.approx(value)
-
-
-def test_the_facade_tag_makes_buildings_alike_and_its_absence_keeps_them_apart() -> None:
-    tags = {"building": "house", "building:material": "brick", "smal:facade": "a"}
-    assert looks.facade(tags, 1) == looks.facade(tags, 2)
-    assert looks.facade(tags, 1) != looks.facade({**tags, "smal:facade": "b"}, 1)
-    plain = {"building": "yes"}
-    assert len({looks.facade(plain, way) for way in range(40)}) > 10

@@ -9,13 +9,15 @@ import time
 from collections.abc import Callable
 
 from schemas import topics
-from schemas.base import Message
+from schemas.base import NO_EPISODE, Message
 from schemas.command import Command, CommandApplied
 from schemas.episode import Episode
 from schemas.heartbeat import Heartbeat
+from schemas.pulse import Pulse
 from schemas.rpc import ArmRequest, EndRequest, ResetReply, ResetRequest, ResumeRequest
 from services.kit.node import Detail, Node, ServiceError
 from services.kit.settings import ServiceSettings
+from services.robot.clock import PULSE_S
 from services.robot.gate import CommandGate
 
 BEAT_S = 0.05
@@ -55,6 +57,7 @@ class FakeRobot:
         self.node.serve("end", EndRequest, self._end)
         self.node.detail = self._detail
         self.node.every(BEAT_S, self._beat)
+        self.node.apart(PULSE_S, self._pulse)
 
     def atoms(self, source: str = "teleop") -> list[str]:
         """Return what one source asked for, in order."""
@@ -129,6 +132,11 @@ class FakeRobot:
         if stop:
             what = {"atom": "stop", "source": None, "reason": "emergency_stop", "stop_cause": self.gate.stop_cause}
         self.node.publish(CommandApplied.after(self._header(self._episode), speed=1.0, emergency_stop=stop, **what))
+
+    def _pulse(self) -> Pulse:
+        gate = self.gate
+        said = {"number": gate.pulse(time.monotonic()), "emergency_stop": gate.emergency_stop}
+        return Pulse.after(self._header(self._episode or NO_EPISODE), session="s", stop_cause=gate.stop_cause, **said)
 
     def _event(self, episode: str, name: str, outcome: str | None) -> Episode:
         fields = {"event": name, "purpose": "drive", "driver": "teleop", "world": "yard", "seed": 5}

@@ -67,6 +67,24 @@ def test_a_key_releases_the_stop_that_was_known_when_it_was_pressed(node: Node, 
     assert (len(robot.resets), robot.resumed, robot.gate.emergency_stop) == (1, [], 3)
 
 
+def test_who_drives_is_told_once_a_minute_how_long_the_recorder_has_room(
+    node: Node, robot: FakeRobot, settings: ServiceSettings, run_node: RunNode, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("services.teleop.session.ASK_S", 0.05)
+    recorder, told = Node("recorder", settings), {"disk": "the disk has room for 9 minutes more"}
+    asked = []
+    recorder.detail = lambda: asked.append(1) or dict(told)
+    desk = Desk()
+    TeleopSession(node, cast("Terminal", desk), TeleopSettings(seed=5))
+    assert node.spin(lambda: "robot: not armed" in desk.status, 10.0)
+    assert not desk.said, "there is no recorder"
+    run_node(recorder)
+    assert node.spin(lambda: len(asked) > 3, 10.0)
+    told["disk"] = "the disk has room for 8 minutes more"
+    assert node.spin(lambda: any("8 minutes" in line for line in desk.said), 10.0)
+    assert desk.said == [f"RECORDING: the disk has room for {minutes} minutes more" for minutes in (9, 8)]
+
+
 def test_nothing_is_released_before_the_robot_has_told_what_it_stands_for(node: Node, robot: FakeRobot) -> None:
     desk = Desk()
     session = TeleopSession(node, cast("Terminal", desk), TeleopSettings(seed=5))

@@ -69,6 +69,7 @@ def test_hold_to_drive_release_to_stop(console: Console, robot: FakeRobot) -> No
     begin(console, robot)
     request = robot.resets[0]
     assert (request.purpose, request.driver, request.mode, request.seed) == ("drive", "teleop", "realtime", 5)
+    assert request.max_ticks is None, "a person ends it"
     console.type(b"w")
     eventually(lambda: robot.atoms()[-1:] == ["stop"])
     atoms = robot.atoms()
@@ -358,7 +359,7 @@ def test_every_exit_stops_the_robot_ends_the_episode_says_good_bye_and_restores_
     assert console.process.wait(10.0) == 0
     eventually(lambda: not robot.beats[-1].present)
     assert all(beat.present for beat in robot.beats[:-1])
-    assert all(beat.operator for beat in robot.beats)
+    assert all(beat.answers is not None for beat in robot.beats)
     assert [beat.sequence for beat in robot.beats] == sorted({beat.sequence for beat in robot.beats})
     assert robot.atoms()[-1] == "stop"
     assert [request.episode for request in robot.ends] == ["drive-1"]

@@ -18,11 +18,11 @@ from services.kit.settings import ServiceSettings
 from services.simulator.robots import TURTLEBOT
 from services.tracker.config import TrackerSettings
 from services.tracker.service import TrackerService
-from smal.tracking.tag_tracking import OverheadCamera, Tag
+from services.tracker.tag_tracking import OverheadCamera, Tag
 from tests.services.chain import process
 from tests.services.conftest import RunNode
+from tests.services.tracker.overhead_images import Shot, photograph
 from tests.services.waiting import eventually, introduce, malformed, ready, status_of
-from tests.smal.overhead_images import Shot, photograph
 
 TAG = Tag(number=7, side_m=0.2, height_m=0.43)
 SIZE = (400, 300)

@@ -18,7 +18,7 @@ from services.simulator.world import load_world
 from services.simulator.world.place import Pose, World
 from services.simulator.world.route import plan_route
 from services.tracker.service import TrackerService
-from smal.tracking.tag_tracking import Tag
+from services.tracker.tag_tracking import Tag
 
 FRAME_S = 0.1
 #: Of so many frames one is checked: a frame takes a software renderer a tenth of a second.

@@ -6,14 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from smal.place_recognition.stops import (
-    LEAST_FRAMES,
-    REACH,
-    first_frames,
-    recent_of_gram,
-    recent_products,
-    windows,
-)
+from smal.place_recognition.stops import LEAST_FRAMES, REACH, first_frames, windows
 from tests.smal.place_recognition.ordered_problems import unit, walk
 
 
@@ -25,23 +18,12 @@ def seen(places: list[int], noise: float = 0.05, seed: int = 0) -> NDArray[np.fl
 
 
 def stops_of(features: NDArray[np.float32]) -> list[int]:
-    norms = np.linalg.norm(features, axis=1).astype(np.float64)
-    return first_frames(recent_products(features), norms).tolist()
+    return first_frames(features).tolist()
 
 
 def standing(*counts: int) -> list[int]:
     """Return places, each so many times."""
     return [place for place, count in enumerate(counts) for _ in range(count)]
-
-
-@pytest.mark.parametrize("count", [1, 2, REACH, REACH + 1, 200, 300])
-def test_products_are_those_of_the_frames_before(count: int) -> None:
-    features = np.random.default_rng(count).normal(size=(count, 6)).astype(np.float32)
-    recent, gram = recent_products(features), features @ features.T
-    for t in range(count):
-        before = [gram[t, t - 1 - back] if t - 1 - back >= 0 else 0.0 for back in range(REACH)]
-        np.testing.assert_allclose(recent[t], before, atol=1e-5)
-    np.testing.assert_allclose(recent_of_gram(gram), recent, atol=1e-5)
 
 
 def test_stops_are_found_where_they_are() -> None:

@@ -29,7 +29,6 @@ COLOURS: Final = {
     "nearest-1": "#8d99ae",
     "nearest-5": "#5c677d",
     "seqslam": "#b5701a",
-    "cloning": "#6a994e",
 }
 PALE: Final = "#9aa5b1"
 #: Of degradations, in their order.

@@ -42,8 +42,6 @@ def write_page(plan: Plan, units: Sequence[Unit], store: ResultStore) -> Path:
         Of the page.
     """
     planned, done = len(units), sum(unit.key in store.findings for unit in units)
-    asked = any(trial.controller == "cloning" for world in plan.worlds for trial in world.trials)
-    cloning = not asked or any(unit.kind == "search" and unit["controller"] == "cloning" for unit in units)
     units = whole_series(units, store.findings)
     found = [results_of(world, units, store.findings) for world in plan.worlds]
     compared = [one for each in found for one in comparisons(each)]
@@ -71,7 +69,7 @@ def write_page(plan: Plan, units: Sequence[Unit], store: ResultStore) -> Path:
         if each.recognized[0]:
             body += recognition_section(each, put)
         if each.successes:
-            body += search_section(each, store, put, cloning=cloning)
+            body += search_section(each, store, put)
     body += [*objective_section(found, put), *_method(plan, units, store)]
     path = store.folder / "index.html"
     path.write_text(html.page(f"SMAL: evaluation in simulation ({plan.name})", "\n".join(body), 72), encoding="utf-8")

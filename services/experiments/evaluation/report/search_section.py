@@ -14,13 +14,12 @@ from services.experiments.evaluation.results import ResultStore
 from services.experiments.evaluation.search_experiment import read_route, route_file
 from smal.evaluation.success import wilson_interval
 
-_WITHOUT_CLONING: Final = " <b>Behaviour cloning was not run</b>: torch is not installed (pip install -e '.[cloning]')."
 #: Within which a kidnapped robot should know where it is.
 _SOON_S: Final = 3.0
 
 
-def search_section(found: Results, store: ResultStore, put: Put, *, cloning: bool) -> Iterator[str]:
-    """Write it as HTML, piece by piece; `cloning` says whether behaviour cloning is a part of it."""
+def search_section(found: Results, store: ResultStore, put: Put) -> Iterator[str]:
+    """Write it as HTML, piece by piece."""
     name = found.world.title
     yield "<h3>Finding the victim</h3>"
     if any(one.trial.condition == "as taught" for one in found.successes):
@@ -28,7 +27,7 @@ def search_section(found: Results, store: ResultStore, put: Put, *, cloning: boo
             f"drives-{name}",
             figures.found_by_drives(found.successes, f"Searches that find the victim, {name}"),
             "The same drives and starts for all; no recoveries. Bars are Wilson's 95 % intervals. Starts were not used "
-            f"in teaching.{'' if cloning else _WITHOUT_CLONING}",
+            "in teaching.",
         )
     if any(one.trial.start == "anywhere" for one in found.successes):
         yield put(

@@ -163,7 +163,6 @@ def controller_name(controller: str, length: int) -> str:
         "nearest-1": "imitating the nearest frame",
         "nearest-5": "imitating the nearest 5 frames",
         "seqslam": "continuing from where SeqSLAM says",
-        "cloning": "behaviour cloning",
     }[controller]
 
 

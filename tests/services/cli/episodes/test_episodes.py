@@ -16,8 +16,6 @@ from schemas.base import Message
 from schemas.episode import Episode, Outcome
 from schemas.rpc import ArmRequest, EndRequest, LoadReply, LoadRequest, ResetReply, ResetRequest
 from services.cli.episodes.client import EpisodeClient, EpisodeRecord, check_world_of
-from services.cli.episodes.report import write_report
-from services.cli.episodes.route_map import draw_routes
 from services.cli.options import Camera, camera_of_own_stack, world_of_stack
 from services.cli.run import CHAIN, _check_models, _run_all, summarize
 from services.cli.simulator_options import simulator_of_own_stack
@@ -28,7 +26,6 @@ from services.kit.model_service import identity_of
 from services.kit.node import EXIT_FAILED, EXIT_USAGE, Detail, Node, ServiceError
 from services.kit.settings import ServiceSettings
 from services.robot.episode import RunOutcome
-from services.simulator.world.loading import WORLDS_FOLDER
 from tests import corridor
 from tests.services.cli.conftest import Smal
 from tests.services.conftest import RunNode
@@ -237,18 +234,6 @@ def test_a_model_that_the_stack_does_not_read_is_one_line_that_says_what_to_do(
     assert (status, said.split(":")[1]) == (EXIT_USAGE, " --modalities")
 
 
-def test_the_simulator_s_options_become_its_flags() -> None:
-    plain = simulator_of_own_stack("yard", "64x48", None)
-    assert plain.flags() == ("--world", "yard", "--camera-width", "64", "--camera-height", "48")
-    assert simulator_of_own_stack("yard", "64x48", None, shake=0.5).flags() == (*plain.flags(), "--shake", "0.5")
-
-
-@pytest.mark.parametrize("shake", [float("nan"), float("inf"), -0.1, 10.5])
-def test_a_shake_that_is_none(shake: float) -> None:
-    with pytest.raises(UsageError, match=rf"^--shake {shake:g}: from 0 to 10$"):
-        simulator_of_own_stack("yard", None, None, shake=shake)
-
-
 def test_what_a_running_stack_has_cannot_be_chosen() -> None:
     assert simulator_of_own_stack("yard", None, "tcp/127.0.0.1:1").camera == Camera(1024, 768)
     with pytest.raises(UsageError, match=r"^--shake: with --connect .* `smal up`$"):
@@ -260,29 +245,6 @@ def test_camera_belongs_to_the_stack_that_is_started() -> None:
     assert camera_of_own_stack("64x48", None) == Camera(64, 48)
     with pytest.raises(UsageError, match="--connect"):
         camera_of_own_stack("64x48", "tcp/127.0.0.1:1")
-
-
-def walked(world: str) -> EpisodeRecord:
-    poses = {tick: (0.1 * tick, 0.0) for tick in range(50)}
-    return EpisodeRecord(REQUEST, world=world, outcome="found", poses=poses)
-
-
-@pytest.mark.parametrize("told", ["turtlebot4", "/etc/passwd", str(WORLDS_FOLDER / "yard.json"), ""])
-def test_the_ways_of_a_robot_that_is_nowhere_that_has_a_map_are_drawn_by_themselves(told: str) -> None:
-    (alone,) = draw_routes(None, [walked(told)]).axes
-    assert len(alone.lines) == 2
-    assert not alone.patches
-    assert alone.get_xlabel() == "m"
-    (mapped,) = draw_routes(None, [walked("yard")]).axes
-    assert len(mapped.patches) + len(mapped.collections) > 5, "the robot is in a world that is known here"
-
-
-def test_the_page_of_a_robot_that_does_not_tell_where_it_is(tmp_path: Path) -> None:
-    record = EpisodeRecord(REQUEST, world="turtlebot4", outcome="found", ticks=9)
-    page = write_report(tmp_path, None, corridor.model(), [record], summarize(None, [record])).read_text()
-    assert "The robot does not tell where it truly is." in page
-    assert "SMAL: turtlebot4, 1 runs" in page
-    assert summarize(None, [record])["world"] == "turtlebot4"
 
 
 def test_with_connect_the_robot_may_be_anywhere_unless_a_world_is_named() -> None:

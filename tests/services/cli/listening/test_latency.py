@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from schemas.base import Message, Source
 from schemas.command import CommandApplied
-from services.cli.listening.latency import ACCEPTED, OPEN_TICKS, Hop, LatencyTrace, Spread, hops, record, rows
+from services.cli.listening.latency import ACCEPTED, OPEN_TICKS, Hop, LatencyTrace, hops
 
 POLICY_HOPS: list[Hop] = [
     ("frame", "observation"),
@@ -106,30 +106,6 @@ def test_a_frame_sent_again_counts_from_the_first_time() -> None:
     assert p50s(trace, "policy")["command/policy", "command/applied"] == (1, 100.0)
 
 
-def test_what_comes_before_its_frame_is_of_a_tick_that_began_unseen() -> None:
-    def fill(trace: LatencyTrace) -> None:
-        trace.arrived("observation", header(0), 1.0)
-        trace.arrived("state", header(0), 1.1)
-        trace.frame(header(0), 3.0)
-        trace.arrived("command/policy", header(0), 3.2)
-        trace.arrived("command/policy", header(7), 3.3)
-
-    trace = finished(fill)
-    assert p50s(trace, "policy") == {("frame", "command/policy"): (1, 200.0)}
-    assert trace.commands == 2
-
-
-def test_ticks_of_the_same_number_in_two_episodes_are_two() -> None:
-    def fill(trace: LatencyTrace) -> None:
-        trace.frame(header(0, "e1"), 1.0)
-        trace.frame(header(0, "e2"), 2.0)
-        trace.arrived("command/teleop", header(0, "e1"), 2.1)
-        trace.arrived("command/teleop", header(0, "e2"), 2.5)
-
-    found = finished(fill).breakdown("teleop")[("frame", "command/teleop")]
-    assert (found.ticks, round(found.max_ms), round(found.p50_ms)) == (2, 1100, 800)
-
-
 def test_two_drivers_have_each_their_own_chain() -> None:
     def fill(trace: LatencyTrace) -> None:
         trace.frame(header(0), 1.0)
@@ -172,36 +148,6 @@ def test_in_real_time_a_command_is_applied_in_a_later_tick_and_repeated_while_it
     assert p50s(trace, "policy")[ACCEPTED] == (1, 240.0)
 
 
-def test_silence_is_nobodys() -> None:
-    def fill(trace: LatencyTrace) -> None:
-        trace.frame(header(0), 1.0)
-        trace.applied(applied(0, None), 1.1)
-
-    assert finished(fill).drivers() == []
-
-
-def test_an_open_tick_is_counted_once_and_forgotten() -> None:
-    trace = LatencyTrace()
-    for tick in range(5 * OPEN_TICKS):
-        drive(trace, tick, tick, 0.1, 0.1, 0.1, 0.1)
-        assert len(trace._open) <= OPEN_TICKS
-    trace.finish()
-    trace.finish()
-    assert trace.breakdown("policy")[ACCEPTED].ticks == 5 * OPEN_TICKS
-
-
 def test_hops_add_up() -> None:
     assert hops("policy") == POLICY_HOPS
     assert hops("teleop") == [("frame", "command/teleop"), ("command/teleop", "command/applied")]
-
-
-def test_for_scripts_and_for_people() -> None:
-    found = {("frame", "command/teleop"): Spread(3, 1.0, 2.0, 3.456), ACCEPTED: Spread(2, 1.0, 2.0, 3.0)}
-    assert record(found)[0] == {
-        "from": "frame", "to": "command/teleop", "ticks": 3, "p50_ms": 1.0, "p95_ms": 2.0, "max_ms": 3.456,
-    }  # fmt: skip
-    assert list(rows("teleop, every tick", found)) == [
-        ["teleop, every tick", "ticks", "p50 ms", "p95 ms", "max ms"],
-        ["  frame -> command/teleop", "3", "1.00", "2.00", "3.46"],
-        ["  frame -> accepted, on the actuator's clock", "2", "1.00", "2.00", "3.00"],
-    ]

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import re
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
@@ -99,30 +98,6 @@ def test_from_frame_to_command(measured: Measured, arguments: tuple[str, ...], f
     assert every[3]["p50_ms"] > 0
     assert every[-1]["p50_ms"] == pytest.approx(12.0)
     assert hops(decisions) == hops(every)
-
-
-def test_for_people(measured: Measured) -> None:
-    status, out, _ = measured()
-    assert status == 0
-    lines = out.splitlines()
-    assert lines[0].split() == ["policy,", "every", "tick", "ticks", "p50", "ms", "p95", "ms", "max", "ms"]
-    assert lines[1].startswith("  frame -> observation ")
-    assert lines[7].startswith("policy, ticks with a decision ")
-    assert len({len(line) for line in lines}) == 1
-
-
-def test_a_robot_without_true_pose(measured: Measured) -> None:
-    status, out, err = measured("--json", without=(Pose,))
-    assert (status, out) == (1, "")
-    assert err == (
-        "smal: commands to rescuebot came, but no pose/truth; for a robot without it: smal topic latency --camera\n"
-    )
-
-
-def test_rubbish_is_counted(measured: Measured) -> None:
-    status, _, err = measured(rubbish=True)
-    assert status == 0
-    assert re.fullmatch(r"smal: \d+ messages could not be decoded; see smal topic echo\n", err)
 
 
 def test_nobody_drives(smal: Smal, router_endpoint: str) -> None:

@@ -71,18 +71,6 @@ def test_no_payload_raises(key: str, payload: bytes) -> None:
     assert len(decode_to_json(key, payload).splitlines()) == 1
 
 
-def test_a_key_that_is_no_string() -> None:
-    class KeyExpr:
-        def __str__(self) -> str:
-            return TELEOP
-
-    assert json.loads(decode_to_json(KeyExpr(), encode(EXAMPLES[Command])))["atom"] == "forward"  # type: ignore[arg-type]
-
-
-def test_calls_are_json() -> None:
-    assert decode_to_json("smal/rescuebot/rpc/robot/status", b'{"a":\n1}') == '{"a": 1}'
-
-
 def test_the_codec_does_not_import_zenoh() -> None:
     module = "services.cli.listening.zenoh_codec"
     code = f"import sys, {module}; sys.exit('zenoh' in sys.modules or 'typer' in sys.modules)"

@@ -4,21 +4,28 @@ from __future__ import annotations
 
 import logging
 import os
+import re
 import signal
 import subprocess
 import sys
+import time
+from contextlib import closing
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
 from schemas.rpc import Nothing, Status
 from services.cli.interrupts import interrupted_by_signals
+from services.cli.stack import patience
 from services.cli.stack.backoff import FIRST_S, LONGEST_S, STEADY_S, Backoff
 from services.cli.stack.processes import Stack, StackPlan, flags, stack_for
 from services.kit.bus import Bus
 from services.kit.errors import JobError, UsageError
 from tests.services.waiting import eventually, ready
 
+#: What services are that do not start at once.
+STARTING = "tests.services.cli.stack.starting"
 START = """
 import sys
 from pathlib import Path
@@ -73,6 +80,51 @@ def test_a_service_that_cannot_start_is_named_with_its_last_line(
         pass
     assert str(caught.value) == f"policy: {missing}: cannot be read: No such file or directory"
     assert not processes_of(robot)
+
+
+def test_a_service_that_starts_slowly_is_waited_for_and_whoever_waits_is_told(
+    robot: str, free_endpoint: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    """It computes for longer than after which one that does nothing is given up, as one that builds a large world."""
+    monkeypatch.setattr(patience, "HANGS_S", 2.0)
+    monkeypatch.setattr(patience, "_TELL_S", 0.5)
+    slow = replace(plan(robot, free_endpoint, tmp_path, "recorder"), modules={"recorder": f"{STARTING}.computing"})
+    with Stack(slow) as stack, closing(Bus(robot, free_endpoint)) as bus:
+        stack.check()
+        assert ready(bus, "recorder").uptime_s < 60.0
+    assert re.search(r"waiting for recorder, \d+ s so far \(computing for a while\)", caplog.text)
+
+
+def test_a_service_that_hangs_in_starting_is_named(
+    robot: str, free_endpoint: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(patience, "HANGS_S", 2.0)
+    stuck = replace(plan(robot, free_endpoint, tmp_path, "recorder"), modules={"recorder": f"{STARTING}.hanging"})
+    with pytest.raises(JobError) as caught, Stack(stuck):
+        pass
+    assert re.fullmatch(r"recorder hangs: not ready after \d+ s \(waiting for ever\)", str(caught.value))
+    assert not processes_of(robot)
+
+
+def test_whether_a_process_works_is_told_by_its_processor_time() -> None:
+    now_s = used_s = 0.0
+    worker = patience.Worker(lambda: used_s, lambda: now_s)
+    for share in (0.02, 1.0, 0.02):
+        for _ in range(1000):
+            now_s, used_s = now_s + 1.0, used_s + share
+            assert not worker.hangs(), "however long it works, and however little it gets of a busy machine"
+    began_s = now_s
+    while not worker.hangs():
+        now_s, used_s = now_s + 1.0, used_s + 0.002
+    assert 0.5 * patience.HANGS_S < now_s - began_s < 2.0 * patience.HANGS_S
+
+
+def test_processor_time_is_that_of_the_process() -> None:
+    before_s, own_s = patience.processor_s(os.getpid()), time.process_time()
+    while time.process_time() < own_s + 0.1:
+        pass
+    assert 0.05 <= patience.processor_s(os.getpid()) - before_s < 10.0
+    assert patience.processor_s(2**22 + 1) == 0.0
 
 
 def test_a_dead_service_comes_back_with_its_flags(

@@ -102,7 +102,7 @@ def recognition(unit: Unit) -> dict[str, Any]:
 
 def finished(folder: Path) -> tuple[list[Unit], ResultStore]:
     """Return a store in which all units of the small plan are done."""
-    planned = units(SMALL, cloning=False)
+    planned = units(SMALL)
     store = ResultStore(folder, SMALL)
     for unit in planned:
         store.add(unit, finding(unit), 0.5)

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
@@ -38,21 +36,20 @@ def taught() -> list[Drive]:
         atoms[12:16] = turn
         atoms[-1] = Atom.STOP
         features = np.stack([extract(image, FEATURES) for image in images])
-        drives.append(Drive(Demonstration(name, features, atoms), np.zeros((FRAMES, 3)), images))
+        drives.append(Drive(Demonstration(name, features, atoms, images=list(images)), np.zeros((FRAMES, 3))))
     return drives
 
 
 @pytest.fixture(scope="module")
 def model() -> Model:
-    settings = LearningSettings(sequence_length=LENGTH)
+    settings = LearningSettings(sequence_length=LENGTH, map_views=False)
     return learn([one.demonstration for one in taught()], settings)[0]
 
 
 def shown(controller: Controller, one: Drive) -> list[Atom]:
     """Return what a controller does in an episode in which it sees a drive again."""
-    assert one.thumbnails is not None
     controller.reset()
-    images = enumerate(one.thumbnails)
+    images = enumerate(one.demonstration.images or ())
     return [controller.act(seen_by(controller, tick, image, STILL)).atom for tick, image in images]
 
 
@@ -86,9 +83,3 @@ def test_decisions_of_the_paper_come_with_every_whole_window(model: Model) -> No
     assert [tick for tick, move in enumerate(moves) if move.decision] == list(range(LENGTH - 1, len(views), LENGTH))
     assert (moves[-1].atom, moves[-1].decision, moves[-1].recognized) == (Atom.STOP, "stop", False)
     assert {move.recognized for move in moves[:-1]} == {True}
-
-
-def test_seqslam_wants_thumbnails() -> None:
-    drives = taught()
-    with pytest.raises(ValueError, match="demonstration elsewhere has no thumbnails"):
-        SeqSlamController([drives[0], replace(drives[1], thumbnails=None)])

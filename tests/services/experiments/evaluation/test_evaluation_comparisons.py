@@ -71,8 +71,3 @@ def test_long_sequences_are_compared_with_the_best_short_one(found: list[Success
     (said,) = long_sequences("yard", found)
     assert said.text.endswith(f"; {end}")
     assert said.verdict == "counts"
-
-
-def test_without_a_short_or_a_long_length_nothing_is_said() -> None:
-    assert long_sequences("yard", lengths(l20=3, l40=4)) == []
-    assert long_sequences("yard", lengths(l1=3, l5=4)) == []

@@ -7,7 +7,6 @@ import re
 from html.parser import HTMLParser
 from pathlib import Path
 
-import cv2
 import numpy as np
 import pytest
 
@@ -55,23 +54,12 @@ def test_the_page_is_whole_and_refers_to_nothing_outside(page: Path) -> None:
     assert "{" not in re.sub(r"<style>.*?</style>", "", text, flags=re.DOTALL), "a text that was not filled in"
 
 
-def test_every_figure_is_a_file_as_well(page: Path) -> None:
-    files = {path.stem: path for path in (page.parent / "figures").iterdir()}
-    assert set(files) == FIGURES
-    for path in files.values():
-        picture = cv2.imread(str(path))
-        assert picture is not None
-        assert picture.shape[1] > 500
-        assert picture.std() > 5
-
-
 def test_what_the_page_says_is_computed_from_the_results(page: Path) -> None:
     text = page.read_text(encoding="utf-8")
     for said in (
         "within 1 m and 25°", "within 0.5 m and 15°", "nearly everything", "35% of the frames occluded",
         "8 of 8 found by SMAL against 0 of 8 by teach and repeat, SMAL is ahead",
-        "taught a detour, then a shorter way", "<td>9 of 10</td>", "<td>190, 130</td>",
-        "Behaviour cloning was not run", "0% to 32%", "64x48 pixels",
+        "<td>9 of 10</td>", "<td>190, 130</td>", "0% to 32%", "64x48 pixels",
     ):  # fmt: skip
         assert said in text, said
     numbers = json.loads((page.parent / "results.json").read_text())
@@ -80,10 +68,10 @@ def test_what_the_page_says_is_computed_from_the_results(page: Path) -> None:
     areas = [one for one in numbers["worlds"]["yard"]["recognition"] if (one["method"], one["length"]) == ("smal", 5)]
     assert [one["auc"] for one in areas] == pytest.approx([1.0] * 4)
     assert [one["auc_from_start"] for one in areas] == pytest.approx([59 / 60] * 4)
-    assert numbers["machine_seconds"] == pytest.approx(0.5 * len(units(SMALL, cloning=False)), abs=0.1)
+    assert numbers["machine_seconds"] == pytest.approx(0.5 * len(units(SMALL)), abs=0.1)
 
 
-@pytest.mark.parametrize("share", [0.0, 0.3, 0.6, 0.8, 0.9, 0.97])
+@pytest.mark.parametrize("share", [0.0, 0.8, 0.97])
 def test_a_page_of_what_is_done_so_far_shows_whole_series_only(share: float, tmp_path: Path) -> None:
     planned, whole = finished(tmp_path / "whole")
     rng = np.random.default_rng(round(100 * share))
@@ -102,9 +90,3 @@ def test_a_page_of_what_is_done_so_far_shows_whole_series_only(share: float, tmp
     torn = {tuple(one[name] for name in names) for one in searches if one.key not in store.findings}
     every = {tuple(one[name] for name in names) for one in searches}
     assert shown == every - torn
-
-
-def test_without_pictures_the_page_says_so(tmp_path: Path) -> None:
-    planned, store = finished(tmp_path)
-    (store.work / "route-yard-1.npz").unlink()
-    assert "no example" in write_page(SMALL, planned, store).read_text(encoding="utf-8")

@@ -2,18 +2,17 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
-from services.experiments.evaluation.results import ResultStore, sources
+from services.experiments.evaluation.results import ResultStore
 from services.experiments.evaluation.units import units
 from services.kit.errors import JobError, UsageError
 from tests.services.experiments.evaluation.evaluated import SMALL, finding
 
-PLANNED = units(SMALL, cloning=False)
+PLANNED = units(SMALL)
 
 
 def test_what_was_added_is_there_again(tmp_path: Path) -> None:
@@ -54,23 +53,6 @@ def test_a_folder_of_another_plan_is_refused(tmp_path: Path) -> None:
         ResultStore(tmp_path, replace(SMALL, name="full"))
     with pytest.raises(UsageError, match="holds results with another plan fingerprint"):
         ResultStore(tmp_path, replace(SMALL, patience=1.5))
-
-
-def test_a_folder_of_another_version_is_refused(tmp_path: Path) -> None:
-    ResultStore(tmp_path, SMALL)
-    path = tmp_path / "plan.json"
-    path.write_text(json.dumps(json.loads(path.read_text()) | {"version": "0.0.1"}))
-    with pytest.raises(UsageError, match=r"holds results with another version \(0.0.1, now .*\); give another folder"):
-        ResultStore(tmp_path, SMALL)
-    path.write_text("[]")
-    with pytest.raises(UsageError, match=r"plan.json: is no plan of an evaluation"):
-        ResultStore(tmp_path, SMALL)
-
-
-def test_what_results_depend_on() -> None:
-    names = {path.name for path in sources()}
-    assert names >= {"search.py", "controllers.py", "filter.py", "gate.py", "lockstep.py", "driver.py", "campus.osm"}
-    assert not names & {"workers.py", "page.py"}
 
 
 def test_drives_whose_file_is_gone_are_made_again_only_where_somebody_needs_them(tmp_path: Path) -> None:

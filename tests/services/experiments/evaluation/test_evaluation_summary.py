@@ -33,12 +33,6 @@ def test_areas(tmp_path: Path) -> None:
     assert found["nearest-1", "clean"].recognizer == Recognizer("nearest", 1)
 
 
-def test_searches_come_in_the_order_of_the_plan(tmp_path: Path) -> None:
-    planned, store = finished(tmp_path)
-    found = [one.trial for one in successes(WORLD, planned, store.findings)]
-    assert found == [trial for trial in WORLD.trials if trial.controller != "cloning"]
-
-
 def test_counts_of_searches(tmp_path: Path) -> None:
     planned, store = finished(tmp_path)
     found = successes(WORLD, planned, store.findings)

@@ -7,9 +7,7 @@ import pytest
 
 from services.experiments.evaluation.degradation import CLEAN, DEGRADATIONS
 from services.experiments.evaluation.demonstrations import drive
-from services.experiments.evaluation.plan import Criterion
 from services.experiments.evaluation.recognition_experiment import (
-    judged,
     query_drive,
     recognize_nearest,
     recognize_states,
@@ -18,7 +16,6 @@ from services.simulator.simulation import Simulation
 from services.simulator.world import load_world
 from smal.features import FeatureSettings, extract
 from smal.learning import Demonstration, LearningSettings, learn
-from smal.place_recognition import Matches
 from tests.services.chain import picture
 from tests.services.simulator.simulator_driving import StubCamera
 
@@ -29,17 +26,15 @@ def test_a_held_out_drive_is_that_of_the_expert_seen_in_several_ways() -> None:
     simulation = Simulation(load_world("yard"), StubCamera(1.0))
     views = {"clean": CLEAN, "noisy": DEGRADATIONS["noisy"]}
     made = query_drive(simulation, FEATURES, 1000, views)
-    taught = drive(simulation, FEATURES, 1000, "drive", thumbnails=True)
+    taught = drive(simulation, FEATURES, 1000)
     assert taught is not None
-    assert taught.thumbnails is not None
     frames = len(taught.poses)
     assert abs(len(made["poses"]) - frames) <= 1
     count = min(frames, len(made["poses"]))
     np.testing.assert_array_equal(made["poses"][:count], taught.poses[:count])
     np.testing.assert_array_equal(made["features_clean"][:count], taught.demonstration.features[:count])
-    np.testing.assert_array_equal(made["thumbnails_clean"][:count], taught.thumbnails[:count])
     assert made["features_noisy"].shape == made["features_clean"].shape
-    assert np.abs(made["thumbnails_noisy"].astype(int) - made["thumbnails_clean"]).mean() > 1.0
+    assert (made["seqslam_noisy"] != made["seqslam_clean"]).any()
 
 
 @pytest.mark.parametrize("novelty", ["agreement", "weight"])
@@ -67,15 +62,3 @@ def test_the_nearest_window_is_of_one_drive_and_counted_over_all() -> None:
     assert matches.score[whole] == pytest.approx(1.0)
     assert matches.reference[:2].tolist() == [-1, -1]
     assert set(matches.reference[2:].tolist()) == set(whole)
-
-
-def test_answers_are_judged_by_pose_and_heading() -> None:
-    demonstrated = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [1.0, 0.0, np.pi]])
-    true = np.array([[0.1, 0.0, 0.0], [1.0, 0.3, 0.1], [1.0, 0.0, 0.0], [50.0, 0.0, 0.0]])
-    matches = Matches(np.array([-1, 1, 2, 0]), np.array([0.0, 0.9, 0.8, 0.123456789]))
-    found = judged(matches, demonstrated, true, (Criterion(0.5, 25.0), Criterion(0.2, 15.0)))
-    assert found["answered"] == [0, 1, 1, 1]
-    assert found["right"] == [[0, 1, 0, 0], [0, 0, 0, 0]]
-    assert found["findable"] == [[1, 1, 1, 0], [1, 0, 1, 0]]
-    assert found["apart_m"] == [-1.0, 0.3, 0.0, 50.0]
-    assert found["score"][3] == 0.123457

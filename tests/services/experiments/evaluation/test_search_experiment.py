@@ -11,14 +11,12 @@ import cv2
 import numpy as np
 import pytest
 
-from services.experiments.evaluation import search_experiment
 from services.experiments.evaluation.controllers import Move, Seen
 from services.experiments.evaluation.controllers import Place as EvaluatedPlace
-from services.experiments.evaluation.demonstrations import Drive, demonstrate
+from services.experiments.evaluation.demonstrations import Drive, drive
 from services.experiments.evaluation.plan import CONTROLLERS, Criterion, Trial
 from services.experiments.evaluation.search import search
 from services.experiments.evaluation.search_experiment import (
-    CLONES,
     WAY_TICKS,
     Drivers,
     _finding,
@@ -32,7 +30,6 @@ from services.simulator.simulation import Simulation
 from services.simulator.world import load_world
 from services.simulator.world.place import Pose
 from smal.action_space import Atom
-from smal.evaluation.baselines.behaviour_cloning import CloningSettings
 from smal.features import FeatureSettings
 from smal.learning import LearningSettings, learn
 from smal.model import Model
@@ -58,14 +55,6 @@ def panorama(number: int) -> np.ndarray:
     return cv2.resize(np.concatenate([coarse, coarse[:, :1]], axis=1), (264, 48))[:, :256].astype(float)
 
 
-class Forward:
-    """In place of a network."""
-
-    def act(self, thumbnail: np.ndarray) -> Atom:
-        assert thumbnail.shape == (48, 64, 3)
-        return Atom.FORWARD
-
-
 @pytest.fixture(scope="module")
 def simulation() -> Simulation:
     return Simulation(load_world("yard"), PlaceCamera(1.0))
@@ -73,7 +62,9 @@ def simulation() -> Simulation:
 
 @pytest.fixture(scope="module")
 def drives(simulation: Simulation) -> tuple[Drive, ...]:
-    return tuple(demonstrate(simulation, FEATURES, 1, 1, thumbnails=True))
+    made = drive(simulation, FEATURES, 1)
+    assert made is not None
+    return (made,)
 
 
 @pytest.fixture(scope="module")
@@ -100,15 +91,7 @@ def patience(drives: tuple[Drive, ...]) -> float:
 
 
 @pytest.mark.parametrize("controller", CONTROLLERS)
-def test_whoever_drives_the_finding_is_numbers(
-    controller: str, place: Workplace, drives: tuple[Drive, ...], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def clone(images: list[np.ndarray], atoms: list[np.ndarray], settings: CloningSettings) -> Forward:
-        assert settings.seed == 3 % CLONES
-        assert [len(each) for each in images] == [len(each) for each in atoms]
-        return Forward()
-
-    monkeypatch.setattr(search_experiment, "clone", clone)
+def test_whoever_drives_the_finding_is_numbers(controller: str, place: Workplace, drives: tuple[Drive, ...]) -> None:
     drivers = Drivers(place)
     found = run_search(place, drivers, "yard", Trial(controller, 1, 1), 3, NEAR, patience(drives))
     assert json.loads(json.dumps(found)) == found
@@ -117,7 +100,7 @@ def test_whoever_drives_the_finding_is_numbers(
     assert len(found["way"]) == -(-found["ticks"] // WAY_TICKS) + 1
     assert 0.0 <= found["aside_rms_m"] <= found["aside_max_m"]
     assert ("wrong_share" in found) == (controller == "smal")
-    decides = {"paper": (found["ticks"] - 5) // 5 + 1, "cloning": 0, "nearest-1": 0, "nearest-5": 0}
+    decides = {"paper": (found["ticks"] - 5) // 5 + 1, "nearest-1": 0, "nearest-5": 0}
     if controller in decides:
         assert found["decisions"] == decides[controller]
     assert ("files" in found) == (controller == "smal")

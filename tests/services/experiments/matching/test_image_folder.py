@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import random
-import struct
 import subprocess
 import sys
 from pathlib import Path
@@ -15,7 +14,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from services.experiments.matching.image_folder import NAMED, describe_frames, list_folder, natural_key, say_skipped
+from services.experiments.matching.image_folder import describe_frames, list_folder, natural_key, say_skipped
 from services.experiments.matching.image_reading import LEAST_COLUMNS, LEAST_ROWS, read_color, read_depth
 from services.kit.errors import JobError, UsageError
 from smal.features import FeatureSettings, extract
@@ -61,20 +60,6 @@ def test_numbers_in_names_sort_by_value_whatever_their_zeros_and_letters(
     assert ordered == sorted(sorted(names), key=natural_key)
 
 
-@given(st.lists(st.text(), unique=True, max_size=20), st.randoms(use_true_random=False))
-def test_any_names_have_one_order(names: list[str], shuffler: random.Random) -> None:
-    ordered = sorted(names, key=natural_key)
-    shuffler.shuffle(names)
-    assert sorted(names, key=natural_key) == ordered
-    assert len({repr(natural_key(name)) for name in names}) == len(names)
-
-
-def test_the_order_that_people_mean() -> None:
-    wanted = ["1.png", "02.png", "10.png", "a1b2.png", "A1b10.png", "a2b1.png", "img2.png", "IMG10.png", "z.png"]
-    as_characters = sorted(wanted)
-    assert sorted(as_characters, key=natural_key) == wanted
-
-
 @pytest.mark.parametrize("suffix", FORMATS)
 def test_every_format_is_read(suffix: str, tmp_path: Path) -> None:
     image = picture()
@@ -106,21 +91,6 @@ def test_grey_alpha_and_16_bits(tmp_path: Path) -> None:
     read = read_color(tmp_path / "alpha.png")
     assert read is not None
     np.testing.assert_array_equal(read, image)
-
-
-def test_the_orientation_noted_by_a_camera_is_ignored(tmp_path: Path) -> None:
-    tiff = b"MM\x00*\x00\x00\x00\x08" + struct.pack(">HHHIHHI", 1, 0x0112, 3, 1, 6, 0, 0)
-    exif = b"Exif\x00\x00" + tiff
-    plain = encoded(picture(), ".jpg")
-    turned = plain[:2] + b"\xff\xe1" + struct.pack(">H", len(exif) + 2) + exif + plain[2:]
-    path = tmp_path / "turned.jpg"
-    path.write_bytes(turned)
-    default = cv2.imread(str(path))
-    assert default is not None
-    assert default.shape == (80, 60, 3)  # what OpenCV does unless told otherwise
-    read = read_color(path)
-    assert read is not None
-    assert read.shape == (60, 80, 3)
 
 
 @pytest.mark.parametrize("size", [(1, 1), (1, 50), (40, 1), (23, 32), (24, 31), (24, 32), (25, 33)])
@@ -176,37 +146,6 @@ def test_what_counts_as_a_frame(tmp_path: Path, capsys: pytest.CaptureFixture[st
         f"smal: {tmp_path}: skipped 2 files that are no images: notes.txt, truth.csv",
         f"smal: {tmp_path}: skipped 2 unreadable images, kept in the count of frames: img4.jpg, img5.png",
     ]
-
-
-def test_only_some_skipped_files_are_named_and_none_moves_the_terminal(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    write(tmp_path / "a.png", picture())
-    for number in range(NAMED + 4):
-        (tmp_path / f"b{number}\x1b[31m\n.png").touch()
-    folder = list_folder(tmp_path, "QUERY_DIR")
-    say_skipped(folder, describe_frames(folder, FEATURES, None, "reading"))
-    said = capsys.readouterr().err
-    assert said.count("\n") == 1
-    assert "\x1b" not in said
-    assert "14 unreadable images" in said
-    assert said.count("?[31m?.png") == NAMED
-    assert said.endswith(" and 4 more\n")
-
-
-def test_features_are_in_the_order_of_the_frames_whatever_their_size_and_format(tmp_path: Path) -> None:
-    # Large images in front take longer than the small ones behind them.
-    for number in range(40):
-        size = (900, 1200) if number % 4 == 0 else (60 + number, 80)
-        write(tmp_path / f"{number}{('.png', '.bmp', '.ppm')[number % 3]}", picture(number, *size))
-    folder = list_folder(tmp_path, "QUERY_DIR")
-    settings = FeatureSettings.of(["color", "hog"])
-    described = describe_frames(folder, settings, None, "reading")
-    assert described.features.dtype == np.float32
-    for row, name in zip(described.features, folder.frames, strict=True):
-        bgr = cv2.imread(str(tmp_path / name))
-        assert bgr is not None
-        np.testing.assert_array_equal(row, extract(cv2.cvtColor(bgr, cv2.COLOR_BGR2RGB), settings))
 
 
 def test_a_frame_without_readable_depth_is_skipped(tmp_path: Path) -> None:

@@ -1,0 +1,165 @@
+"""Recordings as the page lists them, read in a process of its own: a file that takes long, or all memory, ends that."""
+
+from __future__ import annotations
+
+import logging
+import multiprocessing
+import os
+import resource
+import signal
+from collections.abc import Iterator
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from multiprocessing.connection import Connection
+from pathlib import Path
+from types import TracebackType
+from typing import Final, Self, cast
+
+import cv2
+
+from schemas.codec import printable
+from schemas.topics import CAMERA, JPEG
+from services.kit.jpeg import encode_jpeg
+from services.recordings.dataset import unusable
+from services.recordings.encoding import decode_image
+from services.recordings.reader import RecordingError, read_recording
+from services.recordings.recorded import RecordedEpisode
+from services.robot.clock import TICK_S
+
+#: Pictures along a drive, and their width; six of them fill a row of the list.
+THUMBNAILS: Final = 6
+_WIDTH: Final = 160
+#: Processor time that one file may take, whole seconds: a drive of 4 hours takes 15 of them.
+READ_S: Final = 120
+#: How much reading gives way to the services of the stack; see nice(1).
+_NICENESS: Final = 10
+#: Where memory runs out, this process ends before the others; see proc(5).
+_ENDED_FIRST: Final = "1000"
+_log = logging.getLogger("console")
+
+
+@dataclass(frozen=True)
+class Recording:
+    """A recording as the page lists it; ``thumbnails`` are JPEG, along the drive."""
+
+    name: str
+    when_s: float
+    size: int
+    episode: str = ""
+    purpose: str | None = None
+    goal: str = ""
+    world: str = ""
+    outcome: str | None = None
+    frames: int = 0
+    seconds: float = 0.0
+    #: Why it teaches nothing; empty where it does.
+    useless: str = ""
+    thumbnails: tuple[bytes, ...] = ()
+
+
+class Readers:
+    """Reads recordings, one at a time, in a process that ends with the context.
+
+    Parameters
+    ----------
+    limit_s
+        Processor time that one may take; wall time would count what else the machine does.
+    """
+
+    def __init__(self, limit_s: int = READ_S) -> None:
+        self._limit_s = limit_s
+        self._process: tuple[multiprocessing.process.BaseProcess, Connection] | None = None
+
+    def read(self, path: Path, listed: Recording) -> Recording:
+        """Complete what the page lists with what is in the file; where it cannot be read, with why not."""
+        process, ours = self._process = self._process or _started()
+        with suppress(EOFError, OSError):
+            ours.send((path, listed, self._limit_s))
+            return cast("Recording", ours.recv())
+        process.join()
+        too_long = process.exitcode == -signal.SIGXCPU
+        self.close()
+        why = f"it takes more than {self._limit_s} s" if too_long else "the process that read it has died"
+        return replace(listed, useless=f"it cannot be read: {why}")
+
+    def close(self) -> None:
+        """End the process."""
+        if self._process is not None:
+            process, ours = self._process
+            process.kill()
+            process.join()
+            ours.close()
+            self._process = None
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+
+def _started() -> tuple[multiprocessing.process.BaseProcess, Connection]:
+    context = multiprocessing.get_context("spawn")
+    ours, theirs = context.Pipe()
+    process = context.Process(target=_read_all, args=(theirs,), name="recordings", daemon=True)
+    process.start()
+    theirs.close()  # so that its death is heard
+    return process, ours
+
+
+def _read_all(connection: Connection) -> None:
+    """Read what is asked for, until nobody asks any more."""
+    os.nice(_NICENESS)
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for who started it
+    with suppress(OSError):
+        Path("/proc/self/oom_score_adj").write_text(_ENDED_FIRST)
+    with suppress(EOFError, OSError):
+        while True:
+            path, listed, limit_s = connection.recv()
+            end_after(limit_s)
+            connection.send(read(path, listed))
+
+
+def end_after(limit_s: int) -> None:
+    """Have the system end this process (SIGXCPU) when it has worked for so many seconds more."""
+    spent = resource.getrusage(resource.RUSAGE_SELF)
+    until_s = int(spent.ru_utime + spent.ru_stime) + limit_s
+    resource.setrlimit(resource.RLIMIT_CPU, (until_s, resource.RLIM_INFINITY))
+
+
+def read(path: Path, listed: Recording) -> Recording:
+    """Complete what the page lists with what is in the file."""
+    try:
+        episode, *others = read_recording(path, topics=(JPEG, CAMERA)).episodes
+    except RecordingError as error:
+        return replace(listed, useless=printable(str(error)).removeprefix(f"{path}: "))
+    useless = "it holds several episodes; use smal learn" if others else unusable(episode, include_runs=True)
+    ticks = sorted(episode.images)
+    return replace(
+        listed,
+        episode=episode.episode,
+        purpose=episode.purpose,
+        goal=episode.goal,
+        world=episode.world,
+        outcome=episode.outcome,
+        frames=episode.frames,
+        seconds=(ticks[-1] - ticks[0]) * TICK_S if ticks else 0.0,
+        useless=useless or "",
+        thumbnails=tuple(_thumbnails(episode, ticks)),
+    )
+
+
+def _thumbnails(episode: RecordedEpisode, ticks: list[int]) -> Iterator[bytes]:
+    """Give small pictures along a drive, its first and last frame among them."""
+    count = min(THUMBNAILS, len(ticks))
+    for k in range(count):
+        tick = ticks[round(k * (len(ticks) - 1) / max(count - 1, 1))]
+        try:
+            image = decode_image(bytes(episode.images[tick]))
+        except ValueError as error:
+            _log.warning("%s, frame %d: %s", episode.episode, tick, error)
+            continue
+        height = max(1, round(image.shape[0] * _WIDTH / image.shape[1]))
+        yield encode_jpeg(cv2.resize(image, (_WIDTH, height), interpolation=cv2.INTER_AREA).astype("uint8"))

@@ -1,1 +1,0 @@
-"""What `smal tune` searches and answers."""

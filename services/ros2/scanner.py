@@ -1,0 +1,76 @@
+"""What a laser scan says of the ways ahead and back: something is near, they are free, or it does not tell."""
+
+from __future__ import annotations
+
+import math
+from typing import Final, NamedTuple
+
+import numpy as np
+
+from services.ros2.config import Scan
+from services.ros2.messages import MessageError, RosMessage
+
+#: A whole turn; drivers round, and one in a hundred is far more than they do.
+_TURN_RAD: Final = 1.01 * math.tau
+
+
+class Way(NamedTuple):
+    """What is known of one way.
+
+    Attributes
+    ----------
+    nearest_m
+        How far the nearest thing is, where that is nearer than the scanner's `Scan.stop_m`; else infinity. What is too
+        near to be measured is at 0.
+    unseen_rad
+        The widest angle in which no beam tells anything.
+    seen
+        Whether that is narrow enough for the way to be free.
+    """
+
+    nearest_m: float
+    unseen_rad: float
+    seen: bool
+
+
+def ways(message: RosMessage, scan: Scan) -> tuple[Way, Way]:
+    """Return what a LaserScan says of the way ahead, and of the way back.
+
+    A beam says that something is near, as -inf or a range, also one below the scanner's least; or that nothing is, as
+    +inf or a range that the scanner can have (REP 117). All else says nothing: NaN, 0 (unless it is told what that
+    means), what is negative, beyond the scanner's range, or a part of the robot.
+
+    Raises
+    ------
+    MessageError
+        Its angles or limits are those of no scanner, or of one that cannot tell what it is asked.
+    """
+    ranges = np.asarray(message.ranges, dtype=np.float64)
+    _check(message, ranges.size, scan)
+    near = (ranges == -math.inf) | ((ranges > scan.blind_m) & (ranges < scan.stop_m))
+    free = (ranges >= scan.stop_m) & (ranges <= message.range_max) | (ranges == math.inf)
+    if scan.zero_is_free:
+        free |= ranges == 0.0
+    angles = message.angle_min + message.angle_increment * np.arange(ranges.size)
+    half_rad = min(scan.half_angle_rad, math.pi)
+
+    def way(middle_rad: float) -> Way:
+        off = np.remainder(angles - middle_rad + math.pi, math.tau) - math.pi
+        inside = np.abs(off) <= half_rad
+        told = np.sort(off[inside & (near | free)])
+        gap_rad = float(np.diff(told, prepend=-half_rad, append=half_rad).max())
+        nearest_m = float(ranges[inside & near].min(initial=math.inf))
+        return Way(max(0.0, nearest_m), gap_rad, gap_rad <= min(scan.gap_rad, half_rad))
+
+    return way(scan.ahead_rad), way(scan.ahead_rad + math.pi)
+
+
+def _check(message: RosMessage, beams: int, scan: Scan) -> None:
+    begin, step, end = message.angle_min, message.angle_increment, message.angle_max
+    turn = step * (beams - 1)
+    geometry = beams > 0 and step != 0 and abs(begin) <= _TURN_RAD and abs(turn) <= _TURN_RAD
+    if not (geometry and abs(begin + turn - end) <= scan.gap_rad):
+        raise MessageError(f"{beams} beams from {begin:g} to {end:g} rad in steps of {step:g}: that is no scan")
+    if not 0 <= message.range_min < scan.stop_m <= message.range_max:
+        limits = f"from {message.range_min:g} to {message.range_max:g} m"
+        raise MessageError(f"it measures {limits}: that does not tell what is nearer than {scan.stop_m:g} m")

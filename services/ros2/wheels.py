@@ -1,0 +1,108 @@
+"""Where the wheels say that the base is, and what that means for an episode."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from services.robot.body import OdometryReading
+
+# Poses further apart than the base can have gone, by this much, are of wheels that began to count anew.
+_LEAP_M, _LEAP_RAD = 0.3, 0.3
+#: As `schemas.odometry` has it; and far more than any base does.
+_MOST_M, _MOST_RAD_S, _MOST_M_S = 1e6, 100.0, 100.0
+
+
+@dataclass(frozen=True)
+class Wheels:
+    """Where the wheels say that the base is, since we listen.
+
+    Attributes
+    ----------
+    read_s
+        When, by our clock.
+    ahead_m
+        The way so far, backwards less.
+    """
+
+    read_s: float
+    x_m: float
+    y_m: float
+    heading_rad: float
+    ahead_m: float
+    turned_rad: float
+
+
+class Track:
+    """Adds up what the wheels say, so that a base whose count begins anew does not leap.
+
+    Parameters
+    ----------
+    speed_m_s, turn_rate_rad_s
+        What the base does at most; twice of it is believed.
+    silence_s
+        After so much silence the count may have begun anew: it has where it is nearer to nothing than to what it was.
+    """
+
+    def __init__(self, speed_m_s: float, turn_rate_rad_s: float, silence_s: float) -> None:
+        self._silence_s = silence_s
+        self._speed_m_s = speed_m_s
+        self._turn_rate_rad_s = turn_rate_rad_s
+        self._raw: tuple[float, float, float] | None = None
+        self._now = Wheels(0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+        #: How many times it leapt.
+        self.leaps = 0
+
+    def add(self, read_s: float, x_m: float, y_m: float, heading_rad: float) -> Wheels:
+        """Take the next pose."""
+        now, raw = self._now, self._raw
+        self._raw = x_m, y_m, heading_rad
+        if raw is None:
+            self._now = Wheels(read_s, 0.0, 0.0, 0.0, 0.0, 0.0)
+            return self._now
+        turned = math.remainder(heading_rad - raw[2], math.tau)
+        dx, dy = x_m - raw[0], y_m - raw[1]
+        passed_s = max(0.0, read_s - now.read_s)
+        far = math.hypot(dx, dy) > _LEAP_M + 2 * self._speed_m_s * passed_s
+        far |= abs(turned) > _LEAP_RAD + 2 * self._turn_rate_rad_s * passed_s
+        if passed_s > self._silence_s:
+            far |= _size(x_m, y_m, math.remainder(heading_rad, math.tau)) < _size(dx, dy, turned)
+        if far:
+            self.leaps += 1
+            dx = dy = turned = 0.0
+        # What was gone is seen from where the base stood, and laid on to where we say that it stood.
+        by = now.heading_rad - raw[2]
+        middle = raw[2] + turned / 2
+        self._now = Wheels(
+            read_s,
+            now.x_m + dx * math.cos(by) - dy * math.sin(by),
+            now.y_m + dx * math.sin(by) + dy * math.cos(by),
+            math.remainder(now.heading_rad + turned, math.tau),
+            now.ahead_m + dx * math.cos(middle) + dy * math.sin(middle),
+            now.turned_rad + turned,
+        )
+        return self._now
+
+
+def _size(x_m: float, y_m: float, angle_rad: float) -> float:
+    return math.hypot(x_m / _LEAP_M, y_m / _LEAP_M, angle_rad / _LEAP_RAD)
+
+
+def reading(now: Wheels, since: Wheels, last: Wheels) -> OdometryReading:
+    """Return what the wheels say now, from where they were when an episode began, and when they were last read."""
+    dx, dy = now.x_m - since.x_m, now.y_m - since.y_m
+    cos, sin = math.cos(since.heading_rad), math.sin(since.heading_rad)
+    elapsed_s = now.read_s - last.read_s
+    speed_m_s = (now.ahead_m - last.ahead_m) / elapsed_s if elapsed_s > 0 else 0.0
+    turn_rad_s = (now.turned_rad - last.turned_rad) / elapsed_s if elapsed_s > 0 else 0.0
+    return OdometryReading(
+        _within(_MOST_M, dx * cos + dy * sin),
+        _within(_MOST_M, dy * cos - dx * sin),
+        math.remainder(now.heading_rad - since.heading_rad, math.tau),
+        _within(_MOST_M_S, speed_m_s),
+        _within(_MOST_RAD_S, turn_rad_s),
+    )
+
+
+def _within(most: float, value: float) -> float:
+    return min(max(value, -most), most)

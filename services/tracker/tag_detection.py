@@ -1,0 +1,108 @@
+"""Corners of an ArUco marker in an image, to a small fraction of a pixel."""
+
+from __future__ import annotations
+
+from typing import Final
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+#: Cells along a marker's side in DICT_4X4_50: four of code between two of black border.
+_CELLS: Final = 6
+#: How far from where an edge is thought to be it is looked for. Further out, the next cell's edge comes in.
+_REACH_CELLS: Final = 0.5
+#: The ends of an edge are left out: blur rounds the corners.
+_MARGIN: Final = 0.12
+_PROFILES: Final = 24
+_SAMPLES: Final = 13
+#: OpenCV's corners are about a pixel off. Each round leaves a tenth of that.
+_ROUNDS: Final = 3
+
+
+class MarkerDetector:
+    """Finds the markers of OpenCV's dictionary ``DICT_4X4_50``."""
+
+    def __init__(self) -> None:
+        dictionary = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_4X4_50)
+        parameters = cv2.aruco.DetectorParameters()
+        # Of cells only 3 pixels wide, the blurred rims would drown the code with OpenCV's 4 pixels and 0.13.
+        parameters.perspectiveRemovePixelPerCell = 8
+        parameters.perspectiveRemoveIgnoredMarginPerCell = 0.25
+        self._detector = cv2.aruco.ArucoDetector(dictionary, parameters)
+
+    def find(self, image: NDArray[np.uint8], number: int) -> list[NDArray[np.float64]]:
+        """Return the corners of every marker with one number.
+
+        OpenCV's own refinement fits each corner by itself, which at 30 pixels a side errs by up to 2.6 pixels and
+        6 degrees when the white margin is narrow; here the corners are where straight lines along the sides meet.
+
+        Parameters
+        ----------
+        image : uint8 array (height, width, 3)
+            RGB.
+        number : int
+            Which marker.
+
+        Returns
+        -------
+        list of float64 arrays (4, 2)
+            Pixels right and down from the image's upper left corner (so that the first pixel's centre is at 0.5),
+            clockwise in the image from the marker's own upper left corner.
+        """
+        grey = cv2.cvtColor(image, cv2.COLOR_RGB2GRAY)
+        quads, numbers, _ = self._detector.detectMarkers(grey)
+        if not quads:  # then `numbers` is None
+            return []
+        # OpenCV counts from the centre of the first pixel.
+        return [
+            _refined(grey, quad[0].astype(np.float64)) + 0.5
+            for quad, found in zip(quads, numbers.ravel(), strict=True)
+            if found == number
+        ]
+
+
+def _refined(grey: cv2.typing.MatLike, corners: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the corners where straight lines along the four sides meet."""
+    for _ in range(_ROUNDS):
+        corners = _meeting(*_sides(grey, corners))
+    return corners
+
+
+def _sides(grey: cv2.typing.MatLike, corners: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Fit a straight line to the step from black to white along each side.
+
+    Returns
+    -------
+    (starts, ends) : float64 arrays (4, 2)
+        Of side k from corner k to corner k + 1, shifted onto the step.
+    """
+    along = np.roll(corners, -1, axis=0) - corners
+    lengths = np.hypot(along[:, 0], along[:, 1])
+    outward = np.column_stack([along[:, 1], -along[:, 0]]) / lengths[:, np.newaxis]
+    reach = _REACH_CELLS * lengths.mean() / _CELLS
+    fractions = np.linspace(_MARGIN, 1 - _MARGIN, _PROFILES)
+    offsets = np.linspace(-reach, reach, _SAMPLES)
+    feet = corners[:, np.newaxis] + fractions[:, np.newaxis] * along[:, np.newaxis]
+    points = feet[:, :, np.newaxis] + offsets[:, np.newaxis] * outward[:, np.newaxis, np.newaxis]
+    right, down = np.moveaxis(points.reshape(4 * _PROFILES, _SAMPLES, 2).astype(np.float32), 2, 0)
+    profiles = cv2.remap(grey, right, down, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    # Falls of brightness belong to what lies beyond the white margin.
+    rises = np.maximum(0.0, np.diff(profiles.reshape(4, _PROFILES, _SAMPLES).astype(np.float64)))
+    middles = (offsets[1:] + offsets[:-1]) / 2
+    steps = rises @ middles / np.maximum(rises.sum(axis=2), 1e-9)
+    slopes, at_start = np.polyfit(fractions, steps.T, 1)
+    starts = corners + at_start[:, np.newaxis] * outward
+    return starts, corners + along + (at_start + slopes)[:, np.newaxis] * outward
+
+
+def _meeting(starts: NDArray[np.float64], ends: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return where each line meets the one before it."""
+    directions = ends - starts
+    before, direction_before = np.roll(starts, 1, axis=0), np.roll(directions, 1, axis=0)
+    share = _cross(starts - before, directions) / _cross(direction_before, directions)
+    return before + share[:, np.newaxis] * direction_before
+
+
+def _cross(a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.float64]:
+    return a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]

@@ -1,0 +1,181 @@
+"""Ground truth as in the paper's indoor experiment: the robot's pose from a tag on it, seen by a camera overhead.
+
+The tag lies flat at a known height and the camera looks straight down, so that the image is a map to scale of the
+tag's plane, and the pose is planar: where the tag is, and where it looks.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from services.tracker.tag_detection import MarkerDetector
+
+#: Root mean square error of the corners, as a share of the side, beyond which a tag is not believed: what it is when
+#: a single corner is so far off that it turns the heading by 2 degrees.
+MAX_ERROR: Final = 0.035
+#: How much larger or smaller than it is a tag may look before its size, and not its shape, is what is wrong.
+MAX_SIDE_DEVIATION: Final = 0.1
+
+
+class TagNotSeen(Exception):  # noqa: N818 - what happened, and no error
+    """The pose is unknown; the message says why in one line."""
+
+
+@dataclass(frozen=True)
+class Tag:
+    """A square ArUco marker of ``DICT_4X4_50`` that lies flat on the robot, its upper edge towards the front.
+
+    Attributes
+    ----------
+    number
+        Which marker, 0 to 49.
+    side_m
+        Side of the black square, metres.
+    height_m
+        Above the floor, metres.
+    """
+
+    number: int
+    side_m: float
+    height_m: float
+
+
+@dataclass(frozen=True)
+class OverheadCamera:
+    """A pinhole camera without distortion that looks straight down.
+
+    Attributes
+    ----------
+    focal_px
+        Focal length, pixels.
+    centre_px
+        Where the optical axis meets the image, pixels right and down from its upper left corner.
+    position_m
+        East, north and above the floor, metres.
+    up_rad
+        Direction on the floor that points up in the image, anticlockwise from east.
+    """
+
+    focal_px: float
+    centre_px: tuple[float, float]
+    position_m: tuple[float, float, float]
+    up_rad: float
+
+    def onto_plane(self, pixels: NDArray[np.float64], height_m: float) -> NDArray[np.float64]:
+        """Return the points (n, 2), metres east and north, at which pixels (n, 2) see a horizontal plane."""
+        east, north, _ = self.position_m
+        right, down = ((pixels - self.centre_px) * self.metres_per_px(height_m)).T
+        cos, sin = math.cos(self.up_rad), math.sin(self.up_rad)
+        return np.column_stack([east + right * sin - down * cos, north - right * cos - down * sin])
+
+    def metres_per_px(self, height_m: float) -> float:
+        """Return the scale of the image at a height above the floor.
+
+        Raises
+        ------
+        ValueError
+            When the camera is not above that height.
+        """
+        above = self.position_m[2]
+        if above <= height_m:
+            raise ValueError(f"a camera {above:g} m above the floor cannot look down on a tag at {height_m:g} m")
+        return (above - height_m) / self.focal_px
+
+
+@dataclass(frozen=True)
+class TagPose:
+    """Where the tag is: metres east and north, heading in radians anticlockwise from east, in [-pi, pi].
+
+    ``error_px`` is the root mean square distance of the tag's corners from where this pose puts them, pixels.
+    """
+
+    x_m: float
+    y_m: float
+    heading_rad: float
+    error_px: float
+
+
+class TagTracker:
+    """Measures the pose of one tag, each image by itself.
+
+    Parameters
+    ----------
+    tag
+        Which tag, and how it is mounted.
+    """
+
+    def __init__(self, tag: Tag) -> None:
+        self.tag = tag
+        self._detector = MarkerDetector()
+
+    def locate(self, image: NDArray[np.uint8], camera: OverheadCamera) -> TagPose:
+        """Return the tag's pose.
+
+        Parameters
+        ----------
+        image : uint8 array (height, width, 3)
+            RGB.
+        camera
+            What took it.
+
+        Raises
+        ------
+        TagNotSeen
+            When there is no such tag in the image, more than one, or what was found is not a square of its size.
+        ValueError
+            When the camera is not above the tag.
+        """
+        metres_per_px = camera.metres_per_px(self.tag.height_m)
+        found = self._detector.find(image, self.tag.number)
+        if len(found) != 1:
+            raise TagNotSeen(f"{len(found) or 'no'} markers with number {self.tag.number} are in the image")
+        corners = camera.onto_plane(found[0], self.tag.height_m)
+        self._check_side(corners)
+        x_m, y_m, heading_rad, error_m = fit_square(corners, self.tag.side_m)
+        error_px, most_px = error_m / metres_per_px, MAX_ERROR * self.tag.side_m / metres_per_px
+        # Not `>`: the error of corners that could not be computed is no number.
+        if not error_px <= most_px:
+            raise TagNotSeen(
+                f"marker {self.tag.number} is no square of {self.tag.side_m:g} m: "
+                f"its corners are {error_px:.2f} px off, and {most_px:.2f} px is the limit"
+            )
+        return TagPose(x_m, y_m, heading_rad, error_px)
+
+    def _check_side(self, corners: NDArray[np.float64]) -> None:
+        sides = np.roll(corners, -1, axis=0) - corners
+        side_m = float(np.hypot(sides[:, 0], sides[:, 1]).mean())
+        if abs(side_m - self.tag.side_m) > MAX_SIDE_DEVIATION * self.tag.side_m:
+            raise TagNotSeen(
+                f"marker {self.tag.number} measures {side_m:.3f} m and not {self.tag.side_m:g} m: "
+                "another tag, another height, or a wrong calibration"
+            )
+
+
+def fit_square(corners: NDArray[np.float64], side: float) -> tuple[float, float, float, float]:
+    """Fit a square of known side to four points: the rotation and shift of least squares, in closed form (Kabsch).
+
+    Parameters
+    ----------
+    corners : float64 array (4, 2)
+        Seen from above, clockwise from the one ahead on the left.
+    side : float
+        Above 0, in the corners' unit.
+
+    Returns
+    -------
+    (x, y, heading, error) : floats
+        The square's middle, its direction in [-pi, pi], and the root mean square distance of the corners from its own.
+    """
+    ahead_left = side / 2 * np.array([[1.0, 1.0], [1.0, -1.0], [-1.0, -1.0], [-1.0, 1.0]])
+    middle = corners.mean(axis=0)
+    # As complex numbers: rotating is multiplying, and the best rotation is the direction of the correlation.
+    model, measured = ahead_left @ (1.0, 1j), (corners - middle) @ (1.0, 1j)
+    turn = np.vdot(model, measured)
+    heading = float(np.angle(turn))
+    error = float(np.sqrt(np.mean(np.abs(measured - model * np.exp(1j * heading)) ** 2)))
+    return float(middle[0]), float(middle[1]), heading, error

@@ -1,1 +1,0 @@
-"""Choosing weights, lengths, penalties and thresholds of place recognition, with labels or without."""

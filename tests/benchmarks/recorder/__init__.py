@@ -1,0 +1,1 @@
+"""What the recorder holds while one drive goes on for hours."""

@@ -1,0 +1,132 @@
+"""Another machine's clock: whatever it does, no old frame is taken for a new one."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from hypothesis import example, given
+from hypothesis import strategies as st
+
+from schemas.rpc import ResetRequest
+from services.kit.node import ServiceError
+from services.robot.gate import MAX_AGE_S
+from services.ros2.clock import DRIFT, LEARN_S, StampedClock
+from tests.ros2.rig import AHEAD_S, Rig
+
+#: From frame to frame.
+FRAME_S = 0.1
+
+
+@pytest.fixture
+def rig(tmp_path: Path) -> Rig:
+    return Rig(tmp_path).begun()
+
+
+@given(st.floats(-1e6, 1e6), st.lists(st.floats(0.001, 0.2), min_size=2, max_size=50))
+def test_a_frame_is_never_older_than_the_truth_nor_newer_than_its_arrival(ahead: float, delays: list[float]) -> None:
+    clock, least = StampedClock(), math.inf
+    for number, delay in enumerate(delays):
+        made = 1000.0 + number * 0.3
+        told = clock.made_s(made + ahead, made + delay)
+        least = min(least, delay)
+        assert told is not None
+        assert made - 1e-6 <= told <= made + least + DRIFT * 0.3 * (number + 1) + 1e-6
+        assert told <= made + delay + 1e-6
+
+
+def test_a_link_that_became_slow_makes_frames_old() -> None:
+    clock = StampedClock()
+    assert clock.made_s(0.0, 0.01) == pytest.approx(0.01)
+    for number in range(1, 600):  # for a minute
+        told = clock.made_s(number / 10, number / 10 + 0.3)
+    assert told == pytest.approx(number / 10 + 0.01, abs=0.02)
+    assert clock.delay_s == pytest.approx(0.29, abs=0.02)
+    assert clock.known
+
+
+# The link hangs for a while, and what was sent meanwhile comes when it is over; the clock is set at some frame.
+@given(st.lists(st.tuples(st.integers(1, 15), st.integers(0, 40)), max_size=4), st.integers(0, 100), st.floats(-9, 9))
+@example([(15, 30)], 20, -1.3)
+@example([(15, 30)], 20, 3.0)
+def test_wherever_the_link_hangs_and_the_clock_is_set_no_old_frame_is_believed_to_be_new(
+    hangs: list[tuple[int, int]], set_at: int, by_s: float
+) -> None:
+    clock, freed = StampedClock(), {}
+    first = 0
+    for calm, hung in hangs:
+        first += calm + 10
+        freed |= dict.fromkeys(range(first, first + hung), first + hung)
+        first += hung
+    for number in range(first + 60):
+        made_s, arrived_s = number * FRAME_S, freed.get(number, number) * FRAME_S + 0.005
+        told = clock.made_s(made_s + (by_s if number >= set_at else 0.0), arrived_s)
+        if told is not None and clock.known:
+            assert told <= made_s + 0.005 + MAX_AGE_S + DRIFT * made_s + 1e-6
+            assert told <= arrived_s + 1e-6
+    if set_at < first + 60 - (LEARN_S + max(0.0, -by_s)) / FRAME_S - 5:
+        assert clock.known
+
+
+@pytest.mark.parametrize("by_s", [-3600.0, -1.3, -0.2, 0.2, 3600.0])
+def test_a_robot_whose_clock_is_set_stands_until_it_is_known_again(rig: Rig, by_s: float) -> None:
+    assert rig.may_go("forward")
+    begun_s, ahead_s = rig.clock.now_s, []
+    while not ahead_s or rig.clock.now_s < begun_s + 4.0:
+        rig.clock.now_s += 0.05
+        set_s = rig.clock.now_s + by_s
+        rig.picture(set_s)
+        rig.wheels(at_s=set_s)
+        rig.scans([5.0] * 360, at_s=set_s)
+        rig.hazards(at_s=set_s)
+        fresh = rig.clock.now_s - rig.body.look(1).captured_s < MAX_AGE_S
+        if rig.may_go("forward"):
+            assert fresh
+            ahead_s.append(rig.clock.now_s - begun_s)
+    assert LEARN_S <= ahead_s[0] <= LEARN_S + 0.2
+    assert rig.air.robot_s == pytest.approx(rig.clock.now_s + by_s + AHEAD_S, abs=0.01)
+    assert rig.body.detail()["camera_clock_leaps"] == 1
+
+
+def test_a_frame_that_comes_late_after_the_clock_was_set_back_is_not_new(rig: Rig) -> None:
+    """What came 3 s late was taken for new, where the robot's clock had been set back by 1.3 s."""
+    rig.clock.now_s += 3.0
+    for number in range(2):
+        rig.wheels()
+        rig.scan()
+        rig.hazards()
+        rig.picture(rig.clock.now_s - 3.0 - 1.3 + 0.1 * number)
+        assert rig.clock.now_s - rig.body.look(1).captured_s >= MAX_AGE_S
+        assert not rig.may_go("forward")
+        rig.clock.now_s += 0.1
+    with pytest.raises(ServiceError, match=r"^base: how the clock of /camera\S+ stands is learned; that takes 2 s$"):
+        rig.body.begin(ResetRequest(seed=1, mode="realtime"))
+
+
+@pytest.mark.parametrize("name", ["picture", "wheels", "scan", "hazards"])
+def test_whose_stamps_are_frozen_is_not_heard(rig: Rig, name: str) -> None:
+    takes: dict[str, Callable[..., None]] = {
+        "picture": rig.picture,
+        "wheels": rig.wheels,
+        "scan": lambda at_s=None: rig.scans([5.0] * 360, at_s),
+        "hazards": rig.hazards,
+    }
+    frozen_s = rig.clock.now_s
+    for _ in range(12):
+        rig.clock.now_s += 0.05
+        for other, take in takes.items():
+            take(at_s=frozen_s if other == name else None)
+    new = rig.clock.now_s - rig.body.look(1).captured_s < MAX_AGE_S
+    assert not (new and rig.may_go("forward"))
+
+
+def test_two_who_send_on_one_topic_by_different_clocks_are_never_believed(rig: Rig) -> None:
+    for number in range(100):
+        rig.clock.now_s += 0.05
+        rig.wheels()
+        rig.scan()
+        rig.hazards()
+        rig.picture(rig.clock.now_s - 50.0 * (number % 2))
+        assert number < 2 or not rig.may_go("forward")

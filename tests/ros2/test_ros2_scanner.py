@@ -1,0 +1,197 @@
+"""The scanner: a way is free where it says so, and nowhere else."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from services.kit.node import ServiceError
+from tests.ros2.rig import SCAN, Rig
+
+INF, NAN = math.inf, math.nan
+STOP_M, BLIND_M, HALF_RAD, GAP_RAD, LEAST_M, MOST_M = 0.4, 0.1, 0.6, 0.2, 0.02, 12.0
+STEP = math.tau / 360
+#: The scanner of a TurtleBot 3: LDS-01, 0 where nothing comes back; and LDS-02, which leaves some beams out as well.
+LDS_01 = {"angle_max": math.tau, "angle_increment": STEP, "range_min": 0.12, "range_max": 3.5}
+LDS_02 = {"angle_min": 0.01, "angle_max": 6.26, "angle_increment": 6.25 / 240, "range_min": 0.0, "range_max": 100.0}
+
+
+@pytest.fixture(scope="module")
+def rig(tmp_path_factory: pytest.TempPathFactory) -> Rig:
+    """Share one: where it is not forbidden after one scan, it is as if there had been none."""
+    return Rig(tmp_path_factory.mktemp("scanner"))
+
+
+def after(rig: Rig, ranges: object, **fields: float) -> Rig:
+    """Have everything be heard, all ways be free, and then such a scan."""
+    rig.begun().scans(ranges, **fields)  # type: ignore[arg-type]
+    return rig
+
+
+@pytest.mark.parametrize(
+    "value", [-INF, NAN, 0.0, 0.01, 0.05, -1.0, 12.1, 65.533, 1e30], ids=lambda value: f"all {value}"
+)
+def test_a_scanner_that_sees_nothing_is_no_free_way(rig: Rig, value: float) -> None:
+    after(rig, [value] * 360)
+    assert not rig.may_go("forward")
+    assert not rig.may_go("backward")
+
+
+@pytest.mark.parametrize(
+    "fields",
+    [
+        {"angle_increment": 0.0},
+        {"angle_increment": NAN},
+        {"angle_increment": INF},
+        {"angle_increment": 1.0},
+        {"angle_increment": 1e-30},
+        {"angle_increment": -STEP},
+        {"angle_min": NAN},
+        {"angle_min": 1e9, "angle_max": 1e9},
+        {"angle_max": NAN},
+        {"angle_max": 3.0},
+        {"range_min": 1e9},
+        {"range_min": NAN},
+        {"range_min": -1.0},
+        {"range_min": STOP_M},
+        {"range_max": 0.3},
+        {"range_max": NAN},
+    ],
+    ids=str,
+)
+def test_what_cannot_be_a_scan_is_refused_and_no_free_way(rig: Rig, fields: dict[str, float]) -> None:
+    refused = rig.senses.refused[SCAN]
+    after(rig, [5.0] * 360, **fields)
+    assert rig.senses.refused[SCAN] == refused + 1
+    assert not rig.may_go("forward")
+    assert not rig.may_go("backward")
+    assert f"{SCAN}: " in str(rig.body.detail()["lacks"])
+
+
+@pytest.mark.parametrize("beams", [0, 1, 2, 8])
+def test_few_beams_are_no_free_way(rig: Rig, beams: int) -> None:
+    assert not after(rig, [5.0] * beams).may_go("forward")
+
+
+@st.composite
+def scans(draw: st.DrawFn) -> tuple[list[float], dict[str, float]]:
+    """Make scans of scanners that are more or less broken."""
+    value = st.sampled_from([0.0, -INF, INF, NAN, 0.05, 0.3, STOP_M, 5.0, MOST_M, 13.0]) | st.floats(width=32)
+    beams = draw(st.sampled_from([120, 360]) | st.integers(0, 400))
+    ranges = [draw(st.sampled_from([5.0, 5.0, INF, INF, 0.0, NAN]))] * beams
+    for _ in range(draw(st.integers(0, 3))):
+        begin, size = draw(st.integers(0, 400)), draw(st.integers(0, 60))
+        ranges[begin : begin + size] = [draw(value)] * len(ranges[begin : begin + size])
+    begin = draw(st.floats(-4, 4, width=32))
+    turn = draw(st.sampled_from([6.2, 6.2, -6.2]) | st.floats(-7, 7))
+    fields = {"angle_min": begin, "angle_max": begin + turn, "angle_increment": turn / max(1, beams - 1)}
+    wrong = st.dictionaries(st.sampled_from([*fields, "range_min", "range_max"]), st.floats(width=32), max_size=1)
+    return ranges, fields | draw(st.just({}) | wrong)
+
+
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None)
+@given(scans(), st.sampled_from([("forward", 0.0), ("backward", math.pi)]))
+def test_only_a_scan_that_tells_of_the_whole_way_that_it_is_free_makes_it_free(
+    rig: Rig, scan: tuple[list[float], dict[str, float]], way: tuple[str, float]
+) -> None:
+    ranges, fields = scan
+    if not after(rig, ranges, **fields).may_go(way[0]):  # type: ignore[arg-type]
+        return
+    most = fields.get("range_max", MOST_M)
+    there = []
+    for number, metres in enumerate(np.asarray(ranges, np.float32).tolist()):
+        angle = fields["angle_min"] + number * fields["angle_increment"]
+        off = math.remainder(angle - way[1], math.tau)
+        if abs(off) <= HALF_RAD - 1e-3:  # angles are of 32 bits
+            assert metres != -INF
+            assert not BLIND_M < metres < STOP_M
+        if abs(off) <= HALF_RAD + 1e-3 and (STOP_M <= metres <= most or metres == INF):
+            there.append(off)
+    for direction in np.linspace(-HALF_RAD, HALF_RAD, 61):
+        assert min(abs(off - direction) for off in there) <= GAP_RAD + 1e-3
+
+
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None)
+@given(
+    st.integers(60, 720),
+    st.floats(-math.pi, math.pi),
+    st.sampled_from([-1, 1]),
+    st.lists(st.sampled_from([INF, MOST_M, STOP_M]) | st.floats(0.5, 11.5), min_size=1, max_size=20),
+)
+def test_where_all_beams_say_so_the_way_is_free(
+    rig: Rig, beams: int, begin: float, sense: int, values: list[float]
+) -> None:
+    step = sense * math.tau / beams
+    end = begin + (beams - 1) * step
+    after(rig, np.resize(values, beams), angle_min=begin, angle_increment=step, angle_max=end)
+    assert rig.may_go("forward")
+    assert rig.may_go("backward")
+
+
+def test_a_way_that_is_not_seen_is_not_gone_and_the_others_are(rig: Rig) -> None:
+    ranges = [5.0] * 360
+    ranges[20:40] = [NAN] * 20
+    after(rig, ranges)
+    assert [atom for atom in ("forward", "backward", "left", "right") if rig.may_go(atom)] == [
+        "backward",
+        "left",
+        "right",
+    ]
+    assert not rig.may_go("forward")
+    assert rig.body.detail()["lacks"] == f"{SCAN} says nothing of 15 degrees ahead"
+    rig.clock.now_s += 0.1
+    rig.scan()  # it needs not be armed again
+    rig.wheels()
+    rig.hazards()
+    assert rig.may_go("forward")
+
+
+def test_a_scanner_that_only_looks_ahead_guards_the_way_back_only_where_it_is_told_that_it_cannot(
+    tmp_path: Path,
+) -> None:
+    half = {"angle_min": -2.0, "angle_max": 2.0, "angle_increment": 4.0 / 240}
+    guarded = after(Rig(tmp_path), [5.0] * 241, **half)
+    assert (guarded.may_go("forward"), guarded.may_go("backward")) == (True, False)
+    unguarded = after(Rig(tmp_path, "stop_m: 0.4, behind: false"), [5.0] * 241, **half)
+    assert (unguarded.may_go("forward"), unguarded.may_go("backward")) == (True, True)
+    behind = [5.0] * 360
+    behind[180] = 0.2
+    assert not after(unguarded, behind).may_go("backward")  # what it sees all the same counts
+
+
+@pytest.mark.parametrize("lds", [LDS_01, LDS_02], ids=["LDS-01", "LDS-02"])
+def test_a_turtlebot_3_in_an_open_space_drives_where_it_is_told_what_its_zeros_mean(
+    tmp_path: Path, lds: dict[str, float]
+) -> None:
+    beams = 360 if lds is LDS_01 else 241
+    nothing = np.zeros(beams, np.float32)
+    if lds is LDS_02:
+        nothing[::5] = NAN
+    safe = after(Rig(tmp_path, "half_angle_rad: 0.6", preset="turtlebot3"), nothing, **lds)
+    assert not safe.may_go("forward")
+    assert "is its 0 a free way? see zero_is_free" in str(safe.body.detail()["lacks"])
+    assert safe.may_go("left")
+    told = Rig(tmp_path, "zero_is_free: true", preset="turtlebot3")
+    assert after(told, nothing, **lds).may_go("forward")
+    for metres in (0.15, 0.05):  # less than the LDS-01 can measure, which says so all the same
+        near = nothing.copy()
+        near[3] = metres
+        assert not after(told, near, **lds).may_go("forward")
+    assert not after(told, np.full(beams, NAN), **lds).may_go("forward")
+    room = np.full(beams, 2.5, np.float32)
+    room[::7] = 0.0  # what is black sends nothing back
+    assert after(safe, room, **lds).may_go("forward")
+
+
+def test_what_is_too_near_to_be_measured_is_near(rig: Rig) -> None:
+    ranges = [5.0] * 360
+    ranges[3] = -INF
+    after(rig, ranges)
+    with pytest.raises(ServiceError, match=r"something is 0\.00 m ahead \(/scan\); it stands until it is armed again"):
+        rig.body.drive("forward", 1.0)
+    assert rig.may_go("backward")

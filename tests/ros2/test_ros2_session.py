@@ -1,0 +1,159 @@
+"""The session with a robot's router: what it hears of buttons that speak only of changes, and what is too large."""
+
+from __future__ import annotations
+
+import time
+from argparse import Namespace
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, closing
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import pytest
+import zenoh
+
+from services.cli.stack.processes import free_endpoint
+from services.kit.wire import LARGEST_BYTES
+from services.ros2.config import read_config
+from services.ros2.messages import BOOL
+from services.ros2.senses import Senses
+from services.ros2.session import Ros2Session
+from tests.ros2.fake_turtlebot import Ros, opened
+from tests.services.waiting import eventually
+
+pytestmark = pytest.mark.zenoh
+BUTTON = "/button"
+#: How long it is seen that nothing comes; what comes takes some milliseconds.
+NOTHING_S = 0.5
+
+
+@dataclass
+class Place:
+    """A router, a robot with a button, and the session of the service."""
+
+    folder: Path
+    dialect: str
+    latched: bool
+    endpoint: str = field(default_factory=free_endpoint)
+
+    def __post_init__(self) -> None:
+        self.router = opened("router", self.endpoint)
+        self.robot: Ros | None = None
+
+    def start_robot(self) -> Callable[[bool], None]:
+        """Start the robot's process; return what says whether its button is pressed."""
+        options = {"humble": False, "seed": 1, "loss": 0.0, "jitter": 0.0, "clock_offset": 0.0}
+        robot = Ros("robot", Namespace(endpoint=self.endpoint, dialect=self.dialect, **options))
+        say = robot.publisher("button", BOOL, latched=self.latched)
+        self.robot = robot
+        return lambda pressed: say(robot.types.types[BOOL](pressed))
+
+    def listen(self, stack: ExitStack) -> Senses:
+        """Start the service's side, for which the button is all that must be heard."""
+        path = self.folder / "robot.yaml"
+        path.write_text(
+            f"preset: generic\nwatchdog_s: 0.2\nrouter: {self.endpoint}\ndialect: {self.dialect}\nodometry: null\n"
+            "velocity: {type: geometry_msgs/msg/Twist}\n"
+            f"stops: [{{topic: button, type: {BOOL}, silence_s: null}}]\n"
+        )
+        config = read_config(path)
+        senses = Senses(config)
+        self.session = stack.enter_context(closing(Ros2Session(config, senses)))
+        return senses
+
+    def close(self) -> None:
+        if self.robot is not None:
+            self.robot.session.close()
+        self.router.close()
+
+
+@pytest.fixture(params=["rmw_zenoh", "zenoh-bridge-ros2dds"])
+def dialect(request: pytest.FixtureRequest) -> str:
+    return str(request.param)
+
+
+@pytest.fixture
+def stack() -> Iterator[ExitStack]:
+    with ExitStack() as stacked:
+        yield stacked
+
+
+def unheard(senses: Senses) -> bool:
+    return senses.silent() == f"nothing has come from {BUTTON}"
+
+
+def pressed(senses: Senses) -> bool:
+    return not unheard(senses) and senses.forbids("left") is not None
+
+
+def released(senses: Senses) -> bool:
+    return not unheard(senses) and senses.forbids("left") is None
+
+
+def test_a_button_that_was_pressed_before_we_came_is_seen(tmp_path: Path, dialect: str, stack: ExitStack) -> None:
+    place = stack.enter_context(closing(Place(tmp_path, dialect, latched=True)))
+    say = place.start_robot()
+    say(True)
+    senses = place.listen(stack)
+    eventually(lambda: pressed(senses))
+    say(False)
+    eventually(lambda: released(senses))
+
+
+def test_a_button_that_never_spoke_forbids_and_so_does_one_that_went(
+    tmp_path: Path, dialect: str, stack: ExitStack
+) -> None:
+    place = stack.enter_context(closing(Place(tmp_path, dialect, latched=False)))
+    say = place.start_robot()
+    say(True)  # nobody keeps it
+    senses = place.listen(stack)
+    time.sleep(NOTHING_S)
+    assert unheard(senses)
+    eventually(lambda: (say(False), released(senses))[1])
+    assert place.robot is not None
+    place.robot.session.close()
+    eventually(lambda: place.session.lacks() == f"nobody publishes {BUTTON}")
+    say = place.start_robot()
+    eventually(lambda: place.session.lacks() is None)
+    assert unheard(senses)
+    eventually(lambda: (say(False), released(senses))[1])
+
+
+@pytest.mark.parametrize("latched", [True, False])
+def test_what_a_button_said_during_an_outage_is_asked_for(
+    tmp_path: Path, dialect: str, stack: ExitStack, *, latched: bool
+) -> None:
+    place = stack.enter_context(closing(Place(tmp_path, dialect, latched=latched)))
+    say = place.start_robot()
+    senses = place.listen(stack)
+    eventually(lambda: (say(False), released(senses))[1])
+    place.router.close()
+    eventually(place.session.lacks)
+    say(True)
+    place.router = opened("router", place.endpoint)
+    eventually(lambda: place.session.lacks() is None)
+    if latched:
+        eventually(lambda: pressed(senses))
+    else:
+        time.sleep(NOTHING_S)
+        assert unheard(senses)
+        eventually(lambda: (say(True), pressed(senses))[1])
+    assert not senses.refused
+
+
+def test_a_message_that_is_larger_than_any_may_be_is_dropped_while_it_comes(
+    tmp_path: Path, dialect: str, stack: ExitStack
+) -> None:
+    place = stack.enter_context(closing(Place(tmp_path, dialect, latched=False)))
+    say: Any = place.start_robot()
+    senses = place.listen(stack)
+    eventually(lambda: (say(False), released(senses))[1])
+    assert place.robot is not None
+    key = place.robot._names("MP", "button", BOOL)[0]
+    block = zenoh.CongestionControl.BLOCK
+    place.robot.session.put(key, bytes(2 * LARGEST_BYTES), congestion_control=block)
+    eventually(lambda: (say(True), pressed(senses))[1])
+    assert not senses.refused
+    place.robot.session.put(key, bytes(100_000), congestion_control=block)
+    eventually(lambda: senses.refused[BUTTON])

@@ -1,0 +1,80 @@
+"""A page beside somebody at a terminal: whoever holds the robot holds it until they let go."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator
+
+import pytest
+
+from schemas.rpc import ResetReply, ResetRequest
+from services.kit.bus import Bus, RpcError
+from services.kit.node import Node
+from services.kit.settings import ServiceSettings
+from services.operator.hold import KeyHold
+from services.operator.operator import POLL_S, Operator
+from services.recorder.service import RecorderService
+from services.robot.clock import now_s
+from tests.services.console.page import Page
+from tests.services.operator.test_operator import RUN, Notes, misses_nobody
+from tests.services.robot.wheels import Robot
+
+HELD = "an operator has the robot (at teleop), and only they may say so"
+pytestmark = pytest.mark.parametrize("robot", [False], indirect=True, ids=["unattended"])
+
+
+@pytest.fixture
+def terminal(robot: Robot, settings: ServiceSettings) -> Iterator[Node]:
+    """Give the process of somebody at a terminal; they are there while the test waits by its ``spin``."""
+    with Node("teleop", settings) as node:
+        yield node
+
+
+def test_a_page_does_not_undo_the_takeover_of_somebody_at_a_terminal(
+    terminal: Node,
+    robot: Robot,
+    recorder: RecorderService,
+    client: Bus,
+    open_page: Callable[[], Page],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """By Drive, which asks for an episode of its person's own, and then Run."""
+    monkeypatch.setattr(robot.gate, "watch", misses_nobody)
+    operator = Operator(terminal, KeyHold(now_s), notes := Notes())
+    terminal.every(POLL_S, operator.poll)
+    assert terminal.spin(lambda: operator.commands.to_release is not None, 10.0)
+    assert operator.begin(RUN)
+    assert terminal.spin(lambda: operator.mine is not None and operator.commands.applied is not None, 10.0), notes.said
+    run = operator.mine
+    operator.press("left", math.inf)
+    assert terminal.spin(lambda: robot.gate.taken_over and robot.wheels.driven, 10.0)
+    operator.release()
+    page = open_page()
+    page.take()
+    assert terminal.spin(lambda: page.beats > 0 and page.robot(answers=True, reason="taken_over"), 10.0)
+    page.say(do="drive", goal="victim")
+    assert terminal.spin(lambda: HELD in page.news(), 10.0), page.news()
+    assert robot.gate.taken_over
+    assert page.state["robot"]["episode"] == run
+
+    def begin(request: ResetRequest) -> str:
+        operator.ask(lambda: _begun(client, request, said.append))
+        assert terminal.spin(lambda: not operator.asking, 10.0)
+        return said[-1]
+
+    said: list[str] = []
+    for driver in ("teleop", "policy"):
+        assert HELD in begin(RUN.model_copy(update={"driver": driver, "session": "another"}))
+    assert terminal.spin(lambda: not robot.wheels.driven, 10.0)
+    assert robot.gate.operator == terminal.session
+    # Who has taken over says when the policy goes on.
+    operator.resume()
+    assert terminal.spin(lambda: not robot.gate.taken_over, 10.0), notes.said
+
+
+def _begun(client: Bus, request: ResetRequest, say: Callable[[str], None]) -> Callable[[], None]:
+    try:
+        say(client.call("robot", "reset", request, ResetReply).episode)
+    except RpcError as error:
+        say(str(error))
+    return lambda: None

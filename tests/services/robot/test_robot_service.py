@@ -1,0 +1,129 @@
+"""The robot on the bus: one of an id, and nobody who was there looks as if they were there now."""
+
+from __future__ import annotations
+
+import os
+import signal
+import threading
+import time
+
+import pytest
+
+from schemas.command import Command
+from schemas.pulse import Pulse
+from schemas.topics import APPLIED, PULSE
+from services.kit.bus import Bus
+from services.kit.node import Node, ServiceError
+from services.kit.settings import ServiceSettings
+from services.operator.hold import KeyHold
+from services.operator.operator import POLL_S, Operator
+from services.robot import service
+from services.robot.clock import now_s
+from services.robot.config import RobotSettings
+from services.robot.gate import CommandGate
+from services.robot.loop import STAND_WITHIN_S
+from services.robot.runner import EpisodeRunner
+from services.robot.service import RobotService, serve_robot
+from services.robot.task import OperatorsTask
+from tests.benchmarks.faults.proxy import link
+from tests.services.conftest import RunNode
+from tests.services.operator.test_operator import RUN, Notes
+from tests.services.robot.wheels import Wheels, run_robot
+from tests.services.waiting import eventually, status_of
+
+
+@pytest.mark.zenoh
+def test_an_operator_behind_a_link_that_grows_slow_is_not_taken_for_being_there(
+    settings: ServiceSettings, router_endpoint: str, run_node: RunNode, client: Bus
+) -> None:
+    """Each sign of life comes ever later; the last ones come when whoever sent them has been dead for long."""
+    robot = run_robot(settings, run_node, attended=True)
+    policy = Node("policy", settings)
+    policy.subscribe(APPLIED, lambda applied: Command.after(applied, source="policy", atom="forward"))
+    run_node(policy)
+    with link(router_endpoint) as (address, pid):
+        far = settings.model_copy(update={"router": address})
+        with Node("teleop", far) as node:
+            operator = Operator(node, KeyHold(now_s), notes := Notes())
+            node.every(POLL_S, operator.poll)
+            assert node.spin(lambda: operator.commands.to_release is not None, 10.0)
+            assert operator.begin(RUN)
+            assert node.spin(lambda: robot.wheels.driven, 10.0), notes.said
+            os.kill(pid, signal.SIGUSR1)
+            node.spin(timeout_s=3.0)  # then the link takes 1.5 s each way
+            dead_s = time.monotonic()
+            # From here on it answers nothing; what it has sent is under way.
+            eventually(lambda: robot.gate.stop_cause == "operator_lost")
+            eventually(lambda: not robot.wheels.driven)
+            assert robot.wheels.stands_s - dead_s <= STAND_WITHIN_S
+            eventually(lambda: time.monotonic() - dead_s > 2.0 and robot.gate.operator is None)
+    assert status_of(client, "robot") is not None
+
+
+def robot_of(settings: ServiceSettings, run_node: RunNode, session: str, *, armed: bool = False) -> RobotService:
+    """Start a robot that has not asked whether there is another one."""
+    wheels, gate = Wheels(), CommandGate(first_stop=1)
+    if armed:
+        gate.arm(1, "")
+    node = Node("robot", settings)
+    found = RobotService(EpisodeRunner(wheels, OperatorsTask(), gate, settings.robot, session), node)
+    run_node(node)
+    return found
+
+
+@pytest.mark.parametrize(
+    ("one", "other", "stays"),
+    [(("a", False), ("b", False), 0), (("b", False), ("a", False), 1), (("b", True), ("a", False), 0)],
+    ids=["the first", "the second", "who is armed"],
+)
+def test_of_two_robots_of_one_id_one_stays(
+    settings: ServiceSettings, run_node: RunNode, one: tuple[str, bool], other: tuple[str, bool], stays: int
+) -> None:
+    robots = [robot_of(settings, run_node, session, armed=armed) for session, armed in (one, other)]
+    eventually(lambda: robots[1 - stays].left)
+    heard: list[Pulse] = []
+    watcher = Node("watcher", settings)
+    watcher.at_once(PULSE, heard.append)
+    run_node(watcher)
+    eventually(lambda: {pulse.session for pulse in heard} >= {one[0], other[0]})
+    assert not robots[stays].left
+
+
+def test_two_robots_of_one_id_that_start_in_the_same_instant_are_one(
+    settings: ServiceSettings, monkeypatch: pytest.MonkeyPatch, client: Bus
+) -> None:
+    """Neither is there yet when the other one asks."""
+    asked = threading.Barrier(2)
+
+    def check_alone(_: ServiceSettings) -> None:
+        found.append(status_of(client, "robot"))
+        asked.wait(10.0)
+
+    def keep(node: Node) -> None:
+        nodes.append(node)
+
+    found: list[object] = []
+    nodes: list[Node] = []
+    monkeypatch.setattr(service, "check_alone", check_alone)
+    monkeypatch.setattr(Node, "stop_on_signals", keep)
+    own = RobotSettings(robot=settings.robot, router=settings.router, attended=False)
+    refused: list[str] = []
+
+    def serve() -> None:
+        try:
+            serve_robot(own, lambda _: (Wheels(), {}), OperatorsTask())
+        except ServiceError as error:
+            refused.append(str(error))
+
+    threads = [threading.Thread(target=serve, daemon=True) for _ in range(2)]
+    for thread in threads:
+        thread.start()
+    eventually(lambda: [thread.is_alive() for thread in threads].count(False) == 1)
+    assert found == [None, None]
+    assert refused == ["another robot rescuebot has been started; give this one another id"]
+    eventually(lambda: status_of(client, "robot"))
+    for node in nodes:
+        node.stop()
+    for thread in threads:
+        thread.join(10.0)
+    assert len(refused) == 1

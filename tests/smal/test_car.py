@@ -1,0 +1,104 @@
+"""A car, which cannot turn on the spot: one lap that is all one bend is learned, recognized and driven again."""
+
+import math
+from collections import Counter
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+
+from smal.action_space import Atom
+from smal.features import Centering, extract
+from smal.filter import Filter
+from smal.movement import STILL, Movement, dead_reckoning
+from smal.planning import Planner
+from smal.visual_map import VisualMap
+from tests.smal.synthetic_world import COLOR, SCENE, TICK, Drive, Pose, Room, from_beside, taught
+
+ROOM = Room()
+#: A tick ahead, and the bend: 20 cm, and a circle of 2 m.
+STEP, RADIUS = 0.2, 2.0
+TURN = STEP / RADIUS
+CAR = np.array([[0.0, 0.0], [STEP, 0.0], [-STEP, 0.0], [STEP, TURN], [STEP, -TURN]])
+START = (6.0, 6.0 - RADIUS, 0.0)
+
+
+def lap() -> Drive:
+    """Drive once round to the left about the middle of the room."""
+    atoms = np.full(round(math.tau / TURN) + 1, Atom.LEFT, dtype=np.int8)
+    way = dead_reckoning(atoms, CAR)
+    return Drive(way + np.array(START), atoms)
+
+
+@cache
+def learned(odometry: bool) -> tuple[VisualMap, Centering]:
+    """Learn one lap; without odometry a tick ahead is the unit."""
+    unit = 1.0 if odometry else STEP
+    scene = replace(SCENE, height=SCENE.height / unit, distance=SCENE.distance / unit)
+    ahead = np.ones(len(lap().atoms), dtype=np.float32)
+    return taught(ROOM, lap(), odometry=odometry, scene=scene, ahead=ahead)
+
+
+def moved(pose: Pose, atom: Atom) -> Pose:
+    ahead, turn = CAR[atom]
+    return np.array(from_beside(pose, ahead * math.cos(turn / 2.0), ahead * math.sin(turn / 2.0), turn))
+
+
+@pytest.mark.parametrize("odometry", [True, False])
+def test_a_lap_that_is_all_one_bend_is_a_circle(odometry: bool) -> None:
+    found, _ = learned(odometry)
+    unit = 1.0 if odometry else STEP
+    table = found.movements * np.array([unit, 1.0])
+    # How far an atom turns is measured on the views, with the usual field of view for the camera's.
+    np.testing.assert_allclose(table, CAR, rtol=1e-6 if odometry else 0.2, atol=1e-9)
+    assert found.speed * unit == pytest.approx(STEP / TICK)
+    across = np.hypot(*(found.poses[len(found.poses) // 2] - found.poses[0])[:2])
+    assert across * unit == pytest.approx(2.0 * RADIUS, rel=0.01 if odometry else 0.25)
+    assert 0.3 < found.correlation_length * unit < 1.2
+    assert found.alike_cosine > found.outlier_cosine + 0.1
+
+
+@pytest.mark.parametrize("odometry", [True, False])
+def test_another_lap_is_recognized_and_driven_by_the_same_bend(odometry: bool) -> None:
+    """Begun 10 cm outside and turned a little; without odometry the filter goes by what atoms usually do."""
+    found, centering = learned(odometry)
+    follower, planner = Filter(found, centering), Planner(found)
+    pose, movement, made = np.array([START[0], START[1] - 0.1, 0.1]), STILL, []
+    for frame in range(2 * len(found.poses)):
+        belief = follower.observe(extract(ROOM.look(pose), COLOR), movement, TICK)
+        atom = planner.decide(belief).atom
+        if planner.done:
+            break
+        assert belief.lost < 0.5
+        off = abs(int(found.keyframes[belief.summary(1).keyframes[0]]) - frame)
+        # Where a lap ends it begins again.
+        assert min(off, len(found.poses) - off) <= 3
+        after = moved(pose, atom)
+        movement = Movement.between(pose, after) if odometry else Movement(*found.movements[atom])
+        pose = after
+        assert abs(math.hypot(pose[0] - 6.0, pose[1] - 6.0) - RADIUS) < 0.4
+        made.append(atom)
+    assert planner.done
+    assert len(made) == pytest.approx(len(found.poses), abs=4)
+    assert Counter(made)[Atom.LEFT] > 0.9 * len(made)
+
+
+def test_a_car_that_follows_bends_may_look_around_again() -> None:
+    """Who has looked in vain drives by its best guess, until it has followed the way for a correlation length."""
+    found, centering = learned(odometry=True)
+    follower, planner = Filter(found, centering), Planner(found)
+    belief = follower.observe(extract(ROOM.look(lap().poses[0]), COLOR), STILL, TICK)
+    nowhere = replace(belief, lost=0.9)
+    while planner.decide(nowhere).kind == "look_around":
+        pass
+    assert planner.decide(nowhere).kind == "guess"
+    for frame in range(1, math.ceil(found.correlation_length / STEP) + 2):
+        belief = follower.observe(extract(ROOM.look(lap().poses[frame]), COLOR), Movement(STEP, TURN), TICK)
+        assert planner.decide(replace(belief, lost=0.0)).kind == "follow"
+    assert planner.decide(nowhere).kind == "look_around"
+
+
+def test_who_only_turned_on_the_spot_is_refused() -> None:
+    with pytest.raises(ValueError, match="does not move"):
+        taught(ROOM, lap(), odometry=False, scene=SCENE)
