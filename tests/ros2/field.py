@@ -227,7 +227,7 @@ class Person:
 
         request = ResetRequest(seed=seed, purpose="drive", driver="expert", mode="realtime", max_ticks=20000)
         with recording(self.client.node.bus, folder, "--folder"):
-            return self.client.run(request, on_begin=begin, done=self._say(lambda: self.expert.arrived))
+            return self._run(request, begin, self._say(lambda: self.expert.arrived))
 
     def load(self, model: Path) -> None:
         """Have recognition and policy work with a model."""
@@ -239,18 +239,32 @@ class Person:
     def run(self, seed: int, max_ticks: int) -> EpisodeRecord:
         """Let it search by itself."""
         self.place.begin_at(seed, "run")
-        self.arm()
 
         def begin(reply: ResetReply) -> None:
             self._episode, self._said = reply.episode, False
 
         request = ResetRequest(seed=seed, driver="policy", mode="realtime", max_ticks=max_ticks)
-        return self.client.run(request, on_begin=begin, done=self._say(self.place.found))
+        return self._run(request, begin, self._say(self.place.found))
+
+    def _run(
+        self, request: ResetRequest, begin: Callable[[ResetReply], None], done: Callable[[], bool]
+    ) -> EpisodeRecord:
+        """Run an episode as soon as the robot lacks nothing: on a busy machine it learns its camera's clock again."""
+        while True:
+            self.arm()
+            try:
+                return self.client.run(request, on_begin=begin, done=done)
+            except RpcError:
+                if self._lacks() is None:
+                    raise
+
+    def _lacks(self) -> object:
+        return self.client.node.bus.call("robot", "status", Nothing(), Status).detail["lacks"]
 
     def arm(self) -> None:
         """Arm the robot where it stands for something, and wait until it is heard again."""
         bus = self.client.node.bus
-        until(lambda: bus.call("robot", "status", Nothing(), Status).detail["lacks"] is None)
+        until(lambda: self._lacks() is None)
         detail = bus.call("robot", "status", Nothing(), Status).detail
         if detail["emergency_stop"]:
             bus.call("robot", "arm", ArmRequest(stop=int(detail["emergency_stop"] or 0)), Nothing)

@@ -143,8 +143,8 @@ def data(page: Page, name: str) -> str:
 def begin_a_drive(page: Page, site: Site) -> None:
     before = data(page, "episode")
     insist(page, site, lambda: page.click("#drive-form button"), lambda: data(page, "episode") not in ("", before))
-    episode = data(page, "episode")
-    eventually(lambda: site.poses and site.poses[-1].episode == episode)
+    # Pressed twice, it has begun two, and the page follows.
+    eventually(lambda: site.poses and site.poses[-1].episode == data(page, "episode"))
 
 
 def drive_ahead(page: Page, site: Site) -> None:

@@ -7,7 +7,7 @@ import pytest
 from schemas.base import SOURCES
 from schemas.codec import encode, encoding_of
 from schemas.command import Command
-from schemas.topics import COMMANDS, HEARTBEAT
+from schemas.topics import COMMANDS, HEARTBEAT, PULSE
 from services.kit.bus import Bus
 from services.kit.node import Node
 from services.kit.settings import ServiceSettings
@@ -51,7 +51,8 @@ def test_no_forged_command_reaches_the_gate(
             session.delete(key)
             session.put(key, encode(command), encoding="application/json")
             session.put(key, bytes(2_000), encoding=encoding)
-        each = {COMMANDS[source].name: len(SOURCES) + 3 for source in SOURCES} | {HEARTBEAT.name: len(SOURCES)}
+        each = {COMMANDS[source].name: len(SOURCES) + 3 for source in SOURCES}
+        each |= {topic.name: len(SOURCES) for topic in (HEARTBEAT, PULSE)}
         eventually(lambda: (status := status_of(client, "robot")) is not None and status.bad == each)
     status = status_of(client, "robot")
     assert status is not None
