@@ -311,6 +311,7 @@ def _mapped(parts: Sequence[Demonstration], centering: Centering, of_images: Cen
         np.concatenate([part.atoms for part in parts]),
         _joined([part.odometry for part in parts]),
         parts[-1].goal,
+        tuple(part.name for part in parts),
         parts[-1].focal,
         _joined([part.ahead for part in parts]),
     )

@@ -20,7 +20,7 @@ from smal.visual_map import VisualMap
 
 __all__ = ["FORMAT_VERSION", "Model", "ModelError", "NoModelError"]
 
-FORMAT_VERSION = 2
+FORMAT_VERSION = 3
 
 _TRANSITION_ARRAYS = [field.name for field in fields(Transitions) if field.name != "states"]
 _STREAMS = ("state_streams", "atoms")
@@ -111,6 +111,8 @@ class Model:
             of_images = self.centering.of_images()
             if of_images is None or len(self.visual_map.basis) != of_images.settings.size:
                 wrong.append("map")
+            if not {name for names in self.visual_map.names for name in names} <= set(self.names):
+                wrong.append("names of the map")
         if wrong:
             raise ValueError(f"the parts of the model do not fit together: {', '.join(wrong)}")
         novelty_test(self.novelty, self.novelty_parameters)
@@ -263,9 +265,10 @@ def _visual_map(numbers: dict[str, Any] | None, arrays: dict[str, NDArray[Any]])
     if numbers is None:
         return None
     parts: dict[str, Any] = {name[4:]: array for name, array in arrays.items() if name.startswith("map.")}
-    if not isinstance(numbers["goals"], list):
-        raise TypeError("the goals of the map must be a list")
-    return VisualMap(**numbers | {"goals": tuple(numbers["goals"])}, **parts)
+    goals, names = numbers["goals"], numbers["names"]
+    if not (isinstance(goals, list) and isinstance(names, list) and all(isinstance(each, list) for each in names)):
+        raise TypeError("the goals of the map must be a list, and the names of its drives lists")
+    return VisualMap(**numbers | {"goals": tuple(goals), "names": tuple(map(tuple, names))}, **parts)
 
 
 def _check_numbers(meta: dict[str, Any]) -> None:

@@ -71,6 +71,10 @@ def _is_name(given: object) -> bool:
     return isinstance(given, str) and re.fullmatch(GOAL_NAME, given) is not None
 
 
+def _are_names(given: object) -> bool:
+    return isinstance(given, tuple) and bool(given) and all(isinstance(name, str) for name in given)
+
+
 def _sound(array: object, axes: int, kind: str) -> bool:
     if not isinstance(array, np.ndarray):
         return False
@@ -117,6 +121,8 @@ class VisualMap:
         `smal.virtual_views.Scene`, for people.
     goals : tuple of str
         Where each drive leads.
+    names : tuple of tuples of str
+        Demonstrations that each drive is made of, in order: several where frames between them were lost.
     stitched : int32 array (s, 2)
         Pairs of keyframes of different drives that show one place (`smal.stitches`), ascending.
     stitch_offsets : float64 array (s, 3)
@@ -139,6 +145,7 @@ class VisualMap:
     odometry: bool
     scene: NDArray[np.float64]
     goals: tuple[str, ...]
+    names: tuple[tuple[str, ...], ...]
     stitched: NDArray[np.int32] = field(default_factory=lambda: np.empty((0, 2), dtype=np.int32))
     stitch_offsets: NDArray[np.float64] = field(default_factory=lambda: np.empty((0, 3)))
 
@@ -167,6 +174,7 @@ class VisualMap:
                 "movements": self.movements.shape == (len(Atom), 2),
                 "scene": self.scene.shape == (3,),
                 "goals": len(self.goals) == int(self.drives.max(initial=-1)) + 1 and all(map(_is_name, self.goals)),
+                "names": len(self.names) == len(self.goals) and all(map(_are_names, self.names)),
                 "stitched": self.stitched.shape == (len(self.stitched), 2)
                 and bool(((self.stitched >= 0) & (self.stitched < count)).all()),
                 "stitch_offsets": self.stitch_offsets.shape == (len(self.stitched), 3)
@@ -274,6 +282,8 @@ class MappedDrive:
         x, y and heading in radians by the wheels.
     goal : str
         Where it leads.
+    names : tuple of str
+        Demonstrations that it is made of, in order.
     focal : float, optional
         Focal length over the image's width, where it is known.
     ahead : float32 array (f,), optional
@@ -286,6 +296,7 @@ class MappedDrive:
     atoms: NDArray[np.int8]
     odometry: NDArray[np.float64] | None
     goal: str
+    names: tuple[str, ...]
     focal: float | None = None
     ahead: NDArray[np.float32] | None = None
 
@@ -354,6 +365,7 @@ def learn_visual_map(
         odometry=with_odometry,
         scene=np.array([scene.focal, scene.height, scene.distance]),
         goals=tuple(one.goal for one in taught),
+        names=tuple(one.names for one in taught),
         kappa=kappa,
         outlier_cosine=outlier_cosine,
         alike_cosine=alike_cosine,

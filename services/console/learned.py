@@ -152,7 +152,7 @@ def _length(mapped: VisualMap, drive: int) -> int:
 def _taught(model: Model) -> Iterator[tuple[str, Sequence[int]]]:
     """Give the episode of each drive of the map, and the ticks of its frames; none where they are its last ones."""
     for parts in drives_of_map(model):
-        episode = episode_of(model.names[parts[0]]) if parts else ""
+        episode = episode_of(model.names[parts[0]])
         yield episode, [tick for part in parts for tick in ticks_of(model.names[part], len(model.atoms[part]))]
 
 

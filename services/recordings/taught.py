@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
 
 from smal.model import Model
 
@@ -20,27 +19,5 @@ def ticks_of(name: str, frames: int) -> range:
 
 
 def drives_of_map(model: Model) -> list[tuple[int, ...]]:
-    """Return which demonstrations of a model each drive of its map is made of, in order.
-
-    A model does not say so. Those that reached the goal and had images are in its map, each with its parts, or with the
-    last one alone where odometry was lost between them (`smal.learning`).
-    """
-    episodes: dict[str, list[int]] = {}
-    for number, name in enumerate(model.names):
-        episodes.setdefault(episode_of(name), []).append(number)
-    whole = iter([parts for parts in episodes.values() if model.successful[parts[-1]]])
-    found: list[tuple[int, ...]] = []
-    for drive in range(len(model.mapped.goals)):
-        frames = int((model.mapped.drives == drive).sum())
-        for parts in whole:
-            made_of = next((some for some in (parts, parts[-1:]) if _frames(model, some) == frames), None)
-            if made_of is not None:
-                found.append(tuple(made_of))
-                break
-        else:
-            found.append(())
-    return found
-
-
-def _frames(model: Model, parts: Sequence[int]) -> int:
-    return sum(len(model.atoms[part]) for part in parts)
+    """Return which demonstrations of a model each drive of its map is made of, in order."""
+    return [tuple(model.names.index(name) for name in names) for names in model.mapped.names]

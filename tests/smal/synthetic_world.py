@@ -174,7 +174,7 @@ def taught(
             changed.enter_context(patch("smal.visual_map.fit_scene", lambda *_: scene))
         found = learn_visual_map(
             [
-                MappedDrive(seen, features, one.atoms, one.poses if odometry else None, "victim", ahead=ahead)
+                MappedDrive(seen, features, one.atoms, one.poses if odometry else None, "victim", ("",), ahead=ahead)
                 for seen, features, one in zip(images, raw, drives, strict=True)
             ],
             centering,

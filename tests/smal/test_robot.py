@@ -1,12 +1,15 @@
 """The method in four lines: images in, atoms out, and where the robot is."""
 
 import math
+from dataclasses import replace
+from pathlib import Path
 
+import numpy as np
 import pytest
 
-from smal import Atom, Robot
+from smal import Atom, Model, Robot
 from smal.features import extract
-from smal.learning import LearningSettings, fit
+from smal.learning import Demonstration, LearningSettings, fit, learn
 from smal.robot import Localizer
 from tests.corridor import FEATURES, FRAMES, LENGTH, STEP_M, Pose, model, moved, pose, view
 
@@ -51,6 +54,15 @@ def test_a_model_without_a_map_is_refused_in_one_line() -> None:
     with pytest.raises(ValueError, match="no map of views") as refused:
         Robot(bare)
     assert "\n" not in str(refused.value)
+
+
+def test_the_map_names_its_drives_also_where_another_one_is_as_long(tmp_path: Path) -> None:
+    images = [view(*pose(frame)) for frame in range(FRAMES)]
+    atoms = np.array([Atom.FORWARD] * (FRAMES - 1) + [Atom.STOP], dtype=np.int8)
+    unseen = Demonstration("unseen", np.stack([extract(image, FEATURES) for image in images]), atoms)
+    taught, _ = learn([unseen, replace(unseen, name="seen", images=images)], LearningSettings(FEATURES, LENGTH))
+    taught.save(tmp_path / "taught.smal")
+    assert Model.load(tmp_path / "taught.smal").mapped.names == (("seen",),)
 
 
 def test_a_frame_that_is_refused_does_not_move_the_robot() -> None:

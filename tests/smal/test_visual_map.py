@@ -40,7 +40,7 @@ def learn(images: Sequence[Sequence[Image]], poses: Sequence[Any], atoms: Sequen
     raw = [np.stack([extract(image, COLOR) for image in each]) for each in images]
     with patch("smal.visual_map._SAMPLE", 500):
         drives = [
-            MappedDrive(*one, "victim")
+            MappedDrive(*one, "victim", ("drive",))
             for one in zip(images, raw, [np.asarray(each, dtype=np.int8) for each in atoms], poses, strict=True)
         ]
         return learn_visual_map(drives, Centering.fit(raw, COLOR), 0.1)
@@ -163,7 +163,7 @@ def test_images_are_read_when_they_are_needed_and_let_go() -> None:
     with patch("smal.visual_map._SAMPLE", 500):
         found = learn_visual_map(
             [
-                MappedDrive(reader, features, one.atoms, one.poses, "victim")
+                MappedDrive(reader, features, one.atoms, one.poses, "victim", ("drive",))
                 for reader, features, one in zip(readers, raw, drives, strict=True)
             ],
             Centering.fit(raw, COLOR),

@@ -161,8 +161,7 @@ class _Page:
 
     def _drive(self, drive: int) -> str:
         """Name a drive of the map."""
-        parts = self._parts[drive]
-        return episode_of(self._names[parts[0]]) if parts else f"drive {drive + 1}"
+        return episode_of(self._names[self._parts[drive][0]])
 
     def _costs(self, ways: Ways) -> Iterator[str]:
         names = [self._drive(drive) for drive in range(len(ways.map.goals))]
@@ -192,7 +191,7 @@ class _Page:
         whole: dict[int, list[Demonstration]] = {}
         for drive, numbers in enumerate(self._parts):
             parts = [one for one in (self._demonstrations[number] for number in numbers) if one is not None]
-            if parts and len(parts) == len(numbers):
+            if len(parts) == len(numbers):
                 whole[drive] = parts
         total, done = sum(len(part.atoms) for parts in whole.values() for part in parts), 0
 

@@ -87,6 +87,7 @@ def smallest_map(features: int) -> VisualMap:
         odometry=True,
         scene=np.ones(3),
         goals=("victim",),
+        names=(("drive-1",),),
     )
 
 

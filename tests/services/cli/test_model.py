@@ -141,7 +141,9 @@ def test_nothing_that_a_model_says_is_markup_and_nothing_comes_from_a_network(
     goals = replace(model.mapped)
     # A model in a file cannot have such goals; the page escapes them all the same.
     object.__setattr__(goals, "goals", (f"{hostile}a", f"{hostile}b"))
-    bad = replace(model, names=(f"{hostile}\x1b]0;", f"</title><script>alert(1)</script>{hostile}"), visual_map=goals)
+    names = f"{hostile}\x1b]0;", f"</title><script>alert(1)</script>{hostile}"
+    object.__setattr__(goals, "names", ((names[0],), (names[1],)))
+    bad = replace(model, names=names, visual_map=goals)
     file = tmp_path / "<script>alert(1)<.smal"
     model.save(file)
     found = find_drives(bad, find_recordings([taught / "drives"])) if recordings else None
