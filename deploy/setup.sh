@@ -80,7 +80,7 @@ install_packages() {
   .venv/bin/python -m pip install -q --disable-pip-version-check --no-deps --require-hashes -r deploy/requirements/dev.txt
   .venv/bin/python -m pip install -q --disable-pip-version-check --no-deps --no-build-isolation -e .
   say "compiling the solver for this processor"
-  .venv/bin/python -c 'import smal.place_recognition.traverse_matching as traverses, smal.matching.streaming as streaming
+  .venv/bin/python -c 'import smal.place_recognition.traverse_matching as traverses, smal.paper.matching.streaming as streaming
 streaming.compile_ahead(); traverses.compile_ahead()'
   printf '%s' "$wanted" >"$stamp"
 }

@@ -1,76 +1,50 @@
-"""Sequence-based Multimodal Apprenticeship Learning (Han, Yang, Zhang & Zhang, ICRA 2017), the pure method.
+"""Teach a robot a way by driving it once; then it goes there by itself, from its camera and its wheels.
 
-Read in the order of the paper: `features`, `objective`, `state_matching`, `state_space`, `action_space`,
-`transitions`, `reward`, `policy`; `learning` puts them together to a `model`, `recognition` and `decision` execute it.
-Beside it are `place_recognition`, the same matching on two traverses, and `evaluation`.
+Read in this order: `mapping` makes a `model` of drives (`demonstration`): the `visual_map`, of `virtual_views`, with what
+`calibration` measures and the `stitches` between drives. `filter` follows the robot over the map by its camera and its
+`movement`, `planning` says what to do, and `robot` puts the two together. All their numbers stand in `settings`.
 
-Words of the paper and of this project:
-
-frame
-    One camera image, and the features of it: a vector of m numbers.
-sequence
-    l successive frames; template sequences are those that states were made of.
-state
-    What a sequence shows; state j is the columns j l to j l + l - 1 of X, its template, a block of rows of W.
-phase
-    The frame of a state's template at which the last frame of a query is.
-atom
-    The movement until the next frame (the paper's atom movement); l of them are an action.
-recovery
-    A short demonstrated drive from beside the way back onto it.
-traverse
-    One drive along a route as a folder of images: one of references, one of queries.
-polar
-    Of the penalties in Eq. 7: how far a point is outside of the dual problem (`matching.certificate`).
+Beside it are `paper`, everything of Sequence-based Multimodal Apprenticeship Learning (Han, Yang, Zhang & Zhang, ICRA
+2017), with a `Robot` of its own; `place_recognition`, which matches two traverses; and `evaluation`.
 """
 
 from importlib import import_module
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from smal.action_space import Atom
-    from smal.decision import Decision, DecisionMaker
+    from smal.demonstration import Demonstration
     from smal.features import FeatureSettings, extract
     from smal.filter import Belief
-    from smal.learning import Demonstration, LearningReport, LearningSettings, fit, learn
-    from smal.matching.streaming import StreamingMatcher
+    from smal.mapping import fit, learn
     from smal.model import Model
-    from smal.recognition import Recognition, Recognizer
+    from smal.movement import Atom
+    from smal.paper.matching.streaming import StreamingMatcher
+    from smal.paper.state_matching import Solution, solve
+    from smal.planning import Decision
     from smal.robot import Robot
-    from smal.state_matching import Solution, solve
 
 _FILES = {
-    "Atom": "action_space",
+    "Atom": "movement",
     "Belief": "filter",
-    "Decision": "decision",
-    "DecisionMaker": "decision",
-    "Demonstration": "learning",
+    "Decision": "planning",
+    "Demonstration": "demonstration",
     "FeatureSettings": "features",
-    "LearningReport": "learning",
-    "LearningSettings": "learning",
     "Model": "model",
-    "Recognition": "recognition",
-    "Recognizer": "recognition",
     "Robot": "robot",
-    "Solution": "state_matching",
-    "StreamingMatcher": "matching.streaming",
+    "Solution": "paper.state_matching",
+    "StreamingMatcher": "paper.matching.streaming",
     "extract": "features",
-    "fit": "learning",
-    "learn": "learning",
-    "solve": "state_matching",
+    "fit": "mapping",
+    "learn": "mapping",
+    "solve": "paper.state_matching",
 }
 __all__ = [
     "Atom",
     "Belief",
     "Decision",
-    "DecisionMaker",
     "Demonstration",
     "FeatureSettings",
-    "LearningReport",
-    "LearningSettings",
     "Model",
-    "Recognition",
-    "Recognizer",
     "Robot",
     "Solution",
     "StreamingMatcher",

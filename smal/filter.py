@@ -14,8 +14,8 @@ Burgard and Fox 2005, chapters 4 and 8) keeps it:
   views that follow better than the first set does, by the odds against having been carried away. If they do, they take
   over. They find a robot that is switched on anywhere, and one that was kidnapped.
 
-The paper instead matches the last l frames anew at every decision (Eq. 7 to 9, `smal.recognition`). That has no memory,
-so that alikeness longer than l frames cannot be resolved.
+The paper instead matches the last l frames anew at every decision (Eq. 7 to 9, `smal.paper.recognition`). That has no
+memory, so that alikeness longer than l frames cannot be resolved.
 """
 
 import math
@@ -27,7 +27,8 @@ from numpy.typing import NDArray
 
 from smal.features import Centering
 from smal.movement import BY_ODOMETRY, STILL, MotionNoise, Movement, seen_from, wrapped
-from smal.visual_map import TURNS_DEG, VIEWS_A_LENGTH, VisualMap
+from smal.virtual_views import TURNS_DEG
+from smal.visual_map import VIEWS_A_LENGTH, VisualMap
 
 #: How often a robot is carried away, or a view of the way changes for good: once in so many seconds.
 KIDNAP_S = 300.0

@@ -3,12 +3,21 @@
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from enum import IntEnum
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from smal.action_space import Atom
+
+class Atom(IntEnum):
+    """What the robot does between one camera frame and the next."""
+
+    STOP = 0
+    FORWARD = 1
+    BACKWARD = 2
+    LEFT = 3
+    RIGHT = 4
 
 
 @dataclass(frozen=True)

@@ -19,9 +19,8 @@ from numpy.typing import NDArray
 from scipy import sparse
 from scipy.sparse.csgraph import dijkstra
 
-from smal.action_space import Atom
 from smal.filter import Belief
-from smal.movement import placed, seen_from, turns_ahead, wrapped
+from smal.movement import Atom, placed, seen_from, turns_ahead, wrapped
 from smal.visual_map import VisualMap
 
 #: How far ahead on the taught way the robot aims, as time of driving: less follows noise, more cuts corners.

@@ -7,11 +7,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from smal.action_space import Atom
 from smal.features import extract
 from smal.filter import Belief, Filter
 from smal.model import Model
-from smal.movement import BY_ATOMS, BY_ODOMETRY, STILL, Movement
+from smal.movement import BY_ATOMS, BY_ODOMETRY, STILL, Atom, Movement
 from smal.planning import Decision, Planner
 
 #: Places that a decision is made of, the heaviest: a message between services holds as many.
@@ -50,27 +49,20 @@ class Localizer:
     Parameters
     ----------
     model : Model
-        With a map of views.
     seed : int
         Of the filter's noise.
+
 
     Attributes
     ----------
     features : FeatureSettings
-        Of the map.
-
-    Raises
-    ------
-    ValueError
-        The model has no map of views.
+        That it goes by.
     """
 
     def __init__(self, model: Model, seed: int = 0) -> None:
         self._map = model.mapped
-        of_images = model.centering.of_images()
-        assert of_images is not None  # or there would be no map
-        self.features = of_images.settings
-        self._filter = Filter(self._map, of_images, seed)
+        self.features = model.feature_settings
+        self._filter = Filter(model.mapped, model.centering, seed)
         self.reset()
 
     def reset(self) -> None:
@@ -120,7 +112,6 @@ class Robot:
     Parameters
     ----------
     model : Model
-        With a map of views.
     goal : str, optional
         Where to go; may be left out where all drives lead to one goal.
     seed : int
@@ -135,7 +126,7 @@ class Robot:
     Raises
     ------
     ValueError
-        The model has no map of views, or not this goal, or several and none is named.
+        The model has not this goal, or several and none is named.
     """
 
     belief: Belief

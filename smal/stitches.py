@@ -18,7 +18,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from smal.movement import BY_ATOMS, BY_ODOMETRY, placed, seen_from, wrapped
-from smal.visual_map import TURNS_DEG, VIEWS_A_LENGTH, VisualMap
+from smal.virtual_views import TURNS_DEG
+from smal.visual_map import VIEWS_A_LENGTH, VisualMap
 
 #: Keyframes whose views are compared at once, which bounds the memory.
 _AT_ONCE = 32

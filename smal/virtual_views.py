@@ -15,9 +15,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from smal.action_space import Atom
-from smal.movement import seen_from
+from smal.demonstration import Image
+from smal.movement import Atom, seen_from
 
+#: Turns of the virtual views, degrees. Twenty taught pixels, the width of a cell of HOG, are about 5 degrees, within
+#: which a view turned stays alike; beyond 40 hardly anything of the taught image is left.
+TURNS_DEG = np.arange(-40.0, 41.0, 5.0)
 #: What a fit chooses from. Fields of view of cameras on robots, degrees; the height of the camera over the correlation
 #: length of views (`smal.visual_map`), and the distance of the scene over that height, both in steps of a half.
 _FIELDS_DEG = tuple(range(40, 125, 5))
@@ -29,7 +32,6 @@ _PAIRS = 24
 #: Turns from one view to another that a fit tries, degrees: those over which views overlap.
 _TURNS_DEG = tuple(np.geomspace(1.0, 40.0, 23).tolist())
 
-Image = NDArray[np.uint8]
 Maps = tuple[NDArray[Any], NDArray[Any]]
 
 
@@ -103,7 +105,7 @@ def remapped(image: Image, maps: Maps) -> Image:
 def fit_scene(
     images: Sequence[Image],
     poses: NDArray[np.float64],
-    drives: NDArray[np.intp],
+    drives: NDArray[np.int32],
     correlation_length: float,
     describe: Callable[[Image], NDArray[np.float32]],
     focal: float | None = None,
@@ -145,7 +147,7 @@ def fit_scene(
 def focal_of_curves(
     images: Sequence[Image],
     poses: NDArray[np.float64],
-    drives: NDArray[np.intp],
+    drives: NDArray[np.int32],
     describe: Callable[[Image], NDArray[np.float32]],
 ) -> float:
     """Find the focal length of a car's camera, by how far a curve moves what it sees; parameters as of `fit_scene`.
@@ -219,7 +221,7 @@ Pair = tuple[int, int, float, float, float]
 
 def _pairs(
     poses: NDArray[np.float64],
-    drives: NDArray[np.intp],
+    drives: NDArray[np.int32],
     wanted: Callable[[NDArray[np.float64], NDArray[np.float64]], NDArray[np.bool_]],
 ) -> list[Pair]:
     """Choose pairs of frames of one drive, the second the first after the first one that is as wanted.

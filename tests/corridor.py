@@ -14,10 +14,10 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from smal.action_space import Atom
+from smal.movement import Atom
 from smal.features import FeatureSettings
-from smal.learning import LearningSettings, fit
-from smal.model import Model
+from smal.paper.learning import LearningSettings, fit
+from smal.paper.model import Model
 
 FEATURES: Final = FeatureSettings(("thumbnail",), (1.0,))
 LENGTH: Final = 3

@@ -21,12 +21,12 @@ from services.kit.errors import JobError, UsageError
 from services.recordings.dataset import Teacher, Teaching, find_recordings, states_shared_by_episodes
 from services.recordings.recorded_features import features_of_recordings
 from smal.features import FeatureSettings
-from smal.learning import LearningReport, LearningSettings
-from smal.learning import learn as learn_model
-from smal.model import Model, ModelError
-from smal.novelty import WeightTest
-from smal.reward import RewardError
-from smal.template_store import MemoryBoundError
+from smal.paper.learning import LearningReport, LearningSettings
+from smal.paper.learning import learn as learn_model
+from smal.paper.model import Model, ModelError
+from smal.paper.novelty import WeightTest
+from smal.paper.reward import RewardError
+from smal.paper.template_store import MemoryBoundError
 
 
 def learn(

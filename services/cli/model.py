@@ -13,7 +13,7 @@ from services.cli import STYLE, outputs
 from services.experiments.showing.summary import lines
 from services.kit.errors import JobError, UsageError
 from services.recordings.dataset import find_recordings
-from smal.model import Model, ModelError
+from smal.paper.model import Model, ModelError
 
 app = typer.Typer(
     help="Look at what was learned.\n\nExample: smal model show campus.smal --recordings drives --out shown",

@@ -12,7 +12,7 @@ from typing import IO
 
 from services.cli.interrupts import interrupted_by_signals
 from services.kit.errors import JobError, UsageError
-from smal.container import replacing
+from smal.files.container import replacing
 
 
 def make_folder(path: Path, option: str) -> None:

@@ -22,7 +22,7 @@ from services.kit.jpeg import is_jpeg
 from services.kit.node import Node, ServiceError
 from services.kit.root import below, name_below
 from services.table import stack_services
-from smal.model import Model, ModelError
+from smal.paper.model import Model, ModelError
 
 #: Points of today's way; when there are more every second one is left out.
 _POINTS: Final = 400

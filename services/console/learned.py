@@ -17,7 +17,7 @@ from services.recordings.encoding import stamped_jpeg
 from services.recordings.reader import RecordingError, read_recording
 from services.recordings.recorded import RecordedEpisode
 from services.recordings.taught import drives_of_map, episode_of, ticks_of
-from smal.model import Model
+from smal.paper.model import Model
 from smal.movement import placed
 from smal.planning import chosen_goal, cost_to_go
 from smal.visual_map import VisualMap

@@ -15,9 +15,9 @@ from schemas.codec import printable
 from schemas.rpc import FileName
 from services.console.listing import Readers, Recording
 from services.kit.root import OutsideError, below, name_below, open_below
-from smal import container
-from smal.container import ModelError
-from smal.model import FORMAT_VERSION
+from smal.files import container
+from smal.files.container import ModelError
+from smal.paper.model import FORMAT_VERSION
 
 #: Folders below the root: of the drives, unless the recorder says otherwise, and of the models that are learned here.
 DRIVES: Final = "drives"

@@ -17,7 +17,7 @@ from schemas.rpc import LoadReply, LoadRequest, Scheme
 from schemas.topics import Topic
 from services.kit.node import Detail, Node, ServiceError, configure_logging, read_settings
 from services.kit.root import RootSettings, open_below
-from smal.model import Model, ModelError, NoModelError
+from smal.paper.model import Model, ModelError, NoModelError
 from smal.planning import chosen_goal
 
 #: So many hex digits of a model's checksum tell one model from another.

@@ -16,10 +16,10 @@ from schemas.rpc import LoadReply
 from schemas.state import State
 from services.kit.model_service import LoadedModel
 from services.kit.node import Detail, Throttle
-from smal.decision import DecisionMaker
+from smal.paper.execution import DecisionMaker
 from smal.filter import Belief
 from smal.planning import Planner
-from smal.recognition import Recognition
+from smal.paper.recognition import Recognition
 
 #: Reports of the actuator of whose delays the median is taken: those of a second.
 DELAYS_KEPT: Final = 10

@@ -16,10 +16,10 @@ from schemas.state import MAX_PLACES, Place, State
 from schemas.taught_map import TaughtMap
 from services.kit.model_service import LoadedModel
 from services.kit.node import Detail, ServiceError
-from smal.action_space import Atom
+from smal.movement import Atom
 from smal.features import select
 from smal.filter import Belief
-from smal.recognition import Recognizer
+from smal.paper.recognition import Recognizer
 from smal.robot import Localizer
 from smal.stitches import in_common_axes
 

@@ -24,10 +24,10 @@ from services.recordings.recorded import Piece, RecordedEpisode
 from services.recordings.recorded_features import features_in
 from services.recordings.records import Allowance
 from services.recordings.taught import episode_of
-from smal.action_space import Atom
+from smal.movement import Atom
 from smal.features import FeatureSettings, extract, select
-from smal.learning import Demonstration
-from smal.model import Model
+from smal.paper.learning import Demonstration
+from smal.paper.model import Model
 
 #: The library's number of each movement, by its place in ``ATOMS``.
 _NUMBERS: Final = np.array([Atom[name.upper()] for name in ATOMS], dtype=np.int8)

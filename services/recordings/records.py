@@ -19,7 +19,7 @@ from mcap.writer import MCAP0_MAGIC
 from zstandard import ZstdDecompressor, ZstdError
 
 from schemas.codec import printable
-from smal.regular_file import open_regular
+from smal.files.regular_file import open_regular
 
 #: First and last bytes of every MCAP file.
 MAGIC: Final = MCAP0_MAGIC

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 
-from smal.model import Model
+from smal.paper.model import Model
 
 
 def episode_of(name: str) -> str:

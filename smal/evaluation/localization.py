@@ -6,8 +6,8 @@ true pose that frame was taken.
 
 import numpy as np
 
-from smal.model import Model
-from smal.sequences import last_frames
+from smal.paper.model import Model
+from smal.paper.sequences import last_frames
 
 
 class DemonstratedFrames:
@@ -30,7 +30,7 @@ class DemonstratedFrames:
         state : int
             0 to the number of states - 1.
         phase : float
-            Frame of the state's template, at least 0 (`smal.phase`); those beyond it are the frames that came after it,
-            but for the end of the demonstration.
+            Frame of the state's template, at least 0 (`smal.paper.phase`); those beyond it are the frames that came
+            after it, but for the end of the demonstration.
         """
         return int(min(self._begin[state] + round(phase), self._last[state]))

@@ -9,8 +9,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from smal.matching.streaming import StreamingMatcher
-from smal.phase import matched_phase
+from smal.paper.matching.streaming import StreamingMatcher
+from smal.paper.phase import matched_phase
 from smal.place_recognition.matches import Matches, Progress, check_features, ignore
 
 #: a in lambda1 = lambda2 = a sqrt(l), as in learning.

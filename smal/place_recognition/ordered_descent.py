@@ -8,7 +8,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from smal.compiled import compiled
+from smal.paper.compiled import compiled
 
 #: A residual shorter than this (frames have length 1) is rounding noise: its square is the difference of float32
 #: products, which are off by 1e-7. The dual point r / max(||r||, floor) stays feasible below it.

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from smal.compiled import compiled
+from smal.paper.compiled import compiled
 from smal.place_recognition.matches import Matches, Progress, check_features, ignore
 from smal.place_recognition.trajectories import rolling, steps_back, sums_along
 

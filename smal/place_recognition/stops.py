@@ -9,7 +9,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from smal.compiled import compiled
+from smal.paper.compiled import compiled
 
 #: A frame is compared with one at most so many before it: in a long stop the light changes.
 REACH: Final = 16

@@ -12,7 +12,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from smal.compiled import compiled
+from smal.paper.compiled import compiled
 from smal.place_recognition.trajectories import steps_back
 
 #: Reference frames to one query frame, in quarters of an octave from half to twice.

@@ -6,7 +6,7 @@ import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from smal.container import replacing
+from smal.files.container import replacing
 
 #: What a benchmark found out about one thing; JSON can hold it.
 Record = dict[str, object]

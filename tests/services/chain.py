@@ -19,9 +19,9 @@ from schemas.observation import Observation
 from schemas.odometry import Odometry
 from schemas.state import State
 from services.table import SERVICES
-from smal.action_space import Atom
+from smal.movement import Atom
 from smal.features import FeatureSettings, extract
-from smal.learning import Demonstration, LearningSettings, learn
+from smal.paper.learning import Demonstration, LearningSettings, learn
 from tests import corridor
 from tests.corridor import Pose
 

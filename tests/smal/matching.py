@@ -7,8 +7,8 @@ import cvxpy as cp
 import numpy as np
 
 from smal import Solution, StreamingMatcher, solve
-from smal.matching.products import Known
-from smal.objective import objective
+from smal.paper.matching.products import Known
+from smal.paper.objective import objective
 from tests.smal.worlds import corridor, matching_problem, unit
 
 Array = np.ndarray

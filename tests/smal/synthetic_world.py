@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from smal.action_space import Atom
+from smal.movement import Atom
 from smal.features import Centering, FeatureSettings, extract
 from smal.filter import Filter
 from smal.movement import STILL, Movement

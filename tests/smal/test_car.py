@@ -8,7 +8,7 @@ from functools import cache
 import numpy as np
 import pytest
 
-from smal.action_space import Atom
+from smal.movement import Atom
 from smal.features import Centering, extract
 from smal.filter import Filter
 from smal.movement import STILL, Movement, dead_reckoning

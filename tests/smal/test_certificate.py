@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from smal.matching.certificate import cheap_polar_bound, polar_bound, polar_bounds
-from tests.smal.matching import polar
+from smal.paper.matching.certificate import cheap_polar_bound, polar_bound, polar_bounds
+from tests.smal.paper.matching import polar
 
 LAMBDAS = [(0.3, 0.5), (1.0, 0.1), (0.05, 2.0), (0.4, 0.0), (0.0, 0.4)]
 

@@ -7,10 +7,10 @@ from pathlib import Path
 
 import pytest
 
-from smal.compiled import compiled
+from smal.paper.compiled import compiled
 
 _CALLEE = """
-from smal.compiled import compiled
+from smal.paper.compiled import compiled
 LIMIT = {limit}
 @compiled
 def inner(x):
@@ -18,7 +18,7 @@ def inner(x):
 """
 _CALLER = """
 from callee import LIMIT, inner
-from smal.compiled import compiled
+from smal.paper.compiled import compiled
 @compiled
 def outer(x):
     return min(inner(x), LIMIT)
@@ -85,7 +85,7 @@ def test_what_can_only_be_read_is_used_and_what_is_not_there_is_no_error(tmp_pat
 def test_the_library_runs_without_compilation() -> None:
     """As debuggers, coverage and fuzzers need it."""
     settings = os.environ | {"NUMBA_DISABLE_JIT": "1"}
-    code = "import smal.matching.products, smal.matching.streaming"
+    code = "import smal.paper.matching.products, smal.paper.matching.streaming"
     subprocess.run([sys.executable, "-c", code], timeout=120, check=True, env=settings)
 
 

@@ -5,12 +5,12 @@ import dataclasses
 import numpy as np
 import pytest
 
-from smal.action_space import Atom
-from smal.decision import Decision, DecisionMaker
-from smal.learning import Demonstration, LearningReport, LearningSettings, learn
-from smal.model import Model
-from smal.recognition import Recognition, Recognizer
-from smal.state_matching import solve
+from smal.movement import Atom
+from smal.paper.execution import Decision, DecisionMaker
+from smal.paper.learning import Demonstration, LearningReport, LearningSettings, learn
+from smal.paper.model import Model
+from smal.paper.recognition import Recognition, Recognizer
+from smal.paper.state_matching import solve
 from tests.smal.worlds import COLOR, corridor, drive, unit
 
 PLACES, LENGTH = 120, 5

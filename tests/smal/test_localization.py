@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from smal.action_space import Atom
+from smal.movement import Atom
 from smal.evaluation.localization import DemonstratedFrames
 from smal.features import FeatureSettings
-from smal.learning import Demonstration, LearningSettings, learn
-from smal.model import Model
+from smal.paper.learning import Demonstration, LearningSettings, learn
+from smal.paper.model import Model
 
 LENGTH = 4
 

@@ -10,7 +10,7 @@ from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
 
 from smal import solve
-from tests.smal.matching import STRUCTURES, Problem, structured
+from tests.smal.paper.matching import STRUCTURES, Problem, structured
 
 TOLERANCE = 1e-5
 structures = st.sampled_from([name for name in STRUCTURES if name != "rank deficient"])

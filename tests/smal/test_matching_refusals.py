@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from smal import solve
-from smal.matching.products import Known
+from smal.paper.matching.products import Known
 from tests.smal.worlds import matching_problem
 
 BAD = [np.nan, np.inf, -np.inf]

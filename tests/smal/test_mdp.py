@@ -6,10 +6,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.optimize import linprog
 
-from smal.action_space import Atom, following_atoms, learn_action_space
-from smal.policy import policy_iteration, policy_matrix
-from smal.reward import learn_reward
-from smal.transitions import NO_ACTION, Transitions, learn_transitions
+from smal.movement import Atom
+from smal.paper.action_space import following_atoms, learn_action_space
+from smal.paper.policy import policy_iteration, policy_matrix
+from smal.paper.reward import learn_reward
+from smal.paper.transitions import NO_ACTION, Transitions, learn_transitions
 
 GAMMA = 0.9
 

@@ -7,10 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from smal import container
-from smal.container import replacing
-from smal.learning import LearningSettings, learn
-from smal.model import FORMAT_VERSION, Model, ModelError
+from smal.files import container
+from smal.files.container import replacing
+from smal.paper.learning import LearningSettings, learn
+from smal.paper.model import FORMAT_VERSION, Model, ModelError
 from tests.smal.worlds import COLOR, corridor, drive
 
 

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from smal.action_space import Atom
+from smal.movement import Atom
 from smal.movement import Movement, atom_movements, dead_reckoning, turns_ahead, wrapped
 
 COORDINATE = st.floats(-50.0, 50.0)

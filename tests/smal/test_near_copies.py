@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from smal import Solution, solve
-from smal.matching import working_set
-from smal.matching.newton import solve_blocks
-from tests.smal.matching import Problem
+from smal.paper.matching import working_set
+from smal.paper.matching.newton import solve_blocks
+from tests.smal.paper.matching import Problem
 from tests.smal.worlds import matching_problem, unit
 
 NOISES = (0.0, 1e-7, 1e-6, 1e-5, 1e-4)

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from smal.objective import l21_norm, objective, s1_norm
+from smal.paper.objective import l21_norm, objective, s1_norm
 
 
 def test_norms_by_hand() -> None:

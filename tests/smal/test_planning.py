@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from smal.action_space import Atom
+from smal.movement import Atom
 from smal.filter import Belief, Filter
 from smal.planning import GO_OVER_S, GUESS_S, LOOK_ASIDE_DEG, LOOK_DEG, Planner, cost_to_go
 from smal.visual_map import TURNS_DEG, VisualMap

@@ -6,8 +6,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from smal import solve
-from smal.matching import products
-from smal.matching.products import Known, narrow_product, rounding
+from smal.paper.matching import products
+from smal.paper.matching.products import Known, narrow_product, rounding
 from tests.smal.worlds import matching_problem
 
 shapes = st.tuples(st.integers(1, 23), st.integers(1, 700), st.integers(1, 13))

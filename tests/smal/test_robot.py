@@ -9,7 +9,7 @@ import pytest
 
 from smal import Atom, Model, Robot
 from smal.features import extract
-from smal.learning import Demonstration, LearningSettings, fit, learn
+from smal.paper.learning import Demonstration, LearningSettings, fit, learn
 from smal.robot import Localizer
 from tests.corridor import FEATURES, FRAMES, LENGTH, STEP_M, Pose, model, moved, pose, view
 

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from smal import Solution, solve
-from smal.algorithm2 import algorithm2
-from tests.smal.matching import Problem, check, check_bounds, streamed, structured
+from smal.paper.algorithm2 import algorithm2
+from tests.smal.paper.matching import Problem, check, check_bounds, streamed, structured
 from tests.smal.worlds import matching_problem, unit
 
 

@@ -6,8 +6,8 @@ from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
 
 from smal import solve
-from smal.algorithm2 import algorithm2
-from tests.smal.matching import (
+from smal.paper.algorithm2 import algorithm2
+from tests.smal.paper.matching import (
     STRUCTURES,
     Problem,
     answers,

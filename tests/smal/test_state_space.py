@@ -7,11 +7,11 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 from smal import state_space
-from smal.novelty import AgreementTest, Match, WeightTest, describe_match, neighbour_agreement, novelty_test
-from smal.phase import matched_phase, phase
-from smal.state_matching import Solution, solve
-from smal.state_space import StateSpace, learn_state_space
-from smal.template_store import MemoryBoundError, TemplateStore
+from smal.paper.novelty import AgreementTest, Match, WeightTest, describe_match, neighbour_agreement, novelty_test
+from smal.paper.phase import matched_phase, phase
+from smal.paper.state_matching import Solution, solve
+from smal.paper.state_space import StateSpace, learn_state_space
+from smal.paper.template_store import MemoryBoundError, TemplateStore
 from tests.smal.worlds import corridor, unit
 
 SIZE, LENGTH, LAMBDA = 300, 5, 0.1 * np.sqrt(5)

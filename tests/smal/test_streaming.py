@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from smal import StreamingMatcher, solve
-from tests.smal.matching import Problem, check, check_bounds
+from tests.smal.paper.matching import Problem, check, check_bounds
 from tests.smal.worlds import corridor, unit
 
 LENGTH = 5

@@ -13,7 +13,7 @@ from unittest.mock import patch
 import numpy as np
 import pytest
 
-from smal.action_space import Atom
+from smal.movement import Atom
 from smal.features import Centering, extract
 from smal.filter import Filter
 from smal.movement import Movement

@@ -3,9 +3,9 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from smal.action_space import Atom
+from smal.movement import Atom
 from smal.features import FeatureSettings
-from smal.learning import Demonstration
+from smal.paper.learning import Demonstration
 
 COLOR = FeatureSettings(("color",), (1.0,))
 

@@ -208,7 +208,7 @@ def drive_to_the_victim(page: Page, site: Site) -> None:
 def test_teach_once_learn_run_found(page: Page, site: Site) -> None:
     """By clicks and keys alone; what is compiled is compiled before, as it is when SMAL is set up."""
     subprocess.run(
-        [sys.executable, "-c", "from smal.matching.streaming import compile_ahead; compile_ahead()"], check=True
+        [sys.executable, "-c", "from smal.paper.matching.streaming import compile_ahead; compile_ahead()"], check=True
     )
     began_s = time.monotonic()
     begin_a_drive(page, site)

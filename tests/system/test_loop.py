@@ -9,7 +9,7 @@ from typing import Any
 import cv2
 import pytest
 
-from smal.model import Model
+from smal.paper.model import Model
 from tests.command import run_smal
 
 pytestmark = [pytest.mark.rendering, pytest.mark.system, pytest.mark.timeout(1500)]

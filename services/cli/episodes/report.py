@@ -14,7 +14,7 @@ from services.cli.episodes.client import EpisodeRecord
 from services.cli.episodes.route_map import OUTCOME_COLOURS, draw_routes
 from services.experiments.html import image, page, png, source, tiles
 from services.kit.jpeg import encode_jpeg, shrunk
-from smal.model import Model
+from smal.paper.model import Model
 
 #: Camera images shown of the example run.
 STRIP: Final = 6

@@ -12,16 +12,16 @@ from numpy.typing import NDArray
 
 from schemas.state import MAX_PLACES
 from services.experiments.evaluation.demonstrations import Drive
-from smal.action_space import Atom
-from smal.decision import DecisionMaker
+from smal.movement import Atom
+from smal.paper.execution import DecisionMaker
 from smal.evaluation.baselines.nearest_neighbour_imitation import NearestNeighbourImitation
 from smal.evaluation.baselines.seqslam_localization import SeqSlamLocalizer
 from smal.evaluation.baselines.teach_and_repeat import TaughtDrive, TeachAndRepeat
 from smal.features import FeatureSettings, extract
-from smal.model import Model
+from smal.paper.model import Model
 from smal.place_recognition.seqslam import SeqSlamSettings
 from smal.planning import Planner
-from smal.recognition import Recognizer
+from smal.paper.recognition import Recognizer
 from smal.robot import Localizer
 
 #: The paper's trajectories of 10 frames. Its neighbourhood of 10 frames is too small for ten frames a second, in which
@@ -75,7 +75,7 @@ class Move:
     atom
         The movement until the next frame.
     decision
-        Kind of the decision that was taken at this frame (`smal.planning.Decision`, `smal.decision.Decision`), or None
+        Kind of the decision that was taken at this frame (`smal.planning.Decision`, `smal.paper.execution.Decision`), or None
         where none was due.
     recognized
         Whether that decision knew where the robot is.

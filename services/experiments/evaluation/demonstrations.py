@@ -20,10 +20,10 @@ from services.simulator.lockstep import LockstepEpisode
 from services.simulator.simulation import Simulation
 from services.simulator.world.place import Pose as Spot
 from services.simulator.world.route import plan_route
-from smal.action_space import Atom
-from smal.container import replacing
+from smal.movement import Atom
+from smal.files.container import replacing
 from smal.features import FeatureSettings, extract
-from smal.learning import Demonstration
+from smal.paper.learning import Demonstration
 
 
 @dataclass(frozen=True, eq=False)

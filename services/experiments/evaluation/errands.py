@@ -17,7 +17,7 @@ from services.experiments.evaluation.search import search
 from services.experiments.evaluation.workplace import Workplace
 from services.simulator.world.place import Pose
 from services.simulator.world.route import route_length_m
-from smal.learning import learn
+from smal.paper.learning import learn
 
 _NORTHWARDS, _SOUTHWARDS = math.pi / 2.0, -math.pi / 2.0
 

@@ -7,9 +7,9 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from smal.algorithm2 import algorithm2
-from smal.model import Model
-from smal.state_matching import solve
+from smal.paper.algorithm2 import algorithm2
+from smal.paper.model import Model
+from smal.paper.state_matching import solve
 
 _TOLERANCES: Final = (3e-1, 1e-1, 3e-2, 1e-2, 3e-3, 1e-3, 3e-4, 1e-4, 3e-5, 1e-5)
 #: The paper speaks of 9, 12 and at most 20 iterations.

@@ -11,7 +11,7 @@ from typing import Final, Literal
 from schemas.rpc import Start
 from services.experiments.evaluation.degradation import degradation_named
 from services.simulator.variation import variation_named
-from smal.learning import LearningSettings
+from smal.paper.learning import LearningSettings
 
 #: Sequences have this length by default; the filter has none.
 DEFAULT_LENGTH: Final = LearningSettings().sequence_length

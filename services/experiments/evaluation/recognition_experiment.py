@@ -25,9 +25,9 @@ from smal.evaluation.baselines.seqslam_localization import SeqSlamLocalizer
 from smal.evaluation.ground_truth import PoseTruth, judge
 from smal.evaluation.localization import DemonstratedFrames
 from smal.features import Centering, FeatureSettings, extract
-from smal.matching.streaming import StreamingMatcher
-from smal.model import Model
-from smal.phase import matched_phase
+from smal.paper.matching.streaming import StreamingMatcher
+from smal.paper.model import Model
+from smal.paper.phase import matched_phase
 from smal.place_recognition import Matches
 from smal.place_recognition.matches import NONE
 from smal.place_recognition.nearest_sequence import match_nearest_sequence

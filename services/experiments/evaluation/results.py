@@ -17,7 +17,7 @@ from services.experiments.evaluation.plan import Plan
 from services.experiments.evaluation.units import Unit
 from services.kit.errors import JobError, UsageError
 from services.kit.version import program_version
-from smal.container import replacing
+from smal.files.container import replacing
 from smal.features import FeatureSettings
 
 #: What a unit found out: numbers, texts, lists of them.

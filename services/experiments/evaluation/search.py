@@ -23,7 +23,7 @@ from services.robot.messages import rounded
 from services.simulator.lockstep import LockstepEpisode
 from services.simulator.simulation import Simulation
 from services.simulator.world.route import route_length_m
-from smal.action_space import Atom
+from smal.movement import Atom
 
 #: Frames after which a search times out, at least, in `smal run`.
 MAX_TICKS: Final = 3000
@@ -55,7 +55,7 @@ class Search:
     poses
         (ticks + 1, 3) float64: x, y in metres, heading in radians.
     atoms
-        (ticks,) int8, what was done from each frame to the next, `smal.action_space.Atom`.
+        (ticks,) int8, what was done from each frame to the next, `smal.paper.action_space.Atom`.
     places
         Where the robot believed to be at every frame, for a controller that says so.
     shortest_m

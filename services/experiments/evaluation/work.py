@@ -17,7 +17,7 @@ from services.experiments.evaluation.recognition_experiment import judged, make_
 from services.experiments.evaluation.search_experiment import Drivers, run_search
 from services.experiments.evaluation.units import Unit
 from services.experiments.evaluation.workplace import Workplace, model_file, query_file, teach_file
-from smal.learning import LearningSettings, learn
+from smal.paper.learning import LearningSettings, learn
 
 
 class Work:

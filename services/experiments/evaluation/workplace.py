@@ -16,9 +16,9 @@ from services.simulator.opening import open_simulation
 from services.simulator.sensors.camera import CameraSettings
 from services.simulator.simulation import Simulation
 from services.simulator.world.place import Pose
-from smal.container import replacing
+from smal.files.container import replacing
 from smal.features import FeatureSettings
-from smal.model import Model
+from smal.paper.model import Model
 
 
 class Workplace:

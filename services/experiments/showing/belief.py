@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from services.experiments.showing.ways import Ways
 from smal.features import select
-from smal.learning import Demonstration
-from smal.model import Model
+from smal.paper.learning import Demonstration
+from smal.paper.model import Model
 from smal.movement import placed
 from smal.robot import Localizer
 

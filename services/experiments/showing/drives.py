@@ -11,9 +11,9 @@ import numpy as np
 from schemas.codec import printable
 from services.recordings.dataset import Teacher
 from services.recordings.taught import episode_of
-from smal.learning import Demonstration
-from smal.model import Model
-from smal.sequences import first_frame
+from smal.paper.learning import Demonstration
+from smal.paper.model import Model
+from smal.paper.sequences import first_frame
 
 
 @dataclass(frozen=True, eq=False)

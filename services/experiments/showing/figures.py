@@ -16,8 +16,8 @@ from services.experiments.showing.belief import Believed
 from services.experiments.showing.drives import first_seen
 from services.experiments.showing.states import StateGraph
 from services.experiments.showing.ways import Parting, Ways, schematic
-from smal.model import Model
-from smal.sequences import last_frames
+from smal.paper.model import Model
+from smal.paper.sequences import last_frames
 
 #: As many lines as there are colours are told apart, and named.
 MOST_NAMED: Final = len(COLOURS)

@@ -22,8 +22,8 @@ from services.experiments.showing.summary import facts, goals_of
 from services.experiments.showing.ways import Ways
 from services.kit.jpeg import encode_jpeg, shrunk
 from services.recordings.taught import drives_of_map, episode_of
-from smal.learning import Demonstration
-from smal.model import Model
+from smal.paper.learning import Demonstration
+from smal.paper.model import Model
 from smal.planning import cost_to_go
 
 #: Frames of a state that are shown, spread over it, and how wide, pixels: a strip is as wide as a telephone, twice.

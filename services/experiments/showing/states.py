@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 from services.recordings.taught import episode_of
-from smal.action_space import Atom
-from smal.model import Model
+from smal.movement import Atom
+from smal.paper.model import Model
 
 _ARROWS = {Atom.STOP: "■", Atom.FORWARD: "↑", Atom.BACKWARD: "↓", Atom.LEFT: "↰", Atom.RIGHT: "↱"}
 

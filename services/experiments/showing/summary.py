@@ -7,7 +7,7 @@ from collections.abc import Iterator
 
 from schemas.codec import printable
 from services.experiments.showing.states import state_graph
-from smal.model import Model
+from smal.paper.model import Model
 from smal.planning import cost_to_go
 
 

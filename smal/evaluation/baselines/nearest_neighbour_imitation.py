@@ -8,9 +8,9 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from smal.action_space import Atom
+from smal.demonstration import Demonstration
 from smal.features import Centering, FeatureSettings
-from smal.learning import Demonstration
+from smal.movement import Atom
 
 
 class NearestNeighbourImitation:

@@ -22,8 +22,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from smal.action_space import Atom
-from smal.movement import atom_movements, placed, seen_from
+from smal.movement import Atom, atom_movements, placed, seen_from
 
 #: Pixels of the images that are compared, and of the square within which each of their pixels is normalized.
 COLUMNS, ROWS, PATCH = 115, 44, 9

@@ -1,4 +1,4 @@
-"""Our solver against Algorithm 2 as published (`smal.algorithm2`), on the same problem and to the same objective."""
+"""Our solver against Algorithm 2 as published (`smal.paper.algorithm2`), on the same problem and to the same objective."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from smal import algorithm2
-from smal.state_matching import solve
+from smal.paper.state_matching import solve
 from tests.benchmarks.recognition.timing import seconds_of
 
 if TYPE_CHECKING:

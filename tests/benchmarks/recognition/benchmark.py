@@ -19,7 +19,7 @@ from tqdm import tqdm
 from services.experiments.evaluation.objective_experiment import convergence
 from services.experiments.evaluation.report.recognition_figures import objective
 from services.recordings.dataset import find_recordings
-from smal.state_matching import solve
+from smal.paper.state_matching import solve
 from tests.benchmarks.command_line import Parser, say
 from tests.benchmarks.machine import machine
 from tests.benchmarks.recognition.algorithm2 import from_one_solve, whole_run

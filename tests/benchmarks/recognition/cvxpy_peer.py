@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from smal.objective import objective
-from smal.state_matching import solve
+from smal.paper.objective import objective
+from smal.paper.state_matching import solve
 from tests.benchmarks.recognition.timing import seconds_of
 from tests.benchmarks.results import LeftOutError
 

@@ -21,10 +21,10 @@ from services.kit.jpeg import encode_jpeg
 from services.recordings.dataset import Teacher, find_recordings
 from services.recordings.reader import read_recording
 from services.recordings.writer import EpisodeWriter
-from smal.action_space import Atom
+from smal.movement import Atom
 from smal.features import FeatureSettings, extract
-from smal.model import Model
-from smal.novelty import WeightTest
+from smal.paper.model import Model
+from smal.paper.novelty import WeightTest
 from smal.virtual_views import USUAL_FOCAL
 from tests import corridor
 from tests.services.recordings.recorded_messages import applied, event, header

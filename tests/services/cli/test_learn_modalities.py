@@ -13,7 +13,7 @@ from services.cli.learn import learn
 from services.kit.errors import JobError, UsageError
 from services.recordings.recorded_features import features_in, features_of_recordings
 from smal.features import FeatureSettings, extract
-from smal.model import Model
+from smal.paper.model import Model
 from tests.services.cli.test_learn import depth, teach, view
 from tests.services.cli.test_learn import drive as drive_with
 from tests.services.recordings.test_recorder_files import leave, record
@@ -26,7 +26,7 @@ drive = partial(drive_with, features=FEATURES)
 @pytest.fixture(autouse=True)
 def _without_map(monkeypatch: pytest.MonkeyPatch) -> None:
     """Leave out the map of views, which takes seconds with these features; ``test_learn`` has it."""
-    monkeypatch.setattr("smal.learning._map_views", lambda *_: None)
+    monkeypatch.setattr("smal.paper.learning._map_views", lambda *_: None)
 
 
 @pytest.fixture

@@ -21,9 +21,9 @@ from services.experiments.showing.ways import Ways
 from services.kit.jpeg import encode_jpeg
 from services.recordings.dataset import Teacher, find_recordings
 from services.recordings.taught import drives_of_map, ticks_of
-from smal.action_space import Atom
-from smal.learning import LearningSettings, learn
-from smal.model import Model
+from smal.movement import Atom
+from smal.paper.learning import LearningSettings, learn
+from smal.paper.model import Model
 from tests import corridor
 from tests.services.cli.conftest import Smal
 from tests.services.recordings.recorded_messages import applied, event, header

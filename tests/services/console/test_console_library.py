@@ -33,7 +33,7 @@ from services.recorder.service import RecorderService
 from services.recordings.reader import read_recording
 from services.recordings.records import MAGIC
 from services.recordings.writer import EpisodeWriter
-from smal.learning import LearningSettings, fit
+from smal.paper.learning import LearningSettings, fit
 from tests import corridor
 from tests.services.conftest import RunNode
 from tests.services.console.conftest import Console

@@ -17,9 +17,9 @@ from services.recordings.dataset import Teacher
 from services.recordings.encoding import decode_image
 from services.recordings.reader import read_recording
 from services.recordings.recorded import RecordedEpisode
-from smal.action_space import Atom
+from smal.movement import Atom
 from smal.features import extract
-from smal.learning import LearningSettings, learn
+from smal.paper.learning import LearningSettings, learn
 from smal.robot import Localizer
 from tests import corridor
 from tests.services.importers import sources

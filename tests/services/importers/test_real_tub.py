@@ -15,9 +15,9 @@ from services.importers.source_options import Wishes
 from services.recordings.dataset import Teacher
 from services.recordings.encoding import decode_image
 from services.recordings.recorded import RecordedEpisode
-from smal.action_space import Atom
+from smal.movement import Atom
 from smal.features import FeatureSettings, extract
-from smal.learning import learn
+from smal.paper.learning import learn
 from smal.robot import Localizer, Robot
 from tests.services.importers.test_formats import episode_of, imported
 

@@ -19,7 +19,7 @@ from services.kit.model_service import LoadedModel
 from services.kit.node import ServiceError, Throttle
 from services.policy.service import PolicyService
 from services.recognition.service import RecognitionService
-from smal.model import Model
+from smal.paper.model import Model
 from tests import corridor
 from tests.services.chain import LENGTH, identity, observation, save_model, state
 

@@ -19,7 +19,7 @@ from services.kit.settings import ServiceSettings
 from services.policy.service import PolicyService
 from services.recognition.service import RecognitionService
 from services.recorder.service import RecorderService
-from smal import container
+from smal.files import container
 from tests.services.chain import LENGTH, save_model
 from tests.services.conftest import RunNode
 from tests.services.recordings.recorded_messages import applied, episode, event

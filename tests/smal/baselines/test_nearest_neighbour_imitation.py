@@ -8,10 +8,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from smal.action_space import Atom
+from smal.movement import Atom
 from smal.evaluation.baselines.nearest_neighbour_imitation import NearestNeighbourImitation
 from smal.features import Centering
-from smal.learning import Demonstration
+from smal.paper.learning import Demonstration
 from tests.smal.worlds import COLOR, corridor, drive
 
 

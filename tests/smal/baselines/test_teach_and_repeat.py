@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from smal.action_space import Atom
+from smal.movement import Atom
 from smal.evaluation.baselines.teach_and_repeat import COLUMNS, TaughtDrive, TeachAndRepeat
 
 HEIGHT, WIDTH, FIELD_RAD = 44, COLUMNS, math.radians(75.0)

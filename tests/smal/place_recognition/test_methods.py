@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from smal import solve
 from smal.features import FeatureSettings
-from smal.phase import matched_phase
+from smal.paper.phase import matched_phase
 from smal.place_recognition.as_published import LAMBDA_SCALE, match_as_in_the_paper
 from smal.place_recognition.matches import NONE, ignore
 from smal.place_recognition.methods import METHODS, MatchSettings, Method

@@ -14,10 +14,10 @@ from services.experiments.evaluation.controllers import (
     seen_by,
 )
 from services.experiments.evaluation.demonstrations import Drive
-from smal.action_space import Atom
+from smal.movement import Atom
 from smal.features import FeatureSettings, extract
-from smal.learning import Demonstration, LearningSettings, learn
-from smal.model import Model
+from smal.paper.learning import Demonstration, LearningSettings, learn
+from smal.paper.model import Model
 from smal.place_recognition.seqslam import SeqSlamSettings
 from tests.services.chain import picture
 

@@ -22,7 +22,7 @@ from services.recordings.dataset import unusable
 from services.recordings.recorded import RecordedEpisode
 from services.simulator.simulation import Simulation
 from services.simulator.world import load_world
-from smal.action_space import Atom
+from smal.movement import Atom
 from smal.features import FeatureSettings
 from tests.services.robot.driving import simulated
 from tests.services.simulator.simulator_driving import StubCamera

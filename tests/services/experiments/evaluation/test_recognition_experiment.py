@@ -15,7 +15,7 @@ from services.experiments.evaluation.recognition_experiment import (
 from services.simulator.simulation import Simulation
 from services.simulator.world import load_world
 from smal.features import FeatureSettings, extract
-from smal.learning import Demonstration, LearningSettings, learn
+from smal.paper.learning import Demonstration, LearningSettings, learn
 from tests.services.chain import picture
 from tests.services.simulator.simulator_driving import StubCamera
 

@@ -29,10 +29,10 @@ from services.simulator.sensors import Tilt
 from services.simulator.simulation import Simulation
 from services.simulator.world import load_world
 from services.simulator.world.place import Pose
-from smal.action_space import Atom
+from smal.movement import Atom
 from smal.features import FeatureSettings
-from smal.learning import LearningSettings, learn
-from smal.model import Model
+from smal.paper.learning import LearningSettings, learn
+from smal.paper.model import Model
 from tests.services.simulator.simulator_driving import StubCamera
 
 #: The usual ones take ten times as long to make views of; the findings are of the same form.

@@ -30,9 +30,9 @@ from services.recognition.service import RecognitionService
 from services.simulator.opening import open_simulation
 from services.simulator.sensors.camera import CameraSettings
 from services.simulator.simulation import Simulation
-from smal.action_space import Atom
+from smal.movement import Atom
 from smal.features import FeatureSettings
-from smal.model import Model
+from smal.paper.model import Model
 from tests.services.robot.driving import simulated
 
 FEATURES = FeatureSettings()

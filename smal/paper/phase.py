@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from smal.state_matching import Solution
+from smal.paper.state_matching import Solution
 
 # Share of the largest weight of a block below which a weight is rounding.
 _NO_WEIGHT = 1e-9

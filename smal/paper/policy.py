@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 from scipy import sparse
 from scipy.sparse.linalg import spsolve
 
-from smal.transitions import NO_ACTION, Transitions
+from smal.paper.transitions import NO_ACTION, Transitions
 
 Array = NDArray[np.float64]
 

@@ -4,9 +4,9 @@ from collections import deque
 from dataclasses import dataclass
 from typing import Literal
 
-from smal.action_space import Atom
-from smal.model import Model
-from smal.recognition import Recognition
+from smal.movement import Atom
+from smal.paper.model import Model
+from smal.paper.recognition import Recognition
 
 
 @dataclass(frozen=True)

@@ -2,22 +2,12 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from enum import IntEnum
 
 import numpy as np
 from numpy.typing import NDArray
 
-from smal.sequences import last_frames
-
-
-class Atom(IntEnum):
-    """What the robot does between one camera frame and the next."""
-
-    STOP = 0
-    FORWARD = 1
-    BACKWARD = 2
-    LEFT = 3
-    RIGHT = 4
+from smal.movement import Atom
+from smal.paper.sequences import last_frames
 
 
 @dataclass(frozen=True, eq=False)

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from smal.state_matching import Solution, check_parameters, solve, template_rows
+from smal.paper.state_matching import Solution, check_parameters, solve, template_rows
 
 Array = NDArray[np.float64]
 

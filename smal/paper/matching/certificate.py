@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from smal.compiled import compiled
+from smal.paper.compiled import compiled
 
 Array = NDArray[np.float64]
 

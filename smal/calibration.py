@@ -13,8 +13,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from smal.demonstration import Image
 from smal.movement import wrapped
-from smal.virtual_views import Image, Scene
+from smal.virtual_views import Scene
 
 #: Frames of a drive that the statistics of views are taken from; their number grows with the square.
 _LOOKED_AT = 1000

@@ -1,4 +1,4 @@
-"""Algorithm 2 of the paper as published: the reference that `smal.state_matching` is compared with.
+"""Algorithm 2 of the paper as published: the reference that `smal.paper.state_matching` is compared with.
 
 Each iteration solves l dense systems of all n templates. Its update divides by norms of residuals, rows and columns
 that become zero, which the paper leaves open; here no divisor is smaller than a floor. The floor bounds how close to
@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from smal.objective import objective
+from smal.paper.objective import objective
 
 Array = NDArray[np.float64]
 

@@ -19,8 +19,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from smal.compiled import compiled
-from smal.matching.certificate import polar_bounds
+from smal.paper.compiled import compiled
+from smal.paper.matching.certificate import polar_bounds
 
 Array = NDArray[np.float64]
 

@@ -14,10 +14,17 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from smal.matching.certificate import polar_bounds
-from smal.matching.newton import FIRST_EPSILON, BlockProblem, Iterate, block_objective, smoothing_for, solve_blocks
-from smal.matching.products import Columns, Products, rounding
-from smal.objective import l21_norm, s1_norm, sequence_starts
+from smal.paper.matching.certificate import polar_bounds
+from smal.paper.matching.newton import (
+    FIRST_EPSILON,
+    BlockProblem,
+    Iterate,
+    block_objective,
+    smoothing_for,
+    solve_blocks,
+)
+from smal.paper.matching.products import Columns, Products, rounding
+from smal.paper.objective import l21_norm, s1_norm, sequence_starts
 
 Array = NDArray[np.float64]
 

@@ -6,11 +6,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from smal.matching.products import Known
-from smal.novelty import NoveltyTest, describe_match
-from smal.sequences import first_frame
-from smal.state_matching import solve
-from smal.template_store import TemplateStore
+from smal.paper.matching.products import Known
+from smal.paper.novelty import NoveltyTest, describe_match
+from smal.paper.sequences import first_frame
+from smal.paper.state_matching import solve
+from smal.paper.template_store import TemplateStore
 
 Progress = Callable[[int, int], None]
 

@@ -2,8 +2,8 @@
 
 Both penalties separate over template sequences and most sequences get no weight. So we solve Eq. 7 on a working
 set of few sequences, extend its dual point to all of them, add the sequences that violate it, and stop when the
-relative duality gap of the *full* problem is within the tolerance; how is in `smal.matching`. Algorithm 2 as published
-is in `smal.algorithm2`.
+relative duality gap of the *full* problem is within the tolerance; how is in `smal.paper.matching`. Algorithm 2 as
+published is in `smal.paper.algorithm2`.
 """
 
 from dataclasses import dataclass
@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from smal.matching.products import Columns, Known, Products
-from smal.matching.working_set import Penalty, minimize
+from smal.paper.matching.products import Columns, Known, Products
+from smal.paper.matching.working_set import Penalty, minimize
 
 Array = NDArray[np.float64]
 

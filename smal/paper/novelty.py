@@ -14,7 +14,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from smal.state_matching import Solution
+from smal.paper.state_matching import Solution
 
 #: Views whose cosine is nearer to 1 are the same image, but for the rounding of float32.
 _REPEATED = 1e-6

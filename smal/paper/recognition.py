@@ -6,9 +6,9 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from smal.matching.streaming import StreamingMatcher, compile_ahead
-from smal.model import Model
-from smal.novelty import describe_match
+from smal.paper.matching.streaming import StreamingMatcher, compile_ahead
+from smal.paper.model import Model
+from smal.paper.novelty import describe_match
 
 
 @dataclass(frozen=True)
@@ -24,7 +24,7 @@ class Recognition:
     state : int or None
         The one of Eq. 9, with the largest weight; only if recognized.
     score, total_weight, residual, agreement : float
-        See `smal.novelty.Match`; 0, 0, 1, 0 while collecting.
+        See `smal.paper.novelty.Match`; 0, 0, 1, 0 while collecting.
     duality_gap : float
         Of the match.
     """

@@ -23,8 +23,8 @@ from numpy.typing import NDArray
 from scipy import sparse
 from scipy.optimize import linprog
 
-from smal.policy import check_discount, policy_matrix
-from smal.transitions import Transitions
+from smal.paper.policy import check_discount, policy_matrix
+from smal.paper.transitions import Transitions
 
 Array = NDArray[np.float64]
 

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from smal.compiled import compiled
+from smal.paper.compiled import compiled
 
 Array = NDArray[np.float64]
 Frames = NDArray[np.float32]

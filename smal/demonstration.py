@@ -1,0 +1,152 @@
+"""What a person teaches by: a drive with the camera, the movements that were made, and the wheels."""
+
+import math
+import re
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+#: RGB, uint8 (height, width, 3).
+Image = NDArray[np.uint8]
+#: Where drives lead that do not say so.
+USUAL_GOAL = "victim"
+#: What names of goals are: letters, digits, and what may stand between them.
+GOAL_NAME = r"\w[\w .-]{0,63}"
+
+_F = TypeVar("_F", bound=np.floating[Any])
+
+
+@dataclass(frozen=True, eq=False)
+class Demonstration:
+    """One drive of the expert.
+
+    Parameters
+    ----------
+    name : str
+        Its episode.
+    features : float32 array (f, m)
+        Raw features of every frame (`smal.features.extract`), without dropped frames.
+    atoms : int8 array (f,)
+        `Atom` k was executed between frames k and k + 1; the last one after the last frame.
+    successful : bool
+        Whether it ended at the goal.
+    recovery : bool
+        Whether it began off the route, to show the way back to it.
+    images : sequence of uint8 arrays (height, width, 3), optional
+        RGB of every frame; read when they are wanted. The map of views is made of them.
+    odometry : float64 array (f, 3), optional
+        x, y and heading in radians of every frame by the wheels.
+    episode : str
+        Which drive it is a part of, where frames between parts were lost; its name if empty.
+    goal : str
+        Where it leads.
+    focal : float, optional
+        Focal length of the camera over the width of its image, above 0; estimated from the images if not given.
+    ahead : float32 array (f,), optional
+        How fast the robot went ahead in the atoms of turning, -1 to 1 times its speed straight on, as a car does; on
+        the spot if not given.
+
+    Raises
+    ------
+    ValueError
+        Lengths that do not fit each other, or numbers out of range; the text names the demonstration.
+    """
+
+    name: str
+    features: NDArray[np.float32]
+    atoms: NDArray[np.int8]
+    successful: bool = True
+    recovery: bool = False
+    images: Sequence[Image] | None = None
+    odometry: NDArray[np.float64] | None = None
+    episode: str = ""
+    goal: str = USUAL_GOAL
+    focal: float | None = None
+    ahead: NDArray[np.float32] | None = None
+
+    def __post_init__(self) -> None:
+        if self.features.ndim != 2 or self.atoms.shape != (self.features.shape[0],):
+            raise ValueError(
+                f"demonstration {self.name}: features (f, m) and atoms (f,) do not fit: "
+                f"{self.features.shape} and {self.atoms.shape}"
+            )
+        frames = len(self.atoms)
+        if self.images is not None and len(self.images) != frames:
+            raise ValueError(f"demonstration {self.name}: {len(self.images)} images for {frames} frames")
+        if re.fullmatch(GOAL_NAME, self.goal) is None:
+            said = f"{self.goal[:80]!r} is no name of a goal: up to 64 letters, digits, spaces, '.', '_' and '-'"
+            raise ValueError(f"demonstration {self.name}: {said}")
+        if self.focal is not None and not (math.isfinite(self.focal) and self.focal > 0.0):
+            raise ValueError(
+                f"demonstration {self.name}: the focal length must be finite and positive, got {self.focal}"
+            )
+        if self.ahead is not None and not (self.ahead.shape == (frames,) and (np.abs(self.ahead) <= 1.0).all()):
+            raise ValueError(f"demonstration {self.name}: ahead must be {frames} numbers of -1 to 1")
+        if self.odometry is not None and self.odometry.shape != (frames, 3):
+            raise ValueError(f"demonstration {self.name}: odometry {self.odometry.shape} for {frames} frames")
+
+
+def check_features(demonstrations: Sequence[Demonstration], size: int) -> None:
+    """Check that there are demonstrations, with so many features a frame.
+
+    Raises
+    ------
+    ValueError
+        There is none, or one has another number of features.
+    """
+    if not demonstrations:
+        raise ValueError("there is no demonstration to learn from")
+    for one in demonstrations:
+        if one.features.shape[1] != size:
+            raise ValueError(
+                f"demonstration {one.name}: {one.features.shape[1]} features a frame, the settings ask for {size}"
+            )
+
+
+class ImageChain(Sequence[Image]):
+    """Sequences of images as one, none of which is read before it is asked for."""
+
+    def __init__(self, parts: Sequence[Sequence[Image]]) -> None:
+        self._parts = parts
+        self._ends = np.cumsum([len(part) for part in parts])
+
+    def __len__(self) -> int:
+        return int(self._ends[-1])
+
+    def __getitem__(self, index: Any) -> Any:  # noqa: ANN401 - a sequence is asked for numbers or slices
+        part = int(np.searchsorted(self._ends, index, side="right"))
+        return self._parts[part][int(index) - (int(self._ends[part - 1]) if part else 0)]
+
+
+def drives_to_goals(demonstrations: Iterable[Demonstration]) -> list[tuple[tuple[str, ...], Demonstration]]:
+    """Return the drives that reached their goal and have images, each with the names of its parts.
+
+    Parts of one drive are put together: by its wheels the robot knows how far it went between them. Without odometry
+    the last part alone counts.
+    """
+    drives: dict[str, list[Demonstration]] = {}
+    for one in demonstrations:
+        drives.setdefault(one.episode or one.name, []).append(one)
+    whole = []
+    for parts in drives.values():
+        kept = parts if all(part.odometry is not None for part in parts) else parts[-1:]
+        images = [part.images for part in kept if part.images is not None]
+        if kept[-1].successful and len(images) == len(kept):
+            joined = replace(
+                kept[-1],
+                features=np.concatenate([part.features for part in kept]),
+                atoms=np.concatenate([part.atoms for part in kept]),
+                images=ImageChain(images),
+                odometry=_joined([part.odometry for part in kept]),
+                ahead=_joined([part.ahead for part in kept]),
+            )
+            whole.append((tuple(part.name for part in kept), joined))
+    return whole
+
+
+def _joined(parts: Sequence[NDArray[_F] | None]) -> NDArray[_F] | None:
+    known = [part for part in parts if part is not None]
+    return np.concatenate(known) if len(known) == len(parts) else None

@@ -1,0 +1,1 @@
+"""What was learned as files: one container, and what is stored in it."""

@@ -1,0 +1,115 @@
+"""A visual map as a file: what is stored, and what is checked before a robot goes by it."""
+
+import re
+from collections.abc import Callable
+from dataclasses import fields
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from smal.demonstration import GOAL_NAME
+from smal.files.stored import Content
+from smal.movement import Atom
+from smal.virtual_views import TURNS_DEG
+
+if TYPE_CHECKING:
+    from smal.visual_map import VisualMap
+
+#: What numbers of a map can be; kappa is bounded so that no likelihood overflows.
+_LONGEST = 1e6
+_NUMBERS: dict[str, Callable[[float], bool]] = {
+    **dict.fromkeys(("aside", "correlation_length", "correlation_rad", "tick_s"), lambda one: 1e-6 <= one <= _LONGEST),
+    **dict.fromkeys(("outlier_cosine", "alike_cosine"), lambda one: -1.1 <= one <= 1.1),
+    "kappa": lambda one: 0.0 < one <= 300.0,
+}
+#: Axes of its arrays.
+_AXES = {
+    "poses": 2, "drives": 1, "keyframes": 1, "basis": 2, "views": 4, "movements": 2, "scene": 1,
+    "stitched": 2, "stitch_offsets": 2,
+}  # fmt: skip
+_WHOLE = ("drives", "keyframes", "stitched")
+
+
+def check_map(one: "VisualMap") -> None:
+    """Check a map, of a file or not: what passes must not fail, or give a belief that is no number, while driving.
+
+    Raises
+    ------
+    ValueError
+        Parts that do not fit together; the text names them.
+    """
+    wrong = _unsound(one) or [name for name, fits in _fit(one).items() if not fits]
+    if wrong:
+        raise ValueError(f"the parts of the visual map do not fit together: {', '.join(wrong)}")
+
+
+def _unsound(one: "VisualMap") -> list[str]:
+    """Name the parts that are not what they should be, whatever the others are."""
+    wrong = [name for name, axes in _AXES.items() if not _sound(getattr(one, name), axes, "fi"[name in _WHOLE])]
+    for name, fits in _NUMBERS.items():
+        number = getattr(one, name)
+        if type(number) not in (int, float) or not fits(number):
+            wrong.append(name)
+    odometry: object = one.odometry
+    return wrong if isinstance(odometry, bool) else [*wrong, "odometry"]
+
+
+def _fit(one: "VisualMap") -> dict[str, bool]:
+    """Say of each part whether it fits the others."""
+    frames, count, joined = len(one.poses), len(one.keyframes), len(one.stitched)
+    ends = np.flatnonzero(np.diff(one.drives, prepend=-1, append=-1))
+    keys, offsets = one.keyframes, one.stitch_offsets
+    return {
+        "poses": one.poses.shape == (frames, 3) and bool((np.abs(one.poses) <= _LONGEST).all()),
+        "drives": one.drives.shape == (frames,) and bool((np.diff(one.drives, prepend=0) >= 0).all()),
+        "keyframes": count > 0 and _within(keys, frames) and bool((np.diff(keys, prepend=-1) > 0).all()),
+        "ends of drives": bool(np.isin([*ends[:-1], *(ends[1:] - 1)], keys).all()),
+        "views": one.views.shape == (count, 3, TURNS_DEG.size, one.basis.shape[1]),
+        "components": one.basis.shape[1] > 0 and _is_orthonormal(one.basis),
+        "length of views": float(np.linalg.norm(one.views, axis=-1).max(initial=0.0)) < 1.01,
+        "movements": one.movements.shape == (len(Atom), 2),
+        "scene": one.scene.shape == (3,),
+        "goals": len(one.goals) == int(one.drives.max(initial=-1)) + 1 and all(map(_is_name, one.goals)),
+        "names": len(one.names) == len(one.goals) and all(map(_are_names, one.names)),
+        "stitched": one.stitched.shape == (joined, 2) and _within(one.stitched, count),
+        "stitch_offsets": offsets.shape == (joined, 3) and bool((np.abs(offsets) <= _LONGEST).all()),
+    }
+
+
+def _within(numbers: NDArray[Any], count: int) -> bool:
+    return bool(((numbers >= 0) & (numbers < count)).all())
+
+
+def content_of_map(one: "VisualMap") -> Content:
+    """Return what the file says of a map, and the arrays in it."""
+    each = {part.name: getattr(one, part.name) for part in fields(one)}
+    arrays = {name: value for name, value in each.items() if isinstance(value, np.ndarray)}
+    return {name: value for name, value in each.items() if name not in arrays}, arrays
+
+
+def parts_of_map(numbers: dict[str, Any], arrays: dict[str, NDArray[Any]]) -> dict[str, Any]:
+    """Return the parts of the map that a file says; errors as of `Stored.of_content`."""
+    goals, names = numbers["goals"], numbers["names"]
+    if not (isinstance(goals, list) and isinstance(names, list) and all(isinstance(each, list) for each in names)):
+        raise TypeError("the goals of the map must be a list, and the names of its drives lists")
+    return arrays | numbers | {"goals": tuple(goals), "names": tuple(map(tuple, names))}
+
+
+def _sound(array: object, axes: int, kind: str) -> bool:
+    if not isinstance(array, np.ndarray):
+        return False
+    return array.ndim == axes and array.dtype.kind == kind and bool(np.isfinite(array).all())
+
+
+def _is_orthonormal(basis: NDArray[np.float32]) -> bool:
+    # Huge numbers of a damaged file would only give a warning on the way to the same answer.
+    return bool((np.abs(basis) <= 1.01).all()) and bool(np.abs(basis.T @ basis - np.eye(basis.shape[1])).max() < 0.01)
+
+
+def _is_name(given: object) -> bool:
+    return isinstance(given, str) and re.fullmatch(GOAL_NAME, given) is not None
+
+
+def _are_names(given: object) -> bool:
+    return isinstance(given, tuple) and bool(given) and all(isinstance(name, str) for name in given)

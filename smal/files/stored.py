@@ -1,0 +1,131 @@
+"""What can be saved to a model file, and read again."""
+
+import os
+from abc import ABC, abstractmethod
+from functools import cached_property
+from importlib import import_module
+from pathlib import Path
+from typing import IO, Any, ClassVar, Literal, Self
+
+from numpy.typing import NDArray
+
+from smal.features import FeatureSettings
+from smal.files import container
+from smal.files.container import ModelError, NoModelError
+from smal.files.regular_file import open_regular
+
+FORMAT_VERSION = 3
+_KINDS = {"filter": ("smal.model", "Model"), "paper": ("smal.paper.model", "Model")}
+
+#: What a file says of itself, and its arrays.
+Content = tuple[dict[str, Any], dict[str, NDArray[Any]]]
+
+
+class Stored(ABC):
+    """A model of either scheme, which is kept in one file; `Stored.load` reads both.
+
+    Attributes
+    ----------
+    scheme : str
+        How a robot goes by it: "filter" or "paper".
+    """
+
+    scheme: ClassVar[Literal["filter", "paper"]]
+
+    @property
+    @abstractmethod
+    def feature_settings(self) -> FeatureSettings:
+        """Features of a frame that it goes by."""
+
+    @property
+    @abstractmethod
+    def longest(self) -> int:
+        """Frames of the longest drive that it was learned from."""
+
+    @abstractmethod
+    def content(self) -> Content:
+        """Return what the file says of it, and the arrays in it."""
+
+    @classmethod
+    @abstractmethod
+    def of_content(cls, meta: dict[str, Any], arrays: dict[str, NDArray[Any]]) -> Self:
+        """Make it of what a file says; LookupError, TypeError, ValueError or ArithmeticError where that is wrong."""
+
+    def _header(self) -> Content:
+        meta, arrays = self.content()
+        return {"scheme": self.scheme} | meta, arrays
+
+    @cached_property
+    def checksum(self) -> str:
+        """SHA-256 of all that it holds, in hex: the one with which its file ends."""
+        return container.checksum(FORMAT_VERSION, *self._header())
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Write it to a file; an existing one is replaced only when the new one is complete."""
+        container.write(Path(path), FORMAT_VERSION, *self._header())
+
+    @classmethod
+    def load(cls, path: str | os.PathLike[str]) -> Self:
+        """Read the file at a path; see `read`."""
+        try:
+            descriptor = open_regular(Path(path))
+        except OSError as error:
+            raise NoModelError(f"{path}: cannot be read: {error.strerror}") from error
+        with os.fdopen(descriptor, "rb") as file:
+            return cls.read(file, str(path))
+
+    @classmethod
+    def read(cls, file: IO[bytes], name: str) -> Self:
+        """Read an open file, which errors call `name`. Nothing but this file is opened, whatever it says.
+
+        Raises
+        ------
+        NoModelError
+            The file cannot be read, is too large, or does not begin as a model does.
+        ModelError
+            It is of another version or scheme, truncated, altered or inconsistent, or was learned on features that
+            this program computes differently.
+        """
+        meta, arrays, checksum = container.read(file, name, FORMAT_VERSION)
+        try:
+            scheme = meta.pop("scheme")
+            kind = _kind(scheme)
+            if not issubclass(kind, cls):
+                raise ValueError(f"it was learned for the scheme '{scheme}', not '{cls.scheme}'")  # noqa: TRY004
+            found: Self = kind.of_content(meta, arrays)
+        except (LookupError, TypeError, ValueError, ArithmeticError) as error:
+            raise ModelError(f"{name}: {container.one_line(error)}") from error
+        # Known from the file: hashing all of it again would delay the start of a service.
+        vars(found)["checksum"] = checksum
+        return found
+
+
+def _kind(scheme: object) -> Any:  # noqa: ANN401 - whichever class it is
+    """Return the class of a scheme: the paper's is imported only where there is a file of it."""
+    if not isinstance(scheme, str) or scheme not in _KINDS:
+        raise ValueError(f"it is for no scheme that this program knows: {scheme!r}")
+    file, name = _KINDS[scheme]
+    return getattr(import_module(file), name)
+
+
+def features_of(meta: dict[str, Any]) -> FeatureSettings:
+    """Return the features that a file says it was learned on.
+
+    Raises
+    ------
+    ValueError
+        This program computes them differently.
+    """
+    settings = FeatureSettings(tuple(meta["modalities"]), tuple(meta["modality_weights"]))
+    if settings.fingerprint != meta["feature_fingerprint"]:
+        raise ValueError("it was learned on features that this version computes differently; learn it again")
+    return settings
+
+
+def of_features(settings: FeatureSettings) -> dict[str, Any]:
+    """Return what a file says of features, for `features_of`."""
+    return {
+        "modalities": settings.modalities,
+        "modality_weights": settings.weights,
+        "feature_fingerprint": settings.fingerprint,
+    }

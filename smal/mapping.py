@@ -1,0 +1,303 @@
+"""From drives to the visual map: the way, the camera, how alike views are, keyframes and their virtual views.
+
+Read `learn` from top to bottom.
+"""
+
+import math
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from functools import cache
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import eigh
+
+from smal.calibration import correlation_length, likelihood, turns_undone
+from smal.demonstration import USUAL_GOAL, Demonstration, Image, ImageChain, check_features, drives_to_goals
+from smal.features import Centering, FeatureSettings, extract
+from smal.model import Model
+from smal.movement import Atom, atom_movements, dead_reckoning, turns_ahead
+from smal.stitches import stitched
+from smal.virtual_views import (
+    TURNS_DEG,
+    USUAL_FOCAL,
+    Maps,
+    Scene,
+    fit_scene,
+    focal_of_curves,
+    remapped,
+    turn_of_views,
+)
+from smal.visual_map import VIEWS_A_LENGTH, VisualMap
+
+#: Keyframes are so much of the correlation length apart, or so many degrees.
+_SPACING, _SPACING_DEG = 1.0 / VIEWS_A_LENGTH, 12.0
+#: Virtual views are taken so much of the correlation length aside.
+_ASIDE = 0.4
+#: Principal components keep this share of what views are, and at most so many are kept: 5,000 taught frames, 1 km at
+#: 2 m/s, then take 0.2 GB and a few hundredths of a second.
+_KEPT, _MOST_COMPONENTS = 0.9, 400
+#: Views from which components are computed.
+_SAMPLE = 2500
+
+Describe = Callable[[Image], NDArray[np.float32]]
+
+
+@dataclass(frozen=True, eq=False)
+class _Way:
+    """Where the drives went, all one after the other: by the wheels, or by what atoms usually do.
+
+    Poses are (f, 3), drives (f,) the number of each frame's; movements (5, 2) what each atom does between two frames.
+    """
+
+    poses: NDArray[np.float64]
+    drives: NDArray[np.int32]
+    movements: NDArray[np.float64]
+    odometry: bool
+
+
+def learn(
+    demonstrations: Sequence[Demonstration],
+    features: FeatureSettings | None = None,
+    tick_s: float = 0.1,
+    progress: Callable[[int, int], None] = lambda _done, _total: None,
+) -> Model:
+    """Make the map of the drives of one robot that reached the goal and have images.
+
+    If one is without odometry, all go by the usual movements of atoms: a forward atom is one unit long, and an atom of
+    turning turns as far as the views say (`turn_of_views`), on the spot or ahead as well.
+
+    Parameters
+    ----------
+    demonstrations : sequence of Demonstration
+        At least one that reached the goal and has images.
+    features : FeatureSettings, optional
+        Of colour images alone.
+    tick_s : float
+        Time between two frames.
+    progress : callable
+        Called with keyframes done and their number.
+
+    Raises
+    ------
+    ValueError
+        No such drive, or none that goes anywhere; features that do not fit, or that need depth.
+    """
+    features = FeatureSettings() if features is None else features
+    check_features(demonstrations, features.size)
+    if features.needs != {"color"}:
+        raise ValueError("views from where nobody drove have no depth: a map is of color images alone")
+    if not (math.isfinite(tick_s) and tick_s > 0.0):
+        raise ValueError(f"tick_s must be finite and positive, got {tick_s}")
+    whole = drives_to_goals(demonstrations)
+    if not whole:
+        raise ValueError("no drive reached the goal and has images")
+    taught = [drive for _, drive in whole]
+    images = ImageChain([one.images for one in taught if one.images is not None])
+    centering = Centering.fit([one.features for one in taught], features)
+    centred = np.concatenate([centering.apply(one.features) for one in taught])
+    if not centred.any():
+        raise ValueError("all images of the demonstrations look the same")
+
+    def describe(image: Image) -> NDArray[np.float32]:
+        return centering.apply(extract(image, features))
+
+    focal = _told_focal(taught)
+    way = _way(taught, images, focal, tick_s, describe)
+    if not way.odometry and focal is None:
+        focal = USUAL_FOCAL  # by which the turns were measured
+    undone = None
+    if turns_ahead(way.movements):
+        focal = focal_of_curves(images, way.poses, way.drives, describe) if focal is None else focal
+        undone = turns_undone(images, centred, way.poses, way.drives, focal, describe)
+    length, unrelated = correlation_length(centred, way.poses, way.drives, undone)
+    scene = fit_scene(images, way.poses, way.drives, length, describe, focal)
+    keyframes = _choose_keyframes(way.poses, way.drives, length)
+    views, basis = _make_views(images, keyframes, scene, _ASIDE * length, describe, progress)
+    kappa, outlier_cosine, alike_cosine = likelihood(
+        centred, way.poses, way.drives, (_SPACING * length, length), undone
+    )
+    visual_map = VisualMap(
+        poses=way.poses,
+        drives=way.drives,
+        keyframes=keyframes,
+        basis=basis,
+        views=views,
+        aside=_ASIDE * length,
+        correlation_length=length,
+        correlation_rad=_correlation_turn(views, unrelated),
+        kappa=kappa,
+        outlier_cosine=outlier_cosine,
+        alike_cosine=alike_cosine,
+        movements=way.movements,
+        tick_s=tick_s,
+        odometry=way.odometry,
+        scene=np.array([scene.focal, scene.height, scene.distance]),
+        goals=tuple(one.goal for one in taught),
+        names=tuple(names for names, _ in whole),
+    )
+    return Model(centering, stitched(visual_map))
+
+
+def fit(
+    drives: Sequence[tuple[Any, ...]],
+    features: FeatureSettings | None = None,
+    goals: Sequence[str] | None = None,
+    focal: float | None = None,
+    tick_s: float = 0.1,
+) -> Model:
+    """Learn from images and what was done at each of them.
+
+    Parameters
+    ----------
+    drives : sequence of (images, atoms) or (images, atoms, odometry)
+        Of drives that reached the goal: images (height, width, 3) uint8 RGB, an `Atom` for each, and the pose of each
+        by the wheels (x, y, heading in radians), if there is any.
+    features : FeatureSettings, optional
+    goals : sequence of str, optional
+        Where each drive leads; all to one goal if not given.
+    focal : float, optional
+        Focal length of the camera over the width of its image; estimated from the images if not given.
+    tick_s : float
+        Time between two images.
+
+    Examples
+    --------
+    >>> model = smal.fit([(images, atoms)])  # doctest: +SKIP
+    >>> robot = smal.Robot(model)  # doctest: +SKIP
+    >>> atom = robot.step(image)  # doctest: +SKIP
+    """
+    features = FeatureSettings() if features is None else features
+    return learn(demonstrations_of(drives, features, goals, focal), features, tick_s)
+
+
+def demonstrations_of(
+    drives: Sequence[tuple[Any, ...]],
+    features: FeatureSettings,
+    goals: Sequence[str] | None = None,
+    focal: float | None = None,
+) -> list[Demonstration]:
+    """Describe the images of drives; see `fit`."""
+    goals = [USUAL_GOAL] * len(drives) if goals is None else goals
+    taught = []
+    for number, ((images, atoms, *odometry), goal) in enumerate(zip(drives, goals, strict=True)):
+        described = np.stack([extract(image, features) for image in images])
+        way = np.asarray(odometry[0], dtype=np.float64) if odometry else None
+        made = np.asarray(atoms, dtype=np.int8)
+        taught.append(
+            Demonstration(f"drive-{number}", described, made, images=images, odometry=way, goal=goal, focal=focal)
+        )
+    return taught
+
+
+def _told_focal(taught: Sequence[Demonstration]) -> float | None:
+    told = [one.focal for one in taught if one.focal is not None]
+    return float(np.median(told)) if told else None
+
+
+def _way(
+    taught: Sequence[Demonstration], images: Sequence[Image], focal: float | None, tick_s: float, describe: Describe
+) -> _Way:
+    atoms = [one.atoms for one in taught]
+    wheels = [one.odometry for one in taught if one.odometry is not None]
+    odometry = len(wheels) == len(taught)
+    if odometry:
+        ways = [np.asarray(one, dtype=np.float64) for one in wheels]
+        movements = atom_movements(ways, atoms)
+    else:
+        turn_rad = turn_of_views(images, atoms, focal or USUAL_FOCAL, describe) or USUAL_TURN_RAD_S * tick_s
+        movements = _unit_movements(turn_rad, _ahead_in_turns(taught))
+        ways = [dead_reckoning(one, movements) for one in atoms]
+    drives = np.repeat(np.arange(len(ways), dtype=np.int32), [len(way) for way in ways])
+    return _Way(np.concatenate(ways), drives, movements, odometry)
+
+
+#: How fast robots turn, where no drive turns and nothing else tells.
+USUAL_TURN_RAD_S = math.radians(45.0)
+
+
+def _unit_movements(turn_rad: float, ahead: float) -> NDArray[np.float64]:
+    """Return the movements of atoms, (5, 2), in units of a forward one; turns go ahead by so many of them."""
+    return np.array([[0.0, 0.0], [1.0, 0.0], [-1.0, 0.0], [ahead, turn_rad], [ahead, -turn_rad]])
+
+
+def _ahead_in_turns(taught: Sequence[Demonstration]) -> float:
+    """Return how fast the robot usually goes ahead in turning, as a share of its speed straight on."""
+    told = [one.ahead[(one.atoms == Atom.LEFT) | (one.atoms == Atom.RIGHT)] for one in taught if one.ahead is not None]
+    return float(np.median(np.concatenate(told))) if any(map(len, told)) else 0.0
+
+
+def _correlation_turn(views: NDArray[np.float32], unrelated: float) -> float:
+    """Measure the turn after which a view is half as alike as it can be, radians: at least the step of the views."""
+    middle = TURNS_DEG.size // 2
+    mean = np.einsum("kr,ktr->t", views[:, 1, middle], views[:, 1]) / len(views)
+    mean = (mean[middle:] + mean[middle::-1]) / 2.0
+    half = (float(mean[0]) + unrelated) / 2.0
+    turn_deg = float(np.interp(-half, -np.minimum.accumulate(mean), TURNS_DEG[middle:]))
+    return math.radians(max(turn_deg, float(TURNS_DEG[1] - TURNS_DEG[0])))
+
+
+def _choose_keyframes(poses: NDArray[np.float64], drives: NDArray[np.int32], length: float) -> NDArray[np.int32]:
+    chosen: list[int] = []
+    for frame in range(len(poses)):
+        first = frame == 0 or drives[frame] != drives[frame - 1]
+        last = frame == len(poses) - 1 or drives[frame] != drives[frame + 1]
+        if not (first or last):
+            moved = poses[frame] - poses[chosen[-1]]
+            far = math.hypot(moved[0], moved[1]) >= _SPACING * length
+            if not far and abs(math.remainder(moved[2], math.tau)) < math.radians(_SPACING_DEG):
+                continue
+        chosen.append(frame)
+    return np.array(chosen, dtype=np.int32)
+
+
+def _make_views(
+    images: Sequence[Image],
+    keyframes: NDArray[np.int32],
+    scene: Scene,
+    aside: float,
+    describe: Callable[[Image], NDArray[np.float32]],
+    progress: Callable[[int, int], None],
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Make the virtual views of keyframes, and the components in which they are kept."""
+    lefts = (-aside, 0.0, aside)
+
+    # Drives may be of cameras of different sizes.
+    @cache
+    def maps_of(shape: tuple[int, ...]) -> list[list[Maps]]:
+        return [[scene.maps(shape, 0.0, left, math.radians(turn)) for turn in TURNS_DEG] for left in lefts]
+
+    def views_of(frame: int) -> NDArray[np.float32]:
+        image = images[frame]
+        return np.stack([np.stack([describe(remapped(image, one)) for one in row]) for row in maps_of(image.shape[:2])])
+
+    # All views at once would take gigabytes for a long drive: components first, from a sample of keyframes.
+    with ThreadPoolExecutor() as pool:
+        each = len(lefts) * TURNS_DEG.size
+        sample = keyframes[np.unique(np.linspace(0, keyframes.size - 1, max(1, _SAMPLE // each)).astype(int))].tolist()
+        made = dict(zip(sample, pool.map(views_of, sample), strict=True))
+        basis = _components(np.concatenate(list(made.values())).reshape(-1, len(describe(images[0]))))
+
+        def kept(frame: int) -> NDArray[np.float32]:
+            return (made[frame] if frame in made else views_of(frame)) @ basis
+
+        views = []
+        for done, view in enumerate(pool.map(kept, keyframes.tolist()), 1):
+            views.append(view)
+            progress(done, keyframes.size)
+    return np.stack(views), basis
+
+
+def _components(sample: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Return the leading principal components of rows (s, m), (m, r)."""
+    products = sample @ sample.T
+    # All components take three times as long.
+    values, vectors = eigh(products, subset_by_index=[max(0, len(sample) - _MOST_COMPONENTS), len(sample) - 1])
+    values, vectors = np.maximum(values[::-1], 0.0), vectors[:, ::-1]
+    share = np.cumsum(values) / max(float(np.trace(products)), 1e-12)
+    count = min(int(np.searchsorted(share, _KEPT)) + 1, int((values > 1e-6 * values[0]).sum()))
+    basis = sample.T @ vectors[:, :count]
+    unit: NDArray[np.float32] = (basis / np.linalg.norm(basis, axis=0)).astype(np.float32)
+    return unit

@@ -1,0 +1,19 @@
+"""Sequence-based Multimodal Apprenticeship Learning (Han, Yang, Zhang & Zhang, ICRA 2017), exactly as published.
+
+Read in the order of the paper: `objective` (Eq. 7), `state_matching` and `algorithm2`, `state_space` (Algorithm 1),
+`action_space` (Algorithm 3), `transitions` (Algorithm 4), `reward` and `policy`; `learning` puts them together to a
+`model`, `recognition` (Eq. 8 and 9) and `execution` drive by it.
+
+sequence
+    l successive frames; template sequences are those that states were made of.
+state
+    What a sequence shows; state j is the columns j l to j l + l - 1 of X, its template, a block of rows of W.
+phase
+    The frame of a state's template at which the last frame of a query is.
+action
+    l atoms, the movements until the next frame.
+recovery
+    A short demonstrated drive from beside the way back onto it.
+polar
+    Of the penalties in Eq. 7: how far a point is outside of the dual problem (`matching.certificate`).
+"""

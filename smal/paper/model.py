@@ -1,0 +1,193 @@
+"""What was learned: Omega = (S, A, T, R, gamma) of the paper with the templates that recognize S, as one file."""
+
+from dataclasses import dataclass, fields
+from typing import Any, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from smal.features import Centering, FeatureSettings
+from smal.files.stored import Content, Stored, features_of, of_features
+from smal.movement import Atom
+from smal.paper.novelty import novelty_test
+from smal.paper.transitions import Transitions
+
+_TRANSITION_ARRAYS = [field.name for field in fields(Transitions) if field.name != "states"]
+_STREAMS = ("state_streams", "atoms")
+
+
+@dataclass(frozen=True, eq=False)
+class Model(Stored):
+    """A learned model of the paper's scheme; `state` below is a template sequence, `demonstration` is d.
+
+    Parameters
+    ----------
+    feature_settings : FeatureSettings
+    mean : float32 array (m,)
+        Mean raw feature vector.
+    sequence_length : int
+        l.
+    lambda1, lambda2 : float
+        Of Eq. 7.
+    novelty : str
+        Name of the test by which states were learned.
+    novelty_parameters : dict
+        Its parameters.
+    templates : float32 array (m, n)
+        X; state j is the columns j * l and following.
+    actions : int8 array (number of actions, l)
+        Atoms of every action.
+    state_streams : tuple of int32 arrays (f_d // l,)
+        The sequences of every demonstration in time; they end with its last frame.
+    atoms : tuple of int8 arrays (f_d,)
+        Atom k was executed between frames k and k + 1.
+    names : tuple of str
+        Episode of each demonstration.
+    successful, recovery : tuples of bool
+        Whether it ended at the goal; whether it began off the route.
+    transitions : Transitions
+        T.
+    reward : float64 array (states,)
+        R.
+    policy : int32 array (states,)
+        Action of every state; -1 in goals and dead ends.
+    value : float64 array (states,)
+        V of the policy.
+    gamma : float
+        Discount factor.
+    """
+
+    scheme = "paper"
+
+    feature_settings: FeatureSettings
+    mean: NDArray[np.float32]
+    sequence_length: int
+    lambda1: float
+    lambda2: float
+    novelty: str
+    novelty_parameters: dict[str, float]
+    templates: NDArray[np.float32]
+    actions: NDArray[np.int8]
+    state_streams: tuple[NDArray[np.int32], ...]
+    atoms: tuple[NDArray[np.int8], ...]
+    names: tuple[str, ...]
+    successful: tuple[bool, ...]
+    recovery: tuple[bool, ...]
+    transitions: Transitions
+    reward: NDArray[np.float64]
+    policy: NDArray[np.int32]
+    value: NDArray[np.float64]
+    gamma: float
+
+    def __post_init__(self) -> None:
+        l, states = self.sequence_length, self.transitions.states  # noqa: E741
+        checks = {
+            "templates": self.templates.shape == (self.feature_settings.size, states * l),
+            "mean": self.mean.shape == (self.feature_settings.size,),
+            "actions": self.actions.ndim == 2 and self.actions.shape[1] == l,
+            "reward": self.reward.shape == (states,),
+            "policy": self.policy.shape == (states,) and int(self.policy.max(initial=-1)) < len(self.actions),
+            "value": self.value.shape == (states,),
+            "names": len(self.names) == len(self.atoms) == len(self.successful) == len(self.recovery)
+            and all(isinstance(name, str) for name in self.names),
+            "state_streams": [len(s) for s in self.state_streams] == [len(a) // l for a in self.atoms]
+            and all(_within(stream, 0, states - 1) for stream in self.state_streams),
+            "atoms": all(_within(atoms, min(Atom), max(Atom)) for atoms in (*self.atoms, self.actions)),
+            "finite": bool(np.isfinite(self.reward).all() and np.isfinite(self.value).all()),
+        }
+        wrong = [name for name, fits in checks.items() if not fits]
+        if wrong:
+            raise ValueError(f"the parts of the model do not fit together: {', '.join(wrong)}")
+        novelty_test(self.novelty, self.novelty_parameters)
+
+    @property
+    def states(self) -> int:
+        """Number of states."""
+        return self.transitions.states
+
+    @property
+    def shared_states(self) -> int:
+        """Number of states that occur in at least two demonstrations; without any the graph is a set of chains."""
+        each = np.concatenate([np.unique(stream) for stream in self.state_streams])
+        return int((np.bincount(each, minlength=self.states) >= 2).sum())
+
+    @property
+    def centering(self) -> Centering:
+        """Turns raw features into those of the templates."""
+        return Centering(self.mean, self.feature_settings)
+
+    @property
+    def longest(self) -> int:
+        """Frames of the longest drive."""
+        return max(map(len, self.atoms))
+
+    def __repr__(self) -> str:
+        """Say what it is, not all its numbers."""
+        return (
+            f"Model({self.states} states, {len(self.actions)} actions, l = {self.sequence_length}, "
+            f"{'+'.join(self.feature_settings.modalities)}, {len(self.names)} demonstrations)"
+        )
+
+    def content(self) -> Content:
+        """Return what the file says of the model, and the arrays in it."""
+        arrays: dict[str, NDArray[Any]] = {
+            "mean": self.mean,
+            "templates": self.templates.T,
+            "actions": self.actions,
+            "reward": self.reward,
+            "policy": self.policy,
+            "value": self.value,
+        }
+        arrays |= {f"transitions.{name}": getattr(self.transitions, name) for name in _TRANSITION_ARRAYS}
+        arrays |= {name: np.concatenate(getattr(self, name)) for name in _STREAMS}
+        meta = of_features(self.feature_settings) | {
+            "sequence_length": self.sequence_length,
+            "lambda1": self.lambda1,
+            "lambda2": self.lambda2,
+            "novelty": self.novelty,
+            "novelty_parameters": self.novelty_parameters,
+            "names": self.names,
+            "frames": [len(atoms) for atoms in self.atoms],
+            "successful": self.successful,
+            "recovery": self.recovery,
+            "states": self.states,
+            "gamma": self.gamma,
+        }
+        return meta, arrays
+
+    @classmethod
+    def of_content(cls, meta: dict[str, Any], arrays: dict[str, NDArray[Any]]) -> Self:
+        """Make it of what a file says."""
+        _check_numbers(meta)
+        frames, length = np.array(meta["frames"]), meta["sequence_length"]
+        parts = dict.fromkeys(_STREAMS, frames // length) | {"atoms": frames}
+        streams: dict[str, Any] = {
+            name: tuple(np.split(arrays[name], np.cumsum(parts[name])[:-1])) for name in _STREAMS
+        }
+        if [len(atoms) for atoms in streams["atoms"]] != meta["frames"]:
+            raise ValueError("its demonstrations are not as long as it says")
+        named: dict[str, Any] = {name: arrays[f"transitions.{name}"] for name in _TRANSITION_ARRAYS}
+        same: dict[str, Any] = {name: arrays[name] for name in ("mean", "actions", "reward", "policy", "value")}
+        same |= {name: tuple(meta[name]) for name in ("names", "successful", "recovery")}
+        same |= {name: meta[name] for name in ("novelty", "novelty_parameters")}
+        same |= {name: meta[name] for name in ("sequence_length", "lambda1", "lambda2", "gamma")}
+        return cls(
+            feature_settings=features_of(meta),
+            templates=arrays["templates"].T,
+            transitions=Transitions(**named, states=meta["states"]),
+            **same,
+            **streams,
+        )
+
+
+def _within(numbers: NDArray[Any], low: int, high: int) -> bool:
+    return numbers.dtype.kind == "i" and low <= int(numbers.min(initial=low)) and int(numbers.max(initial=high)) <= high
+
+
+def _check_numbers(meta: dict[str, Any]) -> None:
+    """Reject a header with missing or wrong numbers before anything is computed with them."""
+    counts, reals = ("sequence_length", "states"), ("lambda1", "lambda2", "gamma")
+    wrong = [name for name in counts if type(meta[name]) is not int or meta[name] < 1]
+    wrong += [name for name in reals if type(meta[name]) not in (int, float)]
+    if wrong:
+        raise ValueError(f"not a number that a model could have: {', '.join(wrong)}")
