@@ -186,8 +186,8 @@ class LoadRequest(Strict):
 
     model: FileName
     """The model file: its path below the service's root, without a part that begins with a dot."""
-    scheme: Scheme = "filter"
-    """How the robot is to know where it is, and decide."""
+    scheme: Scheme | None = None
+    """For which scheme it must have been learned, which is the one that it is used by; any if not given."""
     goal: GoalName | None = None
     """Where to go; may be left out where all that was learned from leads to one goal."""
     stride: Annotated[int | None, Field(ge=1, le=1000)] = None
@@ -197,16 +197,12 @@ class LoadRequest(Strict):
 class LoadReply(Strict):
     """The model that was loaded."""
 
-    states: int
-    """Learned states."""
-    templates: int
-    """Template frames."""
-    sequence_length: int
-    """Frames of a sequence."""
-    keyframes: int
-    """Of the map of views; 0 without one."""
     scheme: Scheme
-    """How the service works with it."""
+    """For which it was learned, and how the service works with it."""
+    keyframes: int = 0
+    """Of its map of views; 0 in the paper's scheme."""
+    states: int = 0
+    """Learned states; 0 but in the paper's scheme."""
     stride: int
     """Frames from one decision to the next."""
 

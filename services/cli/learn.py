@@ -6,24 +6,29 @@ import json
 import math
 import sys
 import time
+from collections.abc import Mapping
 from dataclasses import asdict, replace
+from functools import partial
 from pathlib import Path
-from typing import Annotated, NoReturn
+from typing import Annotated, Any, NoReturn
 
 import typer
 from tqdm import tqdm
 
 from schemas.rpc import Scheme
-from services.cli import options, outputs
+from services.cli import outputs
 from services.cli.feature_options import ModalitiesOfRecordings, Weights, parse_features, with_weights
 from services.experiments.matching.report import described_by
 from services.kit.errors import JobError, UsageError
+from services.kit.model_service import AnyModel
 from services.recordings.dataset import Teacher, Teaching, find_recordings, states_shared_by_episodes
 from services.recordings.recorded_features import features_of_recordings
 from smal.features import FeatureSettings
+from smal.files.container import ModelError
+from smal.mapping import learn as learn_map
+from smal.model import Model
 from smal.paper.learning import LearningReport, LearningSettings
-from smal.paper.learning import learn as learn_model
-from smal.paper.model import Model, ModelError
+from smal.paper.learning import learn as learn_paper
 from smal.paper.novelty import WeightTest
 from smal.paper.reward import RewardError
 from smal.paper.template_store import MemoryBoundError
@@ -32,15 +37,18 @@ from smal.paper.template_store import MemoryBoundError
 def learn(
     recordings: Annotated[list[Path], typer.Argument(help="Recordings (MCAP), or folders of them.")],
     out: Annotated[Path, typer.Option(help="Where to write the model.")],
-    length: Annotated[int | None, typer.Option(min=1, help="Frames of a sequence, l. [default: 5]")] = None,
-    lambda1: Annotated[float | None, typer.Option(help="Of Eq. 7. [default: 0.1 sqrt(l)]")] = None,
-    lambda2: Annotated[float | None, typer.Option(help="Of Eq. 7. [default: 0.1 sqrt(l)]")] = None,
-    scheme: options.SchemeOption = "filter",
+    length: Annotated[int | None, typer.Option(min=1, help="Paper: frames of a sequence, l. [default: 5]")] = None,
+    lambda1: Annotated[float | None, typer.Option(help="Paper: of Eq. 7. [default: 0.1 sqrt(l)]")] = None,
+    lambda2: Annotated[float | None, typer.Option(help="Paper: of Eq. 7. [default: 0.1 sqrt(l)]")] = None,
+    scheme: Annotated[
+        Scheme,
+        typer.Option(help="filter: a map of views, which the robot follows; paper: the paper's states and policy."),
+    ] = "filter",
     tau: Annotated[
         float | None,
-        typer.Option(help="The paper's test for new states (Eq. 8), with this threshold for each query frame."),
+        typer.Option(help="Paper: threshold of the test for new states (Eq. 8), for each query frame. [default: 0.2]"),
     ] = None,
-    gamma: Annotated[float | None, typer.Option(help="Discount factor. [default: 0.95]")] = None,
+    gamma: Annotated[float | None, typer.Option(help="Paper: discount factor. [default: 0.95]")] = None,
     modalities: ModalitiesOfRecordings = None,
     weights: Weights = None,
     include_runs: Annotated[
@@ -51,8 +59,8 @@ def learn(
         typer.Option(
             min=1,
             metavar="MIB",
-            help="Stop, rather than take more memory than this for templates and their inner products: 4 n (n + m) "
-            "bytes for n template frames of m features. [default: no limit]",
+            help="Paper: stop, rather than take more memory than this for templates and their inner products: "
+            "4 n (n + m) bytes for n template frames of m features. [default: no limit]",
         ),
     ] = None,
     json_file: Annotated[Path | None, typer.Option("--json", help="Write the report as JSON.")] = None,
@@ -60,70 +68,88 @@ def learn(
         bool, typer.Option("--progress", help="Print progress as lines of JSON, for a program that waits.")
     ] = False,
 ) -> None:
-    """Learn a map of views, and the paper's states, actions, transitions, reward and policy, from recorded drives.
+    """Learn the taught ways from recorded drives: a map of views, or with --scheme paper the paper's model.
 
-    One drive that reached the victim is enough, by the scripted expert or by hand. Recovery drives add to the paper's
-    part alone; drives that did not reach the victim, collisions, and the robot's own runs teach nothing. What is left
+    One drive that reached the victim is enough, by the scripted expert or by hand. Recovery drives teach the paper's
+    scheme alone; drives that did not reach the victim, collisions, and the robot's own runs teach nothing. What is left
     out of a recording is said on standard error. Only camera, wheel odometry and applied commands are used, never true
-    poses. With --scheme paper only the paper's part is learned, with its test for new states.
+    poses.
 
-    Of the modalities in a recording any can be learned from. All but depth can also be computed from the recorded
-    images.
+    The modalities may be any of those in a recording. All but depth can also be computed from the recorded images; a
+    map has no depth.
 
-    Example: smal learn drives --out campus.smal --length 5
+    Example: smal learn drives --out campus.smal
     """
     began_s = time.perf_counter()
-    settings = _settings(length, lambda1, lambda2, _tau(scheme, tau), gamma)
-    settings = replace(settings, map_views=scheme == "filter")
-    if memory is not None:
-        settings = replace(settings, max_bytes=memory * 2**20)
+    given = {"--length": length, "--lambda1": lambda1, "--lambda2": lambda2, "--tau": tau, "--gamma": gamma}
+    if scheme == "filter":
+        _refuse(given | {"--memory": memory})
+    settings = _settings(length, lambda1, lambda2, tau, gamma, memory)
     if out.is_dir():
         raise UsageError(f"--out {out}: is a folder; give the name of a file, for example {out / 'model.smal'}")
     outputs.make_folder(out.parent, "--out")
     outputs.check_file(json_file, "--json")
     files = find_recordings(recordings)
-    settings = replace(settings, features=_features(files, modalities, weights))
+    settings = replace(settings, features=_features(files, scheme, modalities, weights))
     bar = _Lines() if progress else _StageBar()
     try:
-        teaching = _read(files, settings, include_runs, bar)
-        model, report = _learn(teaching, settings, bar)
+        teaching = _read(
+            files, settings.features, settings.sequence_length if scheme == "paper" else 2, include_runs, bar
+        )
+        model, found = _learn(teaching, scheme, settings, bar)
     finally:
         bar.close()
+    told = {"features": described_by(settings.features)} | found
     try:
         model.save(out)
         if json_file is not None:
-            outputs.write_json(json_file, "--json", _as_json(teaching, settings, report, out))
+            outputs.write_json(json_file, "--json", _as_json(teaching, settings.features, out) | found)
     except ModelError as error:
         raise JobError(str(error)) from None
     except OSError as error:
         raise JobError(f"cannot write {error.filename or out}: {error.strerror}") from None
-    typer.echo(_as_text(teaching, settings, report, out, time.perf_counter() - began_s))
+    typer.echo(_as_text(teaching, told, out, time.perf_counter() - began_s))
 
 
-def _tau(scheme: Scheme, tau: float | None) -> float | None:
-    """Return the threshold of Eq. 8, which the paper's scheme always goes by."""
-    return WeightTest().tau if tau is None and scheme == "paper" else tau
+def _refuse(of_paper: Mapping[str, object]) -> None:
+    """Refuse what only the paper's scheme has."""
+    for name, value in of_paper.items():
+        if value is not None:
+            raise UsageError(f"{name} {value}: only the paper's scheme has it; give --scheme paper")
 
 
 def _settings(
-    length: int | None, lambda1: float | None, lambda2: float | None, tau: float | None, gamma: float | None
+    length: int | None,
+    lambda1: float | None,
+    lambda2: float | None,
+    tau: float | None,
+    gamma: float | None,
+    memory: int | None,
 ) -> LearningSettings:
-    given: dict[str, object] = {"sequence_length": length, "lambda1": lambda1, "lambda2": lambda2, "gamma": gamma}
-    chosen = {name: value for name, value in given.items() if value is not None}
-    if tau is not None and not (math.isfinite(tau) and tau >= 0.0):
+    tau = WeightTest().tau if tau is None else tau
+    if not (math.isfinite(tau) and tau >= 0.0):
         raise UsageError(f"--tau must be finite and not negative, got {tau}")
-    if tau is not None:
-        chosen |= {"novelty": "weight", "novelty_parameters": {"tau": tau}}
+    given: dict[str, object] = {"sequence_length": length, "lambda1": lambda1, "lambda2": lambda2, "gamma": gamma}
+    given |= {"max_bytes": memory and memory * 2**20}
+    chosen = {name: value for name, value in given.items() if value is not None}
+    chosen |= {"novelty": "weight", "novelty_parameters": {"tau": tau}}
     try:
         return LearningSettings(**chosen)  # type: ignore[arg-type]  # checked by LearningSettings
     except ValueError as error:
         raise UsageError(str(error)) from None
 
 
-def _features(files: list[Path], modalities: str | None, weights: str | None) -> FeatureSettings:
-    if modalities is not None:
-        return parse_features(modalities, weights)
-    features = features_of_recordings(files)
+def _features(files: list[Path], scheme: Scheme, modalities: str | None, weights: str | None) -> FeatureSettings:
+    """Return what is learned from: what is asked for, or what the recordings hold, of which a map takes no depth."""
+    features = features_of_recordings(files) if modalities is None else parse_features(modalities)
+    if scheme == "filter" and "depth" in features.needs:
+        seen = features.of_images()
+        if modalities is not None or seen is None:
+            raise UsageError(
+                f"--modalities {','.join(features.modalities)}: a map of views has no depth; "
+                "leave depth out, or give --scheme paper"
+            )
+        features = seen
     return features if weights is None else with_weights(features, weights)
 
 
@@ -167,8 +193,10 @@ class _StageBar:
             self._bar = None
 
 
-def _read(files: list[Path], settings: LearningSettings, include_runs: bool, bar: _Lines | _StageBar) -> Teaching:
-    teacher = Teacher(settings.features, settings.sequence_length, include_runs=include_runs)
+def _read(
+    files: list[Path], features: FeatureSettings, shortest: int, include_runs: bool, bar: _Lines | _StageBar
+) -> Teaching:
+    teacher = Teacher(features, shortest, include_runs=include_runs)
     for number, path in enumerate(files):
         bar("reading", number, len(files))
         teacher.read(path)
@@ -184,46 +212,51 @@ def _read(files: list[Path], settings: LearningSettings, include_runs: bool, bar
     return teaching
 
 
-def _learn(teaching: Teaching, settings: LearningSettings, bar: _Lines | _StageBar) -> tuple[Model, LearningReport]:
+def _learn(
+    teaching: Teaching, scheme: Scheme, settings: LearningSettings, bar: _Lines | _StageBar
+) -> tuple[AnyModel, dict[str, Any]]:
+    """Return the model, and what is told of it."""
+    drives = teaching.demonstrations
     try:
-        model, report = learn_model(teaching.demonstrations, settings, bar)
+        if scheme == "filter":
+            mapped = learn_map(drives, settings.features, progress=partial(bar, "views"))
+            return mapped, _of_map(mapped)
+        model, report = learn_paper(drives, settings, bar)
     except (ValueError, RewardError) as error:
         raise JobError(f"cannot learn from these recordings: {error}") from None
     except MemoryBoundError as error:
         raise JobError(f"--memory: {error}") from None
-    return model, replace(report, shared_states=states_shared_by_episodes(model))
+    return model, _of_paper(settings, replace(report, shared_states=states_shared_by_episodes(model)))
 
 
-def _as_text(teaching: Teaching, settings: LearningSettings, report: LearningReport, out: Path, seconds: float) -> str:
-    rows = {
-        "recordings": f"{teaching.recordings} ({teaching.episodes} episodes used)",
-        "frames": report.frames,
-        "features": described_by(settings.features),
-        "keyframes": f"{report.keyframes} of the map of views" if report.keyframes else "none: no map of views",
-        "states": report.states,
-        "shared states": f"{report.shared_states} (seen in at least two episodes)",
-        "actions": report.actions,
-        "goal states": report.goals,
-        "memory": f"{report.template_bytes / 2**20:.0f} MiB for templates and their inner products",
-        "seconds": f"{seconds:.1f}",
-        "model": out,
+def _of_map(model: Model) -> dict[str, Any]:
+    taught = model.mapped
+    return {
+        "drives": len(taught.goals),
+        "frames": len(taught.poses),
+        "keyframes": len(taught.keyframes),
+        "goals": ", ".join(sorted(set(taught.goals))),
     }
-    return "\n".join(f"{name:14}{value}" for name, value in rows.items())
 
 
-def _as_json(teaching: Teaching, settings: LearningSettings, report: LearningReport, out: Path) -> dict[str, object]:
+def _of_paper(settings: LearningSettings, report: LearningReport) -> dict[str, Any]:
     lambda1, lambda2 = settings.lambdas
+    chosen = {"length": settings.sequence_length, "lambda1": lambda1, "lambda2": lambda2, "gamma": settings.gamma}
+    return chosen | {"novelty": settings.novelty} | asdict(report)
+
+
+def _as_text(teaching: Teaching, told: dict[str, Any], out: Path, seconds: float) -> str:
+    rows = {"recordings": f"{teaching.recordings} ({teaching.episodes} episodes used)"} | told
+    rows |= {"seconds": f"{seconds:.1f}", "model": out}
+    return "\n".join(f"{name.replace('_', ' '):16}{value}" for name, value in rows.items())
+
+
+def _as_json(teaching: Teaching, features: FeatureSettings, out: Path) -> dict[str, object]:
     return {
         "model": str(out),
         "recordings": teaching.recordings,
         "episodes": teaching.episodes,
         "remarks": teaching.remarks,
-        "modalities": settings.features.modalities,
-        "weights": settings.features.weights,
-        "length": settings.sequence_length,
-        "lambda1": lambda1,
-        "lambda2": lambda2,
-        "gamma": settings.gamma,
-        "novelty": settings.novelty,
-        **asdict(report),
+        "modalities": features.modalities,
+        "weights": features.weights,
     }

@@ -12,8 +12,9 @@ from tqdm import tqdm
 from services.cli import STYLE, outputs
 from services.experiments.showing.summary import lines
 from services.kit.errors import JobError, UsageError
+from services.kit.model_service import load_model
 from services.recordings.dataset import find_recordings
-from smal.paper.model import Model, ModelError
+from smal.files.container import ModelError
 
 app = typer.Typer(
     help="Look at what was learned.\n\nExample: smal model show campus.smal --recordings drives --out shown",
@@ -40,14 +41,15 @@ def show(
 ) -> None:
     """Say what a model is; with --out show it on a page.
 
-    OUT/index.html shows the taught ways with the places where they part and meet, the states on them, the cost to go to
-    each goal, and the reward. A model keeps no images: with --recordings the page has those of each state, and where
-    the belief was wide when recognition follows the drives once more. The page needs nothing from a network.
+    OUT/index.html shows the taught ways with the places where they part and meet, and the cost to go to each goal; of
+    a model of the paper's scheme its states and the reward. A model keeps no images: with --recordings the page has
+    those of the drives, and where the belief was wide when recognition follows them once more. The page needs nothing
+    from a network.
 
     Example: smal model show campus.smal --recordings drives --out shown
     """
     try:
-        model = Model.load(file)
+        model = load_model(file)
     except ModelError as error:
         raise UsageError(str(error)) from None
     if out is None:

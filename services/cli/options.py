@@ -14,12 +14,12 @@ from schemas.rpc import ResetRequest, Scheme
 from schemas.topics import check_robot_id
 from services.kit.bus import DEFAULT_ROUTER
 from services.kit.errors import UsageError
-from services.kit.model_service import refused
+from services.kit.model_service import AnyModel, load_model, refused
 from services.kit.settings import DEFAULT_SECURE_ROUTER, ServiceSettings
 from services.simulator.variation import VARIATIONS
 from services.simulator.world import WorldError, load_world
 from services.simulator.world.place import World as LoadedWorld
-from smal import model as smal_model
+from smal.files.container import ModelError
 
 DEFAULT_ROBOT: Final = "rescuebot"
 DEFAULT_WORLD: Final = "campus"
@@ -73,13 +73,10 @@ Connect = Annotated[
         f"{DEFAULT_SECURE_ROUTER})."
     ),
 ]
-Model = Annotated[Path, typer.Option(help="Model file, made by `smal learn`.")]
+ModelFile = Annotated[Path, typer.Option(help="Model file, made by `smal learn`.")]
 SchemeOption = Annotated[
-    Scheme,
-    typer.Option(
-        "--scheme",
-        help="filter: a belief over taught places, and steering along the way; paper: Eq. 7 to 9 and whole actions.",
-    ),
+    Scheme | None,
+    typer.Option("--scheme", help="Refuse a model that was not learned for this scheme, filter or paper."),
 ]
 Goal = Annotated[str | None, typer.Option(help="Where to go, in a model with several goals.")]
 GoalOfDrives = Annotated[
@@ -204,7 +201,7 @@ def read_world(world: str) -> LoadedWorld:
         raise UsageError(f"--world {world}: {error}") from None
 
 
-def read_model(path: Path, scheme: Scheme, stride: int | None = None, goal: str | None = None) -> smal_model.Model:
+def read_model(path: Path, scheme: Scheme | None, stride: int | None = None, goal: str | None = None) -> AnyModel:
     """Read the model of ``--model``, for which ``--scheme``, ``--stride`` and ``--goal`` must be right.
 
     Raises
@@ -213,10 +210,10 @@ def read_model(path: Path, scheme: Scheme, stride: int | None = None, goal: str 
         When the file is no model, or cannot be used so.
     """
     try:
-        model = smal_model.Model.load(path)
-    except smal_model.ModelError as error:
+        model = load_model(path)
+    except ModelError as error:
         raise UsageError(f"--model {error}") from None
     refusal = refused(model, scheme, stride, goal)
     if refusal is not None:
-        raise UsageError(f"--model {path}, --scheme {scheme}: {refusal}")
+        raise UsageError(f"--model {path}: {refusal}")
     return model

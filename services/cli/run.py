@@ -12,7 +12,7 @@ import numpy as np
 import typer
 from tqdm import tqdm
 
-from schemas.rpc import LoadReply, LoadRequest, Mode, Nothing, ResetRequest, Scheme, Start, Status
+from schemas.rpc import LoadReply, LoadRequest, Mode, Nothing, ResetRequest, Start, Status
 from services.cli import options, outputs
 from services.cli.episodes.client import EpisodeClient, EpisodeRecord, check_world_of
 from services.cli.episodes.names import name_for
@@ -25,6 +25,7 @@ from services.kit.model_service import identity_of
 from services.kit.settings import ServiceSettings
 from smal.evaluation.success import wilson_interval
 from smal.features import FeatureSettings
+from smal.model import Model
 
 #: Camera images kept of every run for the report, one in so many frames.
 FRAMES_APART = 20
@@ -35,11 +36,11 @@ CHAIN = ("recognition", "policy")
 
 
 def run(
-    model: options.Model,
+    model: options.ModelFile,
     world: options.WorldOfStack = None,
     episodes: Annotated[int, typer.Option(min=1, help="Runs.")] = 20,
     seed: options.Seed = 1,
-    scheme: options.SchemeOption = "filter",
+    scheme: options.SchemeOption = None,
     stride: options.Stride = None,
     goal: options.Goal = None,
     start: Annotated[
@@ -98,10 +99,10 @@ def run(
             purpose="run",
             driver="policy",
             mode=mode,
-            max_ticks=max_ticks or max(MAX_TICKS, PATIENCE * max(map(len, loaded.atoms))),
+            max_ticks=max_ticks or max(MAX_TICKS, PATIENCE * loaded.longest),
             start=start,
             kidnap_tick=kidnap,
-            goal=goal or (loaded.mapped.goals[0] if scheme == "filter" else "victim"),
+            goal=goal or (loaded.mapped.goals[0] if isinstance(loaded, Model) else "victim"),
         )
         for k in range(episodes)
     ]
@@ -109,7 +110,7 @@ def run(
     try:
         with (
             stack_for(connect, services, robot, own, secure) as access,
-            _client(access.settings, model, identity, scheme, stride, goal) as client,
+            _client(access.settings, model, identity, stride, goal) as client,
             recording(client.node.bus, record, "--record") if record else nullcontext(),
         ):
             _check_features(client, loaded.feature_settings)
@@ -171,7 +172,7 @@ def _own_flags(
 
 @contextmanager
 def _client(
-    settings: ServiceSettings, model: Path, identity: str, scheme: Scheme, stride: int | None, goal: str | None
+    settings: ServiceSettings, model: Path, identity: str, stride: int | None, goal: str | None
 ) -> Iterator[EpisodeClient]:
     """Connect, and have recognition and policy load the model."""
     client = EpisodeClient("run", settings)
@@ -181,7 +182,7 @@ def _client(
         client.node.bus.wait_connected(5.0)
         for service in CHAIN:
             name = name_for(client.node.bus, service, model, "--model")
-            request = LoadRequest(model=name, scheme=scheme, stride=stride, goal=goal)
+            request = LoadRequest(model=name, stride=stride, goal=goal)
             client.node.bus.call(service, "load", request, LoadReply, timeout_s=60.0)
         _check_models(client, identity, goal)
         yield client

@@ -36,7 +36,7 @@ CONSOLE: Final = "127.0.0.1:8080"
 def up(
     world: options.World = "campus",
     model: Annotated[Path | None, typer.Option(help="Model that recognition and policy load at the start.")] = None,
-    scheme: options.SchemeOption = "filter",
+    scheme: options.SchemeOption = None,
     stride: options.Stride = None,
     goal: options.Goal = None,
     root: Annotated[
@@ -174,14 +174,14 @@ def _http_addresses(services: tuple[str, ...], first_port: int | None) -> dict[s
 
 
 def _chain_flags(
-    model: Path | None, scheme: Scheme, stride: int | None, goal: str | None
+    model: Path | None, scheme: Scheme | None, stride: int | None, goal: str | None
 ) -> tuple[tuple[str, ...], FeatureSettings | None]:
     """Return the flags with which recognition and policy have their model from the start, and after every restart.
 
     And the features that it was learned on.
     """
     if model is None:
-        for name, value in (("--stride", stride), ("--goal", goal)):
+        for name, value in (("--scheme", scheme), ("--stride", stride), ("--goal", goal)):
             if value is not None:
                 raise UsageError(f"{name} {value}: needs --model")
         return (), None

@@ -91,10 +91,8 @@ class Run(Begin):
     do: Literal["run"]
     model: FileName
     """With which model; recognition and policy load it first."""
-    scheme: Scheme = "filter"
-    """How it is to know where it is, and decide."""
     goal: GoalName | None = None
-    """Where to; the paper's scheme goes to the nearest goal."""
+    """Where to; a model of the paper's scheme goes to the nearest goal."""
     start: Start
     """Where it begins."""
     seed: Seed
@@ -109,6 +107,8 @@ class Learn(Asked):
     """What it will be called."""
     recordings: Annotated[tuple[str, ...], Field(min_length=1, max_length=1000)]
     """From which recordings, by name."""
+    scheme: Scheme = "filter"
+    """How a robot is to go by it."""
 
 
 class Cancel(Asked):

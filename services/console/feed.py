@@ -22,7 +22,9 @@ from services.kit.jpeg import is_jpeg
 from services.kit.node import Node, ServiceError
 from services.kit.root import below, name_below
 from services.table import stack_services
-from smal.paper.model import Model, ModelError
+from smal.files.container import ModelError
+from smal.files.stored import Stored
+from smal.model import Model
 
 #: Points of today's way; when there are more every second one is left out.
 _POINTS: Final = 400
@@ -156,7 +158,9 @@ class Feed:
             recordings = {
                 one.episode: self._library.path(one.name) for one in self._library.recordings() if one.episode
             }
-            model = Model.load(below(self._library.root, name))
+            model = Stored.load(below(self._library.root, name))
+            if not isinstance(model, Model):
+                raise ServiceError(f"{name} is for the paper's scheme: its states have no places on a map")
             self.learned = learned = learned_of(model, None if goal is None else str(goal), recordings)
             self._board.put("model", {"name": name} | learned.shown())
         except (ModelError, ServiceError, ValueError, OSError) as error:

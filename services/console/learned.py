@@ -16,11 +16,10 @@ from services.kit.model_service import identity_of
 from services.recordings.encoding import stamped_jpeg
 from services.recordings.reader import RecordingError, read_recording
 from services.recordings.recorded import RecordedEpisode
-from services.recordings.taught import drives_of_map, episode_of, ticks_of
-from smal.paper.model import Model
+from services.recordings.taught import episode_of, ticks_of
+from smal.model import Model
 from smal.movement import placed
 from smal.planning import chosen_goal, cost_to_go
-from smal.visual_map import VisualMap
 
 
 @dataclass(frozen=True, eq=False)
@@ -118,7 +117,7 @@ def learned_of(model: Model, goal: str | None, recordings: dict[str, Path]) -> L
     Raises
     ------
     ValueError
-        When it has no map of views, or no such goal.
+        When it has no such goal.
     """
     mapped = model.mapped
     goal = chosen_goal(mapped.goals, goal)
@@ -134,7 +133,7 @@ def learned_of(model: Model, goal: str | None, recordings: dict[str, Path]) -> L
             continue
         for key in np.flatnonzero(drives == drive).tolist():
             frame = int(mapped.keyframes[key] - first[drive])
-            tick = ticks[frame] if ticks else max(recorded.images) - (_length(mapped, drive) - 1 - frame)
+            tick = ticks[frame] if ticks else max(recorded.images) - (int(mapped.frames[drive]) - 1 - frame)
             images[key] = recorded.images.get(tick)
             pose = recorded.poses.get(tick)
             if pose is not None:
@@ -145,15 +144,10 @@ def learned_of(model: Model, goal: str | None, recordings: dict[str, Path]) -> L
     return Learned(identity_of(model), goal, drives, along_m, costs, poses, tuple(images), world)
 
 
-def _length(mapped: VisualMap, drive: int) -> int:
-    return int((mapped.drives == drive).sum())
-
-
 def _taught(model: Model) -> Iterator[tuple[str, Sequence[int]]]:
     """Give the episode of each drive of the map, and the ticks of its frames; none where they are its last ones."""
-    for parts in drives_of_map(model):
-        episode = episode_of(model.names[parts[0]])
-        yield episode, [tick for part in parts for tick in ticks_of(model.names[part], len(model.atoms[part]))]
+    for names, frames in zip(model.mapped.names, model.mapped.frames.tolist(), strict=True):
+        yield episode_of(names[0]), ticks_of(names, frames)
 
 
 def _recorded(path: Path | None, episode: str) -> RecordedEpisode | None:

@@ -17,7 +17,7 @@ from services.console.listing import Readers, Recording
 from services.kit.root import OutsideError, below, name_below, open_below
 from smal.files import container
 from smal.files.container import ModelError
-from smal.paper.model import FORMAT_VERSION
+from smal.files.stored import FORMAT_VERSION
 
 #: Folders below the root: of the drives, unless the recorder says otherwise, and of the models that are learned here.
 DRIVES: Final = "drives"
@@ -35,6 +35,7 @@ class LearnedModel:
     name: str
     when_s: float
     size: int
+    #: Of one for the paper's scheme, none: that goes to the nearest.
     goals: tuple[str, ...] = ()
     #: Features that it was learned on.
     fingerprint: str = ""
@@ -178,8 +179,9 @@ class Library:
         try:
             with open_below(self.root, name) as file:
                 meta = container.read_meta(file, name, FORMAT_VERSION)
-            goals = tuple(sorted({printable(str(goal)) for goal in (meta["map"] or {"goals": ()})["goals"]}))
-            return stamp, replace(listed, goals=goals, fingerprint=printable(str(meta["feature_fingerprint"])),
-                                       longest=max(int(frames) for frames in meta["frames"]))  # fmt: skip
+            goals = meta["map"]["goals"] if meta["scheme"] == "filter" else ()
+            return stamp, replace(listed, goals=tuple(sorted({printable(str(goal)) for goal in goals})),
+                                  fingerprint=printable(str(meta["feature_fingerprint"])),
+                                  longest=int(meta["longest"]))  # fmt: skip
         except (ModelError, LookupError, TypeError, ValueError, ArithmeticError, OSError) as error:
             return stamp, replace(listed, useless=printable(str(error)).removeprefix(f"{name}: "))

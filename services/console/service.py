@@ -229,8 +229,8 @@ class ConsoleService:
                 self._begin(request, self._record)
             case Run():
                 self._run(ask)
-            case Learn(name=name, recordings=names):
-                self._learn(name, names)
+            case Learn():
+                self._learn(ask)
             case Cancel():
                 self._jobs.cancel()
             case Delete(recording=name):
@@ -257,12 +257,10 @@ class ConsoleService:
         model = self.library.model(ask.model)
         if model is None or model.useless:
             raise ServiceError(f"{ask.model}: {'no such model' if model is None else model.useless}")
-        goal = ask.goal if ask.scheme == "filter" else None
-        if ask.scheme == "filter" and not model.goals:
-            raise ServiceError(f"{ask.model} has no map of views; choose the paper's scheme")
+        goal = ask.goal if model.goals else None
         if goal is not None and goal not in model.goals:
             raise ServiceError(f"{ask.model} has no goal {goal}; it has {', '.join(model.goals)}")
-        load = LoadRequest(model=model.name, scheme=ask.scheme, goal=goal)
+        load = LoadRequest(model=model.name, goal=goal)
         request = ResetRequest(
             world=ask.world,
             variation=ask.variation,
@@ -293,7 +291,8 @@ class ConsoleService:
         for service in _CHAIN:
             bus.call(service, "load", load, LoadReply, LOAD_S)
 
-    def _learn(self, name: str, names: tuple[str, ...]) -> None:
+    def _learn(self, ask: Learn) -> None:
+        name, names = ask.name, ask.recordings
         chosen = [self.library.recording(one) for one in names]
         recordings = [one for one in chosen if one is not None and not one.useless]
         if len(recordings) != len(names):
@@ -302,7 +301,7 @@ class ConsoleService:
         # Who chooses a run of the robot's own wants it to teach.
         runs = any(one.purpose == "run" for one in recordings)
         paths = (str(self.library.path(one.name)) for one in recordings)
-        flags = ("--progress", *(["--include-runs"] if runs else []))
+        flags = ("--scheme", ask.scheme, "--progress", *(["--include-runs"] if runs else []))
         job = Job(
             "model",
             name,

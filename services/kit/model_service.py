@@ -17,12 +17,17 @@ from schemas.rpc import LoadReply, LoadRequest, Scheme
 from schemas.topics import Topic
 from services.kit.node import Detail, Node, ServiceError, configure_logging, read_settings
 from services.kit.root import RootSettings, open_below
-from smal.paper.model import Model, ModelError, NoModelError
+from smal.files.container import ModelError, NoModelError
+from smal.files.stored import Stored
+from smal.model import Model
+from smal.paper.model import Model as PaperModel
 from smal.planning import chosen_goal
 
 #: So many hex digits of a model's checksum tell one model from another.
 _DIGITS: Final = 16
 _log = logging.getLogger("models")
+#: Of either scheme.
+AnyModel = Model | PaperModel
 M_contra = TypeVar("M_contra", bound=Message, contravariant=True)
 
 
@@ -31,31 +36,28 @@ class ModelSettings(RootSettings):
 
     model: Path | None = None
     """Model file, made by `smal learn`."""
-    scheme: Scheme = "filter"
-    """`filter`, or `paper` for the paper's own recognition and execution."""
+    scheme: Scheme | None = None
+    """For which scheme the model must have been learned, `filter` or `paper`; any if not given."""
     stride: Annotated[int | None, Field(ge=1, le=1000)] = None
     """Frames from one decision to the next in the paper's scheme; the model's sequence length if not given."""
     goal: GoalName | None = None
     """Where to go, in a model with several goals."""
 
 
-def identity_of(model: Model) -> str:
+def identity_of(model: AnyModel) -> str:
     """Return the name by which messages and health tell of a model: the beginning of its checksum."""
     return model.checksum[:_DIGITS]
 
 
-def refused(model: Model, scheme: Scheme, stride: int | None, goal: str | None) -> str | None:
+def refused(model: AnyModel, scheme: Scheme | None, stride: int | None, goal: str | None) -> str | None:
     """Say in one line why a model cannot be used by a scheme with a stride to go to a goal, or None."""
-    if scheme == "filter":
+    if scheme not in (None, model.scheme):
+        return f"it was learned for the scheme {model.scheme!r}, not {scheme!r}: smal learn --scheme {scheme}"
+    if isinstance(model, Model):
         if stride not in (None, 1):
             return f"stride {stride}: the filter decides at every frame; only the paper's scheme has a stride"
-        if model.visual_map is None:
-            return (
-                "the model has no map of views: no drive to the goal that it was learned from has images; "
-                "learn it again, or use the scheme 'paper'"
-            )
         try:
-            chosen_goal(model.visual_map.goals, goal)
+            chosen_goal(model.mapped.goals, goal)
         except ValueError as error:
             return str(error)
     elif goal is not None:
@@ -63,6 +65,16 @@ def refused(model: Model, scheme: Scheme, stride: int | None, goal: str | None) 
     elif stride is not None and stride > model.sequence_length:
         return f"stride must be 1 to the sequence length {model.sequence_length}, got {stride}"
     return None
+
+
+def load_model(path: Path) -> AnyModel:
+    """Read the model at a path; ModelError as of `Stored.read`."""
+    return _known(Stored.load(path))
+
+
+def _known(model: Stored) -> AnyModel:
+    assert isinstance(model, AnyModel)  # noqa: S101 - there is no third scheme
+    return model
 
 
 @dataclass(frozen=True)
@@ -77,24 +89,26 @@ class LoadedModel:
         See ``identity_of``.
     name
         Its file: the path in the settings, or the name that a call gave.
-    scheme
-        How to work with it.
     stride
         Frames from one decision to the next; 1 but for the paper's scheme.
     goal
         Where to go; None for the only goal.
     """
 
-    model: Model
+    model: AnyModel
     identity: str
     name: str
-    scheme: Scheme
     stride: int
     goal: str | None
 
     @classmethod
     def of(
-        cls, model: Model, name: str, scheme: Scheme = "filter", stride: int | None = None, goal: str | None = None
+        cls,
+        model: AnyModel,
+        name: str,
+        scheme: Scheme | None = None,
+        stride: int | None = None,
+        goal: str | None = None,
     ) -> Self:
         """Work with a model.
 
@@ -105,12 +119,17 @@ class LoadedModel:
         """
         refusal = refused(model, scheme, stride, goal)
         if refusal is not None:
-            raise ServiceError(refusal)
-        stride = 1 if scheme == "filter" else stride or model.sequence_length
-        return cls(model, identity_of(model), name, scheme, stride, goal)
+            raise ServiceError(f"{name}: {refusal}")
+        stride = 1 if isinstance(model, Model) else stride or model.sequence_length
+        return cls(model, identity_of(model), name, stride, goal)
+
+    @property
+    def scheme(self) -> Scheme:
+        """How to work with it."""
+        return self.model.scheme
 
     @classmethod
-    def read(cls, path: Path, scheme: Scheme = "filter", stride: int | None = None, goal: str | None = None) -> Self:
+    def read(cls, path: Path, scheme: Scheme | None = None, stride: int | None = None, goal: str | None = None) -> Self:
         """Read the model that whoever started the service named.
 
         Raises
@@ -119,7 +138,7 @@ class LoadedModel:
             When the file is no model, or cannot be used so.
         """
         try:
-            model = Model.load(path)
+            model = load_model(path)
         except ModelError as error:
             raise ServiceError(str(error)) from None
         return cls.of(model, str(path), scheme, stride, goal)
@@ -136,7 +155,7 @@ class LoadedModel:
         """
         try:
             with open_below(root, request.model) as file:
-                model = Model.read(file, request.model)
+                model = _known(Stored.read(file, request.model))
         except (OSError, NoModelError) as error:
             _log.warning("model %r: %s", request.model, error)
             raise ServiceError(f"no model {printable(request.model)!r} below the root of this service") from None
@@ -146,24 +165,17 @@ class LoadedModel:
 
     def reply(self) -> LoadReply:
         """Tell who asked for it what was loaded."""
-        return LoadReply(
-            states=self.model.states,
-            templates=self.model.templates.shape[1],
-            sequence_length=self.model.sequence_length,
-            keyframes=0 if self.model.visual_map is None else len(self.model.visual_map.keyframes),
-            scheme=self.scheme,
-            stride=self.stride,
-        )
+        return LoadReply(scheme=self.scheme, stride=self.stride, **self._size())
+
+    def _size(self) -> dict[str, int]:
+        if isinstance(self.model, Model):
+            return {"keyframes": len(self.model.mapped.keyframes)}
+        return {"states": self.model.states}
 
     def detail(self) -> Detail:
         """Tell of the model in the service's status."""
-        return {
-            "model": self.name,
-            "checksum": self.identity,
-            "states": self.model.states,
-            "scheme": self.scheme,
-            "goal": self.goal,
-        }
+        known: Detail = {"model": self.name, "checksum": self.identity, "scheme": self.scheme, "goal": self.goal}
+        return {**known, **self._size()}
 
 
 class ModelService(Protocol[M_contra]):

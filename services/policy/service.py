@@ -16,10 +16,11 @@ from schemas.rpc import LoadReply
 from schemas.state import State
 from services.kit.model_service import LoadedModel
 from services.kit.node import Detail, Throttle
-from smal.paper.execution import DecisionMaker
 from smal.filter import Belief
+from smal.model import Model
+from smal.paper.execution import DecisionMaker, Recognition
+from smal.paper.model import Model as PaperModel
 from smal.planning import Planner
-from smal.paper.recognition import Recognition
 
 #: Reports of the actuator of whose delays the median is taken: those of a second.
 DELAYS_KEPT: Final = 10
@@ -43,7 +44,8 @@ class PolicyService:
 
     def load(self, loaded: LoadedModel) -> LoadReply:
         """Work with another model from now on."""
-        maker = _ByFilter(loaded) if loaded.scheme == "filter" else _ByPaper(loaded)
+        model = loaded.model
+        maker = _ByFilter(model, loaded.goal) if isinstance(model, Model) else _ByPaper(model)
         self._loaded, self._maker, self._last, self._foreign = loaded, maker, None, 0
         return loaded.reply()
 
@@ -92,9 +94,9 @@ class PolicyService:
 class _ByFilter:
     """Steers along the taught way by a belief over places."""
 
-    def __init__(self, loaded: LoadedModel) -> None:
-        self._planner = Planner(loaded.model.mapped, loaded.goal)
-        self._keyframes = len(loaded.model.mapped.keyframes)
+    def __init__(self, model: Model, goal: str | None) -> None:
+        self._planner = Planner(model.mapped, goal)
+        self._keyframes = len(model.mapped.keyframes)
         self.reset()
 
     def understands(self, state: State) -> bool:
@@ -128,9 +130,9 @@ class _ByFilter:
 class _ByPaper:
     """Executes the action of the state of Eq. 9."""
 
-    def __init__(self, loaded: LoadedModel) -> None:
-        self._maker = DecisionMaker(loaded.model)
-        self._states = loaded.model.states
+    def __init__(self, model: PaperModel) -> None:
+        self._maker = DecisionMaker(model)
+        self._states = model.states
 
     def understands(self, state: State) -> bool:
         return not state.places and (state.state is None or state.state < self._states)

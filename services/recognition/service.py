@@ -16,10 +16,10 @@ from schemas.state import MAX_PLACES, Place, State
 from schemas.taught_map import TaughtMap
 from services.kit.model_service import LoadedModel
 from services.kit.node import Detail, ServiceError
-from smal.movement import Atom
-from smal.features import select
 from smal.filter import Belief
-from smal.paper.recognition import Recognizer
+from smal.model import Model
+from smal.movement import Atom
+from smal.paper.model import Model as PaperModel
 from smal.robot import Localizer
 from smal.stitches import in_common_axes
 
@@ -52,7 +52,8 @@ class RecognitionService:
 
     def load(self, loaded: LoadedModel) -> LoadReply:
         """Work with another model from now on."""
-        localizer = _ByFilter(loaded) if loaded.scheme == "filter" else _ByPaper(loaded)
+        model = loaded.model
+        localizer = _ByFilter(model, loaded) if isinstance(model, Model) else _ByPaper(model, loaded)
         self._loaded, self._localizer, self._last, self._waiting = loaded, localizer, None, None
         return loaded.reply()
 
@@ -140,10 +141,8 @@ def _forget(kept: dict[tuple[str, int], Any]) -> None:
 
 
 class _ByFilter:
-    def __init__(self, loaded: LoadedModel) -> None:
-        self._held, self._identity = loaded.model.feature_settings, loaded.identity
-        self._localizer = Localizer(loaded.model)
-        self._mapped = loaded.model.mapped
+    def __init__(self, model: Model, loaded: LoadedModel) -> None:
+        self._identity, self._localizer, self._mapped = loaded.identity, Localizer(model), model.mapped
         self.by_odometry = self._mapped.odometry
         self.reset()
 
@@ -157,8 +156,7 @@ class _ByFilter:
         if behind:
             return None
         elapsed_s = None if self._stamp_ns is None else max(observation.stamp_ns - self._stamp_ns, 0) / 1e9
-        raw = select(observation.features.to_numpy(), self._held, self._localizer.features)
-        belief = self._localizer.observe(raw, odometry, atoms, elapsed_s)
+        belief = self._localizer.observe(observation.features.to_numpy(), odometry, atoms, elapsed_s)
         self._stamp_ns = observation.stamp_ns
         return self._state(observation, belief.summary(MAX_PLACES))
 
@@ -189,9 +187,11 @@ class _ByFilter:
 class _ByPaper:
     by_odometry = False
 
-    def __init__(self, loaded: LoadedModel) -> None:
-        self._loaded = loaded
-        self._recognizer = Recognizer(loaded.model)
+    def __init__(self, model: PaperModel, loaded: LoadedModel) -> None:
+        from smal.paper.recognition import Recognizer  # noqa: PLC0415 - it compiles; who goes by a map needs none of it
+
+        self._length, self._loaded = model.sequence_length, loaded
+        self._recognizer = Recognizer(model)
 
     def reset(self) -> None:
         self._recognizer.reset()
@@ -203,7 +203,7 @@ class _ByPaper:
         self, observation: Observation, _odometry: Pose | None, _atoms: Sequence[Atom], *, behind: bool
     ) -> State:
         # The first decision is due with the first whole window, the others follow at equal distances.
-        first = self._loaded.model.sequence_length - 1
+        first = self._length - 1
         due = (observation.tick - first) % self._loaded.stride == 0 and not behind
         found = self._recognizer.observe(observation.tick, observation.features.to_numpy(), due)
         return State.after(

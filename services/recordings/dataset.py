@@ -24,9 +24,9 @@ from services.recordings.recorded import Piece, RecordedEpisode
 from services.recordings.recorded_features import features_in
 from services.recordings.records import Allowance
 from services.recordings.taught import episode_of
-from smal.movement import Atom
+from smal.demonstration import Demonstration
 from smal.features import FeatureSettings, extract, select
-from smal.paper.learning import Demonstration
+from smal.movement import Atom
 from smal.paper.model import Model
 
 #: The library's number of each movement, by its place in ``ATOMS``.

@@ -1,10 +1,9 @@
-"""What a model says of the recordings that it was learned from: it has the names of demonstrations, in order."""
+"""What the names of demonstrations say of the recordings that they were read from."""
 
 from __future__ import annotations
 
 import re
-
-from smal.paper.model import Model
+from collections.abc import Sequence
 
 
 def episode_of(name: str) -> str:
@@ -12,12 +11,11 @@ def episode_of(name: str) -> str:
     return name.partition("[")[0]
 
 
-def ticks_of(name: str, frames: int) -> range:
-    """Return the ticks of a demonstration that is a piece, ``episode[first-last]``; none of a whole one."""
-    span = re.search(r"\[([0-9]{1,18})-[0-9]+\]$", name)
-    return range(0) if span is None else range(int(span[1]), int(span[1]) + frames)
+def ticks_of(names: Sequence[str], frames: int) -> list[int]:
+    """Return the ticks of a drive of so many frames that is made of pieces, each named ``episode[first-last]``.
 
-
-def drives_of_map(model: Model) -> list[tuple[int, ...]]:
-    """Return which demonstrations of a model each drive of its map is made of, in order."""
-    return [tuple(model.names.index(name) for name in names) for names in model.mapped.names]
+    Empty where the names do not say, as that of a whole episode, or say something else than that many.
+    """
+    spans = [re.search(r"\[([0-9]{1,18})-([0-9]{1,18})\]$", name) for name in names]
+    pieces = [range(int(span[1]), int(span[2]) + 1) for span in spans if span is not None]
+    return [tick for piece in pieces for tick in piece] if sum(map(len, pieces)) == frames else []

@@ -11,8 +11,6 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from smal.features.modalities import modality_named
-from smal.features.selection import select
 from smal.features.settings import FeatureSettings
 
 # A modality closer to the mean than this (unit-length vectors) is rounding noise: it has no direction.
@@ -53,16 +51,6 @@ class Centering:
         for part in parts:
             total += part.sum(axis=0, dtype=np.float64)
         return cls((total / count).astype(np.float32), settings)
-
-    def of_images(self) -> "Centering | None":
-        """Return that of the modalities that a colour image alone gives, or None where there are none."""
-        kept = [k for k, name in enumerate(self.settings.modalities) if modality_named(name).needs == "color"]
-        if not kept:
-            return None
-        settings = FeatureSettings(
-            tuple(self.settings.modalities[k] for k in kept), tuple(self.settings.weights[k] for k in kept)
-        )
-        return Centering(select(self.mean, self.settings, settings), settings)
 
     def apply(self, raw: NDArray[Any]) -> NDArray[np.float32]:
         """Centre, normalize and weight raw features.

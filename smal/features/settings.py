@@ -75,6 +75,13 @@ class FeatureSettings:
             raise ValueError(f"modality weights must be numbers separated by commas, got {weights!r}") from None
         return cls.of(names, numbers)
 
+    def of_images(self) -> "FeatureSettings | None":
+        """Return those that a colour image alone gives, or None where there are none."""
+        kept = [k for k, name in enumerate(self.modalities) if modality_named(name).needs == "color"]
+        if not kept:
+            return None
+        return FeatureSettings(tuple(self.modalities[k] for k in kept), tuple(self.weights[k] for k in kept))
+
     @property
     def text(self) -> str:
         """The modalities as `parse` reads them, in this process or another.

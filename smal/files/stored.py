@@ -34,11 +34,6 @@ class Stored(ABC):
 
     @property
     @abstractmethod
-    def feature_settings(self) -> FeatureSettings:
-        """Features of a frame that it goes by."""
-
-    @property
-    @abstractmethod
     def longest(self) -> int:
         """Frames of the longest drive that it was learned from."""
 
@@ -53,7 +48,7 @@ class Stored(ABC):
 
     def _header(self) -> Content:
         meta, arrays = self.content()
-        return {"scheme": self.scheme} | meta, arrays
+        return {"scheme": self.scheme, "longest": self.longest} | meta, arrays
 
     @cached_property
     def checksum(self) -> str:

@@ -9,12 +9,13 @@ explain the query, and does the best sequence alone look like it?
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from smal.paper.state_matching import Solution
+if TYPE_CHECKING:
+    from smal.paper.state_matching import Solution
 
 #: Views whose cosine is nearer to 1 are the same image, but for the rounding of float32.
 _REPEATED = 1e-6
@@ -45,7 +46,9 @@ class Match:
     agreement: float
 
 
-def describe_match(solution: Solution, correlate: Callable[[slice], NDArray[Any]], query_norms: NDArray[Any]) -> Match:
+def describe_match(
+    solution: "Solution", correlate: Callable[[slice], NDArray[Any]], query_norms: NDArray[Any]
+) -> Match:
     """Summarize a solution.
 
     Parameters

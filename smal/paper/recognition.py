@@ -1,42 +1,14 @@
 """The paper's execution, first half: from camera frames to a state (Eq. 7 and 9)."""
 
-from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from smal.paper.execution import Recognition
 from smal.paper.matching.streaming import StreamingMatcher, compile_ahead
 from smal.paper.model import Model
 from smal.paper.novelty import describe_match
-
-
-@dataclass(frozen=True)
-class Recognition:
-    """Which state the last l frames show.
-
-    Parameters
-    ----------
-    status : str
-        "collecting": the episode has no l frames yet, or no answer was due; "recognized"; or "unknown": W is zero.
-    tick : int
-        Of the last frame.
-    state : int or None
-        The one of Eq. 9, with the largest weight; only if recognized.
-    score, total_weight, residual, agreement : float
-        See `smal.paper.novelty.Match`; 0, 0, 1, 0 while collecting.
-    duality_gap : float
-        Of the match.
-    """
-
-    status: Literal["collecting", "recognized", "unknown"]
-    tick: int
-    state: int | None = None
-    score: float = 0.0
-    total_weight: float = 0.0
-    residual: float = 1.0
-    agreement: float = 0.0
-    duality_gap: float = 0.0
 
 
 class Recognizer:

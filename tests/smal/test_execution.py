@@ -9,7 +9,8 @@ from smal.movement import Atom
 from smal.paper.execution import Decision, DecisionMaker
 from smal.paper.learning import Demonstration, LearningReport, LearningSettings, learn
 from smal.paper.model import Model
-from smal.paper.recognition import Recognition, Recognizer
+from smal.paper.execution import Recognition
+from smal.paper.recognition import Recognizer
 from smal.paper.state_matching import solve
 from tests.smal.worlds import COLOR, corridor, drive, unit
 

@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from smal import state_space
+from smal.paper import state_space
 from smal.paper.novelty import AgreementTest, Match, WeightTest, describe_match, neighbour_agreement, novelty_test
 from smal.paper.phase import matched_phase, phase
 from smal.paper.state_matching import Solution, solve

@@ -5,7 +5,7 @@ from numpy.typing import NDArray
 
 from smal.movement import Atom
 from smal.features import FeatureSettings
-from smal.paper.learning import Demonstration
+from smal.demonstration import Demonstration
 
 COLOR = FeatureSettings(("color",), (1.0,))
 

@@ -14,14 +14,14 @@ from services.cli.episodes.client import EpisodeRecord
 from services.cli.episodes.route_map import OUTCOME_COLOURS, draw_routes
 from services.experiments.html import image, page, png, source, tiles
 from services.kit.jpeg import encode_jpeg, shrunk
-from smal.paper.model import Model
+from smal.files.stored import Stored
 
 #: Camera images shown of the example run.
 STRIP: Final = 6
 
 
 def write_report(
-    folder: Path, world: str | None, model: Model, records: list[EpisodeRecord], summary: Mapping[str, object]
+    folder: Path, world: str | None, model: Stored, records: list[EpisodeRecord], summary: Mapping[str, object]
 ) -> Path:
     """Write ``index.html`` into a folder and return its path."""
     folder.mkdir(parents=True, exist_ok=True)
@@ -48,7 +48,7 @@ def _routes(world: str | None, records: list[EpisodeRecord]) -> str:
     return _picture(draw_routes(world, records), "routes on the map")
 
 
-def _tiles(model: Model, records: list[EpisodeRecord], summary: Mapping[str, object]) -> str:
+def _tiles(model: Stored, records: list[EpisodeRecord], summary: Mapping[str, object]) -> str:
     found = sum(record.outcome == "found" for record in records)
     low, high = np.array(summary["wilson_95"])
     latency = summary["decision_latency_ms"]
@@ -57,9 +57,7 @@ def _tiles(model: Model, records: list[EpisodeRecord], summary: Mapping[str, obj
     values = {
         "victim found": f"{found} of {len(records)}",
         "95 % interval": f"{low:.0%} to {high:.0%}",
-        "states": str(model.states),
-        "shared by demonstrations": str(model.shared_states),
-        "actions": str(len(model.actions)),
+        "scheme": model.scheme,
         "decision, median": p50,
         "decision, 95 %": p95,
     }

@@ -10,8 +10,8 @@ const chosen = new Map();
 
 export function wireTeaching(ask) {
   $("#drive-form").onsubmit = (event) => send(event, ({ goal, name }) => ask({ do: "drive", goal: goal.trim(), name: name.trim().toLowerCase().replace(/\s+/g, "-") || null, ...chosenWorld() }));
-  learn.onsubmit = (event) => send(event, ({ name }) => ask({ do: "learn", name: name.trim(), recordings: picked() }));
-  run.onsubmit = (event) => send(event, ({ model, goal, scheme, start, seed }) => ask({ do: "run", model, goal: goal ?? null, scheme, start, seed: Number(seed), ...chosenWorld() }));
+  learn.onsubmit = (event) => send(event, ({ name, scheme }) => ask({ do: "learn", name: name.trim(), scheme, recordings: picked() }));
+  run.onsubmit = (event) => send(event, ({ model, goal, start, seed }) => ask({ do: "run", model, goal: goal ?? null, start, seed: Number(seed), ...chosenWorld() }));
   $("#cancel").onclick = () => ask({ do: "cancel" });
   list.onchange = ({ target }) => (chosen.set(target.value, target.checked), allowLearning());
   list.onclick = ({ target }) => {
@@ -23,7 +23,6 @@ export function wireTeaching(ask) {
     setTimeout(() => { delete target.dataset.sure; target.textContent = "Delete"; }, REALLY_MS);
   };
   run.elements.model.onchange = fillGoals;
-  run.elements.scheme.onchange = ({ target }) => ((wishedScheme = target.value), fillGoals());
 }
 
 function send(event, what) {
@@ -104,7 +103,7 @@ const short = (name) => name.replace(/^models\//, "").replace(/\.smal$/, "");
 
 function fillModels() {
   const select = run.elements.model, before = select.value;
-  const options = library.models.map(({ name, useless }) => element("option", { value: name, disabled: Boolean(useless) }, useless ? `${short(name)}: ${useless}` : short(name)));
+  const options = library.models.map(({ name, goals, useless }) => element("option", { value: name, disabled: Boolean(useless) }, useless ? `${short(name)}: ${useless}` : goals.length ? short(name) : `${short(name)} (the paper's scheme)`));
   select.replaceChildren(...options);
   const usable = library.models.filter(({ useless }) => !useless).map(({ name }) => name);
   // The newest model is the one that somebody has just learned.
@@ -115,14 +114,10 @@ function fillModels() {
   fillGoals();
 }
 
-let wishedScheme = "filter";
-
 function fillGoals() {
   const goals = library.models.find(({ name }) => name === run.elements.model.value)?.goals ?? [];
-  const { goal, scheme } = run.elements, before = goal.value, mapped = scheme.options[0];
-  mapped.disabled = goals.length === 0 && run.elements.model.value !== "";
-  scheme.value = mapped.disabled ? "paper" : wishedScheme;
-  goal.disabled = scheme.value === "paper";  // it goes to the nearest goal
+  const { goal } = run.elements, before = goal.value;
+  goal.disabled = goals.length === 0;  // the paper's scheme goes to the nearest one
   run.elements.goal.replaceChildren(...goals.map((goal) => element("option", { value: goal }, goal)));
   if (goals.includes(before)) run.elements.goal.value = before;
 }

@@ -12,16 +12,17 @@ from numpy.typing import NDArray
 
 from schemas.state import MAX_PLACES
 from services.experiments.evaluation.demonstrations import Drive
-from smal.movement import Atom
-from smal.paper.execution import DecisionMaker
 from smal.evaluation.baselines.nearest_neighbour_imitation import NearestNeighbourImitation
 from smal.evaluation.baselines.seqslam_localization import SeqSlamLocalizer
 from smal.evaluation.baselines.teach_and_repeat import TaughtDrive, TeachAndRepeat
 from smal.features import FeatureSettings, extract
-from smal.paper.model import Model
+from smal.model import Model
+from smal.movement import Atom
+from smal.paper.execution import DecisionMaker
+from smal.paper.model import Model as PaperModel
+from smal.paper.recognition import Recognizer
 from smal.place_recognition.seqslam import SeqSlamSettings
 from smal.planning import Planner
-from smal.paper.recognition import Recognizer
 from smal.robot import Localizer
 
 #: The paper's trajectories of 10 frames. Its neighbourhood of 10 frames is too small for ten frames a second, in which
@@ -75,8 +76,8 @@ class Move:
     atom
         The movement until the next frame.
     decision
-        Kind of the decision that was taken at this frame (`smal.planning.Decision`, `smal.paper.execution.Decision`), or None
-        where none was due.
+        Kind of the decision that was taken at this frame (`smal.planning.Decision`, `smal.paper.execution.Decision`),
+        or None where none was due.
     recognized
         Whether that decision knew where the robot is.
     arrived
@@ -117,7 +118,7 @@ class FilterController:
     Parameters
     ----------
     model
-        With a map of views.
+        What was learned.
     goal
         Where to go, in a model with several goals.
     """
@@ -154,7 +155,7 @@ class PaperController:
         What was learned. With l = 1 it is the single image.
     """
 
-    def __init__(self, model: Model) -> None:
+    def __init__(self, model: PaperModel) -> None:
         self._length = model.sequence_length
         self._maker, self._recognizer = DecisionMaker(model), Recognizer(model)
         self.features: FeatureSettings | None = model.feature_settings

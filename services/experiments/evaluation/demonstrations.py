@@ -20,10 +20,10 @@ from services.simulator.lockstep import LockstepEpisode
 from services.simulator.simulation import Simulation
 from services.simulator.world.place import Pose as Spot
 from services.simulator.world.route import plan_route
-from smal.movement import Atom
-from smal.files.container import replacing
+from smal.demonstration import Demonstration
 from smal.features import FeatureSettings, extract
-from smal.paper.learning import Demonstration
+from smal.files.container import replacing
+from smal.movement import Atom
 
 
 @dataclass(frozen=True, eq=False)

@@ -17,7 +17,7 @@ from services.experiments.evaluation.search import search
 from services.experiments.evaluation.workplace import Workplace
 from services.simulator.world.place import Pose
 from services.simulator.world.route import route_length_m
-from smal.paper.learning import learn
+from smal.mapping import learn
 
 _NORTHWARDS, _SOUTHWARDS = math.pi / 2.0, -math.pi / 2.0
 
@@ -78,7 +78,7 @@ def run_errand(workplace: Workplace, world: str, errand: Errand, seeds: range) -
             raise ValueError(f"{errand}: the expert's drive {number} in {world} did not reach the victim")
         taught_m.append(round(route_length_m(made.poses[:, :2]), 2))
         demonstrations.append(replace(made.demonstration, name=f"{errand} {number}", goal=one.goal))
-    model, _ = learn(demonstrations)
+    model = learn(demonstrations)
     simulation, controller = workplace.task(world, task.start, task.victim), FilterController(model, task.goal)
     patience = 3 * max(len(one.atoms) for one in demonstrations)
     found = [search(simulation, controller, seed, max_ticks=patience) for seed in seeds]

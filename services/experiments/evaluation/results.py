@@ -17,8 +17,8 @@ from services.experiments.evaluation.plan import Plan
 from services.experiments.evaluation.units import Unit
 from services.kit.errors import JobError, UsageError
 from services.kit.version import program_version
-from smal.files.container import replacing
 from smal.features import FeatureSettings
+from smal.files.container import replacing
 
 #: What a unit found out: numbers, texts, lists of them.
 Finding = Mapping[str, Any]

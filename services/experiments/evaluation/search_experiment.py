@@ -44,9 +44,10 @@ class Drivers:
         return self._made(world, trial.controller, trial.drives, trial.length)
 
     def _make(self, world: str, name: str, drives: int, length: int) -> Controller:
-        if name in {"smal", "paper"}:
-            model = self._workplace.model(world, drives, length)
-            return FilterController(model) if name == "smal" else PaperController(model)
+        if name == "smal":
+            return FilterController(self._workplace.mapped(world, drives))
+        if name == "paper":
+            return PaperController(self._workplace.model(world, drives, length))
         taught = self._workplace.drives(world, drives)
         if name == "seqslam":
             return SeqSlamController(taught)

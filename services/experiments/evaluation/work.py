@@ -16,7 +16,8 @@ from services.experiments.evaluation.plan import DEFAULT_LENGTH, ERRANDS, RUN_SE
 from services.experiments.evaluation.recognition_experiment import judged, make_queries, recognize
 from services.experiments.evaluation.search_experiment import Drivers, run_search
 from services.experiments.evaluation.units import Unit
-from services.experiments.evaluation.workplace import Workplace, model_file, query_file, teach_file
+from services.experiments.evaluation.workplace import Workplace, map_file, model_file, query_file, teach_file
+from smal.mapping import learn as learn_map
 from smal.paper.learning import LearningSettings, learn
 
 
@@ -63,14 +64,16 @@ class Work:
         count = unit.number("drives")
         drives = self._place.drives(unit.world, count)
         length = unit.number("length")
-        # The paper's test for new states; and one map, which does not depend on l.
-        settings = LearningSettings(
-            features=self._place.features, sequence_length=length, novelty="weight", map_views=length == DEFAULT_LENGTH
-        )
-        model, report = learn([one.demonstration for one in drives], settings)
-        name = model_file(unit.world, count, length)
-        model.save(self._place.folder / name)
-        return {"frames": report.frames, "states": report.states, "shared": report.shared_states, "files": [name]}
+        settings = LearningSettings(features=self._place.features, sequence_length=length, novelty="weight")
+        demonstrations = [one.demonstration for one in drives]
+        model, report = learn(demonstrations, settings)
+        files = [model_file(unit.world, count, length)]
+        model.save(self._place.folder / files[0])
+        # One map, which does not depend on l.
+        if length == DEFAULT_LENGTH:
+            files.append(map_file(unit.world, count))
+            learn_map(demonstrations, self._place.features).save(self._place.folder / files[1])
+        return {"frames": report.frames, "states": report.states, "shared": report.shared_states, "files": files}
 
     def _queries(self, unit: Unit) -> dict[str, Any]:
         # The query of the objective is a clear one.

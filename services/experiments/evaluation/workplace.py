@@ -16,9 +16,10 @@ from services.simulator.opening import open_simulation
 from services.simulator.sensors.camera import CameraSettings
 from services.simulator.simulation import Simulation
 from services.simulator.world.place import Pose
-from smal.files.container import replacing
 from smal.features import FeatureSettings
-from smal.paper.model import Model
+from smal.files.container import replacing
+from smal.model import Model
+from smal.paper.model import Model as PaperModel
 
 
 class Workplace:
@@ -39,6 +40,7 @@ class Workplace:
         # Two worlds at most are at work at a time; a model with its inner products may take a gigabyte.
         self.simulation = lru_cache(maxsize=4)(self._simulation)
         self.model = lru_cache(maxsize=2)(self._model)
+        self.mapped = lru_cache(maxsize=2)(self._mapped)
         self.drives = lru_cache(maxsize=1)(self._drives)
 
     @property
@@ -53,8 +55,11 @@ class Workplace:
         """Open a world with another task than its own."""
         return open_simulation(world, self._camera, task=(start, victim))
 
-    def _model(self, world: str, drives: int, length: int) -> Model:
-        return Model.load(self.folder / model_file(world, drives, length))
+    def _model(self, world: str, drives: int, length: int) -> PaperModel:
+        return PaperModel.load(self.folder / model_file(world, drives, length))
+
+    def _mapped(self, world: str, drives: int) -> Model:
+        return Model.load(self.folder / map_file(world, drives))
 
     def _drives(self, world: str, count: int) -> tuple[Drive, ...]:
         files = [self.folder / teach_file(world, TEACHING_SEED + k) for k in range(count)]
@@ -70,8 +75,13 @@ def teach_file(world: str, seed: int) -> str:
     return f"teach-{Path(world).stem}-{seed}.npz"
 
 
+def map_file(world: str, drives: int) -> str:
+    """Name the file of a map."""
+    return f"map-{Path(world).stem}-{drives}.smal"
+
+
 def model_file(world: str, drives: int, length: int) -> str:
-    """Name the file of a model."""
+    """Name the file of a model of the paper's scheme."""
     return f"model-{Path(world).stem}-{drives}-{length}.smal"
 
 

@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from services.experiments.showing.ways import Ways
-from smal.features import select
-from smal.paper.learning import Demonstration
-from smal.paper.model import Model
+from smal.demonstration import Demonstration
+from smal.model import Model
 from smal.movement import placed
 from smal.robot import Localizer
 
@@ -40,9 +39,7 @@ class Believed:
         return list(zip(np.flatnonzero(edges > 0).tolist(), (np.flatnonzero(edges < 0) - 1).tolist(), strict=True))
 
 
-def believed(
-    model: Model, ways: Ways, drive: int, parts: Sequence[Demonstration], advance: Callable[[int], object]
-) -> Believed:
+def believed(model: Model, ways: Ways, drive: int, one: Demonstration, advance: Callable[[int], object]) -> Believed:
     """Let recognition follow a taught drive from its beginning.
 
     Parameters
@@ -50,8 +47,8 @@ def believed(
     model, ways
     drive
         Of the map.
-    parts
-        Its demonstrations, in order.
+    one
+        It, whole.
     advance
         Called with 1 after each frame.
     """
@@ -59,20 +56,15 @@ def believed(
     first = int(np.searchsorted(ways.map.drives, drive))
     group_of, key_poses = ways.groups[ways.of], ways.key_poses
     here, lost, spread = [], [], []
-    frame = first
-    for part in parts:
-        raw = select(part.features, model.feature_settings, localizer.features)
-        for k, features in enumerate(raw):
-            pose = None if part.odometry is None else part.odometry[k].tolist()
-            made = [part.atoms[k - 1]] if k else []
-            belief = localizer.observe(features, pose, made)
-            at = placed(belief.offsets, key_poses[belief.keyframes])[:, :2]
-            weights = belief.weights * (group_of[belief.keyframes] == ways.groups[drive])
-            near = np.hypot(*(at - ways.poses[frame, :2]).T) < ways.map.correlation_length
-            here.append((1.0 - belief.lost) * float(weights @ near))
-            lost.append(belief.lost)
-            weights /= max(float(weights.sum()), 1e-12)
-            spread.append(float(np.sqrt(weights @ np.square(at - weights @ at).sum(axis=1))))
-            frame += 1
-            advance(1)
+    for k, features in enumerate(one.features):
+        pose = None if one.odometry is None else one.odometry[k].tolist()
+        belief = localizer.observe(features, pose, [one.atoms[k - 1]] if k else [])
+        at = placed(belief.offsets, key_poses[belief.keyframes])[:, :2]
+        weights = belief.weights * (group_of[belief.keyframes] == ways.groups[drive])
+        near = np.hypot(*(at - ways.poses[first + k, :2]).T) < ways.map.correlation_length
+        here.append((1.0 - belief.lost) * float(weights @ near))
+        lost.append(belief.lost)
+        weights /= max(float(weights.sum()), 1e-12)
+        spread.append(float(np.sqrt(weights @ np.square(at - weights @ at).sum(axis=1))))
+        advance(1)
     return Believed(np.array(here), np.array(lost), np.array(spread))

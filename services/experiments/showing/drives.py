@@ -11,9 +11,11 @@ import numpy as np
 from schemas.codec import printable
 from services.recordings.dataset import Teacher
 from services.recordings.taught import episode_of
-from smal.paper.learning import Demonstration
-from smal.paper.model import Model
+from smal.demonstration import Demonstration
+from smal.model import Model
+from smal.paper.model import Model as PaperModel
 from smal.paper.sequences import first_frame
+from smal.virtual_views import TURNS_DEG
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,13 +37,15 @@ class TaughtDrives:
     remarks: tuple[str, ...]
 
 
-def find_drives(model: Model, recordings: Iterable[Path]) -> TaughtDrives:
-    """Find the drives of a model by their names, and make sure by their commands and features that it is them."""
+def find_drives(model: Model | PaperModel, recordings: Iterable[Path]) -> TaughtDrives:
+    """Find the drives of a model by their names, and make sure by what the model keeps of them that it is them."""
+    check: _MapCheck | _PaperCheck
+    if isinstance(model, Model):
+        names, shortest, check = [name for parts in model.mapped.names for name in parts], 1, _MapCheck(model)
+    else:
+        names, shortest, check = list(model.names), model.sequence_length, _PaperCheck(model)
     teacher = Teacher(
-        model.feature_settings,
-        model.sequence_length,
-        include_runs=True,
-        episodes={episode_of(name) for name in model.names},
+        model.feature_settings, shortest, include_runs=True, episodes={episode_of(name) for name in names}
     )
     for path in recordings:
         teacher.read(path)
@@ -50,8 +54,8 @@ def find_drives(model: Model, recordings: Iterable[Path]) -> TaughtDrives:
         named.setdefault(one.name, []).append(one)
     found: list[Demonstration | None] = []
     missing = []
-    for number, (name, new) in enumerate(zip(model.names, first_seen(model), strict=True)):
-        same = [one for one in named.get(name, []) if _taught(model, number, new, one)]
+    for number, name in enumerate(names):
+        same = [one for one in named.get(name, []) if check.taught(number, one)]
         found.append(same[0] if same else None)
         if name not in named:
             missing.append(f"{printable(name)}: not among the recordings")
@@ -62,7 +66,51 @@ def find_drives(model: Model, recordings: Iterable[Path]) -> TaughtDrives:
     return TaughtDrives(tuple(found), tuple(missing), tuple(teacher.teaching.remarks))
 
 
-def first_seen(model: Model) -> list[dict[int, int]]:
+class _MapCheck:
+    """Whether a demonstration is what a map was taught: its keyframes look as the map says."""
+
+    def __init__(self, model: Model) -> None:
+        self._model = model
+        self._begins: list[tuple[int, int] | None] = []
+        taught = model.mapped
+        for drive, parts in enumerate(taught.names):
+            # The map tells how long a drive is, and not its parts: of several the recordings are believed.
+            begin = (int(np.searchsorted(taught.drives, drive)), int(taught.frames[drive]))
+            self._begins += [begin] if len(parts) == 1 else [None] * len(parts)
+
+    def taught(self, number: int, one: Demonstration) -> bool:
+        begin, taught = self._begins[number], self._model.mapped
+        if begin is None:
+            return True
+        first, frames = begin
+        if len(one.atoms) != frames:
+            return False
+        keys = np.flatnonzero((taught.keyframes >= first) & (taught.keyframes < first + frames))
+        seen = self._model.centering.apply(one.features[taught.keyframes[keys] - first]) @ taught.basis
+        kept = taught.views[keys, 1, TURNS_DEG.size // 2]
+        # Computed anew, on another machine, they may differ by rounding; a view of another place does by ten times it.
+        return bool(np.abs(seen - kept).max() < 0.05)
+
+
+class _PaperCheck:
+    """Whether it is what the paper's model was taught: the same commands, and the very features of its states."""
+
+    def __init__(self, model: PaperModel) -> None:
+        self._model, self._new = model, first_seen(model)
+
+    def taught(self, number: int, one: Demonstration) -> bool:
+        model, new = self._model, self._new[number]
+        if not np.array_equal(one.atoms, model.atoms[number]):
+            return False
+        length = model.sequence_length
+        rows = [first + k for first in new.values() for k in range(length)]
+        columns = [state * length + k for state in new for k in range(length)]
+        centred = model.centering.apply(one.features[rows])
+        # Computed anew, on another machine, they may differ by rounding.
+        return bool(np.allclose(centred, model.templates[:, columns].T, atol=1e-3))
+
+
+def first_seen(model: PaperModel) -> list[dict[int, int]]:
     """Return for each demonstration the states that it was the first to show, each with its first frame there."""
     seen: set[int] = set()
     each = []
@@ -75,15 +123,3 @@ def first_seen(model: Model) -> list[dict[int, int]]:
                 new[state] = start + number * model.sequence_length
         each.append(new)
     return each
-
-
-def _taught(model: Model, number: int, new: dict[int, int], one: Demonstration) -> bool:
-    """Whether this is what the model was taught: the same commands, and the very features of the states it gave."""
-    if not np.array_equal(one.atoms, model.atoms[number]):
-        return False
-    length = model.sequence_length
-    rows = [first + k for first in new.values() for k in range(length)]
-    columns = [state * length + k for state in new for k in range(length)]
-    centred = model.centering.apply(one.features[rows])
-    # Computed anew, on another machine, they may differ by rounding.
-    return bool(np.allclose(centred, model.templates[:, columns].T, atol=1e-3))

@@ -13,10 +13,9 @@ from numpy.typing import NDArray
 from services.experiments.drawing import BACK, COLOURS, DASHES, LINE, MUTED, TEXT, WIDTH_IN, legend, styled
 from services.experiments.drawing import figure as new_figure
 from services.experiments.showing.belief import Believed
-from services.experiments.showing.drives import first_seen
 from services.experiments.showing.states import StateGraph
 from services.experiments.showing.ways import Parting, Ways, schematic
-from smal.paper.model import Model
+from smal.paper.model import Model as PaperModel
 from smal.paper.sequences import last_frames
 
 #: As many lines as there are colours are told apart, and named.
@@ -47,24 +46,16 @@ def draw_ways(ways: Ways, goals: Sequence[str], believed: Mapping[int, Believed]
 
 
 @styled
-def draw_states(model: Model, ways: Ways | None, parts: Sequence[Sequence[int]], graph: StateGraph) -> Figure:
-    """Draw the states, on the taught ways where these are known by odometry, and what follows what."""
-    if ways is not None and ways.map.odometry:
-        at = _states_on_ways(model, ways, parts)
-        groups = [np.flatnonzero(ways.groups == group) for group in range(int(ways.groups.max()) + 1)]
-        figure, panels = _panels(ways, _places(ways), groups)
-        sets = [{state: place for state, (group, *place) in at.items() if group == k} for k in range(len(groups))]
-    else:
-        at_once = schematic([[(state, 1.0) for state in stream.tolist()] for stream in model.state_streams])
-        figure = new_figure(2.6)
-        panels = [figure.add_subplot()]
-        panels[0].set(xlabel="states after the start", yticks=[])
-        panels[0].margins(0.05, 0.25)
-        sets = [{int(str(state)): list(place) for state, place in at_once.items()}]
+def draw_states(model: PaperModel, graph: StateGraph) -> Figure:
+    """Draw the states in the order of the drives, and what follows what."""
+    at = schematic([[(state, 1.0) for state in stream.tolist()] for stream in model.state_streams])
+    figure = new_figure(2.6)
+    axes = figure.add_subplot()
+    axes.set(xlabel="states after the start", yticks=[])
+    axes.margins(0.05, 0.25)
     goals = set(model.transitions.goals.tolist())
-    for axes, places in zip(panels, sets, strict=True):
-        _draw_graph(axes, places, graph, goals)
-    legend(figure, panels, 3)
+    _draw_graph(axes, {int(str(state)): place for state, place in at.items()}, graph, goals)
+    legend(figure, [axes], 3)
     return figure
 
 
@@ -110,7 +101,7 @@ def draw_belief(ways: Ways, drive: int, believed: Believed) -> Figure:
 
 
 @styled
-def draw_reward(model: Model, names: Sequence[str]) -> Figure:
+def draw_reward(model: PaperModel, names: Sequence[str]) -> Figure:
     """Draw the reward of the state of each frame, and below it what is to be had from there on."""
     figure = new_figure(3.6)
     panels = figure.subplots(2, 1, sharex=True)
@@ -205,20 +196,6 @@ def _draw_partings(axes: Axes, here: Sequence[Parting], every: Sequence[Parting]
         label, marker = ("fork", _FORK) if one.fork else ("ways meet", _MEETING)
         axes.plot(*at, marker, ms=8, color=TEXT, mec=BACK, ls="", label=label, zorder=5)
         axes.annotate(str(every.index(one) + 1), at, xytext=(7, 5), textcoords="offset points", weight="bold", zorder=6)
-
-
-def _states_on_ways(model: Model, ways: Ways, parts: Sequence[Sequence[int]]) -> dict[int, tuple[int, float, float]]:
-    """Return for each state that a drive of the map was the first to show its group, and where it is."""
-    new = first_seen(model)
-    at: dict[int, tuple[int, float, float]] = {}
-    for drive, numbers in enumerate(parts):
-        start = int(np.searchsorted(ways.map.drives, drive))
-        for number in numbers:
-            for state, first in new[number].items():
-                x, y, _ = ways.poses[start + first + model.sequence_length - 1].tolist()
-                at[state] = (int(ways.groups[drive]), x, y)
-            start += len(model.atoms[number])
-    return at
 
 
 def _draw_graph(axes: Axes, places: Mapping[int, Sequence[float]], graph: StateGraph, goals: set[int]) -> None:

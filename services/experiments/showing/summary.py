@@ -7,25 +7,54 @@ from collections.abc import Iterator
 
 from schemas.codec import printable
 from services.experiments.showing.states import state_graph
-from smal.paper.model import Model
+from smal.features import FeatureSettings
+from smal.model import Model
+from smal.paper.model import Model as PaperModel
 from smal.planning import cost_to_go
 
 
-def lines(model: Model, file: str, size: int) -> Iterator[str]:
+def lines(model: Model | PaperModel, file: str, size: int) -> Iterator[str]:
     """Yield the summary of a model in a file of so many bytes."""
     for name, value in facts(model, file, size).items():
         yield f"{name:15}{value}"
-    for name, atoms, good in zip(model.names, model.atoms, model.successful, strict=True):
-        yield f"  {printable(name)}: {len(atoms)} frames, {'reached the goal' if good else 'did not reach the goal'}"
+    if isinstance(model, Model):
+        taught = model.mapped
+        for names, goal, frames in zip(taught.names, taught.goals, taught.frames.tolist(), strict=True):
+            yield f"  {printable(', '.join(names))}: {frames} frames, to {printable(goal)}"
+    else:
+        for name, atoms, good in zip(model.names, model.atoms, model.successful, strict=True):
+            end = "reached the goal" if good else "did not reach the goal"
+            yield f"  {printable(name)}: {len(atoms)} frames, {end}"
 
 
-def facts(model: Model, file: str, size: int) -> dict[str, str]:
+def facts(model: Model | PaperModel, file: str, size: int) -> dict[str, str]:
     """Return what a model is, in words, by what it is of."""
-    graph, taught = state_graph(model), model.visual_map
-    rewarded = int((model.reward > 1e-6).sum())
     found = {
         "model": f"{printable(file)}, {size / 1e6:.1f} MB, checksum {model.checksum[:12]}",
-        "modalities": weighted(model),
+        "scheme": "filter, by a map of views" if isinstance(model, Model) else "paper, by states",
+        "modalities": weighted(model.feature_settings),
+    }
+    return found | (_of_map(model) if isinstance(model, Model) else _of_paper(model))
+
+
+def _of_map(model: Model) -> dict[str, str]:
+    taught = model.mapped
+    focal, height, _ = taught.scene.tolist()
+    across = math.degrees(2.0 * math.atan(0.5 / focal)) if focal > 0.0 else math.nan
+    where = f", {height:.2f} m above the ground" if taught.odometry else ""
+    return {
+        "goals": ", ".join(_goal(model, goal) for goal in goals_of(model)),
+        "map": f"{len(taught.keyframes)} keyframes of {len(taught.goals)} drives, {taught.basis.shape[1]} components a "
+        f"view, {taught.views.nbytes / 1e6:.1f} MB, {len(taught.stitched)} joints; a frame each {taught.tick_s:g} s",
+        "odometry": "yes, in metres" if taught.odometry else "none: goes by what atoms usually do",
+        "camera": f"{across:.0f} degrees wide (focal length {focal:.2f} of its width){where}",
+        "drives": f"{len(taught.goals)}, {len(taught.poses)} frames",
+    }
+
+
+def _of_paper(model: PaperModel) -> dict[str, str]:
+    graph, rewarded = state_graph(model), int((model.reward > 1e-6).sum())
+    return {
         "states": f"{model.states} of {model.sequence_length} frames, {len(graph.shared)} shared by drives, "
         f"{len(graph.forks)} forks, {model.transitions.goals.size} goal states",
         "actions": f"{len(model.actions)} of {model.actions.shape[1]} atoms",
@@ -33,22 +62,8 @@ def facts(model: Model, file: str, size: int) -> dict[str, str]:
         f"discount {model.gamma:g}",
         "templates": f"{model.templates.shape[1]} frames of {model.templates.shape[0]} features, "
         f"{model.templates.nbytes / 1e6:.1f} MB",
+        "drives": f"{len(model.names)}, {sum(map(len, model.atoms))} frames",
     }
-    if taught is None:
-        found["map"] = "none: for the paper's scheme alone"
-    else:
-        found["goals"] = ", ".join(_goal(model, goal) for goal in goals_of(model))
-        found["map"] = (
-            f"{len(taught.keyframes)} keyframes of {len(taught.goals)} drives, {taught.basis.shape[1]} components a "
-            f"view, {taught.views.nbytes / 1e6:.1f} MB, {len(taught.stitched)} joints; a frame each {taught.tick_s:g} s"
-        )
-        found["odometry"] = "yes, in metres" if taught.odometry else "none: goes by what atoms usually do"
-        focal, height, _ = taught.scene.tolist()
-        across = math.degrees(2.0 * math.atan(0.5 / focal)) if focal > 0.0 else math.nan
-        where = f", {height:.2f} m above the ground" if taught.odometry else ""
-        found["camera"] = f"{across:.0f} degrees wide (focal length {focal:.2f} of its width){where}"
-    found["drives"] = f"{len(model.names)}, {sum(map(len, model.atoms))} frames"
-    return found
 
 
 def goals_of(model: Model) -> list[str]:
@@ -56,9 +71,8 @@ def goals_of(model: Model) -> list[str]:
     return list(dict.fromkeys(model.mapped.goals))
 
 
-def weighted(model: Model) -> str:
+def weighted(settings: FeatureSettings) -> str:
     """Name the modalities with their weights."""
-    settings = model.feature_settings
     pairs = zip(settings.modalities, settings.weights, strict=True)
     return ", ".join(f"{name} (weight {weight:g})" for name, weight in pairs)
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from smal import algorithm2
+from smal.paper import algorithm2
 from smal.paper.state_matching import solve
 from tests.benchmarks.recognition.timing import seconds_of
 

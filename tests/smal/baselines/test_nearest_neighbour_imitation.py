@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from smal.movement import Atom
 from smal.evaluation.baselines.nearest_neighbour_imitation import NearestNeighbourImitation
 from smal.features import Centering
-from smal.paper.learning import Demonstration
+from smal.demonstration import Demonstration
 from tests.smal.worlds import COLOR, corridor, drive
 
 

@@ -1,0 +1,64 @@
+"""The paper's scheme in four lines: a model, a robot, an image, an atom."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from smal.features import extract
+from smal.movement import Atom
+from smal.paper.execution import Decision, DecisionMaker
+from smal.paper.model import Model
+from smal.paper.recognition import Recognizer
+
+
+class Robot:
+    """Drives as the paper does: l frames, their state (Eq. 9), the l atoms of the policy's action.
+
+    Parameters
+    ----------
+    model : Model
+    stride : int, optional
+        Frames from one decision to the next; the paper's l if not given.
+
+    Attributes
+    ----------
+    decision : Decision
+        The last one that was due.
+    """
+
+    decision: Decision
+
+    def __init__(self, model: Model, stride: int | None = None) -> None:
+        self._model, self._stride = model, stride or model.sequence_length
+        self._recognizer, self._maker = Recognizer(model), DecisionMaker(model)
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget everything, for a new episode."""
+        self._recognizer.reset()
+        self._maker.reset()
+        self._tick = 0
+        self.decision = Decision("wait", ())
+
+    def step(
+        self, image: NDArray[np.uint8], odometry: Sequence[float] | None = None, elapsed_s: float | None = None
+    ) -> Atom:
+        """Take one image, (height, width, 3) RGB; return the atom to make until the next one.
+
+        The paper knows neither odometry nor time: they are taken, since `smal.Robot` takes them, and do not count.
+        """
+        del odometry, elapsed_s
+        raw = extract(image, self._model.feature_settings)
+        # The first decision is due with the first whole window, the others follow at equal distances.
+        due = (self._tick - (self._model.sequence_length - 1)) % self._stride == 0
+        decision = self._maker.decide(self._recognizer.observe(self._tick, raw, due))
+        self._tick += 1
+        if decision.kind != "wait":
+            self.decision = decision
+        return self._maker.next_atom()
+
+    @property
+    def done(self) -> bool:
+        """Whether it says that it has arrived."""
+        return self.decision.kind == "goal"
