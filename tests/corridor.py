@@ -14,10 +14,12 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from smal.movement import Atom
 from smal.features import FeatureSettings
-from smal.paper.learning import LearningSettings, fit
-from smal.paper.model import Model
+from smal.mapping import fit
+from smal.model import Model
+from smal.movement import Atom
+from smal.paper import learning
+from smal.paper.model import Model as PaperModel
 
 FEATURES: Final = FeatureSettings(("thumbnail",), (1.0,))
 LENGTH: Final = 3
@@ -67,9 +69,19 @@ def moved(here: Pose, atom: Atom) -> Pose:
 @cache
 def model(odometry: bool = True) -> Model:
     """Learn one straight drive, with a map of views."""
+    return fit([drive() if odometry else drive()[:2]], FEATURES)
+
+
+@cache
+def paper_model() -> PaperModel:
+    """Learn the same drive by the paper's scheme."""
+    return learning.fit([drive()], learning.LearningSettings(FEATURES, LENGTH))
+
+
+def drive() -> tuple[list[NDArray[np.uint8]], list[Atom], NDArray[np.float64]]:
+    """Return images, atoms and odometry of the drive."""
     way = [pose(frame) for frame in range(FRAMES)]
-    taught = [view(*one) for one in way], [Atom.FORWARD] * (FRAMES - 1) + [Atom.STOP]
-    return fit([(*taught, np.array(way)) if odometry else taught], LearningSettings(FEATURES, LENGTH))
+    return [view(*one) for one in way], [Atom.FORWARD] * (FRAMES - 1) + [Atom.STOP], np.array(way)
 
 
 def save_model(path: Path) -> Path:

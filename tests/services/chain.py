@@ -19,9 +19,10 @@ from schemas.observation import Observation
 from schemas.odometry import Odometry
 from schemas.state import State
 from services.table import SERVICES
-from smal.movement import Atom
+from smal.demonstration import Demonstration
 from smal.features import FeatureSettings, extract
-from smal.paper.learning import Demonstration, LearningSettings, learn
+from smal.movement import Atom
+from smal.paper.learning import LearningSettings, learn
 from tests import corridor
 from tests.corridor import Pose
 

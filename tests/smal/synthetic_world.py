@@ -11,13 +11,14 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from smal.movement import Atom
+from smal.demonstration import Demonstration
 from smal.features import Centering, FeatureSettings, extract
 from smal.filter import Filter
-from smal.movement import STILL, Movement
+from smal.mapping import learn
+from smal.movement import STILL, Atom, Movement
 from smal.planning import Planner
 from smal.virtual_views import Scene
-from smal.visual_map import MappedDrive, VisualMap, learn_visual_map
+from smal.visual_map import VisualMap
 
 #: What describes frames: HOG as well takes ten times as long.
 COLOR = FeatureSettings(("color",), (1.0,))
@@ -167,20 +168,26 @@ def taught(
     """
     images = [[room.look(pose) for pose in one.poses] for one in drives]
     raw = [np.stack([extract(image, settings) for image in each]) for each in images]
-    centering = Centering.fit(raw, settings)
     with ExitStack() as changed:
-        changed.enter_context(patch("smal.visual_map._SAMPLE", 500))
+        changed.enter_context(patch("smal.mapping._SAMPLE", 500))
         if scene is not None:
-            changed.enter_context(patch("smal.visual_map.fit_scene", lambda *_: scene))
-        found = learn_visual_map(
+            changed.enter_context(patch("smal.mapping.fit_scene", lambda *_: scene))
+        found = learn(
             [
-                MappedDrive(seen, features, one.atoms, one.poses if odometry else None, "victim", ("",), ahead=ahead)
-                for seen, features, one in zip(images, raw, drives, strict=True)
+                Demonstration(
+                    f"drive-{k}",
+                    raw[k],
+                    one.atoms,
+                    images=images[k],
+                    odometry=one.poses if odometry else None,
+                    ahead=ahead,
+                )
+                for k, one in enumerate(drives)
             ],
-            centering,
+            settings,
             1.0 / rate_hz,
         )
-    return found, centering
+    return found.mapped, found.centering
 
 
 @cache

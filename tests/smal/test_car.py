@@ -8,10 +8,9 @@ from functools import cache
 import numpy as np
 import pytest
 
-from smal.movement import Atom
 from smal.features import Centering, extract
 from smal.filter import Filter
-from smal.movement import STILL, Movement, dead_reckoning
+from smal.movement import STILL, Atom, Movement, dead_reckoning
 from smal.planning import Planner
 from smal.visual_map import VisualMap
 from tests.smal.synthetic_world import COLOR, SCENE, TICK, Drive, Pose, Room, from_beside, taught

@@ -13,7 +13,8 @@ from hypothesis import strategies as st
 from smal.features import extract
 from smal.filter import KIDNAP_S, Belief, Filter, _Particles
 from smal.movement import STILL, Movement, placed
-from smal.visual_map import TURNS_DEG, VisualMap
+from smal.virtual_views import TURNS_DEG
+from smal.visual_map import VisualMap
 from tests.smal.synthetic_world import (
     COLOR,
     COLUMNS,

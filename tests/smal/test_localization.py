@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from smal.movement import Atom
+from smal.demonstration import Demonstration
 from smal.evaluation.localization import DemonstratedFrames
 from smal.features import FeatureSettings
-from smal.paper.learning import Demonstration, LearningSettings, learn
+from smal.movement import Atom
+from smal.paper.learning import LearningSettings, learn
 from smal.paper.model import Model
 
 LENGTH = 4

@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 
 from smal.files import container
-from smal.files.container import replacing
+from smal.files.container import ModelError, replacing
+from smal.files.stored import FORMAT_VERSION
 from smal.paper.learning import LearningSettings, learn
-from smal.paper.model import FORMAT_VERSION, Model, ModelError
+from smal.paper.model import Model
 from tests.smal.worlds import COLOR, corridor, drive
 
 

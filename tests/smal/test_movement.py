@@ -7,8 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from smal.movement import Atom
-from smal.movement import Movement, atom_movements, dead_reckoning, turns_ahead, wrapped
+from smal.movement import Atom, Movement, atom_movements, dead_reckoning, turns_ahead, wrapped
 
 COORDINATE = st.floats(-50.0, 50.0)
 ANGLE = st.floats(-10.0, 10.0)

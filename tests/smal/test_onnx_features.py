@@ -10,10 +10,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from smal.files import container
 from smal.features import FeatureSettings, extract, modality_named
 from smal.features import onnx as onnx_features
-from smal.paper.model import FORMAT_VERSION, Model, ModelError
+from smal.files import container
+from smal.files.container import ModelError
+from smal.files.stored import FORMAT_VERSION
+from smal.paper.model import Model
 from tests.fuzz.targets.model import smallest_model
 
 pytest.importorskip("onnxruntime")

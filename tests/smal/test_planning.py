@@ -9,10 +9,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from smal.movement import Atom
 from smal.filter import Belief, Filter
+from smal.movement import Atom
 from smal.planning import GO_OVER_S, GUESS_S, LOOK_ASIDE_DEG, LOOK_DEG, Planner, cost_to_go
-from smal.visual_map import TURNS_DEG, VisualMap
+from smal.virtual_views import TURNS_DEG
+from smal.visual_map import VisualMap
 from tests.smal.synthetic_world import (
     START,
     TICK,

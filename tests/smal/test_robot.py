@@ -8,10 +8,13 @@ import numpy as np
 import pytest
 
 from smal import Atom, Model, Robot
+from smal.demonstration import Demonstration
 from smal.features import extract
-from smal.paper.learning import Demonstration, LearningSettings, fit, learn
+from smal.files.container import ModelError
+from smal.mapping import learn
+from smal.paper.robot import Robot as PaperRobot
 from smal.robot import Localizer
-from tests.corridor import FEATURES, FRAMES, LENGTH, STEP_M, Pose, model, moved, pose, view
+from tests.corridor import FEATURES, FRAMES, LENGTH, STEP_M, Pose, model, moved, paper_model, pose, view
 
 
 def _drive(robot: Robot, start: Pose, odometry: bool, frames: int = 80) -> tuple[Pose, list[Atom]]:
@@ -48,11 +51,17 @@ def test_a_new_episode_is_like_the_first() -> None:
     assert _drive(robot, (0.0, 0.2, 0.0), odometry=True) == first
 
 
-def test_a_model_without_a_map_is_refused_in_one_line() -> None:
-    taught = [view(*pose(frame)) for frame in range(FRAMES)], [Atom.FORWARD] * (FRAMES - 1) + [Atom.STOP]
-    bare = fit([taught], LearningSettings(FEATURES, LENGTH, map_views=False))
-    with pytest.raises(ValueError, match="no map of views") as refused:
-        Robot(bare)
+def test_the_robot_of_the_paper_takes_the_same_and_reaches_the_end_too() -> None:
+    robot = PaperRobot(paper_model())
+    made = [robot.step(view(*pose(frame)), pose(frame)) for frame in range(FRAMES)]
+    assert made[LENGTH : FRAMES - LENGTH] == [Atom.FORWARD] * (FRAMES - 2 * LENGTH)
+    assert robot.done
+
+
+def test_a_model_of_the_other_scheme_is_refused_in_one_line(tmp_path: Path) -> None:
+    paper_model().save(tmp_path / "paper.smal")
+    with pytest.raises(ModelError, match="learned for the scheme 'paper', not 'filter'") as refused:
+        Model.load(tmp_path / "paper.smal")
     assert "\n" not in str(refused.value)
 
 
@@ -60,7 +69,7 @@ def test_the_map_names_its_drives_also_where_another_one_is_as_long(tmp_path: Pa
     images = [view(*pose(frame)) for frame in range(FRAMES)]
     atoms = np.array([Atom.FORWARD] * (FRAMES - 1) + [Atom.STOP], dtype=np.int8)
     unseen = Demonstration("unseen", np.stack([extract(image, FEATURES) for image in images]), atoms)
-    taught, _ = learn([unseen, replace(unseen, name="seen", images=images)], LearningSettings(FEATURES, LENGTH))
+    taught = learn([unseen, replace(unseen, name="seen", images=images)], FEATURES)
     taught.save(tmp_path / "taught.smal")
     assert Model.load(tmp_path / "taught.smal").mapped.names == (("seen",),)
 

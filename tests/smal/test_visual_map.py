@@ -13,11 +13,13 @@ from unittest.mock import patch
 import numpy as np
 import pytest
 
-from smal.movement import Atom
-from smal.features import Centering, extract
+from smal import mapping
+from smal.demonstration import Demonstration
+from smal.features import extract
 from smal.filter import Filter
-from smal.movement import Movement
-from smal.visual_map import TURNS_DEG, MappedDrive, VisualMap, learn_visual_map
+from smal.movement import Atom, Movement
+from smal.virtual_views import TURNS_DEG
+from smal.visual_map import VisualMap
 from tests.smal.synthetic_world import COLOR, SCENE, START, Image, Room, drive, taught, usual_map
 
 ROOM = Room()
@@ -38,12 +40,14 @@ def of_two_drives() -> VisualMap:
 
 def learn(images: Sequence[Sequence[Image]], poses: Sequence[Any], atoms: Sequence[Any]) -> VisualMap:
     raw = [np.stack([extract(image, COLOR) for image in each]) for each in images]
-    with patch("smal.visual_map._SAMPLE", 500):
+    with patch("smal.mapping._SAMPLE", 500):
         drives = [
-            MappedDrive(*one, "victim", ("drive",))
-            for one in zip(images, raw, [np.asarray(each, dtype=np.int8) for each in atoms], poses, strict=True)
+            Demonstration(
+                f"drive-{k}", raw[k], np.asarray(atoms[k], dtype=np.int8), images=images[k], odometry=poses[k]
+            )
+            for k in range(len(images))
         ]
-        return learn_visual_map(drives, Centering.fit(raw, COLOR), 0.1)
+        return mapping.learn(drives, COLOR, 0.1).mapped
 
 
 def test_the_ends_of_every_drive_are_keyframes() -> None:
@@ -160,16 +164,16 @@ def test_images_are_read_when_they_are_needed_and_let_go() -> None:
     raw = [np.stack([extract(ROOM.look(pose), COLOR) for pose in one.poses]) for one in drives]
     readers = [Reader(one.poses) for one in drives]
     done: list[tuple[int, int]] = []
-    with patch("smal.visual_map._SAMPLE", 500):
-        found = learn_visual_map(
+    with patch("smal.mapping._SAMPLE", 500):
+        found = mapping.learn(
             [
-                MappedDrive(reader, features, one.atoms, one.poses, "victim", ("drive",))
-                for reader, features, one in zip(readers, raw, drives, strict=True)
+                Demonstration(f"drive-{k}", raw[k], one.atoms, images=readers[k], odometry=one.poses)
+                for k, one in enumerate(drives)
             ],
-            Centering.fit(raw, COLOR),
+            COLOR,
             0.025,
             lambda *progress: done.append(progress),
-        )
+        ).mapped
     frames = sum(len(one.poses) for one in drives)
     reads = sum(sum(one.reads.values()) for one in readers)
     # Forty pairs for each of three fits, and keyframes once for the components and once for their views.

@@ -1,4 +1,4 @@
-"""Our solver against Algorithm 2 as published (`smal.paper.algorithm2`), on the same problem and to the same objective."""
+"""Our solver against Algorithm 2 as published, on the same problem and to the same objective."""
 
 from __future__ import annotations
 

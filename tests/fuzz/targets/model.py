@@ -15,14 +15,17 @@ import numpy as np
 from services.experiments.showing.summary import lines
 from services.experiments.showing.ways import Ways
 from services.recordings.taught import drives_of_map
-from smal.files import container
 from smal.features import FeatureSettings
+from smal.files import container
+from smal.files.container import ModelError
+from smal.files.stored import FORMAT_VERSION
 from smal.filter import Filter
-from smal.paper.model import FORMAT_VERSION, Model, ModelError
 from smal.movement import Movement
-from smal.planning import Planner
+from smal.paper.model import Model
 from smal.paper.transitions import NO_ACTION, learn_transitions
-from smal.visual_map import TURNS_DEG, VisualMap
+from smal.planning import Planner
+from smal.virtual_views import TURNS_DEG
+from smal.visual_map import VisualMap
 from tests.fuzz.targets import check_line, scratch
 from tests.fuzz.trees import changed
 

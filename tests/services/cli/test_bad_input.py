@@ -13,7 +13,7 @@ import pytest
 
 from services.cli.main import main
 from services.kit.node import EXIT_FAILED, EXIT_USAGE
-from smal.paper.model import FORMAT_VERSION
+from smal.files.stored import FORMAT_VERSION
 from tests import corridor
 from tests.command import run_smal
 

@@ -21,8 +21,8 @@ from services.kit.jpeg import encode_jpeg
 from services.recordings.dataset import Teacher, find_recordings
 from services.recordings.reader import read_recording
 from services.recordings.writer import EpisodeWriter
-from smal.movement import Atom
 from smal.features import FeatureSettings, extract
+from smal.movement import Atom
 from smal.paper.model import Model
 from smal.paper.novelty import WeightTest
 from smal.virtual_views import USUAL_FOCAL

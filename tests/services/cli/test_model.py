@@ -57,7 +57,7 @@ def make(folder: Path) -> None:
     teacher = Teacher(COLOR, 5)
     for path in find_recordings([recordings]):
         teacher.read(path)
-    with patch("smal.visual_map._SAMPLE", 500), patch("smal.visual_map.fit_scene", lambda *_: SCENE):
+    with patch("smal.mapping._SAMPLE", 500), patch("smal.mapping.fit_scene", lambda *_: SCENE):
         learn(teacher.teaching.demonstrations, LearningSettings(COLOR))[0].save(folder / "two.smal")
 
 

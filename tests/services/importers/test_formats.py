@@ -17,8 +17,8 @@ from services.recordings.dataset import Teacher
 from services.recordings.encoding import decode_image
 from services.recordings.reader import read_recording
 from services.recordings.recorded import RecordedEpisode
-from smal.movement import Atom
 from smal.features import extract
+from smal.movement import Atom
 from smal.paper.learning import LearningSettings, learn
 from smal.robot import Localizer
 from tests import corridor

@@ -15,8 +15,8 @@ from services.importers.source_options import Wishes
 from services.recordings.dataset import Teacher
 from services.recordings.encoding import decode_image
 from services.recordings.recorded import RecordedEpisode
-from smal.movement import Atom
 from smal.features import FeatureSettings, extract
+from smal.movement import Atom
 from smal.paper.learning import learn
 from smal.robot import Localizer, Robot
 from tests.services.importers.test_formats import episode_of, imported

@@ -8,10 +8,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from smal.movement import Atom
+from smal.demonstration import Demonstration
 from smal.evaluation.baselines.nearest_neighbour_imitation import NearestNeighbourImitation
 from smal.features import Centering
-from smal.demonstration import Demonstration
+from smal.movement import Atom
 from tests.smal.worlds import COLOR, corridor, drive
 
 

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from smal.movement import Atom
 from smal.evaluation.baselines.teach_and_repeat import COLUMNS, TaughtDrive, TeachAndRepeat
+from smal.movement import Atom
 
 HEIGHT, WIDTH, FIELD_RAD = 44, COLUMNS, math.radians(75.0)
 STEP_M, TURN_RAD = 0.2, math.radians(4.0)

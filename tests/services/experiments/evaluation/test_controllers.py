@@ -14,9 +14,10 @@ from services.experiments.evaluation.controllers import (
     seen_by,
 )
 from services.experiments.evaluation.demonstrations import Drive
-from smal.movement import Atom
+from smal.demonstration import Demonstration
 from smal.features import FeatureSettings, extract
-from smal.paper.learning import Demonstration, LearningSettings, learn
+from smal.movement import Atom
+from smal.paper.learning import LearningSettings, learn
 from smal.paper.model import Model
 from smal.place_recognition.seqslam import SeqSlamSettings
 from tests.services.chain import picture

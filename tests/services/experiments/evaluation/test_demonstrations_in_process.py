@@ -22,8 +22,8 @@ from services.recordings.dataset import unusable
 from services.recordings.recorded import RecordedEpisode
 from services.simulator.simulation import Simulation
 from services.simulator.world import load_world
-from smal.movement import Atom
 from smal.features import FeatureSettings
+from smal.movement import Atom
 from tests.services.robot.driving import simulated
 from tests.services.simulator.simulator_driving import StubCamera
 

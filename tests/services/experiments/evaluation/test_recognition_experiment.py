@@ -14,8 +14,9 @@ from services.experiments.evaluation.recognition_experiment import (
 )
 from services.simulator.simulation import Simulation
 from services.simulator.world import load_world
+from smal.demonstration import Demonstration
 from smal.features import FeatureSettings, extract
-from smal.paper.learning import Demonstration, LearningSettings, learn
+from smal.paper.learning import LearningSettings, learn
 from tests.services.chain import picture
 from tests.services.simulator.simulator_driving import StubCamera
 

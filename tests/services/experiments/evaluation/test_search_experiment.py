@@ -29,8 +29,8 @@ from services.simulator.sensors import Tilt
 from services.simulator.simulation import Simulation
 from services.simulator.world import load_world
 from services.simulator.world.place import Pose
-from smal.movement import Atom
 from smal.features import FeatureSettings
+from smal.movement import Atom
 from smal.paper.learning import LearningSettings, learn
 from smal.paper.model import Model
 from tests.services.simulator.simulator_driving import StubCamera

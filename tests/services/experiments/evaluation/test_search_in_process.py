@@ -30,8 +30,8 @@ from services.recognition.service import RecognitionService
 from services.simulator.opening import open_simulation
 from services.simulator.sensors.camera import CameraSettings
 from services.simulator.simulation import Simulation
-from smal.movement import Atom
 from smal.features import FeatureSettings
+from smal.movement import Atom
 from smal.paper.model import Model
 from tests.services.robot.driving import simulated
 

@@ -5,11 +5,11 @@ import dataclasses
 import numpy as np
 import pytest
 
+from smal.demonstration import Demonstration
 from smal.movement import Atom
-from smal.paper.execution import Decision, DecisionMaker
-from smal.paper.learning import Demonstration, LearningReport, LearningSettings, learn
+from smal.paper.execution import Decision, DecisionMaker, Recognition
+from smal.paper.learning import LearningReport, LearningSettings, learn
 from smal.paper.model import Model
-from smal.paper.execution import Recognition
 from smal.paper.recognition import Recognizer
 from smal.paper.state_matching import solve
 from tests.smal.worlds import COLOR, corridor, drive, unit
