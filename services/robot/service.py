@@ -22,7 +22,8 @@ from services.robot.clock import PULSE_S
 from services.robot.config import RobotSettings
 from services.robot.gate import CommandGate
 from services.robot.loop import PERIOD_S, check_stopping
-from services.robot.runner import EpisodeRunner, Paces
+from services.robot.pace import Paces
+from services.robot.runner import EpisodeRunner
 from services.robot.task import OperatorsTask, Task
 
 #: Name on the bus, whatever body it has.
