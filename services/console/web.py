@@ -34,7 +34,8 @@ from services.console.learned import Learned
 from services.console.library import Library
 from services.console.maps import Maps
 from services.console.seat import BEAT_S, LEASE_S, Seat
-from services.kit.node import ServiceError, Throttle
+from services.kit.node import ServiceError
+from services.kit.throttle import Throttle
 
 PAGE: Final = Path(__file__).parent / "page"
 #: A watcher is sent something at most so often.

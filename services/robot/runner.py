@@ -18,10 +18,11 @@ from schemas.episode import EventName, Judge, Outcome
 from schemas.heartbeat import Heartbeat
 from schemas.image import Image
 from schemas.pulse import Pulse
-from schemas.rpc import ArmRequest, EndRequest, Mode, ResetReply, ResetRequest, ResumeRequest
+from schemas.rpc import ArmRequest, CancelRequest, EndRequest, Mode, ResetReply, ResetRequest, ResumeRequest
 from services.kit.jpeg import encode_jpeg
 from services.kit.node import ServiceError
 from services.robot.body import Body, View
+from services.robot.cancelling import CancelledError, Cancelling
 from services.robot.clock import now_s
 from services.robot.episode import Episode
 from services.robot.gate import Applied, CommandGate
@@ -42,7 +43,8 @@ V = TypeVar("V", bound=View)
 class EpisodeRunner(Generic[V]):
     """Runs episodes of one robot.
 
-    ``offer``, ``hear``, ``pulse`` and the gate's ``stop`` may be called on any thread; everything else on one.
+    ``offer``, ``hear``, ``pulse``, ``cancel`` and the gate's ``stop`` may be called on any thread; everything else on
+    one.
 
     Parameters
     ----------
@@ -87,6 +89,7 @@ class EpisodeRunner(Generic[V]):
         self._paces: dict[Mode, Callable[[], Pace[V]]] = {"realtime": self._real_time, **(paces or {})}
         self._clock = clock
         self._wall_clock_ns = wall_clock_ns
+        self._cancelling = Cancelling()
         self._count = 0
         self._running: Running[V] | None = None
 
@@ -165,7 +168,7 @@ class EpisodeRunner(Generic[V]):
         Raises
         ------
         ServiceError
-            It may not begin, see ``check_reset``, or the body cannot do that.
+            It may not begin, see ``check_reset``, the body cannot do that, or somebody has cancelled it.
         """
         self.check_reset(request)
         messages = self.end()
@@ -174,7 +177,11 @@ class EpisodeRunner(Generic[V]):
         name = f"{request.name or f'{request.purpose}-{request.seed}'}-{self.session}-{self._count}"
         # From here on nothing that was said before counts.
         self.gate.begin(name, request.driver)
-        episode = Episode(self.body, self.task, request)
+        try:
+            with self._cancelling.beginning(request.session):
+                episode = Episode(self.body, self.task, request)
+        except CancelledError as error:
+            raise ServiceError(f"{error}; the robot is in {self.body.name}, without an episode") from None
         # In another world it may be another robot.
         check_stopping(self.body)
         now, now_ns = pace.gate_s(0), self._wall_clock_ns()
@@ -194,6 +201,16 @@ class EpisodeRunner(Generic[V]):
             found_m=episode.beginning.found_m,
         )
         return reply, messages
+
+    def cancel(self, request: CancelRequest) -> None:
+        """End the beginning of an episode, which ``reset`` then refuses; on any thread.
+
+        Raises
+        ------
+        ServiceError
+            None is being begun, or by somebody else than who asks or whom the robot has as its operator.
+        """
+        self._cancelling.cancel(request.session, self.gate.operator)
 
     def end_by(self, request: EndRequest) -> list[Message]:
         """End the running episode because somebody asks for that.

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from services.kit.node import Node, ServiceError, configure_logging, read_settings, run_service
+from services.kit.node import Node, ServiceError
+from services.kit.process import configure_logging, read_settings, run_service
 from services.robot.pace import Paces
 from services.robot.service import ROBOT, serve_robot
 from services.robot.task import OperatorsTask, Task

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import logging
 
-from services.kit.node import Node, configure_logging, read_settings, run_service
+from services.kit.node import Node
+from services.kit.process import configure_logging, read_settings, run_service
 from services.robot.pace import Paces
 from services.robot.service import ROBOT, serve_robot
 from services.robot.task import OperatorsTask
