@@ -10,6 +10,7 @@ import numpy as np
 import shapely
 from shapely import Polygon
 
+from services.kit.going_on import each
 from services.simulator.robots import RESCUEBOT, RobotModel
 from services.simulator.world.place import Place, Rgb, Scale, Solid
 
@@ -203,7 +204,7 @@ class Terrain(Place):
         ]
         posts = [
             Solid(shapely.Point(place).buffer(POST_M), 0.0, building.min_height_m, opaque=False)
-            for building in self.buildings
+            for building in each(self.buildings)
             for place in building.posts
         ]
         edge = Solid(shapely.box(*self.bounds).exterior, 0.0, _BANK_M, opaque=False)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 import threading
 import time
@@ -15,6 +16,7 @@ from websockets.exceptions import ConnectionClosed
 from schemas.rpc import RecordRequest, ResetRequest
 from services.console.seat import LET_GO_S, Seat
 from services.console.web import NONSENSE, TAKEN
+from services.kit.going_on import each
 from services.kit.node import Node
 from services.kit.settings import ServiceSettings
 from services.recorder.service import RecorderService
@@ -461,3 +463,56 @@ def test_no_world_is_made_that_the_robot_would_take_for_another(
     page.post("/map?name=town", b"<osm/>")
     eventually(lambda: "leads out of" in page.news())
     assert left_over() <= before
+
+
+@pytest.fixture
+def endless(robot: Robot, monkeypatch: pytest.MonkeyPatch) -> threading.Event:
+    """Have the robot open a world of which there is always more, until it is told not to go on."""
+    asked = threading.Event()
+
+    def open_world(_: ResetRequest) -> Beginning:
+        for _ in each(itertools.count()):
+            asked.set()
+            time.sleep(0.001)
+        raise AssertionError
+
+    monkeypatch.setattr(robot.wheels, "begin", open_world)
+    return asked
+
+
+@unattended
+def test_the_opening_of_a_world_is_cancelled_and_the_next_drive_begins(
+    robot: Robot,
+    recorder: RecorderService,
+    open_page: OpenPage,
+    endless: threading.Event,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    page = open_page()
+    page.take()
+    eventually(lambda: page.beats > 0 and page.robot(answers=True))
+    page.insist(endless.is_set, do="drive", goal="dock")
+    eventually(lambda: page.robot(waiting=True))
+    page.insist(lambda: page.robot(waiting=False, episode=None), do="withdraw")
+    assert "robot reset: cancelled by who asked for it; the robot is in line, without an episode" in page.news()
+    page.say(do="withdraw")
+    eventually(lambda: "there is nothing to cancel: no episode is being begun" in page.news())
+    monkeypatch.undo()
+    page.insist(lambda: page.state["robot"]["episode"] is not None, do="drive", goal="dock")
+
+
+@unattended
+def test_a_drive_that_is_cancelled_too_late_for_the_robot_ends_at_once(
+    robot: Robot, recorder: RecorderService, open_page: OpenPage, opening: Opening
+) -> None:
+    """Its body tells of no steps between which it could end."""
+    asked, goes_on = opening
+    page = open_page()
+    page.take()
+    eventually(lambda: page.beats > 0 and page.robot(answers=True))
+    page.insist(asked.is_set, do="drive", goal="dock")
+    page.say(do="withdraw")
+    page.let_go()  # what was said before is heard
+    goes_on.set()
+    eventually(lambda: "cancelled" in page.news())
+    eventually(lambda: page.robot(waiting=False, episode=None))

@@ -179,3 +179,15 @@ def test_who_is_in_the_list_of_recordings_stays_there_when_it_grows(page: Page, 
     )
     assert boxes.evaluate_all("all => all.map(({checked}) => checked)") == [True, False]
     assert page.evaluate("document.activeElement.value") == "drives/a-s-1.mcap"
+
+
+def test_what_is_being_begun_is_cancelled_by_who_drives(page: Page, person: Person, board: Board) -> None:
+    told = {"episode": None, "answers": True, "emergency": False, "at": 0.0}
+    board.put("robot", told | {"waiting": True})
+    page.wait_for_selector("#camera .empty:has-text('Waiting for the robot')")
+    assert not page.is_visible("#withdraw"), "who watches cancels nothing"
+    page.click("#seat")
+    page.click("#withdraw")
+    eventually(lambda: [ask.do for ask in person.asked] == ["withdraw"])
+    board.put("robot", told | {"waiting": False})
+    page.wait_for_selector("#withdraw", state="hidden")
