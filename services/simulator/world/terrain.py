@@ -73,9 +73,10 @@ class Building:
     @property
     def posts(self) -> NDArray[np.float64]:
         """Where posts carry a canopy, (n, 2) metres: under its corners; none under what bridges a passage."""
+        if self.min_height_m <= _HEADROOM_M or self.footprint.area > _CANOPY_M2:
+            return np.empty((0, 2))
         inset = self.footprint.simplify(0.5).buffer(-_POST_INSET_M, join_style="mitre")
-        too_large = self.footprint.area > _CANOPY_M2
-        if self.min_height_m <= _HEADROOM_M or too_large or not isinstance(inset, Polygon):
+        if not isinstance(inset, Polygon):
             return np.empty((0, 2))
         return shapely.get_coordinates(inset.exterior)[:-1]
 
