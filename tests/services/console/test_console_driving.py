@@ -516,3 +516,12 @@ def test_a_drive_that_is_cancelled_too_late_for_the_robot_ends_at_once(
     goes_on.set()
     eventually(lambda: "cancelled" in page.news())
     eventually(lambda: page.robot(waiting=False, episode=None))
+
+
+def test_a_goal_that_may_not_be_is_refused_in_plain_words(robot: Robot, open_page: OpenPage) -> None:
+    page = open_page()
+    page.take()
+    eventually(lambda: page.beats)
+    page.say(do="drive", goal="a/b")
+    said = "goal: a name has 1 to 64 letters, digits, spaces, . - or _, and begins with a letter, a digit or _"
+    eventually(lambda: page.refusals == [said])

@@ -18,6 +18,7 @@ from mcap.data_stream import RecordBuilder
 from mcap.records import Chunk
 
 from schemas.base import Message
+from schemas.command import CommandApplied
 from schemas.episode import Episode
 from schemas.rpc import LoadReply, LoadRequest
 from schemas.state import Place, State
@@ -175,6 +176,30 @@ def test_a_model_tells_its_goals(tmp_path: Path) -> None:
     (model,) = library.models()
     assert (model.goals, model.useless, model.longest) == (("victim",), "", corridor.FRAMES)
     assert model.fingerprint == corridor.FEATURES.fingerprint
+
+
+def test_a_model_tells_in_which_worlds_it_was_taught_as_far_as_its_recordings_are_there(tmp_path: Path) -> None:
+    corridor.save_model(tmp_path / "corridor.smal")
+    library = Library(tmp_path)
+    (model,) = library.look()["models"]  # type: ignore[misc]
+    assert model["worlds"] == []
+    (episode,) = library.models()[0].episodes
+    record(tmp_path / "drives", [one.model_copy(update={"episode": episode}) for one in recorded_messages.episode("e")])
+    record(tmp_path / "drives", list(recorded_messages.episode("other")))
+    (model,) = library.look()["models"]  # type: ignore[misc]
+    assert model["worlds"] == [library.recordings()[0].world]
+
+
+@pytest.mark.parametrize(("source", "corrected"), [("teleop", True), ("policy", False)])
+def test_a_run_is_corrected_where_a_person_took_over(tmp_path: Path, source: Any, corrected: bool) -> None:
+    messages = [
+        one.model_copy(update={"source": source}) if isinstance(one, CommandApplied) and one.tick == 2 else one
+        for one in recorded_messages.episode("run-1", purpose="run")
+    ]
+    record(tmp_path / "drives", messages)
+    library = Library(tmp_path)
+    (shown,) = library.look()["recordings"]  # type: ignore[misc]
+    assert shown["corrected"] is corrected
 
 
 def test_where_a_belief_is_on_the_taught_way() -> None:

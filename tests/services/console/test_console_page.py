@@ -191,3 +191,25 @@ def test_what_is_being_begun_is_cancelled_by_who_drives(page: Page, person: Pers
     eventually(lambda: [ask.do for ask in person.asked] == ["withdraw"])
     board.put("robot", told | {"waiting": False})
     page.wait_for_selector("#withdraw", state="hidden")
+
+
+def test_who_runs_a_model_is_warned_where_it_was_taught_in_another_world(page: Page, board: Board) -> None:
+    models = [{"name": "models/way.smal", "goals": ["victim"], "worlds": ["campus"], "useless": ""}]
+    board.put("library", {"folder": "drives", "recordings": [], "models": models})
+    tell_robot(board, world="yard", worlds="campus, yard", variation="day", variations="day")
+    warned = page.locator("#elsewhere")
+    said = "way was taught in campus, and this run is in yard: it knows no way there."
+    eventually(lambda: warned.inner_text() == said)
+    page.select_option("#world-form [name=world]", "campus")
+    eventually(lambda: warned.inner_text() == "")
+    page.select_option("#world-form [name=world]", "yard")
+    eventually(lambda: warned.inner_text() == said)
+    tell_robot(board, world="campus", worlds="campus, yard", variation="day", variations="day")
+    eventually(lambda: warned.inner_text() == "")
+
+
+def test_a_run_that_somebody_has_corrected_says_so(page: Page, board: Board) -> None:
+    runs = [recording(name) | {"purpose": "run", "corrected": name == "b-s-2"} for name in ("b-s-2", "a-s-1")]
+    board.put("library", {"folder": "drives", "models": [], "recordings": runs})
+    facts = page.locator("#recordings small")
+    eventually(lambda: ["corrected by hand" in text for text in facts.all_inner_texts()] == [True, False])
