@@ -76,9 +76,7 @@ class Building:
         if self.min_height_m <= _HEADROOM_M or self.footprint.area > _CANOPY_M2:
             return np.empty((0, 2))
         inset = self.footprint.simplify(0.5).buffer(-_POST_INSET_M, join_style="mitre")
-        if not isinstance(inset, Polygon):
-            return np.empty((0, 2))
-        return shapely.get_coordinates(inset.exterior)[:-1]
+        return shapely.get_coordinates(inset.exterior)[:-1] if isinstance(inset, Polygon) else np.empty((0, 2))
 
 
 @dataclass(frozen=True, eq=False)
