@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
     from shapely import LineString
+    from shapely.geometry.base import BaseGeometry
 
 FacadeStyle = Literal["brick", "plaster", "concrete", "glass", "wood"]
 RoofShape = Literal["flat", "gabled", "hipped"]
@@ -75,7 +76,7 @@ class Building:
         """Where posts carry a canopy, (n, 2) metres: under its corners; none under what bridges a passage."""
         if self.min_height_m <= _HEADROOM_M or self.footprint.area > _CANOPY_M2:
             return np.empty((0, 2))
-        inset = self.footprint.simplify(0.5).buffer(-_POST_INSET_M, join_style="mitre")
+        inset: BaseGeometry = self.footprint.simplify(0.5).buffer(-_POST_INSET_M, join_style="mitre")
         return shapely.get_coordinates(inset.exterior)[:-1] if isinstance(inset, Polygon) else np.empty((0, 2))
 
 
