@@ -15,6 +15,7 @@ from schemas.codec import printable
 from schemas.rpc import FileName
 from services.console.listing import Readers, Recording
 from services.kit.root import OutsideError, below, name_below, open_below
+from services.recordings.taught import episode_of
 from smal import container
 from smal.container import ModelError
 from smal.model import FORMAT_VERSION
@@ -36,6 +37,8 @@ class LearnedModel:
     when_s: float
     size: int
     goals: tuple[str, ...] = ()
+    #: Episodes that it was learned from.
+    episodes: frozenset[str] = frozenset()
     #: Features that it was learned on.
     fingerprint: str = ""
     #: Frames of its longest drive.
@@ -109,8 +112,13 @@ class Library:
         return {
             "folder": self.folder,
             "recordings": [asdict(one) | {"thumbnails": len(one.thumbnails)} for one in newest_first],
-            "models": [asdict(one) for one in sorted(self.models(), key=lambda one: -one.when_s)],
+            "models": [self._model_shown(one) for one in sorted(self.models(), key=lambda one: -one.when_s)],
         }
+
+    def _model_shown(self, model: LearnedModel) -> dict[str, object]:
+        """Return a model as the page lists it, with the worlds that it was taught in as far as its recordings tell."""
+        worlds = {one.world for one in self.recordings() if one.episode in model.episodes and one.world}
+        return asdict(model) | {"episodes": len(model.episodes), "worlds": sorted(worlds)}
 
     def recording(self, name: str) -> Recording | None:
         """Return a recording by its name."""
@@ -179,7 +187,11 @@ class Library:
             with open_below(self.root, name) as file:
                 meta = container.read_meta(file, name, FORMAT_VERSION)
             goals = tuple(sorted({printable(str(goal)) for goal in (meta["map"] or {"goals": ()})["goals"]}))
-            return stamp, replace(listed, goals=goals, fingerprint=printable(str(meta["feature_fingerprint"])),
-                                       longest=max(int(frames) for frames in meta["frames"]))  # fmt: skip
+            episodes = frozenset(episode_of(str(name)) for name in meta["names"])
+            fingerprint, longest = (
+                printable(str(meta["feature_fingerprint"])),
+                max(int(each) for each in meta["frames"]),
+            )
+            return stamp, replace(listed, goals=goals, episodes=episodes, fingerprint=fingerprint, longest=longest)
         except (ModelError, LookupError, TypeError, ValueError, ArithmeticError, OSError) as error:
             return stamp, replace(listed, useless=printable(str(error)).removeprefix(f"{name}: "))

@@ -15,7 +15,8 @@ from schemas.command import Command, CommandApplied
 from schemas.rpc import LoadReply
 from schemas.state import State
 from services.kit.model_service import LoadedModel
-from services.kit.node import Detail, Throttle
+from services.kit.node import Detail
+from services.kit.throttle import Throttle
 from smal.decision import DecisionMaker
 from smal.filter import Belief
 from smal.planning import Planner
