@@ -113,7 +113,9 @@ def describe(error: ValidationError) -> str:
     first, *others = error.errors(include_url=False, include_context=False, include_input=False)
     where = ".".join(str(part) for part in first["loc"]) or "message"
     more = f" (and {len(others)} more)" if others else ""
-    return f"{printable(where)}: {printable(first['msg'])}{more}"
+    # Which of Python's errors a rule of ours raises means nothing to who reads this.
+    what = first["msg"].removeprefix("Value error, ")
+    return f"{printable(where)}: {printable(what)}{more}"
 
 
 class _ContainerCount:

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from typing import Annotated, ClassVar, Literal, Self
+import re
+from typing import Annotated, ClassVar, Final, Literal, Self
 
-from pydantic import Field, model_validator
+from pydantic import AfterValidator, Field, model_validator
 
 from schemas.base import Message, Source
 
@@ -14,8 +15,17 @@ Outcome = Literal["found", "collision", "timeout", "aborted"]
 Judge = Literal["task", "operator"]
 
 
+_GOAL: Final = re.compile(r"\w[\w .-]{0,63}")
+
+
+def _names_a_place(goal: str) -> str:
+    if _GOAL.fullmatch(goal) is None:
+        raise ValueError("a name has 1 to 64 letters, digits, spaces, . - or _, and begins with a letter, a digit or _")
+    return goal
+
+
 #: Name of a place that drives lead to: letters, digits, and what may stand between them.
-GoalName = Annotated[str, Field(pattern=r"^\w[\w .-]{0,63}$")]
+GoalName = Annotated[str, AfterValidator(_names_a_place), Field(json_schema_extra={"pattern": f"^{_GOAL.pattern}$"})]
 
 
 class Episode(Message):

@@ -159,6 +159,13 @@ class ResetReply(Strict):
     """How near the victim counts as found, if it is seen."""
 
 
+class CancelRequest(Strict):
+    """Begin no episode after all, while ``reset`` opens its world (robot); its caller is told who has cancelled."""
+
+    session: SessionId = ""
+    """Who asks: who has asked for the episode, or the robot's operator."""
+
+
 class EndRequest(Strict):
     """End the running episode (robot)."""
 

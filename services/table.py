@@ -66,7 +66,7 @@ SERVICES: Final = {
                 *(topics.CAMERA, topics.JPEG, topics.CAMERA_INFO, topics.DEPTH, topics.OVERHEAD),
                 *(topics.ODOMETRY, topics.IMU, topics.POSE, topics.APPLIED, topics.PULSE, topics.EPISODE),
             ),
-            serves=("arm", "reset", "resume", "end"),
+            serves=("arm", "reset", "cancel", "resume", "end"),
             # Whether there is another robot of its id; so does the pulse tell that it takes.
             calls=("robot/status",),
             image="simulator",

@@ -10,7 +10,7 @@ import typer
 
 from services.cli.checks import Check, check_disk, check_port, check_python, check_rendering, check_zenoh
 from services.cli.options import DEFAULT_ROBOT, Json, Robot, Router, Secure, settings_for
-from services.kit.node import EXIT_FAILED
+from services.kit.process import EXIT_FAILED
 
 
 def doctor(as_json: Json = False, robot: Robot = DEFAULT_ROBOT, router: Router = None, secure: Secure = None) -> None:

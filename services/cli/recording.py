@@ -15,7 +15,7 @@ import typer
 from services.cli import STYLE, outputs
 from services.cli.options import Json
 from services.kit.errors import JobError, UsageError
-from services.kit.node import EXIT_FAILED
+from services.kit.process import EXIT_FAILED
 from services.kit.tables import number, table
 from services.recordings.contents import Contents, EpisodeContents, contents_of, named_topics, verify
 from services.recordings.dataset import find_recordings

@@ -14,7 +14,7 @@ from services.cli.certificates import DAYS, HOSTS
 from services.kit.bus import zenohd_configuration
 from services.kit.credentials import Certificate
 from services.kit.errors import UsageError
-from services.kit.node import EXIT_FAILED
+from services.kit.process import EXIT_FAILED
 from services.table import roles
 
 #: What deploy/secure.yml shows Eclipse's router.

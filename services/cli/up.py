@@ -22,7 +22,7 @@ from services.console.config import ConsoleSettings
 from services.kit.bus import Router, host_and_port
 from services.kit.credentials import encrypted, how_secure
 from services.kit.errors import UsageError
-from services.kit.node import configure_logging
+from services.kit.process import configure_logging
 from services.table import role_of, stack_services
 from smal.features import FeatureSettings
 

@@ -6,7 +6,8 @@ from services.console.board import Board
 from services.console.config import ConsoleSettings
 from services.console.service import ConsoleService
 from services.console.web import WebServer
-from services.kit.node import Node, configure_logging, read_settings, run_service
+from services.kit.node import Node
+from services.kit.process import configure_logging, read_settings, run_service
 
 
 def serve() -> None:

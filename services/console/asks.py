@@ -111,8 +111,14 @@ class Learn(Asked):
     """How a robot is to go by it."""
 
 
+class Withdraw(Asked):
+    """Begin no episode after all, while its world is being opened."""
+
+    do: Literal["withdraw"]
+
+
 class Cancel(Asked):
-    """Learn no further."""
+    """End what is being learned or made."""
 
     do: Literal["cancel"]
 
@@ -125,7 +131,7 @@ class Delete(Asked):
     """Its name."""
 
 
-Ask = Resume | End | Drive | Run | Learn | Cancel | Delete
+Ask = Resume | End | Drive | Run | Withdraw | Learn | Cancel | Delete
 OF_WATCHERS: TypeAdapter[Seen | Stop] = TypeAdapter(Annotated[Seen | Stop, Field(discriminator="do")])
 OF_DRIVER: TypeAdapter[Hold | Leave | Stop | Ask] = TypeAdapter(
     Annotated[Hold | Leave | Stop | Ask, Field(discriminator="do")]

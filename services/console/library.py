@@ -15,9 +15,16 @@ from schemas.codec import printable
 from schemas.rpc import FileName
 from services.console.listing import Readers, Recording
 from services.kit.root import OutsideError, below, name_below, open_below
+<<<<<<< HEAD
 from smal.files import container
 from smal.files.container import ModelError
 from smal.files.stored import FORMAT_VERSION
+=======
+from services.recordings.taught import episode_of
+from smal import container
+from smal.container import ModelError
+from smal.model import FORMAT_VERSION
+>>>>>>> main
 
 #: Folders below the root: of the drives, unless the recorder says otherwise, and of the models that are learned here.
 DRIVES: Final = "drives"
@@ -37,6 +44,8 @@ class LearnedModel:
     size: int
     #: Of one for the paper's scheme, none: that goes to the nearest.
     goals: tuple[str, ...] = ()
+    #: Episodes that it was learned from.
+    episodes: frozenset[str] = frozenset()
     #: Features that it was learned on.
     fingerprint: str = ""
     #: Frames of its longest drive.
@@ -110,8 +119,13 @@ class Library:
         return {
             "folder": self.folder,
             "recordings": [asdict(one) | {"thumbnails": len(one.thumbnails)} for one in newest_first],
-            "models": [asdict(one) for one in sorted(self.models(), key=lambda one: -one.when_s)],
+            "models": [self._model_shown(one) for one in sorted(self.models(), key=lambda one: -one.when_s)],
         }
+
+    def _model_shown(self, model: LearnedModel) -> dict[str, object]:
+        """Return a model as the page lists it, with the worlds that it was taught in as far as its recordings tell."""
+        worlds = {one.world for one in self.recordings() if one.episode in model.episodes and one.world}
+        return asdict(model) | {"episodes": len(model.episodes), "worlds": sorted(worlds)}
 
     def recording(self, name: str) -> Recording | None:
         """Return a recording by its name."""
@@ -179,9 +193,19 @@ class Library:
         try:
             with open_below(self.root, name) as file:
                 meta = container.read_meta(file, name, FORMAT_VERSION)
+<<<<<<< HEAD
             goals = meta["map"]["goals"] if meta["scheme"] == "filter" else ()
             return stamp, replace(listed, goals=tuple(sorted({printable(str(goal)) for goal in goals})),
                                   fingerprint=printable(str(meta["feature_fingerprint"])),
                                   longest=int(meta["longest"]))  # fmt: skip
+=======
+            goals = tuple(sorted({printable(str(goal)) for goal in (meta["map"] or {"goals": ()})["goals"]}))
+            episodes = frozenset(episode_of(str(name)) for name in meta["names"])
+            fingerprint, longest = (
+                printable(str(meta["feature_fingerprint"])),
+                max(int(each) for each in meta["frames"]),
+            )
+            return stamp, replace(listed, goals=goals, episodes=episodes, fingerprint=fingerprint, longest=longest)
+>>>>>>> main
         except (ModelError, LookupError, TypeError, ValueError, ArithmeticError, OSError) as error:
             return stamp, replace(listed, useless=printable(str(error)).removeprefix(f"{name}: "))

@@ -18,7 +18,7 @@ from typing import Final, Self, cast
 import cv2
 
 from schemas.codec import printable
-from schemas.topics import CAMERA, JPEG
+from schemas.topics import APPLIED, CAMERA, JPEG
 from services.kit.jpeg import encode_jpeg
 from services.recordings.dataset import unusable
 from services.recordings.encoding import decode_image
@@ -50,6 +50,8 @@ class Recording:
     goal: str = ""
     world: str = ""
     outcome: str | None = None
+    #: Whether a person took over from the robot that drove by itself, and so taught it.
+    corrected: bool = False
     frames: int = 0
     seconds: float = 0.0
     #: Why it teaches nothing; empty where it does.
@@ -132,7 +134,7 @@ def end_after(limit_s: int) -> None:
 def read(path: Path, listed: Recording) -> Recording:
     """Complete what the page lists with what is in the file."""
     try:
-        episode, *others = read_recording(path, topics=(JPEG, CAMERA)).episodes
+        episode, *others = read_recording(path, topics=(JPEG, CAMERA, APPLIED)).episodes
     except RecordingError as error:
         return replace(listed, useless=printable(str(error)).removeprefix(f"{path}: "))
     useless = "it holds several episodes; use smal learn" if others else unusable(episode, include_runs=True)
@@ -144,6 +146,8 @@ def read(path: Path, listed: Recording) -> Recording:
         goal=episode.goal,
         world=episode.world,
         outcome=episode.outcome,
+        corrected=episode.purpose == "run"
+        and any(one.source == "teleop" or one.reason == "taken_over" for one in episode.applied.values()),
         frames=episode.frames,
         seconds=(ticks[-1] - ticks[0]) * TICK_S if ticks else 0.0,
         useless=useless or "",

@@ -15,7 +15,7 @@ from schemas import topics
 from schemas.action import Action
 from schemas.base import Atom
 from schemas.rpc import LoadReply, LoadRequest, Nothing, RecordRequest, ResetReply, ResetRequest, Status
-from services.console.asks import LATE, Ask, Cancel, Delete, Drive, End, Learn, Resume, Run
+from services.console.asks import LATE, Ask, Cancel, Delete, Drive, End, Learn, Resume, Run, Withdraw
 from services.console.board import Board
 from services.console.feed import Feed
 from services.console.folder import Folder
@@ -229,8 +229,15 @@ class ConsoleService:
                 self._begin(request, self._record)
             case Run():
                 self._run(ask)
+<<<<<<< HEAD
             case Learn():
                 self._learn(ask)
+=======
+            case Withdraw():
+                self._operator.withdraw()
+            case Learn(name=name, recordings=names):
+                self._learn(name, names)
+>>>>>>> main
             case Cancel():
                 self._jobs.cancel()
             case Delete(recording=name):

@@ -34,7 +34,8 @@ from services.console.learned import Learned
 from services.console.library import Library
 from services.console.maps import Maps
 from services.console.seat import BEAT_S, LEASE_S, Seat
-from services.kit.node import ServiceError, Throttle
+from services.kit.node import ServiceError
+from services.kit.throttle import Throttle
 
 PAGE: Final = Path(__file__).parent / "page"
 #: A watcher is sent something at most so often.
@@ -203,7 +204,7 @@ class Web:
             try:
                 said = OF_DRIVER.validate_json(text)
             except ValidationError as error:
-                await browser.send_json({"refused": describe(error)})
+                await browser.send_json({"refused": _plainly(error)})
                 continue
             if isinstance(said, Hold):
                 sent_s = self._seat.answered(said.beat)
@@ -228,6 +229,12 @@ class Web:
 
 class _NonsenseError(Exception):
     """A browser says what is no answer to what it was sent."""
+
+
+def _plainly(error: ValidationError) -> str:
+    """Say what is wrong with what was asked for; what kind of message it came in means nothing to who asked."""
+    where = error.errors(include_url=False)[0]["loc"]
+    return describe(error).removeprefix(f"{where[0]}." if where else "")
 
 
 async def _said(browser: WebSocket) -> AsyncIterator[str]:

@@ -5,7 +5,8 @@ from __future__ import annotations
 from schemas import topics
 from services.features.config import FeaturesSettings
 from services.features.service import FeaturesService
-from services.kit.node import Node, configure_logging, read_settings, run_service
+from services.kit.node import Node
+from services.kit.process import configure_logging, read_settings, run_service
 
 
 def serve() -> None:

@@ -9,7 +9,8 @@ from schemas.array import Float32Array
 from schemas.depth_image import DepthImage
 from schemas.image import Image
 from schemas.observation import Observation
-from services.kit.node import Detail, Throttle
+from services.kit.node import Detail
+from services.kit.throttle import Throttle
 from smal.features import MODALITIES, FeatureSettings, extract
 
 _log = logging.getLogger("features")

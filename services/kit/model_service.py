@@ -15,7 +15,8 @@ from schemas.codec import printable
 from schemas.episode import GoalName
 from schemas.rpc import LoadReply, LoadRequest, Scheme
 from schemas.topics import Topic
-from services.kit.node import Detail, Node, ServiceError, configure_logging, read_settings
+from services.kit.node import Detail, Node, ServiceError
+from services.kit.process import configure_logging, read_settings
 from services.kit.root import RootSettings, open_below
 from smal.files.container import ModelError, NoModelError
 from smal.files.stored import Stored

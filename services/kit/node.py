@@ -1,4 +1,4 @@
-"""What every service needs to be a good process: settings, logging, signals, health, and one loop.
+"""What every service needs to be a good process: signals, health, and one loop.
 
 A service gives its handlers to a ``Node``; everything that arrives (messages, requests, timers) is handled on the
 one thread that calls ``spin``, so a service needs no locks.
@@ -7,11 +7,9 @@ one thread that calls ``spin``, so a service needs no locks.
 from __future__ import annotations
 
 import logging
-import math
 import os
 import secrets
 import signal
-import sys
 import threading
 import time
 from collections import Counter, defaultdict
@@ -29,70 +27,26 @@ from schemas.codec import DecodeError, decode, describe
 from schemas.command import Command
 from schemas.rpc import Failure, Nothing, Status
 from schemas.topics import Topic, key_of
-from services.kit.bus import PATIENCE_S, BusError, Refused
+from services.kit.bus import PATIENCE_S, Refused
 from services.kit.health import ailment
-from services.kit.http import HttpError, serve_http
+from services.kit.http import serve_http
 from services.kit.inbox import Inbox, Item
 from services.kit.metrics import Metrics
 from services.kit.settings import ServiceSettings
+from services.kit.throttle import Throttle
 from services.table import role_of
 
 REQUEST_QUEUE: Final = 64
 #: Queues of what is to be done soon, which are no topics and tell nobody anything.
 _SOON: Final = "soon/"
-EXIT_FAILED: Final = 1
-EXIT_USAGE: Final = 2
 M = TypeVar("M", bound=Message)
 R = TypeVar("R", bound=Strict)
 A = TypeVar("A")
-S = TypeVar("S", bound="ServiceSettings")
 Detail = dict[str, str | int | float | bool | None]
 
 
 class ServiceError(Exception):
     """A service cannot do what was asked; the text says why in one line."""
-
-
-def read_settings(cls: type[S], service: str) -> S:
-    """Read settings from flags and environment; exit with status 2 and one line where they are wrong."""
-    try:
-        return cls(_cli_parse_args=True, _cli_prog_name=f"python -m services.{service}")
-    except ValidationError as error:
-        sys.stderr.write(f"{service}: {describe(error)}\n")
-        raise SystemExit(EXIT_USAGE) from None
-
-
-def configure_logging(level: str) -> None:
-    """Log to standard error, one line an event."""
-    logging.basicConfig(
-        level=level.upper(), stream=sys.stderr, format="%(asctime)s.%(msecs)03d %(levelname)-7s %(name)s: %(message)s",
-        datefmt="%H:%M:%S", force=True,
-    )  # fmt: skip
-
-
-def run_service(name: str, serve: Callable[[], None]) -> None:
-    """Run a service's main function; a failure to start is one line and exit status 1."""
-    try:
-        serve()
-    except (ServiceError, BusError, HttpError) as error:
-        logging.getLogger(name).error("%s", error)  # noqa: TRY400 - one clear line is what an operator needs
-        raise SystemExit(EXIT_FAILED) from None
-
-
-class Throttle:
-    """Lets one line a second through: a sender that goes on and on must not fill the disk with the log."""
-
-    def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
-        self._clock = clock
-        self._next_s = -math.inf
-
-    def due(self) -> bool:
-        """Whether a line may be logged now."""
-        now_s = self._clock()
-        if now_s < self._next_s:
-            return False
-        self._next_s = now_s + 1.0
-        return True
 
 
 @dataclass
@@ -224,8 +178,13 @@ class Node:
 
         return read
 
-    def serve(self, verb: str, request_type: type[R], handler: Callable[[R], Strict | None]) -> None:
-        """Answer the calls of ``rpc/<name>/<verb>``; a ``ServiceError`` in the handler is the caller's to read."""
+    def serve(
+        self, verb: str, request_type: type[R], handler: Callable[[R], Strict | None], *, at_once: bool = False
+    ) -> None:
+        """Answer the calls of ``rpc/<name>/<verb>``; a ``ServiceError`` in the handler is the caller's to read.
+
+        ``at_once``: on the bus's own thread, before all that waits; the handler must return at once.
+        """
         name = f"rpc/{verb}"
         self._inbox.open(name, REQUEST_QUEUE)
 
@@ -244,13 +203,15 @@ class Node:
                 reply(Failure(error=self.own_fault))
                 raise
 
+        def take(payload: bytes, reply: Callable[[Strict], None]) -> None:
+            if not at_once:
+                self._inbox.put(name, (payload, reply), len(payload))
+                return
+            with self._surviving(name):
+                work((payload, reply))
+
         self._handlers[name] = work
-        self.bus.serve(
-            self.name,
-            verb,
-            lambda payload, reply: self._inbox.put(name, (payload, reply), len(payload)),
-            partial(self._refuse, name),
-        )
+        self.bus.serve(self.name, verb, take, partial(self._refuse, name))
 
     def soon(self, handler: Callable[[], object]) -> Callable[[], None]:
         """Return what any thread may call to have ``handler`` called on the node's thread, once for all that called."""

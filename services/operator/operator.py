@@ -18,7 +18,7 @@ from schemas.command import CommandApplied, StopCause
 from schemas.episode import Episode
 from schemas.heartbeat import Heartbeat
 from schemas.pulse import Pulse
-from schemas.rpc import ArmRequest, EndRequest, Nothing, ResetReply, ResetRequest, ResumeRequest, Status
+from schemas.rpc import ArmRequest, CancelRequest, EndRequest, Nothing, ResetReply, ResetRequest, ResumeRequest, Status
 from services.kit.bus import BusError, RpcError
 from services.kit.node import Node, ServiceError
 from services.operator.commands import Commands
@@ -108,6 +108,8 @@ class Operator:
         # One question to the robot at a time, in a thread of its own: an emergency stop must not wait for its answer.
         self._asking: threading.Thread | None = None
         self._answers: SimpleQueue[Callable[[], None]] = SimpleQueue()
+        #: Set when the episode that is being asked for is not to begin after all; None where none is.
+        self._withdrawn: threading.Event | None = None
         node.subscribe(topics.APPLIED, self.on_applied)
         node.subscribe(topics.EPISODE, self.on_event)
         node.subscribe(topics.PULSE, self.on_pulse)
@@ -201,18 +203,23 @@ class Operator:
         if arm is None:
             return False
 
+        self._withdrawn = withdrawn = threading.Event()
+
+        def gone() -> str:
+            return "it was cancelled" if withdrawn.is_set() else "" if there() else "who asked for it has left"
+
         def ask() -> Callable[[], None]:
             prepare()
-            if not there():
-                raise ServiceError("not begun: who asked for it has left")
+            if why := gone():
+                raise ServiceError(f"not begun: {why}")
             arm()
             if request.driver != "teleop":
                 self._hand_over()
             stays = request.world is None and request.variation is None
             reply = self._node.bus.call("robot", "reset", request, ResetReply, RESET_S if stays else _OPEN_S)
-            if not there():
+            if why := gone():
                 self.call("end", EndRequest(episode=reply.episode, session=self._node.session))
-                raise ServiceError("ended at once: who asked for it has left")
+                raise ServiceError(f"ended at once: {why}")
 
             def done() -> None:
                 begun(reply)
@@ -224,6 +231,23 @@ class Operator:
         self._reports.on_request()
         self.ask(ask, self._reports.on_failure)
         return True
+
+    def withdraw(self) -> None:
+        """Have the episode that is being asked for not begin after all, though the robot may be opening its world."""
+        mine = self._withdrawn
+        if mine is not None:
+            mine.set()
+
+        def cancel() -> None:
+            try:
+                self.call("cancel", CancelRequest(session=self._node.session))
+            except RpcError as error:
+                reason = str(error)
+                # What was asked for here, and is not being begun yet or any more, is ended by who asks for it.
+                self._answers.put(lambda: None if mine is not None else self._reports.say(reason))
+
+        # Beside what is asked already: that ends by this.
+        threading.Thread(target=cancel, name="cancel", daemon=True).start()
 
     def _hand_over(self) -> None:
         """End what this person has taken over, so that another driver may begin anew; on a thread that asks."""
@@ -287,7 +311,7 @@ class Operator:
 
         def answered() -> None:
             self.commands.answered()
-            self._asking = None
+            self._asking = self._withdrawn = None
 
         def ask() -> None:
             try:

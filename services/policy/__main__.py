@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from schemas import topics
 from services.kit.model_service import serve_model
-from services.kit.node import Node, run_service
+from services.kit.node import Node
+from services.kit.process import run_service
 from services.policy.service import PolicyService
 
 

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from services.kit.node import Node, configure_logging, read_settings, run_service
+from services.kit.node import Node
+from services.kit.process import configure_logging, read_settings, run_service
 from services.recorder.config import RecorderSettings
 from services.recorder.service import RecorderService
 

@@ -23,6 +23,7 @@ from services.recordings.reader import RecordingError, read_recording
 from services.recordings.recorded import Piece, RecordedEpisode
 from services.recordings.recorded_features import features_in
 from services.recordings.records import Allowance
+from services.recordings.sink import first_of
 from services.recordings.taught import episode_of
 from smal.demonstration import Demonstration
 from smal.features import FeatureSettings, extract, select
@@ -94,7 +95,8 @@ class Teacher:
         try:
             recording = read_recording(path, held.fingerprint, self._allowance)
         except RecordingError as error:
-            self._remark(str(error))
+            first = first_of(path)
+            self._remark(str(error) if first is None else f"{error}; {_joined(first, path)}")
             return
         self.teaching.recordings += 1
         self.teaching.remarks.extend(recording.remarks())
@@ -107,7 +109,11 @@ class Teacher:
 
     def _take(self, path: Path, episode: RecordedEpisode) -> None:
         other = self._seen.setdefault((episode.robot, episode.episode), path)
-        reason = f"it is in {other} too" if other != path else unusable(episode, include_runs=self._include_runs)
+        reason = unusable(episode, include_runs=self._include_runs)
+        if other != path:
+            reason = f"it is in {other} too"
+            if path == first_of(other) or other == first_of(path):
+                reason += f"; {_joined(*sorted((other, path), key=lambda one: len(one.name)))}"
         if reason is not None:
             self._remark(f"{path}: episode {episode.episode} is left out: {reason}")
             return
@@ -133,6 +139,11 @@ class Teacher:
 
     def _remark(self, text: str) -> None:
         self.teaching.remarks.append(text)
+
+
+def _joined(first: Path, second: Path) -> str:
+    """Say how two recordings of one episode, as a recorder leaves that was killed meanwhile, become one."""
+    return f"smal recording repair {first} {second} --out FILE joins them"
 
 
 def unusable(episode: RecordedEpisode, *, include_runs: bool) -> str | None:

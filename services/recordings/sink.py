@@ -57,6 +57,13 @@ def free_path(folder: Path, stem: str) -> Path:
     raise FileExistsError(f"{folder} is full of recordings named {stem}")
 
 
+def first_of(path: Path) -> Path | None:
+    """Return the recording of the same name without ``-2`` or so on behind it, where that is there."""
+    stem, dash, number = path.name.partition(".")[0].rpartition("-")
+    first = path.with_name(f"{stem}.mcap")
+    return first if dash and number.isdecimal() and first.exists() else None
+
+
 def partial_of(path: Path) -> Path:
     """Return the name that a recording has until it is sealed."""
     return path.with_name(path.name + PARTIAL_SUFFIX)

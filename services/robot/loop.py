@@ -10,7 +10,8 @@ import threading
 from collections.abc import Callable
 from typing import Final, Protocol
 
-from services.kit.node import ServiceError, Throttle
+from services.kit.node import ServiceError
+from services.kit.throttle import Throttle
 from services.robot.body import Body, View
 from services.robot.clock import now_s
 from services.robot.gate import MAX_AGE_S, OPERATOR_S, Applied, CommandGate

@@ -1,19 +1,16 @@
 """Episode after episode of one robot: what happens when a command comes, or when time passes.
 
-It takes requests, commands and clock readings, and gives messages. In real time the clock decides when the next frame
-is, and an ``ActuatorLoop`` moves the robot meanwhile; another pace (the simulator's lockstep) may be given.
+It takes requests, commands and clock readings, and gives messages; a ``Pace`` decides when the next frame is.
 """
 
 from __future__ import annotations
 
 import math
 import time
-from collections import deque
-from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, field
-from typing import Final, Generic, Protocol, TypeVar
+from collections.abc import Callable, Iterator
+from typing import Final, Generic, TypeVar
 
-from schemas.base import NO_EPISODE, Message, Source
+from schemas.base import NO_EPISODE, Message
 from schemas.command import Command, CommandApplied
 from schemas.compressed_image import CompressedImage
 from schemas.episode import Episode as EpisodeEvent
@@ -21,166 +18,33 @@ from schemas.episode import EventName, Judge, Outcome
 from schemas.heartbeat import Heartbeat
 from schemas.image import Image
 from schemas.pulse import Pulse
-from schemas.rpc import ArmRequest, EndRequest, Mode, ResetReply, ResetRequest, ResumeRequest
+from schemas.rpc import ArmRequest, CancelRequest, EndRequest, Mode, ResetReply, ResetRequest, ResumeRequest
 from services.kit.jpeg import encode_jpeg
-from services.kit.node import Detail, ServiceError
+from services.kit.node import ServiceError
 from services.robot.body import Body, View
-from services.robot.clock import TICK_S, now_s
+from services.robot.cancelling import CancelledError, Cancelling
+from services.robot.clock import now_s
 from services.robot.episode import Episode
 from services.robot.gate import Applied, CommandGate
-from services.robot.loop import ActuatorLoop, check_stopping
+from services.robot.loop import check_stopping
 from services.robot.messages import camera_info, imu_message, odometry_message
+from services.robot.pace import Pace, Paces, RealTime, Running
 from services.robot.task import Task
 
 #: Silence of whoever began an episode after which somebody else may begin one; four of their heartbeats.
 CLIENT_S: Final = 2.0
 #: Frames whose readiness is remembered; an older one's command is stale anyway.
 READY_KEPT: Final = 10
-#: What moves the robot changes at most 50 times a second; so much is told after an outage of 10 s, the newest.
-CHANGES_KEPT: Final = 500
 # What is told of before the end is; that the goal is reached is told when it is first seen.
 _ENDING_EVENTS: Final[dict[Outcome, EventName]] = {"collision": "collision", "timeout": "timed_out"}
 V = TypeVar("V", bound=View)
 
 
-@dataclass
-class Running(Generic[V]):
-    """The state of the running episode."""
-
-    id: str
-    episode: Episode[V]
-    pace: Pace[V]
-    #: When it began, by the gate's time and by the wall clock.
-    begun_s: float
-    begun_ns: int
-    #: When the last frame was captured; the wall clock is read once an episode, since it may be set meanwhile.
-    stamp_ns: int
-    #: When the client that began it was last heard of.
-    client_s: float
-    #: The number of its last sign of life.
-    client_beat: int = -1
-    #: Whether the goal has been reached at all.
-    found: bool = False
-    applied: Applied | None = None
-    #: How many times it was said in this tick what moves the robot.
-    said: int = 0
-    #: When recent frames were ready to be sent, and how long each source's last accepted command took from then.
-    ready_s: dict[int, float] = field(default_factory=dict)
-    latency_s: dict[Source, float] = field(default_factory=dict)
-    #: The messages of the last frame that a driver needs to answer it.
-    frame: tuple[Message, ...] = ()
-
-    @property
-    def request(self) -> ResetRequest:
-        """How it was asked for."""
-        return self.episode.request
-
-    @property
-    def tick(self) -> int:
-        """Number of the last frame."""
-        return self.episode.tick
-
-
-class Pace(Protocol[V]):
-    """When the next frame is, and what moves the robot until then."""
-
-    def gate_s(self, tick: int) -> float:
-        """Return the gate's time, by which commands grow old, while ``tick`` is the last frame."""
-
-    def captured_s(self, view: V, tick: int) -> float:
-        """Return the gate's time at which the frame of a tick was captured."""
-
-    @property
-    def delay_s(self) -> float:
-        """Time from the capture of a frame to the moment when the command that answers it began to move the robot."""
-
-    def detail(self) -> Detail:
-        """Tell how time passes, for the robot's status."""
-
-    def begin(self) -> None:
-        """Begin, with frame 0 taken."""
-
-    def poll(self, runner: EpisodeRunner[V], run: Running[V]) -> Iterator[Message]:
-        """Let time pass."""
-
-    def end(self) -> None:
-        """Leave the robot standing."""
-
-
-#: How time passes, by mode; each episode has a pace of its own.
-Paces = Mapping[Mode, Callable[[], Pace[V]]]
-
-
-class RealTime(Generic[V]):
-    """The clock runs: ten frames a second, or as many as can be made, and a loop that moves the robot meanwhile.
-
-    Parameters
-    ----------
-    gate, body
-        Which command is obeyed, and by what.
-    clock
-        The actuator's seconds.
-    wake
-        Makes somebody call ``poll`` soon.
-    """
-
-    def __init__(self, gate: CommandGate, body: Body[V], clock: Callable[[], float], wake: Callable[[], None]) -> None:
-        self._clock = clock
-        self._wake = wake
-        self._changes: deque[Applied] = deque(maxlen=CHANGES_KEPT)
-        self.loop = ActuatorLoop(gate, body, self._note, clock)
-        self._due_s = 0.0
-        self.late = 0
-
-    @property
-    def delay_s(self) -> float:
-        """As the loop has measured it."""
-        return self.loop.delay_s
-
-    def _note(self, applied: Applied) -> None:
-        self._changes.append(applied)
-        self._wake()
-
-    def gate_s(self, _tick: int) -> float:
-        """Return the clock's time."""
-        return self._clock()
-
-    def captured_s(self, view: V, _tick: int) -> float:
-        """Return what the body says; one whose clock is ahead must not keep commands fresh for longer."""
-        return min(view.captured_s, self._clock())
-
-    def detail(self) -> Detail:
-        """Tell how often a frame, or a step of the loop, came late."""
-        return {"late_frames": self.late, "late_steps": self.loop.late}
-
-    def begin(self) -> None:
-        """Start the loop."""
-        self._due_s = self._clock() + TICK_S
-        self.loop.start()
-
-    def poll(self, runner: EpisodeRunner[V], run: Running[V]) -> Iterator[Message]:
-        """Tell what has changed, and take the next frame if it is due."""
-        while self._changes:
-            yield runner.tell(run, self._changes.popleft())
-        now = self._clock()
-        if now < self._due_s:
-            return
-        # A frame that took longer than a tick to make puts off the next ones; the robot moves on meanwhile.
-        self.late += now - self._due_s > TICK_S
-        self._due_s = max(self._due_s + TICK_S, now)
-        yield from runner.next_frame(run)
-        if run is runner.running:
-            yield runner.tell(run, runner.gate.applied(self._clock()))
-
-    def end(self) -> None:
-        """Stop the loop, which leaves the robot standing."""
-        self.loop.close()
-
-
 class EpisodeRunner(Generic[V]):
     """Runs episodes of one robot.
 
-    ``offer``, ``hear``, ``pulse`` and the gate's ``stop`` may be called on any thread; everything else on one.
+    ``offer``, ``hear``, ``pulse``, ``cancel`` and the gate's ``stop`` may be called on any thread; everything else on
+    one.
 
     Parameters
     ----------
@@ -225,6 +89,7 @@ class EpisodeRunner(Generic[V]):
         self._paces: dict[Mode, Callable[[], Pace[V]]] = {"realtime": self._real_time, **(paces or {})}
         self._clock = clock
         self._wall_clock_ns = wall_clock_ns
+        self._cancelling = Cancelling()
         self._count = 0
         self._running: Running[V] | None = None
 
@@ -303,7 +168,7 @@ class EpisodeRunner(Generic[V]):
         Raises
         ------
         ServiceError
-            It may not begin, see ``check_reset``, or the body cannot do that.
+            It may not begin, see ``check_reset``, the body cannot do that, or somebody has cancelled it.
         """
         self.check_reset(request)
         messages = self.end()
@@ -312,7 +177,11 @@ class EpisodeRunner(Generic[V]):
         name = f"{request.name or f'{request.purpose}-{request.seed}'}-{self.session}-{self._count}"
         # From here on nothing that was said before counts.
         self.gate.begin(name, request.driver)
-        episode = Episode(self.body, self.task, request)
+        try:
+            with self._cancelling.beginning(request.session):
+                episode = Episode(self.body, self.task, request)
+        except CancelledError as error:
+            raise ServiceError(f"{error}; the robot is in {self.body.name}, without an episode") from None
         # In another world it may be another robot.
         check_stopping(self.body)
         now, now_ns = pace.gate_s(0), self._wall_clock_ns()
@@ -332,6 +201,16 @@ class EpisodeRunner(Generic[V]):
             found_m=episode.beginning.found_m,
         )
         return reply, messages
+
+    def cancel(self, request: CancelRequest) -> None:
+        """End the beginning of an episode, which ``reset`` then refuses; on any thread.
+
+        Raises
+        ------
+        ServiceError
+            None is being begun, or by somebody else than who asks or whom the robot has as its operator.
+        """
+        self._cancelling.cancel(request.session, self.gate.operator)
 
     def end_by(self, request: EndRequest) -> list[Message]:
         """End the running episode because somebody asks for that.

@@ -12,7 +12,7 @@ from schemas.base import Message
 from schemas.command import Command, CommandApplied
 from schemas.episode import Episode
 from schemas.pulse import Pulse
-from schemas.rpc import ArmRequest, EndRequest, Nothing, ResetReply, ResetRequest, ResumeRequest, Status
+from schemas.rpc import ArmRequest, CancelRequest, EndRequest, Nothing, ResetReply, ResetRequest, ResumeRequest, Status
 from schemas.topics import COMMANDS, HEARTBEAT, PULSE
 from services.kit.bus import RpcError
 from services.kit.node import Detail, Node, ServiceError
@@ -22,7 +22,8 @@ from services.robot.clock import PULSE_S
 from services.robot.config import RobotSettings
 from services.robot.gate import CommandGate
 from services.robot.loop import PERIOD_S, check_stopping
-from services.robot.runner import EpisodeRunner, Paces
+from services.robot.pace import Paces
+from services.robot.runner import EpisodeRunner
 from services.robot.task import OperatorsTask, Task
 
 #: Name on the bus, whatever body it has.
@@ -55,10 +56,10 @@ def check_alone(settings: ServiceSettings, instead: str = "give this one another
 class RobotService:
     """Wires an ``EpisodeRunner`` to a node.
 
-    Commands and signs of life are judged on the bus's own thread: nothing that waits or renders goes before them, and
-    no queue can lose an emergency stop. Pulses are sent on a thread of their own: an operator is missed for their
-    silence, and not for that of a robot which opens a world or takes long for a picture. Everything else happens on
-    the node's thread, which renders as well.
+    Commands, signs of life and what cancels are judged on the bus's own thread: nothing that waits or renders goes
+    before them, and no queue can lose an emergency stop. Pulses are sent on a thread of their own: an operator is
+    missed for their silence, and not for that of a robot which opens a world or takes long for a picture. Everything
+    else happens on the node's thread, which renders as well.
 
     Parameters
     ----------
@@ -82,6 +83,7 @@ class RobotService:
         node.at_once(PULSE, self.meet)
         node.serve("arm", ArmRequest, self.arm)
         node.serve("reset", ResetRequest, self.reset)
+        node.serve("cancel", CancelRequest, self.cancel, at_once=True)
         node.serve("resume", ResumeRequest, self.resume)
         node.serve("end", EndRequest, self.end)
         node.every(PERIOD_S, self.poll)
@@ -126,6 +128,11 @@ class RobotService:
         reply, messages = self._runner.reset(request)
         self._publish(messages)
         return reply
+
+    def cancel(self, request: CancelRequest) -> None:
+        """Begin no episode after all; on the bus's own thread, since the node's is busy with its beginning."""
+        self._runner.cancel(request)
+        self._node.log.info("the episode that is being begun is cancelled")
 
     def end(self, request: EndRequest) -> None:
         """End the running episode."""

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from services.kit.node import Node, ServiceError, configure_logging, read_settings, run_service
-from services.robot.runner import Paces
+from services.kit.node import Node, ServiceError
+from services.kit.process import configure_logging, read_settings, run_service
+from services.robot.pace import Paces
 from services.robot.service import ROBOT, serve_robot
 from services.robot.task import OperatorsTask, Task
 from services.ros2.body import Ros2Body, Ros2View

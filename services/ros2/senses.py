@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 from schemas.base import ATOMS, Atom
 from schemas.imu import MAX_SAMPLES
 from services.kit.jpeg import decode_jpeg
-from services.kit.node import Throttle
 from services.kit.raw_image import rgb_of
+from services.kit.throttle import Throttle
 from services.kit.wire import LARGEST_BYTES
 from services.robot.body import ImuReading, Triple
 from services.robot.clock import now_s

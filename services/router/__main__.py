@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from services.kit.bus import Router, host_and_port
 from services.kit.credentials import how_secure
-from services.kit.node import Node, configure_logging, read_settings, run_service
+from services.kit.node import Node
+from services.kit.process import configure_logging, read_settings, run_service
 from services.router.config import RouterSettings
 
 

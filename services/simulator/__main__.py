@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import logging
 
-from services.kit.node import Node, configure_logging, read_settings, run_service
-from services.robot.runner import Paces
+from services.kit.node import Node
+from services.kit.process import configure_logging, read_settings, run_service
+from services.robot.pace import Paces
 from services.robot.service import ROBOT, serve_robot
 from services.robot.task import OperatorsTask
 from services.simulator.body import SimulatedBody

@@ -13,7 +13,7 @@ from schemas.rpc import ResetRequest
 from services.kit.node import Detail
 from services.robot.clock import TICK_S, now_s
 from services.robot.episode import Episode
-from services.robot.runner import EpisodeRunner, Running
+from services.robot.pace import Running, Teller
 from services.simulator.body import SimulatedBody
 from services.simulator.simulation import Simulation
 from services.simulator.view import FindVictim, SimulatedView
@@ -88,7 +88,7 @@ class Lockstep:
     def end(self) -> None:
         """Do nothing: time stands."""
 
-    def poll(self, runner: EpisodeRunner[SimulatedView], run: Running[SimulatedView]) -> Iterator[Message]:
+    def poll(self, runner: Teller[SimulatedView], run: Running[SimulatedView]) -> Iterator[Message]:
         """Move on by a tick if the last frame is answered; send it again, or give up, where an answer is overdue.
 
         While a stop is latched the robot stands, and nothing is rendered.
@@ -112,7 +112,7 @@ class Lockstep:
         elif now - self._sent_s > RESEND_S and not runner.gate.emergency_stop:
             yield from self._send_again(runner, run)
 
-    def _send_again(self, runner: EpisodeRunner[SimulatedView], run: Running[SimulatedView]) -> Iterator[Message]:
+    def _send_again(self, runner: Teller[SimulatedView], run: Running[SimulatedView]) -> Iterator[Message]:
         """Send the frame again, to whoever is there now."""
         # Who wants the other images may have come, or have become known, only after the frame was made.
         *others, image = run.frame

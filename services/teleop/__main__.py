@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 
-from services.kit.node import EXIT_USAGE, read_settings, run_service
+from services.kit.process import EXIT_USAGE, read_settings, run_service
 from services.teleop.config import TeleopSettings
 from services.teleop.session import run
 from services.teleop.terminal import NoTerminalError, require_terminal

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from schemas import topics
-from services.kit.node import Node, configure_logging, read_settings, run_service
+from services.kit.node import Node
+from services.kit.process import configure_logging, read_settings, run_service
 from services.tracker.config import TrackerSettings
 from services.tracker.service import TrackerService
 from services.tracker.tag_tracking import Tag

@@ -8,7 +8,7 @@ from typing import NoReturn
 
 from services.cli.interrupts import interrupted_by_signals
 from services.kit.errors import JobError, UsageError, describe_os_error
-from services.kit.node import EXIT_FAILED, EXIT_USAGE
+from services.kit.process import EXIT_FAILED, EXIT_USAGE
 
 
 def run(name: str, arguments: list[str]) -> NoReturn:

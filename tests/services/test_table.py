@@ -17,7 +17,8 @@ from tests.services.cli.conftest import ROOT
 
 TOY = """
 from schemas import topics
-from services.kit.node import Node, read_settings
+from services.kit.node import Node
+from services.kit.process import read_settings
 from services.kit.settings import ServiceSettings
 
 with Node("toy", read_settings(ServiceSettings, "toy")) as node:

@@ -389,7 +389,7 @@ def test_a_hostile_name_is_shown_as_it_is(page: Page, site: Site) -> None:
     name = "<img src=x onerror=alert(1)>"
     page.fill("#drive-form input", name)
     page.click("#drive-form button")
-    eventually(lambda: "goal: String should match pattern" in page.inner_text("#news"))
+    eventually(lambda: "goal: a name has 1 to 64 letters" in page.inner_text("#news"))
     assert page.locator("#news img").count() == 0
 
 

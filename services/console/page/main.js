@@ -92,8 +92,9 @@ function drawStatus() {
 
 function drawCameraAge(running) {
   const age = watch.age("camera"), waits = Boolean(watch.state.robot?.waiting);
+  $("#withdraw").hidden = !waits || !drive.sits;
   noCamera.hidden = !waits && age !== null && (age < OLD_S || !running);
-  if (waits) say(noCamera, `${drive.sits && opening() ? `Opening ${opening()}, which may take 20 s` : "Waiting for the robot"}: ${seconds((performance.now() - waitingSinceMs) / 1000)}`);
+  if (waits) say(noCamera, `${drive.sits && opening() ? `Opening ${opening()}, which may take a minute` : "Waiting for the robot"}: ${seconds((performance.now() - waitingSinceMs) / 1000)}`);
   else if (age === null) say(noCamera, "No camera frame yet. Begin a drive or a run.");
   else if (!noCamera.hidden) say(noCamera, `No camera frame for ${seconds(age)}${illness(watch.state.health, ["router", "robot"]).replace(/^(?=.)/, ": ")}`);
 }
@@ -144,6 +145,7 @@ $("#stop").onclick = stop;
 $("#seat").onclick = () => (drive.sits ? drive.leave() : drive.take());
 $("#resume").onclick = () => drive.ask({ do: "resume" });
 $("#found").onclick = () => drive.ask({ do: "end", found: true });
+$("#withdraw").onclick = () => drive.ask({ do: "withdraw" });
 $("#end").onclick = () => drive.ask({ do: "end", found: false });
 wireTeaching((what) => {
   drive.ask(what);

@@ -1,7 +1,7 @@
 // Recordings, learning, and running what was learned.
 
 import { $, element, percent, say } from "./element.js";
-import { chosenWorld, madeWorld, showNews } from "./world.js";
+import { chosenWorld, madeWorld, showNews, worldOf } from "./world.js";
 
 export const OUTCOMES = { found: "found", collision: "collision", timeout: "time was out", aborted: "ended before the goal" };
 const REALLY_MS = 3000;
@@ -22,7 +22,13 @@ export function wireTeaching(ask) {
     target.textContent = "Really delete?";
     setTimeout(() => { delete target.dataset.sure; target.textContent = "Delete"; }, REALLY_MS);
   };
+<<<<<<< HEAD
   run.elements.model.onchange = fillGoals;
+=======
+  run.elements.model.onchange = () => (fillGoals(), warn());
+  $("#world-form").addEventListener("change", warn);
+  run.elements.scheme.onchange = ({ target }) => ((wishedScheme = target.value), fillGoals());
+>>>>>>> main
 }
 
 function send(event, what) {
@@ -41,9 +47,11 @@ let library = { recordings: [], models: [] }, world = null;
 
 /** Take note of where the robot is: what was driven elsewhere is not chosen to learn from, unless somebody does. */
 export function inWorld(now) {
-  if (now === world) return;
-  world = now;
-  drawLibrary(library);
+  if (now !== world) {
+    world = now;
+    drawLibrary(library);
+  }
+  warn();  // the choice of a world follows the robot, and may have changed too
 }
 
 export function drawLibrary(now) {
@@ -61,6 +69,13 @@ export function drawLibrary(now) {
   }
   fillModels();
   allowLearning();
+  warn();
+}
+
+/** Say where the chosen model was taught, unless that is where the run will be. */
+function warn() {
+  const { name, worlds = [] } = library.models.find(({ name }) => name === run.elements.model.value) ?? {}, there = worldOf(world);
+  say($("#elsewhere"), worlds.length === 0 || !there || worlds.includes(there) ? "" : `${short(name)} was taught in ${worlds.join(" and ")}, and this run is in ${there}: it knows no way there.`);
 }
 
 let items = new Map();
@@ -88,7 +103,7 @@ function recordingItem(one) {
   const when = new Date(1000 * one.when_s).toLocaleString([], { dateStyle: "short", timeStyle: "short" });
   const named = one.episode.replace(/-[^-]+-\d+$/, ""), name = /^(drive|run|recovery)-\d+$/.test(named) ? "" : named;
   const title = `${name && `${name}: `}${one.purpose === "run" ? "Run" : "Drive"} to ${one.goal || "?"}`;
-  const facts = one.useless || `${OUTCOMES[one.outcome] ?? "end not recorded"}, ${one.world}, ${Math.round(one.seconds)} s, ${one.frames} frames, ${when}`;
+  const facts = one.useless || `${OUTCOMES[one.outcome] ?? "end not recorded"}${one.corrected ? ", corrected by hand" : ""}, ${one.world}, ${Math.round(one.seconds)} s, ${one.frames} frames, ${when}`;
   const box = element("input", { type: "checkbox", value: one.name, disabled: Boolean(one.useless) });
   const pictures = Array.from({ length: one.thumbnails }, (_, k) => element("img", { alt: "", loading: "lazy", width: 72, height: 54, src: `thumbnail?${new URLSearchParams({ of: one.name, k })}` }));
   const text = element("span", {}, title, element("small", {}, facts));

@@ -32,6 +32,9 @@ export function chosenWorld() {
   return form.hidden ? {} : { world: other(form.elements.world), variation: other(form.elements.variation) };
 }
 
+/** The world of the next drive or run, for a robot that is in `here`. */
+export const worldOf = (here) => (form.hidden ? here : form.elements.world.value);
+
 const other = ({ value, dataset }) => (value === dataset.now ? null : value || null);
 
 /** Take note of a world that has just been made: it is chosen when the robot knows it. */

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
+from services.kit.going_on import each
 from services.simulator.scene.meshes import make
 
 if TYPE_CHECKING:
@@ -72,7 +73,7 @@ def in_cells(surfaces: Iterable[Surface]) -> Cells:
     found: dict[Cell, list[Surface]] = defaultdict(list)
     every = list(surfaces)
     whole = _width(every) <= _WHOLE_M
-    for surface in every:
+    for surface in each(every):
         for cell, piece in [((0, 0), surface)] if whole else _pieces(surface):
             found[cell].append(piece)
     return Cells(tuple(map(tuple, found.values())), np.array([_box(pieces) for pieces in found.values()]))

@@ -16,6 +16,7 @@ import shapely
 from shapely import MultiPolygon, Polygon, affinity
 from shapely.ops import substring
 
+from services.kit.going_on import each
 from services.simulator.scene.culling import CELL_M
 from services.simulator.scene.meshes import Mesh, merge
 from services.simulator.scene.shapes import UP, flat
@@ -59,7 +60,7 @@ def ground(terrain: Terrain, shade: BaseGeometry) -> dict[Material, Mesh]:
     shapely.prepare([claim for _, claim in claims])
     shapely.prepare(shade)
     parts: dict[Material, list[Mesh]] = defaultdict(list)
-    for tile in tiles(shapely.box(*terrain.bounds).buffer(_BEYOND_M, join_style="mitre").bounds):
+    for tile in each(tiles(shapely.box(*terrain.bounds).buffer(_BEYOND_M, join_style="mitre").bounds)):
         for material, layer in _layers(claims, tile).items():
             sunny, shady = layer.difference(shade), layer.intersection(shade)
             parts[material] += _areas(sunny, shady, 0.0)
@@ -166,7 +167,7 @@ def cast_shade(
         (house.footprint, house.min_height_m, house.height_m + house.roof_height_m / 2) for house in terrain.buildings
     ]
     solids += [(barrier.line.buffer(0.15, cap_style="flat"), 0.0, barrier.height_m) for barrier in terrain.barriers]
-    swept = [_swept(outline, step * low, step * high) for outline, low, high in solids]
+    swept = [_swept(outline, step * low, step * high) for outline, low, high in each(solids)]
     # A crown is convex, and so is what it sweeps.
     swept += [_ends(outline, step * low, step * high).convex_hull for outline, low, high in crowns]
     return shapely.union_all(swept).simplify(_SHADE_M)

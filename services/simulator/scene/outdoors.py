@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 from shapely import Polygon
 
+from services.kit.going_on import each
 from services.simulator.scene import bodies
 from services.simulator.scene.facades import paint_bare, paint_facade
 from services.simulator.scene.ground import cast_shade, ground
@@ -72,7 +73,7 @@ def _lights(light: Daylight) -> Lights:
 
 
 def _facades(terrain: Terrain, gables: Mapping[int, Mesh]) -> Iterator[Surface]:
-    for facade, walls in clad(terrain.buildings, gables).items():
+    for facade, walls in each(clad(terrain.buildings, gables).items()):
         upper, ground_floor = paint_facade(facade)
         if walls.upper is not None:
             yield Surface(walls.upper, upper)
@@ -83,7 +84,7 @@ def _facades(terrain: Terrain, gables: Mapping[int, Mesh]) -> Iterator[Surface]:
 
 
 def _covers(covers: Mapping[Cover, list[Mesh]]) -> Iterator[Surface]:
-    for (material, colour), meshes in covers.items():
+    for (material, colour), meshes in each(covers.items()):
         if meshes:
             picture = paint(material)
             yield Surface(merge(meshes), picture if colour is None else tinted(picture, colour))

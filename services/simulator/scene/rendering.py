@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any, Final
 import cv2
 import numpy as np
 
+from services.kit.going_on import each
 from services.simulator.scene import vulkan
 from services.simulator.scene.build import build_scene
 from services.simulator.scene.culling import in_cells
@@ -170,7 +171,7 @@ class SceneCamera:
         self._robot = self._stage.add(scene.robot, ROBOT)
         self._cells = in_cells(scene.still)
         self._occluders = Occluders(scene.blocks)
-        for cell in self._cells.surfaces:
+        for cell in each(self._cells.surfaces):
             self._stage.hang(self._stage.add(cell, STILL))
         self._sky = None if scene.sky is None else self._stage.add([scene.sky], SKY)
         self._behind = [] if self._sky is None else [self._stage.hang(self._sky)]

@@ -9,6 +9,7 @@ import numpy as np
 import shapely
 from shapely import Polygon
 
+from services.kit.going_on import each
 from services.simulator.scene.facades import BAY_M, BAYS, STOREY_M, in_steps
 from services.simulator.scene.shapes import band, faces, flat, outline, ridged
 
@@ -55,7 +56,7 @@ def roofs(buildings: Iterable[Building]) -> Roofs:
     """Return all roofs; courtyards stay open."""
     covers: dict[Cover, list[Mesh]] = defaultdict(list)
     gables: dict[int, Mesh] = {}
-    for number, building in enumerate(buildings):
+    for number, building in enumerate(each(buildings)):
         if building.roof == "flat":
             _flat(building, covers)
             continue

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
+from services.kit.going_on import each
 from services.simulator.scene.facades import BAY_M, BAYS, STOREY_M, STOREYS, alike
 from services.simulator.scene.meshes import Mesh, merge
 from services.simulator.scene.shapes import band, flat, outline, running, tube, walls
@@ -55,7 +56,7 @@ def clad(buildings: Iterable[Building], gables: Mapping[int, Mesh] | None = None
     every = tuple(buildings)
     looks = alike(building.facade for building in every)
     parts: dict[Facade, Parts] = defaultdict(lambda: ([], [], []))
-    for number, building in enumerate(every):
+    for number, building in enumerate(each(every)):
         part = parts[looks[building.facade]]
         for ring in outline(building.footprint):
             _clad_ring(ring, building, part)

@@ -10,6 +10,7 @@ import numpy as np
 import shapely
 from shapely import Polygon
 
+from services.kit.going_on import each
 from services.simulator.robots import RESCUEBOT, RobotModel
 from services.simulator.world.place import Place, Rgb, Scale, Solid
 
@@ -18,6 +19,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
     from shapely import LineString
+    from shapely.geometry.base import BaseGeometry
 
 FacadeStyle = Literal["brick", "plaster", "concrete", "glass", "wood"]
 RoofShape = Literal["flat", "gabled", "hipped"]
@@ -72,11 +74,10 @@ class Building:
     @property
     def posts(self) -> NDArray[np.float64]:
         """Where posts carry a canopy, (n, 2) metres: under its corners; none under what bridges a passage."""
-        inset = self.footprint.simplify(0.5).buffer(-_POST_INSET_M, join_style="mitre")
-        too_large = self.footprint.area > _CANOPY_M2
-        if self.min_height_m <= _HEADROOM_M or too_large or not isinstance(inset, Polygon):
+        if self.min_height_m <= _HEADROOM_M or self.footprint.area > _CANOPY_M2:
             return np.empty((0, 2))
-        return shapely.get_coordinates(inset.exterior)[:-1]
+        inset: BaseGeometry = self.footprint.simplify(0.5).buffer(-_POST_INSET_M, join_style="mitre")
+        return shapely.get_coordinates(inset.exterior)[:-1] if isinstance(inset, Polygon) else np.empty((0, 2))
 
 
 @dataclass(frozen=True, eq=False)
@@ -203,7 +204,7 @@ class Terrain(Place):
         ]
         posts = [
             Solid(shapely.Point(place).buffer(POST_M), 0.0, building.min_height_m, opaque=False)
-            for building in self.buildings
+            for building in each(self.buildings)
             for place in building.posts
         ]
         edge = Solid(shapely.box(*self.bounds).exterior, 0.0, _BANK_M, opaque=False)

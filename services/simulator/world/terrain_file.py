@@ -14,6 +14,7 @@ from pydantic import ValidationError
 from shapely import LineString, Polygon
 
 from schemas.codec import describe
+from services.kit.going_on import each
 from services.simulator.world.osm_limits import LARGEST_M, MOST_WAY_M
 from services.simulator.world.place import Pose, World, WorldError
 from services.simulator.world.terrain import Area, Barrier, Building, Facade, Road, Source, Terrain, Tree
@@ -95,7 +96,7 @@ def _terrain(record: TerrainRecord, name: str) -> Terrain:
     return Terrain(
         name=name,
         bounds=(x_min, y_min, x_max, y_max),
-        buildings=tuple(_building(item, f"buildings.{at}") for at, item in enumerate(record.buildings)),
+        buildings=tuple(_building(item, f"buildings.{at}") for at, item in enumerate(each(record.buildings))),
         roads=tuple(_road(item, f"roads.{at}") for at, item in enumerate(record.roads)),
         areas=tuple(Area(_polygon(item, f"areas.{at}"), item.kind) for at, item in enumerate(record.areas)),
         trees=tuple(Tree(**tree.model_dump()) for tree in record.trees),

@@ -10,7 +10,7 @@ from collections.abc import Callable
 
 from schemas.base import Atom
 from schemas.topics import Topic
-from services.kit.node import configure_logging, read_settings, run_service
+from services.kit.process import configure_logging, read_settings, run_service
 from services.robot.service import ROBOT, serve_robot
 from services.simulator.base import STEP_S
 from services.simulator.body import SimulatedBody

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import pytest
 
 from services.cli.main import main
-from services.kit.node import EXIT_FAILED, EXIT_USAGE
+from services.kit.process import EXIT_FAILED, EXIT_USAGE
 from smal.files.stored import FORMAT_VERSION
 from tests import corridor
 from tests.command import run_smal

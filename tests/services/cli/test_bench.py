@@ -9,7 +9,7 @@ import pytest
 
 from services.cli import bench
 from services.cli import main as cli
-from services.kit.node import EXIT_FAILED, EXIT_USAGE
+from services.kit.process import EXIT_FAILED, EXIT_USAGE
 
 PROBE = """
 import json, os, sys

@@ -14,7 +14,7 @@ from schemas.rpc import ResetRequest
 from services.cli import main as cli
 from services.cli.up import _chain_flags
 from services.kit.errors import UsageError
-from services.kit.node import EXIT_FAILED, EXIT_USAGE
+from services.kit.process import EXIT_FAILED, EXIT_USAGE
 from services.kit.version import program_version
 from tests import corridor
 from tests.services.chain import FEATURES, LENGTH, save_model

@@ -172,6 +172,17 @@ def test_an_episode_teaches_once(drives: Path, tmp_path: Path) -> None:
     assert teaching.remarks == [f"{copy}: episode drive-1 is left out: it is in {drives / 'drive-1.mcap'} too"]
 
 
+def test_a_drive_in_two_files_says_how_they_become_one(tmp_path: Path) -> None:
+    """As a recorder leaves them that was killed, and started again."""
+    first, second = record(tmp_path, drive("e")), tmp_path / "e-2.mcap"
+    joins = f"smal recording repair {first} {second} --out FILE joins them"
+    second.write_bytes(first.read_bytes())
+    assert teach(first, second).teaching.remarks == [f"{second}: episode e is left out: it is in {first} too; {joins}"]
+    assert teach(second, first).teaching.remarks == [f"{first}: episode e is left out: it is in {second} too; {joins}"]
+    second.write_bytes(b"nothing")
+    assert teach(first, second).teaching.remarks == [f"{second}: not an MCAP file; {joins}"]
+
+
 def test_damaged_recordings_are_named_and_the_rest_teaches(
     drives: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

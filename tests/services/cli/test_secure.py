@@ -19,7 +19,8 @@ from services.cli.stack.processes import Stack, StackPlan
 from services.kit.bus import BusError, Router
 from services.kit.credentials import credentials_in
 from services.kit.errors import UsageError
-from services.kit.node import Node, read_settings
+from services.kit.node import Node
+from services.kit.process import read_settings
 from services.kit.settings import ServiceSettings
 from services.router.config import RouterSettings
 from services.table import roles

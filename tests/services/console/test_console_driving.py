@@ -18,7 +18,6 @@ from services.console.web import NONSENSE, TAKEN
 from services.kit.node import Node
 from services.kit.settings import ServiceSettings
 from services.recorder.service import RecorderService
-from services.robot.body import Beginning
 from services.robot.loop import STAND_WITHIN_S
 from tests.services.conftest import RunNode
 from tests.services.console.conftest import Console
@@ -29,8 +28,6 @@ from tests.services.robot.wheels import Robot
 from tests.services.waiting import eventually
 
 OpenPage = Callable[[], Page]
-#: A world is being opened; the robot goes on.
-Opening = tuple[threading.Event, threading.Event]
 #: Where the test is about something else: a busy machine may have the robot stand for a moment, and no longer.
 unattended = pytest.mark.parametrize("robot", [False], indirect=True, ids=["unattended"])
 
@@ -387,36 +384,6 @@ def test_who_answers_slowly_is_there_all_the_same(robot: Robot, recorder: Record
     assert not robot.wheels.driven
 
 
-@pytest.fixture
-def opening(robot: Robot, monkeypatch: pytest.MonkeyPatch) -> Opening:
-    """Have the robot open another world until the test lets it go on."""
-    asked, goes_on, begin = threading.Event(), threading.Event(), robot.wheels.begin
-
-    def open_world(request: ResetRequest) -> Beginning:
-        asked.set()
-        assert goes_on.wait(20.0)
-        return begin(request)
-
-    monkeypatch.setattr(robot.wheels, "begin", open_world)
-    return asked, goes_on
-
-
-@pytest.mark.parametrize("robot", [True, False], indirect=True, ids=["attended", "unattended"])
-def test_an_episode_ends_at_once_whose_person_has_left_while_another_world_was_opened(
-    recorder: RecorderService, console: Console, open_page: OpenPage, opening: Opening
-) -> None:
-    asked, goes_on = opening
-    page, other = open_page(), open_page()
-    page.take()
-    eventually(lambda: page.beats > 0 and page.robot(answers=True))
-    page.insist(asked.is_set, do="drive", goal="dock")
-    page.say(do="leave")
-    eventually(lambda: not console.service.attended)
-    goes_on.set()
-    eventually(lambda: "ended at once: who asked for it has left" in other.news())
-    eventually(lambda: other.state["robot"]["episode"] is None and not other.state["robot"].get("waiting"))
-
-
 def test_a_drive_by_hand_has_no_time_limit(
     recorder: RecorderService, robot: Robot, open_page: OpenPage, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -425,23 +392,6 @@ def test_a_drive_by_hand_has_no_time_limit(
     monkeypatch.setattr(robot.wheels, "begin", lambda request: asked.append(request) or begin(request))
     open_page().begin()
     assert [(request.driver, request.max_ticks) for request in asked] == [("teleop", None)]
-
-
-def test_an_emergency_stop_while_another_world_is_opened_is_latched_when_it_is(
-    robot: Robot, recorder: RecorderService, open_page: OpenPage, opening: Opening
-) -> None:
-    asked, goes_on = opening
-    page, other = open_page(), open_page()
-    page.take()
-    eventually(lambda: page.beats > 0 and page.robot(answers=True))
-    page.held = "forward"
-    page.insist(asked.is_set, do="drive", goal="dock")
-    other.stop()
-    eventually(lambda: robot.gate.stop_cause == "emergency_stop")
-    goes_on.set()
-    eventually(lambda: page.state["robot"]["episode"] is not None)
-    assert robot.gate.stop_cause == "emergency_stop"
-    assert not robot.wheels.driven
 
 
 @unattended
@@ -461,3 +411,12 @@ def test_no_world_is_made_that_the_robot_would_take_for_another(
     page.post("/map?name=town", b"<osm/>")
     eventually(lambda: "leads out of" in page.news())
     assert left_over() <= before
+
+
+def test_a_goal_that_may_not_be_is_refused_in_plain_words(robot: Robot, open_page: OpenPage) -> None:
+    page = open_page()
+    page.take()
+    eventually(lambda: page.beats)
+    page.say(do="drive", goal="a/b")
+    said = "goal: a name has 1 to 64 letters, digits, spaces, . - or _, and begins with a letter, a digit or _"
+    eventually(lambda: page.refusals == [said])

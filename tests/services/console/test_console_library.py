@@ -5,7 +5,6 @@ from __future__ import annotations
 import multiprocessing
 import os
 import signal
-import sys
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -18,16 +17,15 @@ from mcap.data_stream import RecordBuilder
 from mcap.records import Chunk
 
 from schemas.base import Message
+from schemas.command import CommandApplied
 from schemas.episode import Episode
 from schemas.rpc import LoadReply, LoadRequest
 from schemas.state import Place, State
-from services.console.folder import Folder
-from services.console.jobs import Job, Jobs
 from services.console.learned import learned_of
 from services.console.library import LearnedModel, Library
 from services.console.listing import Readers, Recording, end_after
 from services.kit.model_service import identity_of
-from services.kit.node import Node, ServiceError
+from services.kit.node import Node
 from services.kit.settings import ServiceSettings
 from services.recorder.service import RecorderService
 from services.recordings.reader import read_recording
@@ -177,6 +175,30 @@ def test_a_model_tells_its_goals(tmp_path: Path) -> None:
     assert model.fingerprint == corridor.FEATURES.fingerprint
 
 
+def test_a_model_tells_in_which_worlds_it_was_taught_as_far_as_its_recordings_are_there(tmp_path: Path) -> None:
+    corridor.save_model(tmp_path / "corridor.smal")
+    library = Library(tmp_path)
+    (model,) = library.look()["models"]  # type: ignore[misc]
+    assert model["worlds"] == []
+    (episode,) = library.models()[0].episodes
+    record(tmp_path / "drives", [one.model_copy(update={"episode": episode}) for one in recorded_messages.episode("e")])
+    record(tmp_path / "drives", list(recorded_messages.episode("other")))
+    (model,) = library.look()["models"]  # type: ignore[misc]
+    assert model["worlds"] == [library.recordings()[0].world]
+
+
+@pytest.mark.parametrize(("source", "corrected"), [("teleop", True), ("policy", False)])
+def test_a_run_is_corrected_where_a_person_took_over(tmp_path: Path, source: Any, corrected: bool) -> None:
+    messages = [
+        one.model_copy(update={"source": source}) if isinstance(one, CommandApplied) and one.tick == 2 else one
+        for one in recorded_messages.episode("run-1", purpose="run")
+    ]
+    record(tmp_path / "drives", messages)
+    library = Library(tmp_path)
+    (shown,) = library.look()["recordings"]  # type: ignore[misc]
+    assert shown["corrected"] is corrected
+
+
 def test_where_a_belief_is_on_the_taught_way() -> None:
     model = corridor.model()
     learned = learned_of(model, None, {})
@@ -298,89 +320,6 @@ def test_a_run_is_of_the_model_and_scheme_that_are_chosen_and_recorded(
     page.say(do="end", found=True)
     (recording,) = eventually(lambda: page.state["library"]["recordings"])
     assert (recording["purpose"], recording["goal"], recording["outcome"]) == ("run", "victim", "found")
-
-
-SCRIPT = """
-import signal, sys, time
-STAGE = '{"stage": "deaf", "done": 1, "total": 1}'
-print('{"stage": "reading", "done": 1, "total": 4}', flush=True)
-print("a line for people", flush=True)
-"""
-
-
-def jobs_of(script: str, patience_s: float = 60.0) -> tuple[Jobs, list[dict[str, object]]]:
-    shown: list[dict[str, object]] = []
-    return Jobs(shown.append, (sys.executable, "-c", SCRIPT + script), patience_s), shown
-
-
-def learning(out: Path, needs: Folder | None = None) -> Job:
-    arguments = ("learn", "a.mcap")
-    return Job("model", out.stem, f"Learning {out.stem}", "it is learned", arguments, out, "/root/", needs)
-
-
-@pytest.mark.parametrize(
-    ("script", "outcome", "why"),
-    [
-        ("", "done", ""),
-        ("sys.stderr.write('smal: left out\\nsmal: /root/a: no\\n'); sys.exit(1)", "failed", "a: no"),
-        ("sys.exit(1)", "failed", "it ended with status 1"),
-    ],
-)
-def test_a_job_tells_how_far_it_is_and_how_it_ended(tmp_path: Path, script: str, outcome: str, why: str) -> None:
-    jobs, shown = jobs_of(script)
-    needed = Folder()
-    jobs.begin(learning(tmp_path / "models" / "way.smal", needed))
-    eventually(lambda: not jobs.running)
-    end = eventually(lambda: shown[-1] if "outcome" in shown[-1] else None)
-    said = {"kind": "model", "name": "way", "doing": "Learning way", "done": "it is learned"}
-    assert {**said, "stage": "reading", "share": 0.25} in shown
-    assert (end["outcome"], end["why"]) == (outcome, why)
-    assert not needed.path.exists()
-
-
-def test_a_job_is_cancelled_and_one_runs_at_a_time(tmp_path: Path) -> None:
-    jobs, shown = jobs_of("time.sleep(60)")
-    jobs.begin(learning(tmp_path / "way.smal"))
-    with pytest.raises(ServiceError, match="something else is being made"):
-        jobs.begin(learning(tmp_path / "other.smal"))
-    eventually(lambda: any(one.get("stage") == "reading" for one in shown))
-    jobs.cancel()
-    eventually(lambda: shown[-1].get("outcome") == "cancelled")
-    (tmp_path / "way.smal").touch()
-    needed = Folder()
-    with pytest.raises(ServiceError, match="choose another name"):
-        jobs.begin(learning(tmp_path / "way.smal", needed))
-    assert not needed.path.exists()
-
-
-#: As one that calculates something in one piece does.
-DEAF = "signal.signal(signal.SIGTERM, signal.SIG_IGN); print(STAGE, flush=True); "
-
-
-@pytest.mark.parametrize("how", ["cancelled", "says nothing"])
-def test_a_job_that_does_not_hear_is_ended(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, how: str) -> None:
-    monkeypatch.setattr("services.console.jobs._ENDING_S", 0.1)
-    jobs, shown = jobs_of(DEAF + "time.sleep(60)", patience_s=60.0 if how == "cancelled" else 3.0)
-    jobs.begin(learning(tmp_path / "way.smal"))
-    eventually(lambda: any(one.get("stage") == "deaf" for one in shown))
-    if how == "cancelled":
-        jobs.cancel()
-    end = eventually(lambda: shown[-1] if "outcome" in shown[-1] else None, timeout_s=20.0)
-    assert not jobs.running
-    if how == "cancelled":
-        assert end["outcome"] == "cancelled"
-    else:
-        assert (end["outcome"], "it has said nothing for" in str(end["why"])) == ("failed", True)
-
-
-def test_another_job_begins_where_the_last_one_s_folder_could_not_be_removed(tmp_path: Path) -> None:
-    jobs, shown = jobs_of("")
-    needed = Folder()
-    needed.path.rmdir()
-    jobs.begin(learning(tmp_path / "way.smal", needed))
-    eventually(lambda: shown and shown[-1].get("outcome") == "done")
-    jobs.begin(learning(tmp_path / "other.smal"))
-    eventually(lambda: shown[-1].get("name") == "other" and shown[-1].get("outcome") == "done")
 
 
 @pytest.mark.parametrize(("goals", "nearest"), [((), "victim"), (("dock",), "dock"), (("dock", "ward"), "nearest")])

@@ -179,3 +179,37 @@ def test_who_is_in_the_list_of_recordings_stays_there_when_it_grows(page: Page, 
     )
     assert boxes.evaluate_all("all => all.map(({checked}) => checked)") == [True, False]
     assert page.evaluate("document.activeElement.value") == "drives/a-s-1.mcap"
+
+
+def test_what_is_being_begun_is_cancelled_by_who_drives(page: Page, person: Person, board: Board) -> None:
+    told = {"episode": None, "answers": True, "emergency": False, "at": 0.0}
+    board.put("robot", told | {"waiting": True})
+    page.wait_for_selector("#camera .empty:has-text('Waiting for the robot')")
+    assert not page.is_visible("#withdraw"), "who watches cancels nothing"
+    page.click("#seat")
+    page.click("#withdraw")
+    eventually(lambda: [ask.do for ask in person.asked] == ["withdraw"])
+    board.put("robot", told | {"waiting": False})
+    page.wait_for_selector("#withdraw", state="hidden")
+
+
+def test_who_runs_a_model_is_warned_where_it_was_taught_in_another_world(page: Page, board: Board) -> None:
+    models = [{"name": "models/way.smal", "goals": ["victim"], "worlds": ["campus"], "useless": ""}]
+    board.put("library", {"folder": "drives", "recordings": [], "models": models})
+    tell_robot(board, world="yard", worlds="campus, yard", variation="day", variations="day")
+    warned = page.locator("#elsewhere")
+    said = "way was taught in campus, and this run is in yard: it knows no way there."
+    eventually(lambda: warned.inner_text() == said)
+    page.select_option("#world-form [name=world]", "campus")
+    eventually(lambda: warned.inner_text() == "")
+    page.select_option("#world-form [name=world]", "yard")
+    eventually(lambda: warned.inner_text() == said)
+    tell_robot(board, world="campus", worlds="campus, yard", variation="day", variations="day")
+    eventually(lambda: warned.inner_text() == "")
+
+
+def test_a_run_that_somebody_has_corrected_says_so(page: Page, board: Board) -> None:
+    runs = [recording(name) | {"purpose": "run", "corrected": name == "b-s-2"} for name in ("b-s-2", "a-s-1")]
+    board.put("library", {"folder": "drives", "models": [], "recordings": runs})
+    facts = page.locator("#recordings small")
+    eventually(lambda: ["corrected by hand" in text for text in facts.all_inner_texts()] == [True, False])

@@ -16,7 +16,8 @@ from schemas.base import Message
 from schemas.command import Command
 from schemas.rpc import LoadReply, LoadRequest
 from services.kit.model_service import LoadedModel
-from services.kit.node import ServiceError, Throttle
+from services.kit.node import ServiceError
+from services.kit.throttle import Throttle
 from services.policy.service import PolicyService
 from services.recognition.service import RecognitionService
 from smal.paper.model import Model

@@ -25,8 +25,10 @@ from schemas.rpc import EndRequest, Nothing, Status
 from schemas.topics import Topic
 from services.kit.bus import Bus, BusError, RpcError
 from services.kit.inbox import Inbox
-from services.kit.node import Node, ServiceError, Throttle, read_settings, run_service
+from services.kit.node import Node, ServiceError
+from services.kit.process import read_settings, run_service
 from services.kit.settings import ServiceSettings
+from services.kit.throttle import Throttle
 from tests.services.conftest import RunNode
 from tests.services.waiting import eventually, introduce, ready, send_as_stranger, status_of
 
@@ -298,7 +300,8 @@ def test_throttle_lets_one_line_a_second_through() -> None:
 
 SERVICE = """
 from services.kit.settings import ServiceSettings
-from services.kit.node import Node, configure_logging, read_settings, run_service
+from services.kit.node import Node
+from services.kit.process import configure_logging, read_settings, run_service
 def serve():
     settings = read_settings(ServiceSettings, "sample")
     configure_logging(settings.log_level)

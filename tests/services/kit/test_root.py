@@ -130,7 +130,7 @@ def test_a_device_is_none(device: str, settings: ServiceSettings, run_node: RunN
 def test_names_that_are_none_are_refused_before_anything_is_looked_at(service: str, client: Bus) -> None:
     lines = {refusal(lambda name=name: load(client, service, name)) for name in MALFORMED}
     assert lines == {
-        "model: Value error, must be a path below the root of the service, relative, and no part may begin with a dot",
+        "model: must be a path below the root of the service, relative, and no part may begin with a dot",
         "model: String should have at most 1023 characters",
         "model: String should have at least 1 character",
     }

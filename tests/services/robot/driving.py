@@ -11,7 +11,8 @@ from schemas.episode import Episode
 from schemas.rpc import ResetRequest
 from services.robot.gate import CommandGate
 from services.robot.loop import PERIOD_S
-from services.robot.runner import EpisodeRunner, Pace, RealTime
+from services.robot.pace import Pace, RealTime
+from services.robot.runner import EpisodeRunner
 from services.simulator.body import SimulatedBody
 from services.simulator.lockstep import Lockstep
 from services.simulator.simulation import Simulation

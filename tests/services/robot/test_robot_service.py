@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import os
 import signal
 import threading
@@ -11,13 +12,16 @@ import pytest
 
 from schemas.command import Command
 from schemas.pulse import Pulse
+from schemas.rpc import ArmRequest, CancelRequest, Nothing, ResetReply, ResetRequest
 from schemas.topics import APPLIED, PULSE
-from services.kit.bus import Bus
+from services.kit.bus import Bus, RpcError
+from services.kit.going_on import each
 from services.kit.node import Node, ServiceError
 from services.kit.settings import ServiceSettings
 from services.operator.hold import KeyHold
 from services.operator.operator import POLL_S, Operator
 from services.robot import service
+from services.robot.body import Beginning
 from services.robot.clock import now_s
 from services.robot.config import RobotSettings
 from services.robot.gate import CommandGate
@@ -127,3 +131,76 @@ def test_two_robots_of_one_id_that_start_in_the_same_instant_are_one(
     for thread in threads:
         thread.join(10.0)
     assert len(refused) == 1
+
+
+class Endless(Wheels):
+    """Opens a world of which there is always more."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.opens = threading.Event()
+
+    def begin(self, request: ResetRequest) -> Beginning:
+        if request.world is None:
+            return super().begin(request)
+        for _ in each(itertools.count()):
+            self.opens.set()
+            time.sleep(0.001)
+        raise AssertionError
+
+
+def test_the_opening_of_a_world_is_cancelled_by_who_asked_for_it_or_the_operator_alone(
+    settings: ServiceSettings, run_node: RunNode, client: Bus
+) -> None:
+    wheels, gate, told = Endless(), CommandGate(), list[str]()
+    runner = EpisodeRunner(wheels, OperatorsTask(), gate, settings.robot, "s")
+    node = Node("robot", settings)
+    RobotService(runner, node)
+    run_node(node)
+    client.call("robot", "arm", ArmRequest(stop=gate.emergency_stop), Nothing)
+
+    def cancel(session: str) -> str:
+        try:
+            client.call("robot", "cancel", CancelRequest(session=session), Nothing)
+        except RpcError as error:
+            return str(error)
+        return "cancelled"
+
+    def open_for(session: str) -> threading.Thread:
+        def ask() -> None:
+            with pytest.raises(RpcError) as refused:
+                client.call(
+                    "robot", "reset", ResetRequest(seed=1, mode="realtime", world="town", session=session), ResetReply
+                )
+            told.append(str(refused.value))
+
+        wheels.opens.clear()
+        thread = threading.Thread(target=ask, daemon=True)
+        thread.start()
+        assert wheels.opens.wait(10.0)
+        return thread
+
+    assert cancel("a") == "robot cancel: there is nothing to cancel: no episode is being begun"
+    opening = open_for("a")
+    assert cancel("b") == "robot cancel: only who asked for this episode, or the operator, may cancel it"
+    assert cancel("a") == "cancelled"
+    opening.join(10.0)
+    assert told == ["robot reset: cancelled by who asked for it; the robot is in line, without an episode"]
+    assert runner.running is None
+    operates = threading.Event()
+    with Node("teleop", settings) as desk:
+        operator = Operator(desk, KeyHold(now_s), notes := Notes())
+        desk.every(POLL_S, operator.poll)
+        thread = threading.Thread(target=lambda: desk.spin(operates.is_set, 30.0), daemon=True)
+        thread.start()
+        eventually(lambda: gate.operator == desk.session)
+        opening = open_for("a")
+        operator.withdraw()
+        opening.join(10.0)
+        assert told[1:] == ["robot reset: cancelled by the operator; the robot is in line, without an episode"], (
+            notes.said
+        )
+        operates.set()
+        thread.join(10.0)
+    reply = client.call("robot", "reset", ResetRequest(seed=1, mode="realtime"), ResetReply)
+    assert reply.world == "line", "it takes the next request"

@@ -11,16 +11,19 @@ from typing import Any
 import pytest
 
 from schemas.rpc import ResetRequest
+from services.kit.going_on import asking
 from services.kit.node import ServiceError
 from services.simulator.base import KinematicBase
 from services.simulator.body import SimulatedBody
 from services.simulator.config import SimulatorSettings
+from services.simulator.scene.build import build_scene
 from services.simulator.sensors.camera import CameraSettings
 from services.simulator.simulation import Simulation
 from services.simulator.variation import VARIATIONS
 from services.simulator.world import load_world
 from services.simulator.world.importing import import_map
 from services.simulator.world.loading import WORLDS_FOLDER, Wishes
+from services.simulator.world.terrain import Terrain
 from services.simulator.worlds import Worlds
 from tests.services.simulator.simulator_driving import StubCamera
 
@@ -172,3 +175,33 @@ def test_what_may_be_asked_for_is_listed(made: Path, opened: list[tuple[str, str
     body = SimulatedBody(worlds.open(), worlds=worlds)
     begin(body, world=name)
     assert body.name == name
+
+
+class EnoughError(Exception):
+    """What ends the opening of a world."""
+
+
+def test_the_robot_stays_where_it_is_when_the_opening_of_another_world_is_ended(
+    made: Path, opened: list[tuple[str, str]]
+) -> None:
+    def enough() -> None:
+        raise EnoughError
+
+    worlds = worlds_of(made, world="yard")
+    body = SimulatedBody(worlds.open(), worlds=worlds)
+    before = body.simulation
+    with pytest.raises(EnoughError), asking(enough):
+        begin(body, world="my town")
+    assert (body.simulation, worlds.here) == (before, ("yard", "day"))
+    begin(body, world="my town")
+    assert (body.name, worlds.here) == ("my town", ("my town", "day"))
+
+
+def test_what_is_drawn_of_a_world_is_made_in_steps_between_which_it_may_be_ended() -> None:
+    asked: list[None] = []
+    world = load_world("yard")
+    with asking(lambda: asked.append(None)):
+        build_scene(world, VARIATIONS["day"].light, shadows=True)
+    assert isinstance(world.place, Terrain)
+    steps_of_a_house = 3  # its shade, its roof, its walls
+    assert len(asked) > steps_of_a_house * len(world.place.buildings)

@@ -23,7 +23,8 @@ from services.cli.stack.processes import Access
 from services.expert.service import ExpertService
 from services.kit.errors import JobError, UsageError
 from services.kit.model_service import identity_of
-from services.kit.node import EXIT_FAILED, EXIT_USAGE, Detail, Node, ServiceError
+from services.kit.node import Detail, Node, ServiceError
+from services.kit.process import EXIT_FAILED, EXIT_USAGE
 from services.kit.settings import ServiceSettings
 from services.robot.episode import RunOutcome
 from tests import corridor

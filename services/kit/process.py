@@ -1,0 +1,46 @@
+"""How the process of a service starts, and ends where it cannot."""
+
+from __future__ import annotations
+
+import logging
+import sys
+from collections.abc import Callable
+from typing import Final, TypeVar
+
+from pydantic import ValidationError
+
+from schemas.codec import describe
+from services.kit.bus import BusError
+from services.kit.http import HttpError
+from services.kit.node import ServiceError
+from services.kit.settings import ServiceSettings
+
+EXIT_FAILED: Final = 1
+EXIT_USAGE: Final = 2
+S = TypeVar("S", bound=ServiceSettings)
+
+
+def read_settings(cls: type[S], service: str) -> S:
+    """Read settings from flags and environment; exit with status 2 and one line where they are wrong."""
+    try:
+        return cls(_cli_parse_args=True, _cli_prog_name=f"python -m services.{service}")
+    except ValidationError as error:
+        sys.stderr.write(f"{service}: {describe(error)}\n")
+        raise SystemExit(EXIT_USAGE) from None
+
+
+def configure_logging(level: str) -> None:
+    """Log to standard error, one line an event."""
+    logging.basicConfig(
+        level=level.upper(), stream=sys.stderr, format="%(asctime)s.%(msecs)03d %(levelname)-7s %(name)s: %(message)s",
+        datefmt="%H:%M:%S", force=True,
+    )  # fmt: skip
+
+
+def run_service(name: str, serve: Callable[[], None]) -> None:
+    """Run a service's main function; a failure to start is one line and exit status 1."""
+    try:
+        serve()
+    except (ServiceError, BusError, HttpError) as error:
+        logging.getLogger(name).error("%s", error)  # noqa: TRY400 - one clear line is what an operator needs
+        raise SystemExit(EXIT_FAILED) from None

@@ -1,0 +1,124 @@
+"""A world that the robot opens for a page: who has left or cancels meanwhile drives nothing, and a stop is heard."""
+
+from __future__ import annotations
+
+import itertools
+import threading
+import time
+from collections.abc import Callable
+
+import pytest
+
+from schemas.rpc import ResetRequest
+from services.kit.going_on import each
+from services.recorder.service import RecorderService
+from services.robot.body import Beginning
+from tests.services.console.conftest import Console
+from tests.services.console.page import Page
+from tests.services.robot.wheels import Robot
+from tests.services.waiting import eventually
+
+OpenPage = Callable[[], Page]
+#: A world is being opened; the robot goes on.
+Opening = tuple[threading.Event, threading.Event]
+unattended = pytest.mark.parametrize("robot", [False], indirect=True, ids=["unattended"])
+
+
+@pytest.fixture
+def opening(robot: Robot, monkeypatch: pytest.MonkeyPatch) -> Opening:
+    """Have the robot open another world until the test lets it go on."""
+    asked, goes_on, begin = threading.Event(), threading.Event(), robot.wheels.begin
+
+    def open_world(request: ResetRequest) -> Beginning:
+        asked.set()
+        assert goes_on.wait(20.0)
+        return begin(request)
+
+    monkeypatch.setattr(robot.wheels, "begin", open_world)
+    return asked, goes_on
+
+
+@pytest.mark.parametrize("robot", [True, False], indirect=True, ids=["attended", "unattended"])
+def test_an_episode_ends_at_once_whose_person_has_left_while_another_world_was_opened(
+    recorder: RecorderService, console: Console, open_page: OpenPage, opening: Opening
+) -> None:
+    asked, goes_on = opening
+    page, other = open_page(), open_page()
+    page.take()
+    eventually(lambda: page.beats > 0 and page.robot(answers=True))
+    page.insist(asked.is_set, do="drive", goal="dock")
+    page.say(do="leave")
+    eventually(lambda: not console.service.attended)
+    goes_on.set()
+    eventually(lambda: "ended at once: who asked for it has left" in other.news())
+    eventually(lambda: other.state["robot"]["episode"] is None and not other.state["robot"].get("waiting"))
+
+
+def test_an_emergency_stop_while_another_world_is_opened_is_latched_when_it_is(
+    robot: Robot, recorder: RecorderService, open_page: OpenPage, opening: Opening
+) -> None:
+    asked, goes_on = opening
+    page, other = open_page(), open_page()
+    page.take()
+    eventually(lambda: page.beats > 0 and page.robot(answers=True))
+    page.held = "forward"
+    page.insist(asked.is_set, do="drive", goal="dock")
+    other.stop()
+    eventually(lambda: robot.gate.stop_cause == "emergency_stop")
+    goes_on.set()
+    eventually(lambda: page.state["robot"]["episode"] is not None)
+    assert robot.gate.stop_cause == "emergency_stop"
+    assert not robot.wheels.driven
+
+
+@pytest.fixture
+def endless(robot: Robot, monkeypatch: pytest.MonkeyPatch) -> threading.Event:
+    """Have the robot open a world of which there is always more, until it is told not to go on."""
+    asked = threading.Event()
+
+    def open_world(_: ResetRequest) -> Beginning:
+        for _ in each(itertools.count()):
+            asked.set()
+            time.sleep(0.001)
+        raise AssertionError
+
+    monkeypatch.setattr(robot.wheels, "begin", open_world)
+    return asked
+
+
+@unattended
+def test_the_opening_of_a_world_is_cancelled_and_the_next_drive_begins(
+    robot: Robot,
+    recorder: RecorderService,
+    open_page: OpenPage,
+    endless: threading.Event,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    page = open_page()
+    page.take()
+    eventually(lambda: page.beats > 0 and page.robot(answers=True))
+    page.insist(endless.is_set, do="drive", goal="dock")
+    eventually(lambda: page.robot(waiting=True))
+    page.insist(lambda: page.robot(waiting=False, episode=None), do="withdraw")
+    assert "robot reset: cancelled by who asked for it; the robot is in line, without an episode" in page.news()
+    page.say(do="withdraw")
+    eventually(lambda: "there is nothing to cancel: no episode is being begun" in page.news())
+    monkeypatch.undo()
+    page.insist(lambda: page.state["robot"]["episode"] is not None, do="drive", goal="dock")
+
+
+@unattended
+def test_a_drive_that_is_cancelled_too_late_for_the_robot_ends_at_once(
+    robot: Robot, recorder: RecorderService, open_page: OpenPage, opening: Opening
+) -> None:
+    """Its body tells of no steps between which it could end."""
+    asked, goes_on = opening
+    page = open_page()
+    page.take()
+    eventually(lambda: page.beats > 0 and page.robot(answers=True))
+    page.insist(asked.is_set, do="drive", goal="dock")
+    page.say(do="withdraw")
+    page.let_go()  # what was said before is heard
+    goes_on.set()
+    eventually(lambda: "cancelled" in page.news())
+    eventually(lambda: page.robot(waiting=False, episode=None))
