@@ -15,16 +15,10 @@ from schemas.codec import printable
 from schemas.rpc import FileName
 from services.console.listing import Readers, Recording
 from services.kit.root import OutsideError, below, name_below, open_below
-<<<<<<< HEAD
+from services.recordings.taught import episode_of
 from smal.files import container
 from smal.files.container import ModelError
 from smal.files.stored import FORMAT_VERSION
-=======
-from services.recordings.taught import episode_of
-from smal import container
-from smal.container import ModelError
-from smal.model import FORMAT_VERSION
->>>>>>> main
 
 #: Folders below the root: of the drives, unless the recorder says otherwise, and of the models that are learned here.
 DRIVES: Final = "drives"
@@ -193,19 +187,10 @@ class Library:
         try:
             with open_below(self.root, name) as file:
                 meta = container.read_meta(file, name, FORMAT_VERSION)
-<<<<<<< HEAD
-            goals = meta["map"]["goals"] if meta["scheme"] == "filter" else ()
-            return stamp, replace(listed, goals=tuple(sorted({printable(str(goal)) for goal in goals})),
-                                  fingerprint=printable(str(meta["feature_fingerprint"])),
-                                  longest=int(meta["longest"]))  # fmt: skip
-=======
-            goals = tuple(sorted({printable(str(goal)) for goal in (meta["map"] or {"goals": ()})["goals"]}))
-            episodes = frozenset(episode_of(str(name)) for name in meta["names"])
-            fingerprint, longest = (
-                printable(str(meta["feature_fingerprint"])),
-                max(int(each) for each in meta["frames"]),
-            )
+            mapped = meta["map"] if meta["scheme"] == "filter" else {"goals": (), "names": ()}
+            goals = tuple(sorted({printable(str(goal)) for goal in mapped["goals"]}))
+            episodes = frozenset(episode_of(str(name)) for names in mapped["names"] for name in names)
+            fingerprint, longest = printable(str(meta["feature_fingerprint"])), int(meta["longest"])
             return stamp, replace(listed, goals=goals, episodes=episodes, fingerprint=fingerprint, longest=longest)
->>>>>>> main
         except (ModelError, LookupError, TypeError, ValueError, ArithmeticError, OSError) as error:
             return stamp, replace(listed, useless=printable(str(error)).removeprefix(f"{name}: "))

@@ -229,15 +229,10 @@ class ConsoleService:
                 self._begin(request, self._record)
             case Run():
                 self._run(ask)
-<<<<<<< HEAD
-            case Learn():
-                self._learn(ask)
-=======
             case Withdraw():
                 self._operator.withdraw()
-            case Learn(name=name, recordings=names):
-                self._learn(name, names)
->>>>>>> main
+            case Learn():
+                self._learn(ask)
             case Cancel():
                 self._jobs.cancel()
             case Delete(recording=name):

@@ -15,13 +15,8 @@ from schemas.command import Command, CommandApplied
 from schemas.rpc import LoadReply
 from schemas.state import State
 from services.kit.model_service import LoadedModel
-<<<<<<< HEAD
-from services.kit.node import Detail, Throttle
-=======
 from services.kit.node import Detail
 from services.kit.throttle import Throttle
-from smal.decision import DecisionMaker
->>>>>>> main
 from smal.filter import Belief
 from smal.model import Model
 from smal.paper.execution import DecisionMaker, Recognition

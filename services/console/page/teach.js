@@ -22,13 +22,8 @@ export function wireTeaching(ask) {
     target.textContent = "Really delete?";
     setTimeout(() => { delete target.dataset.sure; target.textContent = "Delete"; }, REALLY_MS);
   };
-<<<<<<< HEAD
-  run.elements.model.onchange = fillGoals;
-=======
   run.elements.model.onchange = () => (fillGoals(), warn());
   $("#world-form").addEventListener("change", warn);
-  run.elements.scheme.onchange = ({ target }) => ((wishedScheme = target.value), fillGoals());
->>>>>>> main
 }
 
 function send(event, what) {
