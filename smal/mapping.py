@@ -98,8 +98,6 @@ def learn(
     images = ImageChain([one.images for one in taught if one.images is not None])
     centering = Centering.fit([one.features for one in taught], features)
     centred = np.concatenate([centering.apply(one.features) for one in taught])
-    if not centred.any():
-        raise ValueError("all images of the demonstrations look the same")
 
     def describe(image: Image) -> NDArray[np.float32]:
         return centering.apply(extract(image, features))
@@ -113,6 +111,8 @@ def learn(
         focal = focal_of_curves(images, way.poses, way.drives, describe) if focal is None else focal
         undone = turns_undone(images, centred, way.poses, way.drives, focal, describe)
     length, unrelated = correlation_length(centred, way.poses, way.drives, undone)
+    if not centred.any():
+        raise ValueError("all images of the demonstrations look the same")
     scene = fit_scene(images, way.poses, way.drives, length, describe, focal)
     keyframes = _choose_keyframes(way.poses, way.drives, length)
     views, basis = _make_views(images, keyframes, scene, _ASIDE * length, describe, progress)

@@ -52,9 +52,9 @@ def test_a_new_episode_is_like_the_first() -> None:
 
 
 def test_the_robot_of_the_paper_takes_the_same_and_reaches_the_end_too() -> None:
-    robot = PaperRobot(paper_model())
+    robot = PaperRobot(paper_model(), stride=1)
     made = [robot.step(view(*pose(frame)), pose(frame)) for frame in range(FRAMES)]
-    assert made[LENGTH : FRAMES - LENGTH] == [Atom.FORWARD] * (FRAMES - 2 * LENGTH)
+    assert made[LENGTH - 1 : -LENGTH] == [Atom.FORWARD] * (FRAMES - 2 * LENGTH + 1)
     assert robot.done
 
 

@@ -16,6 +16,7 @@ import pytest
 from smal import mapping
 from smal.demonstration import Demonstration
 from smal.features import extract
+from smal.files.map_file import content_of_map
 from smal.filter import Filter
 from smal.movement import Atom, Movement
 from smal.virtual_views import TURNS_DEG
@@ -263,10 +264,10 @@ def test_parts_that_do_not_fit_are_named(name: str, change: Any) -> None:
 
 def test_the_content_makes_the_map_again() -> None:
     good = of_two_drives()
-    numbers, arrays = good.content()
+    numbers, arrays = content_of_map(good)
     again = VisualMap(**numbers, **arrays)
     assert not {*numbers} & {*arrays}
-    assert again.content()[0] == numbers
+    assert content_of_map(again)[0] == numbers
     for name, array in arrays.items():
         np.testing.assert_array_equal(getattr(again, name), array)
 
