@@ -15,16 +15,8 @@ from numpy.typing import NDArray
 
 from smal.demonstration import Image
 from smal.movement import wrapped
+from smal.settings import SETTINGS
 from smal.virtual_views import Scene
-
-#: Frames of a drive that the statistics of views are taken from; their number grows with the square.
-_LOOKED_AT = 1000
-#: Pairs of frames, at most, whose turn is undone: a thousandth of a second each.
-_MOST_UNDONE = 500
-#: Turned less than this a view is the same; turned more than this two views hardly overlap.
-_SAME_DEG, _OVERLAP_DEG = 3.0, 40.0
-#: Views of one place are looked for so much of the longest way apart.
-_REACH = 0.2
 
 #: Distances of pairs of frames, and the cosines of their views, (p,) each.
 Compared = tuple[NDArray[np.float64], NDArray[np.float64]]
@@ -43,9 +35,11 @@ def _apart(poses: NDArray[np.float64], car: bool) -> tuple[NDArray[np.float64], 
 
 
 def _spread(drives: NDArray[np.int32]) -> list[NDArray[np.intp]]:
-    """Choose at most `_LOOKED_AT` frames of each drive, all over it."""
+    """Choose at most `SETTINGS.most_frames` frames of each drive, all over it."""
     each = [np.flatnonzero(drives == drive) for drive in np.unique(drives)]
-    return [one[np.unique(np.linspace(0, one.size - 1, min(one.size, _LOOKED_AT)).astype(int))] for one in each]
+    return [
+        one[np.unique(np.linspace(0, one.size - 1, min(one.size, SETTINGS.most_frames)).astype(int))] for one in each
+    ]
 
 
 def turns_undone(
@@ -75,11 +69,11 @@ def turns_undone(
     found = []
     for frames in _spread(drives):
         distance, angle = _apart(poses[frames], car=True)
-        curved = (angle >= math.radians(_SAME_DEG)) & (angle < math.radians(_OVERLAP_DEG))
-        one, other = np.nonzero(np.triu(curved & (distance < _REACH * distance.max())))
+        curved = (angle >= math.radians(SETTINGS.same_deg)) & (angle < math.radians(SETTINGS.overlap_deg))
+        one, other = np.nonzero(np.triu(curved & (distance < SETTINGS.reach * distance.max())))
         found.append(np.stack([frames[one], frames[other]], axis=1))
     pairs = np.concatenate(found)
-    pairs = pairs[np.unique(np.linspace(0, len(pairs) - 1, min(len(pairs), _MOST_UNDONE)).astype(int))]
+    pairs = pairs[np.unique(np.linspace(0, len(pairs) - 1, min(len(pairs), SETTINGS.most_pairs)).astype(int))]
     first, second = pairs.T
     scene = Scene(focal, 1.0, 1e6)
 
@@ -116,7 +110,7 @@ def correlation_length(
         distance, angle = _apart(poses[frames], undone is not None)
         reach = float(distance.max())
         unrelated.append(cosines[distance >= 0.1 * reach] if reach > 0.0 else np.zeros(1))
-        same = (angle < math.radians(_SAME_DEG)) & (distance < _REACH * reach)
+        same = (angle < math.radians(SETTINGS.same_deg)) & (distance < SETTINGS.reach * reach)
         found.append((distance[same], cosines[same]))
     background = float(np.concatenate(unrelated).mean())
     distances, cosines = (np.concatenate([one[k] for one in found]) for k in (0, 1))

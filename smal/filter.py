@@ -27,23 +27,9 @@ from numpy.typing import NDArray
 
 from smal.features import Centering
 from smal.movement import BY_ODOMETRY, STILL, MotionNoise, Movement, seen_from, wrapped
+from smal.settings import SETTINGS
 from smal.virtual_views import TURNS_DEG
-from smal.visual_map import VIEWS_A_LENGTH, VisualMap
-
-#: How often a robot is carried away, or a view of the way changes for good: once in so many seconds.
-KIDNAP_S = 300.0
-#: Share of views that show nothing of the place, since something hides it.
-_HIDDEN = 0.05
-#: First belief: at the start of a taught drive, anywhere beside the ways, and lost.
-_FIRST = (0.5, 0.4, 0.1)
-#: Share of lost robots that are beside the way again when scouts are sent.
-_BACK = 0.1
-#: How far the first heading may be from the taught one, degrees.
-_FIRST_TURN_DEG = 30.0
-#: Particles of each set.
-_PARTICLES = 1000
-#: Keyframes to both sides among which a particle that moved finds the nearest.
-_REACH = np.arange(-6, 7)
+from smal.visual_map import VisualMap
 
 
 @dataclass(frozen=True, eq=False)
@@ -112,7 +98,7 @@ class _Particles:
         self.poses += np.stack([ahead * np.cos(middle), ahead * np.sin(middle), turn], axis=1)
         self.followed += self._map.lengths(movement) * self._map.correlation_length
         first, last = (edge[self.keyframes][:, None] for edge in self._map.key_range)
-        near = np.clip(self.keyframes[:, None] + _REACH, first, last)
+        near = np.clip(self.keyframes[:, None] + np.arange(-SETTINGS.neighbours, SETTINGS.neighbours + 1), first, last)
         apart = self.poses[:, None] - self._map.key_poses[near]
         far = (apart[..., 0] ** 2 + apart[..., 1] ** 2) / self._map.correlation_length**2
         # A turn is covered by the virtual views: it counts for less than the place.
@@ -185,7 +171,7 @@ class _Particles:
 def _likelihood(kappa: float, above: NDArray[Any], beyond: NDArray[Any] | float = 0.0) -> NDArray[np.float64]:
     """Return how much likelier a view is here than anywhere, its cosine being so far above that of an outlier."""
     evidence = kappa * above - 2.0 * np.square(beyond)
-    return np.asarray((1.0 - _HIDDEN) * np.exp(evidence) + _HIDDEN, dtype=np.float64)
+    return np.asarray((1.0 - SETTINGS.hidden) * np.exp(evidence) + SETTINGS.hidden, dtype=np.float64)
 
 
 def _norm(share: NDArray[np.float64], cosine: NDArray[Any]) -> NDArray[np.float64]:
@@ -231,7 +217,7 @@ class Filter:
         self._tracked: _Particles | None = None
         self._scouts: _Particles | None = None
         # Log probabilities that the tracked particles, the scouts, or neither are right.
-        self._odds = np.log(_FIRST)
+        self._odds = np.log(SETTINGS.first)
         self._waited_s = 0.0
 
     def observe(
@@ -271,7 +257,7 @@ class Filter:
         if self._tracked is None:
             self._tracked, newness = self._at_starts(), 1.0
         else:
-            newness = min(1.0, VIEWS_A_LENGTH * self._map.lengths(movement))
+            newness = min(1.0, SETTINGS.views_a_length * self._map.lengths(movement))
             for particles in (self._tracked, self._scouts):
                 if particles is not None:
                     particles.move(movement, noise, newness, self._rng)
@@ -280,7 +266,7 @@ class Filter:
         # A robot that stands still has no evidence to set against it.
         if newness > 0.0:
             self._leak(elapsed_s)
-        if self._scouts is not None and self._scouts.evidence >= _TRIAL:
+        if self._scouts is not None and self._scouts.evidence >= SETTINGS.trial:
             self._merge()
         return self._belief()
 
@@ -293,8 +279,8 @@ class Filter:
 
     def _at_starts(self) -> _Particles:
         starts = np.unique(self._map.key_range[0])
-        keyframes = self._rng.choice(starts, _PARTICLES)
-        return self._beside(keyframes, np.zeros(_PARTICLES), math.radians(_FIRST_TURN_DEG))
+        keyframes = self._rng.choice(starts, SETTINGS.particles)
+        return self._beside(keyframes, np.zeros(SETTINGS.particles), math.radians(SETTINGS.first_turn_deg))
 
     def _beside(self, keyframes: NDArray[np.intp], turns: NDArray[np.float64], spread_rad: float) -> _Particles:
         """Scatter particles about keyframes, as far as virtual views reach."""
@@ -306,7 +292,7 @@ class Filter:
     def _send_scouts(self, cosines: NDArray[np.float32], outlier: float, newness: float) -> None:
         """Draw particles from everywhere by one view, which counts for them as much as for those that are tracked."""
         likelihood = _likelihood(self._map.kappa, cosines[:, 1] - outlier)
-        keyframes, turns = np.divmod(_systematic(likelihood.ravel(), _PARTICLES, self._rng), TURNS_DEG.size)
+        keyframes, turns = np.divmod(_systematic(likelihood.ravel(), SETTINGS.particles, self._rng), TURNS_DEG.size)
         half = math.radians(float(TURNS_DEG[1] - TURNS_DEG[0])) / 2.0
         self._scouts = self._beside(keyframes, np.radians(TURNS_DEG[turns]), half)
         self._odds[1] += math.log(float((likelihood**newness).mean()))
@@ -327,19 +313,19 @@ class Filter:
         assert self._tracked is not None
         assert self._scouts is not None
         shares = _normalized(self._odds)
-        new = round(_PARTICLES * float(shares[1] / max(shares[0] + shares[1], 1e-12)))
+        new = round(SETTINGS.particles * float(shares[1] / max(shares[0] + shares[1], 1e-12)))
         if new:
             old, scouts = self._tracked, self._scouts
-            kept, taken = old.drawn(_PARTICLES - new, self._rng), scouts.drawn(new, self._rng)
+            kept, taken = old.drawn(SETTINGS.particles - new, self._rng), scouts.drawn(new, self._rng)
             self._tracked = _Particles(
                 self._map,
                 np.concatenate([old.keyframes[kept], scouts.keyframes[taken]]),
                 np.concatenate([old.poses[kept], scouts.poses[taken]]),
             )
             self._tracked.followed = np.concatenate([old.followed[kept], scouts.followed[taken]])
-            self._tracked.cosine = scouts.cosine if 2 * new > _PARTICLES else old.cosine
+            self._tracked.cosine = scouts.cosine if 2 * new > SETTINGS.particles else old.cosine
         tracked, lost = shares[0] + shares[1], shares[2]
-        carried, back = tracked * _carried_away(self._waited_s), _BACK * lost
+        carried, back = tracked * _carried_away(self._waited_s), SETTINGS.back * lost
         self._odds = np.log(np.maximum([tracked - carried, carried + back, lost - back], 1e-12))
         self._waited_s = 0.0
         self._scouts = None
@@ -360,13 +346,9 @@ class Filter:
         )
 
 
-#: New views that scouts have to explain before they may take over.
-_TRIAL = 1.5
-
-
 def _carried_away(elapsed_s: float) -> float:
     """Return the probability of having been carried away in so many seconds: below 1 however long they are."""
-    return -math.expm1(-elapsed_s / KIDNAP_S)
+    return -math.expm1(-elapsed_s / SETTINGS.kidnap_s)
 
 
 def _normalized(log_odds: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -19,6 +19,7 @@ from smal.demonstration import USUAL_GOAL, Demonstration, Image, ImageChain, che
 from smal.features import Centering, FeatureSettings, extract
 from smal.model import Model
 from smal.movement import Atom, atom_movements, dead_reckoning, turns_ahead
+from smal.settings import SETTINGS
 from smal.stitches import stitched
 from smal.virtual_views import (
     TURNS_DEG,
@@ -30,17 +31,7 @@ from smal.virtual_views import (
     remapped,
     turn_of_views,
 )
-from smal.visual_map import VIEWS_A_LENGTH, VisualMap
-
-#: Keyframes are so much of the correlation length apart, or so many degrees.
-_SPACING, _SPACING_DEG = 1.0 / VIEWS_A_LENGTH, 12.0
-#: Virtual views are taken so much of the correlation length aside.
-_ASIDE = 0.4
-#: Principal components keep this share of what views are, and at most so many are kept: 5,000 taught frames, 1 km at
-#: 2 m/s, then take 0.2 GB and a few hundredths of a second.
-_KEPT, _MOST_COMPONENTS = 0.9, 400
-#: Views from which components are computed.
-_SAMPLE = 2500
+from smal.visual_map import VisualMap
 
 Describe = Callable[[Image], NDArray[np.float32]]
 
@@ -115,9 +106,9 @@ def learn(
         raise ValueError("all images of the demonstrations look the same")
     scene = fit_scene(images, way.poses, way.drives, length, describe, focal)
     keyframes = _choose_keyframes(way.poses, way.drives, length)
-    views, basis = _make_views(images, keyframes, scene, _ASIDE * length, describe, progress)
+    views, basis = _make_views(images, keyframes, scene, SETTINGS.aside * length, describe, progress)
     kappa, outlier_cosine, alike_cosine = likelihood(
-        centred, way.poses, way.drives, (_SPACING * length, length), undone
+        centred, way.poses, way.drives, (length / SETTINGS.views_a_length, length), undone
     )
     visual_map = VisualMap(
         poses=way.poses,
@@ -125,7 +116,7 @@ def learn(
         keyframes=keyframes,
         basis=basis,
         views=views,
-        aside=_ASIDE * length,
+        aside=SETTINGS.aside * length,
         correlation_length=length,
         correlation_rad=_correlation_turn(views, unrelated),
         kappa=kappa,
@@ -207,15 +198,14 @@ def _way(
         ways = [np.asarray(one, dtype=np.float64) for one in wheels]
         movements = atom_movements(ways, atoms)
     else:
-        turn_rad = turn_of_views(images, atoms, focal or USUAL_FOCAL, describe) or USUAL_TURN_RAD_S * tick_s
+        turn_rad = (
+            turn_of_views(images, atoms, focal or USUAL_FOCAL, describe)
+            or math.radians(SETTINGS.usual_turn_deg_s) * tick_s
+        )
         movements = _unit_movements(turn_rad, _ahead_in_turns(taught))
         ways = [dead_reckoning(one, movements) for one in atoms]
     drives = np.repeat(np.arange(len(ways), dtype=np.int32), [len(way) for way in ways])
     return _Way(np.concatenate(ways), drives, movements, odometry)
-
-
-#: How fast robots turn, where no drive turns and nothing else tells.
-USUAL_TURN_RAD_S = math.radians(45.0)
 
 
 def _unit_movements(turn_rad: float, ahead: float) -> NDArray[np.float64]:
@@ -246,8 +236,8 @@ def _choose_keyframes(poses: NDArray[np.float64], drives: NDArray[np.int32], len
         last = frame == len(poses) - 1 or drives[frame] != drives[frame + 1]
         if not (first or last):
             moved = poses[frame] - poses[chosen[-1]]
-            far = math.hypot(moved[0], moved[1]) >= _SPACING * length
-            if not far and abs(math.remainder(moved[2], math.tau)) < math.radians(_SPACING_DEG):
+            far = math.hypot(moved[0], moved[1]) >= length / SETTINGS.views_a_length
+            if not far and abs(math.remainder(moved[2], math.tau)) < math.radians(SETTINGS.spacing_deg):
                 continue
         chosen.append(frame)
     return np.array(chosen, dtype=np.int32)
@@ -276,7 +266,9 @@ def _make_views(
     # All views at once would take gigabytes for a long drive: components first, from a sample of keyframes.
     with ThreadPoolExecutor() as pool:
         each = len(lefts) * TURNS_DEG.size
-        sample = keyframes[np.unique(np.linspace(0, keyframes.size - 1, max(1, _SAMPLE // each)).astype(int))].tolist()
+        sample = keyframes[
+            np.unique(np.linspace(0, keyframes.size - 1, max(1, SETTINGS.sampled_views // each)).astype(int))
+        ].tolist()
         made = dict(zip(sample, pool.map(views_of, sample), strict=True))
         basis = _components(np.concatenate(list(made.values())).reshape(-1, len(describe(images[0]))))
 
@@ -294,10 +286,10 @@ def _components(sample: NDArray[np.float32]) -> NDArray[np.float32]:
     """Return the leading principal components of rows (s, m), (m, r)."""
     products = sample @ sample.T
     # All components take three times as long.
-    values, vectors = eigh(products, subset_by_index=[max(0, len(sample) - _MOST_COMPONENTS), len(sample) - 1])
+    values, vectors = eigh(products, subset_by_index=[max(0, len(sample) - SETTINGS.most_components), len(sample) - 1])
     values, vectors = np.maximum(values[::-1], 0.0), vectors[:, ::-1]
     share = np.cumsum(values) / max(float(np.trace(products)), 1e-12)
-    count = min(int(np.searchsorted(share, _KEPT)) + 1, int((values > 1e-6 * values[0]).sum()))
+    count = min(int(np.searchsorted(share, SETTINGS.kept)) + 1, int((values > 1e-6 * values[0]).sum()))
     basis = sample.T @ vectors[:, :count]
     unit: NDArray[np.float32] = (basis / np.linalg.norm(basis, axis=0)).astype(np.float32)
     return unit

@@ -9,6 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from smal.settings import SETTINGS
+
 
 class Atom(IntEnum):
     """What the robot does between one camera frame and the next."""
@@ -66,9 +68,11 @@ class MotionNoise:
     jitter_rad: float
 
 
-#: Wheels that slip a little; and atoms, of which only the usual movement is known.
-BY_ODOMETRY = MotionNoise(0.05, 0.03, math.radians(1.5), math.radians(0.3))
-BY_ATOMS = MotionNoise(0.1, 0.1, math.radians(5.0), math.radians(0.3))
+def _noise(ahead: float, turn: float, drift_deg: float, jitter_deg: float) -> MotionNoise:
+    return MotionNoise(ahead, turn, math.radians(drift_deg), math.radians(jitter_deg))
+
+
+BY_ODOMETRY, BY_ATOMS = _noise(*SETTINGS.wheels), _noise(*SETTINGS.atoms)
 
 
 def wrapped(angle_rad: NDArray[Any]) -> NDArray[Any]:

@@ -21,21 +21,8 @@ from scipy.sparse.csgraph import dijkstra
 
 from smal.filter import Belief
 from smal.movement import Atom, placed, seen_from, turns_ahead, wrapped
+from smal.settings import SETTINGS
 from smal.visual_map import VisualMap
-
-#: How far ahead on the taught way the robot aims, as time of driving: less follows noise, more cuts corners.
-LOOKAHEAD_S = 0.7
-#: Directions that differ by more than this about their mean are no direction to drive in.
-WIDE_DEG = 25.0
-#: How far it turns to look around: to one side first, since robots are seldom turned further away from their way, then
-#: to the other, once round and a view more.
-LOOK_ASIDE_DEG, LOOK_DEG = 45.0, 490.0
-#: For how long it then drives by its best guess, before it looks again.
-GUESS_S = 2.0
-#: What going over to another drive must save: how two drives stand to each other is less certain than either of them.
-GO_OVER_S = 2.0
-#: Belief with which it says that it has arrived.
-_SURE = 0.9
 
 
 @dataclass(frozen=True)
@@ -79,9 +66,9 @@ def cost_to_go(visual_map: VisualMap, goal: str) -> tuple[NDArray[np.float64], N
 
     The graph is deterministic and costs are positive, so that Dijkstra's algorithm is value iteration in the order in
     which values become final. The goal is the end of each drive that leads there. Going over to another drive costs
-    the time for the turn and the way between the two, and `GO_OVER_S`. Who has to go over does so where the drives
-    first share a place from which the goal is nearer, and not at the last one before they part, where a robot between
-    two keyframes would hear both. So the cost to go falls with every step, and nobody goes in circles.
+    the time for the turn and the way between the two, and `Settings.go_over_s`. Who has to go over does so where the
+    drives first share a place from which the goal is nearer, and not at the last one before they part, where a robot
+    between two keyframes would hear both. So the cost to go falls with every step, and nobody goes in circles.
     Where no way leads to the goal the time is infinite; there, and at goals, nothing is next (-1).
     """
     count = len(visual_map.keyframes)
@@ -96,7 +83,7 @@ def cost_to_go(visual_map: VisualMap, goal: str) -> tuple[NDArray[np.float64], N
     columns = np.concatenate([on, source, goals])
     turn_rad, ahead = (float(np.abs(column).max()) for column in visual_map.movements[:, ::-1].T)
     apart = np.hypot(*offsets[:, :2].T) / max(ahead, 1e-9) + np.abs(offsets[:, 2]) / max(turn_rad, 1e-9)
-    costs = np.concatenate([taken_s, GO_OVER_S + apart * visual_map.tick_s, np.full(goals.size, 1e-9)])
+    costs = np.concatenate([taken_s, SETTINGS.go_over_s + apart * visual_map.tick_s, np.full(goals.size, 1e-9)])
     graph = sparse.csr_array((costs, (rows, columns)), shape=(count + 1, count + 1))
     found, previous = dijkstra(graph, indices=np.array([count]), return_predecessors=True)
     to_go_s, following = found[0, :-1], previous[0, :-1].astype(np.intp)
@@ -132,7 +119,7 @@ class Planner:
         goal = chosen_goal(visual_map.goals, goal)
         # Turning begins where an atom of it makes the direction better, and ends where another one would not.
         self._turn_rad = abs(float(visual_map.movements[Atom.LEFT, 1])) or math.radians(5.0)
-        self._ahead = LOOKAHEAD_S * visual_map.speed
+        self._ahead = SETTINGS.lookahead_s * visual_map.speed
         self._going = {Atom.FORWARD, Atom.LEFT, Atom.RIGHT} if turns_ahead(visual_map.movements) else {Atom.FORWARD}
         of = visual_map.drives[visual_map.keyframes]
         self._start_frame = np.searchsorted(visual_map.drives, of, side="left")
@@ -185,22 +172,22 @@ class Planner:
         arrived = float(belief.weights @ here) * (1.0 - belief.lost)
         # What a few views say may be another place: arrived is who was followed there, and if need be looks around.
         confirmed = belief.tracked > self._map.correlation_length
-        self.done = self.done or (arrived > _SURE and confirmed)
+        self.done = self.done or (arrived > SETTINGS.sure and confirmed)
         if self.done:
             return Decision("goal", Atom.STOP, error)
-        if arrived > _SURE and self._looked_rad < math.radians(LOOK_DEG):
+        if arrived > SETTINGS.sure and self._looked_rad < math.radians(SETTINGS.look_deg):
             return Decision("look_around", self._look(error, elapsed_s), error)
         no_way, lost = float(with_way.sum()) < 0.5, belief.lost > 0.5
-        if not (no_way or lost or abs(mean) < math.cos(math.radians(WIDE_DEG))):
+        if not (no_way or lost or abs(mean) < math.cos(math.radians(SETTINGS.wide_deg))):
             return Decision("follow", self._follow(error, elapsed_s), error)
         self._followed_m = 0.0
-        if self._looked_rad < math.radians(LOOK_DEG):
+        if self._looked_rad < math.radians(SETTINGS.look_deg):
             return Decision("look_around", self._look(error, elapsed_s), error)
         if no_way and not lost:
             self._turning = None
             return Decision("dead_end", Atom.STOP, error)
         self._guessed_s += elapsed_s
-        if self._guessed_s >= GUESS_S:
+        if self._guessed_s >= SETTINGS.guess_s:
             self._looked_rad = self._guessed_s = 0.0
         return Decision("guess", self._steer(error), error)
 
@@ -221,7 +208,7 @@ class Planner:
         self._looked_rad += self._turn_rad * elapsed_s / self._map.tick_s
         if self._turning is None:
             self._turning = Atom.LEFT if error >= 0.0 else Atom.RIGHT
-        if before < math.radians(LOOK_ASIDE_DEG) <= self._looked_rad:
+        if before < math.radians(SETTINGS.look_aside_deg) <= self._looked_rad:
             self._turning = Atom.RIGHT if self._turning is Atom.LEFT else Atom.LEFT
         return self._turning
 

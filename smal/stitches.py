@@ -18,16 +18,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from smal.movement import BY_ATOMS, BY_ODOMETRY, placed, seen_from, wrapped
+from smal.settings import SETTINGS
 from smal.virtual_views import TURNS_DEG
-from smal.visual_map import VIEWS_A_LENGTH, VisualMap
-
-#: Keyframes whose views are compared at once, which bounds the memory.
-_AT_ONCE = 32
-#: Keyframes that one drive may go on by while the other goes on by one: drives stop, and turn elsewhere.
-_ADVANCE = 3
-#: Standard deviations of odometry that are believed.
-_TRUSTED = 3.0
-
+from smal.visual_map import VisualMap
 
 #: A keyframe, one of another drive, and where a robot at the first is as seen from the second: ahead, left, turned.
 _Stitch = tuple[int, int, tuple[float, float, float]]
@@ -88,8 +81,8 @@ def _best_of_each_drive(visual_map: VisualMap, drives: NDArray[np.int32], names:
     count, middle = len(drives), TURNS_DEG.size // 2
     keyframe = np.full((count, int(names.max()) + 1), -1, dtype=np.intp)
     left, turned = np.zeros(keyframe.shape), np.zeros(keyframe.shape)
-    for first in range(0, count, _AT_ONCE):
-        views = visual_map.views[first : first + _AT_ONCE, 1, middle]
+    for first in range(0, count, SETTINGS.compared_at_once):
+        views = visual_map.views[first : first + SETTINGS.compared_at_once, 1, middle]
         cosines = (visual_map.flat_views @ views.T).reshape(*visual_map.views.shape[:3], -1)
         for name in names:
             there = np.flatnonzero(drives == name)
@@ -123,8 +116,8 @@ def _chained(
     here = np.flatnonzero(drives == one)
     there = best.keyframe[here, other]
     back = np.where(there >= 0, best.keyframe[np.maximum(there, 0), one], -1)
-    mutual = (there >= 0) & (back >= 0) & (np.abs(back - here) <= _ADVANCE)
-    goes_on = mutual[:-1] & mutual[1:] & (np.diff(there) >= 0) & (np.diff(there) <= _ADVANCE)
+    mutual = (there >= 0) & (back >= 0) & (np.abs(back - here) <= SETTINGS.advance)
+    goes_on = mutual[:-1] & mutual[1:] & (np.diff(there) >= 0) & (np.diff(there) <= SETTINGS.advance)
     breaks = np.flatnonzero(~goes_on) + 1
     runs = np.split(np.arange(here.size), breaks)
     return [
@@ -133,7 +126,7 @@ def _chained(
             for k in run
         ]
         for run in runs
-        if run.size > VIEWS_A_LENGTH
+        if run.size > SETTINGS.views_a_length
     ]
 
 
@@ -144,7 +137,7 @@ def _reachable(visual_map: VisualMap, runs: list[list[_Stitch]]) -> list[_Stitch
         pairs = [(there, here) for other in kept for there in (other[0], other[-1]) for here in (run[0], run[-1])]
         apart = [_off(visual_map, *pair) for pair in pairs]
         # From the nearest stretch, where the least of drifting has happened.
-        if not apart or min(apart)[1] < _TRUSTED:
+        if not apart or min(apart)[1] < SETTINGS.trusted:
             kept.append(run)
     return [stitch for run in kept for stitch in run]
 

@@ -17,21 +17,20 @@ from numpy.typing import NDArray
 
 from smal.demonstration import Image
 from smal.movement import Atom, seen_from
+from smal.settings import SETTINGS
 
-#: Turns of the virtual views, degrees. Twenty taught pixels, the width of a cell of HOG, are about 5 degrees, within
-#: which a view turned stays alike; beyond 40 hardly anything of the taught image is left.
-TURNS_DEG = np.arange(-40.0, 41.0, 5.0)
-#: What a fit chooses from. Fields of view of cameras on robots, degrees; the height of the camera over the correlation
-#: length of views (`smal.visual_map`), and the distance of the scene over that height, both in steps of a half.
-_FIELDS_DEG = tuple(range(40, 125, 5))
-_HEIGHTS = tuple(0.1 * 1.5**k for k in range(7))
-_DISTANCES = tuple(3.0 * 2.0**k for k in range(6))
-#: Pairs of views that a fit looks at, at most: more change nothing that is seen.
-_PAIRS = 24
-
+#: Turns of the virtual views, degrees.
+TURNS_DEG = np.array(SETTINGS.turns_deg)
 #: Turns from one view to another that a fit tries, degrees: those over which views overlap.
 _TURNS_DEG = tuple(np.geomspace(1.0, 40.0, 23).tolist())
 
+
+def _focal_of(field_deg: float) -> float:
+    return 0.5 / math.tan(math.radians(field_deg) / 2.0)
+
+
+#: Focal length over the image's width that is assumed where no drive turns.
+USUAL_FOCAL = _focal_of(SETTINGS.usual_field_deg)
 Maps = tuple[NDArray[Any], NDArray[Any]]
 
 
@@ -135,10 +134,12 @@ def fit_scene(
         turns = _pairs(
             poses, drives, lambda ahead, turn: (ahead < 0.02 * correlation_length) & (turn > math.radians(9))
         )
-        scene = _best(scene, [replace(scene, focal=_focal_of(field)) for field in _FIELDS_DEG], images, turns, describe)
+        scene = _best(
+            scene, [replace(scene, focal=_focal_of(field)) for field in SETTINGS.fields_deg], images, turns, describe
+        )
     steps = _pairs(poses, drives, lambda ahead, turn: (ahead > 0.5 * correlation_length) & (turn < math.radians(25)))
-    heights = [correlation_length * share for share in _HEIGHTS]
-    scenes = [replace(scene, height=h, distance=h * far) for h in heights for far in _DISTANCES]
+    heights = [correlation_length * share for share in SETTINGS.heights]
+    scenes = [replace(scene, height=h, distance=h * far) for h in heights for far in SETTINGS.distances]
     scene = _best(scene, scenes, images, steps, describe)
     near = [replace(scene, height=scene.height * 1.5**k) for k in (-0.5, -0.25, 0.0, 0.25, 0.5)]
     return _best(scene, near, images, steps, describe)
@@ -156,7 +157,7 @@ def focal_of_curves(
     """
     curves = _pairs(poses, drives, lambda _, turn: turn > math.radians(9))
     turns = [(frame, other, 0.0, 0.0, turn) for frame, other, _, _, turn in curves]
-    scenes = [Scene(_focal_of(field), 1.0, 1e6) for field in _FIELDS_DEG]
+    scenes = [Scene(_focal_of(field), 1.0, 1e6) for field in SETTINGS.fields_deg]
     return _best(Scene(USUAL_FOCAL, 1.0, 1e6), scenes, images, turns, describe).focal
 
 
@@ -196,7 +197,9 @@ def turn_of_views(
         count = 1 if found is None else max(1, round(math.radians(15.0) / found))
         same = np.abs(np.convolve(sign, np.ones(count, dtype=int), mode="valid")) == count
         frames = np.flatnonzero(same)
-        frames = frames[np.unique(np.linspace(0, frames.size - 1, _PAIRS).astype(int))] if frames.size else frames
+        frames = (
+            frames[np.unique(np.linspace(0, frames.size - 1, SETTINGS.pairs).astype(int))] if frames.size else frames
+        )
         if not frames.size:
             break
         seen = [(images[k], describe(images[k + count]), sign[k]) for k in frames.tolist()]
@@ -206,14 +209,6 @@ def turn_of_views(
         ]
         found = math.radians(_TURNS_DEG[int(np.argmax(scores))]) / count
     return found
-
-
-def _focal_of(field_deg: float) -> float:
-    return 0.5 / math.tan(math.radians(field_deg) / 2.0)
-
-
-#: Focal length over the image's width that is assumed where no drive turns, of a field of view of 70 degrees.
-USUAL_FOCAL = _focal_of(70.0)
 
 
 Pair = tuple[int, int, float, float, float]
@@ -236,7 +231,7 @@ def _pairs(
         if good.size:
             ahead, left, turn = steps[good[0]].tolist()
             found.append((frame, int(ahead_of[good[0]]), ahead, left, turn))
-    return [found[k] for k in np.unique(np.linspace(0, len(found) - 1, _PAIRS).astype(int))] if found else []
+    return [found[k] for k in np.unique(np.linspace(0, len(found) - 1, SETTINGS.pairs).astype(int))] if found else []
 
 
 def _best(

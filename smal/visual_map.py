@@ -18,12 +18,8 @@ from numpy.typing import NDArray
 
 from smal.files.map_file import check_map
 from smal.movement import Atom, Movement
+from smal.settings import SETTINGS
 from smal.virtual_views import TURNS_DEG
-
-#: Keyframes in a correlation length; a view that is one of them further is a new one.
-VIEWS_A_LENGTH = 5
-#: Keyframes whose views are compared with all others at once, which bounds the memory.
-_AT_ONCE = 32
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,9 +110,11 @@ class VisualMap:
         count, middle = len(self.keyframes), TURNS_DEG.size // 2
         turned = np.ascontiguousarray(self.views[:, 1]).reshape(-1, self.views.shape[-1])
         best = np.empty((count, count), dtype=np.float32)
-        for first in range(0, count, _AT_ONCE):
-            views = self.views[first : first + _AT_ONCE, 1, middle]
-            best[:, first : first + _AT_ONCE] = (turned @ views.T).reshape(count, -1, len(views)).max(axis=1)
+        for first in range(0, count, SETTINGS.compared_at_once):
+            views = self.views[first : first + SETTINGS.compared_at_once, 1, middle]
+            best[:, first : first + SETTINGS.compared_at_once] = (
+                (turned @ views.T).reshape(count, -1, len(views)).max(axis=1)
+            )
         unlike: NDArray[np.bool_] = np.maximum(best, best.T) < self.outlier_cosine
         np.fill_diagonal(unlike, False)
         return unlike

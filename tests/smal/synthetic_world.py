@@ -3,7 +3,7 @@
 import math
 from collections.abc import Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache, cached_property
 from unittest.mock import patch
 
@@ -17,6 +17,7 @@ from smal.filter import Filter
 from smal.mapping import learn
 from smal.movement import STILL, Atom, Movement
 from smal.planning import Planner
+from smal.settings import SETTINGS
 from smal.virtual_views import Scene
 from smal.visual_map import VisualMap
 
@@ -169,7 +170,7 @@ def taught(
     images = [[room.look(pose) for pose in one.poses] for one in drives]
     raw = [np.stack([extract(image, settings) for image in each]) for each in images]
     with ExitStack() as changed:
-        changed.enter_context(patch("smal.mapping._SAMPLE", 500))
+        changed.enter_context(patch("smal.mapping.SETTINGS", replace(SETTINGS, sampled_views=500)))
         if scene is not None:
             changed.enter_context(patch("smal.mapping.fit_scene", lambda *_: scene))
         found = learn(

@@ -11,8 +11,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from smal.features import extract
-from smal.filter import KIDNAP_S, Belief, Filter, _Particles
+from smal.filter import Belief, Filter, _Particles
 from smal.movement import STILL, Movement, placed
+from smal.settings import SETTINGS
 from smal.virtual_views import TURNS_DEG
 from smal.visual_map import VisualMap
 from tests.smal.synthetic_world import (
@@ -141,7 +142,7 @@ def test_a_view_that_is_not_new_does_not_count_however_it_looks() -> None:
     one, found = drive(), Filter(*usual_map())
     far = extract(ROOM.look(one.poses[-1]), COLOR)
     for pose, movement in list(zip(one.poses, [STILL, *one.movements()], strict=True))[:40]:
-        before = found.observe(extract(ROOM.look(pose), COLOR), movement, 0.1 * KIDNAP_S)
+        before = found.observe(extract(ROOM.look(pose), COLOR), movement, 0.1 * SETTINGS.kidnap_s)
         after = copy.deepcopy(found).observe(far, STILL, 0.0)
         assert after.lost == pytest.approx(before.lost)
 
@@ -152,7 +153,7 @@ def test_in_a_pause_a_robot_may_be_carried_away_but_need_not_be(pause_s: float) 
     follow(Drive(one.poses[:30], one.atoms[:30]), found)
     dark = np.zeros(COLOR.size, dtype=np.float32) + usual_map()[1].mean
     paused = found.observe(dark, one.movements()[29], pause_s)
-    assert paused.lost == pytest.approx(1.0 - math.exp(-pause_s / KIDNAP_S), abs=0.02)
+    assert paused.lost == pytest.approx(1.0 - math.exp(-pause_s / SETTINGS.kidnap_s), abs=0.02)
 
 
 @settings(deadline=None)

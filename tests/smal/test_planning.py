@@ -11,7 +11,8 @@ from hypothesis import strategies as st
 
 from smal.filter import Belief, Filter
 from smal.movement import Atom
-from smal.planning import GO_OVER_S, GUESS_S, LOOK_ASIDE_DEG, LOOK_DEG, Planner, cost_to_go
+from smal.planning import Planner, cost_to_go
+from smal.settings import SETTINGS
 from smal.virtual_views import TURNS_DEG
 from smal.visual_map import VisualMap
 from tests.smal.synthetic_world import (
@@ -148,7 +149,7 @@ def test_it_looks_around_where_it_knows_no_direction_then_guesses_and_looks_agai
     unsure = SPLIT if not lost else belief((10, 0.0, 0.0, 0.0), lost=lost)
     decisions = [planner.decide(unsure) for _ in range(400)]
     kinds = [decision.kind for decision in decisions]
-    look, guess = math.ceil(LOOK_DEG / 4.5), round(GUESS_S / TICK)
+    look, guess = math.ceil(SETTINGS.look_deg / 4.5), round(SETTINGS.guess_s / TICK)
     assert set(kinds) == {"look_around", "guess"}
     assert kinds[:look] == ["look_around"] * look
     for start in range(0, 400 - look - guess - 5, look + guess):
@@ -158,7 +159,7 @@ def test_it_looks_around_where_it_knows_no_direction_then_guesses_and_looks_agai
     # It looks to one side, turns round the other way, and drives when it guesses.
     turns = [decision.atom for decision in decisions[:look]]
     aside = turns.index(Atom.RIGHT if turns[0] is Atom.LEFT else Atom.LEFT)
-    assert aside == pytest.approx(LOOK_ASIDE_DEG / 4.5, abs=1)
+    assert aside == pytest.approx(SETTINGS.look_aside_deg / 4.5, abs=1)
     assert len(set(turns[:aside])) == len(set(turns[aside:])) == 1
     assert decisions[0].atom in (Atom.LEFT, Atom.RIGHT)
     if lost:
@@ -254,8 +255,8 @@ def test_the_cost_to_go_is_the_time_of_the_shortest_way() -> None:
     # 10 cm a keyframe at 0.5 m/s; the stretch beyond the fork of the other drive leads nowhere.
     assert kitchen[:41] == pytest.approx(0.2 * np.arange(40, -1, -1), abs=1e-6)
     assert office[41:] == pytest.approx(0.2 * np.arange(60, -1, -1), abs=1e-6)
-    assert office[:20] == pytest.approx(0.2 * np.arange(60, 40, -1) + GO_OVER_S, abs=1e-6)
-    assert kitchen[41:61] == pytest.approx(0.2 * np.arange(40, 20, -1) + GO_OVER_S, abs=1e-6)
+    assert office[:20] == pytest.approx(0.2 * np.arange(60, 40, -1) + SETTINGS.go_over_s, abs=1e-6)
+    assert kitchen[41:61] == pytest.approx(0.2 * np.arange(40, 20, -1) + SETTINGS.go_over_s, abs=1e-6)
     assert np.isinf(office[20:41]).all()
     assert np.isinf(kitchen[61:]).all()
 
@@ -272,7 +273,7 @@ def test_costs_to_go_satisfy_bellman_s_equation() -> None:
     cost, following = cost_to_go(two, "office")
     edges = {(k, k + 1): 0.2 for k in range(101) if k != 40}
     # Going over takes the time to drive 0.3 m aside as well.
-    edges |= dict.fromkeys(map(tuple, two.stitched.tolist()), GO_OVER_S + 0.6)
+    edges |= dict.fromkeys(map(tuple, two.stitched.tolist()), SETTINGS.go_over_s + 0.6)
     for here in range(102):
         onward = {there: step + cost[there] for (one, there), step in edges.items() if one == here}
         if here == 101:
@@ -363,7 +364,7 @@ def test_a_goal_that_is_unknown_or_not_said(goal: str | None, end: int, said: st
 def test_where_no_way_leads_to_the_goal_it_looks_round_and_then_stands() -> None:
     planner = Planner(fork(), "office")
     kinds = [planner.decide(belief((30, 0.0, 0.0, 0.0))) for _ in range(300)]
-    look = math.ceil(LOOK_DEG / 4.5)
+    look = math.ceil(SETTINGS.look_deg / 4.5)
     assert [one.kind for one in kinds] == ["look_around"] * look + ["dead_end"] * (300 - look)
     assert {one.atom for one in kinds[look:]} == {Atom.STOP}
     # As soon as it believes otherwise it goes on.

@@ -19,6 +19,7 @@ from smal.features import extract
 from smal.files.map_file import content_of_map
 from smal.filter import Filter
 from smal.movement import Atom, Movement
+from smal.settings import SETTINGS
 from smal.virtual_views import TURNS_DEG
 from smal.visual_map import VisualMap
 from tests.smal.synthetic_world import COLOR, SCENE, START, Image, Room, drive, taught, usual_map
@@ -41,7 +42,7 @@ def of_two_drives() -> VisualMap:
 
 def learn(images: Sequence[Sequence[Image]], poses: Sequence[Any], atoms: Sequence[Any]) -> VisualMap:
     raw = [np.stack([extract(image, COLOR) for image in each]) for each in images]
-    with patch("smal.mapping._SAMPLE", 500):
+    with patch("smal.mapping.SETTINGS", replace(SETTINGS, sampled_views=500)):
         drives = [
             Demonstration(
                 f"drive-{k}", raw[k], np.asarray(atoms[k], dtype=np.int8), images=images[k], odometry=poses[k]
@@ -165,7 +166,7 @@ def test_images_are_read_when_they_are_needed_and_let_go() -> None:
     raw = [np.stack([extract(ROOM.look(pose), COLOR) for pose in one.poses]) for one in drives]
     readers = [Reader(one.poses) for one in drives]
     done: list[tuple[int, int]] = []
-    with patch("smal.mapping._SAMPLE", 500):
+    with patch("smal.mapping.SETTINGS", replace(SETTINGS, sampled_views=500)):
         found = mapping.learn(
             [
                 Demonstration(f"drive-{k}", raw[k], one.atoms, images=readers[k], odometry=one.poses)

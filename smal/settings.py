@@ -1,0 +1,98 @@
+"""Every number of the map's method that is not measured on the drives, with its unit and its reason.
+
+What the drives tell is not here: how the camera sees, over which way and turn views change, how alike views of one
+place are, how fast the robot drives and turns.
+"""
+
+from dataclasses import dataclass
+from typing import Final
+
+
+@dataclass(frozen=True)
+class Settings:
+    """The one place for constants: shares are of 1, lengths in correlation lengths unless a name says otherwise."""
+
+    # -- the map (`smal.mapping`)
+    #: Keyframes in a correlation length: between two of them a view hardly changes, and one further it is new.
+    views_a_length: int = 5
+    #: Or turned by so much: of the nearest keyframe a robot is then turned by about one virtual view at most.
+    spacing_deg: float = 12.0
+    #: Virtual views are taken as far aside as two keyframes are apart.
+    aside: float = 0.4
+    #: Turns of virtual views. 5 degrees are about twenty pixels, the width of a cell of HOG, within which a view stays
+    #: alike; beyond 40 hardly anything of the taught image is left.
+    turns_deg: tuple[float, ...] = tuple(5.0 * k for k in range(-8, 9))
+    #: Principal components keep this share of views, and at most so many: 1 km at 2 m/s then takes 0.2 GB, and 0.03 s a
+    #: decision.
+    kept: float = 0.9
+    most_components: int = 400
+    #: Views from which components are computed, and keyframes that are compared with all others at once: memory.
+    sampled_views: int = 2500
+    compared_at_once: int = 32
+
+    # -- how alike views are (`smal.calibration`)
+    #: Turned by less, a view is the same; by more, two views hardly overlap.
+    same_deg: float = 3.0
+    overlap_deg: float = 40.0
+    #: Views of one place are looked for over this share of the longest way.
+    reach: float = 0.2
+    #: Frames of a drive, and pairs in curves, that are looked at: time grows with the square; a millisecond each.
+    most_frames: int = 1000
+    most_pairs: int = 500
+
+    # -- the camera and the scene (`smal.virtual_views`)
+    #: Fields of view that are tried: those of cameras on robots; and the one that is assumed where no drive turns.
+    fields_deg: tuple[float, ...] = tuple(range(40, 125, 5))
+    usual_field_deg: float = 70.0
+    #: Heights of the camera that are tried, and distances of the scene over that height.
+    heights: tuple[float, ...] = tuple(0.1 * 1.5**k for k in range(7))
+    distances: tuple[float, ...] = tuple(3.0 * 2.0**k for k in range(6))
+    #: Pairs of views that a fit looks at: more change nothing that is seen.
+    pairs: int = 24
+    #: How fast robots turn, where no drive turns and nothing else tells.
+    usual_turn_deg_s: float = 45.0
+
+    # -- the wheels (`smal.movement`): relative errors of way and turn; degrees of heading a correlation length, and at
+    # every new view, for what shakes. Wheels slip a little; of atoms only the usual movement is known.
+    wheels: tuple[float, float, float, float] = (0.05, 0.03, 1.5, 0.3)
+    atoms: tuple[float, float, float, float] = (0.1, 0.1, 5.0, 0.3)
+
+    # -- the filter
+    #: A robot is carried away, or a view of the way changes for good, once in so long.
+    kidnap_s: float = 300.0
+    #: Views that show nothing of the place, since something hides it.
+    hidden: float = 0.05
+    #: First belief: at the start of a taught drive, beside any way, lost; and how far the heading may be off there.
+    first: tuple[float, float, float] = (0.5, 0.4, 0.1)
+    first_turn_deg: float = 30.0
+    #: Lost robots that are beside the way again when scouts are sent; new views that these have to explain.
+    back: float = 0.1
+    trial: float = 1.5
+    #: Particles of each set, with which a decision takes 10 to 14 ms; and keyframes to both sides among which one that
+    #: moved finds its nearest.
+    particles: int = 1000
+    neighbours: int = 6
+
+    # -- planning
+    #: How far ahead on the taught way the robot aims, in time of driving: less follows noise, more cuts corners.
+    lookahead_s: float = 0.7
+    #: Directions that differ by more about their mean are none to drive in.
+    wide_deg: float = 25.0
+    #: It looks around to one side first, since robots are seldom turned further away from their way; then to the other,
+    #: once round and a view more. Then it drives by its best guess, before it looks again.
+    look_aside_deg: float = 45.0
+    look_deg: float = 490.0
+    guess_s: float = 2.0
+    #: What going over to another drive must save: how two drives stand to each other is less certain than either.
+    go_over_s: float = 2.0
+    #: Belief with which it says that it has arrived.
+    sure: float = 0.9
+
+    # -- stitches
+    #: Keyframes that one drive may go on by while another goes on by one: drives stop, and turn elsewhere.
+    advance: int = 3
+    #: Standard deviations of odometry that are believed.
+    trusted: float = 3.0
+
+
+SETTINGS: Final = Settings()
