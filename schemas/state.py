@@ -4,11 +4,14 @@ from __future__ import annotations
 
 from typing import Annotated, ClassVar, Literal, Self
 
+import numpy as np
+from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
 from schemas.base import Message, Strict
 
-MAX_PLACES = 64
+#: Room for a belief; recognition sends fewer (`smal.settings`).
+MAX_PLACES = 256
 
 
 class Place(Strict):
@@ -60,6 +63,38 @@ class State(Message):
     """Mean cosine between the query frames and the nearest frames of the matched sequence."""
     duality_gap: Annotated[float, Field(ge=0, le=1e9)] = 0.0
     """Certificate of the weights: relative distance to the global optimum of Eq. 7 at most."""
+
+    @classmethod
+    def of_belief(
+        cls,
+        observation: Message,
+        model: str,
+        keyframes: NDArray[np.intp],
+        offsets: NDArray[np.float64],
+        weights: NDArray[np.float64],
+        **of_all: float,
+    ) -> Self:
+        """Tell a belief over places: keyframes (p,), offsets (p, 3) and weights (p,), the heaviest first.
+
+        ``of_all`` is what is said of all of it: lost, cosine and tracked_m.
+        """
+        places = tuple(
+            Place(keyframe=keyframe, ahead_m=ahead, left_m=left, turned_rad=turned, weight=weight)
+            for keyframe, (ahead, left, turned), weight in zip(
+                keyframes.tolist(), offsets.tolist(), weights.tolist(), strict=True
+            )
+        )
+        lost = min(of_all.pop("lost"), 1.0)
+        status = "unknown" if lost > 0.5 else "recognized"
+        return cls.after(observation, status=status, model=model, places=places, lost=lost, **of_all)
+
+    def belief(self) -> tuple[NDArray[np.intp], NDArray[np.float64], NDArray[np.float64]]:
+        """Return what `of_belief` was given: keyframes (p,), offsets (p, 3) and weights (p,)."""
+        return (
+            np.array([place.keyframe for place in self.places], dtype=np.intp),
+            np.array([(place.ahead_m, place.left_m, place.turned_rad) for place in self.places]).reshape(-1, 3),
+            np.array([place.weight for place in self.places]),
+        )
 
     @model_validator(mode="after")
     def _check(self) -> Self:

@@ -60,7 +60,7 @@ class Belief:
     cosine: float
     tracked: float
 
-    def summary(self, most: int) -> "Belief":
+    def summary(self, most: int = SETTINGS.places) -> "Belief":
         """Return it with one particle for each keyframe, their mean: at most so many, the heaviest."""
         keys, where = np.unique(self.keyframes, return_inverse=True)
         weights = np.bincount(where, self.weights)

@@ -13,9 +13,6 @@ from smal.model import Model
 from smal.movement import BY_ATOMS, BY_ODOMETRY, STILL, Atom, Movement
 from smal.planning import Decision, Planner
 
-#: Places that a decision is made of, the heaviest: a message between services holds as many.
-PLACES = 64
-
 
 @dataclass(frozen=True)
 class Place:
@@ -165,7 +162,7 @@ class Robot:
         """
         raw = extract(image, self._localizer.features)
         self.belief = self._localizer.observe(raw, odometry, [self._atom], elapsed_s)
-        self.decision = self._planner.decide(self.belief.summary(PLACES), elapsed_s)
+        self.decision = self._planner.decide(self.belief.summary(), elapsed_s)
         self._atom = self.decision.atom
         return self._atom
 

@@ -74,6 +74,8 @@ class Settings:
     neighbours: int = 6
 
     # -- planning
+    #: Places that a decision is made of, the heaviest.
+    places: int = 64
     #: How far ahead on the taught way the robot aims, in time of driving: less follows noise, more cuts corners.
     lookahead_s: float = 0.7
     #: Directions that differ by more about their mean are none to drive in.

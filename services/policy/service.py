@@ -7,8 +7,6 @@ from collections import deque
 from statistics import median
 from typing import Final
 
-import numpy as np
-
 from schemas.action import Action
 from schemas.base import Message
 from schemas.command import Command, CommandApplied
@@ -110,18 +108,10 @@ class _ByFilter:
     def answer(self, state: State, delay_s: float) -> list[Message]:
         elapsed_s = None if self._stamp_ns is None else max(state.stamp_ns - self._stamp_ns, 0) / 1e9
         self._stamp_ns = state.stamp_ns
-        places = state.places
-        belief = Belief(
-            np.array([place.keyframe for place in places]),
-            np.array([(place.ahead_m, place.left_m, place.turned_rad) for place in places]),
-            np.array([place.weight for place in places]),
-            state.lost,
-            state.cosine,
-            state.tracked_m,
-        )
+        belief = Belief(*state.belief(), state.lost, state.cosine, state.tracked_m)
         decision = self._planner.decide(belief, elapsed_s, delay_s)
         atom = decision.atom.name.lower()
-        known = places[0].keyframe if state.status == "recognized" else None
+        known = state.places[0].keyframe if state.status == "recognized" else None
         return [
             Action.after(state, kind=decision.kind, state=known, atoms=(atom,), arrived=self._planner.done),
             Command.after(state, source="policy", atom=atom),

@@ -12,11 +12,10 @@ from schemas.command import CommandApplied
 from schemas.observation import Observation
 from schemas.odometry import Odometry
 from schemas.rpc import LoadReply
-from schemas.state import MAX_PLACES, Place, State
+from schemas.state import State
 from schemas.taught_map import TaughtMap
 from services.kit.model_service import LoadedModel
 from services.kit.node import Detail, ServiceError
-from smal.filter import Belief
 from smal.model import Model
 from smal.movement import Atom
 from smal.paper.model import Model as PaperModel
@@ -158,7 +157,17 @@ class _ByFilter:
         elapsed_s = None if self._stamp_ns is None else max(observation.stamp_ns - self._stamp_ns, 0) / 1e9
         belief = self._localizer.observe(observation.features.to_numpy(), odometry, atoms, elapsed_s)
         self._stamp_ns = observation.stamp_ns
-        return self._state(observation, belief.summary(MAX_PLACES))
+        told = belief.summary()
+        return State.of_belief(
+            observation,
+            self._identity,
+            told.keyframes,
+            told.offsets,
+            told.weights,
+            lost=told.lost,
+            cosine=told.cosine,
+            tracked_m=told.tracked,
+        )
 
     def taught_map(self) -> dict[str, Any] | None:
         """Return where the keyframes are, as the fields of its message."""
@@ -166,22 +175,6 @@ class _ByFilter:
         begins = np.flatnonzero(np.diff(drives, prepend=-1))[:_MOST_DRIVES].tolist()
         poses = in_common_axes(self._mapped).astype(np.float32)
         return {"keyframes": Float32Array.from_numpy(poses), "begins": tuple(begins)}
-
-    def _state(self, observation: Observation, belief: Belief) -> State:
-        return State.after(
-            observation,
-            status="unknown" if belief.lost > 0.5 else "recognized",
-            model=self._identity,
-            places=tuple(
-                Place(keyframe=keyframe, ahead_m=ahead, left_m=left, turned_rad=turned, weight=weight)
-                for keyframe, (ahead, left, turned), weight in zip(
-                    belief.keyframes.tolist(), belief.offsets.tolist(), belief.weights.tolist(), strict=True
-                )
-            ),
-            lost=min(belief.lost, 1.0),
-            cosine=belief.cosine,
-            tracked_m=belief.tracked,
-        )
 
 
 class _ByPaper:

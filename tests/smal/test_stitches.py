@@ -12,6 +12,7 @@ from smal.features import Centering
 from smal.filter import Filter
 from smal.movement import placed, seen_from
 from smal.planning import Planner
+from smal.settings import SETTINGS
 from smal.stitches import in_common_axes, stitched
 from smal.visual_map import VisualMap
 from tests.smal.synthetic_world import (
@@ -96,7 +97,7 @@ def test_places_that_look_alike_are_not_joined_where_odometry_leads_elsewhere() 
     def joined_ends(visual_map: VisualMap) -> int:
         return int(np.isin(stitched(visual_map).stitched, np.concatenate(ends)).all(axis=1).sum())
 
-    with patch("smal.stitches._TRUSTED", math.inf):
+    with patch("smal.stitches.SETTINGS", replace(SETTINGS, trusted=math.inf)):
         assert joined_ends(alike) >= 12
     assert joined_ends(alike) == 0
     # Without the stretch that they share nothing speaks against it.

@@ -10,7 +10,6 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from schemas.state import MAX_PLACES
 from services.experiments.evaluation.demonstrations import Drive
 from smal.evaluation.baselines.nearest_neighbour_imitation import NearestNeighbourImitation
 from smal.evaluation.baselines.seqslam_localization import SeqSlamLocalizer
@@ -137,8 +136,7 @@ class FilterController:
 
     def act(self, seen: Seen) -> Move:
         """Decide at every frame."""
-        # The policy hears of so many places and no more.
-        belief = self._localizer.observe(seen.features, seen.odometry, self._made).summary(MAX_PLACES)
+        belief = self._localizer.observe(seen.features, seen.odometry, self._made).summary()
         decision = self._planner.decide(belief)
         self._made = [decision.atom]
         ahead, left, turned = belief.offsets[0].tolist()

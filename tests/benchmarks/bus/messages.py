@@ -14,9 +14,10 @@ from schemas.base import Message
 from schemas.command import Command, CommandApplied
 from schemas.image import Image
 from schemas.observation import Observation
-from schemas.state import MAX_PLACES, Place, State
+from schemas.state import Place, State
 from schemas.topics import Topic
 from smal.features import FeatureSettings
+from smal.settings import SETTINGS
 
 #: How much longer than plain Zenoh a message may take.
 FRAME_LIMIT: Final = 1.3
@@ -62,8 +63,8 @@ def _observation(cause: Message) -> Message:
 
 def _state(cause: Message) -> Message:
     places = tuple(
-        Place(keyframe=k, ahead_m=0.1 * k, left_m=-0.1, turned_rad=0.05, weight=1.0 / MAX_PLACES)
-        for k in range(MAX_PLACES)
+        Place(keyframe=k, ahead_m=0.1 * k, left_m=-0.1, turned_rad=0.05, weight=1.0 / SETTINGS.places)
+        for k in range(SETTINGS.places)
     )
     return State.after(
         cause, status="recognized", model=_MODEL, places=places, lost=0.01, cosine=0.7, tracked_m=12.5
@@ -84,7 +85,7 @@ def _applied(cause: Message) -> Message:
 CASES: Final = (
     Case("frame 1024x768", topics.CAMERA, FRAME_LIMIT, _frame),
     Case("observation", topics.OBSERVATION, SMALL_LIMIT, _observation),
-    Case(f"state, {MAX_PLACES} places", topics.STATE, SMALL_LIMIT, _state),
+    Case(f"state, {SETTINGS.places} places", topics.STATE, SMALL_LIMIT, _state),
     Case("command", topics.COMMANDS["policy"], SMALL_LIMIT, _command),
     Case("command applied", topics.APPLIED, SMALL_LIMIT, _applied),
 )

@@ -20,7 +20,7 @@ from schemas.base import Message
 from schemas.codec import decode
 from schemas.command import Command
 from schemas.episode import Episode
-from schemas.state import MAX_PLACES, State
+from schemas.state import State
 from services.cli.replay import Player
 from services.features.service import FeaturesService
 from services.kit.bus import Bus
@@ -36,7 +36,6 @@ from services.recordings.replay import REPLAYABLE, Tick, tracks_of
 from services.robot.service import check_alone
 from services.table import SERVICES
 from smal.paper.model import Model
-from smal.robot import PLACES
 from tests import corridor
 from tests.command import run_smal
 from tests.services.conftest import RunNode
@@ -149,16 +148,12 @@ def check_decisions(client: Bus, robot: Node, path: Path, model: Model) -> list[
         assert isinstance(state, State)
         assert (command.atom, action.kind, tick) == (atom, kind, tick)
         assert (command.episode, command.robot) == ("replay-1", ROBOT)
-        places = belief.summary(MAX_PLACES)
+        places = belief.summary()
         assert [place.keyframe for place in state.places] == places.keyframes.tolist()
         np.testing.assert_array_equal([place.weight for place in state.places], places.weights)
         assert state.lost == min(belief.lost, 1.0)
     assert list(heard.said["map"]) == [0]
     return [atom for atom, _, _ in expected]
-
-
-def test_a_decision_is_made_of_as_many_places_as_a_message_holds() -> None:
-    assert PLACES == MAX_PLACES
 
 
 def test_services_decide_on_a_replay_as_the_library_does_on_its_frames(
