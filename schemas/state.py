@@ -11,7 +11,7 @@ from pydantic import Field, model_validator
 from schemas.base import Message, Strict
 
 #: Room for a belief; recognition sends fewer (`smal.settings`).
-MAX_PLACES = 256
+MAX_PLACES = 100
 
 
 class Place(Strict):

@@ -17,7 +17,7 @@ from schemas.episode import Episode
 from schemas.image import Image
 from schemas.observation import Observation
 from schemas.rpc import ResetRequest
-from schemas.state import State
+from schemas.state import MAX_PLACES, State
 from tests.schemas import messages
 from tests.schemas.messages import CLASSES, EXAMPLES, any_message
 
@@ -152,7 +152,7 @@ def test_headers_out_of_range_are_refused(cls: type[Message], header: dict[str, 
         (State, {"lost": 1.1}),
         (State, {"places": (_PLACE | {"colour": "red"},)}),
         (State, {"places": (_PLACE | {"turned_rad": 3.3},)}),
-        (State, {"places": (_PLACE,) * 65}),
+        (State, {"places": (_PLACE,) * (MAX_PLACES + 1)}),
         (Episode, {"outcome": None}),
         (Episode, {"event": "started"}),
         (Episode, {"world": ""}),
