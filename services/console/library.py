@@ -47,16 +47,6 @@ class LearnedModel:
     #: Why it cannot be used; empty where it can.
     useless: str = ""
 
-    @property
-    def nearest(self) -> str:
-        """Where a run is said to lead that goes to the nearest goal: of several nobody knows which that will be."""
-        match self.goals:
-            case ():
-                return "victim"
-            case (only,):
-                return only
-        return "nearest"
-
 
 class Library:
     """Recordings and models below a root, looked at again where they have changed.
@@ -129,6 +119,19 @@ class Library:
         """Return a model by its name."""
         return next((one for one in self.models() if one.name == name), None)
 
+    def leads_to(self, model: LearnedModel) -> str:
+        """Return where a run is said to lead that goes to the nearest goal: of several nobody knows which that is.
+
+        What a model does not tell, the recordings do that it was learned from, as far as they are there.
+        """
+        recorded = {one.goal for one in self.recordings() if one.episode in model.episodes and one.goal}
+        match tuple(model.goals or recorded):
+            case ():
+                return "victim"
+            case (only,):
+                return only
+        return "nearest"
+
     def recordings(self) -> list[Recording]:
         """Return all recordings."""
         with self._lock:
@@ -187,7 +190,7 @@ class Library:
         try:
             with open_below(self.root, name) as file:
                 meta = container.read_meta(file, name, FORMAT_VERSION)
-            mapped = meta["map"] if meta["scheme"] == "filter" else {"goals": (), "names": ()}
+            mapped = meta["map"] if meta["scheme"] == "filter" else {"goals": (), "names": [meta["names"]]}
             goals = tuple(sorted({printable(str(goal)) for goal in mapped["goals"]}))
             episodes = frozenset(episode_of(str(name)) for names in mapped["names"] for name in names)
             fingerprint, longest = printable(str(meta["feature_fingerprint"])), int(meta["longest"])

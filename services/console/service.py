@@ -271,7 +271,7 @@ class ConsoleService:
             driver="policy",
             mode="realtime",
             start=ask.start,
-            goal=goal or model.nearest,
+            goal=goal or self.library.leads_to(model),
             max_ticks=max(_MAX_TICKS, _PATIENCE * model.longest),
         )
 

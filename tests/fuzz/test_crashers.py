@@ -86,7 +86,7 @@ def test_changed_seeds_are_decoded_or_refused(name: str) -> None:
     ],
     ids=lambda changes: json.dumps(changes)[:40],
 )
-def test_a_model_whose_header_says_nonsense_is_refused(changes: dict[str, Any]) -> None:
+def test_a_model_of_the_paper_whose_header_says_nonsense_is_refused(changes: dict[str, Any]) -> None:
     def change(meta: dict[str, Any]) -> dict[str, Any]:
         return meta | changes
 
@@ -144,20 +144,22 @@ def test_a_map_that_is_none_is_refused(instead: object) -> None:
         ("views", np.ones((2, 3, 16, 1), np.float32)),
         ("movements", np.full((5, 2), np.nan)),
         ("scene", np.ones(2)),
+        ("mean", np.zeros(3, np.float32)),
+        ("mean", np.full(128, np.nan, np.float32)),
         ("more", np.ones(2)),
     ],
     ids=lambda value: value if isinstance(value, str) else f"{value.dtype}{value.shape}",
 )
 def test_a_map_whose_arrays_do_not_fit_is_refused(name: str, array: np.ndarray) -> None:
     def change(arrays: dict[str, np.ndarray]) -> None:
-        arrays[f"map.{name}"] = array
+        arrays[name] = array
 
     assert not cheaply(model.run, model.with_arrays(model.seeds()[-1], change))
 
 
-@pytest.mark.parametrize("name", ["poses", "keyframes", "views", "scene"])
+@pytest.mark.parametrize("name", ["mean", "poses", "keyframes", "views", "scene"])
 def test_a_map_without_an_array_is_refused(name: str) -> None:
     def change(arrays: dict[str, np.ndarray]) -> None:
-        del arrays[f"map.{name}"]
+        del arrays[name]
 
     assert not cheaply(model.run, model.with_arrays(model.seeds()[-1], change))

@@ -84,7 +84,7 @@ def state(tick: int, model: Path | None, episode: str = "e", **fields: object) -
 def save_model(path: Path, frames: int = 18) -> Path:
     """Learn a corridor of places 0, 1, 2, ... that is driven forward, with one turn at place 9.
 
-    It has no images, and so no map of views: for the paper's scheme. ``tests.corridor`` has a model with one.
+    By the paper's scheme: it has no images. ``tests.corridor`` has a model with a map of views.
     """
     vectors = np.stack([extract(picture(place), FEATURES) for place in range(frames)])
     atoms = np.full(frames, Atom.FORWARD, dtype=np.int8)

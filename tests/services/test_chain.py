@@ -67,7 +67,7 @@ def model(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture
 def recognition(client: Bus, router_endpoint: str, model: Path) -> Iterator[None]:
-    with process("recognition", router_endpoint, "--model", str(model), "--scheme", "paper"):
+    with process("recognition", router_endpoint, "--model", str(model)):
         ready(client, "recognition")
         introduce(client, "recognition", observation(0, episode="hello"))
         yield
@@ -75,7 +75,7 @@ def recognition(client: Bus, router_endpoint: str, model: Path) -> Iterator[None
 
 @pytest.fixture
 def policy(client: Bus, router_endpoint: str, model: Path) -> Iterator[None]:
-    with process("policy", router_endpoint, "--model", str(model), "--scheme", "paper"):
+    with process("policy", router_endpoint, "--model", str(model)):
         ready(client, "policy")
         introduce(client, "policy", state(0, model, episode="hello", status="collecting"))
         yield
@@ -165,7 +165,7 @@ def test_recognition_without_a_model_is_idle_and_refuses_a_bad_one(
         with pytest.raises(RpcError, match="truncated"):
             client.call("recognition", "load", LoadRequest(model="truncated.smal"), LoadReply)
         reply = client.call("recognition", "load", LoadRequest(model="whole.smal", scheme="paper"), LoadReply)
-        assert reply.sequence_length == LENGTH
+        assert (reply.scheme, reply.stride) == ("paper", LENGTH)
 
 
 @pytest.mark.usefixtures("policy")
@@ -224,7 +224,7 @@ def test_robot_stands_while_recognition_and_policy_have_different_models(
     commands = listen(topics.COMMANDS["policy"], Command)
     actions = listen(topics.ACTION, Action)
     other = save_model(tmp_path / "longer.smal", frames=21)
-    flags = ("--model", str(other), "--scheme", "paper", "--root", str(model.parent))
+    flags = ("--model", str(other), "--root", str(model.parent))
     with process("policy", router_endpoint, *flags):
         ready(client, "policy")
         introduce(client, "policy", state(0, other, episode="hello", status="collecting"))
@@ -236,7 +236,7 @@ def test_robot_stands_while_recognition_and_policy_have_different_models(
         status = status_of(client, "policy")
         assert status is not None
         assert status.detail["states_of_another_model"] == LENGTH
-        client.call("policy", "load", LoadRequest(model=model.name, scheme="paper"), LoadReply)
+        client.call("policy", "load", LoadRequest(model=model.name), LoadReply)
         for tick in range(LENGTH, 2 * LENGTH):
             client.publish(observation(tick, place=3 + tick, episode="next"))
             eventually(lambda tick=tick: tick in commands)  # type: ignore[misc]
@@ -246,7 +246,7 @@ def test_robot_stands_while_recognition_and_policy_have_different_models(
 
 
 def test_a_belief_drives_the_robot(client: Bus, router_endpoint: str, listen: Listen[Message], tmp_path: Path) -> None:
-    """The default scheme; odometry comes after the observation of its frame, or before it."""
+    """By a map; odometry comes after the observation of its frame, or before it."""
     states = listen(topics.STATE, State)
     actions = listen(topics.ACTION, Action)
     commands = listen(topics.COMMANDS["policy"], Command)

@@ -22,6 +22,13 @@ def model(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return corridor.save_model(tmp_path_factory.mktemp("model") / "mapped.smal")
 
 
+@pytest.fixture(scope="module")
+def papers_model(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("model") / "paper.smal"
+    corridor.paper_model().save(path)
+    return path
+
+
 @pytest.fixture
 def policy(model: Path) -> PolicyService:
     service = PolicyService()
@@ -111,20 +118,24 @@ def test_it_stops_for_a_state_of_another_model(policy: PolicyService, model: Pat
 
 
 @pytest.mark.parametrize("fields", [{"status": "recognized", "state": 2}, {"status": "unknown"}], ids=str)
-def test_it_stops_for_a_state_of_another_scheme(policy: PolicyService, model: Path, fields: dict[str, object]) -> None:
+def test_it_stops_for_a_state_of_another_scheme(
+    policy: PolicyService, model: Path, papers_model: Path, fields: dict[str, object]
+) -> None:
     papers = PolicyService()
-    papers.load(LoadedModel.read(model, "paper"))
-    for service, theirs in ((policy, state(0, model, **fields)), (papers, belief(0, model))):
+    papers.load(LoadedModel.read(papers_model))
+    for service, theirs in ((policy, state(0, model, **fields)), (papers, belief(0, papers_model))):
         (command,) = service.handle(theirs)
         assert isinstance(command, Command)
         assert command.atom == "stop"
 
 
-def test_it_stops_for_a_place_that_its_model_does_not_have(policy: PolicyService, model: Path) -> None:
+def test_it_stops_for_a_place_that_its_model_does_not_have(
+    policy: PolicyService, model: Path, papers_model: Path
+) -> None:
     """States come over the network: one that names the right model may still be wrong."""
     papers = PolicyService()
-    papers.load(LoadedModel.read(model, "paper"))
-    beyond = state(0, model, status="recognized", state=1_000_000)
+    papers.load(LoadedModel.read(papers_model))
+    beyond = state(0, papers_model, status="recognized", state=1_000_000)
     for service, wrong in ((policy, belief(0, model, keyframe=1_000_000)), (papers, beyond)):
         (command,) = service.handle(wrong)
         assert isinstance(command, Command)

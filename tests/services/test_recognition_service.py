@@ -189,11 +189,8 @@ def test_odometry_of_old_frames_is_forgotten(service: RecognitionService) -> Non
     assert service.handle(seen(999)) is not None
 
 
-def test_a_model_without_a_map_is_for_the_papers_scheme_alone(tmp_path: Path) -> None:
-    unmapped, service = save_model(tmp_path / "unmapped.smal"), RecognitionService()
-    with pytest.raises(ServiceError, match="no map of views") as refused:
-        service.load(LoadedModel.read(unmapped))
-    assert "\n" not in str(refused.value)
-    assert service.load(LoadedModel.read(unmapped, "paper")).keyframes == 0
-    # The paper's scheme needs no odometry.
+def test_a_model_of_the_papers_scheme_needs_no_odometry(tmp_path: Path) -> None:
+    service = RecognitionService()
+    reply = service.load(LoadedModel.read(save_model(tmp_path / "paper.smal")))
+    assert (reply.scheme, reply.keyframes) == ("paper", 0)
     assert [service.handle(observation(tick, place=6 + tick)) is None for tick in range(3)] == [False] * 3

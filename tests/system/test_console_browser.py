@@ -393,11 +393,17 @@ def test_a_hostile_name_is_shown_as_it_is(page: Page, site: Site) -> None:
     assert page.locator("#news img").count() == 0
 
 
-def test_the_paper_s_scheme_drives_when_it_is_chosen(page: Page, site: Site) -> None:
-    """By what was learned in the first of these tests."""
+def test_the_paper_s_scheme_drives_when_it_is_learned(page: Page, site: Site) -> None:
+    """By what was driven in the first of these tests."""
     if page.locator("#run-form select[name=model] option").count() == 0:
         pytest.skip("nothing is learned: run the whole file")
-    page.select_option("#run-form [name=scheme]", "paper")
+    page.fill("#learn-form [name=name]", "states")
+    page.select_option("#learn-form [name=scheme]", "paper")
+    page.click("#learn-form button:not([type])")
+    eventually(lambda: "states is learned" in page.inner_text("#job"), timeout_s=WHOLE_LOOP_S)
+    model = page.locator("#run-form [name=model]")
+    eventually(lambda: model.locator("option").count() == 2)
+    model.select_option("models/states.smal")
     assert page.is_disabled("#run-form [name=goal]"), "it goes to the nearest"
     by_itself = lambda: site.drives and site.applied[-1][1].source == "policy"  # noqa: E731
     insist(page, site, lambda: page.click("#run-form button"), by_itself)

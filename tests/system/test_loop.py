@@ -9,15 +9,15 @@ from typing import Any
 import cv2
 import pytest
 
-from smal.paper.model import Model
+from smal.model import Model
 from tests.command import run_smal
 
 pytestmark = [pytest.mark.rendering, pytest.mark.system, pytest.mark.timeout(1500)]
 
 
-def run_json(taught: Path, out: Path, *extra: object, episodes: int = 4, seed: int = 1) -> dict[str, Any]:
+def run_json(model: Path, out: Path, *extra: object, episodes: int = 4, seed: int = 1) -> dict[str, Any]:
     result = run_smal(
-        "run", "--model", taught / "model.smal", "--world", "yard", "--episodes", episodes, "--seed", seed,
+        "run", "--model", model, "--world", "yard", "--episodes", episodes, "--seed", seed,
         "--camera", "160x120", "--max-ticks", 400, "--json", out, *extra,
     )  # fmt: skip
     assert result.returncode == 0, result.stderr
@@ -45,14 +45,14 @@ def test_one_drive_gives_a_map_of_views(taught: Path) -> None:
 def test_robot_finds_the_victim_by_itself_and_the_same_seed_gives_the_same_outcome(
     taught: Path, tmp_path: Path
 ) -> None:
-    first = run_json(taught, tmp_path / "first.json", "--report", tmp_path / "report")
+    first = run_json(taught / "model.smal", tmp_path / "first.json", "--report", tmp_path / "report")
     outcomes = [episode["outcome"] for episode in first["episodes"]]
     assert outcomes.count("found") >= 3, first
     page = (tmp_path / "report" / "index.html").read_text()
     assert page.count("<img") >= 3
     # "http" alone is among the letters of a picture now and then.
     assert "://" not in page.split("</style>")[1]
-    second = run_json(taught, tmp_path / "second.json", episodes=2)
+    second = run_json(taught / "model.smal", tmp_path / "second.json", episodes=2)
     assert second["episodes"] == first["episodes"][:2]
 
 
@@ -60,7 +60,7 @@ def test_robot_finds_the_victim_in_real_time(taught: Path, tmp_path: Path) -> No
     """At least once in four searches; the later ones are for a machine that is too busy for the first."""
     outcomes: list[str] = []
     for seed in (1, 2, 3, 4):
-        result = run_json(taught, tmp_path / f"{seed}.json", "--realtime", episodes=1, seed=seed)
+        result = run_json(taught / "model.smal", tmp_path / f"{seed}.json", "--realtime", episodes=1, seed=seed)
         outcomes += [episode["outcome"] for episode in result["episodes"]]
         if "found" in outcomes:
             return
@@ -68,11 +68,14 @@ def test_robot_finds_the_victim_in_real_time(taught: Path, tmp_path: Path) -> No
 
 
 def test_robot_finds_the_victim_from_anywhere_and_after_it_was_carried_away(taught: Path, tmp_path: Path) -> None:
-    result = run_json(taught, tmp_path / "anywhere.json", "--start", "anywhere", "--kidnap", 30)
+    result = run_json(taught / "model.smal", tmp_path / "anywhere.json", "--start", "anywhere", "--kidnap", 30)
     assert [e["outcome"] for e in result["episodes"]].count("found") >= 2, result
 
 
 def test_the_papers_scheme_runs(taught: Path, tmp_path: Path) -> None:
-    result = run_json(taught, tmp_path / "paper.json", "--scheme", "paper", episodes=2)
+    model = tmp_path / "paper.smal"
+    learned = run_smal("learn", taught / "drives", "--scheme", "paper", "--out", model)
+    assert learned.returncode == 0, learned.stderr
+    result = run_json(model, tmp_path / "paper.json", "--scheme", "paper", episodes=2)
     outcomes = {episode["outcome"] for episode in result["episodes"]}
     assert outcomes <= {"found", "collision", "timeout"}

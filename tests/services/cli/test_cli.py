@@ -60,23 +60,23 @@ def test_recognition_and_policy_have_their_model_from_the_start(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     model, mapped = save_model(tmp_path / "corridor.smal"), corridor.save_model(tmp_path / "mapped.smal")
-    paper = ("--model", str(model), "--scheme", "paper")
-    assert _chain_flags(None, "filter", None, None) == ((), None)
-    assert _chain_flags(Path("corridor.smal"), "paper", 2, None) == ((*paper, "--stride", "2"), FEATURES)
-    assert _chain_flags(Path("corridor.smal"), "paper", None, None) == (paper, FEATURES)
-    own = ("--model", str(mapped), "--scheme", "filter")
-    assert _chain_flags(Path("mapped.smal"), "filter", None, None) == (own, corridor.FEATURES)
-    named = _chain_flags(Path("mapped.smal"), "filter", None, "victim")
+    paper, own = ("--model", str(model)), ("--model", str(mapped))
+    assert _chain_flags(None, None, None, None) == ((), None)
+    assert _chain_flags(Path("corridor.smal"), None, 2, None) == ((*paper, "--stride", "2"), FEATURES)
+    assert _chain_flags(Path("corridor.smal"), "paper", None, None) == ((*paper, "--scheme", "paper"), FEATURES)
+    assert _chain_flags(Path("mapped.smal"), None, None, None) == (own, corridor.FEATURES)
+    named = _chain_flags(Path("mapped.smal"), None, None, "victim")
     assert named == ((*own, "--goal", "victim"), corridor.FEATURES)
     for path, scheme, stride, goal, line in (
-        (None, "paper", 2, None, "--stride 2: needs --model"),
-        (None, "filter", None, "office", "--goal office: needs --model"),
-        (tmp_path / "none", "filter", None, None, "No such file"),
-        (mapped, "filter", None, "office", "the model has no goal 'office'; it has victim"),
-        (model, "paper", None, "victim", "goal 'victim': the paper's scheme goes to the nearest goal"),
+        (None, "paper", None, None, "--scheme paper: needs --model"),
+        (None, None, 2, None, "--stride 2: needs --model"),
+        (None, None, None, "office", "--goal office: needs --model"),
+        (tmp_path / "none", None, None, None, "No such file"),
+        (mapped, None, None, "office", "the model has no goal 'office'; it has victim"),
+        (model, None, None, "victim", "goal 'victim': the paper's scheme goes to the nearest goal"),
         (model, "paper", LENGTH + 1, None, f"stride must be 1 to the sequence length {LENGTH}, got {LENGTH + 1}"),
-        (model, "filter", None, None, "the model has no map of views"),
-        (mapped, "filter", 2, None, "only the paper's scheme has a stride"),
+        (model, "filter", None, None, "it was learned for the scheme 'paper', not 'filter': smal learn --scheme"),
+        (mapped, None, 2, None, "only the paper's scheme has a stride"),
     ):
         with pytest.raises(UsageError, match=line):
             _chain_flags(path, scheme, stride, goal)
@@ -87,8 +87,9 @@ def test_recognition_and_policy_have_their_model_from_the_start(
     ("name", "flags", "line"),
     [
         ("mapped", ("--stride", "2"), "stride 2: the filter decides at every frame; only the paper"),
-        ("mapped", ("--scheme", "paper", "--stride", "4"), f"stride must be 1 to the sequence length {LENGTH}, got 4"),
-        ("corridor", (), "the model has no map of views: no drive to the goal that it was learned from has images"),
+        ("mapped", ("--scheme", "paper"), "it was learned for the scheme 'filter', not 'paper': smal learn --scheme paper"),
+        ("corridor", ("--scheme", "filter"), "it was learned for the scheme 'paper', not 'filter': smal learn --scheme"),
+        ("corridor", ("--stride", "4"), f"stride must be 1 to the sequence length {LENGTH}, got 4"),
         ("mapped", ("--scheme", "dream"), "'dream' is not one of 'filter', 'paper'"),
     ],
 )

@@ -22,7 +22,7 @@ from schemas.episode import Episode
 from schemas.rpc import LoadReply, LoadRequest
 from schemas.state import Place, State
 from services.console.learned import learned_of
-from services.console.library import LearnedModel, Library
+from services.console.library import Library
 from services.console.listing import Readers, Recording, end_after
 from services.kit.model_service import identity_of
 from services.kit.node import Node
@@ -31,7 +31,8 @@ from services.recorder.service import RecorderService
 from services.recordings.reader import read_recording
 from services.recordings.records import MAGIC
 from services.recordings.writer import EpisodeWriter
-from smal.paper.learning import LearningSettings, fit
+from smal.mapping import demonstrations_of, fit
+from smal.paper.learning import LearningSettings, learn
 from tests import corridor
 from tests.services.conftest import RunNode
 from tests.services.console.conftest import Console
@@ -199,6 +200,20 @@ def test_a_run_is_corrected_where_a_person_took_over(tmp_path: Path, source: Any
     assert shown["corrected"] is corrected
 
 
+def test_a_model_of_the_papers_scheme_has_no_goal_to_choose_and_is_not_drawn(
+    console: Console, robot: Robot, open_page: Callable[[], Page], settings: ServiceSettings, run_node: RunNode
+) -> None:
+    corridor.paper_model().save(console.root / "paper.smal")
+    recognition = Node("recognition", settings)
+    recognition.detail = lambda: {"model": "paper.smal", "checksum": identity_of(corridor.paper_model()), "goal": None}
+    run_node(recognition)
+    page = open_page()
+    (model,) = eventually(lambda: page.state.get("library", {}).get("models"))
+    assert (model["goals"], model["episodes"], model["useless"], model["longest"]) == ([], 1, "", corridor.FRAMES)
+    shown = eventually(lambda: page.state.get("model", {}).get("trouble"))
+    assert shown == "paper.smal is for the paper's scheme: its states have no places on a map"
+
+
 def test_where_a_belief_is_on_the_taught_way() -> None:
     model = corridor.model()
     learned = learned_of(model, None, {})
@@ -224,8 +239,8 @@ def test_the_taught_image_is_that_of_the_recording(tmp_path: Path) -> None:
     way = [corridor.pose(frame) for frame in range(corridor.FRAMES)]
     images = [corridor.view(*one) for one in way]
     atoms = [corridor.Atom.FORWARD] * (corridor.FRAMES - 1) + [corridor.Atom.STOP]
-    model = fit([(images, atoms, np.array(way))], LearningSettings(corridor.FEATURES, corridor.LENGTH))
-    (name,) = model.names
+    model = fit([(images, atoms, np.array(way))], corridor.FEATURES)
+    ((name,),) = model.mapped.names
     messages = [
         message.model_copy(update={"episode": name, "tick": message.tick + 3 * (message.tick > 0)})
         for message in recorded_messages.episode("drive-1", frames=corridor.FRAMES)
@@ -285,7 +300,7 @@ def test_what_cannot_be_run_or_learned_is_said(console: Console, robot: Robot, o
 
 
 @pytest.mark.parametrize("scheme", ["filter", "paper"])
-def test_a_run_is_of_the_model_and_scheme_that_are_chosen_and_recorded(
+def test_a_run_is_of_the_model_that_is_chosen_and_recorded(
     console: Console,
     robot: Robot,
     recorder: RecorderService,
@@ -296,7 +311,8 @@ def test_a_run_is_of_the_model_and_scheme_that_are_chosen_and_recorded(
 ) -> None:
     """Recorded as well, since a person may correct it by hand."""
     loaded: list[tuple[str, LoadRequest]] = []
-    corridor.save_model(console.root / "corridor.smal")
+    model = corridor.model() if scheme == "filter" else corridor.paper_model()
+    model.save(console.root / "corridor.smal")
     features = Node("features", settings)
     features.detail = lambda: {"fingerprint": corridor.FEATURES.fingerprint}
     chain = {name: Node(name, settings) for name in ("recognition", "policy")}
@@ -304,7 +320,7 @@ def test_a_run_is_of_the_model_and_scheme_that_are_chosen_and_recorded(
 
         def load(request: LoadRequest, name: str = name) -> LoadReply:
             loaded.append((name, request))
-            return LoadReply(states=1, templates=1, sequence_length=1, keyframes=1, scheme=request.scheme, stride=1)
+            return LoadReply(scheme=model.scheme, stride=1)
 
         node.serve("load", LoadRequest, load)
     for node in (features, *chain.values()):
@@ -313,9 +329,11 @@ def test_a_run_is_of_the_model_and_scheme_that_are_chosen_and_recorded(
     eventually(lambda: page.state.get("library", {}).get("models"))
     page.take()
     eventually(lambda: page.beats and page.robot(answers=True))
-    run = {"model": "corridor.smal", "scheme": scheme, "goal": "victim", "start": "start", "seed": 7}
+    # The page has no goals to choose from for the paper's scheme.
+    goal = "victim" if scheme == "filter" else None
+    run = {"model": "corridor.smal", "goal": goal, "start": "start", "seed": 7}
     page.insist(lambda: str(page.state["robot"]["episode"]).startswith("run-7-"), do="run", **run)
-    wanted = LoadRequest(model="corridor.smal", scheme=scheme, goal="victim" if scheme == "filter" else None)
+    wanted = LoadRequest(model="corridor.smal", goal=goal)
     assert loaded[:2] == [("recognition", wanted), ("policy", wanted)]
     page.say(do="end", found=True)
     (recording,) = eventually(lambda: page.state["library"]["recordings"])
@@ -324,7 +342,17 @@ def test_a_run_is_of_the_model_and_scheme_that_are_chosen_and_recorded(
 
 @pytest.mark.parametrize(("goals", "nearest"), [((), "victim"), (("dock",), "dock"), (("dock", "ward"), "nearest")])
 def test_a_run_to_the_nearest_of_several_goals_is_not_said_to_lead_to_one_of_them(
-    goals: tuple[str, ...], nearest: str
+    tmp_path: Path, goals: tuple[str, ...], nearest: str
 ) -> None:
-    """Whoever learned from it would teach a goal where another one is."""
-    assert LearnedModel("way.smal", 0.0, 0, goals).nearest == nearest
+    """Whoever learned from it would teach a goal where another one is; a model of the paper's scheme names none."""
+    (drive,) = demonstrations_of([corridor.drive()], corridor.FEATURES)
+    drives = [replace(drive, name=f"to-{goal}") for goal in goals or ("nowhere",)]
+    learn(drives, LearningSettings(corridor.FEATURES, corridor.LENGTH))[0].save(tmp_path / "way.smal")
+    for goal in goals:
+        messages = recorded_messages.episode(f"to-{goal}")
+        told = [one.model_copy(update={"goal": goal}) if isinstance(one, Episode) else one for one in messages]
+        record(tmp_path / "drives", told)
+    library = Library(tmp_path)
+    library.look()
+    (model,) = library.models()
+    assert (model.goals, library.leads_to(model)) == ((), nearest)

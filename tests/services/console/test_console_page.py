@@ -127,17 +127,34 @@ def test_the_page_follows_the_robot_into_the_world_that_somebody_else_has_chosen
     assert choice(page, "variation") == "dark", "that is still one's own choice"
 
 
-def test_a_model_with_a_map_is_run_by_it_again_after_one_without(page: Page, board: Board) -> None:
-    scheme = page.locator("#run-form [name=scheme]")
+def test_of_a_model_of_the_papers_scheme_no_goal_is_chosen(page: Page, board: Board) -> None:
+    goal = page.locator("#run-form [name=goal]")
     tell_models(board, plain=[])
-    eventually(lambda: scheme.input_value() == "paper")
+    eventually(lambda: page.input_value("#run-form [name=model]") == "plain")
+    assert page.inner_text("#run-form [name=model] option") == "plain (the paper's scheme)"
+    assert goal.is_disabled()
     tell_models(board, mapped=["dock", "victim"], plain=[])
     eventually(lambda: page.input_value("#run-form [name=model]") == "mapped")
-    assert scheme.input_value() == "filter"
-    page.select_option("#run-form [name=scheme]", "paper")
+    assert goal.is_enabled()
+    assert goal.input_value() == "dock"
     page.select_option("#run-form [name=model]", "plain")
-    page.select_option("#run-form [name=model]", "mapped")
-    assert scheme.input_value() == "paper", "that was chosen"
+    assert goal.is_disabled()
+
+
+@pytest.mark.parametrize("scheme", ["filter", "paper"])
+def test_a_model_is_learned_for_the_scheme_that_is_chosen(
+    page: Page, person: Person, board: Board, scheme: str
+) -> None:
+    tell_robot(board, world="yard", worlds="yard", variation="day", variations="day")
+    board.put("library", {"folder": "drives", "models": [], "recordings": [recording("a-s-1")]})
+    page.wait_for_selector("#recordings input")
+    page.fill("#learn-form [name=name]", "way")
+    if scheme == "paper":
+        page.select_option("#learn-form [name=scheme]", scheme)
+    page.click("#seat")
+    page.click("#learn-form button")
+    ask = eventually(lambda: next((ask for ask in person.asked if ask.do == "learn"), None))
+    assert (ask.name, ask.scheme, ask.recordings) == ("way", scheme, ("drives/a-s-1.mcap",))
 
 
 @pytest.mark.parametrize(

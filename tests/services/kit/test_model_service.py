@@ -1,7 +1,7 @@
 """Recognition and policy hold a model: named, replaced only by one that is accepted, never mixed with another.
 
-Their handlers alone, without processes; those are in ``test_chain``. What is held is the same in both schemes; here it
-is mostly the paper's, whose plans and windows are easy to see. ``test_recognition_service`` and ``test_policy_service``
+Their handlers alone, without processes; those are in ``test_chain``. Either scheme's model is held alike; here it is
+mostly the paper's, whose plans and windows are easy to see. ``test_recognition_service`` and ``test_policy_service``
 have the filter's.
 """
 
@@ -20,7 +20,7 @@ from services.kit.node import ServiceError
 from services.kit.throttle import Throttle
 from services.policy.service import PolicyService
 from services.recognition.service import RecognitionService
-from smal.paper.model import Model
+from smal.model import Model
 from tests import corridor
 from tests.services.chain import LENGTH, identity, observation, save_model, state
 
@@ -29,9 +29,11 @@ SERVICES = (PolicyService, RecognitionService)
 REFUSALS = {
     "missing": "^no model 'none.smal' below the root of this service$",
     "truncated": "truncated.smal: truncated or altered",
-    "stride": f"^stride must be 1 to the sequence length {LENGTH}, got {LENGTH + 1}$",
-    "stride of the filter": "^stride 2: the filter decides at every frame; only the paper's scheme has a stride$",
-    "no map": "^the model has no map of views: .*; learn it again, or use the scheme 'paper'$",
+    "stride": f"^longer.smal: stride must be 1 to the sequence length {LENGTH}, got {LENGTH + 1}$",
+    "stride of the filter": "^mapped.smal: stride 2: the filter decides at every frame; only the paper's scheme has a",
+    "goal of the paper": "^longer.smal: goal 'there': the paper's scheme goes to the nearest goal, whatever its name$",
+    "for the paper": "^longer.smal: it was learned for the scheme 'paper', not 'filter': smal learn --scheme filter$",
+    "for the filter": "^mapped.smal: it was learned for the scheme 'filter', not 'paper': smal learn --scheme paper$",
 }
 
 
@@ -49,18 +51,20 @@ def other(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def refused(request: pytest.FixtureRequest, tmp_path: Path, other: Path) -> tuple[Path, LoadRequest, str]:
     """Give a root, a request that must be refused, and what the refusal says."""
     name = request.param
-    root, file, scheme, stride = {
-        "missing": (tmp_path, "none.smal", "paper", None),
-        "truncated": (tmp_path, "truncated.smal", "filter", None),
-        "stride": (other.parent, other.name, "paper", LENGTH + 1),
-        "stride of the filter": (tmp_path, "mapped.smal", "filter", 2),
-        "no map": (other.parent, other.name, "filter", None),
+    file, asked = {
+        "missing": ("none.smal", {"scheme": "paper"}),
+        "truncated": ("truncated.smal", {}),
+        "stride": (other.name, {"scheme": "paper", "stride": LENGTH + 1}),
+        "stride of the filter": ("mapped.smal", {"stride": 2}),
+        "goal of the paper": (other.name, {"goal": "there"}),
+        "for the paper": (other.name, {"scheme": "filter"}),
+        "for the filter": ("mapped.smal", {"scheme": "paper"}),
     }[name]
-    if name == "truncated":
+    if file == "truncated.smal":
         (tmp_path / file).write_bytes(other.read_bytes()[:-7])
-    if name == "stride of the filter":
+    if file == "mapped.smal":
         corridor.save_model(tmp_path / file)
-    return root, LoadRequest(model=file, scheme=scheme, stride=stride), REFUSALS[name]
+    return other.parent if file == other.name else tmp_path, LoadRequest(model=file, **asked), REFUSALS[name]
 
 
 def load_by_name(service: Service, root: Path, request: LoadRequest) -> None:
@@ -70,14 +74,14 @@ def load_by_name(service: Service, root: Path, request: LoadRequest) -> None:
 @pytest.fixture
 def policy(model: Path) -> PolicyService:
     service = PolicyService()
-    service.load(LoadedModel.read(model, "paper"))
+    service.load(LoadedModel.read(model))
     return service
 
 
 @pytest.fixture
 def recognition(model: Path) -> RecognitionService:
     service = RecognitionService()
-    service.load(LoadedModel.read(model, "paper"))
+    service.load(LoadedModel.read(model))
     return service
 
 
@@ -99,9 +103,7 @@ def test_the_loaded_model_is_told(cls: type[Service], stride: int | None, got: i
     service = cls()
     assert service.detail() == {"model": None}
     reply = service.load(LoadedModel.read(model, "paper", stride))
-    assert reply == LoadReply(
-        states=6, templates=18, sequence_length=LENGTH, keyframes=0, scheme="paper", stride=got
-    )  # fmt: skip
+    assert reply == LoadReply(scheme="paper", states=6, stride=got)
     detail = service.detail()
     assert (detail["model"], detail["checksum"], detail["scheme"]) == (str(model), identity(model), "paper")
 
@@ -113,7 +115,7 @@ def test_a_model_with_a_map_is_for_the_filter(cls: type[Service], stride: int | 
     reply = service.load(LoadedModel.read(mapped, stride=stride))
     keyframes = len(Model.load(mapped).mapped.keyframes)
     assert keyframes > 10
-    assert (reply.keyframes, reply.scheme, reply.stride) == (keyframes, "filter", 1)
+    assert reply == LoadReply(scheme="filter", keyframes=keyframes, stride=1)
     assert service.detail()["scheme"] == "filter"
 
 
@@ -159,7 +161,7 @@ def test_recognition_keeps_its_window_after_a_refused_load(
 def test_states_name_the_model_that_they_are_of(recognition: RecognitionService, model: Path, other: Path) -> None:
     assert RecognitionService().handle(observation(0)).model is None
     assert recognition.handle(observation(0)).model == identity(model)
-    recognition.load(LoadedModel.read(other, "paper"))
+    recognition.load(LoadedModel.read(other))
     assert recognition.handle(observation(1)).model == identity(other)
     assert identity(model) != identity(other)
 
@@ -185,7 +187,7 @@ def test_policy_obeys_the_states_of_the_other_model_once_it_has_loaded_it(
 ) -> None:
     theirs = state(0, other, status="recognized", state=2)
     assert atom(policy.handle(theirs)) == "stop"
-    policy.load(LoadedModel.read(other, "paper"))
+    policy.load(LoadedModel.read(other))
     assert policy.detail()["states_of_another_model"] == 0
     assert atom(policy.handle(theirs)) == "forward"
     assert atom(policy.handle(state(1, model, status="collecting"))) == "stop"

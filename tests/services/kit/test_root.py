@@ -61,7 +61,7 @@ def refusal(call: Callable[[], object]) -> str:
 
 def load(bus: Bus, service: str, name: str) -> LoadReply:
     # As anybody may send it, whatever our own classes say.
-    request = LoadRequest.model_construct(model=name, scheme="paper", stride=None, goal=None)
+    request = LoadRequest.model_construct(model=name, scheme=None, stride=None, goal=None)
     return bus.call(service, "load", request, LoadReply, timeout_s=60.0)
 
 
@@ -115,7 +115,7 @@ def test_a_link_of_a_folder_leads_out_no_more_than_one_of_a_file(service: str, r
     line = refusal(lambda: load(client, service, "up/outside.smal"))
     assert line == "no model 'up/outside.smal' below the root of this service"
     save_model(root / "good.smal")
-    assert load(client, service, "inside/good.smal").sequence_length == LENGTH
+    assert load(client, service, "inside/good.smal").stride == LENGTH
 
 
 @pytest.mark.parametrize("device", ["zero", "null", "tty", "fd/0"])

@@ -43,7 +43,7 @@ def taught() -> list[Drive]:
 
 @pytest.fixture(scope="module")
 def model() -> Model:
-    settings = LearningSettings(sequence_length=LENGTH, map_views=False)
+    settings = LearningSettings(sequence_length=LENGTH)
     return learn([one.demonstration for one in taught()], settings)[0]
 
 
