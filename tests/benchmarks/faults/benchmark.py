@@ -20,19 +20,19 @@ from typing import Any, Final
 
 from tqdm import tqdm
 
-from services.cli import options
+from services.cli import certificates, options
 from services.kit.errors import JobError, UsageError
 from tests.benchmarks.command_line import Parser, folder_for, say
 from tests.benchmarks.faults.cells import LINKED, MATRIX, QUICK, Bench, Cell
 from tests.benchmarks.faults.harm import FAKETIME, clock_environment
 from tests.benchmarks.faults.model import taught_model
 from tests.benchmarks.faults.picture import draw
-from tests.benchmarks.faults.rig import RigPlan, rig_for
+from tests.benchmarks.faults.rig import ROBOT, RigPlan, rig_for
 from tests.benchmarks.faults.run import Outcome, run_cell
 from tests.benchmarks.machine import machine
 from tests.benchmarks.results import Record, table
 
-_BENCHES: Final[tuple[Bench, ...]] = ("plain", "linked", "rolling", "clock")
+_BENCHES: Final[tuple[Bench, ...]] = ("plain", "linked", "rolling", "clock", "flooded", "guarded")
 _NO_CLOCK: Final = "libfaketime is not installed (apt-get install libfaketime)"
 
 
@@ -64,7 +64,12 @@ def _plan(bench: Bench, model: Path, folder: Path) -> RigPlan:
     own.mkdir(parents=True, exist_ok=True)
     environment = clock_environment(own / "clock") if bench == "clock" else {}
     linked = {"linked": LINKED, "rolling": LINKED}.get(bench, ())
-    return RigPlan(model, own, linked, environment, rolling=bench == "rolling")
+    flooded = bench in ("flooded", "guarded")
+    secure = own / "keys" if bench == "guarded" else None
+    if secure is not None:
+        certificates.begin(secure, ROBOT)
+        certificates.issue(secure, certificates.HOSTS)
+    return RigPlan(model, own, linked, environment, rolling=bench == "rolling", flooded=flooded, secure=secure)
 
 
 def _run(cells: Sequence[Cell], plan: RigPlan, bar: tqdm[Any]) -> Iterator[Outcome]:
