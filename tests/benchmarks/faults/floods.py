@@ -12,7 +12,7 @@ import random
 import signal
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Final, Literal, NamedTuple
@@ -22,6 +22,7 @@ import zenoh
 from schemas.base import NO_EPISODE
 from schemas.command import Command
 from schemas.topics import COMMANDS, TOPICS, rpc_key
+from services.kit.bus import RpcError
 from services.kit.credentials import credentials_in
 from services.table import roles
 from tests.benchmarks.faults.child import child
@@ -95,6 +96,8 @@ def _stop_in(rig: Rig, flood: Flood, flooder: Connection, after_s: float) -> Sto
     number = len(rig.stops) + 1
     notes = rig.plan.notes
     if number == 1 or (last := read_notes(notes).get(number - 1)) is None or last.stood_s is None:
+        with suppress(RpcError):
+            rig.resume()
         rig.begin(_BEGIN_S)
     flooder.send(flood)
     rig.hold(after_s)

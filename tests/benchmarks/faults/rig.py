@@ -311,7 +311,7 @@ def rig_for(plan: RigPlan) -> Iterator[Rig]:
             stacked.enter_context(stack)
         if plan.flooded:
             plan.log.touch()
-            plan.notes.touch()
+            plan.notes.write_text("")
         else:
             stacked.enter_context(observing(ROBOT, endpoint, plan.log))
         bus = stacked.enter_context(closing(stack.settings.open_bus("operator")))
