@@ -8,11 +8,11 @@ from __future__ import annotations
 import re
 from typing import Any, Final, NamedTuple
 
-from schemas.topics import LANES, ROOT, TOPICS, Topic, rpc_key
+from schemas.topics import APPLIED, EPISODE, LANES, ROOT, TOPICS, Topic, rpc_key
 from services.kit.access import KEPT_KEYS, access_control
 from services.kit.credentials import Certificate, Credentials, Password, encrypted
 from services.kit.wire import LARGEST_BYTES, MAX_RPC_BYTES, BusError
-from services.table import SERVICES, roles
+from services.table import roles
 
 DEFAULT_ROUTER: Final = "tcp/127.0.0.1:7447"
 #: Others that Zenoh knows are left out: who asks for them can hold up everybody, or is not bound by a certificate.
@@ -32,11 +32,11 @@ MAX_SESSIONS: Final = 96
 #: themselves alone. A process on the bus has one more, for a robot's own router.
 ROUTER_THREADS: Final = MAX_SESSIONS
 CLIENT_THREADS: Final = len(LANES) + 1
-#: What a session may put on a key that the robot takes, in a second: 50 times what any sender sends. Zenoh drops what
-#: comes sooner after the last one than this allows, so of two that had to wait together the second is lost.
-MOST_COMMANDS_HZ: Final = 1000
-#: What a session may ask of one call, in a second: who waits for an answer before they ask again is slower.
-MOST_CALLS_HZ: Final = 2000
+#: What a session may put on a key in a second: 50 times what any sender sends. Zenoh drops what comes sooner after the
+#: last one than this allows, so of two that waited on their way the second is lost; what is recorded is asked for.
+MOST_PUTS_HZ: Final = 1000
+#: What a session may ask of one call in a second: whoever waits for an answer before they ask again is slower.
+MOST_CALLS_HZ: Final = 10_000
 #: Largest call that a router passes on, for who is called to refuse it by name.
 _CALL_BYTES: Final = 2 * MAX_RPC_BYTES
 
@@ -87,13 +87,13 @@ def _door() -> list[dict[str, object]]:
 def _bounds() -> list[dict[str, object]]:
     """Return what each session may send in a second, by keys; the router drops the rest as it comes in.
 
-    Each session is counted by itself, and each key: whoever floods one keeps nobody else from it. Bounded is what makes
-    the robot work, and what a watcher may send. An emergency stop is not: none may be dropped at the door.
+    Each session is counted by itself, and each key: whoever floods one keeps nobody else from it. An emergency stop is
+    not counted: none may be dropped at the door. Nor is what the robot says several times at once, when things happen.
     """
-    taken = [topic.name for topic in SERVICES["robot"].takes if topic.lane != "stop"]
+    put = [topic.name for topic in TOPICS.values() if topic.lane != "stop" and topic not in (APPLIED, EPISODE)]
     served = sorted({name for role in roles().values() for name in role.serves})
     bounds: list[tuple[str, list[str], list[str], int]] = [
-        ("commands", ["put", "delete"], [f"{ROOT}/*/{name}" for name in taken], MOST_COMMANDS_HZ),
+        ("puts", ["put", "delete"], [f"{ROOT}/*/{name}" for name in put], MOST_PUTS_HZ),
         ("calls", ["query"], [rpc_key("*", *name.split("/", 1)) for name in served], MOST_CALLS_HZ),
     ]
     return [

@@ -58,8 +58,11 @@ class NotingGate(CommandGate):
         elif self._stood_s is not None and now_s - self._stood_s > _STANDS_S:
             self._stood_s = None
             self.arm(self.emergency_stop, "")
-            self.resume(None, 0, "")
         return told
+
+    def arm(self, stop: int, session: str) -> str | None:
+        """Release a stop, and have the policy drive on."""
+        return super().arm(stop, session) or self.resume(None, 0, session)
 
     def _note(self, stop: int, what: str) -> None:
         self._notes.write(json.dumps([stop, what, time.monotonic()]) + "\n")
