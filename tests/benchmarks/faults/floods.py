@@ -24,6 +24,7 @@ from schemas.command import Command
 from schemas.topics import COMMANDS, TOPICS, rpc_key
 from services.kit.bus import RpcError
 from services.kit.credentials import credentials_in
+from services.kit.errors import JobError
 from services.table import roles
 from tests.benchmarks.faults.child import child
 from tests.benchmarks.faults.judge import Window
@@ -44,8 +45,9 @@ _BEGIN_S: Final = 30.0
 _ROUND: Final = 50
 #: Calls wait so long for their answers, seconds.
 _ANSWER_S: Final = 1.0
-#: What is put, and asked of all but a status: no message. The rest is what a holder of the role may have done.
+#: What is put, and what every call but a status asks: refused by who takes it, so that nothing but its number harms.
 _NONSENSE: Final = b"12345678"
+#: What a status asks, which is answered.
 _NOTHING: Final = b"{}"
 
 
@@ -113,6 +115,8 @@ def _stop_in(rig: Rig, flood: Flood, flooder: Connection, after_s: float) -> Sto
 
     rig.until(lambda: (one := stood()) is not None and one.stood_s is not None, _LOST_S)
     flooder.send(None)
+    if not flooder.poll(_LOST_S):
+        raise JobError(f"the {flood} hangs")
     rate_hz = flooder.recv()
     found = stood()
     return Stop(str(flood), rate_hz, None if found is None else found.at_s - put_s)
@@ -122,6 +126,7 @@ def _stop_in(rig: Rig, flood: Flood, flooder: Connection, after_s: float) -> Sto
 def _flooder(rig: Rig, role: str) -> Iterator[Connection]:
     ours, theirs = multiprocessing.get_context("spawn").Pipe()
     with child(f"the flooder {role}", flood_all, rig.bus.endpoint, rig.plan.secure, role, theirs, patience_s=0.0):
+        theirs.close()  # so that its end is noticed
         yield ours
 
 
