@@ -8,7 +8,7 @@ from __future__ import annotations
 import re
 from typing import Any, Final, NamedTuple
 
-from schemas.topics import APPLIED, EPISODE, LANES, ROOT, TOPICS, Topic, rpc_key
+from schemas.topics import COMMANDS, HEARTBEAT, LANES, ROOT, TOPICS, Topic, rpc_key
 from services.kit.access import KEPT_KEYS, access_control
 from services.kit.credentials import Certificate, Credentials, Password, encrypted
 from services.kit.wire import LARGEST_BYTES, MAX_RPC_BYTES, BusError
@@ -32,8 +32,8 @@ MAX_SESSIONS: Final = 96
 #: themselves alone. A process on the bus has one more, for a robot's own router.
 ROUTER_THREADS: Final = MAX_SESSIONS
 CLIENT_THREADS: Final = len(LANES) + 1
-#: What a session may put on a key in a second: 50 times what any sender sends. Zenoh drops what comes sooner after the
-#: last one than this allows, so of two that waited on their way the second is lost; what is recorded is asked for.
+#: What a session may put on a bounded key in a second: 50 times what any sender sends. Zenoh drops what comes sooner
+#: after the last one than this allows, however few there are: so of two that waited on their way the second is lost.
 MOST_PUTS_HZ: Final = 1000
 #: What a session may ask of one call in a second: whoever waits for an answer before they ask again is slower.
 MOST_CALLS_HZ: Final = 10_000
@@ -88,9 +88,10 @@ def _bounds() -> list[dict[str, object]]:
     """Return what each session may send in a second, by keys; the router drops the rest as it comes in.
 
     Each session is counted by itself, and each key: whoever floods one keeps nobody else from it. An emergency stop is
-    not counted: none may be dropped at the door. Nor is what the robot says several times at once, when things happen.
+    not counted: none may be dropped at the door. Of other messages only those are that answer a frame or a pulse, one by
+    one: what may come in bursts would be lost.
     """
-    put = [topic.name for topic in TOPICS.values() if topic.lane != "stop" and topic not in (APPLIED, EPISODE)]
+    put = [topic.name for topic in (COMMANDS["policy"], COMMANDS["expert"], HEARTBEAT)]
     served = sorted({name for role in roles().values() for name in role.serves})
     bounds: list[tuple[str, list[str], list[str], int]] = [
         ("puts", ["put", "delete"], [f"{ROOT}/*/{name}" for name in put], MOST_PUTS_HZ),

@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 import zenoh
 
-from schemas.topics import APPLIED, COMMANDS, EPISODE, TOPICS, rpc_key
+from schemas.topics import COMMANDS, HEARTBEAT, rpc_key
 from services.kit.zenoh_settings import MOST_PUTS_HZ, settings_of
 from services.table import roles
 from tests.services.secured import open_session
@@ -25,8 +25,8 @@ def bounded() -> dict[str, set[str]]:
     return {item["id"]: {rule["key_expr"] for rule in item["rules"]} for item in items}
 
 
-def test_every_key_is_bounded_but_that_of_a_stop_and_what_comes_in_bursts() -> None:
-    assert bounded()["puts"] == {topic.key("*") for topic in TOPICS.values() if topic not in (STOP, APPLIED, EPISODE)}
+def test_what_answers_one_by_one_is_bounded_and_no_stop_nor_what_comes_in_bursts() -> None:
+    assert bounded()["puts"] == {topic.key("*") for topic in (POLICY, COMMANDS["expert"], HEARTBEAT)}
 
 
 def test_every_call_that_a_role_may_make_is_bounded() -> None:
