@@ -88,8 +88,8 @@ def _bounds() -> list[dict[str, object]]:
     """Return what each session may send in a second, by keys; the router drops the rest as it comes in.
 
     Each session is counted by itself, and each key: whoever floods one keeps nobody else from it. An emergency stop is
-    not counted: none may be dropped at the door. Of other messages only those are that answer a frame or a pulse, one by
-    one: what may come in bursts would be lost.
+    not counted: none may be dropped at the door. Of other messages only those are that answer a frame or a pulse, one
+    by one: what may come in bursts would be lost.
     """
     put = [topic.name for topic in (COMMANDS["policy"], COMMANDS["expert"], HEARTBEAT)]
     served = sorted({name for role in roles().values() for name in role.serves})
