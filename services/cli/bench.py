@@ -25,7 +25,7 @@ _STOP_TIMEOUT_S: Final = 10.0
 
 def bench(
     context: typer.Context,
-    name: Annotated[str, typer.Argument(help="Which: recognition, bus, latency, faults, soak or rendering.")],
+    name: Annotated[str, typer.Argument(help="Which: bus, faults, latency, recognition, recorder, rendering, soak.")],
     json_file: Annotated[Path | None, typer.Option("--json", help="Write the results as JSON.")] = None,
     out: Annotated[Path | None, typer.Option(help="Folder for pictures.")] = None,
     quick: Annotated[bool, typer.Option("--quick", help="A small run, of a minute or two.")] = False,
@@ -44,9 +44,13 @@ def bench(
     latency: from the capture of a frame to its command, in real time; --model FILE and --recordings DIR (without them
     both are made), --camera, --ticks, --watchers.
 
-    faults: a driving stack under kills, freezes, outages, a full disk and a jumping clock; --cell NAME (may be
-    repeated), --model FILE. soak: memory and descriptors over an hour; --minutes M, --model FILE,
+    faults: a driving stack under kills, freezes, outages, a full disk, a jumping clock and floods; --cell NAME (may be
+    repeated), --model FILE. The cells "floods" and "floods with certificates": does it obey an emergency stop.
+
+    soak: memory and descriptors over an hour; --minutes M, --model FILE,
     --page: what the console's page holds in a browser, over ten minutes.
+
+    recorder: what its process holds while a drive of hours is recorded; --hours H.
 
     rendering: time of a frame of each scene over a trivial one; --map FILE.
 

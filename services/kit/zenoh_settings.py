@@ -8,10 +8,11 @@ from __future__ import annotations
 import re
 from typing import Any, Final, NamedTuple
 
-from schemas.topics import LANES, ROOT, TOPICS, Topic
+from schemas.topics import COMMANDS, HEARTBEAT, LANES, ROOT, TOPICS, Topic, rpc_key
 from services.kit.access import KEPT_KEYS, access_control
 from services.kit.credentials import Certificate, Credentials, Password, encrypted
 from services.kit.wire import LARGEST_BYTES, MAX_RPC_BYTES, BusError
+from services.table import roles
 
 DEFAULT_ROUTER: Final = "tcp/127.0.0.1:7447"
 #: Others that Zenoh knows are left out: who asks for them can hold up everybody, or is not bound by a certificate.
@@ -31,6 +32,11 @@ MAX_SESSIONS: Final = 96
 #: themselves alone. A process on the bus has one more, for a robot's own router.
 ROUTER_THREADS: Final = MAX_SESSIONS
 CLIENT_THREADS: Final = len(LANES) + 1
+#: What a session may put on a bounded key in a second: 50 times what any sender sends. Zenoh drops what comes sooner
+#: after the last one than this allows, however few there are: so of two that waited on their way the second is lost.
+MOST_PUTS_HZ: Final = 1000
+#: What a session may ask of one call in a second: whoever waits for an answer before they ask again is slower.
+MOST_CALLS_HZ: Final = 10_000
 #: Largest call that a router passes on, for who is called to refuse it by name.
 _CALL_BYTES: Final = 2 * MAX_RPC_BYTES
 
@@ -78,6 +84,30 @@ def _door() -> list[dict[str, object]]:
     ]
 
 
+def _bounds() -> list[dict[str, object]]:
+    """Return what each session may send in a second, by keys; the router drops the rest as it comes in.
+
+    Each session is counted by itself, and each key: whoever floods one keeps nobody else from it. An emergency stop is
+    not counted: none may be dropped at the door. Of other messages only those are that answer a frame or a pulse, one
+    by one: what may come in bursts would be lost.
+    """
+    put = [topic.name for topic in (COMMANDS["policy"], COMMANDS["expert"], HEARTBEAT)]
+    served = sorted({name for role in roles().values() for name in role.serves})
+    bounds: list[tuple[str, list[str], list[str], int]] = [
+        ("puts", ["put", "delete"], [f"{ROOT}/*/{name}" for name in put], MOST_PUTS_HZ),
+        ("calls", ["query"], [rpc_key("*", *name.split("/", 1)) for name in served], MOST_CALLS_HZ),
+    ]
+    return [
+        {
+            "id": name,
+            "messages": messages,
+            "flows": ["ingress"],
+            "rules": [{"key_expr": key, "freq": hz} for key in keys],
+        }
+        for name, messages, keys, hz in bounds
+    ]
+
+
 def _everything(key: str) -> list[str]:
     """Return a key, and those of what its senders kept."""
     return [key, f"{key}/{KEPT_KEYS}"]
@@ -115,6 +145,7 @@ def settings_of(mode: str, endpoint: str, credentials: Credentials) -> dict[str,
             {"id": "calls", "messages": ["query"], "flows": ["ingress"], "key_exprs": ["**"], "size_limit": _CALL_BYTES}
         ]
         settings["qos/network"] = _door()
+        settings["downsampling"] = _bounds()
     else:
         # Only the first connection: after an outage it is made again for as long as it takes. Without this limit
         # `zenoh.open` blocks for ever where there is no router, deaf to signals.

@@ -1,4 +1,4 @@
-"""Faults: what kill -9, freezes, outages, a full disk, a jumping clock and a slow consumer cost.
+"""Faults: what kill -9, freezes, outages, a full disk, a jumping clock, a slow consumer and floods cost.
 
 A whole stack of processes drives a robot in real time. Each cell does one harm while the robot moves, and is judged by
 the log of an observer, a process of its own, and by the recordings; where the base moves, by that process's log too.
@@ -7,6 +7,11 @@ true time may be shorter); how long a moving base went on after the begin of the
 old, or that nobody gave; seconds from the end of the fault to the next frame that the loop answers; seconds until the
 successor of a killed process is ready; the longest time without a new command; frames of which a message is not
 recorded; messages recorded twice; the machine's load, which above its number of cores makes times long.
+
+The cells "floods" and "floods with certificates" flood each key and call of each role in turn as fast as Zenoh takes
+it, by one process. In each flood one emergency stop is put, a single time (the stop's own key is not flooded: whatever
+comes on it stops the robot). Two columns: how many stops the robot stood for within 0.5 s of the put, by a note of its
+own process, and the longest time that it took.
 """
 
 from __future__ import annotations
@@ -20,19 +25,20 @@ from typing import Any, Final
 
 from tqdm import tqdm
 
-from services.cli import options
+from services.cli import certificates, options
 from services.kit.errors import JobError, UsageError
 from tests.benchmarks.command_line import Parser, folder_for, say
 from tests.benchmarks.faults.cells import LINKED, MATRIX, QUICK, Bench, Cell
 from tests.benchmarks.faults.harm import FAKETIME, clock_environment
 from tests.benchmarks.faults.model import taught_model
 from tests.benchmarks.faults.picture import draw
-from tests.benchmarks.faults.rig import RigPlan, rig_for
+from tests.benchmarks.faults.rig import ROBOT, RigPlan, rig_for
 from tests.benchmarks.faults.run import Outcome, run_cell
+from tests.benchmarks.faults.stop import Stop
 from tests.benchmarks.machine import machine
 from tests.benchmarks.results import Record, table
 
-_BENCHES: Final[tuple[Bench, ...]] = ("plain", "linked", "rolling", "clock")
+_BENCHES: Final[tuple[Bench, ...]] = ("plain", "linked", "rolling", "clock", "flooded", "guarded")
 _NO_CLOCK: Final = "libfaketime is not installed (apt-get install libfaketime)"
 
 
@@ -64,7 +70,12 @@ def _plan(bench: Bench, model: Path, folder: Path) -> RigPlan:
     own.mkdir(parents=True, exist_ok=True)
     environment = clock_environment(own / "clock") if bench == "clock" else {}
     linked = {"linked": LINKED, "rolling": LINKED}.get(bench, ())
-    return RigPlan(model, own, linked, environment, rolling=bench == "rolling")
+    flooded = bench in ("flooded", "guarded")
+    secure = own / "keys" if bench == "guarded" else None
+    if secure is not None:
+        certificates.begin(secure, ROBOT)
+        certificates.issue(secure, certificates.HOSTS)
+    return RigPlan(model, own, linked, environment, rolling=bench == "rolling", flooded=flooded, secure=secure)
 
 
 def _run(cells: Sequence[Cell], plan: RigPlan, bar: tqdm[Any]) -> Iterator[Outcome]:
@@ -113,9 +124,15 @@ def _row(one: dict[str, Any]) -> Record:
         "rate Hz": one["rate_hz"],
         "lost frames": one["lost_ticks"],
         "twice": one["duplicates"],
+        "stops": _stops(one["stops"]),
+        "latest s": max((stop["late_s"] for stop in one["stops"] if stop["late_s"] is not None), default=None),
         "load": round(one["load"], 1),
         "": "met" if one["met"] else f"NOT MET: {', '.join(one['not_met'])}",
     }
+
+
+def _stops(stops: list[dict[str, Any]]) -> str:
+    return f"{sum(Stop(**stop).in_time for stop in stops)} of {len(stops)}" if stops else "-"
 
 
 def main(arguments: list[str]) -> None:

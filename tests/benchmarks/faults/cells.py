@@ -11,12 +11,14 @@ from typing import Final, Literal
 from schemas.topics import KEPT_S
 from services.table import stack_services
 from tests.benchmarks.faults import harm
+from tests.benchmarks.faults.floods import flooded
 from tests.benchmarks.faults.judge import Window
 from tests.benchmarks.faults.rig import Rig
 
 #: plain: everything talks to the router; linked: some services by links that can go down; clock: with libfaketime;
-#: rolling: linked, and the robot's base is a process of its own that moves on in real time.
-Bench = Literal["plain", "linked", "clock", "rolling"]
+#: rolling: linked, and the robot's base is a process of its own that moves on in real time; flooded: the robot notes
+#: when it stood for a stop; guarded: as well, behind certificates.
+Bench = Literal["plain", "linked", "clock", "rolling", "flooded", "guarded"]
 LINKED: Final = ("robot", "policy", "recorder")
 #: From the death of a service to the next frame that the loop answers.
 _RESTARTED_S: Final = 15.0
@@ -180,7 +182,14 @@ def _others() -> list[Cell]:
     ]
 
 
-MATRIX: Final = (*_controls(), *_kills(), *_freezes(), *_outages(), *_links(), *_rolling(), *_others())
+def _floods() -> list[Cell]:
+    return [
+        Cell("floods", flooded, bench="flooded"),
+        Cell("floods with certificates", flooded, bench="guarded"),
+    ]
+
+
+MATRIX: Final = (*_controls(), *_kills(), *_freezes(), *_outages(), *_links(), *_rolling(), *_others(), *_floods())
 #: The short version: what tells most in a minute.
 QUICK: Final = (
     "no fault",

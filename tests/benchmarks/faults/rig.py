@@ -23,6 +23,7 @@ from tests.benchmarks.faults.judge import moving
 from tests.benchmarks.faults.log import Entry, Step, Tail, boot_ahead_s, read_steps
 from tests.benchmarks.faults.observer import observing
 from tests.benchmarks.faults.proxy import link
+from tests.benchmarks.faults.stop import NOTES, Stop
 from tests.benchmarks.faults.track import Track, tracks
 from tests.benchmarks.faults.wheels import rolling
 
@@ -51,6 +52,10 @@ class RigPlan:
         Whether the robot's base is a process of its own, which moves on in real time whatever is harmed.
     console : str
         Where the page is, host and port.
+    flooded : bool
+        Whether the bus is flooded: the robot notes its stops, and nobody observes, who would only be flooded as well.
+    secure : Path, optional
+        Folder of certificates.
     """
 
     model: Path
@@ -59,6 +64,19 @@ class RigPlan:
     environment: Mapping[str, str] = field(default_factory=dict)
     rolling: bool = False
     console: str = "127.0.0.1:0"
+    flooded: bool = False
+    secure: Path | None = None
+
+    @property
+    def modules(self) -> dict[str, str]:
+        """What runs in place of services of the stack."""
+        own = "robot" if self.rolling else "noting" if self.flooded else None
+        return {} if own is None else {"robot": f"tests.benchmarks.faults.{own}"}
+
+    @property
+    def notes(self) -> Path:
+        """What the robot of a flooded stack notes of its stops."""
+        return self.folder / "stops.jsonl"
 
     @property
     def recordings(self) -> Path:
@@ -112,6 +130,8 @@ class Rig:
         #: Whether a new episode begins when one has ended.
         self.driven = False
         self.notes: list[str] = []
+        #: What became of each emergency stop that was sent while the bus was flooded.
+        self.stops: list[Stop] = []
         self.seed = 100
         #: How many episodes have begun.
         self.begun = 0
@@ -151,7 +171,7 @@ class Rig:
                 self._episode, self._armed = None, False
         if self.driven and self._episode is None and time.monotonic() >= self._begin_s:
             self._begin_s = time.monotonic() + WATCH_S
-            self._begin(timeout_s=30.0)
+            self.begin(timeout_s=30.0)
 
     # -- driving --------------------------------------------------------------------------------------------------
 
@@ -179,7 +199,7 @@ class Rig:
         for _ in range(_STARTS):
             self.finish_episode()
             self.forget()
-            if self.until(lambda: self._begin(timeout_s=30.0), 30.0) and self.until(self._moves, _MOVING_S):
+            if self.until(lambda: self.begin(timeout_s=30.0), 30.0) and self.until(self._moves, _MOVING_S):
                 return
         raise JobError(f"the robot does not move, from {_STARTS} starts; see {self.plan.folder / 'logs'}")
 
@@ -187,7 +207,8 @@ class Rig:
         mine = [one for one in self.entries if one.episode == self._episode]
         return bool(mine) and moving(Track(mine[0].episode, mine))
 
-    def _begin(self, timeout_s: float) -> bool:
+    def begin(self, timeout_s: float) -> bool:
+        """Begin an episode; return whether one has begun."""
         request = ResetRequest(seed=self.seed + 1, mode="realtime")
         try:
             self._arm()
@@ -276,18 +297,23 @@ class Rig:
 def rig_for(plan: RigPlan) -> Iterator[Rig]:
     """Set everything up, and leave no process behind."""
     endpoint = free_endpoint()
+    if plan.secure is not None:
+        endpoint = endpoint.replace("tcp/127.0.0.1", "tls/localhost")
     plan.folder.mkdir(parents=True, exist_ok=True)
     with ExitStack() as stacked:
         links = {service: stacked.enter_context(link(endpoint)) for service in plan.linked}
         wheels = stacked.enter_context(rolling(WORLD, plan.steps)) if plan.rolling else None
         service_flags = plan.service_flags({service: address for service, (address, _) in links.items()}, wheels)
-        modules = {"robot": "tests.benchmarks.faults.robot"} if plan.rolling else {}
         stack = Stack(
-            StackPlan(stack_services(), ROBOT, endpoint, service_flags, logs=plan.folder / "logs", modules=modules)
+            StackPlan(stack_services(), ROBOT, endpoint, service_flags, plan.secure, plan.folder / "logs", plan.modules)
         )
-        with patch.dict(os.environ, plan.environment):
+        with patch.dict(os.environ, {**plan.environment, NOTES: str(plan.notes.resolve())}):
             stacked.enter_context(stack)
-        stacked.enter_context(observing(ROBOT, endpoint, plan.log))
-        bus = stacked.enter_context(closing(Bus(ROBOT, endpoint)))
+        if plan.flooded:
+            plan.log.touch()
+            plan.notes.write_text("")
+        else:
+            stacked.enter_context(observing(ROBOT, endpoint, plan.log))
+        bus = stacked.enter_context(closing(stack.settings.open_bus("operator")))
         tail = stacked.enter_context(closing(Tail(plan.log)))
         yield Rig(plan, stack, bus, tail, {service: pid for service, (_, pid) in links.items()})

@@ -14,6 +14,7 @@ from tests.benchmarks.faults.judge import Window
 from tests.benchmarks.faults.log import Step
 from tests.benchmarks.faults.recordings import Recorded, balance, read_recordings
 from tests.benchmarks.faults.rig import Rig
+from tests.benchmarks.faults.stop import Stop
 from tests.benchmarks.faults.track import Track
 
 #: Given up after so long; a renderer that starts anew on a busy machine has taken 50 s.
@@ -50,6 +51,8 @@ class Outcome:
         See ``Balance``, by episode and topic.
     lost_ticks, duplicates, recorded : int
         Over all episodes of the cell.
+    stops : list of Stop
+        Emergency stops that were sent while the bus was flooded.
     """
 
     name: str
@@ -75,6 +78,7 @@ class Outcome:
     tracks: list[Track] = field(default_factory=list)
     steps: list[Step] = field(default_factory=list)
     did_not_run: bool = False
+    stops: list[Stop] = field(default_factory=list)
 
     @classmethod
     def failed(cls, name: str, reason: str) -> Self:
@@ -83,13 +87,20 @@ class Outcome:
 
     def record(self) -> dict[str, Any]:
         """Return what JSON is to hold."""
-        own = {name: value for name, value in vars(self).items() if name not in ("tracks", "steps", "fault", "still")}
+        own = {
+            name: value
+            for name, value in vars(self).items()
+            if name not in ("tracks", "steps", "fault", "still", "stops")
+        }
         own |= {"still_s": self.still.at_most_s, "still_at_least_s": self.still.at_least_s}
+        own["stops"] = [vars(stop) for stop in self.stops]
         return own | {"fault_s": self.fault.end_s - self.fault.begin_s, "met": not self.not_met}
 
 
 def run_cell(cell: Cell, rig: Rig) -> Outcome:
     """Do the harm while the robot drives, wait for the recovery, and judge."""
+    if rig.plan.flooded:
+        return _run_flooded(cell, rig)
     rig.start_moving()
     watched = rig.pid(cell.watched) if cell.watched else 0
     rig.driven = cell.drives_on
@@ -112,6 +123,14 @@ def run_cell(cell: Cell, rig: Rig) -> Outcome:
     _compare(outcome, read_recordings(rig.plan.recordings), harmed if cell.next_episode else set())
     outcome.notes, outcome.load = rig.notes, os.getloadavg()[0]
     outcome.not_met = verdict(cell, outcome)
+    return outcome
+
+
+def _run_flooded(cell: Cell, rig: Rig) -> Outcome:
+    """Judge the stops alone: nobody observes a flooded bus."""
+    outcome = Outcome(cell.name, cell.harm(rig))
+    outcome.stops, outcome.notes, outcome.load = rig.stops, rig.notes, os.getloadavg()[0]
+    outcome.not_met = [] if all(stop.in_time for stop in outcome.stops) else ["stops"]
     return outcome
 
 

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from schemas.rpc import Nothing, Status
-from schemas.topics import HEARTBEAT, POSE, PULSE
+from schemas.topics import COMMANDS, HEARTBEAT, POSE, PULSE, TOPICS, rpc_key
 from services.cli.stack.processes import Stack, StackPlan, free_endpoint
 from services.kit.bus import Bus, RpcError
 from services.kit.errors import JobError, UsageError
@@ -22,12 +22,17 @@ from services.simulator.base import STEP_S, KinematicBase
 from services.simulator.body import WATCHDOG_S
 from services.simulator.robots import RESCUEBOT
 from services.simulator.world import load_world
+from services.table import roles
 from tests.benchmarks.faults import benchmark as faults
+from tests.benchmarks.faults.floods import floods
 from tests.benchmarks.faults.log import read_log, read_steps
+from tests.benchmarks.faults.noting import NotingGate
 from tests.benchmarks.faults.observer import observing
 from tests.benchmarks.faults.operator import looking_on
 from tests.benchmarks.faults.proxy import GROWTH, link
+from tests.benchmarks.faults.rig import ROBOT as FLOODED
 from tests.benchmarks.faults.slow import slow_consumer
+from tests.benchmarks.faults.stop import Stop, read_notes
 from tests.benchmarks.faults.wheels import FarBase, Wheels, rolling
 from tests.schemas.messages import EXAMPLES
 from tests.services.waiting import eventually
@@ -170,3 +175,36 @@ def test_a_cell_that_does_not_exist(tmp_path: Path) -> None:
 def test_a_model_that_does_not_exist(tmp_path: Path) -> None:
     with pytest.raises(UsageError, match=r"none\.smal"):
         faults.main(["--model", str(tmp_path / "none.smal"), "--quick"])
+
+
+@pytest.mark.parametrize("secure", [False, True])
+def test_every_key_and_call_of_every_role_is_flooded_but_a_stop_s(secure: bool) -> None:
+    of_all = floods(secure)
+    flooded = {(one.kind, one.key) for of_it in of_all.values() for one in of_it}
+    assert {key for kind, key in flooded if kind == "put"} == {
+        topic.key(FLOODED) for topic in TOPICS.values() if topic.name != "command/emergency_stop"
+    }
+    called = {name for role in roles().values() for name in role.calls}
+    assert {("call", rpc_key(FLOODED, *name.split("/", 1))) for name in called} <= flooded
+    assert not secure or {"robot", "policy", "operator", "watcher"} <= of_all.keys()
+
+
+def test_a_robot_that_notes_its_stops_stands_for_each_and_drives_on(tmp_path: Path) -> None:
+    notes = tmp_path / "stops"
+    gate = NotingGate(notes, attended=False)
+    assert gate.arm(gate.emergency_stop, "") is None
+    gate.begin("e", "policy")
+    stop = EXAMPLES[COMMANDS["emergency_stop"].message].model_copy(update={"source": "emergency_stop", "sequence": 7})
+    gate.offer(stop, 1.0)
+    assert read_notes(notes)[7].stood_s is None
+    assert gate.applied(1.02).reason == "emergency_stop"
+    assert read_notes(notes)[7].stood_s is not None
+    assert gate.applied(1.1).reason == "emergency_stop"
+    gate.applied(1.2)
+    assert not gate.emergency_stop
+    assert not gate.taken_over
+
+
+@pytest.mark.parametrize(("late_s", "in_time"), [(None, False), (0.51, False), (0.5, True)])
+def test_a_stop_is_obeyed_in_time_or_lost(late_s: float | None, in_time: bool) -> None:
+    assert Stop("put of state by policy", 1e5, late_s).in_time == in_time

@@ -1,0 +1,73 @@
+"""The simulated robot with a gate that notes when it stands for each emergency stop, and is armed again by itself.
+
+What its bus tells of a stop would come late where the bus is flooded, as a call that arms it would.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import time
+from functools import partial
+from pathlib import Path
+from typing import Final
+from unittest.mock import patch
+
+from schemas.command import Command
+from services.kit.node import run_service
+from services.robot.gate import Applied, CommandGate, Refusal
+from services.robot.service import ROBOT
+from services.simulator.__main__ import serve
+from tests.benchmarks.faults.stop import NOTES
+
+#: The robot stands for so long, seconds, then it drives on; five steps of the actuator.
+_STANDS_S: Final = 0.1
+
+
+class NotingGate(CommandGate):
+    """A gate that writes a line when a stop is latched, and one when the actuator stands for it.
+
+    Parameters
+    ----------
+    notes
+        Where to.
+    attended
+        As ``CommandGate`` has it.
+    """
+
+    def __init__(self, notes: Path, *, attended: bool) -> None:
+        super().__init__(attended=attended)
+        self._notes = notes.open("a", buffering=1)
+        self._latched: int | None = None
+        self._stood_s: float | None = None
+
+    def offer(self, command: Command, now_s: float) -> Refusal | None:
+        """Take a command, and note a stop."""
+        refusal = super().offer(command, now_s)
+        if command.source == "emergency_stop":
+            self._note(command.sequence, "latched_s")
+            self._latched = command.sequence
+        return refusal
+
+    def applied(self, now_s: float) -> Applied:
+        """Tell the actuator what to do, and note that it stands for a stop."""
+        told = super().applied(now_s)
+        if told.source == "emergency_stop" and self._latched is not None:
+            self._note(self._latched, "stood_s")
+            self._latched, self._stood_s = None, now_s
+        elif self._stood_s is not None and now_s - self._stood_s > _STANDS_S:
+            self._stood_s = None
+            self.arm(self.emergency_stop, "")
+        return told
+
+    def arm(self, stop: int, session: str) -> str | None:
+        """Release a stop, and have the policy drive on."""
+        return super().arm(stop, session) or self.resume(None, 0, session)
+
+    def _note(self, stop: int, what: str) -> None:
+        self._notes.write(json.dumps([stop, what, time.monotonic()]) + "\n")
+
+
+if __name__ == "__main__":
+    with patch("services.robot.service.CommandGate", partial(NotingGate, Path(os.environ[NOTES]))):
+        run_service(ROBOT, serve)
