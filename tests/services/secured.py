@@ -19,10 +19,9 @@ ROBOT: Final = "rescuebot"
 
 
 def make_keys(folder: Path, days: float = certificates.DAYS) -> Path:
-    """Make certificates and passwords of every role."""
+    """Make the certificates of every role."""
     certificates.begin(folder, ROBOT)
     certificates.issue(folder, certificates.HOSTS, days)
-    certificates.give_passwords(folder)
     return folder
 
 
@@ -39,7 +38,7 @@ def open_session(
 @contextmanager
 def secured_router(endpoint: str, keys: Path) -> Iterator[zenoh.Session]:
     """Run a router; gives its own session, which no rule holds back."""
-    credentials = credentials_in(keys, "router", endpoint)
+    credentials = credentials_in(keys, "router")
     with closing(Router(endpoint, credentials, ROBOT)) as router:
         yield router._session
 
@@ -48,14 +47,9 @@ def secured_router(endpoint: str, keys: Path) -> Iterator[zenoh.Session]:
 def sessions(endpoint: str, keys: Path, roles: list[str]) -> Iterator[dict[str, zenoh.Session]]:
     """Open a session of each role."""
     with ExitStack() as stack:
-        yield {
-            role: stack.enter_context(closing(open_session(endpoint, credentials_in(keys, role, endpoint))))
-            for role in roles
-        }
+        yield {role: stack.enter_context(closing(open_session(endpoint, credentials_in(keys, role)))) for role in roles}
 
 
 def certificate_in(keys: Path, role: str) -> Certificate:
     """Return the certificate of a role."""
-    found = credentials_in(keys, role, "tls/")
-    assert isinstance(found, Certificate)
-    return found
+    return credentials_in(keys, role)

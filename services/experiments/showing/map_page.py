@@ -14,7 +14,7 @@ from services.experiments import html
 from services.experiments.showing import figures
 from services.experiments.showing.belief import Believed, believed
 from services.experiments.showing.drives import TaughtDrives
-from services.experiments.showing.parts import counted, figure, missing, strip
+from services.experiments.showing.parts import counted, figure, missing, seconds, strip
 from services.experiments.showing.summary import facts, goals_of
 from services.experiments.showing.ways import Ways
 from services.recordings.taught import episode_of
@@ -40,7 +40,12 @@ class MapPage:
         self._goals = goals_of(model)
         self._names = [printable(episode_of(names[0])) for names in model.mapped.names]
         known = [] if found is None else [one for one in found.demonstrations if one is not None]
-        self._drives = dict(drives_to_goals(known))
+        whole = dict(drives_to_goals(known))
+        self._drives = {
+            names: whole[names]
+            for names, frames in zip(model.mapped.names, model.mapped.frames.tolist(), strict=True)
+            if names in whole and len(whole[names].atoms) == frames
+        }
 
     def body(self) -> Iterator[str]:
         """Yield the page, part by part."""
@@ -108,7 +113,7 @@ class MapPage:
             for drive, name in enumerate(names):
                 on = costs[ways.of == drive]
                 where = np.round(np.array(_SHARES) * (on.size - 1)).astype(int)
-                rows.append([goal, name, *(seconds(seconds) for seconds in on[where].tolist())])
+                rows.append([goal, name, *(seconds(cost) for cost in on[where].tolist())])
                 if not np.isfinite(on).any():
                     no_way.append(f"No taught way leads from {name} to {goal}.")
         head = ["to", "on the drive", "start", *(f"{share:.0%}" for share in _SHARES[1:-1]), "end"]

@@ -22,8 +22,9 @@ from services.recordings.dataset import Teacher, find_recordings
 from services.recordings.reader import read_recording
 from services.recordings.writer import EpisodeWriter
 from smal.features import FeatureSettings, extract
+from smal.model import Model
 from smal.movement import Atom
-from smal.paper.model import Model
+from smal.paper.model import Model as PaperModel
 from smal.paper.novelty import WeightTest
 from smal.virtual_views import USUAL_FOCAL
 from tests import corridor
@@ -88,8 +89,8 @@ def test_a_model_with_shared_states_is_learned(
     drives: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     out, report = tmp_path / "models" / "corridor.smal", tmp_path / "report.json"
-    learn([drives], out, length=5, json_file=report)
-    model = Model.load(out)
+    learn([drives], out, scheme="paper", length=5, json_file=report)
+    model = PaperModel.load(out)
     assert (model.sequence_length, model.recovery) == (5, (False, False, False, True))
     assert model.successful == (True, True, True, False)
     said = json.loads(report.read_text())
@@ -97,8 +98,8 @@ def test_a_model_with_shared_states_is_learned(
     assert said["shared_states"] == said["states"] == 8
     assert said["remarks"] == []
     text = capsys.readouterr().out
-    assert "shared states 8" in text
-    assert "frames        140" in text
+    assert "shared states   8" in text
+    assert "frames          140" in text
 
 
 def test_what_was_recorded_is_what_teaches(drives: Path) -> None:
@@ -154,14 +155,14 @@ def test_a_gap_splits_a_drive(tmp_path: Path) -> None:
     assert teaching.remarks == [f"{tmp_path}/e.mcap: episode e: 1 frames beside gaps are left out"]
 
 
-def test_two_pieces_of_one_drive_share_no_state(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_two_pieces_of_one_drive_share_no_state(tmp_path: Path) -> None:
     there, back = drive("e"), drive("e")
     path = record(tmp_path, [*there[:-1], *(m.model_copy(update={"tick": m.tick + 50}) for m in back[1:])])
-    learn([path], tmp_path / "model.smal", length=5)
-    model = Model.load(tmp_path / "model.smal")
+    learn([path], tmp_path / "model.smal", scheme="paper", length=5, json_file=tmp_path / "report.json")
+    model = PaperModel.load(tmp_path / "model.smal")
     assert model.names == ("e[0-39]", "e[50-89]")
     assert model.shared_states == 8
-    assert "shared states 0 (seen in at least two episodes)" in capsys.readouterr().out
+    assert json.loads((tmp_path / "report.json").read_text())["shared_states"] == 0
 
 
 def test_an_episode_teaches_once(drives: Path, tmp_path: Path) -> None:
@@ -191,14 +192,14 @@ def test_damaged_recordings_are_named_and_the_rest_teaches(
     foreign.write_bytes(b"not a recording")
     living = EpisodeWriter.begin(drives, event("living", 0, "started"))
     leave(drives, drive("left-behind", frames=20)[:-1])
-    learn([drives], tmp_path / "model.smal")
+    learn([drives], tmp_path / "model.smal", scheme="paper")
     said = capsys.readouterr().err
     (whole,) = read_recording(cut).episodes
     assert f"smal: {cut}: truncated; the {whole.frames} whole frames are read\n" in said
     assert f"smal: {foreign}: not an MCAP file\n" in said
     assert f"smal: {drives}/living.mcap.partial: still being recorded;" in said
     assert f"smal: {drives}/left-behind.mcap.partial: truncated; the 20 whole frames are read\n" in said
-    assert Model.load(tmp_path / "model.smal").successful == (True, True, False, False, False)
+    assert PaperModel.load(tmp_path / "model.smal").successful == (True, True, False, False, False)
     living.seal()
 
 
@@ -208,14 +209,16 @@ def test_every_mistake_is_one_line(drives: Path, tmp_path: Path) -> None:
     bad = tmp_path / "bad.mcap"
     bad.write_bytes(b"")
     failed = record(tmp_path, drive("failed", purpose="recovery", outcome="aborted"))
+    paper = {"scheme": "paper"}
     for paths, options, kind, line in (
         ([tmp_path / "none"], {}, UsageError, f"{tmp_path}/none: no such file or folder"),
         ([empty], {}, UsageError, f"{empty}: no recording (*.mcap) in this folder"),
-        ([drives], {"gamma": 1.5}, UsageError, "gamma"),
-        ([drives], {"lambda2": float("inf")}, UsageError, "lambda2 must be finite and positive, got inf"),
+        ([drives], paper | {"gamma": 1.5}, UsageError, "gamma"),
+        ([drives], paper | {"lambda2": float("inf")}, UsageError, "lambda2 must be finite and positive, got inf"),
         ([bad], {}, JobError, f"{bad}: empty"),
-        ([drives], {"length": 41}, JobError, "nothing to learn from in 4 recordings, for the reasons above"),
+        ([drives], paper | {"length": 41}, JobError, "nothing to learn from in 4 recordings, for the reasons above"),
         ([failed], {}, JobError, "cannot learn from these recordings: "),
+        ([failed], paper, JobError, "cannot learn from these recordings: "),
     ):
         with pytest.raises(kind) as caught:
             learn(paths, out, **options)
@@ -230,8 +233,15 @@ def test_every_mistake_is_one_line(drives: Path, tmp_path: Path) -> None:
         learn([drives], out, json_file=tmp_path / "none" / "report.json")
     for tau in (-0.1, float("nan"), float("inf")):
         with pytest.raises(UsageError, match="--tau"):
-            learn([drives], out, tau=tau)
+            learn([drives], out, scheme="paper", tau=tau)
     assert not out.exists()
+
+
+@pytest.mark.parametrize("name", ["length", "lambda1", "lambda2", "tau", "gamma", "memory"])
+def test_what_only_the_papers_scheme_has_is_refused_without_it(drives: Path, tmp_path: Path, name: str) -> None:
+    with pytest.raises(UsageError, match=f"^--{name} 1: only the paper's scheme has it; give --scheme paper$"):
+        learn([drives], tmp_path / "model.smal", **{name: 1})
+    assert not (tmp_path / "model.smal").exists()
 
 
 def test_progress_is_told_to_programs_as_lines_of_json(
@@ -245,7 +255,7 @@ def test_progress_is_told_to_programs_as_lines_of_json(
     assert all(0 <= line["done"] <= line["total"] for line in lines)
 
 
-def test_one_drive_gives_a_map_of_views_and_the_papers_scheme_none(
+def test_one_drive_gives_a_map_of_views_and_for_the_papers_scheme_states(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     path, report = record(tmp_path, drive("drive-0")), tmp_path / "report.json"
@@ -255,12 +265,21 @@ def test_one_drive_gives_a_map_of_views_and_the_papers_scheme_none(
     np.testing.assert_array_equal(visual_map.poses, [odometry(tick) for tick in range(40)])
     keyframes = len(visual_map.keyframes)
     assert json.loads(report.read_text())["keyframes"] == keyframes > 10
-    assert f"keyframes     {keyframes} of the map of views\n" in capsys.readouterr().out
+    text = capsys.readouterr().out
+    assert f"keyframes       {keyframes}\n" in text
+    assert "goals           victim\n" in text
+    assert "states" not in text
     learn([path], tmp_path / "paper.smal", scheme="paper")
-    model = Model.load(tmp_path / "paper.smal")
-    assert model.visual_map is None
+    model = PaperModel.load(tmp_path / "paper.smal")
     assert (model.novelty, model.novelty_parameters) == ("weight", {"tau": WeightTest().tau})
-    assert "keyframes     none: no map of views\n" in capsys.readouterr().out
+    text = capsys.readouterr().out
+    assert f"states          {model.states}\n" in text
+    assert "keyframes" not in text
+
+
+def test_recovery_drives_teach_the_papers_scheme_alone(drives: Path, tmp_path: Path) -> None:
+    learn([drives], tmp_path / "mapped.smal")
+    assert Model.load(tmp_path / "mapped.smal").mapped.names == (("drive-0",), ("drive-1",), ("drive-2",))
 
 
 @pytest.mark.parametrize("kind", [CompressedImage, Odometry, Message])

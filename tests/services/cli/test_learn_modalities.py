@@ -9,11 +9,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from services.cli.learn import learn
+from services.cli import learn as learning
 from services.kit.errors import JobError, UsageError
 from services.recordings.recorded_features import features_in, features_of_recordings
 from smal.features import FeatureSettings, extract
-from smal.paper.model import Model
+from smal.model import Model
+from smal.paper.model import Model as PaperModel
 from tests.services.cli.test_learn import depth, teach, view
 from tests.services.cli.test_learn import drive as drive_with
 from tests.services.recordings.test_recorder_files import leave, record
@@ -21,12 +22,8 @@ from tests.services.recordings.test_recorder_files import leave, record
 FEATURES = FeatureSettings()
 ALL = FeatureSettings.of(("color", "hog", "depth"))
 drive = partial(drive_with, features=FEATURES)
-
-
-@pytest.fixture(autouse=True)
-def _without_map(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Leave out the map of views, which takes seconds with these features; ``test_learn`` has it."""
-    monkeypatch.setattr("smal.paper.learning._map_views", lambda *_: None)
+#: A map of views takes seconds with these features; ``test_learn`` has it.
+learn = partial(learning.learn, scheme="paper")
 
 
 @pytest.fixture
@@ -41,7 +38,7 @@ def with_depth(tmp_path: Path) -> Path:
 def test_without_a_choice_the_recordings_decide(with_depth: Path, tmp_path: Path) -> None:
     out, report = tmp_path / "model.smal", tmp_path / "report.json"
     learn([with_depth], out, json_file=report)
-    assert Model.load(out).feature_settings == ALL
+    assert PaperModel.load(out).feature_settings == ALL
     said = json.loads(report.read_text())
     assert (said["modalities"], said["weights"]) == (["color", "hog", "depth"], [1.0, 1.0, 1.0])
     assert said["remarks"] == []
@@ -64,7 +61,7 @@ def test_the_model_of_a_subset_is_that_of_a_recording_without_the_rest(with_dept
         record(plain, drive(f"drive-{number}"))
     learn([plain], tmp_path / "plain.smal")
     learn([with_depth], tmp_path / "subset.smal", modalities="color,hog")
-    assert Model.load(tmp_path / "subset.smal").checksum == Model.load(tmp_path / "plain.smal").checksum
+    assert PaperModel.load(tmp_path / "subset.smal").checksum == PaperModel.load(tmp_path / "plain.smal").checksum
 
 
 def test_weights_go_with_the_modalities_in_their_order(
@@ -72,10 +69,10 @@ def test_weights_go_with_the_modalities_in_their_order(
 ) -> None:
     out = tmp_path / "model.smal"
     learn([with_depth], out, modalities="depth,hog", weights="3,1")
-    assert Model.load(out).feature_settings == FeatureSettings(("depth", "hog"), (3.0, 1.0))
-    assert "features      depth (weight 3) hog (weight 1)\n" in capsys.readouterr().out
+    assert PaperModel.load(out).feature_settings == FeatureSettings(("depth", "hog"), (3.0, 1.0))
+    assert "features        depth (weight 3) hog (weight 1)\n" in capsys.readouterr().out
     learn([with_depth], out, weights="1,1,2")
-    model = Model.load(out)
+    model = PaperModel.load(out)
     assert model.feature_settings == FeatureSettings(ALL.modalities, (1.0, 1.0, 2.0))
     shares = [np.square(model.templates[where]).sum(axis=0) for where in ALL.slices]
     np.testing.assert_allclose(shares[2] / shares[0], 4.0, rtol=1e-3)
@@ -101,7 +98,21 @@ def test_recordings_with_different_features_need_a_choice(with_depth: Path, tmp_
     for part in (f"{with_depth}/drive-0.mcap holds color,hog,depth", f"{path} holds color,hog)", "with --modalities"):
         assert part in str(caught.value)
     learn([with_depth], tmp_path / "model.smal", modalities="color,hog")
-    assert len(Model.load(tmp_path / "model.smal").names) == 3
+    assert len(PaperModel.load(tmp_path / "model.smal").names) == 3
+
+
+def test_a_map_has_no_depth(tmp_path: Path) -> None:
+    """It is refused where it is asked for, and left out where it is only recorded."""
+    features, out = FeatureSettings.of(("thumbnail", "depth")), tmp_path / "model.smal"
+    path = record(tmp_path, drive("drive-0", features=features))
+    with pytest.raises(UsageError) as caught:
+        learning.learn([path], out, modalities="thumbnail,depth")
+    said = "a map of views has no depth; leave depth out, or give --scheme paper"
+    assert str(caught.value) == f"--modalities thumbnail,depth: {said}"
+    learning.learn([path], out)
+    assert Model.load(out).feature_settings == FeatureSettings(("thumbnail",), (1.0,))
+    with pytest.raises(UsageError, match=r"^--weights 1,2: 1 modalities need as many weights, got 2"):
+        learning.learn([path], out, weights="1,2")
 
 
 def test_what_says_nothing_of_its_features_leaves_the_usual_ones(tmp_path: Path) -> None:

@@ -20,10 +20,13 @@ from services.experiments.showing.page import write_page
 from services.experiments.showing.ways import Ways
 from services.kit.jpeg import encode_jpeg
 from services.recordings.dataset import Teacher, find_recordings
-from services.recordings.taught import drives_of_map, ticks_of
+from services.recordings.taught import ticks_of
+from smal.mapping import learn as learn_map
+from smal.model import Model
 from smal.movement import Atom
 from smal.paper.learning import LearningSettings, learn
-from smal.paper.model import Model
+from smal.paper.model import Model as PaperModel
+from smal.settings import SETTINGS
 from tests import corridor
 from tests.services.cli.conftest import Smal
 from tests.services.recordings.recorded_messages import applied, event, header
@@ -49,7 +52,7 @@ def messages(name: str, one: Drive, room: Room, goal: str) -> Iterator[Message]:
 
 
 def make(folder: Path) -> None:
-    """Record both drives, and learn them."""
+    """Record both drives, and learn them for both schemes."""
     recordings = folder / "drives"
     recordings.mkdir()
     for goal, one in DRIVES.items():
@@ -57,8 +60,10 @@ def make(folder: Path) -> None:
     teacher = Teacher(COLOR, 5)
     for path in find_recordings([recordings]):
         teacher.read(path)
-    with patch("smal.mapping._SAMPLE", 500), patch("smal.mapping.fit_scene", lambda *_: SCENE):
-        learn(teacher.teaching.demonstrations, LearningSettings(COLOR))[0].save(folder / "two.smal")
+    fewer = replace(SETTINGS, sampled_views=500)
+    with patch("smal.mapping.SETTINGS", fewer), patch("smal.mapping.fit_scene", lambda *_: SCENE):
+        learn_map(teacher.teaching.demonstrations, COLOR).save(folder / "two.smal")
+    learn(teacher.teaching.demonstrations, LearningSettings(COLOR))[0].save(folder / "paper.smal")
 
 
 @pytest.fixture(scope="module")
@@ -69,6 +74,11 @@ def taught(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="module")
 def model(taught: Path) -> Model:
     return Model.load(taught / "two.smal")
+
+
+@pytest.fixture(scope="module")
+def paper_model(taught: Path) -> PaperModel:
+    return PaperModel.load(taught / "paper.smal")
 
 
 class Page(HTMLParser):
@@ -115,35 +125,54 @@ def test_the_fork_of_two_joined_drives_is_one_and_where_they_part(model: Model) 
     assert START[0] + 1.7 < x < START[0] + 2.0 + 1.5 * model.mapped.correlation_length
     assert abs(y - START[1]) < model.mapped.correlation_length
     assert set(ways.groups) == {0}
-    assert drives_of_map(model) == [(0,), (1,)]
+    assert model.mapped.names == (("to-left",), ("to-right",))
 
 
-def test_the_page_shows_the_fork_the_states_and_where_the_belief_was(taught: Path, tmp_path: Path, smal: Smal) -> None:
+def sources(page: Page, folder: Path) -> list[str]:
+    """Return the pictures on a page, which must be there."""
+    named = [value for name, value in page.attributes if name == "src"]
+    assert all((folder / source).read_bytes()[:2] == b"\xff\xd8" for source in named)
+    return sorted(named)
+
+
+def test_the_page_of_a_map_shows_the_fork_the_drives_and_where_the_belief_was(
+    taught: Path, tmp_path: Path, smal: Smal
+) -> None:
     page, err = shown(smal, tmp_path, taught / "two.smal", "--recordings", taught / "drives")
     assert "missing" not in err
     text = " ".join(page.texts)
     assert re.search(r"1: fork \d\.\d m along to-left, with to-right", text)
-    model = Model.load(taught / "two.smal")
-    sources = [value for name, value in page.attributes if name == "src"]
-    assert sorted(sources) == [f"states/{state:05d}.jpg" for state in range(model.states)]
-    assert all((tmp_path / source).read_bytes()[:2] == b"\xff\xd8" for source in sources)
+    assert sources(page, tmp_path) == ["drives/00000.jpg", "drives/00001.jpg"]
+    assert "to-left: frames 0, " in text
+    assert [row[2] for row in page.rows if row[1:2] in (["left"], ["right"]) and len(row) == 4] == ["there"] * 2
     belief = [row for row in page.rows if len(row) == 5 and row[0].startswith("to-")]
     assert [row[0] for row in belief] == ["to-left", "to-right"]
     assert all(float(row[1].rstrip("%")) > 80 for row in belief)
-    assert f"It gave {(model.reward > 1e-6).sum()} of {model.states} states a reward" in text
 
 
+def test_the_page_of_the_paper_shows_the_states_and_the_reward(
+    paper_model: PaperModel, taught: Path, tmp_path: Path, smal: Smal
+) -> None:
+    page, err = shown(smal, tmp_path, taught / "paper.smal", "--recordings", taught / "drives")
+    assert "missing" not in err
+    states, text = paper_model.states, " ".join(page.texts)
+    assert sources(page, tmp_path) == [f"states/{state:05d}.jpg" for state in range(states)]
+    assert f"It gave {(paper_model.reward > 1e-6).sum()} of {states} states a reward" in text
+    assert "Cost to go" not in text
+
+
+@pytest.mark.parametrize("scheme", ["filter", "paper"])
 @pytest.mark.parametrize("recordings", [True, False])
 def test_nothing_that_a_model_says_is_markup_and_nothing_comes_from_a_network(
-    model: Model, taught: Path, tmp_path: Path, recordings: bool
+    model: Model, paper_model: PaperModel, taught: Path, tmp_path: Path, recordings: bool, scheme: str
 ) -> None:
     hostile = "<img src=x onerror=alert(1)>\"'&漢"
-    goals = replace(model.mapped)
+    mapped = replace(model.mapped)
     # A model in a file cannot have such goals; the page escapes them all the same.
-    object.__setattr__(goals, "goals", (f"{hostile}a", f"{hostile}b"))
+    object.__setattr__(mapped, "goals", (f"{hostile}a", f"{hostile}b"))
     names = f"{hostile}\x1b]0;", f"</title><script>alert(1)</script>{hostile}"
-    object.__setattr__(goals, "names", ((names[0],), (names[1],)))
-    bad = replace(model, names=names, visual_map=goals)
+    object.__setattr__(mapped, "names", ((names[0],), (names[1],)))
+    bad = replace(model, mapped=mapped) if scheme == "filter" else replace(paper_model, names=names)
     file = tmp_path / "<script>alert(1)<.smal"
     model.save(file)
     found = find_drives(bad, find_recordings([taught / "drives"])) if recordings else None
@@ -153,40 +182,54 @@ def test_nothing_that_a_model_says_is_markup_and_nothing_comes_from_a_network(
     assert "iframe" not in page.tags
     assert not [name for name, _ in page.attributes if name.startswith("on")]
     linked = [value for name, value in page.attributes if name in ("src", "href", "xlink:href")]
-    assert all(value.startswith(("#", "states/")) for value in linked)
+    assert all(value.startswith(("#", "drives/", "states/")) for value in linked)
     assert any("<img src=x onerror" in one for one in page.texts)
     assert "\x1b" not in text
 
 
-def test_missing_recordings_are_named(taught: Path, tmp_path: Path, smal: Smal) -> None:
+@pytest.mark.parametrize("file", ["two.smal", "paper.smal"])
+def test_missing_recordings_are_named(taught: Path, tmp_path: Path, smal: Smal, file: str) -> None:
     folder = tmp_path / "drives"
     folder.mkdir()
     # Of the one drive another one of the same name; the other is not there.
     record(folder, list(messages("to-left", DRIVES["left"], Room(seed=1), "left")))
     record(folder, list(messages("another", DRIVES["right"], Room(), "right")))
-    page, err = shown(smal, tmp_path / "out", taught / "two.smal", "--recordings", folder)
+    page, err = shown(smal, tmp_path / "out", taught / file, "--recordings", folder)
     told = ["to-left: the recording of this name is of another drive", "to-right: not among the recordings"]
     assert [line for line in err.splitlines() if "missing: " in line] == [f"smal: missing: {line}" for line in told]
     assert all(line in page.texts for line in told)
     assert "img" not in page.tags
-    assert "Recognition was not run" in " ".join(page.texts)
+    assert ("Recognition was not run" in " ".join(page.texts)) == (file == "two.smal")
+
+
+def test_a_drive_of_another_length_is_another_drive(taught: Path, tmp_path: Path, smal: Smal) -> None:
+    folder = tmp_path / "drives"
+    folder.mkdir()
+    told = list(messages("to-left", DRIVES["left"], Room(), "left"))
+    record(folder, [one for one in told if one.tick > 0 or one is told[0]])
+    _, err = shown(smal, tmp_path / "out", taught / "two.smal", "--recordings", folder)
+    assert "smal: missing: to-left: the recording of this name is of another drive\n" in err
 
 
 def test_without_a_page_it_is_said_in_some_lines(taught: Path, smal: Smal) -> None:
     status, out, _ = smal("model", "show", str(taught / "two.smal"))
     assert status == 0
-    for said in ("color (weight 1)", "left (1 drive", "right (1 drive", "2 drives", "degrees wide", "  to-left: "):
+    for said in (
+        "filter, by a map of views", "color (weight 1)", "left (1 drive", "right (1 drive", "keyframes of 2 drives",
+        "degrees wide", "  to-left: ",
+    ):  # fmt: skip
+        assert said in out
+    status, out, _ = smal("model", "show", str(taught / "paper.smal"))
+    assert status == 0
+    for said in ("paper, by states", "color (weight 1)", "2 goal states", "  to-left: ", "reached the goal"):
         assert said in out
 
 
-@pytest.mark.parametrize("odometry", [True, False])
-def test_a_model_without_odometry_or_without_a_map_is_a_schematic(tmp_path: Path, odometry: bool) -> None:
-    one = corridor.model(odometry=False)
+def test_a_model_without_odometry_is_a_schematic(tmp_path: Path) -> None:
     file = tmp_path / "m.smal"
-    (one if odometry else replace(one, visual_map=None)).save(file)
+    corridor.model(odometry=False).save(file)
     text = write_page(tmp_path, Model.load(file), file, None).read_text()
-    assert ("as a schematic, since they are without odometry" in text) == odometry
-    assert ("There is no map of views" in text) != odometry
+    assert "as a schematic, since they are without odometry" in text
 
 
 @pytest.mark.parametrize(
@@ -199,14 +242,14 @@ def test_a_model_without_odometry_or_without_a_map_is_a_schematic(tmp_path: Path
     ],
 )
 def test_an_odd_model_is_one_line(
-    model: Model, tmp_path: Path, smal: Smal, change: dict[str, object], said: str
+    paper_model: PaperModel, tmp_path: Path, smal: Smal, change: dict[str, object], said: str
 ) -> None:
     ((name, value),) = change.items()
-    odd = replace(model)
+    odd = replace(paper_model)
     if name == "reward":
-        value = np.full_like(model.reward, np.nan)
+        value = np.full_like(paper_model.reward, np.nan)
     elif name != "names":
-        value = tuple(np.full_like(part, value) for part in getattr(model, name))
+        value = tuple(np.full_like(part, value) for part in getattr(paper_model, name))
     object.__setattr__(odd, name, value)
     odd.save(tmp_path / "odd.smal")
     status, out, err = smal("model", "show", str(tmp_path / "odd.smal"), "--out", str(tmp_path / "out"))
@@ -230,7 +273,18 @@ def test_bad_use_is_one_line(taught: Path, tmp_path: Path, smal: Smal) -> None:
 
 
 @pytest.mark.parametrize(
-    ("name", "ticks"), [("e", []), ("e[7-9]", [7, 8, 9]), ("e[7-99999999999999]", [7, 8, 9]), ("e[x-3]", []), ("[", [])]
+    ("names", "ticks"),
+    [
+        (("e",), []),
+        (("e[7-9]",), [7, 8, 9]),
+        (("e[1-1]", "e[5-6]"), [1, 5, 6]),
+        (("e[7-99999999999999]",), []),
+        (("e[9-7]",), []),
+        (("e[x-3]",), []),
+        (("[",), []),
+    ],
 )
-def test_the_ticks_of_a_piece_are_as_many_as_its_frames_whatever_its_name_says(name: str, ticks: list[int]) -> None:
-    assert list(ticks_of(name, 3)) == ticks
+def test_the_ticks_of_a_drive_are_as_many_as_its_frames_whatever_its_names_say(
+    names: tuple[str, ...], ticks: list[int]
+) -> None:
+    assert ticks_of(names, 3) == ticks

@@ -246,7 +246,7 @@ def test_two_authorities_replace_each_other_while_a_driver_goes_on(
     settings = ServiceSettings(robot=ROBOT, router=tls_endpoint, secure=keys)
 
     def router() -> Router:
-        return Router(tls_endpoint, credentials_in(keys, "router", tls_endpoint), ROBOT)
+        return Router(tls_endpoint, credentials_in(keys, "router"), ROBOT)
 
     running = router()
     heard = threading.Event()

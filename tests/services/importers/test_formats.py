@@ -18,8 +18,8 @@ from services.recordings.encoding import decode_image
 from services.recordings.reader import read_recording
 from services.recordings.recorded import RecordedEpisode
 from smal.features import extract
+from smal.mapping import learn
 from smal.movement import Atom
-from smal.paper.learning import LearningSettings, learn
 from smal.robot import Localizer
 from tests import corridor
 from tests.services.importers import sources
@@ -188,7 +188,7 @@ def test_a_tub_with_its_speeds_has_a_way(tmp_path: Path) -> None:
 def test_a_turn_is_taught_with_the_speed_that_it_was_driven_with(form: str, ahead: float, tmp_path: Path) -> None:
     """The car drives its turns at 0.3 of full throttle, and straight on at 0.5; the other robot turns on the spot."""
     report, _ = imported(FORMATS[form](tmp_path / "source"), form, tmp_path / "out", reckon=False)
-    teacher = Teacher(corridor.FEATURES, shortest=corridor.LENGTH)
+    teacher = Teacher(corridor.FEATURES, shortest=2)
     teacher.read(Path(report.files[0]))
     (demonstration,) = teacher.teaching.demonstrations
     assert demonstration.ahead is not None
@@ -276,11 +276,11 @@ FORMATS: dict[str, Callable[[Path], Path]] = {
 def test_an_imported_drive_teaches_where_the_robot_is(form: str, tmp_path: Path) -> None:
     """Learn from what was imported; then a drive in the same corridor is followed, place by place."""
     report, _ = imported(FORMATS[form](tmp_path / "source"), form, tmp_path / "out")
-    teacher = Teacher(corridor.FEATURES, shortest=corridor.LENGTH)
+    teacher = Teacher(corridor.FEATURES, shortest=2)
     teacher.read(Path(report.files[0]))
     (demonstration,) = teacher.teaching.demonstrations
     assert demonstration.successful
-    model, _ = learn([demonstration], LearningSettings(corridor.FEATURES, corridor.LENGTH))
+    model = learn([demonstration], corridor.FEATURES)
     localizer, visual_map = Localizer(model), model.mapped
     errors = []
     for tick, moment in enumerate(sources.drive(10.0)):

@@ -16,8 +16,8 @@ from services.recordings.dataset import Teacher
 from services.recordings.encoding import decode_image
 from services.recordings.recorded import RecordedEpisode
 from smal.features import FeatureSettings, extract
+from smal.mapping import learn
 from smal.movement import Atom
-from smal.paper.learning import learn
 from smal.robot import Localizer, Robot
 from tests.services.importers.test_formats import episode_of, imported
 
@@ -69,7 +69,7 @@ def test_the_second_lap_is_recognized_as_the_first(tmp_path: Path) -> None:
     second, _ = imported(TUB, "donkeycar", tmp_path / "second", wishes=wishes, from_s=LAP_S)
     teacher = Teacher(FeatureSettings(), shortest=5)
     teacher.read(Path(first.files[0]))
-    model, _ = learn(teacher.teaching.demonstrations)
+    model = learn(teacher.teaching.demonstrations)
     taught, driven = episode_of(first), episode_of(second)
     images = images_of(driven)
     truth = aligned(images, images_of(taught))
@@ -105,7 +105,7 @@ def test_a_lap_at_full_lock_is_learned_and_another_one_recognized_and_driven(tmp
     first = lap(0)
     assert first.atoms["right"] == first.ticks
     teacher.read(Path(first.files[0]))
-    model, _ = learn(teacher.teaching.demonstrations)
+    model = learn(teacher.teaching.demonstrations)
     assert model.mapped.movements[Atom.RIGHT, 0] == pytest.approx(1.0, abs=1e-4)
     right, driven = [], []
     for number in (1, 2, 3):

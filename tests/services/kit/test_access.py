@@ -22,7 +22,7 @@ import zenoh
 from schemas.topics import COMMANDS, LANES, TOPICS, rpc_key
 from services.cli import certificates
 from services.kit.bus import Bus, BusError, Router, host_and_port
-from services.kit.credentials import Credentials, Password, credentials_in, why_refused
+from services.kit.credentials import Credentials, credentials_in, why_refused
 from services.kit.zenoh_settings import LEASE_MS, MAX_SESSIONS, router_settings
 from services.table import Role, roles, stack_services
 from tests.services.secured import ROBOT, certificate_in, make_keys, open_session, secured_router
@@ -146,10 +146,10 @@ def keys(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return make_keys(tmp_path_factory.mktemp("keys"))
 
 
-@pytest.fixture(params=["tls", "tcp"])
-def endpoint(request: pytest.FixtureRequest, free_endpoint: str) -> str:
-    """Give an address where certificates are asked for, and one where passwords are."""
-    return free_endpoint.replace("tcp/", f"{request.param}/")
+@pytest.fixture
+def endpoint(free_endpoint: str) -> str:
+    """Give an address where certificates are asked for."""
+    return free_endpoint.replace("tcp/", "tls/")
 
 
 @pytest.fixture
@@ -175,7 +175,7 @@ def permitted(role: Role) -> set[Cell]:
 def test_a_role_can_do_what_the_tables_say_and_nothing_else(
     role: Role, endpoint: str, keys: Path, within: zenoh.Session
 ) -> None:
-    with closing(open_session(endpoint, credentials_in(keys, role.name, endpoint))) as session:
+    with closing(open_session(endpoint, credentials_in(keys, role.name))) as session:
         done = tried(session, within)
     assert done - permitted(role) == set()
     assert permitted(role) - done == set()
@@ -193,7 +193,7 @@ def test_a_stolen_certificate_of_a_watcher_does_no_more_as_a_router(
     mode: str, endpoint: str, keys: Path, within: zenoh.Session
 ) -> None:
     more = {"listen/endpoints": []}
-    with closing(open_session(endpoint, credentials_in(keys, "watcher", endpoint), more, mode)) as session:
+    with closing(open_session(endpoint, credentials_in(keys, "watcher"), more, mode)) as session:
         eventually(lambda: bool(session.info.routers_zid()))
         done = tried(session, within)
     assert done - permitted(roles()["watcher"]) == set()
@@ -201,7 +201,7 @@ def test_a_stolen_certificate_of_a_watcher_does_no_more_as_a_router(
 
 def test_only_the_operator_sees_who_is_connected(endpoint: str, keys: Path, within: zenoh.Session) -> None:
     for role in roles():
-        with closing(open_session(endpoint, credentials_in(keys, role, endpoint))) as session:
+        with closing(open_session(endpoint, credentials_in(keys, role))) as session:
             told = [reply for reply in session.get("@/*/router", timeout=5.0) if reply.ok]
             assert bool(told) == (role == "operator")
 
@@ -242,14 +242,6 @@ def test_who_has_no_certificate_or_another_one_does_not_get_in(free_endpoint: st
         assert _refused(endpoint, operator)
 
 
-def test_who_has_no_password_or_a_wrong_one_does_not_get_in(free_endpoint: str, keys: Path) -> None:
-    with secured_router(free_endpoint, keys):
-        assert not _refused(free_endpoint, credentials_in(keys, "operator", free_endpoint))
-        assert _refused(free_endpoint, None)
-        assert _refused(free_endpoint, Password("operator", "guessed"))
-        assert _refused(free_endpoint, Password("stranger", "guessed"))
-
-
 def test_a_connection_ends_with_its_certificate(free_endpoint: str, keys: Path, tmp_path: Path) -> None:
     endpoint, brief = free_endpoint.replace("tcp/", "tls/"), tmp_path / "brief"
     shutil.copytree(keys, brief)
@@ -266,7 +258,7 @@ def test_a_connection_ends_with_its_certificate(free_endpoint: str, keys: Path, 
 
 def _driving(endpoint: str, keys: Path, stack: ExitStack) -> Callable[[], None]:
     """Return what sends a command of the policy and waits until the robot has it."""
-    robot, policy = (stack.enter_context(closing(open_session(endpoint, credentials_in(keys, role, endpoint))))
+    robot, policy = (stack.enter_context(closing(open_session(endpoint, credentials_in(keys, role))))
                      for role in ("robot", "policy"))  # fmt: skip
     key, heard = COMMANDS["policy"].key(ROBOT), threading.Event()
     robot.declare_subscriber(key, zenoh.handlers.Callback(lambda _sample: heard.set(), indirect=False))
@@ -282,18 +274,18 @@ def _driving(endpoint: str, keys: Path, stack: ExitStack) -> Callable[[], None]:
 
 
 def test_a_full_router_says_so_and_who_is_in_goes_on(endpoint: str, keys: Path, within: zenoh.Session) -> None:
-    watcher = credentials_in(keys, "watcher", endpoint)
+    watcher = credentials_in(keys, "watcher")
     with ExitStack() as stack:
         drive = _driving(endpoint, keys, stack)
         with ExitStack() as crowd:
             for _ in range(MAX_SESSIONS - 2):
                 crowd.enter_context(closing(open_session(endpoint, watcher, PATIENT)))
             with pytest.raises(BusError, match=rf"or is full \(it takes {MAX_SESSIONS} sessions") as error:
-                Bus(ROBOT, endpoint, patience_s=0.0, credentials=credentials_in(keys, "operator", endpoint))
+                Bus(ROBOT, endpoint, patience_s=0.0, credentials=credentials_in(keys, "operator"))
             assert "\n" not in str(error.value)
             assert len(within.info.transports()) == MAX_SESSIONS
             drive()
-        Bus(ROBOT, endpoint, credentials=credentials_in(keys, "operator", endpoint)).close()
+        Bus(ROBOT, endpoint, credentials=credentials_in(keys, "operator")).close()
         drive()
 
 
@@ -320,12 +312,12 @@ def test_strangers_at_the_door_do_not_disturb_who_is_in(
 
 
 def test_who_does_not_say_who_they_are_is_sent_away(endpoint: str, keys: Path, within: zenoh.Session) -> None:
-    """More than may wait at the door, so that nobody else is let in meanwhile: with passwords, for two seconds."""
+    """More than may wait at the door, so that nobody else is let in meanwhile."""
     with ExitStack() as at_door:
         for _ in range(150):
             at_door.enter_context(socket.create_connection(host_and_port(endpoint)))
         began_s = time.monotonic()
-        Bus(ROBOT, endpoint, credentials=credentials_in(keys, "operator", endpoint)).close()
+        Bus(ROBOT, endpoint, credentials=credentials_in(keys, "operator")).close()
         assert time.monotonic() - began_s < 2 * LEASE_MS / 1e3
 
 

@@ -35,7 +35,7 @@ from services.recordings.reader import read_recording
 from services.recordings.replay import REPLAYABLE, Tick, tracks_of
 from services.robot.service import check_alone
 from services.table import SERVICES
-from smal.paper.model import Model
+from smal.model import Model
 from tests import corridor
 from tests.command import run_smal
 from tests.services.conftest import RunNode

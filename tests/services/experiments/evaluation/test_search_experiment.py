@@ -30,9 +30,11 @@ from services.simulator.simulation import Simulation
 from services.simulator.world import load_world
 from services.simulator.world.place import Pose
 from smal.features import FeatureSettings
+from smal.mapping import learn as learn_map
+from smal.model import Model
 from smal.movement import Atom
 from smal.paper.learning import LearningSettings, learn
-from smal.paper.model import Model
+from smal.paper.model import Model as PaperModel
 from tests.services.simulator.simulator_driving import StubCamera
 
 #: The usual ones take ten times as long to make views of; the findings are of the same form.
@@ -68,17 +70,25 @@ def drives(simulation: Simulation) -> tuple[Drive, ...]:
 
 
 @pytest.fixture(scope="module")
-def model(drives: tuple[Drive, ...]) -> Model:
+def model(drives: tuple[Drive, ...]) -> PaperModel:
     return learn([one.demonstration for one in drives], LearningSettings(FEATURES, 5))[0]
 
 
+@pytest.fixture(scope="module")
+def mapped(drives: tuple[Drive, ...]) -> Model:
+    return learn_map([one.demonstration for one in drives], FEATURES)
+
+
 @pytest.fixture
-def place(simulation: Simulation, drives: tuple[Drive, ...], model: Model, tmp_path: Path) -> Workplace:
+def place(
+    simulation: Simulation, drives: tuple[Drive, ...], model: PaperModel, mapped: Model, tmp_path: Path
+) -> Workplace:
     made = Workplace(tmp_path, (32, 24))
     made.features = FEATURES
     made.simulation = lambda world, shake, variation: simulation  # type: ignore[method-assign]
     made.drives = lambda world, count: drives  # type: ignore[method-assign]
     made.model = lambda world, count, length: model  # type: ignore[method-assign]
+    made.mapped = lambda world, count: mapped  # type: ignore[method-assign]
     return made
 
 

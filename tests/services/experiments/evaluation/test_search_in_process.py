@@ -18,21 +18,19 @@ from schemas.observation import Observation
 from schemas.odometry import Odometry
 from schemas.pose import Pose as TruePose
 from schemas.rpc import ResetRequest, Scheme
-from services.experiments.evaluation.controllers import (
-    FilterController,
-    PaperController,
-)
+from services.cli.learn import learn
+from services.experiments.evaluation.controllers import FilterController, PaperController
 from services.experiments.evaluation.search import search
 from services.features.service import FeaturesService
-from services.kit.model_service import LoadedModel
+from services.kit.model_service import LoadedModel, load_model
 from services.policy.service import PolicyService
 from services.recognition.service import RecognitionService
 from services.simulator.opening import open_simulation
 from services.simulator.sensors.camera import CameraSettings
 from services.simulator.simulation import Simulation
 from smal.features import FeatureSettings
+from smal.model import Model
 from smal.movement import Atom
-from smal.paper.model import Model
 from tests.services.robot.driving import simulated
 
 FEATURES = FeatureSettings()
@@ -65,15 +63,24 @@ def by_services(
     return end, np.array(poses), answers
 
 
+@pytest.fixture(scope="module")
+def learned(taught: Path, tmp_path_factory: pytest.TempPathFactory) -> dict[Scheme, Path]:
+    """Give a model for each scheme."""
+    paper = tmp_path_factory.mktemp("paper") / "model.smal"
+    learn([taught / "drives"], paper, scheme="paper")
+    return {"filter": taught / "model.smal", "paper": paper}
+
+
 @pytest.mark.rendering
 @pytest.mark.parametrize("scheme", ["filter", "paper"])
-def test_smal_in_this_process_and_as_services_drives_alike_to_the_last_bit(taught: Path, scheme: Scheme) -> None:
+def test_smal_in_this_process_and_as_services_drives_alike_to_the_last_bit(
+    learned: dict[Scheme, Path], scheme: Scheme
+) -> None:
     """What the processes add is transport: `RecognitionService` and the others hold all that decides."""
-    path = taught / "model.smal"
-    simulation, model = open_simulation("yard", CameraSettings(160, 120)), Model.load(path)
+    simulation, model = open_simulation("yard", CameraSettings(160, 120)), load_model(learned[scheme])
     features, recognition, policy = FeaturesService(FEATURES), RecognitionService(), PolicyService()
     for service in (recognition, policy):
-        service.load(LoadedModel.read(path, scheme))
+        service.load(LoadedModel.read(learned[scheme]))
 
     def answer(message: Image | Odometry) -> Iterator[Message]:
         if isinstance(message, Image):
@@ -85,7 +92,8 @@ def test_smal_in_this_process_and_as_services_drives_alike_to_the_last_bit(taugh
         if state is not None:
             yield from policy.handle(state)
 
-    controller = FilterController(model) if scheme == "filter" else PaperController(model)
+    controller = FilterController(model) if isinstance(model, Model) else PaperController(model)
+    length = 1 if isinstance(model, Model) else model.sequence_length
     for seed in (1, 2):
         found = search(simulation, controller, seed, max_ticks=150)
         end, poses, answers = by_services(simulation, answer, seed, 150)
@@ -98,4 +106,4 @@ def test_smal_in_this_process_and_as_services_drives_alike_to_the_last_bit(taugh
         actions = {one.tick: one for one in carried_out if isinstance(one, Action)}
         assert {tick: one.kind for tick, one in actions.items()} == found.decisions
         assert found.unrecognized == {tick for tick, one in actions.items() if one.state is None}
-        assert len(found.decisions) >= found.ticks // model.sequence_length
+        assert len(found.decisions) >= found.ticks // length
