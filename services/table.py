@@ -171,7 +171,7 @@ class Role:
     Attributes
     ----------
     name
-        Common name of the certificate, or the user of a password.
+        Common name of the certificate.
     takes, gives
         Topics that it may subscribe to, and publish.
     serves, calls

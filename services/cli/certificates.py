@@ -19,7 +19,7 @@ from cryptography.hazmat.primitives.asymmetric.types import PrivateKeyTypes
 from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 
 from schemas.codec import printable
-from services.kit.credentials import CA_FILE, CERTIFICATE_SUFFIX, KEY_SUFFIX, PASSWORD_SUFFIX, PASSWORDS_FILE
+from services.kit.credentials import CA_FILE, CERTIFICATE_SUFFIX, KEY_SUFFIX
 from services.kit.errors import UsageError, describe_os_error
 from services.table import roles
 
@@ -157,15 +157,6 @@ def retire(folder: Path) -> int:
     return others
 
 
-def give_passwords(folder: Path) -> None:
-    """Make a password for every role, and for the router the file of all of them."""
-    passwords = {role: secrets.token_urlsafe(24) for role in roles()}
-    for role, password in passwords.items():
-        _write(folder / f"{role}{PASSWORD_SUFFIX}", f"{password}\n".encode())
-    lines = "".join(f"{role}:{password}\n" for role, password in passwords.items())
-    _write(folder / PASSWORDS_FILE, lines.encode())
-
-
 def certificate_of(
     authority: Authority, role: str, key: ec.EllipticCurvePublicKey, hosts: Iterable[str], days: float
 ) -> x509.Certificate:
@@ -236,9 +227,9 @@ def check(folder: Path) -> Iterator[Finding]:
         path = folder / f"{role}{CERTIFICATE_SUFFIX}"
         if path.exists():
             yield Finding(path.name, *_verdict(path, role, authorities))
-    for path in (folder / name for name in (CA_KEY_FILE, PASSWORDS_FILE, *(f"{r}{PASSWORD_SUFFIX}" for r in roles()))):
-        if path.exists() and (open_to := _open_to_others(path)):
-            yield Finding(path.name, ok=False, text=open_to)
+    path = folder / CA_KEY_FILE
+    if path.exists() and (open_to := _open_to_others(path)):
+        yield Finding(path.name, ok=False, text=open_to)
 
 
 def _verdict(path: Path, role: str, authorities: list[x509.Certificate]) -> tuple[bool, str]:

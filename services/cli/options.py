@@ -34,7 +34,7 @@ Router = Annotated[
 ]
 Secure = Annotated[
     Path | None,
-    typer.Option(envvar="SMAL_SECURE", help="Folder of certificates or passwords, made by `smal secure init`."),
+    typer.Option(envvar="SMAL_SECURE", help="Folder of certificates, made by `smal secure init`."),
 ]
 Json = Annotated[bool, typer.Option("--json", help="Print JSON.")]
 World = Annotated[

@@ -40,9 +40,6 @@ def init(
     robot: options.Robot = options.DEFAULT_ROBOT,
     host: Hosts = None,
     days: Days = DAYS,
-    passwords: Annotated[
-        bool, typer.Option("--passwords", help="Also make passwords, for connections that are not encrypted.")
-    ] = False,
 ) -> None:
     """Make a certificate authority, a certificate of every role, and the rules of Eclipse's router.
 
@@ -58,8 +55,6 @@ def init(
     try:
         certificates.begin(folder, robot)
         certificates.issue(folder, hosts, days)
-        if passwords:
-            certificates.give_passwords(folder)
         settings = zenohd_configuration("tls/0.0.0.0:7447", robot, ZENOHD_SEES)
         (folder / ZENOHD_FILE).write_text(json.dumps(settings, indent=2) + "\n")
         # A folder in a checkout must not be committed.

@@ -21,22 +21,17 @@ ADMINISTRATION: Final = "@/**"
 
 
 def access_control(robot: str) -> dict[str, object]:
-    """Return the router's rules for one robot: who may do what is told by certificate or user name."""
+    """Return the router's rules for one robot: who may do what is told by the certificate."""
     known = roles().values()
     return {
         "enabled": True,
         "default_permission": "deny",
         "rules": [rule for role in known for rule in _rules(role, robot)],
-        # Whoever has a certificate has no user name, and the other way round.
-        "subjects": [
-            {"id": f"{role.name} by {how}", kind: [role.name]}
-            for role in known
-            for how, kind in (("certificate", "cert_common_names"), ("password", "usernames"))
-        ],
+        "subjects": [{"id": role.name, "cert_common_names": [role.name]} for role in known],
         "policies": [
             {
                 "rules": [rule["id"] for rule in _rules(role, robot)],
-                "subjects": [f"{role.name} by {how}" for how in ("certificate", "password")],
+                "subjects": [role.name],
             }
             for role in known
         ],

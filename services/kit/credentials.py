@@ -1,8 +1,4 @@
-"""How a process shows the router who it is: by a certificate, or by a user name and a password, the weaker way.
-
-With a certificate the whole connection is encrypted, and the router shows one as well. A password is not sent itself,
-but what is said after it can be read and changed by whoever is on the way.
-"""
+"""How a process shows the router who it is: by a certificate, as the router does; the connection is encrypted."""
 
 from __future__ import annotations
 
@@ -19,9 +15,6 @@ from services.kit.wire import BusError
 CA_FILE: Final = "ca.pem"
 CERTIFICATE_SUFFIX: Final = ".pem"
 KEY_SUFFIX: Final = ".key"
-PASSWORD_SUFFIX: Final = ".password"  # noqa: S105 - of a file
-#: User and password of every role, a line each, for the router.
-PASSWORDS_FILE: Final = "passwords"
 
 #: How long a handshake may take: a router whose certificate has expired is busy with its clients for 1.5 s.
 HANDSHAKE_S: Final = 5.0
@@ -37,35 +30,19 @@ class Certificate(NamedTuple):
     key: Path
 
 
-class Password(NamedTuple):
-    """A user and a password; for a router, the file of all of them."""
-
-    user: str
-    password: str
-    dictionary: Path | None = None
+#: None of whoever goes to an open bus.
+Credentials = Certificate | None
 
 
-Credentials = Certificate | Password | None
-
-
-def credentials_in(folder: Path, role: str, endpoint: str) -> Certificate | Password:
-    """Return what a folder has for a role: for an encrypted address a certificate, for any other a password.
+def credentials_in(folder: Path, role: str) -> Certificate:
+    """Return the certificate that a folder has for a role.
 
     Raises
     ------
     BusError
-        When it has none, or others can read the secret.
+        When it has none, or others can read its key.
     """
-    if encrypted(endpoint):
-        return certificate_of(folder / CA_FILE, folder / f"{role}{CERTIFICATE_SUFFIX}", folder / f"{role}{KEY_SUFFIX}")
-    path = folder / f"{role}{PASSWORD_SUFFIX}"
-    if not path.is_file():
-        raise BusError(
-            f"{endpoint} is not encrypted and {folder} has no password of {role}: give an address that begins with "
-            "tls/, or make passwords with `smal secure init --passwords`"
-        )
-    dictionary = folder / PASSWORDS_FILE
-    return Password(role, secret(path), dictionary if dictionary.is_file() else None)
+    return certificate_of(folder / CA_FILE, folder / f"{role}{CERTIFICATE_SUFFIX}", folder / f"{role}{KEY_SUFFIX}")
 
 
 def certificate_of(ca: Path, certificate: Path, key: Path) -> Certificate:
@@ -90,10 +67,8 @@ def encrypted(endpoint: str) -> bool:
 
 def how_secure(credentials: Credentials, host: str | None = None) -> str:
     """Say who gets in at a router, which listens on a host; a client does not know on which others as well."""
-    if isinstance(credentials, Certificate):
+    if credentials is not None:
         return "for holders of a certificate, encrypted"
-    if isinstance(credentials, Password):
-        return "for those who have a password, not encrypted"
     return "for whoever reaches it" if host is None or others_reach(host) else "for whoever is on this machine"
 
 

@@ -26,7 +26,7 @@ class ServiceSettings(BaseSettings):
     router: str = DEFAULT_ROUTER
     """Address of the Zenoh router; with certificates it begins with tls/."""
     secure: Path | None = None
-    """Folder of certificates, or passwords, that `smal secure init` made."""
+    """Folder of certificates that `smal secure init` made."""
     tls_ca: Path | None = None
     """Certificate by whose signature others are known, in place of the folder's."""
     tls_cert: Path | None = None
@@ -57,7 +57,7 @@ class ServiceSettings(BaseSettings):
         """
         if self.tls_ca and self.tls_cert and self.tls_key:
             return certificate_of(self.tls_ca, self.tls_cert, self.tls_key)
-        return None if self.secure is None else credentials_in(self.secure, role, self.router)
+        return None if self.secure is None else credentials_in(self.secure, role)
 
     def open_bus(self, role: str, patience_s: float = PATIENCE_S) -> Bus:
         """Connect to the router, as one of the roles of the table of services.

@@ -10,7 +10,7 @@ from typing import Any, Final, NamedTuple
 
 from schemas.topics import COMMANDS, HEARTBEAT, LANES, ROOT, TOPICS, Topic, rpc_key
 from services.kit.access import KEPT_KEYS, access_control
-from services.kit.credentials import Certificate, Credentials, Password, encrypted
+from services.kit.credentials import Credentials, encrypted
 from services.kit.wire import LARGEST_BYTES, MAX_RPC_BYTES, BusError
 from services.table import roles
 
@@ -152,7 +152,7 @@ def settings_of(mode: str, endpoint: str, credentials: Credentials) -> dict[str,
         settings["connect/timeout_ms"] = ATTEMPT_MS
         settings["connect/exit_on_failure"] = False
         settings["connect/retry"] = {"period_init_ms": 100, "period_max_ms": 500, "period_increase_factor": 1.5}
-    if isinstance(credentials, Certificate):
+    if credentials is not None:
         settings |= {
             "transport/link/tls/root_ca_certificate": str(credentials.ca),
             f"transport/link/tls/{where}_certificate": str(credentials.certificate),
@@ -161,13 +161,6 @@ def settings_of(mode: str, endpoint: str, credentials: Credentials) -> dict[str,
             "transport/link/tls/verify_name_on_connect": True,
             "transport/link/tls/close_link_on_expiration": True,
         }
-    elif isinstance(credentials, Password):
-        settings |= {
-            "transport/auth/usrpwd/user": credentials.user,
-            "transport/auth/usrpwd/password": credentials.password,
-        }
-        if mode == "router":
-            settings["transport/auth/usrpwd/dictionary_file"] = str(credentials.dictionary)
     return settings
 
 
@@ -227,7 +220,7 @@ def check_credentials(endpoint: str, credentials: Credentials) -> None:
     BusError
         When it is encrypted and they are no certificate, or the other way round.
     """
-    if encrypted(endpoint) and not isinstance(credentials, Certificate):
+    if encrypted(endpoint) and credentials is None:
         raise BusError(f"{endpoint} needs a certificate: give --secure DIR, or set SMAL_TLS_CA, _CERT and _KEY")
-    if isinstance(credentials, Certificate) and not encrypted(endpoint):
+    if credentials is not None and not encrypted(endpoint):
         raise BusError(f"{endpoint} is not encrypted: with a certificate give an address that begins with tls/")

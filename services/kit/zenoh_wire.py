@@ -20,7 +20,7 @@ import zenoh.ext
 
 from schemas.codec import encoding_of, printable
 from schemas.topics import KEPT_S, LANES, Lane, Topic
-from services.kit.credentials import Certificate, Credentials, Password, others_reach, why_refused
+from services.kit.credentials import Credentials, others_reach, why_refused
 from services.kit.heap import keep_freed_memory
 from services.kit.replay import Budget, Replay
 from services.kit.wire import Answer, BusError, Refused, Serve, Take, Wire, flaw
@@ -111,11 +111,10 @@ def _why_no_router(endpoint: str, credentials: Credentials) -> str:
     except OSError:
         return f"no router at {endpoint}; start the stack with `smal up`"
     full = f"is full (it takes {MAX_SESSIONS} sessions, {len(LANES)} of each program)"
-    if isinstance(credentials, Certificate):
+    if credentials is not None:
         refused = why_refused(credentials, *host_and_port(named(endpoint)))
         return refused or f"what listens at {endpoint} is no router that encrypts, does not answer, or {full}"
-    who = "who gives this password" if isinstance(credentials, Password) else "without a certificate or a password"
-    return f"what listens at {endpoint} is no router, or takes nobody in {who}, or {full}"
+    return f"what listens at {endpoint} is no router, or takes nobody in without a certificate, or {full}"
 
 
 class Router:

@@ -9,4 +9,4 @@ class RouterSettings(ServiceSettings):
     """Listens on ``--router``."""
 
     insecure: bool = False
-    """Whether it may listen without certificates or passwords where other machines reach it."""
+    """Whether it may listen without certificates where other machines reach it."""

@@ -54,7 +54,7 @@ class StackPlan:
     flags
         Command line flags of single services.
     secure
-        Folder of certificates or passwords; without one whoever reaches the router gets in.
+        Folder of certificates; without one whoever reaches the router gets in.
     logs
         Folder for one log file a service; None lets them write to this terminal.
     modules

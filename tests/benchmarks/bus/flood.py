@@ -23,7 +23,7 @@ _SIZE: Final = 200
 def main() -> None:
     """Flood until killed; says on standard output how many a second, once a second."""
     endpoint, keys = sys.argv[-2:]
-    session = open_session(endpoint, credentials_in(Path(keys), "watcher", endpoint))
+    session = open_session(endpoint, credentials_in(Path(keys), "watcher"))
     key, payload = COMMANDS["policy"].key(NODE), bytes(_SIZE)
     sent, began_s, told_s = 0, time.monotonic(), time.monotonic()
     while True:

@@ -133,7 +133,7 @@ def _flooder(rig: Rig, role: str) -> Iterator[Connection]:
 def flood_all(endpoint: str, keys: Path | None, role: str, told: Connection, owner: Connection) -> None:
     """Flood what is told, until something else is."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the owner
-    session = open_session(endpoint, None if keys is None else credentials_in(keys, role, endpoint))
+    session = open_session(endpoint, None if keys is None else credentials_in(keys, role))
     owner.send("ready")
     while True:
         flood = told.recv()
