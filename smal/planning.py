@@ -12,7 +12,7 @@ robot is lost, it turns to look.
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,6 +23,8 @@ from smal.filter import Belief
 from smal.movement import Atom, placed, seen_from, turns_ahead, wrapped
 from smal.settings import SETTINGS
 from smal.visual_map import VisualMap
+
+Kind = Literal["follow", "look_around", "guess", "dead_end", "goal"]
 
 
 @dataclass(frozen=True)
@@ -40,9 +42,18 @@ class Decision:
         Mean direction to aim at less the heading.
     """
 
-    kind: Literal["follow", "look_around", "guess", "dead_end", "goal"]
+    kind: Kind
     atom: Atom
     heading_error_rad: float
+
+
+class _Wish(NamedTuple):
+    """What a belief wants: a direction less the heading, whether its places agree on it, have a way, have arrived."""
+
+    error_rad: float
+    clear: bool
+    way: bool
+    arrived: bool
 
 
 def chosen_goal(goals: Sequence[str], goal: str | None) -> str:
@@ -161,35 +172,53 @@ class Planner:
         """
         elapsed_s = self._map.tick_s if elapsed_s is None else elapsed_s
         self._pending_rad = self._turn_rad * min(delay_s / self._map.tick_s, 1.0)
+        wish = self._wish(belief)
+        # What a few views say may be another place: arrived is who was followed there, and if need be looks around.
+        self.done = self.done or (wish.arrived and belief.tracked > self._map.correlation_length)
+        kind = self._kind(wish, belief.lost > 0.5)
+        return Decision(kind, self._atom(kind, wish.error_rad, elapsed_s), wish.error_rad)
+
+    def _wish(self, belief: Belief) -> _Wish:
+        """Return what the belief wants, each place with the say of its probability."""
         directions, left_to_go = self._directions(belief)
         # Places from which no way leads to the goal have no say.
         with_way = belief.weights * np.isfinite(self._to_go_s[belief.keyframes])
-        mean = complex((with_way * np.exp(1j * directions)).sum()) / max(float(with_way.sum()), 1e-12)
-        error = math.atan2(mean.imag, mean.real)
+        share = float(with_way.sum())
+        mean = complex((with_way * np.exp(1j * directions)).sum()) / max(share, 1e-12)
         here = (left_to_go < 0.5 * self._map.speed * self._map.tick_s) & self._leads[belief.keyframes]
         # Beside or beyond the end by more than views change over, it is not at it.
         here &= np.hypot(belief.offsets[:, 0], belief.offsets[:, 1]) < self._map.correlation_length
         arrived = float(belief.weights @ here) * (1.0 - belief.lost)
-        # What a few views say may be another place: arrived is who was followed there, and if need be looks around.
-        confirmed = belief.tracked > self._map.correlation_length
-        self.done = self.done or (arrived > SETTINGS.sure and confirmed)
+        clear = abs(mean) >= math.cos(math.radians(SETTINGS.wide_deg))
+        return _Wish(math.atan2(mean.imag, mean.real), clear, share >= 0.5, arrived > SETTINGS.sure)
+
+    def _kind(self, wish: _Wish, lost: bool) -> Kind:
+        """Choose what kind of decision is due."""
         if self.done:
-            return Decision("goal", Atom.STOP, error)
-        if arrived > SETTINGS.sure and self._looked_rad < math.radians(SETTINGS.look_deg):
-            return Decision("look_around", self._look(error, elapsed_s), error)
-        no_way, lost = float(with_way.sum()) < 0.5, belief.lost > 0.5
-        if not (no_way or lost or abs(mean) < math.cos(math.radians(SETTINGS.wide_deg))):
-            return Decision("follow", self._follow(error, elapsed_s), error)
-        self._followed_m = 0.0
+            return "goal"
+        clear = wish.way and wish.clear and not lost
+        if clear and not wish.arrived:
+            return "follow"
         if self._looked_rad < math.radians(SETTINGS.look_deg):
-            return Decision("look_around", self._look(error, elapsed_s), error)
-        if no_way and not lost:
-            self._turning = None
-            return Decision("dead_end", Atom.STOP, error)
-        self._guessed_s += elapsed_s
-        if self._guessed_s >= SETTINGS.guess_s:
-            self._looked_rad = self._guessed_s = 0.0
-        return Decision("guess", self._steer(error), error)
+            return "look_around"
+        if clear:
+            return "follow"
+        return "guess" if wish.way or lost else "dead_end"
+
+    def _atom(self, kind: Kind, error: float, elapsed_s: float) -> Atom:
+        """Choose the atom of a decision."""
+        if kind == "follow":
+            return self._follow(error, elapsed_s)
+        self._followed_m = 0.0
+        if kind == "look_around":
+            return self._look(error, elapsed_s)
+        if kind == "guess":
+            self._guessed_s += elapsed_s
+            if self._guessed_s >= SETTINGS.guess_s:
+                self._looked_rad = self._guessed_s = 0.0
+            return self._steer(error)
+        self._turning = None
+        return Atom.STOP
 
     def _follow(self, error: float, elapsed_s: float) -> Atom:
         """Steer; after a correlation length of way it may look around again.
