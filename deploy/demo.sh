@@ -24,7 +24,7 @@ echo
 echo "1/3 The expert demonstrates; the recorder writes $out/drives"
 "$smal" demonstrate --world "$world" --episodes "$drives" --seed "$seed" --camera "$camera" --out "$out/drives"
 echo
-echo "2/3 Learning a map of views, states, actions, transitions, reward and policy from the recordings"
+echo "2/3 Learning a map of views from the recordings"
 "$smal" learn "$out/drives" --out "$out/model.smal"
 echo
 echo "3/3 The robot searches by itself, from starts that it was not taught from"

@@ -140,7 +140,7 @@ check "this machine, and only it, is shown the page" "$page" \
   bash -c "[[ $page = 127.0.0.1:* ]] && python3 -c \"import urllib.request as u; assert b'<title>' in u.urlopen('http://$page').read()\""
 compiling=$(docker compose exec -T recognition python -c '
 import time
-from smal.matching.streaming import compile_ahead
+from smal.paper.matching.streaming import compile_ahead
 began_s = time.monotonic()
 compile_ahead()
 print(round(time.monotonic() - began_s))')

@@ -36,7 +36,7 @@ echo "This demo teaches with $drives drive(s) in $world and lets the robot searc
 [ -z "$(ls -d /out/demo-* 2>/dev/null)" ] || echo "Earlier results in out/ stay; this one goes to out/$name."
 echo "1/3 The expert demonstrates; the recorder writes out/$name/drives"
 step demonstrate --connect "$router" --world "$world" --episodes "$drives" --seed "$seed" --out "$out/drives"
-echo "2/3 Learning a map of views, states, actions, transitions, reward and policy from the recordings"
+echo "2/3 Learning a map of views from the recordings"
 step learn "$out/drives" --out "$out/model.smal"
 echo "3/3 The robot searches by itself, from starts that it was not taught from"
 step run --connect "$router" --model "$out/model.smal" --world "$world" --episodes "$runs" --seed "$seed" --json "$out/runs.json" --report "$out/report"

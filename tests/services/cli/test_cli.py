@@ -87,8 +87,8 @@ def test_recognition_and_policy_have_their_model_from_the_start(
     ("name", "flags", "line"),
     [
         ("mapped", ("--stride", "2"), "stride 2: the filter decides at every frame; only the paper"),
-        ("mapped", ("--scheme", "paper"), "it was learned for the scheme 'filter', not 'paper': smal learn --scheme paper"),
-        ("corridor", ("--scheme", "filter"), "it was learned for the scheme 'paper', not 'filter': smal learn --scheme"),
+        ("mapped", ("--scheme", "paper"), "it was learned for the scheme 'filter', not 'paper'"),
+        ("corridor", ("--scheme", "filter"), "it was learned for the scheme 'paper', not 'filter'"),
         ("corridor", ("--stride", "4"), f"stride must be 1 to the sequence length {LENGTH}, got 4"),
         ("mapped", ("--scheme", "dream"), "'dream' is not one of 'filter', 'paper'"),
     ],

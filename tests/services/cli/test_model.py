@@ -211,6 +211,27 @@ def test_a_drive_of_another_length_is_another_drive(taught: Path, tmp_path: Path
     assert "smal: missing: to-left: the recording of this name is of another drive\n" in err
 
 
+def test_a_drive_in_two_parts_is_shown_as_one_and_only_with_both(tmp_path: Path, smal: Smal) -> None:
+    folder, file = tmp_path / "drives", tmp_path / "one.smal"
+    folder.mkdir()
+    whole = list(messages("to-left", DRIVES["left"], Room(), "left"))
+    end = whole[-1].tick
+    path = record(folder, [one for one in whole if one.tick not in (20, 22)])
+    teacher = Teacher(COLOR, 2)
+    teacher.read(path)
+    with patch("smal.mapping.fit_scene", lambda *_: SCENE):
+        learn_map(teacher.teaching.demonstrations, COLOR).save(file)
+    names = ["to-left[0-19]", f"to-left[23-{end}]"]
+    page, err = shown(smal, tmp_path / "both", file, "--recordings", folder)
+    assert "missing" not in err
+    assert sources(page, tmp_path / "both") == ["drives/00000.jpg"]
+    path.unlink()
+    record(folder, [one for one in whole if one.tick not in (20, 24)])
+    page, err = shown(smal, tmp_path / "other", file, "--recordings", folder)
+    assert f"smal: missing: {names[1]}: not among the recordings\n" in err
+    assert "img" not in page.tags
+
+
 def test_without_a_page_it_is_said_in_some_lines(taught: Path, smal: Smal) -> None:
     status, out, _ = smal("model", "show", str(taught / "two.smal"))
     assert status == 0

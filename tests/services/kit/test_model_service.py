@@ -7,6 +7,8 @@ have the filter's.
 
 from __future__ import annotations
 
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -153,6 +155,23 @@ def test_recognition_keeps_its_window_after_a_refused_load(
     assert recognition.detail() == before
     answer = recognition.handle(observation(LENGTH - 1, place=5 + LENGTH))
     assert (answer.status, answer.state) == ("recognized", 2)
+
+
+def test_who_goes_by_a_map_runs_none_of_the_paper(tmp_path: Path) -> None:
+    """Neither its matching nor its compiler takes memory, or time at the start."""
+    program = (
+        "import sys\n"
+        "from pathlib import Path\n"
+        "from services.kit.model_service import LoadedModel\n"
+        "from services.policy.service import PolicyService\n"
+        "from services.recognition.service import RecognitionService\n"
+        "for service in (RecognitionService(), PolicyService()):\n"
+        "    service.load(LoadedModel.read(Path(sys.argv[1])))\n"
+        "print([name for name in ('numba', 'smal.paper.state_matching') if name in sys.modules])"
+    )
+    mapped = corridor.save_model(tmp_path / "mapped.smal")
+    done = subprocess.run([sys.executable, "-c", program, mapped], capture_output=True, text=True, check=True)
+    assert done.stdout == "[]\n"
 
 
 # -- two models -------------------------------------------------------------------------------------------------------
