@@ -9,8 +9,6 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from smal.paper.compiled import compiled
-
 Array = NDArray[np.float64]
 Frames = NDArray[np.float32]
 Columns = NDArray[np.intp]
@@ -19,57 +17,19 @@ Columns = NDArray[np.intp]
 _SHARE, _PLACES = 32, 8
 # Known products are combined where their terms are at most so much longer than what is left of them.
 _CANCELLATION = 30.0
-# Templates and vectors that are multiplied at a time: their sums stay in registers.
-_TILE = 4
-_zero = np.float32(0.0)
 
 
-@compiled
-def _multiply(X: Frames, chosen: Columns, T: Frames, out: Frames, squares: Frames) -> None:
-    """Multiply chosen rows of X with all rows of T, four by four, and find their squared lengths.
-
-    BLAS repacks a large matrix before it multiplies, which does not pay for a product as narrow as this one.
-    """
-    for c in range(0, chosen.size, _TILE):
-        # The last one again where there are fewer.
-        c1, c2, c3 = min(c + 1, chosen.size - 1), min(c + 2, chosen.size - 1), min(c + 3, chosen.size - 1)
-        w, x, y, z = X[chosen[c]], X[chosen[c1]], X[chosen[c2]], X[chosen[c3]]
-        for i in range(0, T.shape[0], _TILE):
-            a0 = a1 = a2 = a3 = b0 = b1 = b2 = b3 = _zero
-            e0 = e1 = e2 = e3 = f0 = f1 = f2 = f3 = _zero
-            for k in range(X.shape[1]):
-                t = T[i, k]
-                a0, b0, e0, f0 = a0 + w[k] * t, b0 + x[k] * t, e0 + y[k] * t, f0 + z[k] * t
-                t = T[i + 1, k]
-                a1, b1, e1, f1 = a1 + w[k] * t, b1 + x[k] * t, e1 + y[k] * t, f1 + z[k] * t
-                t = T[i + 2, k]
-                a2, b2, e2, f2 = a2 + w[k] * t, b2 + x[k] * t, e2 + y[k] * t, f2 + z[k] * t
-                t = T[i + 3, k]
-                a3, b3, e3, f3 = a3 + w[k] * t, b3 + x[k] * t, e3 + y[k] * t, f3 + z[k] * t
-            out[c3, i], out[c3, i + 1], out[c3, i + 2], out[c3, i + 3] = f0, f1, f2, f3
-            out[c2, i], out[c2, i + 1], out[c2, i + 2], out[c2, i + 3] = e0, e1, e2, e3
-            out[c1, i], out[c1, i + 1], out[c1, i + 2], out[c1, i + 3] = b0, b1, b2, b3
-            out[c, i], out[c, i + 1], out[c, i + 2], out[c, i + 3] = a0, a1, a2, a3
-        a0 = b0 = e0 = f0 = _zero
-        for k in range(X.shape[1]):
-            a0, b0, e0, f0 = a0 + w[k] * w[k], b0 + x[k] * x[k], e0 + y[k] * y[k], f0 + z[k] * z[k]
-        squares[c3], squares[c2], squares[c1], squares[c] = f0, e0, b0, a0
-
-
-def narrow_product(rows: Frames, chosen: Columns, vectors: Frames) -> tuple[Frames, Frames]:
+def narrow_product(rows: Frames, chosen: Columns, vectors: Frames) -> Frames:
     """Multiply chosen templates, rows of (n, m), with a few vectors (q, m).
 
     Returns
     -------
-    float32 arrays (r, q), (r,)
-        The products, each off by at most `rounding(m)` times the product of the two lengths, and the squared lengths
-        of the templates.
+    float32 array (r, q)
+        Each off by at most `rounding(m)` times the product of the two lengths.
     """
-    padded = np.pad(vectors, ((0, -len(vectors) % _TILE), (0, 0)))
-    out = np.empty((chosen.size, len(padded)), dtype=np.float32)
-    squares = np.empty(chosen.size, dtype=np.float32)
-    _multiply(rows, chosen, padded, out, squares)
-    return out[:, : len(vectors)], squares
+    some = rows if chosen.size == len(rows) else rows[chosen]
+    products: Frames = some @ vectors.T
+    return products
 
 
 def rounding(m: int, kind: type[np.floating[Any]] = np.float32) -> float:
@@ -180,12 +140,19 @@ class Products:
                 if not np.isfinite(values).all():
                     raise ValueError("known products contain NaN or infinity")
                 return values, self.lengths[columns] * (rounding(m + dual.columns.size + 6) * reach)
-        values, squares = narrow_product(self._rows, columns, theta.astype(np.float32))
+        self._measure(columns[np.isinf(self.lengths[columns])])
+        values = narrow_product(self._rows, columns, theta.astype(np.float32))
+        return values, self.lengths[columns] * (rounding(m + 2) * np.linalg.norm(theta))
+
+    def _measure(self, columns: Columns) -> None:
+        """Find the lengths of templates that are multiplied for the first time."""
+        rows = self._rows if columns.size == len(self._rows) else self._rows[columns]
+        with np.errstate(over="ignore"):
+            squares = np.einsum("rm,rm->r", rows, rows)
         # NaN or infinity anywhere in X shows in these.
         if not np.isfinite(squares).all():
             raise ValueError("templates contain NaN or infinity, or overflow float32 products")
-        self.lengths[columns] = _lengths(squares, m)
-        return values, self.lengths[columns] * (rounding(m + 2) * np.linalg.norm(theta))
+        self.lengths[columns] = _lengths(squares, rows.shape[1])
 
     def _combined(self, dual: DualPoint, columns: Columns) -> Frames:
         """X_R^T Theta from what is known; X^T X is symmetric, and its rows are contiguous."""

@@ -33,34 +33,21 @@ def test_error_bound(shape: tuple[int, int, int], seed: int, decades: int, posit
         X, T = np.abs(X), np.abs(T)
     X, T = X.astype(np.float32), T.astype(np.float32)
     chosen = np.flatnonzero(rng.random(n) < 0.7)
-    check(X[chosen], T, narrow_product(X, chosen, T)[0])
-    products, squares = narrow_product(X, np.arange(n), T)
-    check(X, T, products)
-    exact = np.square(X.astype(np.float64)).sum(axis=1)
-    assert (np.abs(squares - exact) <= rounding(m) * exact).all()
+    check(X[chosen], T, narrow_product(X, chosen, T))
+    check(X, T, narrow_product(X, np.arange(n), T))
 
 
 def test_error_bound_of_long_sums() -> None:
     """Adding 0.1 a million times in order would be off by percents."""
     X = np.full((5, 200_003), 0.1, dtype=np.float32)
     T = np.full((6, 200_003), 0.1, dtype=np.float32)
-    check(X, T, narrow_product(X, np.arange(5), T)[0])
+    check(X, T, narrow_product(X, np.arange(5), T))
 
 
 def test_rounding() -> None:
     assert 4096 * 2.0**-24 <= rounding(4096) <= 1.001 * 4096 * 2.0**-24
     assert rounding(1) > 2.0**-24
     assert rounding(2**24) == np.inf
-
-
-@pytest.mark.parametrize("bad", [np.nan, np.inf])
-@pytest.mark.parametrize("row", [0, 3, 8, 12])
-def test_what_is_not_finite_shows_in_the_squares(bad: float, row: int) -> None:
-    X, T = np.ones((13, 37), np.float32), np.zeros((5, 37), np.float32)
-    X[row, 36] = bad
-    for vectors in (T, T[:1], T[:2]):
-        squares = narrow_product(X, np.arange(13), vectors)[1]
-        assert np.flatnonzero(~np.isfinite(squares)).tolist() == [row]
 
 
 LENGTH = 5
