@@ -143,13 +143,11 @@ def _features(files: list[Path], scheme: Scheme, modalities: str | None, weights
     """Return what is learned from: what is asked for, or what the recordings hold, of which a map takes no depth."""
     features = features_of_recordings(files) if modalities is None else parse_features(modalities)
     if scheme == "filter" and "depth" in features.needs:
-        seen = features.of_images()
-        if modalities is not None or seen is None:
+        if modalities is not None:
             raise UsageError(
-                f"--modalities {','.join(features.modalities)}: a map of views has no depth; "
-                "leave depth out, or give --scheme paper"
+                f"--modalities {modalities}: a map of views has no depth; leave depth out, or give --scheme paper"
             )
-        features = seen
+        features = features.of_images() or FeatureSettings()
     return features if weights is None else with_weights(features, weights)
 
 

@@ -14,7 +14,7 @@ from typing import Final
 from unittest.mock import patch
 
 from schemas.command import Command
-from services.kit.node import run_service
+from services.kit.process import run_service
 from services.robot.gate import Applied, CommandGate, Refusal
 from services.robot.service import ROBOT
 from services.simulator.__main__ import serve

@@ -123,7 +123,7 @@ class Side:
 
     def case(self, loaded: LoadReply) -> dict[str, Any]:
         """Return the figures."""
-        facts = loaded.model_dump(include={"keyframes", "templates"})
+        facts = loaded.model_dump(include={"keyframes"})
         return {"camera": self.camera, "watchers": self.watchers} | facts | summary(self.taken_s)
 
 

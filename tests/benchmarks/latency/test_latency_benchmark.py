@@ -51,7 +51,7 @@ def test_every_frame_is_answered(
     results: dict[str, Any] = json.loads(file.read_text())
     assert [(one["camera"], one["watchers"]) for one in results["cases"]] == [("64x48", count) for count in watchers]
     for one in results["cases"]:
-        assert one["templates"] > 0
+        assert one["keyframes"] > 0
         assert one["frames"] == 18
         assert one["missing"] < 18
     assert "64x48" in capsys.readouterr().out
