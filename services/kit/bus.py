@@ -1,7 +1,6 @@
 """The bus: messages, and calls of services, between whoever has the same router.
 
-``Bus`` encodes and decodes; its bytes are carried by Zenoh (``zenoh_wire``), or inside of this process
-(``memory_wire``) where the address says so. What may be counted on stands in ``wire``.
+``Bus`` encodes and decodes; its bytes are carried by Zenoh (``zenoh_wire``). What may be counted on stands in ``wire``.
 """
 
 from __future__ import annotations
@@ -17,8 +16,7 @@ from schemas.codec import describe, encode, printable
 from schemas.rpc import Failure
 from schemas.topics import TOPICS, Lane, Topic, rpc_key
 from services.kit.credentials import Credentials
-from services.kit.memory_wire import MEMORY, MemoryRouter, MemoryWire
-from services.kit.wire import Answer, BusError, Refused, Take, Wire
+from services.kit.wire import Answer, BusError, Refused, Take
 from services.kit.zenoh_settings import DEFAULT_ROUTER, check_credentials, host_and_port, zenohd_configuration
 from services.kit.zenoh_wire import PATIENCE_S, Router, ZenohWire
 
@@ -27,7 +25,6 @@ __all__ = [
     "PATIENCE_S",
     "Bus",
     "BusError",
-    "MemoryRouter",
     "Refused",
     "Router",
     "RpcError",
@@ -56,8 +53,7 @@ class Bus:
     robot
         Robot id, part of every key.
     endpoint
-        The router's address; after an outage the connection is made again in the background. ``memory/NAME`` is that
-        of a ``MemoryRouter`` of this process.
+        The router's address; after an outage the connection is made again in the background.
     patience_s
         How long to wait for the router.
     credentials
@@ -78,11 +74,7 @@ class Bus:
     ) -> None:
         self.robot = robot
         self.endpoint = endpoint
-        self._wire: Wire = (
-            MemoryWire(robot, endpoint)
-            if endpoint.startswith(MEMORY)
-            else ZenohWire(robot, endpoint, patience_s, credentials)
-        )
+        self._wire = ZenohWire(robot, endpoint, patience_s, credentials)
 
     def connected(self) -> bool:
         """Whether there is a router."""

@@ -1,15 +1,13 @@
-"""The contract between a ``Bus`` and what carries its bytes: what Zenoh promises us, and no more.
-
-``zenoh_wire`` keeps it between processes, ``memory_wire`` inside of one. Whoever uses a bus may count on this:
+"""What whoever uses a ``Bus`` may count on, as ``zenoh_wire`` keeps it, and the words in which the two speak.
 
 - What one bus sends arrives in the order in which it was sent, over all topics that are as urgent and as reliable.
   There is no other order, and any sample may be lost.
 - Nothing is copied before its key, kind, encoding and size are looked at: see ``flaw``. What is refused is told to who
   listens, with its sender where that is known; an unfit request is answered with a ``Failure``.
-- Handlers run on the bus's own threads, one for what is urgent and one for all else, between processes also one for the
-  calls of each key, and hold up what follows there until they return. A publisher never waits for one, but for its own
+- Handlers run on the bus's own threads, one for what is urgent, one for all else and one for the calls of each key, and
+  hold up what follows there until they return. A publisher never waits for one, but for its own
   bus's. What a handler raises is logged.
-- Between processes calls that come faster than they are answered, or than a tenth of a processor answers them, wait; of
+- Calls that come faster than they are answered, or than a tenth of a processor answers them, wait; of
   too many the oldest are dropped.
 - A handler must not call on its own bus: the answer comes on the thread that waits for it.
 - It takes a moment until others know of a subscription, a service, or their end.
@@ -18,14 +16,13 @@
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
 from collections.abc import Callable
 from typing import Final, NamedTuple, Self
 
 from schemas.base import Message
 from schemas.codec import misfit, printable
 from schemas.rpc import Failure
-from schemas.topics import TOPICS, Lane, Topic
+from schemas.topics import TOPICS
 
 #: What a caller hears when its time is over.
 TIMEOUT: Final = b"Timeout"
@@ -83,55 +80,3 @@ class Answer(NamedTuple):
 
 #: What a service is called with: the request, and what takes the answer, once, from any thread.
 Serve = Callable[[bytes, Callable[[Answer], None]], None]
-
-
-class Wire(ABC):
-    """One robot's door to a router: see the contract above."""
-
-    @abstractmethod
-    def connected(self) -> bool:
-        """Whether there is a router."""
-
-    @abstractmethod
-    def publish(self, topic: Topic, payload: bytes) -> None:
-        """Send the bytes of a message; of a recorded topic they are kept, see ``subscribe``."""
-
-    @abstractmethod
-    def has_listeners(self, topic: Topic) -> bool:
-        """Whether anybody takes a topic that is not recorded, as far as is known yet."""
-
-    @abstractmethod
-    def subscribe(self, topic: Topic, take: Take, refused: Refused, *, replay: bool) -> None:
-        """Call ``take`` for every sample of a topic, and ``refused`` for each that is none.
-
-        With ``replay`` also for those that were published in the last ``topics.KEPT_S`` by senders that are still
-        there (``Topic.kept`` of each at most), in each sender's order, before what is new, each once.
-        """
-
-    @abstractmethod
-    def listen(self, keys: str, take: Callable[[str, bytes, str], None], *, lane: Lane) -> None:
-        """Call ``take(key, payload, encoding)`` for every sample on matching keys, on the thread of a lane.
-
-        In ``keys``, ``*`` stands for one part of a key and ``**`` for any number of them. Whatever is on them is taken
-        as it is; between processes at most ``LARGEST_BYTES`` of it, and a little.
-
-        Raises
-        ------
-        BusError
-            When ``keys`` is no valid key expression.
-        """
-
-    @abstractmethod
-    def serve(self, key: str, answer: Serve, refused: Refused) -> None:
-        """Answer calls of a key; ``refused`` is called for each that is unfit, which is answered already."""
-
-    @abstractmethod
-    def call(self, key: str, request: bytes, timeout_s: float) -> Answer | None:
-        """Call a key and wait for the answer, the first that comes; an unfit one is a failure.
-
-        None where nobody serves it, or who served it dropped it or failed.
-        """
-
-    @abstractmethod
-    def close(self) -> None:
-        """Take back every declaration; once more is harmless."""

@@ -23,7 +23,7 @@ from schemas.topics import KEPT_S, LANES, Lane, Topic
 from services.kit.credentials import Credentials, others_reach, why_refused
 from services.kit.heap import keep_freed_memory
 from services.kit.replay import Budget, Replay
-from services.kit.wire import Answer, BusError, Refused, Serve, Take, Wire, flaw
+from services.kit.wire import Answer, BusError, Refused, Serve, Take, flaw
 from services.kit.zenoh_settings import (
     CLIENT_THREADS,
     DEFAULT_ROUTER,
@@ -167,7 +167,7 @@ class Router:
         self._session.close()
 
 
-class ZenohWire(Wire):
+class ZenohWire:
     """One process's connection to a Zenoh router.
 
     Each lane is a session of its own: no image can stand before a command in a queue, and nothing before a stop.

@@ -1,8 +1,6 @@
 """A router, nodes in threads, and a client: what the tests of every service need.
 
-Each test that needs a router runs twice: in the memory of this process, and over Zenoh with a real router. What is
-marked ``zenoh`` runs over Zenoh alone: it needs processes, links or outages. The functions that wait are in
-``waiting``.
+Every router is a real one, of Zenoh, for one test alone. The functions that wait are in ``waiting``.
 """
 
 from __future__ import annotations
@@ -13,23 +11,15 @@ from collections.abc import Callable, Iterator
 
 import pytest
 
-from services.kit.bus import Bus, MemoryRouter, Router
+from services.kit.bus import Bus, Router
 from services.kit.node import Node
 from services.kit.settings import ServiceSettings
 
 RunNode = Callable[[Node], Node]
 
 
-def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
-    """Choose the routers of a test."""
-    if "router_endpoint" in metafunc.fixturenames:
-        zenoh = pytest.param("zenoh", marks=pytest.mark.zenoh)
-        alone = metafunc.definition.get_closest_marker("zenoh") is not None
-        metafunc.parametrize("router_endpoint", [zenoh] if alone else ["memory", zenoh], indirect=True)
-
-
 def pytest_itemcollected(item: pytest.Item) -> None:
-    """Mark what makes routers of its own."""
+    """Mark what needs a router."""
     if isinstance(item, pytest.Function) and "free_endpoint" in item.fixturenames:
         item.add_marker(pytest.mark.zenoh)
 
@@ -43,12 +33,10 @@ def free_endpoint() -> str:
 
 
 @pytest.fixture
-def router_endpoint(request: pytest.FixtureRequest) -> Iterator[str]:
+def router_endpoint(free_endpoint: str) -> Iterator[str]:
     """Address of a router of this test's own."""
-    in_memory = request.param == "memory"
-    endpoint: str = "memory/test" if in_memory else request.getfixturevalue("free_endpoint")
-    router = MemoryRouter(endpoint) if in_memory else Router(endpoint)
-    yield endpoint
+    router = Router(free_endpoint)
+    yield free_endpoint
     router.close()
 
 

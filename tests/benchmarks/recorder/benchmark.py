@@ -16,7 +16,8 @@ from typing import Any, Final
 from mcap.reader import make_reader
 from tqdm import tqdm
 
-from services.kit.bus import MemoryRouter
+from services.cli.stack.processes import free_endpoint
+from services.kit.bus import Router
 from services.kit.errors import JobError
 from services.kit.node import Node
 from services.kit.settings import ServiceSettings
@@ -40,9 +41,10 @@ _OTHERS: Final = ("command/emergency_stop", "command/expert", "command/policy")
 def benchmark(hours: float, folder: Path) -> dict[str, Any]:
     """Record one drive; return what the JSON file holds."""
     ticks = round(hours * 3600 / TICK_S)
-    router = MemoryRouter("memory/recorder")
+    endpoint = free_endpoint()
+    router = Router(endpoint)
     try:
-        with Node("recorder", ServiceSettings(robot="rescuebot", router=router.endpoint)) as node:
+        with Node("recorder", ServiceSettings(robot="rescuebot", router=endpoint)) as node:
             recorder = RecorderService(node, folder, folder)
             began_s = time.monotonic()
             samples = list(_samples(recorder, ticks))
