@@ -8,7 +8,7 @@ from __future__ import annotations
 import re
 from typing import Any, Final, NamedTuple
 
-from schemas.topics import COMMANDS, HEARTBEAT, LANES, ROOT, TOPICS, Topic, rpc_key
+from schemas.topics import LANES, ROOT, TOPICS, Topic, rpc_key
 from services.kit.access import KEPT_KEYS, access_control
 from services.kit.credentials import Credentials, encrypted
 from services.kit.wire import LARGEST_BYTES, MAX_RPC_BYTES, BusError
@@ -32,9 +32,6 @@ MAX_SESSIONS: Final = 96
 #: themselves alone. A process on the bus has one more, for a robot's own router.
 ROUTER_THREADS: Final = MAX_SESSIONS
 CLIENT_THREADS: Final = len(LANES) + 1
-#: What a session may put on a bounded key in a second: 50 times what any sender sends. Zenoh drops what comes sooner
-#: after the last one than this allows, however few there are: so of two that waited on their way the second is lost.
-MOST_PUTS_HZ: Final = 1000
 #: What a session may ask of one call in a second: whoever waits for an answer before they ask again is slower.
 MOST_CALLS_HZ: Final = 10_000
 #: Largest call that a router passes on, for who is called to refuse it by name.
@@ -85,27 +82,14 @@ def _door() -> list[dict[str, object]]:
 
 
 def _bounds() -> list[dict[str, object]]:
-    """Return what each session may send in a second, by keys; the router drops the rest as it comes in.
+    """Return how often each session may make each call in a second; the router drops the rest as it comes in.
 
-    Each session is counted by itself, and each key: whoever floods one keeps nobody else from it. An emergency stop is
-    not counted: none may be dropped at the door. Of other messages only those are that answer a frame or a pulse, one
-    by one: what may come in bursts would be lost.
+    Each session is counted by itself: who floods a call keeps nobody else from it. Messages are not bounded so: Zenoh
+    drops what comes too soon after the last one, and of two that waited on a slow link it would drop the newer one.
     """
-    put = [topic.name for topic in (COMMANDS["policy"], COMMANDS["expert"], HEARTBEAT)]
     served = sorted({name for role in roles().values() for name in role.serves})
-    bounds: list[tuple[str, list[str], list[str], int]] = [
-        ("puts", ["put", "delete"], [f"{ROOT}/*/{name}" for name in put], MOST_PUTS_HZ),
-        ("calls", ["query"], [rpc_key("*", *name.split("/", 1)) for name in served], MOST_CALLS_HZ),
-    ]
-    return [
-        {
-            "id": name,
-            "messages": messages,
-            "flows": ["ingress"],
-            "rules": [{"key_expr": key, "freq": hz} for key in keys],
-        }
-        for name, messages, keys, hz in bounds
-    ]
+    rules = [{"key_expr": rpc_key("*", *name.split("/", 1)), "freq": MOST_CALLS_HZ} for name in served]
+    return [{"id": "calls", "messages": ["query"], "flows": ["ingress"], "rules": rules}]
 
 
 def _everything(key: str) -> list[str]:

@@ -83,6 +83,8 @@ class Stored(ABC):
         """
         meta, arrays, checksum = container.read(file, name, FORMAT_VERSION)
         try:
+            if not isinstance(meta, dict):
+                raise TypeError("it does not say what it is")
             scheme = meta.pop("scheme")
             kind = _kind(scheme)
             if not issubclass(kind, cls):

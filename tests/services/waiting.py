@@ -14,7 +14,6 @@ from schemas.codec import encoding_of
 from schemas.rpc import Nothing, Status
 from schemas.topics import Topic
 from services.kit.bus import Bus, RpcError
-from services.kit.zenoh_settings import MOST_PUTS_HZ
 
 T = TypeVar("T")
 
@@ -62,22 +61,12 @@ def introduce(client: Bus, service: str, *messages: Message) -> None:
     eventually(all_received)
 
 
-def at_a_pace(session: zenoh.Session) -> None:
-    """Wait until what a session sent is at the router, and what it sends next is not too fast for the router's door."""
-    began_s = None
-    while began_s is None or time.monotonic() - began_s < 2.0 / MOST_PUTS_HZ:
-        list(session.get("smal/nobody/rpc/nobody/nothing", timeout=5.0))
-        began_s = began_s or time.monotonic()
-
-
 def send_as_stranger(bus: Bus, topic: Topic, payload: bytes, encoding: str = "zenoh/bytes") -> None:
     """Send as a stranger does, who has another idea of what a topic carries, and keeps nothing."""
     key, wire = topic.key(bus.robot), bus._wire
     # One who does not let Zenoh drop anything of it.
     wait = zenoh.CongestionControl.BLOCK
-    session = wire.sessions[topic.lane]
-    session.put(key, payload, encoding=encoding, congestion_control=wait)
-    at_a_pace(session)
+    wire.sessions[topic.lane].put(key, payload, encoding=encoding, congestion_control=wait)
 
 
 def malformed(client: Bus, service: str, topic: Topic) -> None:

@@ -26,7 +26,7 @@ from services.kit.credentials import Credentials, credentials_in, why_refused
 from services.kit.zenoh_settings import LEASE_MS, MAX_SESSIONS, router_settings
 from services.table import Role, roles, stack_services
 from tests.services.secured import ROBOT, certificate_in, make_keys, open_session, secured_router
-from tests.services.waiting import at_a_pace, eventually
+from tests.services.waiting import eventually
 
 VERBS: Final = ("put", "delete", "subscribe", "query", "serve", "token")
 TOPIC_KEYS: Final = {topic.key(ROBOT): topic for topic in TOPICS.values()}
@@ -102,9 +102,7 @@ class Trial:
         tokens = []
         for key in KEYS:
             self._session.put(key, b"x", attachment=key)
-            at_a_pace(self._session)
             self._session.delete(key, attachment=key)
-            at_a_pace(self._session)
             list(self._session.get(key, attachment=key, timeout=5.0))
             if key not in WILD:
                 tokens.append(self._session.liveliness().declare_token(key))

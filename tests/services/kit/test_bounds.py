@@ -1,61 +1,63 @@
-"""What a router lets one session send in a second: a flood is dropped at the door, of others nothing, and no stop."""
+"""What a router lets one session ask in a second: a flood of calls is dropped at the door, of others nothing."""
 
 from __future__ import annotations
 
-from collections import Counter
-from contextlib import ExitStack, closing
+import time
+from contextlib import closing
 from typing import Any
 
-import pytest
 import zenoh
 
-from schemas.topics import COMMANDS, HEARTBEAT, rpc_key
-from services.kit.zenoh_settings import MOST_PUTS_HZ, settings_of
+from schemas.topics import COMMANDS, rpc_key
+from services.kit.zenoh_settings import MOST_CALLS_HZ, settings_of
 from services.table import roles
 from tests.services.secured import open_session
 from tests.services.waiting import eventually
 
-STOP, POLICY = COMMANDS["emergency_stop"], COMMANDS["policy"]
-#: More than a router lets through in the time that it takes to send them.
-FLOOD = 20_000
+STOP, STATUS = COMMANDS["emergency_stop"].key("rescuebot"), rpc_key("rescuebot", "robot", "status")
+#: More than a router lets through in the time that it takes to ask them.
+FLOOD = 40_000
 
 
-def bounded() -> dict[str, set[str]]:
+def test_every_call_that_a_role_may_make_is_bounded_and_no_message() -> None:
     items: Any = settings_of("router", "tcp/127.0.0.1:1", None)["downsampling"]
-    return {item["id"]: {rule["key_expr"] for rule in item["rules"]} for item in items}
-
-
-def test_what_answers_one_by_one_is_bounded_and_no_stop_nor_what_comes_in_bursts() -> None:
-    assert bounded()["puts"] == {topic.key("*") for topic in (POLICY, COMMANDS["expert"], HEARTBEAT)}
-
-
-def test_every_call_that_a_role_may_make_is_bounded() -> None:
+    (item,) = items
+    assert item["messages"] == ["query"]
     calls = {rpc_key("*", *name.split("/", 1)) for role in roles().values() for name in role.calls}
-    assert calls <= bounded()["calls"]
+    assert calls <= {rule["key_expr"] for rule in item["rules"]}
 
 
-@pytest.mark.zenoh
-def test_a_flood_is_dropped_at_the_door_and_nothing_of_others_nor_any_stop(router_endpoint: str) -> None:
-    heard: Counter[tuple[str, bytes]] = Counter()
-    policy, stop = POLICY.key("rescuebot"), STOP.key("rescuebot")
-    with ExitStack() as stack:
-        witness, flooder, other = (stack.enter_context(closing(open_session(router_endpoint, None))) for _ in range(3))
+def test_a_flood_of_calls_is_dropped_at_the_door_and_nothing_of_others_nor_any_stop(router_endpoint: str) -> None:
+    asked, stops = [0], [0]
 
-        def note(sample: zenoh.Sample) -> None:
-            heard[str(sample.key_expr), sample.payload.to_bytes()] += 1
+    def answer(query: zenoh.Query) -> None:
+        with query:
+            asked[0] += 1
+            query.reply(STATUS, b"{}")
 
-        for key in (policy, stop):
-            stack.callback(witness.declare_subscriber(key, zenoh.handlers.Callback(note, indirect=False)).undeclare)
-        eventually(lambda: (flooder.put(policy, b"first"), flooder.put(stop, b"first"), len(heard) == 2)[2])
+    def note(_sample: zenoh.Sample) -> None:
+        stops[0] += 1
+
+    with (
+        closing(open_session(router_endpoint, None)) as robot,
+        closing(open_session(router_endpoint, None)) as flooder,
+        closing(open_session(router_endpoint, None)) as other,
+    ):
+        served = robot.declare_queryable(STATUS, zenoh.handlers.Callback(answer, indirect=False))
+        heard = robot.declare_subscriber(STOP, zenoh.handlers.Callback(note, indirect=False))
+        eventually(lambda: list(other.get(STATUS, timeout=1.0)))
+        eventually(lambda: (other.put(STOP, b"first"), stops[0])[1])
+        # What was put until then has come: nothing of one session overtakes.
+        list(other.get(STATUS, timeout=5.0))
+        before, since_s = stops[0], time.monotonic()
         for number in range(FLOOD):
-            flooder.put(policy, b"flood", congestion_control=zenoh.CongestionControl.BLOCK)
-            if number == FLOOD // 2:
-                other.put(policy, b"other")
+            flooder.get(STATUS, zenoh.handlers.RingChannel(1), timeout=5.0)
             if number % (FLOOD // 10) == 0:
-                flooder.put(stop, b"%d" % number)
-                flooder.put(stop, b"%d again" % number)
-        eventually(lambda: heard[policy, b"other"])
-        eventually(lambda: sum(key == stop for key, _ in heard) == 1 + 2 * 10)
-        # What came later than the whole flood is heard after it.
-        eventually(lambda: (flooder.put(policy, b"last"), heard[policy, b"last"])[1])
-    assert 0 < heard[policy, b"flood"] < FLOOD / 2, MOST_PUTS_HZ
+                flooder.put(STOP, b"of the flooder")
+                other.put(STOP, b"of another one")
+                assert list(other.get(STATUS, timeout=5.0)), "who asks one by one is answered"
+        asked_s = time.monotonic() - since_s
+        eventually(lambda: stops[0] == before + 20)
+        served.undeclare()
+        heard.undeclare()
+    assert 0 < asked[0] <= MOST_CALLS_HZ * (asked_s + 1.0) + 100

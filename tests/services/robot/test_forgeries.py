@@ -20,7 +20,7 @@ from services.robot.task import OperatorsTask
 from tests.services.conftest import RunNode
 from tests.services.kit.test_refusals import stranger
 from tests.services.robot.line import LineBody
-from tests.services.waiting import at_a_pace, eventually, ready, status_of
+from tests.services.waiting import eventually, ready, status_of
 
 
 class Body(LineBody):
@@ -48,13 +48,9 @@ def test_no_forged_command_reaches_the_gate(
             key = COMMANDS[source].key("rescuebot")
             command = Command(robot="rescuebot", episode="e", tick=1, stamp_ns=0, source=source, atom="forward")
             session.put("**", encode(command), encoding=encoding)
-            at_a_pace(session)
             session.delete(key)
-            at_a_pace(session)
             session.put(key, encode(command), encoding="application/json")
-            at_a_pace(session)
             session.put(key, bytes(2_000), encoding=encoding)
-            at_a_pace(session)
         each = {COMMANDS[source].name: len(SOURCES) + 3 for source in SOURCES}
         each |= {topic.name: len(SOURCES) for topic in (HEARTBEAT, PULSE)}
         eventually(lambda: (status := status_of(client, "robot")) is not None and status.bad == each)
