@@ -12,8 +12,8 @@ from services.cli import options, outputs
 from services.cli.interrupts import interrupted_by_signals
 from services.experiments.evaluation.plan import PLANS, Plan, in_world
 from services.experiments.evaluation.results import ResultStore
-from services.experiments.evaluation.units import Unit, units
-from services.experiments.evaluation.workers import do_all
+from services.experiments.evaluation.schedule import Unit, units
+from services.experiments.evaluation.worker_pool import do_all
 from services.kit.errors import UsageError
 
 

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from services.console.board import Board
 from services.console.config import ConsoleSettings
+from services.console.newest_content import Board
 from services.console.service import ConsoleService
 from services.console.web import WebServer
 from services.kit.node import Node

@@ -17,7 +17,7 @@ from starlette.responses import PlainTextResponse, Response
 from schemas.codec import describe
 from schemas.rpc import WorldName
 from services.console.folder import Folder, remove_left_over
-from services.console.seat import Seat
+from services.console.who_drives import Seat
 
 #: Most bytes of a map, as `smal world import` has it; and how long it may take to come: at 2 Mbit/s and more.
 _LARGEST_MAP: Final = 64 << 20

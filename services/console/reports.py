@@ -8,7 +8,7 @@ from typing import Final
 from schemas.codec import printable
 from schemas.command import CommandApplied, StopCause
 from schemas.episode import Episode
-from services.console.board import Board
+from services.console.newest_content import Board
 
 #: Lines of news that the page keeps.
 _LINES: Final = 30

@@ -15,15 +15,15 @@ from schemas import topics
 from schemas.action import Action
 from schemas.base import Atom
 from schemas.rpc import LoadReply, LoadRequest, Nothing, RecordRequest, ResetReply, ResetRequest, Status
-from services.console.asks import LATE, Ask, Cancel, Delete, Drive, End, Learn, Resume, Run, Withdraw
-from services.console.board import Board
-from services.console.feed import Feed
+from services.console.browser_messages import LATE, Ask, Cancel, Delete, Drive, End, Learn, Resume, Run, Withdraw
 from services.console.folder import Folder
 from services.console.jobs import Job, Jobs
 from services.console.learned import Learned
 from services.console.library import DRIVES, MODELS, LearnedModel, Library
+from services.console.newest_content import Board
+from services.console.page_content import Feed
 from services.console.reports import BoardReports
-from services.console.seat import LEASE_S, LET_GO_S
+from services.console.who_drives import LEASE_S, LET_GO_S
 from services.kit.node import Detail, Node, ServiceError
 from services.kit.root import WORLDS, below
 from services.operator.hold import KeyHold

@@ -25,15 +25,15 @@ from uvicorn.protocols.websockets.websockets_sansio_impl import WebSocketsSansIO
 from schemas.base import Atom
 from schemas.codec import describe
 from services.console.address import listen
-from services.console.asks import LATE, OF_DRIVER, OF_WATCHERS, Ask, Hold, Leave, Stop
-from services.console.board import Board, FullError
+from services.console.browser_messages import LATE, OF_DRIVER, OF_WATCHERS, Ask, Hold, Leave, Stop
 from services.console.config import ConsoleSettings
 from services.console.folder import Folder
 from services.console.guard import MAP, Guard
 from services.console.learned import Learned
 from services.console.library import Library
 from services.console.maps import Maps
-from services.console.seat import BEAT_S, LEASE_S, Seat
+from services.console.newest_content import Board, FullError
+from services.console.who_drives import BEAT_S, LEASE_S, Seat
 from services.kit.node import ServiceError
 from services.kit.throttle import Throttle
 

@@ -17,7 +17,7 @@ from services.experiments.evaluation.controllers import SEQSLAM, SEQSLAM_FEATURE
 from services.experiments.evaluation.degradation import Degradation, Degrader, degradation_named
 from services.experiments.evaluation.demonstrations import expert_of
 from services.experiments.evaluation.plan import JUDGED_TICKS, Criterion, Recognizer
-from services.experiments.evaluation.workplace import Workplace, query_file, replace_file
+from services.experiments.evaluation.worker_cache import Workplace, query_file, replace_file
 from services.expert.driver import DRIVE_TICKS
 from services.simulator.lockstep import LockstepEpisode
 from services.simulator.simulation import Simulation

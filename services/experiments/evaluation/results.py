@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from services.experiments.evaluation.plan import Plan
-from services.experiments.evaluation.units import Unit
+from services.experiments.evaluation.schedule import Unit
 from services.kit.errors import JobError, UsageError
 from services.kit.version import program_version
 from smal.features import FeatureSettings
@@ -30,7 +30,7 @@ _SOURCES: Final = (
     "smal/**/*.py", "services/simulator/**/*", "services/robot/*.py", "services/expert/*.py",
     "services/experiments/evaluation/*.py",
 )  # fmt: skip
-_OF_NO_RESULT: Final = ("results.py", "workers.py", "plan.py", "units.py")
+_OF_NO_RESULT: Final = ("results.py", "worker_pool.py", "plan.py", "schedule.py")
 
 
 def sources() -> list[Path]:

@@ -23,7 +23,7 @@ from services.experiments.evaluation.controllers import (
 from services.experiments.evaluation.degradation import degradation_named
 from services.experiments.evaluation.plan import Criterion, Trial
 from services.experiments.evaluation.search import Search, search
-from services.experiments.evaluation.workplace import Workplace, replace_file
+from services.experiments.evaluation.worker_cache import Workplace, replace_file
 from services.kit.jpeg import encode_jpeg
 from services.robot.clock import TICK_S
 from smal.movement import placed, seen_from

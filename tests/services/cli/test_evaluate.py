@@ -13,7 +13,7 @@ import pytest
 
 from services.experiments.evaluation import plan as plans
 from services.experiments.evaluation.plan import CONTROLLERS, Criterion, Plan, Trial, WorldPlan
-from services.experiments.evaluation.units import units
+from services.experiments.evaluation.schedule import units
 from tests.services.cli.conftest import ROOT, Smal
 from tests.services.waiting import eventually
 

@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from services.console.board import Board
 from services.console.config import ConsoleSettings
+from services.console.newest_content import Board
 from services.console.service import ConsoleService
 from services.console.web import WebServer
 from services.kit.node import Node

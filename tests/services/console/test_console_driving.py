@@ -13,8 +13,8 @@ import pytest
 from websockets.exceptions import ConnectionClosed
 
 from schemas.rpc import RecordRequest, ResetRequest
-from services.console.seat import LET_GO_S, Seat
 from services.console.web import NONSENSE, TAKEN
+from services.console.who_drives import LET_GO_S, Seat
 from services.kit.node import Node
 from services.kit.settings import ServiceSettings
 from services.recorder.service import RecorderService

@@ -22,13 +22,13 @@ import pytest
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import connect
 
-from services.console.board import Board
 from services.console.config import ConsoleSettings
 from services.console.folder import PREFIX, Folder, remove_left_over
 from services.console.guard import COOKIE
 from services.console.library import Library
-from services.console.seat import LEASE_S
+from services.console.newest_content import Board
 from services.console.web import PAGE, WebServer
+from services.console.who_drives import LEASE_S
 from services.kit.bus import BusError
 from services.kit.node import ServiceError
 from tests.services.console.page import Page

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from services.console.board import Board
 from services.console.config import ConsoleSettings
+from services.console.newest_content import Board
 from services.console.web import WebServer
 from tests.benchmarks.soak.page import CHROMIUM, NO_CHROMIUM
 from tests.services.console.test_console_guard import Nobody

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from services.experiments.evaluation.report.summary import Recognized, Results, Success
-from services.experiments.evaluation.units import settings_of
+from services.experiments.evaluation.schedule import settings_of
 
 
 def as_json(found: Sequence[Results]) -> dict[str, Any]:

@@ -19,8 +19,8 @@ from services.experiments.evaluation.report.recognition_section import objective
 from services.experiments.evaluation.report.search_section import search_section
 from services.experiments.evaluation.report.summary import results_of
 from services.experiments.evaluation.results import Finding, ResultStore
+from services.experiments.evaluation.schedule import Unit, whole_series
 from services.experiments.evaluation.search import MAX_TICKS
-from services.experiments.evaluation.units import Unit, whole_series
 from services.kit.version import program_version
 
 _VERDICT: Final = {"ahead": "yes", "behind": "no", "open": "not shown", "counts": "-"}

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from services.experiments.evaluation.plan import JUDGED_TICKS, Errand, Recognizer, Trial, WorldPlan
 from services.experiments.evaluation.results import Finding
-from services.experiments.evaluation.units import Settings, Unit, settings_of
+from services.experiments.evaluation.schedule import Settings, Unit, settings_of
 from smal.evaluation.ground_truth import Judgement
 from smal.evaluation.precision_recall import PrecisionRecall, block_length, bootstrap, intervals_of
 from smal.evaluation.success import wilson_interval

@@ -10,9 +10,9 @@ import numpy as np
 
 from services.experiments.evaluation.plan import CONTROLLERS, JUDGED_TICKS, Criterion, Plan, Trial, WorldPlan
 from services.experiments.evaluation.results import ResultStore
+from services.experiments.evaluation.schedule import Unit, units
 from services.experiments.evaluation.search_experiment import route_file
-from services.experiments.evaluation.units import Unit, units
-from services.experiments.evaluation.workplace import replace_file
+from services.experiments.evaluation.worker_cache import replace_file
 
 BOTH = ("clean", "occluded")
 SMALL = Plan(

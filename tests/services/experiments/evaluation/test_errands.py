@@ -6,7 +6,7 @@ from itertools import pairwise
 
 import pytest
 
-from services.experiments.evaluation.errands import TASKS, Taught
+from services.experiments.evaluation.multi_drive_tasks import TASKS, Taught
 from services.simulator.world import load_world
 from services.simulator.world.collision import obstacles_of
 from services.simulator.world.place import Pose, World

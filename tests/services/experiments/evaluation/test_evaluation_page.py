@@ -12,7 +12,7 @@ import pytest
 
 from services.experiments.evaluation.report.page import write_page
 from services.experiments.evaluation.results import ResultStore
-from services.experiments.evaluation.units import settings_of, units
+from services.experiments.evaluation.schedule import settings_of, units
 from tests.services.experiments.evaluation.evaluated import SMALL, finished
 
 FIGURES = {

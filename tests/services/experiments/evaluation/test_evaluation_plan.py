@@ -18,7 +18,7 @@ from services.experiments.evaluation.plan import (
     WorldPlan,
     in_world,
 )
-from services.experiments.evaluation.units import units
+from services.experiments.evaluation.schedule import units
 from tests.services.experiments.evaluation.evaluated import SMALL
 
 CRITERIA = (Criterion(1.0, 25.0),)

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from services.experiments.evaluation.results import ResultStore
-from services.experiments.evaluation.units import units
+from services.experiments.evaluation.schedule import units
 from services.kit.errors import JobError, UsageError
 from tests.services.experiments.evaluation.evaluated import SMALL, finding
 

@@ -24,7 +24,7 @@ from services.experiments.evaluation.search_experiment import (
     route_file,
     run_search,
 )
-from services.experiments.evaluation.workplace import Workplace
+from services.experiments.evaluation.worker_cache import Workplace
 from services.simulator.sensors import Tilt
 from services.simulator.simulation import Simulation
 from services.simulator.world import load_world

@@ -9,9 +9,9 @@ from pathlib import Path
 
 import pytest
 
-from services.experiments.evaluation import workers
+from services.experiments.evaluation import worker_pool as workers
 from services.experiments.evaluation.plan import Plan
-from services.experiments.evaluation.units import Unit
+from services.experiments.evaluation.schedule import Unit
 from services.kit.errors import JobError
 
 UNITS = [Unit("teach", "yard", (("seed", 1),)), Unit("learn", "yard", (), needs=("teach/yard/seed=1",))]

@@ -14,10 +14,10 @@ from schemas.compressed_image import CompressedImage
 from schemas.pose import Pose
 from schemas.state import State
 from schemas.tracked_pose import TrackedPose
-from services.console.board import Board
 from services.console.health import ASK_S, Health
 from services.console.learned import Learned, learned_of
 from services.console.library import Library
+from services.console.newest_content import Board
 from services.kit.jpeg import is_jpeg
 from services.kit.node import Node, ServiceError
 from services.kit.root import below, name_below

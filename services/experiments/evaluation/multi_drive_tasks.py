@@ -14,7 +14,7 @@ from services.experiments.evaluation.controllers import FilterController
 from services.experiments.evaluation.demonstrations import drive
 from services.experiments.evaluation.plan import TEACHING_SEED, Errand
 from services.experiments.evaluation.search import search
-from services.experiments.evaluation.workplace import Workplace
+from services.experiments.evaluation.worker_cache import Workplace
 from services.simulator.world.place import Pose
 from services.simulator.world.route import route_length_m
 from smal.mapping import learn

@@ -10,13 +10,13 @@ from typing import Any
 import numpy as np
 
 from services.experiments.evaluation.demonstrations import drive, save_drive
-from services.experiments.evaluation.errands import run_errand
+from services.experiments.evaluation.multi_drive_tasks import run_errand
 from services.experiments.evaluation.objective_experiment import objectives
 from services.experiments.evaluation.plan import DEFAULT_LENGTH, ERRANDS, RUN_SEED, Plan, Recognizer, Trial
 from services.experiments.evaluation.recognition_experiment import judged, make_queries, recognize
+from services.experiments.evaluation.schedule import Unit
 from services.experiments.evaluation.search_experiment import Drivers, run_search
-from services.experiments.evaluation.units import Unit
-from services.experiments.evaluation.workplace import Workplace, map_file, model_file, query_file, teach_file
+from services.experiments.evaluation.worker_cache import Workplace, map_file, model_file, query_file, teach_file
 from smal.mapping import learn as learn_map
 from smal.paper.learning import LearningSettings, learn
 

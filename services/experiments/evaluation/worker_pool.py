@@ -14,11 +14,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from services.experiments.evaluation.plan import Plan
-from services.experiments.evaluation.units import Unit
+from services.experiments.evaluation.schedule import Unit
 from services.kit.errors import JobError
 
 if TYPE_CHECKING:
-    from services.experiments.evaluation.work import Work
+    from services.experiments.evaluation.unit_runner import Work
 
 _ONE_THREAD: Final = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
 #: What a unit found out, and the seconds of processor time that it took.
@@ -109,7 +109,7 @@ def _ended(unit: Unit) -> JobError:
 
 @cache
 def _work(plan: Plan, folder: Path) -> Work:
-    from services.experiments.evaluation.work import Work  # noqa: PLC0415 - loads what the first process does not need
+    from services.experiments.evaluation.unit_runner import Work  # noqa: PLC0415 - loads what the first process does not need
 
     return Work(plan, folder)
 
