@@ -126,8 +126,7 @@ def test_who_comes_back_goes_on_when_they_say_so_and_no_sooner(driving: Page, ro
     assert not robot.wheels.driven, "the key that was held all the time moves nothing"
     driving.let_go()
     eventually(lambda: driving.robot(cause="operator_lost"))
-    driving.say(do="resume")
-    eventually(lambda: robot.gate.stop_cause is None)
+    driving.insist(lambda: robot.gate.stop_cause is None, do="resume")
     driving.held = "forward"
     eventually(lambda: robot.wheels.driven)
 

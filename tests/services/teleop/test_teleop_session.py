@@ -71,13 +71,13 @@ def test_who_drives_is_told_once_a_minute_how_long_the_recorder_has_room(
     node: Node, robot: FakeRobot, settings: ServiceSettings, run_node: RunNode, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("services.teleop.session.ASK_S", 0.05)
-    recorder, told = Node("recorder", settings), {"disk": "the disk has room for 9 minutes more"}
-    asked = []
-    recorder.detail = lambda: asked.append(1) or dict(told)
     desk = Desk()
     TeleopSession(node, cast("Terminal", desk), TeleopSettings(seed=5))
     assert node.spin(lambda: "robot: not armed" in desk.status, 10.0)
     assert not desk.said, "there is no recorder"
+    recorder, told = Node("recorder", settings), {"disk": "the disk has room for 9 minutes more"}
+    asked = []
+    recorder.detail = lambda: asked.append(1) or dict(told)
     run_node(recorder)
     assert node.spin(lambda: len(asked) > 3, 10.0)
     told["disk"] = "the disk has room for 8 minutes more"
