@@ -16,8 +16,7 @@ from typing import Any, Final
 import numpy as np
 import pytest
 
-from tests.fuzz.campaign import LONGEST_INPUT
-from tests.fuzz.targets import CRASHERS, NAMES, crashers_of, load, model
+from tests.fuzz.targets import CRASHERS, LONGEST_INPUT, NAMES, crashers_of, load, model
 
 KEPT: Final = [(name, path) for name in NAMES for path in crashers_of(name)]
 MOST_SECONDS: Final = 3.0

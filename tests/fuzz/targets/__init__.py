@@ -15,6 +15,7 @@ NAMES: Final = (
     "messages", "rpc", "samples", "recording", "recovery", "repair", "image", "model", "world", "world_file", "names",
     "tub", "image_table", "bag", "dataset",
 )  # fmt: skip
+LONGEST_INPUT: Final = 100_000
 CRASHERS: Final = Path(__file__).resolve().parents[1] / "crashers"
 _LONGEST_LINE: Final = 700
 
