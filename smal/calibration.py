@@ -135,16 +135,20 @@ def likelihood(
 ) -> tuple[float, float, float]:
     """Measure how the cosines of views of one place, and of unrelated places, are distributed.
 
-    Return kappa, the cosine in the middle between both, and the one that most views of one place exceed.
-
-    One place is what lies within the correlation length and a few degrees; unrelated is four times as far.
+    Two views show one place if they were taken between `least` and `most` apart and are turned by less than 5 degrees;
+    they are unrelated if they were taken more than 4 times `most` apart.
 
     Parameters
     ----------
     centred, poses, drives, undone
         See `correlation_length`.
     place : (least, most)
-        Views so far apart show one place: from where they are new, to the correlation length.
+        From where views are new, to the correlation length.
+
+    Returns
+    -------
+    (float, float, float)
+        `kappa`, `outlier_cosine` and `alike_cosine` of `smal.visual_map.VisualMap`.
 
     Raises
     ------

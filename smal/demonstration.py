@@ -21,7 +21,7 @@ _F = TypeVar("_F", bound=np.floating[Any])
 
 @dataclass(frozen=True, eq=False)
 class Demonstration:
-    """One drive of the expert.
+    """A drive of a person or the expert, or a part of one where frames were lost.
 
     Parameters
     ----------

@@ -7,14 +7,14 @@ Burgard and Fox 2005, chapters 4 and 8) keeps it:
 * *Prediction* moves every particle by what the wheels say (or by what the atom usually does), with noise.
 * *Update* weighs it by how alike the view is to the virtual views of its keyframe (`smal.visual_map`): kappa times what
   the cosine exceeds that of an outlier, which is what the view has with places that look unlike the best one. So the
-  evidence of "lost" is 1, and whether the robot is lost is a matter of probability and not of a threshold.
+  likelihood of "lost" is 1, and whether the robot is lost is a matter of probability and not of a threshold.
 * A view is as much evidence as it is new: of a robot that stands still, the same view ten times is one view. New is
   what lies a keyframe's distance further, so that neither frame rate nor speed enters.
-* A second set of particles, the scouts, are drawn from everywhere by what a single view says, and have to explain the
-  views that follow better than the first set does, by the odds against having been carried away. If they do, they take
-  over. They find a robot that is switched on anywhere, and one that was kidnapped.
+* A second set of particles, the scouts, are drawn from everywhere by what a single view says. Both sets are then weighed
+  by the views that follow. The scouts start with the low probability of a kidnapping, and replace particles of the
+  first set in proportion to what they gain. They find a robot that is switched on anywhere, and one that was kidnapped.
 
-The paper instead matches the last l frames anew at every decision (Eq. 7 to 9, `smal.paper.recognition`). That has no
+The paper instead matches the last l frames anew at every decision (Eq. 7 and 9, `smal.paper.recognition`). That has no
 memory, so that alikeness longer than l frames cannot be resolved.
 """
 
@@ -110,9 +110,16 @@ class _Particles:
         return seen_from(self.poses, self._map.key_poses[self.keyframes])
 
     def update(self, cosines: NDArray[np.float32], outlier: float, newness: float, rng: np.random.Generator) -> float:
-        """Weigh by a view, which is new to a degree of 0 to 1; return the logarithm of its probability here.
+        """Weigh by a view; return the logarithm of its probability here.
 
-        Cosines (k, 3, turns) are those of the view with all views of the map, and the one of an outlier.
+        Parameters
+        ----------
+        cosines : float32 array (k, 3, turns)
+            Of the frame with each view of the map.
+        outlier : float
+            Cosine of a frame that shows no place of it.
+        newness : float
+            How much of the view is new, 0 to 1.
         """
         found, beyond = self._interpolated(cosines)
         self.cosine = float(self.weights @ found)
@@ -169,7 +176,10 @@ class _Particles:
 
 
 def _likelihood(kappa: float, above: NDArray[Any], beyond: NDArray[Any] | float = 0.0) -> NDArray[np.float64]:
-    """Return how much likelier a view is here than anywhere, its cosine being so far above that of an outlier."""
+    """Return p(view | particle) / p(view | lost).
+
+    `above` is its cosine minus the outlier's, `beyond` how far it lies outside of the virtual views, correlation lengths.
+    """
     evidence = kappa * above - 2.0 * np.square(beyond)
     return np.asarray((1.0 - SETTINGS.hidden) * np.exp(evidence) + SETTINGS.hidden, dtype=np.float64)
 
@@ -263,7 +273,7 @@ class Filter:
                     particles.move(movement, noise, newness, self._rng)
         self._waited_s += elapsed_s
         self._weigh(self._tracked, cosines, self._map.outlier_of(cosines), newness)
-        # A robot that stands still has no evidence to set against it.
+        # While the robot stands still, no view can contradict the leak.
         if newness > 0.0:
             self._leak(elapsed_s)
         if self._scouts is not None and self._scouts.evidence >= SETTINGS.trial:

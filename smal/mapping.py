@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import eigh
 
-from smal.calibration import correlation_length, likelihood, turns_undone
+from smal.calibration import correlation_length, cosine_statistics, turns_undone
 from smal.demonstration import USUAL_GOAL, Demonstration, Image, ImageChain, check_features, drives_to_goals
 from smal.features import Centering, FeatureSettings, extract
 from smal.model import Model
@@ -55,7 +55,7 @@ def learn(
     tick_s: float = 0.1,
     progress: Callable[[int, int], None] = lambda _done, _total: None,
 ) -> Model:
-    """Make the map of the drives of one robot that reached the goal and have images.
+    """Make a map of those drives of one robot that reached the goal and have images.
 
     If one is without odometry, all go by the usual movements of atoms: a forward atom is one unit long, and an atom of
     turning turns as far as the views say (`turn_of_views`), on the spot or ahead as well.
@@ -107,7 +107,7 @@ def learn(
     scene = fit_scene(images, way.poses, way.drives, length, describe, focal)
     keyframes = _choose_keyframes(way.poses, way.drives, length)
     views, basis = _make_views(images, keyframes, scene, SETTINGS.aside * length, describe, progress)
-    kappa, outlier_cosine, alike_cosine = likelihood(
+    kappa, outlier_cosine, alike_cosine = cosine_statistics(
         centred, way.poses, way.drives, (length / SETTINGS.views_a_length, length), undone
     )
     visual_map = VisualMap(

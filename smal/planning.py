@@ -1,12 +1,11 @@
-"""What to do: the atom that most of the belief wants, towards the taught way and along the shortest to a goal.
+"""What to do: the atom that leads the likely places to the taught way, and along the shortest one to a goal.
 
 The taught drives are a graph: keyframes, what follows each of them, and the places that drives share
-(`smal.stitches`). Value iteration gives every keyframe its cost to go, the time to the nearest goal, and what is best
+(`smal.stitches`). Dijkstra's algorithm gives every keyframe its cost to go, the time to the nearest goal, and what is best
 to follow from there: the drive that it is of, or another one that passes here and is there sooner. So a shorter way is
 preferred, drives are joined to ways that nobody drove in one piece, and all of a belief that is spread over drives
-wants the same. What is done follows the mean direction over the belief, each place that the robot may be at having
-the say of its probability (QMDP, Littman, Cassandra and Kaelbling 1995). Where the belief is too wide for that, or the
-robot is lost, it turns to look.
+wants the same. The robot steers in the mean direction of its likely places, each weighted by its probability (after
+QMDP, Littman, Cassandra and Kaelbling 1995). If these directions disagree, or the robot is lost, it turns to look.
 """
 
 import math
@@ -77,9 +76,8 @@ def cost_to_go(visual_map: VisualMap, goal: str) -> tuple[NDArray[np.float64], N
 
     The graph is deterministic and costs are positive, so that Dijkstra's algorithm is value iteration in the order in
     which values become final. The goal is the end of each drive that leads there. Going over to another drive costs
-    the time for the turn and the way between the two, and `Settings.go_over_s`. Who has to go over does so where the
-    drives first share a place from which the goal is nearer, and not at the last one before they part, where a robot
-    between two keyframes would hear both. So the cost to go falls with every step, and nobody goes in circles.
+    the time for the turn and the way between the two, and `Settings.go_over_s`. A robot changes
+    drives at the first shared place from which the goal is nearer: at the last one it would be torn between both. So the cost to go falls with every step, and nobody goes in circles.
     Where no way leads to the goal the time is infinite; there, and at goals, nothing is next (-1).
     """
     count = len(visual_map.keyframes)
@@ -173,13 +171,13 @@ class Planner:
         elapsed_s = self._map.tick_s if elapsed_s is None else elapsed_s
         self._pending_rad = self._turn_rad * min(delay_s / self._map.tick_s, 1.0)
         wish = self._wish(belief)
-        # What a few views say may be another place: arrived is who was followed there, and if need be looks around.
+        # It has arrived only after it was followed for a correlation length: a few views may show another place.
         self.done = self.done or (wish.arrived and belief.tracked > self._map.correlation_length)
         kind = self._kind(wish, belief.lost > 0.5)
         return Decision(kind, self._atom(kind, wish.error_rad, elapsed_s), wish.error_rad)
 
     def _wish(self, belief: Belief) -> _Wish:
-        """Return what the belief wants, each place with the say of its probability."""
+        """Return what the belief wants, each place weighted by its probability."""
         directions, left_to_go = self._directions(belief)
         # Places from which no way leads to the goal have no say.
         with_way = belief.weights * np.isfinite(self._to_go_s[belief.keyframes])

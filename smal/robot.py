@@ -1,4 +1,4 @@
-"""The method in four lines: a model, a robot, an image, an atom."""
+"""`Robot` takes an image and returns an atom; `Localizer` (the filter and the wheels) and `Planner` do the work."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -1,4 +1,4 @@
-"""Every number of the map's method that is not measured on the drives, with its unit and its reason.
+"""Every number of the map's method that was tuned, with its unit and its reason.
 
 What the drives tell is not here: how the camera sees, over which way and turn views change, how alike views of one
 place are, how fast the robot drives and turns.
@@ -22,8 +22,7 @@ class Settings:
     #: Turns of virtual views. 5 degrees are about twenty pixels, the width of a cell of HOG, within which a view stays
     #: alike; beyond 40 hardly anything of the taught image is left.
     turns_deg: tuple[float, ...] = tuple(5.0 * k for k in range(-8, 9))
-    #: Principal components keep this share of views, and at most so many: 1 km at 2 m/s then takes 0.2 GB, and 0.03 s a
-    #: decision.
+    #: Principal components keep this share of views, and at most so many: the map of 1 km at 2 m/s then takes 0.2 GB.
     kept: float = 0.9
     most_components: int = 400
     #: Views from which components are computed, and keyframes that are compared with all others at once: memory.
@@ -58,7 +57,7 @@ class Settings:
     atoms: tuple[float, float, float, float] = (0.1, 0.1, 5.0, 0.3)
 
     # -- the filter
-    #: A robot is carried away, or a view of the way changes for good, once in so long.
+    #: Mean time of driving between two times that the robot is carried away, or a view of the way changes for good.
     kidnap_s: float = 300.0
     #: Views that show nothing of the place, since something hides it.
     hidden: float = 0.05
@@ -68,8 +67,8 @@ class Settings:
     #: Lost robots that are beside the way again when scouts are sent; new views that these have to explain.
     back: float = 0.1
     trial: float = 1.5
-    #: Particles of each set, with which a decision takes 10 to 14 ms; and keyframes to both sides among which one that
-    #: moved finds its nearest.
+    #: Particles of each set: more take longer and find no more; and keyframes to both sides among which one that moved
+    #: finds its nearest.
     particles: int = 1000
     neighbours: int = 6
 

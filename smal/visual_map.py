@@ -2,7 +2,7 @@
 
 A keyframe is a taught frame together with how its place looks from beside and turned (`smal.virtual_views`). Keyframes
 are a fifth of the correlation length apart, the way over which views become half as alike as they can be, so that
-between two of them a view hardly changes. Nothing here is in ticks: a robot that drives faster, or a camera with
+between two of them a view hardly changes. No length here is in ticks: a robot that drives faster, or a camera with
 another rate, has the same map.
 
 Views are kept as their principal components, which is what makes thousands of them fit a decision's time.
@@ -43,6 +43,7 @@ class VisualMap:
         Components of each keyframe's views: from `aside` to the right, from there, from the left; each turned by
         `TURNS_DEG`.
     aside : float
+        How far the views from aside are from the keyframe, in the map's unit.
     correlation_length, correlation_rad : float
         Way ahead, and turn, after which the expected cosine of two views is half way down to that of unrelated ones.
     kappa : float
@@ -165,7 +166,7 @@ class VisualMap:
 
     @property
     def speed(self) -> float:
-        """Nominal speed, a second; 0 if nobody drove ahead."""
+        """Nominal speed, in the map's unit a second; 0 if nobody drove ahead."""
         return float(self.movements[Atom.FORWARD, 0]) / self.tick_s
 
     def lengths(self, movement: Movement) -> float:

@@ -46,7 +46,7 @@ def learn(
     ] = "filter",
     tau: Annotated[
         float | None,
-        typer.Option(help="Paper: threshold of the test for new states (Eq. 8), for each query frame. [default: 0.2]"),
+        typer.Option(help="Paper: threshold of the test for new states (Eq. 8), for each query frame. [default: 0.5]"),
     ] = None,
     gamma: Annotated[float | None, typer.Option(help="Paper: discount factor. [default: 0.95]")] = None,
     modalities: ModalitiesOfRecordings = None,

@@ -1,4 +1,7 @@
-"""A visual map as a file: what is stored, and what is checked before a robot goes by it."""
+"""A visual map as a file: what is stored, and what is checked before a robot goes by it.
+
+`container` lays out the bytes, `stored` adds the version and the scheme; the arrays are the fields of `VisualMap`.
+"""
 
 import re
 from collections.abc import Callable

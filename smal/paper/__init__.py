@@ -1,8 +1,9 @@
-"""Sequence-based Multimodal Apprenticeship Learning (Han, Yang, Zhang & Zhang, ICRA 2017), exactly as published.
+"""Sequence-based Multimodal Apprenticeship Learning (Han, Yang, Zhang & Zhang, ICRA 2017).
 
-Read in the order of the paper: `objective` (Eq. 7), `state_matching` and `algorithm2`, `state_space` (Algorithm 1),
-`action_space` (Algorithm 3), `transitions` (Algorithm 4), `reward` and `policy`; `learning` puts them together to a
-`model`, `recognition` (Eq. 8 and 9) and `execution` drive by it.
+Read in the order of the paper: `objective` (Eq. 7), `state_matching` and `algorithm2` (Algorithm 2), `novelty` (Eq. 8),
+`state_space` (Algorithm 1), `action_space` (Algorithm 3), `transitions` (Algorithm 4), `reward`, `policy` (Eq. 13);
+`learning` puts them together to a `model`, `recognition` (Eq. 7 and 9) and `execution` drive by it, `robot` is the two
+together. Each file says where it departs from the paper, and why.
 
 sequence
     l successive frames; template sequences are those that states were made of.
@@ -11,7 +12,7 @@ state
 phase
     The frame of a state's template at which the last frame of a query is.
 action
-    l atoms, the movements until the next frame.
+    l atoms, one from each frame to the next, beginning with the last frame of a sequence.
 recovery
     A short demonstrated drive from beside the way back onto it.
 polar

@@ -1,4 +1,4 @@
-"""The paper's scheme in four lines: a model, a robot, an image, an atom."""
+"""`Robot` takes an image and returns an atom, by the paper's scheme."""
 
 from collections.abc import Sequence
 
