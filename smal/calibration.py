@@ -126,7 +126,7 @@ def correlation_length(
     return float(np.interp(-half, -np.minimum.accumulate(mean), middle)), background
 
 
-def likelihood(
+def cosine_statistics(
     centred: Frames,
     poses: NDArray[np.float64],
     drives: NDArray[np.int32],

@@ -10,8 +10,8 @@ Burgard and Fox 2005, chapters 4 and 8) keeps it:
   likelihood of "lost" is 1, and whether the robot is lost is a matter of probability and not of a threshold.
 * A view is as much evidence as it is new: of a robot that stands still, the same view ten times is one view. New is
   what lies a keyframe's distance further, so that neither frame rate nor speed enters.
-* A second set of particles, the scouts, are drawn from everywhere by what a single view says. Both sets are then weighed
-  by the views that follow. The scouts start with the low probability of a kidnapping, and replace particles of the
+* A second set of particles, the scouts, are drawn from everywhere by what a single view says. Both sets are then
+  weighed by the views that follow. The scouts start with the low probability of a kidnapping, and replace particles of the
   first set in proportion to what they gain. They find a robot that is switched on anywhere, and one that was kidnapped.
 
 The paper instead matches the last l frames anew at every decision (Eq. 7 and 9, `smal.paper.recognition`). That has no
@@ -178,7 +178,8 @@ class _Particles:
 def _likelihood(kappa: float, above: NDArray[Any], beyond: NDArray[Any] | float = 0.0) -> NDArray[np.float64]:
     """Return p(view | particle) / p(view | lost).
 
-    `above` is its cosine minus the outlier's, `beyond` how far it lies outside of the virtual views, correlation lengths.
+    `above` is its cosine minus the outlier's, `beyond` how far outside of the virtual views it lies, in correlation
+    lengths.
     """
     evidence = kappa * above - 2.0 * np.square(beyond)
     return np.asarray((1.0 - SETTINGS.hidden) * np.exp(evidence) + SETTINGS.hidden, dtype=np.float64)

@@ -1,11 +1,11 @@
 """What to do: the atom that leads the likely places to the taught way, and along the shortest one to a goal.
 
 The taught drives are a graph: keyframes, what follows each of them, and the places that drives share
-(`smal.stitches`). Dijkstra's algorithm gives every keyframe its cost to go, the time to the nearest goal, and what is best
-to follow from there: the drive that it is of, or another one that passes here and is there sooner. So a shorter way is
-preferred, drives are joined to ways that nobody drove in one piece, and all of a belief that is spread over drives
-wants the same. The robot steers in the mean direction of its likely places, each weighted by its probability (after
-QMDP, Littman, Cassandra and Kaelbling 1995). If these directions disagree, or the robot is lost, it turns to look.
+(`smal.stitches`). Dijkstra's algorithm gives every keyframe its cost to go, the time to the nearest goal, and what is
+best to follow from there: the drive that it is of, or another one that passes here and is there sooner. So a shorter
+way is preferred, drives are joined to ways that nobody drove in one piece, and all of a belief that is spread over
+drives wants the same. The robot steers in the mean direction of its likely places, each weighted by its probability
+(after QMDP, Littman, Cassandra and Kaelbling 1995). If these directions disagree, or the robot is lost, it turns to look.
 """
 
 import math
@@ -76,8 +76,9 @@ def cost_to_go(visual_map: VisualMap, goal: str) -> tuple[NDArray[np.float64], N
 
     The graph is deterministic and costs are positive, so that Dijkstra's algorithm is value iteration in the order in
     which values become final. The goal is the end of each drive that leads there. Going over to another drive costs
-    the time for the turn and the way between the two, and `Settings.go_over_s`. A robot changes
-    drives at the first shared place from which the goal is nearer: at the last one it would be torn between both. So the cost to go falls with every step, and nobody goes in circles.
+    the time for the turn and the way between the two, and `Settings.go_over_s`. A robot changes drives at the first
+    shared place from which the goal is nearer: at the last one it would be torn between both. So the cost to go falls
+    with every step, and nobody goes in circles.
     Where no way leads to the goal the time is infinite; there, and at goals, nothing is next (-1).
     """
     count = len(visual_map.keyframes)
