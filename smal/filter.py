@@ -11,8 +11,9 @@ Burgard and Fox 2005, chapters 4 and 8) keeps it:
 * A view is as much evidence as it is new: of a robot that stands still, the same view ten times is one view. New is
   what lies a keyframe's distance further, so that neither frame rate nor speed enters.
 * A second set of particles, the scouts, are drawn from everywhere by what a single view says. Both sets are then
-  weighed by the views that follow. The scouts start with the low probability of a kidnapping, and replace particles of the
-  first set in proportion to what they gain. They find a robot that is switched on anywhere, and one that was kidnapped.
+  weighed by the views that follow. The scouts start with the low probability of a kidnapping, and replace particles of
+  the first set in proportion to what they gain. They find a robot that is switched on anywhere, and one that was
+  kidnapped.
 
 The paper instead matches the last l frames anew at every decision (Eq. 7 and 9, `smal.paper.recognition`). That has no
 memory, so that alikeness longer than l frames cannot be resolved.

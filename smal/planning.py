@@ -5,7 +5,8 @@ The taught drives are a graph: keyframes, what follows each of them, and the pla
 best to follow from there: the drive that it is of, or another one that passes here and is there sooner. So a shorter
 way is preferred, drives are joined to ways that nobody drove in one piece, and all of a belief that is spread over
 drives wants the same. The robot steers in the mean direction of its likely places, each weighted by its probability
-(after QMDP, Littman, Cassandra and Kaelbling 1995). If these directions disagree, or the robot is lost, it turns to look.
+(after QMDP, Littman, Cassandra and Kaelbling 1995). If these directions disagree, or the robot is lost, it turns to
+look.
 """
 
 import math
