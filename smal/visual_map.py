@@ -110,15 +110,15 @@ class VisualMap:
         """Which keyframes look unlike each other, however turned, (k, k)."""
         count, middle = len(self.keyframes), TURNS_DEG.size // 2
         turned = np.ascontiguousarray(self.views[:, 1]).reshape(-1, self.views.shape[-1])
-        best = np.empty((count, count), dtype=np.float32)
+        alike = np.zeros((count, count), dtype=bool)
         for first in range(0, count, SETTINGS.compared_at_once):
-            views = self.views[first : first + SETTINGS.compared_at_once, 1, middle]
-            best[:, first : first + SETTINGS.compared_at_once] = (
-                (turned @ views.T).reshape(count, -1, len(views)).max(axis=1)
-            )
-        unlike: NDArray[np.bool_] = np.maximum(best, best.T) < self.outlier_cosine
-        np.fill_diagonal(unlike, False)
-        return unlike
+            some = slice(first, first + SETTINGS.compared_at_once)
+            views = self.views[some, 1, middle]
+            best = (turned @ views.T).reshape(count, -1, len(views)).max(axis=1) >= self.outlier_cosine
+            alike[:, some] |= best
+            alike[some] |= best.T
+        np.fill_diagonal(alike, True)
+        return np.logical_not(alike, out=alike)
 
     def outlier_of(self, cosines: NDArray[np.float32]) -> float:
         """Return the cosine from which on a frame shows a place rather than none of the map.

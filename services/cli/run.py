@@ -12,7 +12,7 @@ import numpy as np
 import typer
 from tqdm import tqdm
 
-from schemas.rpc import LoadReply, LoadRequest, Mode, Nothing, ResetRequest, Start, Status
+from schemas.rpc import MAX_TICKS, LoadReply, LoadRequest, Mode, Nothing, ResetRequest, Start, Status
 from services.cli import options, outputs
 from services.cli.episodes.client import EpisodeClient, EpisodeRecord, check_world_of
 from services.cli.episodes.names import name_for
@@ -30,7 +30,7 @@ from smal.model import Model
 #: Camera images kept of every run for the report, one in so many frames.
 FRAMES_APART = 20
 #: Frames after which a run times out, at least; and how many times those of the longest taught drive.
-MAX_TICKS, PATIENCE = 3000, 3
+LEAST_TICKS, PATIENCE = 3000, 3
 #: The services that work with the model.
 CHAIN = ("recognition", "policy")
 
@@ -56,7 +56,7 @@ def run(
         typer.Option(
             min=1,
             help="Frames after which a run times out. [default: three times those of the longest taught drive, "
-            f"at least {MAX_TICKS}]",
+            f"at least {LEAST_TICKS}]",
         ),
     ] = None,
     json_file: Annotated[Path | None, typer.Option("--json", help="Write the results as JSON.")] = None,
@@ -99,7 +99,7 @@ def run(
             purpose="run",
             driver="policy",
             mode=mode,
-            max_ticks=max_ticks or max(MAX_TICKS, PATIENCE * loaded.longest),
+            max_ticks=max_ticks or min(max(LEAST_TICKS, PATIENCE * loaded.longest), MAX_TICKS),
             start=start,
             kidnap_tick=kidnap,
             goal=goal or (loaded.mapped.goals[0] if isinstance(loaded, Model) else "victim"),

@@ -11,6 +11,7 @@ from typing import Final
 
 from pydantic import TypeAdapter, ValidationError
 
+from schemas.base import MAX_TICK
 from schemas.codec import printable
 from schemas.rpc import FileName
 from services.console.listing import Readers, Recording
@@ -25,6 +26,8 @@ DRIVES: Final = "drives"
 MODELS: Final = "models"
 #: How often what is known is shown while many recordings are read.
 _SHOW_S: Final = 1.0
+#: Drives of a model that the page lists.
+_MOST_DRIVES: Final = 1000
 _NAME: Final[TypeAdapter[str]] = TypeAdapter(FileName)
 _Stamp = tuple[int, int]
 
@@ -191,6 +194,8 @@ class Library:
             with open_below(self.root, name) as file:
                 meta = container.read_meta(file, name, FORMAT_VERSION)
             mapped = meta["map"] if meta["scheme"] == "filter" else {"goals": (), "names": [meta["names"]]}
+            if max(len(mapped["goals"]), len(mapped["names"])) > _MOST_DRIVES or not 0 < meta["longest"] <= MAX_TICK:
+                raise ValueError(f"more than {_MOST_DRIVES} drives, or none of its length")
             goals = tuple(sorted({printable(str(goal)) for goal in mapped["goals"]}))
             episodes = frozenset(episode_of(str(name)) for names in mapped["names"] for name in names)
             fingerprint, longest = printable(str(meta["feature_fingerprint"])), int(meta["longest"])

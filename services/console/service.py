@@ -14,7 +14,7 @@ from typing import Final
 from schemas import topics
 from schemas.action import Action
 from schemas.base import Atom
-from schemas.rpc import LoadReply, LoadRequest, Nothing, RecordRequest, ResetReply, ResetRequest, Status
+from schemas.rpc import MAX_TICKS, LoadReply, LoadRequest, Nothing, RecordRequest, ResetReply, ResetRequest, Status
 from services.console.browser_messages import LATE, Ask, Cancel, Delete, Drive, End, Learn, Resume, Run, Withdraw
 from services.console.folder import Folder
 from services.console.jobs import Job, Jobs
@@ -272,7 +272,7 @@ class ConsoleService:
             mode="realtime",
             start=ask.start,
             goal=goal or self.library.leads_to(model),
-            max_ticks=max(_MAX_TICKS, _PATIENCE * model.longest),
+            max_ticks=min(max(_MAX_TICKS, _PATIENCE * model.longest), MAX_TICKS),
         )
 
         def prepare() -> None:

@@ -114,6 +114,7 @@ class RecorderService:
         self._files: list[Path] = []
         #: Episodes of which a killed recorder left the beginning.
         self._cut: set[str] = set()
+        self._cut_s = 0.0
         #: What it left that cannot be sealed.
         self._given_up: set[Path] = set()
         self._sealed: Counter[str] = Counter()
@@ -156,7 +157,7 @@ class RecorderService:
 
     def stop(self, _request: Nothing) -> RecordReply:
         """Finish every file, also of an episode that still runs, and record no more."""
-        folder, self._folder = self._folder, None
+        folder, self._folder, self._cut = self._folder, None, set()
         self._close_all()
         self._settle()
         self._seal_leftovers(folder)
@@ -172,6 +173,7 @@ class RecorderService:
         folder.mkdir(parents=True, exist_ok=True)
         # Of such an episode what is still sent is a recording of its own.
         self._cut = {one.episode for one in self._seal_leftovers(folder) if not one.ended}
+        self._cut_s = self._clock()
         self._folder = folder.resolve()
         self._files, self._lost = [], 0
         self._dropped_before = self._dropped_by_node()
@@ -197,8 +199,12 @@ class RecorderService:
         return done
 
     def _settle(self) -> None:
-        """Go on recording until the grace of every ended episode is over."""
-        self._node.spin(until=lambda: not any(r.closing for r in self._open.values()), timeout_s=_SETTLE_S)
+        """Go on recording until the grace of every ended episode is over, and what a kill cut off is sent again."""
+        self._node.spin(until=self._is_settled, timeout_s=_SETTLE_S)
+
+    def _is_settled(self) -> bool:
+        replayed = not self._cut or self._clock() - self._cut_s > EARLY_S
+        return replayed and not any(recording.closing for recording in self._open.values())
 
     def _reply(self) -> RecordReply:
         dropped = self._lost + self._dropped_by_node() - self._dropped_before

@@ -30,7 +30,7 @@ from services.recordings.records import (
     walk,
 )
 from services.recordings.sink import Sink, claim, finished, publish
-from services.recordings.survey import next_chunk
+from services.recordings.survey import ChunkSearch
 from services.recordings.writer import EPISODE_METADATA, GAPS_METADATA
 
 #: What an index of messages begins with: its channel, and the bytes that its entries take.
@@ -144,7 +144,7 @@ class _Look:
         while self._take(self.size):
             pass
         ends = self.opcode_at(self.size) == Opcode.DATA_END
-        return ends or next_chunk(self._data, self.size, len(self._data)) == len(self._data)
+        return ends or ChunkSearch(self._data).next(self.size, len(self._data)) == len(self._data)
 
     def opcode_at(self, at: int) -> int | None:
         """Return what the record is that stands here, which is whole, or a chunk; None where there is none."""

@@ -38,6 +38,9 @@ _FOOTER: Final = HEAD.size + 20
 #: And what comes before it: the end of the data, with its checksum.
 _DATA_END: Final = HEAD.size + 4
 
+#: How many times the bytes that are there a search for chunks may check.
+_CHECKED: Final = 4
+
 
 def surveyed(data: memoryview, tell: Callable[[str], None], allowance: Allowance | None = None) -> Iterator[McapRecord]:
     """Yield all that is whole in the data section, also behind what is damaged, and tell what is damaged.
@@ -66,6 +69,7 @@ def surveyed(data: memoryview, tell: Callable[[str], None], allowance: Allowance
         tell("does not begin as an MCAP file")
     # The summary repeats schemas and channels: nothing that leads astray may lead there.
     data = data[: data_end + _DATA_END]
+    search = ChunkSearch(data)
     while at < len(data):
         try:
             end, record = _record_at(data, at)
@@ -74,7 +78,7 @@ def surveyed(data: memoryview, tell: Callable[[str], None], allowance: Allowance
             raise
         except UNREADABLE as error:
             cut = isinstance(error, EndOfFile)
-            found = next_chunk(data, sure + 1, data_end)
+            found = search.next(sure + 1, data_end)
             if cut and found >= data_end and (begin := _inside_of_cut(data, at)) is not None:
                 at = sure = begin
                 continue
@@ -130,19 +134,30 @@ def _whole(chunk: Chunk, fair: Fair) -> list[McapRecord]:
     return list(walk(content, 0, fair))
 
 
-def next_chunk(data: memoryview, at: int, end: int) -> int:
-    """Return where the next chunk begins whose checksum is right, or `end`."""
-    source = cast("mmap.mmap | bytes", data.obj)
-    while (at := source.find(bytes([Opcode.CHUNK]), at, end)) >= 0:
-        try:
-            _, chunk = _record_at(data, at)
-            if isinstance(chunk, Chunk) and chunk.uncompressed_crc:
-                _whole(chunk, Fair(len(data), Allowance(LARGEST_CHUNK)))
-                return at
-        except UNREADABLE:
-            pass
-        at += 1
-    return end
+class ChunkSearch:
+    """Finds the chunks behind damage, by their checksums.
+
+    Any byte may look like the head of a large chunk. So no more bytes are checked than a few times those that are
+    there: what damage leaves is found, and a file made to be searched for ever is not.
+    """
+
+    def __init__(self, data: memoryview) -> None:
+        self._data, self._left = data, _CHECKED * len(data)
+
+    def next(self, at: int, end: int) -> int:
+        """Return where the next chunk begins whose checksum is right, or `end`."""
+        source = cast("mmap.mmap | bytes", self._data.obj)
+        while self._left > 0 and (at := source.find(bytes([Opcode.CHUNK]), at, end)) >= 0:
+            try:
+                behind, chunk = _record_at(self._data, at)
+                if isinstance(chunk, Chunk) and chunk.uncompressed_crc:
+                    self._left -= behind - at
+                    _whole(chunk, Fair(len(self._data), Allowance(LARGEST_CHUNK)))
+                    return at
+            except UNREADABLE:
+                pass
+            at += 1
+        return end
 
 
 @dataclass(frozen=True)

@@ -143,7 +143,7 @@ class CommandGate:
                 return refusal
             if self.attended and self.operator is None:
                 return "no operator answers in time; this robot moves only while one does"
-            if stop != self.emergency_stop:
+            if not self.emergency_stop or stop != self.emergency_stop:
                 return "another stop was latched meanwhile" if self.emergency_stop else "no stop is latched"
             self._taken_over = self._episode != ""
             self._expire()

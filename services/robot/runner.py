@@ -265,6 +265,8 @@ class EpisodeRunner(Generic[V]):
 
     def pulse(self) -> Pulse:
         """Return the next sign of life of the robot."""
+        # While a world opens, nothing else looks whether the operator is still there.
+        self.gate.watch(self._clock())
         run = self._running
         nowhere = Message(robot=self._robot, episode=NO_EPISODE, tick=0, stamp_ns=0)
         return Pulse.after(

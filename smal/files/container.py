@@ -26,6 +26,7 @@ _FIXED = struct.Struct("<8sIQ")
 LARGEST = 2**31
 #: Most bytes of its header, which takes 30 times as much memory once it is understood; a demonstration has 100 in it.
 LARGEST_HEADER = 2**24
+_MOST_AXES = 8
 _DTYPES = {name: np.dtype(name) for name in ("<f4", "<f8", "<i8", "<i4", "|i1", "|b1")}
 
 
@@ -178,6 +179,8 @@ def _arrays(table: list[tuple[str, str, list[int]]], body: memoryview) -> dict[s
     for name, dtype, shape in table:
         if not isinstance(name, str):
             raise TypeError(f"the name of an array must be a string, got {name!r}")
+        if len(shape) > _MOST_AXES or any(type(length) is not int or not 0 <= length <= LARGEST for length in shape):
+            raise ValueError(f"no shape of an array: {str(shape)[:100]}")
         kind, count = _DTYPES[dtype], math.prod(shape)
         array = np.frombuffer(body, dtype=kind, count=count, offset=at) if count else np.empty(0, kind)
         # A copy, because the offset is not aligned, and products with unaligned arrays copy them every time.

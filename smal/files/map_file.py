@@ -21,6 +21,8 @@ if TYPE_CHECKING:
 
 #: What numbers of a map can be; kappa is bounded so that no likelihood overflows.
 _LONGEST = 1e6
+#: Keyframes, each of which is compared with all others: 20 km of usual views, and 1 GB while they are compared.
+_MOST_KEYFRAMES = 30_000
 _NUMBERS: dict[str, Callable[[float], bool]] = {
     **dict.fromkeys(("aside", "correlation_length", "correlation_rad", "tick_s"), lambda one: 1e-6 <= one <= _LONGEST),
     **dict.fromkeys(("outlier_cosine", "alike_cosine"), lambda one: -1.1 <= one <= 1.1),
@@ -65,14 +67,16 @@ def _fit(one: "VisualMap") -> dict[str, bool]:
     keys, offsets = one.keyframes, one.stitch_offsets
     return {
         "poses": one.poses.shape == (frames, 3) and bool((np.abs(one.poses) <= _LONGEST).all()),
-        "drives": one.drives.shape == (frames,) and bool((np.diff(one.drives, prepend=0) >= 0).all()),
-        "keyframes": count > 0 and _within(keys, frames) and bool((np.diff(keys, prepend=-1) > 0).all()),
+        "drives": one.drives.shape == (frames,) and bool(np.isin(np.diff(one.drives, prepend=0), (0, 1)).all()),
+        "keyframes": 0 < count <= _MOST_KEYFRAMES
+        and _within(keys, frames)
+        and bool((np.diff(keys, prepend=-1) > 0).all()),
         "ends of drives": bool(np.isin([*ends[:-1], *(ends[1:] - 1)], keys).all()),
         "views": one.views.shape == (count, 3, TURNS_DEG.size, one.basis.shape[1]),
-        "components": one.basis.shape[1] > 0 and _is_orthonormal(one.basis),
+        "components": 0 < one.basis.shape[1] <= len(one.basis) and _is_orthonormal(one.basis),
         "length of views": float(np.linalg.norm(one.views, axis=-1).max(initial=0.0)) < 1.01,
-        "movements": one.movements.shape == (len(Atom), 2),
-        "scene": one.scene.shape == (3,),
+        "movements": one.movements.shape == (len(Atom), 2) and bool((np.abs(one.movements) <= _LONGEST).all()),
+        "scene": one.scene.shape == (3,) and bool((np.abs(one.scene) <= _LONGEST).all()),
         "goals": len(one.goals) == int(one.drives.max(initial=-1)) + 1 and all(map(_is_name, one.goals)),
         "names": len(one.names) == len(one.goals) and all(map(_are_names, one.names)),
         "stitched": one.stitched.shape == (joined, 2) and _within(one.stitched, count),

@@ -90,7 +90,7 @@ class Stored(ABC):
             if not issubclass(kind, cls):
                 raise ValueError(f"it was learned for the scheme '{scheme}', not '{cls.scheme}'")  # noqa: TRY004
             found: Self = kind.of_content(meta, arrays)
-        except (LookupError, TypeError, ValueError, ArithmeticError) as error:
+        except (LookupError, TypeError, ValueError, ArithmeticError, MemoryError) as error:
             raise ModelError(f"{name}: {container.one_line(error)}") from error
         # Known from the file: hashing all of it again would delay the start of a service.
         vars(found)["checksum"] = checksum

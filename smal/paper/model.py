@@ -13,6 +13,8 @@ from smal.paper.novelty import novelty_test
 from smal.paper.transitions import Transitions
 
 _TRANSITION_ARRAYS = [field.name for field in fields(Transitions) if field.name != "states"]
+#: Of a weight in Eq. 7.
+_MOST = 1e6
 _STREAMS = ("state_streams", "atoms")
 
 
@@ -82,11 +84,12 @@ class Model(Stored):
     def __post_init__(self) -> None:
         l, states = self.sequence_length, self.transitions.states  # noqa: E741
         checks = {
-            "templates": self.templates.shape == (self.feature_settings.size, states * l),
+            "templates": self.templates.shape == (self.feature_settings.size, states * l) and _bounded(self.templates),
             "mean": self.mean.shape == (self.feature_settings.size,),
             "actions": self.actions.ndim == 2 and self.actions.shape[1] == l,
             "reward": self.reward.shape == (states,),
-            "policy": self.policy.shape == (states,) and int(self.policy.max(initial=-1)) < len(self.actions),
+            "policy": self.policy.shape == (states,) and _within(self.policy, -1, len(self.actions) - 1),
+            "transitions": self.transitions.sound,
             "value": self.value.shape == (states,),
             "names": len(self.names) == len(self.atoms) == len(self.successful) == len(self.recovery)
             and all(isinstance(name, str) for name in self.names),
@@ -180,6 +183,11 @@ class Model(Stored):
         )
 
 
+def _bounded(frames: NDArray[Any]) -> bool:
+    """Whether these are centred features: of unit length at most."""
+    return frames.dtype.kind == "f" and bool((np.abs(frames) <= 1.01).all())
+
+
 def _within(numbers: NDArray[Any], low: int, high: int) -> bool:
     return numbers.dtype.kind == "i" and low <= int(numbers.min(initial=low)) and int(numbers.max(initial=high)) <= high
 
@@ -188,6 +196,7 @@ def _check_numbers(meta: dict[str, Any]) -> None:
     """Reject a header with missing or wrong numbers before anything is computed with them."""
     counts, reals = ("sequence_length", "states"), ("lambda1", "lambda2", "gamma")
     wrong = [name for name in counts if type(meta[name]) is not int or meta[name] < 1]
-    wrong += [name for name in reals if type(meta[name]) not in (int, float)]
+    wrong += [name for name in reals if type(meta[name]) not in (int, float) or not 0.0 <= meta[name] <= _MOST]
+    wrong += [] if "gamma" in wrong or meta["gamma"] < 1.0 else ["gamma"]
     if wrong:
         raise ValueError(f"not a number that a model could have: {', '.join(wrong)}")

@@ -46,6 +46,23 @@ class Transitions:
     states: int
 
     @property
+    def sound(self) -> bool:
+        """Whether its parts fit together, as those of a file need not."""
+        whole = (self.state, self.action, self.offsets, self.next_state, self.count, self.goals)
+        if any(part.ndim != 1 or part.dtype.kind != "i" for part in whole) or self.probability.ndim != 1:
+            return False
+        states, steps = self.states, np.diff(self.offsets)
+        return (
+            len(self.state) == len(self.action) == len(steps)
+            and len(self.next_state) == len(self.count) == len(self.probability)
+            and self.offsets[0] == 0
+            and self.offsets[-1] == len(self.next_state)
+            and bool((steps >= 0).all() and (self.count >= 0).all() and (self.action >= NO_ACTION).all())
+            and all(bool(((part >= 0) & (part < states)).all()) for part in (self.state, self.next_state, self.goals))
+            and bool(((self.probability >= 0.0) & (self.probability <= 1.0 + 1e-6)).all())
+        )
+
+    @property
     def pairs(self) -> int:
         """Number of seen pairs."""
         return int(self.state.size)

@@ -2,7 +2,9 @@
 
 import dataclasses
 import struct
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -55,6 +57,22 @@ def test_round_trip(model: Model, saved: Path) -> None:
 def test_checksum_is_the_one_in_the_file(model: Model, saved: Path) -> None:
     assert model.checksum == Model.load(saved).checksum == saved.read_bytes()[-32:].hex()
     assert dataclasses.replace(model, gamma=0.5).checksum != model.checksum
+
+
+@pytest.mark.parametrize(
+    ("name", "harm"),
+    [
+        ("templates", lambda model: np.full_like(model.templates, np.nan)),
+        ("templates", lambda model: 1e38 * model.templates),
+        ("policy", lambda model: np.full_like(model.policy, -7)),
+        ("transitions", lambda model: dataclasses.replace(model.transitions, goals=model.transitions.goals[None])),
+        ("transitions", lambda model: dataclasses.replace(model.transitions, state=model.transitions.state + 10**9)),
+        ("transitions", lambda model: dataclasses.replace(model.transitions, offsets=model.transitions.offsets[::-1])),
+    ],
+)
+def test_parts_that_no_learning_gives_are_refused(model: Model, name: str, harm: Callable[[Model], Any]) -> None:
+    with pytest.raises(ValueError, match=name):
+        dataclasses.replace(model, **{name: harm(model)})
 
 
 def test_saving_replaces_atomically(model: Model, saved: Path, monkeypatch: pytest.MonkeyPatch) -> None:

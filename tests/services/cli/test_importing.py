@@ -45,7 +45,7 @@ def test_a_folder_becomes_recordings_that_teach(smal, tmp_path: Path) -> None:  
     assert json.loads(report.read_text())["files"] == [str(file)]
     status, said, errors = smal("learn", str(out), "--out", str(tmp_path / "m.smal"), "--modalities", "thumbnail")
     assert status == 0, errors
-    assert "goal states   1" in said
+    assert "goals           dock" in said
 
 
 @pytest.mark.parametrize(

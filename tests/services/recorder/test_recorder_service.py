@@ -315,6 +315,24 @@ def test_kill_loses_nothing_that_was_taken(
     assert not partial.exists()
 
 
+def test_what_a_kill_cut_off_is_awaited_although_its_episode_has_ended_meanwhile(
+    settings: ServiceSettings, run_node: RunNode, client: Bus, tmp_path: Path
+) -> None:
+    """On a busy machine the files were named before anything of it was sent again, and the rest was lost."""
+    sent = list(episode("cut", frames=20))
+    leave(tmp_path, sent[:30])
+    node = Node("recorder", settings)
+    RecorderService(node, tmp_path, tmp_path)
+    run_node(node)
+    introduce(client, "recorder", *introductions())
+    again = threading.Timer(0.5, publish, (client, sent))
+    again.start()
+    reply = client.call("recorder", "flush", Nothing(), RecordReply, timeout_s=20.0)
+    again.join()
+    assert list(reply.files) == ["cut-2.mcap"]
+    assert contents(tmp_path / "cut-2.mcap") == wanted(sent)
+
+
 @pytest.mark.zenoh
 def test_a_recorder_that_is_killed_and_started_again_loses_nothing(
     process: subprocess.Popen[str], client: Bus, router_endpoint: str, tmp_path: Path

@@ -420,6 +420,13 @@ def test_an_emergency_stop_of_the_same_instant_is_not_hidden_by_another_stop(how
     assert (gate.stop_cause, gate.emergency_stop) == ("emergency_stop", 3)
 
 
+def test_where_no_stop_is_latched_none_is_released() -> None:
+    gate = CommandGate(first_stop=7)
+    assert gate.arm(7, "") is None
+    assert gate.arm(0, "") == "no stop is latched"
+    assert not gate.emergency_stop
+
+
 def test_a_robot_that_is_armed_before_its_first_episode_is_taken_over_by_nobody() -> None:
     assert not armed().taken_over
 

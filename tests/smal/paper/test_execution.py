@@ -43,7 +43,7 @@ def test_report(learned: tuple[Model, LearningReport]) -> None:
     assert report.shared_states > 0.5 * report.states
     assert report.goals == 1
     assert report.reward_states >= 1
-    assert set(report.seconds) == {"centering", "views", "states", "transitions", "reward", "policy"}
+    assert set(report.seconds) == {"centering", "states", "transitions", "reward", "policy"}
 
 
 def test_every_state_leads_to_the_goal(model: Model) -> None:
