@@ -114,6 +114,8 @@ class RecorderService:
         self._files: list[Path] = []
         #: Episodes of which a killed recorder left the beginning.
         self._cut: set[str] = set()
+        #: Those of them whose end may be sent again, for so long after this.
+        self._awaited: set[str] = set()
         self._cut_s = 0.0
         #: What it left that cannot be sealed.
         self._given_up: set[Path] = set()
@@ -157,7 +159,7 @@ class RecorderService:
 
     def stop(self, _request: Nothing) -> RecordReply:
         """Finish every file, also of an episode that still runs, and record no more."""
-        folder, self._folder, self._cut = self._folder, None, set()
+        folder, self._folder, self._awaited = self._folder, None, set()
         self._close_all()
         self._settle()
         self._seal_leftovers(folder)
@@ -173,7 +175,7 @@ class RecorderService:
         folder.mkdir(parents=True, exist_ok=True)
         # Of such an episode what is still sent is a recording of its own.
         self._cut = {one.episode for one in self._seal_leftovers(folder) if not one.ended}
-        self._cut_s = self._clock()
+        self._awaited, self._cut_s = set(self._cut), self._clock()
         self._folder = folder.resolve()
         self._files, self._lost = [], 0
         self._dropped_before = self._dropped_by_node()
@@ -203,7 +205,7 @@ class RecorderService:
         self._node.spin(until=self._is_settled, timeout_s=_SETTLE_S)
 
     def _is_settled(self) -> bool:
-        replayed = not self._cut or self._clock() - self._cut_s > EARLY_S
+        replayed = not self._awaited or self._clock() - self._cut_s > EARLY_S
         return replayed and not any(recording.closing for recording in self._open.values())
 
     def _reply(self) -> RecordReply:
@@ -306,6 +308,7 @@ class RecorderService:
 
     def _seal(self, episode: str) -> None:
         self._finish(self._open.pop(episode))
+        self._awaited.discard(episode)
 
     def _finish(self, recording: _Recording) -> None:
         writer, recording.writer = recording.writer, None
