@@ -1,5 +1,6 @@
 #!/usr/bin/env bash
 # Makes everything that SMAL needs on this machine: a Vulkan driver, Python, and .venv in the checkout.
+# With --tests also Chromium, in which the tests try the page.
 # Safe to run again; does nothing that is already done. Needs root only where a system package is missing.
 set -euo pipefail
 cd "$(dirname "$0")/.."
@@ -64,6 +65,13 @@ find_python() {
   return 1
 }
 
+install_chromium() {
+  command -v chromium >/dev/null && return
+  command -v apt-get >/dev/null || fail "the tests of the page need chromium on the PATH; this script knows apt only"
+  apt_install chromium
+  command -v chromium >/dev/null || fail "this system's package chromium brings no command of that name; install it yourself"
+}
+
 install_python() {
   python=$(find_python) && return
   apt_install python3 python3-venv
@@ -85,7 +93,9 @@ streaming.compile_ahead(); traverses.compile_ahead()'
   printf '%s' "$wanted" >"$stamp"
 }
 
+case "${1:-}" in '' | --tests) ;; *) fail "unknown option $1; there is --tests" ;; esac
 install_vulkan
 install_python
 install_packages
+[ "${1:-}" != --tests ] || install_chromium
 say "done: .venv/bin/smal"

@@ -2,7 +2,7 @@
 # Sets everything up and runs every check of the project: style, types, import rules, tests.
 set -euo pipefail
 cd "$(dirname "$0")/.."
-bash deploy/setup.sh
+bash deploy/setup.sh --tests
 export PATH="$PWD/.venv/bin:$PATH"
 ruff check .
 ruff format --check .

@@ -52,9 +52,11 @@ def taught(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def browser() -> Iterator[Browser]:
-    """Start Debian's Chromium, for tests of pages; a module of theirs is skipped where there is none."""
-    from tests.benchmarks.soak.page import CHROMIUM, FLAGS  # noqa: PLC0415 - only tests of pages need it
+    """Start Debian's Chromium, which deploy/setup.sh --tests installs, for tests of pages."""
+    from playwright.sync_api import sync_playwright  # noqa: PLC0415 - only tests of pages need it
 
-    playwright = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
-    with playwright.sync_playwright() as play:
+    from tests.benchmarks.soak.page import CHROMIUM, FLAGS, NO_CHROMIUM  # noqa: PLC0415
+
+    assert CHROMIUM is not None, NO_CHROMIUM
+    with sync_playwright() as play:
         yield play.chromium.launch(executable_path=CHROMIUM, args=FLAGS)

@@ -30,14 +30,12 @@ from services.simulator.world.loading import WORLDS_FOLDER
 from services.simulator.world.route import plan_route
 from services.table import stack_services
 from tests.benchmarks.faults.proxy import link
-from tests.benchmarks.soak.page import CHROMIUM, NO_CHROMIUM, held, judge_page
+from tests.benchmarks.soak.page import held, judge_page
 from tests.services.waiting import eventually, status_of
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser, Page
 
-if CHROMIUM is None:
-    pytest.skip(f"{NO_CHROMIUM}: the page is not tried in a browser", allow_module_level=True)
 pytestmark = [pytest.mark.system, pytest.mark.rendering, pytest.mark.zenoh]
 KEYS = {"forward": "w", "left": "a", "right": "d", "backward": "s"}
 SPEED_M_S = 2.0

@@ -11,15 +11,12 @@ import pytest
 from services.console.config import ConsoleSettings
 from services.console.newest_content import Board
 from services.console.web import WebServer
-from tests.benchmarks.soak.page import CHROMIUM, NO_CHROMIUM
 from tests.services.console.test_console_guard import Nobody
 from tests.services.waiting import eventually
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser, Page
 
-if CHROMIUM is None:
-    pytest.skip(f"{NO_CHROMIUM}: the page is not tried in a browser", allow_module_level=True)
 pytestmark = pytest.mark.system
 
 
