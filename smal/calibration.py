@@ -1,56 +1,32 @@
-"""How alike views of one place are, and over which way they become unlike: what the map measures on its drives.
+"""What the map measures on its drives: the camera, the scene, how alike views of one place are, and over which way.
 
 Views are compared from poses with about the same heading, since a view that is turned is another one. A car may never
-have the same heading twice: of what it sees in a curve the turn is undone, by the view that it would have had turned
-(`smal.virtual_views`), which is what the filter compares as well.
+have the same heading twice: the turn between two of its views is undone by a virtual view, as in the filter.
 """
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from typing import Any
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from smal.demonstration import Image
-from smal.movement import wrapped
+from smal.movement import Atom, seen_from, wrapped
 from smal.settings import SETTINGS
-from smal.virtual_views import Scene
+from smal.virtual_views import USUAL_FOCAL, Scene, focal_of
 
-#: Distances of pairs of frames, and the cosines of their views, (p,) each.
-Compared = tuple[NDArray[np.float64], NDArray[np.float64]]
-Frames = NDArray[np.float32]
-
-
-def _apart(poses: NDArray[np.float64], car: bool) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return distances and angles between all poses of a drive, (f, f) each.
-
-    Whole turns of a car count: what is reckoned of its way does not lead back to where a lap began.
-    """
-    across = poses[:, None, :2] - poses[None, :, :2]
-    heading = np.unwrap(poses[:, 2]) if car else poses[:, 2]
-    turned = heading[:, None] - heading[None, :]
-    return np.hypot(across[..., 0], across[..., 1]), np.abs(turned if car else wrapped(turned))
+Describe = Callable[[Image], NDArray[np.float32]]
+#: Turns from one view to another that a fit tries, degrees: those over which views overlap.
+_TURNS_DEG = tuple(np.geomspace(1.0, 40.0, 23).tolist())
 
 
-def _spread(drives: NDArray[np.int32]) -> list[NDArray[np.intp]]:
-    """Choose at most `SETTINGS.most_frames` frames of each drive, all over it."""
-    each = [np.flatnonzero(drives == drive) for drive in np.unique(drives)]
-    return [
-        one[np.unique(np.linspace(0, one.size - 1, min(one.size, SETTINGS.most_frames)).astype(int))] for one in each
-    ]
-
-
-def turns_undone(
-    images: Sequence[Image],
-    centred: Frames,
-    poses: NDArray[np.float64],
-    drives: NDArray[np.int32],
-    focal: float,
-    describe: Callable[[Image], Frames],
-) -> Compared:
-    """Compare frames between which the robot turned, the first as it would have been seen with the second's heading.
+@dataclass(frozen=True, eq=False)
+class TaughtFrames:
+    """All frames of all drives, one drive after the other.
 
     Parameters
     ----------
@@ -58,62 +34,250 @@ def turns_undone(
     centred : float32 array (f, m)
         Centred features of every image, of unit length.
     poses : float64 array (f, 3)
-        x, y and heading in radians.
+        x, y and heading in radians, in axes of their own for each drive.
     drives : int32 array (f,)
-        Which drive each is of, ascending.
-    focal : float
-        Focal length over the image's width.
+        The drive that each frame is of, ascending.
     describe : callable
-        Centred features of an image.
+        Gives the centred features of an image.
+    car : bool
+        Whether the robot goes ahead while it turns.
     """
-    found = []
-    for frames in _spread(drives):
-        distance, angle = _apart(poses[frames], car=True)
-        curved = (angle >= math.radians(SETTINGS.same_deg)) & (angle < math.radians(SETTINGS.overlap_deg))
-        one, other = np.nonzero(np.triu(curved & (distance < SETTINGS.reach * distance.max())))
-        found.append(np.stack([frames[one], frames[other]], axis=1))
-    pairs = np.concatenate(found)
-    pairs = pairs[np.unique(np.linspace(0, len(pairs) - 1, min(len(pairs), SETTINGS.most_pairs)).astype(int))]
-    first, second = pairs.T
-    scene = Scene(focal, 1.0, 1e6)
 
-    def cosine(one: int, other: int, turn_rad: float) -> float:
-        return float(describe(scene.warp(images[one], turn_rad=turn_rad)) @ centred[other])
+    images: Sequence[Image]
+    centred: NDArray[np.float32]
+    poses: NDArray[np.float64]
+    drives: NDArray[np.int32]
+    describe: Describe
+    car: bool
 
-    with ThreadPoolExecutor() as pool:
-        turns = wrapped(poses[second, 2] - poses[first, 2])
-        cosines = list(pool.map(cosine, first.tolist(), second.tolist(), turns.tolist()))
-    return np.hypot(*(poses[second, :2] - poses[first, :2]).T), np.array(cosines)
+    @cached_property
+    def spread(self) -> list[NDArray[np.intp]]:
+        """At most `SETTINGS.most_frames` frames of each drive, all over it."""
+        each = [np.flatnonzero(self.drives == drive) for drive in np.unique(self.drives)]
+        return [frames[_some(frames.size, SETTINGS.most_frames)] for frames in each]
+
+    def apart(self, frames: NDArray[np.intp]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Return distances and angles between frames of one drive, (n, n) each.
+
+        Whole turns of a car count: what is reckoned of its way does not lead back to where a lap began.
+        """
+        poses = self.poses[frames]
+        across = poses[:, None, :2] - poses[None, :, :2]
+        heading = np.unwrap(poses[:, 2]) if self.car else poses[:, 2]
+        turned = heading[:, None] - heading[None, :]
+        return np.hypot(across[..., 0], across[..., 1]), np.abs(turned if self.car else wrapped(turned))
+
+    def pairs(self, wanted: Callable[[NDArray[np.float64], NDArray[np.float64]], NDArray[np.bool_]]) -> list["_Pair"]:
+        """Choose pairs of frames of one drive: the second is the first one after the first whose way and turn fit."""
+        found: list[_Pair] = []
+        for frame in range(len(self.poses) - 1):
+            after = np.flatnonzero(self.drives[frame + 1 : frame + 101] == self.drives[frame]) + frame + 1
+            steps = seen_from(self.poses[after], self.poses[frame])
+            good = np.flatnonzero(wanted(np.hypot(*steps[:, :2].T), np.abs(steps[:, 2])))
+            if good.size:
+                found.append(_Pair(frame, int(after[good[0]]), *steps[good[0]].tolist()))
+        return [found[k] for k in _some(len(found), SETTINGS.pairs)]
+
+    def best(self, scenes: Sequence[Scene], pairs: Sequence["_Pair"]) -> Scene:
+        """Return the scene under which the first views of pairs predict the second ones best; the first if all do."""
+        seen = [(self.images[pair.frame], self.describe(self.images[pair.other]), pair[2:]) for pair in pairs]
+
+        def score(scene: Scene) -> float:
+            return sum(float(y @ self.describe(scene.warp(image, *step))) for image, y, step in seen)
+
+        # OpenCV lets go of the interpreter's lock.
+        with ThreadPoolExecutor() as pool:
+            return scenes[int(np.argmax(list(pool.map(score, scenes))))]
 
 
-def correlation_length(
-    centred: Frames, poses: NDArray[np.float64], drives: NDArray[np.int32], undone: Compared | None = None
-) -> tuple[float, float]:
-    """Measure the way ahead over which views become half as alike as they can be, and the cosine of unrelated ones.
+class _Pair(NamedTuple):
+    """A frame, another one, and the step from the pose of the first to that of the second."""
+
+    frame: int
+    other: int
+    ahead: float
+    left: float
+    turn_rad: float
+
+
+class Likeness(NamedTuple):
+    """How alike views are; see `smal.visual_map.VisualMap`, and `unrelated`: the mean cosine of unrelated views."""
+
+    correlation_length: float
+    unrelated: float
+    kappa: float
+    outlier_cosine: float
+    alike_cosine: float
+
+
+def _some(count: int, most: int) -> NDArray[np.intp]:
+    """Return at most so many of the numbers below a count, evenly spread."""
+    return np.unique(np.linspace(0, count - 1, min(count, most)).astype(np.intp))
+
+
+def fit_scene(frames: TaughtFrames, correlation_length: float, focal: float | None = None) -> Scene:
+    """Find the camera and the scene by which views of the drives predict each other best.
 
     Parameters
     ----------
-    centred, poses, drives
-        See `turns_undone`.
-    undone : (distances, cosines), optional
-        What it gives.
+    frames : TaughtFrames
+    correlation_length : float
+        Way ahead over which views become unlike, in the unit of the poses.
+    focal : float, optional
+        Focal length over the image's width, where it is known.
+    """
+    length = correlation_length
+    scene = Scene(focal or USUAL_FOCAL, length / 3.0, length * 4.0)
+    if focal is None:
+        turns = frames.pairs(lambda way, turn: (way < 0.02 * length) & (turn > math.radians(9)))
+        if turns:
+            scene = frames.best([replace(scene, focal=focal_of(field)) for field in SETTINGS.fields_deg], turns)
+    steps = frames.pairs(lambda way, turn: (way > 0.5 * length) & (turn < math.radians(25)))
+    if not steps:
+        return scene
+    heights = [length * share for share in SETTINGS.heights]
+    scene = frames.best(
+        [replace(scene, height=h, distance=h * far) for h in heights for far in SETTINGS.distances], steps
+    )
+    return frames.best([replace(scene, height=scene.height * 1.5**k) for k in (-0.5, -0.25, 0.0, 0.25, 0.5)], steps)
+
+
+def focal_of_curves(frames: TaughtFrames) -> float:
+    """Find the focal length of a car's camera, over the image's width, by how far a curve moves what it sees.
+
+    A robot that turns on the spot tells it more exactly (`fit_scene`); this one goes ahead as well.
+    """
+    curves = frames.pairs(lambda _, turn: turn > math.radians(9))
+    turns = [pair._replace(ahead=0.0, left=0.0) for pair in curves]
+    return frames.best([_far(focal_of(field)) for field in SETTINGS.fields_deg], turns).focal if turns else USUAL_FOCAL
+
+
+def _far(focal: float) -> Scene:
+    """Return a scene in which only turns change the view."""
+    return Scene(focal, 1.0, 1e6)
+
+
+def turn_of_views(
+    images: Sequence[Image], atoms: Sequence[NDArray[np.int8]], focal: float, describe: Describe
+) -> float | None:
+    """Measure how far an atom of turning turns, by the turn under which views predict each other best.
+
+    First over single atoms, then, more exactly, over as many as turn about 15 degrees. With a wrong focal length the
+    turn is wrong by as much, so that virtual views of the two together fit all the same.
+
+    Parameters
+    ----------
+    images : sequence of uint8 arrays (height, width, 3)
+    atoms : sequence of int8 arrays
+        Made after the images, of each drive.
+    focal : float
+        Focal length over the image's width.
+    describe : callable
+        Gives the centred features of an image.
+
+    Returns
+    -------
+    float or None
+        Radians; None where no drive turns.
+    """
+    made = np.concatenate(atoms)
+    # After the last frame of a drive comes another one's first.
+    made[np.cumsum([len(one) for one in atoms]) - 1] = Atom.STOP
+    sign = (made == Atom.LEFT).astype(int) - (made == Atom.RIGHT).astype(int)
+    found = None
+    for _ in range(2):
+        count = 1 if found is None else max(1, round(math.radians(15.0) / found))
+        same = np.flatnonzero(np.abs(np.convolve(sign, np.ones(count, dtype=int), mode="valid")) == count)
+        if not same.size:
+            break
+        chosen = same[np.unique(np.linspace(0, same.size - 1, SETTINGS.pairs).astype(int))].tolist()
+        seen = [(images[k], describe(images[k + count]), sign[k]) for k in chosen]
+        scores = [
+            sum(
+                float(y @ describe(_far(focal).warp(image, turn_rad=side * math.radians(turn))))
+                for image, y, side in seen
+            )
+            for turn in _TURNS_DEG
+        ]
+        found = math.radians(_TURNS_DEG[int(np.argmax(scores))]) / count
+    return found
+
+
+def likeness(frames: TaughtFrames, focal: float) -> Likeness:
+    """Measure over which way views become unlike, and how the cosines of views of one place are distributed.
+
+    The correlation length is the way over which the mean cosine falls half way to that of unrelated views. Two views
+    show one place if they were taken between a keyframe's distance and a correlation length apart, and are turned by
+    less than 5 degrees; they are unrelated if they were taken more than four lengths apart.
+
+    Parameters
+    ----------
+    frames : TaughtFrames
+    focal : float
+        Focal length over the image's width; of a car alone it counts.
 
     Raises
     ------
     ValueError
-        No drive goes anywhere.
+        No drive goes anywhere, all images look the same, or no two views show one place.
     """
-    found: list[tuple[NDArray[Any], NDArray[Any]]] = [] if undone is None else [undone]
-    unrelated = []
-    for frames in _spread(drives):
-        cosines = centred[frames] @ centred[frames].T
-        distance, angle = _apart(poses[frames], undone is not None)
-        reach = float(distance.max())
-        unrelated.append(cosines[distance >= 0.1 * reach] if reach > 0.0 else np.zeros(1))
-        same = (angle < math.radians(SETTINGS.same_deg)) & (distance < SETTINGS.reach * reach)
-        found.append((distance[same], cosines[same]))
-    background = float(np.concatenate(unrelated).mean())
-    distances, cosines = (np.concatenate([one[k] for one in found]) for k in (0, 1))
+    undone_way, undone = _turns_undone(frames, focal) if frames.car else (np.empty(0), np.empty(0))
+    distances: list[NDArray[Any]] = [undone_way]
+    cosines: list[NDArray[Any]] = [undone]
+    distant: list[NDArray[Any]] = []
+    for way, angle, cosine in _compared(frames):
+        same = (angle < math.radians(SETTINGS.same_deg)) & (way < SETTINGS.reach * way.max())
+        distances.append(way[same])
+        cosines.append(cosine[same])
+        distant.append(cosine[way >= 0.1 * way.max()])
+    unrelated = float(np.concatenate(distant).mean())
+    length = _half_way(np.concatenate(distances), np.concatenate(cosines), unrelated)
+    if not frames.centred.any():
+        raise ValueError("all images of the demonstrations look the same")
+    least = length / SETTINGS.views_a_length
+    here: list[NDArray[Any]] = [undone[(undone_way > least) & (undone_way < length)]]
+    elsewhere: list[NDArray[Any]] = []
+    for way, angle, cosine in _compared(frames):
+        here.append(cosine[(way > least) & (way < length) & (angle < math.radians(5.0))])
+        elsewhere.append(cosine[way > 4.0 * length])
+    one, other = np.concatenate(here), np.concatenate(elsewhere)
+    if not one.size:
+        raise ValueError(
+            "the demonstrations are too short, or their frames too far apart, to tell how alike views of one place are"
+        )
+    mean, deviation = float(one.mean()), max(float(one.std()), 1e-2)
+    background = float(other.mean()) if other.size else 0.0
+    return Likeness(length, unrelated, 1.0 / deviation, (mean + background) / 2.0, mean - deviation)
+
+
+def _compared(frames: TaughtFrames) -> Iterator[tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float32]]]:
+    """Yield distances, angles and cosines between frames of each drive, (n, n) each."""
+    for some in frames.spread:
+        yield *frames.apart(some), frames.centred[some] @ frames.centred[some].T
+
+
+def _turns_undone(frames: TaughtFrames, focal: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Compare frames in curves, the first as it would have been seen with the second's heading: distances, cosines."""
+    found = []
+    for some in frames.spread:
+        distance, angle = frames.apart(some)
+        curved = (angle >= math.radians(SETTINGS.same_deg)) & (angle < math.radians(SETTINGS.overlap_deg))
+        one, other = np.nonzero(np.triu(curved & (distance < SETTINGS.reach * distance.max())))
+        found.append(np.stack([some[one], some[other]], axis=1))
+    pairs = np.concatenate(found)
+    first, second = pairs[_some(len(pairs), SETTINGS.most_pairs)].T
+    turns = wrapped(frames.poses[second, 2] - frames.poses[first, 2])
+
+    def cosine(one: int, other: int, turn_rad: float) -> float:
+        return float(frames.describe(_far(focal).warp(frames.images[one], turn_rad=turn_rad)) @ frames.centred[other])
+
+    with ThreadPoolExecutor() as pool:
+        cosines = list(pool.map(cosine, first.tolist(), second.tolist(), turns.tolist()))
+    return np.hypot(*(frames.poses[second, :2] - frames.poses[first, :2]).T), np.array(cosines)
+
+
+def _half_way(distances: NDArray[np.float64], cosines: NDArray[np.float64], unrelated: float) -> float:
+    """Return the distance at which the mean cosine has fallen half way from 1 to that of unrelated views."""
     reach = float(distances.max(initial=0.0))
     if reach <= 0.0:
         raise ValueError("the robot does not move in any demonstration")
@@ -122,54 +286,4 @@ def correlation_length(
     count = np.bincount(where, minlength=99)
     mean = np.bincount(where, cosines, minlength=99)[count > 0] / count[count > 0]
     middle = ((edges[:-1] + edges[1:]) / 2.0)[count > 0]
-    half = (1.0 + background) / 2.0
-    return float(np.interp(-half, -np.minimum.accumulate(mean), middle)), background
-
-
-def cosine_statistics(
-    centred: Frames,
-    poses: NDArray[np.float64],
-    drives: NDArray[np.int32],
-    place: tuple[float, float],
-    undone: Compared | None = None,
-) -> tuple[float, float, float]:
-    """Measure how the cosines of views of one place, and of unrelated places, are distributed.
-
-    Two views show one place if they were taken between `least` and `most` apart and are turned by less than 5 degrees;
-    they are unrelated if they were taken more than 4 times `most` apart.
-
-    Parameters
-    ----------
-    centred, poses, drives, undone
-        See `correlation_length`.
-    place : (least, most)
-        From where views are new, to the correlation length.
-
-    Returns
-    -------
-    (float, float, float)
-        `kappa`, `outlier_cosine` and `alike_cosine` of `smal.visual_map.VisualMap`.
-
-    Raises
-    ------
-    ValueError
-        No two views show one place.
-    """
-    least, most = place
-    near: list[NDArray[Any]] = []
-    far: list[NDArray[Any]] = []
-    if undone is not None:
-        near.append(undone[1][(undone[0] > least) & (undone[0] < most)])
-    for frames in _spread(drives):
-        cosines = centred[frames] @ centred[frames].T
-        distance, angle = _apart(poses[frames], undone is not None)
-        near.append(cosines[(distance > least) & (distance < most) & (angle < math.radians(5.0))])
-        far.append(cosines[distance > 4.0 * most])
-    one, other = np.concatenate(near), np.concatenate(far)
-    if not one.size:
-        raise ValueError(
-            "the demonstrations are too short, or their frames too far apart, to tell how alike views of one place are"
-        )
-    other = other if other.size else np.zeros(1)
-    mean, deviation = float(one.mean()), max(float(one.std()), 1e-2)
-    return 1.0 / deviation, (mean + float(other.mean())) / 2.0, mean - deviation
+    return float(np.interp(-(1.0 + unrelated) / 2.0, -np.minimum.accumulate(mean), middle))

@@ -113,14 +113,8 @@ class _Particles:
     def update(self, cosines: NDArray[np.float32], outlier: float, newness: float, rng: np.random.Generator) -> float:
         """Weigh by a view; return the logarithm of its probability here.
 
-        Parameters
-        ----------
-        cosines : float32 array (k, 3, turns)
-            Of the frame with each view of the map.
-        outlier : float
-            Cosine of a frame that shows no place of it.
-        newness : float
-            How much of the view is new, 0 to 1.
+        Cosines (k, 3, turns) are those of the frame with each view of the map; the outlier's is that of a frame which
+        shows no place of it; of the view a share of 0 to 1 is new.
         """
         found, beyond = self._interpolated(cosines)
         self.cosine = float(self.weights @ found)
@@ -130,7 +124,7 @@ class _Particles:
         self.weights = weights / total
         self.evidence += newness
         if (self.weights**2).sum() > 2.0 / len(self.weights):
-            self.keep(self.drawn(len(self.weights), rng))
+            self.keep(_systematic(self.weights, len(self.weights), rng))
         return math.log(total)
 
     def _interpolated(self, cosines: NDArray[np.float32]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
@@ -165,10 +159,6 @@ class _Particles:
         )
         turned_beyond = np.maximum(np.abs(turned - (TURNS_DEG.size - 1) / 2.0) - (TURNS_DEG.size / 2.0), 0.0)
         return found, np.hypot(beyond, turned_beyond * math.radians(step) / self._map.correlation_rad)
-
-    def drawn(self, count: int, rng: np.random.Generator) -> NDArray[np.intp]:
-        """Draw particles by their weights, systematically."""
-        return _systematic(self.weights, count, rng)
 
     def keep(self, which: NDArray[np.intp]) -> None:
         """Keep some particles, alike in weight."""
@@ -274,7 +264,7 @@ class Filter:
                 if particles is not None:
                     particles.move(movement, noise, newness, self._rng)
         self._waited_s += elapsed_s
-        self._weigh(self._tracked, cosines, self._map.outlier_of(cosines), newness)
+        self._weigh(self._tracked, cosines, newness)
         # While the robot stands still, no view can contradict the leak.
         if newness > 0.0:
             self._leak(elapsed_s)
@@ -282,7 +272,8 @@ class Filter:
             self._merge()
         return self._belief()
 
-    def _weigh(self, tracked: _Particles, cosines: NDArray[np.float32], outlier: float, newness: float) -> None:
+    def _weigh(self, tracked: _Particles, cosines: NDArray[np.float32], newness: float) -> None:
+        outlier = self._map.outlier_of(cosines)
         self._odds[0] += tracked.update(cosines, outlier, newness, self._rng)
         if self._scouts is None:
             self._send_scouts(cosines, outlier, newness)
@@ -322,13 +313,14 @@ class Filter:
 
         The odds of the next ones are those of having been carried away since, or being back beside the way.
         """
-        assert self._tracked is not None
-        assert self._scouts is not None
+        old, scouts = self._tracked, self._scouts
+        assert old is not None
+        assert scouts is not None
         shares = _normalized(self._odds)
         new = round(SETTINGS.particles * float(shares[1] / max(shares[0] + shares[1], 1e-12)))
         if new:
-            old, scouts = self._tracked, self._scouts
-            kept, taken = old.drawn(SETTINGS.particles - new, self._rng), scouts.drawn(new, self._rng)
+            kept = _systematic(old.weights, SETTINGS.particles - new, self._rng)
+            taken = _systematic(scouts.weights, new, self._rng)
             self._tracked = _Particles(
                 self._map,
                 np.concatenate([old.keyframes[kept], scouts.keyframes[taken]]),

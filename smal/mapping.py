@@ -6,39 +6,28 @@ Read `learn` from top to bottom.
 import math
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
 from functools import cache
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import eigh
 
-from smal.calibration import correlation_length, cosine_statistics, turns_undone
+from smal.calibration import Describe, TaughtFrames, fit_scene, focal_of_curves, likeness, turn_of_views
 from smal.demonstration import USUAL_GOAL, Demonstration, Image, ImageChain, check_features, drives_to_goals
 from smal.features import Centering, FeatureSettings, extract
 from smal.model import Model
 from smal.movement import Atom, atom_movements, dead_reckoning, turns_ahead
 from smal.settings import SETTINGS
 from smal.stitches import stitched
-from smal.virtual_views import (
-    TURNS_DEG,
-    USUAL_FOCAL,
-    Maps,
-    Scene,
-    fit_scene,
-    focal_of_curves,
-    remapped,
-    turn_of_views,
-)
+from smal.virtual_views import TURNS_DEG, USUAL_FOCAL, Maps, Scene, remapped
 from smal.visual_map import VisualMap
 
-Describe = Callable[[Image], NDArray[np.float32]]
+Progress = Callable[[int, int], None]
 
 
-@dataclass(frozen=True, eq=False)
-class _Way:
-    """Where the drives went, all one after the other: by the wheels, or by what atoms usually do.
+class _Way(NamedTuple):
+    """Where the drives went, one after the other: by the wheels, or by what atoms usually do.
 
     Poses are (f, 3), drives (f,) the number of each frame's; movements (5, 2) what each atom does between two frames.
     """
@@ -53,7 +42,7 @@ def learn(
     demonstrations: Sequence[Demonstration],
     features: FeatureSettings | None = None,
     tick_s: float = 0.1,
-    progress: Callable[[int, int], None] = lambda _done, _total: None,
+    progress: Progress = lambda _done, _total: None,
 ) -> Model:
     """Make a map of those drives of one robot that reached the goal and have images.
 
@@ -77,14 +66,7 @@ def learn(
         No such drive, or none that goes anywhere; features that do not fit, or that need depth.
     """
     features = FeatureSettings() if features is None else features
-    check_features(demonstrations, features.size)
-    if features.needs != {"color"}:
-        raise ValueError("views from where nobody drove have no depth: a map is of color images alone")
-    if not (math.isfinite(tick_s) and tick_s > 0.0):
-        raise ValueError(f"tick_s must be finite and positive, got {tick_s}")
-    whole = drives_to_goals(demonstrations)
-    if not whole:
-        raise ValueError("no drive reached the goal and has images")
+    whole = _usable(demonstrations, features, tick_s)
     taught = [drive for _, drive in whole]
     images = ImageChain([one.images for one in taught if one.images is not None])
     centering = Centering.fit([one.features for one in taught], features)
@@ -95,33 +77,29 @@ def learn(
 
     focal = _told_focal(taught)
     way = _way(taught, images, focal, tick_s, describe)
-    if not way.odometry and focal is None:
+    frames = TaughtFrames(images, centred, way.poses, way.drives, describe, turns_ahead(way.movements))
+    if focal is None and not way.odometry:
         focal = USUAL_FOCAL  # by which the turns were measured
-    undone = None
-    if turns_ahead(way.movements):
-        focal = focal_of_curves(images, way.poses, way.drives, describe) if focal is None else focal
-        undone = turns_undone(images, centred, way.poses, way.drives, focal, describe)
-    length, unrelated = correlation_length(centred, way.poses, way.drives, undone)
-    if not centred.any():
-        raise ValueError("all images of the demonstrations look the same")
-    scene = fit_scene(images, way.poses, way.drives, length, describe, focal)
+    if focal is None and frames.car:
+        focal = focal_of_curves(frames)
+    alike = likeness(frames, focal or USUAL_FOCAL)
+    length = alike.correlation_length
+    aside = SETTINGS.aside * length
+    scene = fit_scene(frames, length, focal)
     keyframes = _choose_keyframes(way.poses, way.drives, length)
-    views, basis = _make_views(images, keyframes, scene, SETTINGS.aside * length, describe, progress)
-    kappa, outlier_cosine, alike_cosine = cosine_statistics(
-        centred, way.poses, way.drives, (length / SETTINGS.views_a_length, length), undone
-    )
+    views, basis = _make_views(images, keyframes, scene, aside, describe, progress)
     visual_map = VisualMap(
         poses=way.poses,
         drives=way.drives,
         keyframes=keyframes,
         basis=basis,
         views=views,
-        aside=SETTINGS.aside * length,
+        aside=aside,
         correlation_length=length,
-        correlation_rad=_correlation_turn(views, unrelated),
-        kappa=kappa,
-        outlier_cosine=outlier_cosine,
-        alike_cosine=alike_cosine,
+        correlation_rad=_correlation_turn(views, alike.unrelated),
+        kappa=alike.kappa,
+        outlier_cosine=alike.outlier_cosine,
+        alike_cosine=alike.alike_cosine,
         movements=way.movements,
         tick_s=tick_s,
         odometry=way.odometry,
@@ -183,6 +161,21 @@ def demonstrations_of(
     return taught
 
 
+def _usable(
+    demonstrations: Sequence[Demonstration], features: FeatureSettings, tick_s: float
+) -> list[tuple[tuple[str, ...], Demonstration]]:
+    """Check what is to be learned from; return the whole drives, each with the names of its parts."""
+    check_features(demonstrations, features.size)
+    if features.needs != {"color"}:
+        raise ValueError("views from where nobody drove have no depth: a map is of color images alone")
+    if not (math.isfinite(tick_s) and tick_s > 0.0):
+        raise ValueError(f"tick_s must be finite and positive, got {tick_s}")
+    whole = drives_to_goals(demonstrations)
+    if not whole:
+        raise ValueError("no drive reached the goal and has images")
+    return whole
+
+
 def _told_focal(taught: Sequence[Demonstration]) -> float | None:
     told = [one.focal for one in taught if one.focal is not None]
     return float(np.median(told)) if told else None
@@ -202,15 +195,11 @@ def _way(
             turn_of_views(images, atoms, focal or USUAL_FOCAL, describe)
             or math.radians(SETTINGS.usual_turn_deg_s) * tick_s
         )
-        movements = _unit_movements(turn_rad, _ahead_in_turns(taught))
+        ahead = _ahead_in_turns(taught)
+        movements = np.array([[0.0, 0.0], [1.0, 0.0], [-1.0, 0.0], [ahead, turn_rad], [ahead, -turn_rad]])
         ways = [dead_reckoning(one, movements) for one in atoms]
     drives = np.repeat(np.arange(len(ways), dtype=np.int32), [len(way) for way in ways])
     return _Way(np.concatenate(ways), drives, movements, odometry)
-
-
-def _unit_movements(turn_rad: float, ahead: float) -> NDArray[np.float64]:
-    """Return the movements of atoms, (5, 2), in units of a forward one; turns go ahead by so many of them."""
-    return np.array([[0.0, 0.0], [1.0, 0.0], [-1.0, 0.0], [ahead, turn_rad], [ahead, -turn_rad]])
 
 
 def _ahead_in_turns(taught: Sequence[Demonstration]) -> float:
@@ -248,8 +237,8 @@ def _make_views(
     keyframes: NDArray[np.int32],
     scene: Scene,
     aside: float,
-    describe: Callable[[Image], NDArray[np.float32]],
-    progress: Callable[[int, int], None],
+    describe: Describe,
+    progress: Progress,
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     """Make the virtual views of keyframes, and the components in which they are kept."""
     lefts = (-aside, 0.0, aside)

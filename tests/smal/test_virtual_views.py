@@ -6,9 +6,12 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from numpy.typing import NDArray
 
+from smal.calibration import TaughtFrames, fit_scene, turn_of_views
+from smal.demonstration import Image
 from smal.features import Centering, extract
-from smal.virtual_views import Image, Scene, fit_scene, turn_of_views
+from smal.virtual_views import Scene
 from tests.smal.synthetic_world import (
     CAMERA_HEIGHT,
     COLOR,
@@ -84,14 +87,12 @@ def fitted(room: Room, one: Drive, focal: float | None = None) -> Scene:
     images = [room.look(pose) for pose in one.poses]
     raw = np.stack([extract(image, COLOR) for image in images])
     centering = Centering.fit(raw, COLOR)
-    return fit_scene(
-        images,
-        one.poses,
-        np.zeros(len(images), dtype=np.intp),
-        0.6,
-        lambda image: centering.apply(extract(image, COLOR)),
-        focal,
-    )
+    drives = np.zeros(len(images), dtype=np.int32)
+
+    def describe(image: Image) -> NDArray[np.float32]:
+        return centering.apply(extract(image, COLOR))
+
+    return fit_scene(TaughtFrames(images, centering.apply(raw), one.poses, drives, describe, car=False), 0.6, focal)
 
 
 @pytest.mark.parametrize("seed", [0, 1])
