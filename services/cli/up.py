@@ -17,8 +17,7 @@ from services.cli.interrupts import interrupted_by_signals
 from services.cli.options import Camera
 from services.cli.simulator_options import SimulatorOptions
 from services.cli.stack.processes import Stack, StackPlan, flags
-from services.console.address import listen
-from services.console.config import ConsoleSettings
+from services.console.config import ConsoleSettings, listen
 from services.kit.bus import Router, host_and_port
 from services.kit.credentials import encrypted, how_secure
 from services.kit.errors import UsageError

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from services.console.config import ConsoleSettings
 from services.console.newest_content import Board
+from services.console.server import WebServer
 from services.console.service import ConsoleService
-from services.console.web import WebServer
 from services.kit.node import Node
 from services.kit.process import configure_logging, read_settings, run_service
 
@@ -19,7 +19,6 @@ def serve() -> None:
         board = Board()
         service = ConsoleService(node, board, settings.root)
         server = WebServer(service, board, settings)
-        service.feed.start()
         # Where it listens on every address, this one leads there from this machine.
         node.log.info("the page is at %s", server.address.replace("//0.0.0.0:", "//127.0.0.1:"))
         try:

@@ -10,11 +10,8 @@ from schemas.base import Atom, Strict
 from schemas.episode import GoalName
 from schemas.rpc import EpisodeName, FileName, Scheme, Start, WorldName
 
-#: Name of a model that is learned: its file's, without the end.
-ModelName = Annotated[str, Field(pattern=r"^\w[\w .-]{0,63}$")]
-Seed = Annotated[int, Field(ge=0, lt=2**31)]
 #: What is said of what came late.
-LATE: Final = "that came too late to be done: the connection is slow, or was away; press again"
+LATE: Final = "that came too late: the connection is slow, or was away; press again"
 
 
 class Seen(Strict):
@@ -30,13 +27,11 @@ class Stop(Strict):
 
 
 class Hold(Strict):
-    """The answer to a beat: the person is there, and holds a key or none."""
+    """The answer to a beat, which it names: the person is there, and holds the key of a movement, or none."""
 
     do: Literal["hold"]
     beat: Annotated[int, Field(ge=0)]
-    """Which beat is answered; an old one says nothing of now."""
     atom: Atom | None
-    """The movement whose key is held."""
 
 
 class Leave(Strict):
@@ -46,92 +41,73 @@ class Leave(Strict):
 
 
 class Asked(Strict):
-    """What whoever drives asks for."""
+    """What whoever drives asks for; it names the newest beat that they had heard: nothing old is done."""
 
     beat: Annotated[int, Field(ge=0)]
-    """The newest beat that they had heard; what was asked long ago is not done."""
 
 
-class Resume(Asked):
-    """Arm the robot, and have the driver go on that the person took over from."""
+class Press(Asked):
+    """A button that needs no more words.
 
-    do: Literal["resume"]
+    ``resume`` arms the robot, and has the driver go on that the person took over from; ``withdraw`` begins no episode
+    after all, while its world is being opened; ``cancel`` ends what is being learned or made.
+    """
+
+    do: Literal["resume", "withdraw", "cancel"]
 
 
 class End(Asked):
-    """End the episode."""
+    """End the episode; ``found``: at its goal."""
 
     do: Literal["end"]
     found: bool
-    """Whether the goal is reached."""
 
 
 class Begin(Asked):
-    """Begin an episode."""
+    """Begin an episode; in the world and under the conditions that the robot is in, where none are given."""
 
     world: WorldName | None = None
-    """In which world; in the one that it is in if not given."""
     variation: WorldName | None = None
-    """Under which conditions; those that it is in if not given."""
 
 
 class Drive(Begin):
-    """Begin a drive by hand, and record it."""
+    """Begin a drive by hand to a goal, and record it; ``name`` is what its recording's name begins with."""
 
     do: Literal["drive"]
     goal: GoalName
-    """Where it leads."""
     name: EpisodeName | None = None
-    """What its recording's name begins with."""
 
 
 class Run(Begin):
-    """Have the robot search by itself."""
+    """Have the robot search by itself with a model, which recognition and policy load first.
+
+    A model of the paper's scheme has no goal to choose. ``start`` and ``seed`` say where it begins.
+    """
 
     do: Literal["run"]
     model: FileName
-    """With which model; recognition and policy load it first."""
     goal: GoalName | None = None
-    """Where to; a model of the paper's scheme goes to the nearest goal."""
     start: Start
-    """Where it begins."""
-    seed: Seed
-    """Which of the starts."""
+    seed: Annotated[int, Field(ge=0, lt=2**31)]
 
 
 class Learn(Asked):
-    """Learn a model."""
+    """Learn a model from recordings, by their names; ``name`` is its file's, without the end."""
 
     do: Literal["learn"]
-    name: ModelName
-    """What it will be called."""
+    name: Annotated[str, Field(pattern=r"^\w[\w .-]{0,63}$")]
     recordings: Annotated[tuple[str, ...], Field(min_length=1, max_length=1000)]
-    """From which recordings, by name."""
     scheme: Scheme = "filter"
-    """How a robot is to go by it."""
-
-
-class Withdraw(Asked):
-    """Begin no episode after all, while its world is being opened."""
-
-    do: Literal["withdraw"]
-
-
-class Cancel(Asked):
-    """End what is being learned or made."""
-
-    do: Literal["cancel"]
 
 
 class Delete(Asked):
-    """Delete a recording."""
+    """Delete a recording, by its name."""
 
     do: Literal["delete"]
     recording: str
-    """Its name."""
 
 
-Ask = Resume | End | Drive | Run | Withdraw | Learn | Cancel | Delete
+Ask = Press | End | Drive | Run | Learn | Delete
 OF_WATCHERS: TypeAdapter[Seen | Stop] = TypeAdapter(Annotated[Seen | Stop, Field(discriminator="do")])
 OF_DRIVER: TypeAdapter[Hold | Leave | Stop | Ask] = TypeAdapter(
     Annotated[Hold | Leave | Stop | Ask, Field(discriminator="do")]

@@ -11,8 +11,8 @@ from schemas.rpc import Nothing, Status
 from services.kit.bus import Bus, RpcError
 from services.kit.health import ailment
 
-#: How often services are asked, and how long one may take to answer.
-ASK_S: Final = 1.0
+#: How long a service may take to answer.
+_ANSWER_S: Final = 1.0
 #: What a service tells of itself that the page needs.
 _TOLD: Final = ("world", "worlds", "variation", "variations", "disk")
 
@@ -20,14 +20,10 @@ _TOLD: Final = ("world", "worlds", "variation", "variations", "disk")
 class Health:
     """Asks services how they are.
 
-    Parameters
+    Attributes
     ----------
-    bus
-        To ask on.
-    services
-        Whom.
-    clock
-        Monotonic seconds.
+    statuses
+        The last answers; None of who did not answer.
     """
 
     def __init__(self, bus: Bus, services: tuple[str, ...], clock: Callable[[], float] = time.monotonic) -> None:
@@ -35,7 +31,6 @@ class Health:
         self._services = services
         self._clock = clock
         self._asked_s = clock()
-        #: The last answers; None of who did not answer.
         self.statuses: dict[str, Status | None] = {}
 
     def ask(self) -> list[dict[str, object]]:
@@ -48,9 +43,14 @@ class Health:
         elapsed_s, self._asked_s = max(now - self._asked_s, 1e-3), now
         return [_row(name, before.get(name), status, elapsed_s) for name, status in self.statuses.items()]
 
+    def detail(self, service: str, key: str) -> object:
+        """Return what a service told of itself; None where it did not."""
+        status = self.statuses.get(service)
+        return None if status is None else status.detail.get(key)
+
     def _status(self, service: str) -> Status | None:
         try:
-            return self._bus.call(service, "status", Nothing(), Status, ASK_S)
+            return self._bus.call(service, "status", Nothing(), Status, _ANSWER_S)
         except RpcError:
             return None
 
@@ -59,17 +59,12 @@ def _row(name: str, before: Status | None, status: Status | None, elapsed_s: flo
     if status is None:
         return {"name": name, "ailment": "does not answer"}
     earlier = before.published if before is not None and before.pid == status.pid else {}
-    rates = {
-        topic: round((count - earlier[topic]) / elapsed_s, 1)
-        for topic, count in status.published.items()
-        if count > earlier.get(topic, count)
-    }
+    rates = {topic: (count - earlier.get(topic, count)) / elapsed_s for topic, count in status.published.items()}
     return {
         "name": name,
         "ailment": ailment(status),
         "idle": round(status.idle_s, 1),
-        "uptime": round(status.uptime_s),
-        "rates": rates,
+        "rates": {topic: round(rate, 1) for topic, rate in rates.items() if rate > 0},
         "dropped": sum(status.dropped.values()),
         "bad": sum(status.bad.values()),
         "failed": status.failed,

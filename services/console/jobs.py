@@ -8,21 +8,22 @@ import os
 import subprocess
 import sys
 import threading
+from collections import deque
 from collections.abc import Callable, Sequence
-from contextlib import ExitStack, closing, suppress
-from dataclasses import dataclass, field
+from contextlib import suppress
+from dataclasses import dataclass
 from pathlib import Path
 from queue import Empty, SimpleQueue
-from typing import Final
+from typing import IO, Final
 
 from schemas.codec import printable
-from services.console.folder import Folder
 from services.kit.node import ServiceError
 
 #: How much it gives way to the services of the stack; see nice(1).
 _NICENESS: Final = 10
 _COMMAND: Final = (sys.executable, "-c", "from services.cli.main import main; main()")
-#: Lines of remarks that are kept.
+#: Lines that are kept of what a command says, and of those the remarks that are shown.
+_LINES: Final = 200
 _REMARKS: Final = 20
 #: How long a command may say nothing, seconds. Learning tells of every hundredth of a stage. A map becomes a world
 #: without a word: one of 40,000 houses that overlap took 13 s of processor time, and one of 64 MB, the most that is
@@ -47,10 +48,10 @@ class Job:
         Of the ``smal`` command, which is told ``--out`` as well.
     out
         The file that it writes.
-    hidden
-        Left out of what is told of it: where the files lie means nothing to who looks at the page.
-    needs
-        Where lies what the command reads: closed when it has ended.
+    hidden, called
+        How the command names what it reads, and what that is called on the page: a path means nothing there.
+    reads
+        The open file that the command reads, where it has no name.
     """
 
     kind: str
@@ -60,36 +61,32 @@ class Job:
     arguments: tuple[str, ...]
     out: Path
     hidden: str
-    needs: Folder | None = None
-
-
-@dataclass(frozen=True)
-class _Work:
-    """A command at work, and what is heard of it: its lines, None when it has ended, and why it is to be ended."""
-
-    process: subprocess.Popen[str]
-    heard: SimpleQueue[str | _Ending | None] = field(default_factory=SimpleQueue)
-    remarks: list[str] = field(default_factory=list)
-
-    def listen(self) -> None:
-        """Hear it to its end."""
-        assert self.process.stdout is not None  # noqa: S101 - they are pipes
-        assert self.process.stderr is not None  # noqa: S101
-        remarking = threading.Thread(target=self.remarks.extend, args=(self.process.stderr,), daemon=True)
-        remarking.start()
-        for line in self.process.stdout:
-            self.heard.put(line)
-        remarking.join()
-        self.process.wait()
-        self.heard.put(None)
+    called: str = ""
+    reads: IO[bytes] | None = None
 
 
 @dataclass(frozen=True)
 class _Ending:
-    """Why a command is ended before it is done."""
+    """How a command has ended, or why it is to be ended; where that is empty, by its own status."""
 
-    outcome: str
+    outcome: str = ""
     why: str = ""
+
+
+@dataclass(frozen=True)
+class _Work:
+    """A command at work, and what is heard of it: its lines, then its ending."""
+
+    process: subprocess.Popen[str]
+    heard: SimpleQueue[str | _Ending]
+
+    def listen(self) -> None:
+        """Hear it to its end."""
+        assert self.process.stdout is not None  # noqa: S101 - it is a pipe
+        for line in self.process.stdout:
+            self.heard.put(line)
+        self.process.wait()
+        self.heard.put(_Ending())
 
 
 class Jobs:
@@ -129,28 +126,24 @@ class Jobs:
         ServiceError
             When another is at work, or what it makes is there already.
         """
-        with ExitStack() as needs:
-            if job.needs is not None:
-                needs.enter_context(closing(job.needs))
-            if self.running:
-                raise ServiceError("something else is being made; wait, or cancel that first")
-            if job.out.exists():
-                raise ServiceError(f"there is a {job.kind} {job.name} already; choose another name")
-            job.out.parent.mkdir(exist_ok=True)
-            process = subprocess.Popen(  # noqa: S603 - our own command; the paths are of listed files
-                [*self._command, *job.arguments, "--out", str(job.out)],
-                stdin=subprocess.DEVNULL,
-                stdout=subprocess.PIPE,
-                stderr=subprocess.PIPE,
-                # What it reads is in use for as long as it lives itself.
-                pass_fds=() if job.needs is None else (job.needs.lock,),
-                text=True,
-                errors="replace",
-            )
-            os.setpriority(os.PRIO_PROCESS, process.pid, _NICENESS)
-            self._work = work = _Work(process)
-            threading.Thread(target=work.listen, name="job's listener", daemon=True).start()
-            threading.Thread(target=self._follow, args=(job, work, needs.pop_all()), name="job", daemon=True).start()
+        if self.running:
+            raise ServiceError("something else is being made; wait, or cancel that first")
+        if job.out.exists():
+            raise ServiceError(f"there is a {job.kind} {job.name} already; choose another name")
+        job.out.parent.mkdir(exist_ok=True)
+        process = subprocess.Popen(  # noqa: S603 - our own command; the paths are of listed files
+            [*self._command, *job.arguments, "--out", str(job.out)],
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            pass_fds=() if job.reads is None else (job.reads.fileno(),),
+            text=True,
+            errors="replace",
+        )
+        os.setpriority(os.PRIO_PROCESS, process.pid, _NICENESS)
+        self._work = work = _Work(process, SimpleQueue())
+        threading.Thread(target=work.listen, name="job's listener", daemon=True).start()
+        threading.Thread(target=self._follow, args=(job, work), name="job", daemon=True).start()
 
     def cancel(self) -> None:
         """End the job that is at work, without what it makes."""
@@ -158,40 +151,44 @@ class Jobs:
             work.heard.put(_Ending("cancelled"))
             work.process.terminate()
 
-    def _follow(self, job: Job, work: _Work, needs: ExitStack) -> None:
+    def _follow(self, job: Job, work: _Work) -> None:
+        """Show how far a command is until it has ended, and then how."""
         shown: dict[str, object] = {"kind": job.kind, "name": job.name, "doing": job.doing, "done": job.done}
-        ending: _Ending | None = None
+        lines: deque[str] = deque(maxlen=_LINES)
+        ending = _Ending()
         try:
-            with needs:
-                ending = self._wait(work, shown)
+            self._show({**shown, "stage": "", "share": None})
+            while isinstance(heard := self._hear(work), str):
+                if (progress := _progress(heard)) is not None:
+                    self._show({**shown, **progress})
+                else:
+                    lines.append(printable(heard.strip()).replace(job.hidden, job.called))
+            ending = heard
+            with suppress(subprocess.TimeoutExpired):
+                work.process.wait(_ENDING_S)
         except Exception:  # noqa: BLE001 - whatever it is, the next one has its turn
             _log.warning("%s", job.doing, exc_info=True)
         work.process.kill()
         status = work.process.wait()
-        said = [printable(line.strip()) for line in work.remarks]
-        lines = [line.removeprefix("smal: ").replace(job.hidden, "") for line in said if line.startswith("smal: ")]
-        if ending is None and status != 0:
-            ending = _Ending("failed", (lines or said or [f"it ended with status {status}"])[-1])
-        ending = ending or _Ending("done")
+        remarks = [line.removeprefix("smal: ") for line in lines if line.startswith("smal: ")]
+        if not ending.outcome:
+            why = (remarks or [*lines] or [f"it ended with status {status}"])[-1]
+            ending = _Ending("done") if status == 0 else _Ending("failed", why)
         self._work = None
-        self._show({**shown, "outcome": ending.outcome, "why": ending.why, "remarks": lines[-_REMARKS:]})
+        self._show({**shown, "outcome": ending.outcome, "why": ending.why, "remarks": remarks[-_REMARKS:]})
 
-    def _wait(self, work: _Work, shown: dict[str, object]) -> _Ending | None:
-        """Show how far a command is until it has ended; return why it was made to."""
-        self._show({**shown, "stage": "", "share": None})
-        heard: str | _Ending | None = ""
-        while isinstance(heard, str):
-            try:
-                told = json.loads(heard)
-                self._show({**shown, "stage": told["stage"], "share": told["done"] / max(told["total"], 1)})
-            except (ValueError, TypeError, KeyError):
-                pass  # the summary, for people at a terminal
-            try:
-                heard = work.heard.get(timeout=self._patience_s)
-            except Empty:
-                heard = _Ending("failed", f"it has said nothing for {self._patience_s / 60:.0f} min, and was ended")
-                work.process.terminate()
-        if heard is not None:
-            with suppress(subprocess.TimeoutExpired):
-                work.process.wait(_ENDING_S)
-        return heard
+    def _hear(self, work: _Work) -> str | _Ending:
+        try:
+            return work.heard.get(timeout=self._patience_s)
+        except Empty:
+            work.process.terminate()
+            return _Ending("failed", f"it said nothing for {self._patience_s / 60:.0f} min, and was ended")
+
+
+def _progress(line: str) -> dict[str, object] | None:
+    """Return how far a command says that it is; None where the line is for people."""
+    try:
+        told = json.loads(line)
+        return {"stage": told["stage"], "share": told["done"] / max(told["total"], 1)}
+    except (ValueError, TypeError, KeyError):
+        return None

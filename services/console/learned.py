@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -21,6 +20,9 @@ from smal.model import Model
 from smal.movement import placed
 from smal.planning import chosen_goal, cost_to_go
 
+#: The robot is said to be at a place, with the weight of all that is believed so near, along the same drive.
+_NEAR_M = 2.0
+
 
 @dataclass(frozen=True, eq=False)
 class Learned:
@@ -32,12 +34,9 @@ class Learned:
         By which messages tell of it.
     goal
         Where the robot goes.
-    drives
-        Of each keyframe, its drive.
-    along_m
-        Of each keyframe, the way from the drive's start.
-    cost_s
-        Of each keyframe, the time to the goal; infinite where no way leads there.
+    drives, along_m, cost_s
+        Of each keyframe, its drive, the way from the drive's start, and the time to the goal; infinite where no way
+        leads there.
     poses
         Of each keyframe, x, y and heading: in the world, where its recording tells; else by the wheels.
     images
@@ -66,11 +65,10 @@ class Learned:
             "id": self.identity,
             "goal": self.goal,
             "world": self.world,
-            "drives": [int(drive) for drive in self.drives],
-            "along": _rounded(self.along_m, 2),
-            "cost": [round(cost, 1) if math.isfinite(cost) else None for cost in self.cost_s.tolist()],
-            "x": _rounded(self.poses[:, 0], 2),
-            "y": _rounded(self.poses[:, 1], 2),
+            "drives": self.drives.tolist(),
+            "along": self.along_m.round(2).tolist(),
+            "x": self.poses[:, 0].round(2).tolist(),
+            "y": self.poses[:, 1].round(2).tolist(),
         }
 
     def belief(self, state: State) -> dict[str, object]:
@@ -79,27 +77,16 @@ class Learned:
             return {}
         first = state.places[0]
         x, y, heading = placed(np.array([first.ahead_m, first.left_m, first.turned_rad]), self.poses[first.keyframe])
-        cost = float(self.cost_s[first.keyframe])
+        near = (self.drives == self.drives[first.keyframe]) & (
+            np.abs(self.along_m - self.along_m[first.keyframe]) <= _NEAR_M
+        )
+        cost_s = float(self.cost_s[first.keyframe])
         return {
             "keyframe": first.keyframe,
             "pose": [round(float(x), 2), round(float(y), 2), round(float(heading), 3)],
-            "cost": round(cost, 1) if math.isfinite(cost) else None,
-            "sure": round((1.0 - state.lost) * _near(state, self.along_m, self.drives), 3),
+            "cost": round(cost_s, 1) if math.isfinite(cost_s) else None,
+            "sure": round((1.0 - state.lost) * sum(one.weight for one in state.places if near[one.keyframe]), 3),
         }
-
-
-def _near(state: State, along_m: NDArray[np.float64], drives: NDArray[np.int32], within_m: float = 2.0) -> float:
-    """Return the share of a belief that is within a few metres of its heaviest place, on the same drive."""
-    first = state.places[0].keyframe
-    return sum(
-        place.weight
-        for place in state.places
-        if drives[place.keyframe] == drives[first] and abs(along_m[place.keyframe] - along_m[first]) <= within_m
-    )
-
-
-def _rounded(values: NDArray[np.float64], digits: int) -> list[float]:
-    return [round(value, digits) for value in values.tolist()]
 
 
 def learned_of(model: Model, goal: str | None, recordings: dict[str, Path]) -> Learned:
@@ -126,28 +113,23 @@ def learned_of(model: Model, goal: str | None, recordings: dict[str, Path]) -> L
     poses = mapped.key_poses.copy()
     images: list[memoryview | None] = [None] * len(drives)
     worlds: set[str] = set()
-    for drive, (episode, ticks) in enumerate(_taught(model)):
+    for drive, (names, frames) in enumerate(zip(mapped.names, mapped.frames.tolist(), strict=True)):
+        episode = episode_of(names[0])
         recorded = _recorded(recordings.get(episode), episode)
         worlds.add("" if recorded is None else recorded.world)
         if recorded is None:
             continue
+        # Where the names do not tell the ticks, these are the last ones.
+        ticks = ticks_of(names, frames) or range(max(recorded.images) - frames + 1, max(recorded.images) + 1)
         for key in np.flatnonzero(drives == drive).tolist():
-            frame = int(mapped.keyframes[key] - first[drive])
-            tick = ticks[frame] if ticks else max(recorded.images) - (int(mapped.frames[drive]) - 1 - frame)
+            tick = ticks[int(mapped.keyframes[key] - first[drive])]
             images[key] = recorded.images.get(tick)
-            pose = recorded.poses.get(tick)
-            if pose is not None:
+            if (pose := recorded.poses.get(tick)) is not None:
                 poses[key] = (pose.x_m, pose.y_m, pose.heading_rad)
     costs, _ = cost_to_go(mapped, goal)
     along_m = mapped.arc[mapped.keyframes] - mapped.arc[first][drives]
     world = worlds.pop() if len(worlds) == 1 else ""
     return Learned(identity_of(model), goal, drives, along_m, costs, poses, tuple(images), world)
-
-
-def _taught(model: Model) -> Iterator[tuple[str, Sequence[int]]]:
-    """Give the episode of each drive of the map, and the ticks of its frames; none where they are its last ones."""
-    for names, frames in zip(model.mapped.names, model.mapped.frames.tolist(), strict=True):
-        yield episode_of(names[0]), ticks_of(names, frames)
 
 
 def _recorded(path: Path | None, episode: str) -> RecordedEpisode | None:

@@ -3,18 +3,20 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable
+from contextlib import closing
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from threading import Lock
-from typing import Final
+from threading import Event, Lock
+from typing import Final, NamedTuple
 
 from pydantic import TypeAdapter, ValidationError
 
 from schemas.base import MAX_TICK
 from schemas.codec import printable
 from schemas.rpc import FileName
-from services.console.listing import Readers, Recording
+from services.console.listing import Reader, Recording
+from services.kit.node import ServiceError
 from services.kit.root import OutsideError, below, name_below, open_below
 from services.recordings.taught import episode_of
 from smal.files import container
@@ -29,7 +31,18 @@ _SHOW_S: Final = 1.0
 #: Drives of a model that the page lists.
 _MOST_DRIVES: Final = 1000
 _NAME: Final[TypeAdapter[str]] = TypeAdapter(FileName)
-_Stamp = tuple[int, int]
+
+
+class _File(NamedTuple):
+    """A file below the root; another one where it has changed."""
+
+    name: str
+    changed_ns: int
+    size: int
+
+    @property
+    def when_s(self) -> float:
+        return self.changed_ns / 1e9
 
 
 @dataclass(frozen=True)
@@ -67,52 +80,52 @@ class Library:
         #: Name of the folder of the recordings; None where it lies outside of the root.
         self.folder: str | None = DRIVES
         self._lock = Lock()
-        self._recordings: dict[Path, tuple[_Stamp, Recording]] = {}
-        self._models: dict[Path, tuple[_Stamp, LearnedModel]] = {}
+        self._recordings: dict[_File, Recording] = {}
+        self._models: dict[_File, LearnedModel] = {}
+        self._reader = Reader()
+        self._closed = Event()
 
     def record_in(self, folder: Path) -> None:
         """Take note of where the recorder records."""
         self.folder = name_below(self.root, folder)
 
+    def close(self) -> None:
+        """Have ``look`` end soon."""
+        self._closed.set()
+        self._reader.stop()
+
     def look(self, show: Callable[[dict[str, object]], None] = lambda _: None) -> dict[str, object]:
         """Look at what is there; return it for the page.
 
-        Parameters
-        ----------
-        show
-            Is given what is known so far, now and then while recordings are read.
+        ``show`` is given what is known so far, now and then while recordings are read.
         """
-        stamps = dict(self._files(self._recording_files()))
-        models = {path: self._model(path, stamp) for path, stamp in self._files(self._model_files())}
+        files = set() if self.folder is None else self._files((self.root / self.folder).glob("*.mcap"))
+        models = self._files([*self.root.glob("*.smal"), *(self.root / MODELS).glob("*.smal")])
         with self._lock:
-            self._recordings = {path: known for path, known in self._recordings.items() if path in stamps}
-            self._models = models
-        anew = [path for path in stamps if self._recordings.get(path, (None,))[0] != stamps[path]]
+            self._recordings = {file: known for file, known in self._recordings.items() if file in files}
+            self._models = {file: self._models.get(file) or self._model(file) for file in models}
         shown_s = time.monotonic()
-        with Readers() as readers:
-            for path in sorted(anew, key=lambda path: stamps[path], reverse=True):
-                changed_ns, size = stamps[path]
-                listed = Recording(path.relative_to(self.root).as_posix(), changed_ns / 1e9, size)
-                recording = readers.read(path, listed)
+        with closing(self._reader):
+            for file in sorted(files - self._recordings.keys(), key=lambda file: -file.changed_ns):
+                if self._closed.is_set():
+                    break
+                recording = self._reader.read(self.root / file.name, Recording(file.name, file.when_s, file.size))
                 with self._lock:
-                    self._recordings[path] = stamps[path], recording
+                    self._recordings[file] = recording
                 if time.monotonic() - shown_s > _SHOW_S:
                     show(self._shown())
                     shown_s = time.monotonic()
         return self._shown()
 
-    def _shown(self) -> dict[str, object]:
-        newest_first = sorted(self.recordings(), key=lambda one: -one.when_s)
-        return {
-            "folder": self.folder,
-            "recordings": [asdict(one) | {"thumbnails": len(one.thumbnails)} for one in newest_first],
-            "models": [self._model_shown(one) for one in sorted(self.models(), key=lambda one: -one.when_s)],
-        }
+    def recordings(self) -> list[Recording]:
+        """Return all recordings, the newest first."""
+        with self._lock:
+            return sorted(self._recordings.values(), key=lambda one: -one.when_s)
 
-    def _model_shown(self, model: LearnedModel) -> dict[str, object]:
-        """Return a model as the page lists it, with the worlds that it was taught in as far as its recordings tell."""
-        worlds = {one.world for one in self.recordings() if one.episode in model.episodes and one.world}
-        return asdict(model) | {"episodes": len(model.episodes), "worlds": sorted(worlds)}
+    def models(self) -> list[LearnedModel]:
+        """Return all models, the newest first."""
+        with self._lock:
+            return sorted(self._models.values(), key=lambda one: -one.when_s)
 
     def recording(self, name: str) -> Recording | None:
         """Return a recording by its name."""
@@ -127,23 +140,8 @@ class Library:
 
         What a model does not tell, the recordings do that it was learned from, as far as they are there.
         """
-        recorded = {one.goal for one in self.recordings() if one.episode in model.episodes and one.goal}
-        match tuple(model.goals or recorded):
-            case ():
-                return "victim"
-            case (only,):
-                return only
-        return "nearest"
-
-    def recordings(self) -> list[Recording]:
-        """Return all recordings."""
-        with self._lock:
-            return [one for _, one in self._recordings.values()]
-
-    def models(self) -> list[LearnedModel]:
-        """Return all models."""
-        with self._lock:
-            return [one for _, one in self._models.values()]
+        goals = set(model.goals) or {one.goal for one in self._taught_by(model) if one.goal}
+        return goals.pop() if len(goals) == 1 else "nearest" if goals else "victim"
 
     def path(self, name: str) -> Path:
         """Return the path of something that is listed.
@@ -156,49 +154,60 @@ class Library:
         return below(self.root, name)
 
     def delete(self, name: str) -> None:
-        """Delete something that is listed; of a link, itself, and not what it leads to.
+        """Delete a recording; of a link, itself, and not what it leads to.
 
         Raises
         ------
+        ServiceError
+            When it is not listed.
         OSError
             When it cannot be deleted.
         """
+        if self.recording(name) is None:
+            raise ServiceError("no such recording")
         folder, _, last = name.rpartition("/")
         (below(self.root, folder) / last).unlink()
 
-    def _recording_files(self) -> Iterator[Path]:
-        if self.folder is not None:
-            yield from (self.root / self.folder).glob("*.mcap")
+    def _taught_by(self, model: LearnedModel) -> list[Recording]:
+        return [one for one in self.recordings() if one.episode in model.episodes]
 
-    def _model_files(self) -> Iterator[Path]:
-        yield from self.root.glob("*.smal")
-        yield from (self.root / MODELS).glob("*.smal")
+    def _shown(self) -> dict[str, object]:
+        recordings = [asdict(one) | {"thumbnails": len(one.thumbnails)} for one in self.recordings()]
+        models = [
+            {
+                "name": one.name,
+                "goals": one.goals,
+                "useless": one.useless,
+                # As far as its recordings tell.
+                "worlds": sorted({taught.world for taught in self._taught_by(one) if taught.world}),
+            }
+            for one in self.models()
+        ]
+        return {"folder": self.folder, "recordings": recordings, "models": models}
 
-    def _files(self, paths: Iterable[Path]) -> Iterator[tuple[Path, _Stamp]]:
-        """Give those that may be named, with what tells whether they have changed."""
+    def _files(self, paths: Iterable[Path]) -> set[_File]:
+        """Give those that may be named."""
+        files = set()
         for path in paths:
             try:
-                _NAME.validate_python(path.relative_to(self.root).as_posix())
-                stat = below(self.root, path.relative_to(self.root).as_posix()).stat()
+                name = _NAME.validate_python(path.relative_to(self.root).as_posix())
+                stat = below(self.root, name).stat()
             except (OutsideError, ValidationError, OSError):
                 continue
-            yield path, (stat.st_mtime_ns, stat.st_size)
+            files.add(_File(name, stat.st_mtime_ns, stat.st_size))
+        return files
 
-    def _model(self, path: Path, stamp: _Stamp) -> tuple[_Stamp, LearnedModel]:
-        known = self._models.get(path)
-        if known is not None and known[0] == stamp:
-            return known
-        name = path.relative_to(self.root).as_posix()
-        listed = LearnedModel(name, stamp[0] / 1e9, stamp[1])
+    def _model(self, file: _File) -> LearnedModel:
+        listed = LearnedModel(file.name, file.when_s, file.size)
         try:
-            with open_below(self.root, name) as file:
-                meta = container.read_meta(file, name, FORMAT_VERSION)
+            with open_below(self.root, file.name) as opened:
+                meta = container.read_meta(opened, file.name, FORMAT_VERSION)
             mapped = meta["map"] if meta["scheme"] == "filter" else {"goals": (), "names": [meta["names"]]}
             if max(len(mapped["goals"]), len(mapped["names"])) > _MOST_DRIVES or not 0 < meta["longest"] <= MAX_TICK:
                 raise ValueError(f"more than {_MOST_DRIVES} drives, or none of its length")
             goals = tuple(sorted({printable(str(goal)) for goal in mapped["goals"]}))
             episodes = frozenset(episode_of(str(name)) for names in mapped["names"] for name in names)
             fingerprint, longest = printable(str(meta["feature_fingerprint"])), int(meta["longest"])
-            return stamp, replace(listed, goals=goals, episodes=episodes, fingerprint=fingerprint, longest=longest)
+            return replace(listed, goals=goals, episodes=episodes, fingerprint=fingerprint, longest=longest)
         except (ModelError, LookupError, TypeError, ValueError, ArithmeticError, OSError) as error:
-            return stamp, replace(listed, useless=printable(str(error)).removeprefix(f"{name}: "))
+            return replace(listed, useless=printable(str(error)).removeprefix(f"{file.name}: "))

@@ -12,14 +12,11 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 from multiprocessing.connection import Connection
 from pathlib import Path
-from types import TracebackType
-from typing import Final, Self, cast
-
-import cv2
+from typing import Final, cast
 
 from schemas.codec import printable
 from schemas.topics import APPLIED, CAMERA, JPEG
-from services.kit.jpeg import encode_jpeg
+from services.kit.jpeg import encode_jpeg, shrunk
 from services.recordings.dataset import unusable
 from services.recordings.encoding import decode_image
 from services.recordings.reader import RecordingError, read_recording
@@ -29,7 +26,8 @@ from services.robot.clock import TICK_S
 #: Pictures along a drive, and their width; six of them fill a row of the list.
 THUMBNAILS: Final = 6
 _WIDTH: Final = 160
-#: Processor time that one file may take, whole seconds: a drive of 4 hours takes 15 of them.
+#: Processor time that one file may take, whole seconds: a drive of 4 hours takes 15 of them. Wall time would count what
+#: else the machine does.
 READ_S: Final = 120
 #: How much reading gives way to the services of the stack; see nice(1).
 _NICENESS: Final = 10
@@ -59,47 +57,35 @@ class Recording:
     thumbnails: tuple[bytes, ...] = ()
 
 
-class Readers:
-    """Reads recordings, one at a time, in a process that ends with the context.
+class Reader:
+    """Reads recordings, one at a time, in a process of its own; of one thread, but for ``stop``."""
 
-    Parameters
-    ----------
-    limit_s
-        Processor time that one may take; wall time would count what else the machine does.
-    """
-
-    def __init__(self, limit_s: int = READ_S) -> None:
-        self._limit_s = limit_s
+    def __init__(self) -> None:
         self._process: tuple[multiprocessing.process.BaseProcess, Connection] | None = None
 
     def read(self, path: Path, listed: Recording) -> Recording:
         """Complete what the page lists with what is in the file; where it cannot be read, with why not."""
         process, ours = self._process = self._process or _started()
         with suppress(EOFError, OSError):
-            ours.send((path, listed, self._limit_s))
+            ours.send((path, listed))
             return cast("Recording", ours.recv())
-        process.join()
-        too_long = process.exitcode == -signal.SIGXCPU
         self.close()
-        why = f"it takes more than {self._limit_s} s" if too_long else "the process that read it has died"
+        too_long = process.exitcode == -signal.SIGXCPU
+        why = f"it takes more than {READ_S} s" if too_long else "the process that read it has died"
         return replace(listed, useless=f"it cannot be read: {why}")
+
+    def stop(self) -> None:
+        """Have what is being read end, from any thread."""
+        if (at_work := self._process) is not None:
+            at_work[0].kill()
 
     def close(self) -> None:
         """End the process."""
         if self._process is not None:
             process, ours = self._process
-            process.kill()
-            process.join()
-            ours.close()
             self._process = None
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
+            ours.close()
+            process.join()  # it ends where nobody asks any more
 
 
 def _started() -> tuple[multiprocessing.process.BaseProcess, Connection]:
@@ -119,8 +105,8 @@ def _read_all(connection: Connection) -> None:
         Path("/proc/self/oom_score_adj").write_text(_ENDED_FIRST)
     with suppress(EOFError, OSError):
         while True:
-            path, listed, limit_s = connection.recv()
-            end_after(limit_s)
+            path, listed = connection.recv()
+            end_after(READ_S)
             connection.send(read(path, listed))
 
 
@@ -138,6 +124,7 @@ def read(path: Path, listed: Recording) -> Recording:
     except RecordingError as error:
         return replace(listed, useless=printable(str(error)).removeprefix(f"{path}: "))
     useless = "it holds several episodes; use smal learn" if others else unusable(episode, include_runs=True)
+    by_hand = any(one.source == "teleop" or one.reason == "taken_over" for one in episode.applied.values())
     ticks = sorted(episode.images)
     return replace(
         listed,
@@ -146,8 +133,7 @@ def read(path: Path, listed: Recording) -> Recording:
         goal=episode.goal,
         world=episode.world,
         outcome=episode.outcome,
-        corrected=episode.purpose == "run"
-        and any(one.source == "teleop" or one.reason == "taken_over" for one in episode.applied.values()),
+        corrected=episode.purpose == "run" and by_hand,
         frames=episode.frames,
         seconds=(ticks[-1] - ticks[0]) * TICK_S if ticks else 0.0,
         useless=useless or "",
@@ -161,9 +147,6 @@ def _thumbnails(episode: RecordedEpisode, ticks: list[int]) -> Iterator[bytes]:
     for k in range(count):
         tick = ticks[round(k * (len(ticks) - 1) / max(count - 1, 1))]
         try:
-            image = decode_image(bytes(episode.images[tick]))
+            yield encode_jpeg(shrunk(decode_image(bytes(episode.images[tick])), _WIDTH))
         except ValueError as error:
             _log.warning("%s, frame %d: %s", episode.episode, tick, error)
-            continue
-        height = max(1, round(image.shape[0] * _WIDTH / image.shape[1]))
-        yield encode_jpeg(cv2.resize(image, (_WIDTH, height), interpolation=cv2.INTER_AREA).astype("uint8"))

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import asyncio
 import json
-from collections.abc import Callable, Iterator
+from collections.abc import Awaitable, Callable, Iterator
 from contextlib import contextmanager, suppress
 from threading import Lock
 from typing import Final
@@ -17,12 +17,16 @@ from services.robot.clock import now_s
 
 #: Most watchers at a time.
 MOST_WATCHERS: Final = 64
+#: Waits for a change; gives what is new since the last time: channels as one JSON object, and the picture or none.
+Newest = Callable[[], Awaitable[tuple[str, bytes]]]
+
+
+class FullError(Exception):
+    """Too many watch."""
 
 
 class Board:
-    """Holds the newest content of each channel, as JSON, and the newest picture.
-
-    ``put`` and ``show`` may be called on any thread.
+    """Holds the newest content of each channel, as JSON, and the newest picture; of any thread.
 
     Parameters
     ----------
@@ -36,31 +40,28 @@ class Board:
         self._version = 0
         self._channels: dict[str, tuple[int, str]] = {}
         self._picture: tuple[int, bytes] = (0, b"")
-        self._watchers: list[Watcher] = []
+        self._wakes: list[Callable[[], None]] = []
 
     def put(self, channel: str, content: object) -> None:
         """Replace what a channel holds."""
         text = json.dumps(content, separators=(",", ":"), allow_nan=False)
         with self._lock:
-            if self._channels.get(channel, (0, ""))[1] == text:
-                return
-            self._version += 1
-            self._channels[channel] = (self._version, text)
-            self._wake()
+            if self._channels.get(channel, (0, ""))[1] != text:
+                self._channels[channel] = (self._next(), text)
 
     def show(self, picture: bytes) -> None:
         """Replace the picture."""
         with self._lock:
-            self._version += 1
-            self._picture = (self._version, picture)
-            self._wake()
+            self._picture = (self._next(), picture)
 
-    def _wake(self) -> None:
-        for watcher in self._watchers:
-            watcher.wake()
+    def _next(self) -> int:
+        self._version += 1
+        for wake in self._wakes:
+            wake()
+        return self._version
 
-    def since(self, version: int) -> tuple[int, str, bytes]:
-        """Return what is newer than a version: the newest version, channels as one JSON object, the picture or none.
+    def _since(self, version: int) -> tuple[int, str, bytes]:
+        """Return the newest version, and what is newer than another one.
 
         The object's ``now`` is when it was made, by the clock; ``picture`` says whether there is one.
         """
@@ -72,53 +73,39 @@ class Board:
             return self._version, "{" + ",".join([head, *new]) + "}", due
 
     @contextmanager
-    def watched(self) -> Iterator[Watcher]:
-        """Give a watcher in a running event loop.
+    def watched(self) -> Iterator[Newest]:
+        """Give a watcher, in a running event loop, what tells it the newest.
 
         Raises
         ------
         FullError
             When there are too many.
         """
-        watcher = Watcher(self)
+        loop, changed, seen = asyncio.get_running_loop(), asyncio.Event(), 0
+        changed.set()
+
+        def wake() -> None:
+            with suppress(RuntimeError):  # of a loop that has just ended
+                loop.call_soon_threadsafe(changed.set)
+
+        async def newest() -> tuple[str, bytes]:
+            nonlocal seen
+            await changed.wait()
+            changed.clear()
+            seen, text, picture = self._since(seen)
+            return text, picture
+
         with self._lock:
-            if len(self._watchers) >= MOST_WATCHERS:
+            if len(self._wakes) >= MOST_WATCHERS:
                 raise FullError
-            self._watchers.append(watcher)
+            self._wakes.append(wake)
         try:
-            yield watcher
+            yield newest
         finally:
             with self._lock:
-                self._watchers.remove(watcher)
+                self._wakes.remove(wake)
 
     @property
     def watchers(self) -> int:
         """How many watch."""
-        return len(self._watchers)
-
-
-class FullError(Exception):
-    """Too many watch."""
-
-
-class Watcher:
-    """One who watches, in an event loop of its own thread."""
-
-    def __init__(self, board: Board) -> None:
-        self._board = board
-        self._loop = asyncio.get_running_loop()
-        self._changed = asyncio.Event()
-        self._changed.set()
-        self._seen = 0
-
-    def wake(self) -> None:
-        """Tell that something has changed; from any thread."""
-        with suppress(RuntimeError):  # of a loop that has just ended
-            self._loop.call_soon_threadsafe(self._changed.set)
-
-    async def newest(self) -> tuple[str, bytes]:
-        """Wait for a change; return what is new to this watcher, see ``Board.since``."""
-        await self._changed.wait()
-        self._changed.clear()
-        self._seen, text, picture = self._board.since(self._seen)
-        return text, picture
+        return len(self._wakes)

@@ -4,25 +4,26 @@ from __future__ import annotations
 
 import math
 import secrets
+from collections import deque
 from collections.abc import Callable
 from concurrent.futures import Future, InvalidStateError
-from contextlib import ExitStack, closing, suppress
+from contextlib import suppress
+from dataclasses import asdict
 from pathlib import Path
 from queue import Empty, SimpleQueue
-from typing import Final
+from typing import IO, Final
 
 from schemas import topics
 from schemas.action import Action
 from schemas.base import Atom
+from schemas.codec import printable
 from schemas.rpc import MAX_TICKS, LoadReply, LoadRequest, Nothing, RecordRequest, ResetReply, ResetRequest, Status
-from services.console.browser_messages import LATE, Ask, Cancel, Delete, Drive, End, Learn, Resume, Run, Withdraw
-from services.console.folder import Folder
+from services.console.browser_messages import LATE, Ask, Delete, Drive, End, Learn, Press, Run
 from services.console.jobs import Job, Jobs
 from services.console.learned import Learned
 from services.console.library import DRIVES, MODELS, LearnedModel, Library
+from services.console.live_content import LiveContent
 from services.console.newest_content import Board
-from services.console.page_content import Feed
-from services.console.reports import BoardReports
 from services.console.who_drives import LEASE_S, LET_GO_S
 from services.kit.node import Detail, Node, ServiceError
 from services.kit.root import WORLDS, below
@@ -35,13 +36,14 @@ LOAD_S: Final = 60.0
 _PATIENCE, _MAX_TICKS = 3, 3000
 #: The services that work with the model.
 _CHAIN: Final = ("recognition", "policy")
+#: Lines of news that the page keeps.
+_LINES: Final = 30
 
 
 class ConsoleService:
     """Wires an operator and a board to a node.
 
-    ``hold``, ``let_go``, ``leave``, ``stop`` and ``ask`` may be called on any thread; it is done on the node's, which
-    ends the future that they return.
+    All that a person does is done on the node's thread: other threads call it by ``do``.
 
     Parameters
     ----------
@@ -56,11 +58,13 @@ class ConsoleService:
     def __init__(self, node: Node, board: Board, root: Path) -> None:
         self._node = node
         self._board = board
-        self._reports = BoardReports(board)
+        self._news: deque[dict[str, object]] = deque(maxlen=_LINES)
+        self._said = 0
         keys = KeyHold(board.clock, LET_GO_S, LET_GO_S)
-        self._operator = Operator(node, keys, self._reports, board.clock, self._bridges)
+        show = lambda report: board.put("robot", asdict(report))  # noqa: E731
+        self._operator = Operator(node, keys, self._say, show, board.clock, self._bridges)
         self.library = Library(root)
-        self.feed = Feed(node, board, self.library)
+        self._live = LiveContent(node, board, self.library)
         self._jobs = Jobs(lambda job: board.put("job", job))
         self._there_until_s = -math.inf
         self._asked: SimpleQueue[Callable[[], None]] = SimpleQueue()
@@ -68,6 +72,7 @@ class ConsoleService:
         node.subscribe(topics.ACTION, self._on_action)
         node.every(POLL_S, self._work)
         node.detail = self._detail
+        board.put("robot", asdict(self._operator.report))
         board.put("robot_id", node.robot)
         board.put("taken", content=False)
 
@@ -75,124 +80,27 @@ class ConsoleService:
         """End what is being made, and let go of the robot in good order."""
         self._jobs.cancel()
         self._operator.release()
-        self.feed.close()
+        self.library.close()
 
     @property
     def learned(self) -> Learned | None:
         """The model that the robot goes by."""
-        return self.feed.learned
+        return self._live.learned
 
     @property
     def attended(self) -> bool:
         """Whether somebody drives, and has answered a moment ago."""
         return self._board.clock() < self._there_until_s
 
-    # -- what browsers say ----------------------------------------------------------------------------------------
-
-    def hold(self, atom: Atom | None, sent_s: float) -> Future[None]:
-        """Take a sign of life of whoever drives, and what they hold, as of a time of the board's clock.
-
-        They count as there for longer than what they hold does: by a slow link one cannot drive, and can watch.
-        """
-        until_s = sent_s + LET_GO_S
-
-        def take() -> None:
-            self._there_until_s = sent_s + LEASE_S
-            if self._board.clock() >= until_s:
-                return
-            self._operator.beat(sent_s)
-            if atom is None:
-                self._operator.release()
-            else:
-                self._operator.press(atom, until_s)
-
-        return self._do(take)
-
-    def let_go(self) -> Future[None]:
-        """Take note that whoever drives is gone: the robot misses them, and stands."""
-
-        def take() -> None:
-            self._there_until_s = -math.inf
-            self._operator.release()
-
-        return self._do(take)
-
-    def leave(self) -> Future[None]:
-        """Take note that whoever drives stands up, and is not to be missed."""
-
-        def take() -> None:
-            self._there_until_s = -math.inf
-            self._operator.release()
-            self._operator.beat(present=False)
-
-        return self._do(take)
-
-    def stop(self) -> Future[None]:
-        """Stop for an emergency."""
-
-        def take() -> None:
-            if not self._operator.commands.emergency:
-                self._reports.say("EMERGENCY STOP, until the robot is armed")
-            self._operator.stop_for_emergency()
-
-        return self._do(take)
-
-    def ask(self, ask: Ask, until_s: float) -> Future[None]:
-        """Do what whoever drives asks for, until a time of the board's clock; what comes of it is told in the news."""
-
-        def take() -> None:
-            try:
-                if self._board.clock() >= until_s:
-                    raise ServiceError(LATE)
-                self._answer(ask)
-            except (ServiceError, OSError) as error:
-                self._reports.say(str(error))
-
-        return self._do(take)
-
-    def make_world(self, name: str, osm_map: Path, folder: Folder) -> Future[None]:
-        """Make a world of a map; its folder is closed when the map has been read."""
-
-        def take() -> None:
-            robot = self.feed.health.statuses.get("robot")
-            known = "" if robot is None else str(robot.detail.get("worlds", ""))
-            try:
-                with ExitStack() as read:
-                    read.enter_context(closing(folder))
-                    if name in known.split(", "):
-                        # Of two worlds of one name the robot opens the project's, or the one that it was started in.
-                        raise ServiceError(f"there is a world {name} already; give the file another name")
-                    job = Job(
-                        "world",
-                        name,
-                        doing=f"Making a world of {name}",
-                        done=f"{name} is a world now: begin a drive in it.",
-                        arguments=("world", "import", str(osm_map)),
-                        out=below(self.library.root, f"{WORLDS}/{name}.json"),
-                        hidden=f"{osm_map.parent}/",
-                        needs=folder,
-                    )
-                    read.pop_all()
-                self._jobs.begin(job)
-            except (ServiceError, OSError) as error:
-                self._reports.say(str(error))
-
-        return self._do(take)
-
-    def _bridges(self) -> bool:
-        """Whether the robot, which would move alone, is not to miss a browser that stutters; what it held is let go.
-
-        A robot that moves only while its operator is there hears of none but their own answers, as of their own time.
-        """
-        robot = self.feed.health.statuses.get("robot")
-        return self.attended and robot is not None and robot.detail.get("attended") is False
-
-    def _do(self, what: Callable[[], None]) -> Future[None]:
+    def do(self, what: Callable[..., None], *arguments: object) -> Future[None]:
+        """Have something done on the node's thread; the future ends when it is. What is wrong with it is told."""
         done: Future[None] = Future()
 
         def work() -> None:
             try:
-                what()
+                what(*arguments)
+            except (ServiceError, OSError) as error:
+                self._say(str(error))
             finally:
                 with suppress(InvalidStateError):  # nobody waits for it any more
                     done.set_result(None)
@@ -206,54 +114,99 @@ class ConsoleService:
             while True:
                 self._asked.get_nowait()()
         self._operator.poll()
-        self._reports.emergency(pressed=self._operator.commands.emergency)
 
-    def _answer(self, ask: Ask) -> None:
+    def _say(self, text: str) -> None:
+        self._said += 1
+        self._news.append({"number": self._said, "at": round(self._board.clock(), 3), "text": printable(text)})
+        self._board.put("news", list(self._news))
+
+    # -- what browsers say, on the node's thread ------------------------------------------------------------------
+
+    def hold(self, atom: Atom | None, sent_s: float) -> None:
+        """Take a sign of life of whoever drives, and what they hold, as of a time of the board's clock.
+
+        They count as there for longer than what they hold does: by a slow link one cannot drive, and can watch.
+        """
+        self._there_until_s = sent_s + LEASE_S
+        if self._board.clock() >= sent_s + LET_GO_S:
+            return
+        self._operator.beat(sent_s)
+        if atom is None:
+            self._operator.release()
+        else:
+            self._operator.press(atom, sent_s + LET_GO_S)
+
+    def let_go(self) -> None:
+        """Take note that whoever drives is gone: the robot misses them, and stands."""
+        self._there_until_s = -math.inf
+        self._operator.release()
+
+    def leave(self) -> None:
+        """Take note that whoever drives stands up, and is not to be missed."""
+        self.let_go()
+        self._operator.beat(present=False)
+
+    def stop(self) -> None:
+        """Stop for an emergency."""
+        self._operator.stop_for_emergency()
+
+    def ask(self, ask: Ask, until_s: float) -> None:
+        """Do what whoever drives asks for, until a time of the board's clock."""
+        if self._board.clock() >= until_s:
+            raise ServiceError(LATE)
         match ask:
-            case Resume():
+            case Press(do="resume"):
                 self._operator.resume()
-            case End(found=found):
-                self._operator.end(found=found)
+            case Press(do="withdraw"):
+                self._operator.withdraw()
+            case Press(do="cancel"):
+                self._jobs.cancel()
+            case End():
+                self._operator.end(found=ask.found)
             case Drive():
-                request = ResetRequest(
-                    name=ask.name,
-                    world=ask.world,
-                    variation=ask.variation,
-                    seed=secrets.randbelow(2**31),
-                    purpose="drive",
-                    goal=ask.goal,
-                    driver="teleop",
-                    mode="realtime",
-                    max_ticks=None,
-                )
-                self._begin(request, self._record)
+                self._drive(ask)
             case Run():
                 self._run(ask)
-            case Withdraw():
-                self._operator.withdraw()
             case Learn():
                 self._learn(ask)
-            case Cancel():
-                self._jobs.cancel()
-            case Delete(recording=name):
-                self._delete(name)
+            case Delete():
+                self.library.delete(ask.recording)
+                self._say(f"{ask.recording} is deleted")
+
+    def make_world(self, name: str, osm_map: IO[bytes]) -> None:
+        """Make a world of a map."""
+        if name in str(self._live.health.detail("robot", "worlds")).split(", "):
+            # Of two worlds of one name the robot opens the project's, or the one that it was started in.
+            raise ServiceError(f"there is a world {name} already; give the file another name")
+        path = f"/proc/self/fd/{osm_map.fileno()}"
+        job = Job(
+            "world",
+            name,
+            doing=f"Making a world of {name}",
+            done=f"{name} is a world now: begin a drive in it.",
+            arguments=("world", "import", path),
+            out=below(self.library.root, f"{WORLDS}/{name}.json"),
+            hidden=path,
+            called=f"{name}.osm",
+            reads=osm_map,
+        )
+        self._jobs.begin(job)
 
     # -- what is asked for ----------------------------------------------------------------------------------------
 
-    def _begin(self, request: ResetRequest, prepare: Callable[[], None]) -> None:
-        """Begin an episode when that is prepared, which may take seconds, and nobody has left meanwhile."""
-        self._operator.begin(request, prepare, lambda: self.attended, self._show_goal)
-
-    def _show_goal(self, begun: ResetReply) -> None:
-        """Show where the way leads, which only a simulator knows."""
-        goal = [round(metres, 2) for metres in begun.route[-1]] if begun.route else None
-        self._board.put("goal", {"episode": begun.episode, "at": goal})
-
-    def _record(self) -> None:
-        """Have the recorder record, unless it does."""
-        bus = self._node.bus
-        if bus.call("recorder", "status", Nothing(), Status).detail.get("folder") is None:
-            bus.call("recorder", "start", RecordRequest(folder=DRIVES), Nothing)
+    def _drive(self, ask: Drive) -> None:
+        request = ResetRequest(
+            name=ask.name,
+            world=ask.world,
+            variation=ask.variation,
+            seed=secrets.randbelow(2**31),
+            purpose="drive",
+            goal=ask.goal,
+            driver="teleop",
+            mode="realtime",
+            max_ticks=None,
+        )
+        self._begin(request, self._record)
 
     def _run(self, ask: Run) -> None:
         model = self.library.model(ask.model)
@@ -262,7 +215,6 @@ class ConsoleService:
         goal = ask.goal if model.goals else None
         if goal is not None and goal not in model.goals:
             raise ServiceError(f"{ask.model} has no goal {goal}; it has {', '.join(model.goals)}")
-        load = LoadRequest(model=model.name, goal=goal)
         request = ResetRequest(
             world=ask.world,
             variation=ask.variation,
@@ -276,12 +228,27 @@ class ConsoleService:
         )
 
         def prepare() -> None:
-            self._load(model, load)
+            self._load(model, goal)
             self._record()  # a person may correct it by hand, which teaches
 
         self._begin(request, prepare)
 
-    def _load(self, model: LearnedModel, load: LoadRequest) -> None:
+    def _begin(self, request: ResetRequest, prepare: Callable[[], None]) -> None:
+        """Begin an episode when that is prepared, which may take seconds, and nobody has left meanwhile."""
+        self._operator.begin(request, prepare, lambda: self.attended, self._show_goal)
+
+    def _show_goal(self, begun: ResetReply) -> None:
+        """Show where the way leads, which only a simulator knows."""
+        goal = [round(metres, 2) for metres in begun.route[-1]] if begun.route else None
+        self._board.put("goal", {"episode": begun.episode, "at": goal})
+
+    def _record(self) -> None:
+        """Have the recorder record, unless it does; on a thread that asks."""
+        bus = self._node.bus
+        if bus.call("recorder", "status", Nothing(), Status).detail.get("folder") is None:
+            bus.call("recorder", "start", RecordRequest(folder=DRIVES), Nothing)
+
+    def _load(self, model: LearnedModel, goal: str | None) -> None:
         """Have recognition and policy work with a model; on a thread that asks."""
         bus = self._node.bus
         made = bus.call("features", "status", Nothing(), Status).detail
@@ -291,41 +258,37 @@ class ConsoleService:
                 "learn it again, or start the stack with others (smal up --modalities)"
             )
         for service in _CHAIN:
-            bus.call(service, "load", load, LoadReply, LOAD_S)
+            bus.call(service, "load", LoadRequest(model=model.name, goal=goal), LoadReply, LOAD_S)
 
     def _learn(self, ask: Learn) -> None:
-        name, names = ask.name, ask.recordings
-        chosen = [self.library.recording(one) for one in names]
-        recordings = [one for one in chosen if one is not None and not one.useless]
-        if len(recordings) != len(names):
+        recordings = [one for name in ask.recordings if (one := self.library.recording(name)) and not one.useless]
+        if len(recordings) != len(ask.recordings):
             raise ServiceError("a recording that was chosen is gone, or teaches nothing; choose again")
-        out = below(self.library.root, f"{MODELS}/{name}.smal")
-        # Who chooses a run of the robot's own wants it to teach.
-        runs = any(one.purpose == "run" for one in recordings)
         paths = (str(self.library.path(one.name)) for one in recordings)
-        flags = ("--scheme", ask.scheme, "--progress", *(["--include-runs"] if runs else []))
+        # Whoever chooses a run of the robot's own wants it to teach.
+        runs = ("--include-runs",) if any(one.purpose == "run" for one in recordings) else ()
         job = Job(
             "model",
-            name,
-            doing=f"Learning {name}",
-            done=f"{name} is learned: run it.",
-            arguments=("learn", *paths, *flags),
-            out=out,
+            ask.name,
+            doing=f"Learning {ask.name}",
+            done=f"{ask.name} is learned: run it.",
+            arguments=("learn", *paths, "--scheme", ask.scheme, "--progress", *runs),
+            out=below(self.library.root, f"{MODELS}/{ask.name}.smal"),
             hidden=f"{self.library.root}/",
         )
         self._jobs.begin(job)
 
-    def _delete(self, name: str) -> None:
-        recording = self.library.recording(name)
-        if recording is None:
-            raise ServiceError("no such recording")
-        self.library.delete(recording.name)
-        self._reports.say(f"{recording.name} is deleted")
-
     # -- what is heard --------------------------------------------------------------------------------------------
 
+    def _bridges(self) -> bool:
+        """Whether the robot, which would move alone, is not to miss a browser that stutters; what it held is let go.
+
+        A robot that moves only while its operator is there hears of none but their own answers, as of their own time.
+        """
+        return self.attended and self._live.health.detail("robot", "attended") is False
+
     def _on_action(self, action: Action) -> None:
-        self.feed.on_action(action)
+        self._live.on_action(action)
         operator = self._operator
         began = operator.request is not None and operator.request.driver == "policy"
         if action.arrived and began and action.episode == operator.mine and not operator.asking:

@@ -28,17 +28,16 @@ _KEPT: Final = round(LEASE_S / BEAT_S)
 class Seat:
     """The one place from which the robot is driven; of one thread.
 
-    Parameters
+    Attributes
     ----------
-    clock
-        Seconds.
+    word
+        What only who has the seat is told; they show it with what comes another way than their socket.
     """
 
     def __init__(self, clock: Callable[[], float] = now_s) -> None:
+        self.word = ""
         self._clock = clock
         self._sitter: object | None = None
-        #: What only who has the seat is told; they show it with what comes another way than their socket.
-        self.word = ""
         self._heard_s = 0.0
         self._beat = -1
         self._sent_s: dict[int, float] = {}
@@ -65,11 +64,6 @@ class Seat:
         """Stand up."""
         if self._sitter is who:
             self._sitter = None
-
-    @property
-    def taken(self) -> bool:
-        """Whether somebody has it."""
-        return self._sitter is not None
 
     def beat(self) -> int:
         """Return the number of the beat that is sent now."""

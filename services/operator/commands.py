@@ -11,7 +11,7 @@ from services.operator.hold import KeyHold
 
 
 class Commands:
-    """What a person who drives tells the robot.
+    """What a person who drives tells the robot; each method returns the command that is to be sent, if any.
 
     While a key is held, every heartbeat is answered by its movement. A change between two heartbeats is sent at once,
     for the same frame. When the key is released one ``stop`` is sent, then nothing: another driver may go on.
@@ -25,27 +25,31 @@ class Commands:
         Tells which movement is asked for.
     robot
         Whom an emergency stop is for before anything was heard of the robot.
+
+    Attributes
+    ----------
+    heard
+        The last heartbeat, or what stands for one before the first: an emergency stop descends from it.
+    applied
+        The last heartbeat of the running episode; None where there is none.
+    stop
+        Number of the stop that the robot stands for, as it last told; 0 where none is, None before it told anything.
+    emergency
+        Whether an emergency stop is asked for.
     """
 
     def __init__(self, keys: KeyHold, robot: str) -> None:
         self._keys = keys
-        #: What an emergency stop descends from: the last heartbeat; the actuator takes it whatever its episode.
-        self._heard = Message(robot=robot, episode=NO_EPISODE, tick=0, stamp_ns=0)
+        self.heard = Message(robot=robot, episode=NO_EPISODE, tick=0, stamp_ns=0)
+        self.applied: CommandApplied | None = None
+        self.episode: str | None = None
+        self.last_ended: str | None = None
+        self.stop: int | None = None
+        self.emergency = False
         self._arming = False
         self._sent: Atom | None = None
         self._answered = -1
         self._sequences: Counter[Source] = Counter()
-        self.last_ended: str | None = None
-        self.episode: str | None = None
-        self.emergency = False
-        self.applied: CommandApplied | None = None
-        #: Number of the stop that the robot stands for, as it last told; 0 where none is, None before it told anything.
-        self.stop: int | None = None
-
-    @property
-    def heard(self) -> Message:
-        """The last heartbeat, or what stands for one before the first."""
-        return self._heard
 
     @property
     def to_release(self) -> int | None:
@@ -60,20 +64,20 @@ class Commands:
     def handle(self, applied: CommandApplied) -> Command | None:
         """Answer a heartbeat."""
         if applied.episode == self.last_ended:
-            return None  # Overtaken by the news of the end: it came on another topic.
+            return None  # overtaken by the news of the end, which came on another topic
         self._enter(applied.episode)
         if self.applied is None or applied.tick != self.applied.tick:
             self._sequences.clear()
-        self.applied = self._heard = applied
+        self.applied = self.heard = applied
         self.stop = applied.emergency_stop
         if self.emergency:
             return self.insist()
-        if self._keys.held() is not None and applied.tick != self._answered:
+        if self.held is not None and applied.tick != self._answered:
             return self._drive()
         return self.poll()
 
     def told(self, stop: int) -> Command | None:
-        """Take what the robot answers when it is asked: the number of its stop."""
+        """Take the number of the stop that a robot without an episode tells."""
         self.stop = stop
         return self.insist()
 
@@ -82,14 +86,14 @@ class Commands:
         self._keys.press(atom, until_s)
         return self.poll()
 
-    def poll(self) -> Command | None:
-        """Send a change of what is held, be it that time has released a key."""
-        return self._drive() if self._keys.held() != self._sent else None
-
     def release(self, atom: Atom | None = None) -> Command | None:
         """Let go of a key, or of every key at once."""
         self._keys.release(atom)
         return self.poll()
+
+    def poll(self) -> Command | None:
+        """Send a change of what is held, be it that time has released a key."""
+        return self._drive() if self.held != self._sent else None
 
     def stop_for_emergency(self) -> Command:
         """Stop, and stay so until the robot is armed, also where that has just been asked for."""
@@ -97,11 +101,12 @@ class Commands:
         self._sent = None
         self.emergency = True
         self._arming = False
-        return self._emergency()
+        return self._command("emergency_stop", "stop")
 
     def insist(self) -> Command | None:
         """Repeat an emergency stop of which the robot has not told that it stands for it."""
-        return self._emergency() if self.emergency and not self.stop and not self._arming else None
+        due = self.emergency and not self.stop and not self._arming
+        return self._command("emergency_stop", "stop") if due else None
 
     def arming(self) -> None:
         """Take note that the robot is being asked to release its stop."""
@@ -133,26 +138,19 @@ class Commands:
         self._keys.release()
 
     def _enter(self, episode: str) -> None:
-        if episode == self.episode:
-            return
-        self.episode = episode
-        self.applied = None
-        self._answered = -1
-        self._sent = None
-        self._keys.release()
+        if episode != self.episode:
+            self.episode = episode
+            self._answered = -1
+            self.no_episode()
 
     def _drive(self) -> Command | None:
-        held = self._keys.held()
         if self.applied is None or self.emergency:
             return None
-        self._sent = held
+        self._sent = self.held
         self._answered = self.applied.tick
-        return self._command("teleop", held or "stop")
-
-    def _emergency(self) -> Command:
-        return self._command("emergency_stop", "stop")
+        return self._command("teleop", self._sent or "stop")
 
     def _command(self, source: Source, atom: Atom) -> Command:
-        command = Command.after(self._heard, source=source, sequence=self._sequences[source], atom=atom)
+        command = Command.after(self.heard, source=source, sequence=self._sequences[source], atom=atom)
         self._sequences[source] += 1
         return command

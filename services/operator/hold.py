@@ -24,10 +24,8 @@ class KeyHold:
     ----------
     clock
         Seconds.
-    first_s
-        How long the first press counts as held.
-    repeat_s
-        How long every repeat of the same key counts as held.
+    first_s, repeat_s
+        How long the first press counts as held, and every repeat of the same key.
     """
 
     def __init__(
@@ -40,17 +38,11 @@ class KeyHold:
         self._until_s = 0.0
 
     def press(self, atom: Atom, until_s: float | None = None) -> None:
-        """Take a press, or a repeat if this key is held already; another key takes its place.
+        """Take a press or a repeat; another key takes the place of the one before.
 
-        Parameters
-        ----------
-        atom
-            The key's movement.
-        until_s
-            Until when it counts as held, where that is known better.
+        ``until_s`` says until when it counts as held, where that is known better.
         """
-        repeats = self.held() == atom
-        usual_s = self._clock() + (self._repeat_s if repeats else self._first_s)
+        usual_s = self._clock() + (self._repeat_s if self.held() == atom else self._first_s)
         self._until_s = usual_s if until_s is None else until_s
         self._atom = atom
 

@@ -8,13 +8,14 @@ import time
 from collections import deque
 from collections.abc import Callable
 from contextlib import suppress
+from dataclasses import replace
 from itertools import count
 from queue import Empty, SimpleQueue
-from typing import Final, Protocol
+from typing import Any, Final
 
 from schemas import topics
 from schemas.base import NO_EPISODE, Atom, Strict
-from schemas.command import CommandApplied, StopCause
+from schemas.command import CommandApplied
 from schemas.episode import Episode
 from schemas.heartbeat import Heartbeat
 from schemas.pulse import Pulse
@@ -23,6 +24,7 @@ from services.kit.bus import BusError, RpcError
 from services.kit.node import Node, ServiceError
 from services.operator.commands import Commands
 from services.operator.hold import KeyHold
+from services.operator.report import Report
 
 #: How often releases of keys and the robot's answers have to be noticed, see ``Operator.poll``.
 POLL_S: Final = 0.02
@@ -40,31 +42,6 @@ _PULSES: Final = 16
 INSIST_S: Final = 0.1
 
 
-class Reports(Protocol):
-    """Tells the operator what is heard of the robot."""
-
-    def say(self, text: str) -> None:
-        """Tell one thing, once."""
-
-    def on_applied(self, applied: CommandApplied) -> None:
-        """Take the robot's heartbeat."""
-
-    def on_event(self, event: Episode) -> None:
-        """Take an episode's event."""
-
-    def on_request(self) -> None:
-        """Take note that a new episode was asked for."""
-
-    def on_failure(self) -> None:
-        """Take note that it was refused."""
-
-    def on_answer(self, cause: StopCause | None) -> None:
-        """Take why the robot stands that has no episode; None where it is armed."""
-
-    def on_silence(self) -> None:
-        """Take note that it does not answer."""
-
-
 class Operator:
     """Wires what a person does to a node; everything happens on the node's thread.
 
@@ -76,62 +53,95 @@ class Operator:
         Where to publish.
     keys
         Tells which movement is asked for.
-    reports
-        Tells the person.
+    say
+        Tells the person one thing, once.
+    show
+        Called with the report on the robot when it has changed.
     clock
         Monotonic seconds.
     there
         Whether the person is there for as long as this process is, so that each pulse of the robot is answered; where
         that is known for moments alone, ``beat`` tells it.
+
+    Attributes
+    ----------
+    mine, request
+        The running episode, if it was begun here, and how it was asked for.
     """
 
     def __init__(
         self,
         node: Node,
         keys: KeyHold,
-        reports: Reports,
+        say: Callable[[str], None],
+        show: Callable[[Report], None] = lambda _: None,
         clock: Callable[[], float] = time.monotonic,
         there: Callable[[], bool] = lambda: True,
     ) -> None:
         self._node = node
-        self._reports = reports
+        self._say = say
+        self._show = show
         self._clock = clock
+        self._there = there
+        self.report = Report()
         self.commands = Commands(keys, node.robot)
-        #: The running episode, if it was begun here, and how it was asked for.
         self.mine: str | None = None
         self.request: ResetRequest | None = None
-        self._there = there
         self._beats = count()
         #: When something was heard of the robot, and of its episode.
         self._heard_s = self._applied_s = -math.inf
         self._pulses: deque[tuple[float, Pulse]] = deque(maxlen=_PULSES)
         # One question to the robot at a time, in a thread of its own: an emergency stop must not wait for its answer.
-        self._asking: threading.Thread | None = None
+        self.asking = False
         self._answers: SimpleQueue[Callable[[], None]] = SimpleQueue()
         #: Set when the episode that is being asked for is not to begin after all; None where none is.
         self._withdrawn: threading.Event | None = None
-        node.subscribe(topics.APPLIED, self.on_applied)
-        node.subscribe(topics.EPISODE, self.on_event)
-        node.subscribe(topics.PULSE, self.on_pulse)
+        node.subscribe(topics.APPLIED, self._on_applied)
+        node.subscribe(topics.EPISODE, self._on_event)
+        node.subscribe(topics.PULSE, self._on_pulse)
         node.every(LOOK_S, self._look)
-        node.every(INSIST_S, self._insist)
+        node.every(INSIST_S, lambda: node.publish(self.commands.insist()))
 
     # -- what is heard --------------------------------------------------------------------------------------------
 
-    def on_applied(self, applied: CommandApplied) -> None:
+    def _on_applied(self, applied: CommandApplied) -> None:
         """Answer the robot's heartbeat."""
         self._heard_s = self._applied_s = self._clock()
         self._node.publish(self.commands.handle(applied))
-        self._reports.on_applied(applied)
+        if applied.episode == self.commands.last_ended:
+            return
+        if applied.episode != self.report.episode:
+            # It began before this process did, and nobody has told how.
+            self._note(purpose=None, driver=None, goal=None, world=None, outcome=None)
+        self._note(
+            at=self._heard_s,
+            answers=True,
+            waiting=False,
+            episode=applied.episode,
+            tick=applied.tick,
+            atom=applied.atom,
+            source=applied.source,
+            reason=applied.reason,
+            cause=applied.stop_cause,
+            refused=applied.refused,
+        )
 
-    def on_event(self, event: Episode) -> None:
+    def _on_event(self, event: Episode) -> None:
         """Follow the episode."""
         self.commands.on_event(event)
-        self._reports.on_event(event)
-        if event.event == "ended" and event.episode == self.mine:
-            self.mine = None
+        begun = {"purpose": event.purpose, "driver": event.driver, "goal": event.goal, "world": event.world}
+        named = f"{'Run' if event.purpose == 'run' else 'Drive'} to {event.goal}"
+        if event.event == "started":
+            self._note(**begun, at=self._clock(), waiting=False, episode=event.episode, tick=0, outcome=None)
+        elif event.event == "ended":
+            self._note(**begun, at=self._clock(), episode=None, tick=event.tick, outcome=event.outcome)
+            self._say(f"{named}: {event.outcome} after {event.tick} frames")
+            if event.episode == self.mine:
+                self.mine = None
+        else:
+            self._say(f"{named}, frame {event.tick}: {event.event.replace('_', ' ')}")
 
-    def on_pulse(self, pulse: Pulse) -> None:
+    def _on_pulse(self, pulse: Pulse) -> None:
         """Answer the robot's sign of life where the person is there."""
         first, self._heard_s = not self._pulses, self._clock()
         self._pulses.append((self._heard_s, pulse))
@@ -140,12 +150,30 @@ class Operator:
         if first:
             self._look()
 
+    def _look(self) -> None:
+        """Tell how the robot is where it is silent, or has no episode."""
+        now = self._clock()
+        if now - self._heard_s > SILENCE_S:
+            self._note(answers=False)
+        elif self._pulses and now - self._applied_s >= LOOK_S:
+            _, pulse = self._pulses[-1]
+            if pulse.episode == NO_EPISODE:
+                self.commands.no_episode()
+                self._note(at=now, answers=True, episode=None, cause=pulse.stop_cause)
+            self._node.publish(self.commands.told(pulse.emergency_stop))
+
+    def _note(self, **news: Any) -> None:  # noqa: ANN401 - of the report's fields
+        before, self.report = self.report, replace(self.report, **news)
+        if self.report != before:
+            self._show(self.report)
+
     def poll(self) -> None:
         """Notice releases of keys, and answers."""
         self._node.publish(self.commands.poll())
         with suppress(Empty):
             while True:
                 self._answers.get_nowait()()
+        self._note(emergency=self.commands.emergency)
 
     # -- what is done ---------------------------------------------------------------------------------------------
 
@@ -171,6 +199,8 @@ class Operator:
 
     def stop_for_emergency(self) -> None:
         """Stop, and stay so until the robot is armed."""
+        if not self.commands.emergency:
+            self._say("EMERGENCY STOP, until somebody arms the robot")
         self._node.publish(self.commands.stop_for_emergency())
 
     def begin(
@@ -202,7 +232,6 @@ class Operator:
         arm = self._arming()
         if arm is None:
             return False
-
         self._withdrawn = withdrawn = threading.Event()
 
         def gone() -> str:
@@ -218,7 +247,7 @@ class Operator:
             stays = request.world is None and request.variation is None
             reply = self._node.bus.call("robot", "reset", request, ResetReply, RESET_S if stays else _OPEN_S)
             if why := gone():
-                self.call("end", EndRequest(episode=reply.episode, session=self._node.session))
+                self._call("end", EndRequest(episode=reply.episode, session=self._node.session))
                 raise ServiceError(f"ended at once: {why}")
 
             def done() -> None:
@@ -228,8 +257,8 @@ class Operator:
 
             return done
 
-        self._reports.on_request()
-        self.ask(ask, self._reports.on_failure)
+        self._note(waiting=True)
+        self.ask(ask)
         return True
 
     def withdraw(self) -> None:
@@ -240,42 +269,31 @@ class Operator:
 
         def cancel() -> None:
             try:
-                self.call("cancel", CancelRequest(session=self._node.session))
+                self._call("cancel", CancelRequest(session=self._node.session))
             except RpcError as error:
                 reason = str(error)
                 # What was asked for here, and is not being begun yet or any more, is ended by who asks for it.
-                self._answers.put(lambda: None if mine is not None else self._reports.say(reason))
+                self._answers.put(lambda: None if mine is not None else self._say(reason))
 
         # Beside what is asked already: that ends by this.
         threading.Thread(target=cancel, name="cancel", daemon=True).start()
 
-    def _hand_over(self) -> None:
-        """End what this person has taken over, so that another driver may begin anew; on a thread that asks."""
-        bus = self._node.bus
-        detail = bus.call("robot", "status", Nothing(), Status, ANSWER_S).detail
-        if not detail["taken_over"]:
-            return
-        if detail["episode"] is not None:
-            self.call("end", EndRequest(episode=str(detail["episode"]), session=self._node.session))
-        heard = self.commands.heard
-        self.call("resume", ResumeRequest(episode=heard.episode, tick=heard.tick, session=self._node.session))
-
     def resume(self) -> None:
         """Arm the robot if it has to be, and have whoever the operator has taken over from go on, or begin the next."""
         if self.commands.held is not None:
-            self._reports.say("let go of the key first")
+            self._say("let go of the key first")
             return
-        heard = self.commands.heard
-        request = ResumeRequest(episode=heard.episode, tick=heard.tick, session=self._node.session)
+        request = self._resuming()
         arm = self._arming()
         if arm is None:
             return
 
-        def ask() -> Callable[[], None]:
+        def ask() -> Callable[[], None] | None:
             arm()
-            if self._node.bus.call("robot", "status", Nothing(), Status, ANSWER_S).detail["taken_over"]:
-                return self.call("resume", request)
-            return lambda: self._reports.say("the robot is armed")
+            if not self._robot_detail()["taken_over"]:
+                return lambda: self._say("the robot is armed")
+            self._call("resume", request)
+            return None
 
         self.ask(ask)
 
@@ -283,61 +301,69 @@ class Operator:
         """End the episode, at its goal if the operator says so."""
         applied = self.commands.applied
         if applied is None:
-            self._reports.say("no episode to end")
+            self._say("no episode to end")
         elif self._may_ask():
             self.release()
             request = EndRequest(episode=applied.episode, found=found, session=self._node.session)
-            self.ask(lambda: self.call("end", request))
+            self.ask(lambda: self._call("end", request))
 
     def end_mine(self) -> None:
         """End the episode that was begun here, as its task says."""
         if self.mine is not None:
             request = EndRequest(episode=self.mine, session=self._node.session)
-            self.ask(lambda: self.call("end", request))
+            self.ask(lambda: self._call("end", request))
 
     # -- asking ---------------------------------------------------------------------------------------------------
 
-    @property
-    def asking(self) -> bool:
-        """Whether the answer to a question is still waited for."""
-        return self._asking is not None
-
-    def ask(self, question: Callable[[], Callable[[], None]], failed: Callable[[], None] = lambda: None) -> None:
+    def ask(self, question: Callable[[], Callable[[], None] | None]) -> None:
         """Ask something in a thread; what it returns, or says why not, is done on the node's thread."""
 
         def refused(reason: str) -> None:
-            self._reports.say(reason)
-            failed()
+            self._say(reason)
+            self._note(waiting=False)
 
         def answered() -> None:
             self.commands.answered()
-            self._asking = self._withdrawn = None
+            self.asking, self._withdrawn = False, None
 
         def ask() -> None:
             try:
-                done = question()
-            except Exception as error:
-                # Whatever it is: else nothing could ever be asked again.
-                expected = isinstance(error, ServiceError | RpcError | BusError)
-                if not expected:
-                    self._node.log.exception("asking failed")
-                reason = str(error) if expected else self._node.own_fault
-                self._answers.put(lambda: refused(reason))
-            else:
-                self._answers.put(done)
+                done = question() or (lambda: None)
+            except (ServiceError, RpcError, BusError) as error:
+                reason = str(error)
+                done = lambda: refused(reason)  # noqa: E731
+            except Exception:  # whatever it is: else nothing could ever be asked again
+                self._node.log.exception("asking failed")
+                done = lambda: refused(self._node.own_fault)  # noqa: E731
+            self._answers.put(done)
             self._answers.put(answered)
 
-        self._asking = threading.Thread(target=ask, name="question", daemon=True)
-        self._asking.start()
+        self.asking = True
+        threading.Thread(target=ask, name="question", daemon=True).start()
 
-    def call(self, verb: str, request: Strict) -> Callable[[], None]:
-        """Call the robot, from a thread that asks; returns what has to be done then, which is nothing."""
+    def _call(self, verb: str, request: Strict) -> None:
+        """Call the robot, from a thread that asks."""
         self._node.bus.call("robot", verb, request, Nothing, ANSWER_S)
-        return lambda: None
+
+    def _robot_detail(self) -> dict[str, Any]:
+        return self._node.bus.call("robot", "status", Nothing(), Status, ANSWER_S).detail
+
+    def _resuming(self) -> ResumeRequest:
+        heard = self.commands.heard
+        return ResumeRequest(episode=heard.episode, tick=heard.tick, session=self._node.session)
+
+    def _hand_over(self) -> None:
+        """End what this person has taken over, so that another driver may begin anew; on a thread that asks."""
+        detail = self._robot_detail()
+        if not detail["taken_over"]:
+            return
+        if detail["episode"] is not None:
+            self._call("end", EndRequest(episode=str(detail["episode"]), session=self._node.session))
+        self._call("resume", self._resuming())
 
     def _may_ask(self) -> bool:
         if self.asking:
-            self._reports.say("still waiting for the robot")
+            self._say("the robot has not answered yet; wait")
         return not self.asking
 
     def _arming(self) -> Callable[[], None] | None:
@@ -349,28 +375,13 @@ class Operator:
         if not self._may_ask():
             return None
         if stop is None:
-            self._reports.say("the robot has not told yet whether it stands for a stop; press again")
+            self._say("the robot has not told yet whether it stands for a stop; press again")
             return None
         self.commands.arming()
 
         def arm() -> None:
             if stop:
-                self.call("arm", ArmRequest(stop=stop, session=self._node.session))
+                self._call("arm", ArmRequest(stop=stop, session=self._node.session))
                 self._answers.put(self.commands.armed)
 
         return arm
-
-    def _insist(self) -> None:
-        self._node.publish(self.commands.insist())
-
-    def _look(self) -> None:
-        """Tell how the robot is where it is silent, or has no episode."""
-        now = self._clock()
-        if now - self._heard_s > SILENCE_S:
-            self._reports.on_silence()
-        elif self._pulses and now - self._applied_s >= LOOK_S:
-            _, pulse = self._pulses[-1]
-            if pulse.episode == NO_EPISODE:
-                self.commands.no_episode()
-                self._reports.on_answer(pulse.stop_cause)
-            self._node.publish(self.commands.told(pulse.emergency_stop))

@@ -9,14 +9,14 @@ from typing import Final
 
 from schemas.base import ATOMS
 from schemas.codec import printable
-from schemas.rpc import ResetRequest
+from schemas.rpc import Nothing, ResetRequest, Status
+from services.kit.bus import BusError, RpcError
 from services.kit.node import Node
 from services.operator.hold import KeyHold
 from services.operator.operator import ANSWER_S, POLL_S, RESET_S, Operator
 from services.teleop.config import TeleopSettings
-from services.teleop.disk import ASK_S, DiskNews
 from services.teleop.keys import Key, KeyEvent, KeyParser, News
-from services.teleop.status import Status
+from services.teleop.status import status_line
 from services.teleop.terminal import Terminal, open_terminal
 
 CONNECT_S: Final = 3.0
@@ -25,11 +25,14 @@ HELP: Final = (
     "r: arm, resume   q: quit"
 )
 NO_RELEASES: Final = (
-    "this terminal does not tell when a key is let go (kitty, foot, ghostty, WezTerm and others do): the robot goes on "
-    "for up to {:g} s after a tap; space stops it at once"
+    "this terminal does not tell when you let go of a key (kitty, foot, ghostty, WezTerm and others do): the robot "
+    "goes on for up to {:g} s after a tap; space stops it at once"
 )
 #: How long a terminal may take to say that it tells releases.
 TELLS_S: Final = 1.0
+#: How often the recorder is asked how much room its disk has, and how long it may take to answer.
+DISK_S: Final = 5.0
+_DISK_ANSWER_S: Final = 1.0
 
 
 def run(settings: TeleopSettings) -> None:
@@ -71,17 +74,15 @@ class TeleopSession:
         self._terminal = terminal
         self._clock = clock
         self._parser = KeyParser()
-        self._status = Status(clock, terminal.say)
         keys = KeyHold(clock, settings.first_hold_s, settings.repeat_hold_s)
-        self._operator = Operator(node, keys, self._status, clock)
+        self._operator = Operator(node, keys, lambda text: terminal.say(printable(text)), clock=clock)
         self._seed = secrets.randbelow(2**31) if settings.seed is None else settings.seed
         self._goal = settings.goal
         self._first_hold_s = settings.first_hold_s
         self._tells_by_s: float | None = clock() + TELLS_S
         self._leaving = False
-        self._disk = DiskNews(node)
-        self._disk_told: str | None = None
-        node.every(ASK_S, self._disk.ask)
+        self._disk: str | None = None
+        node.apart(DISK_S, self._tell_of_disk)
         node.every(POLL_S, self.poll)
 
     def poll(self) -> None:
@@ -95,12 +96,7 @@ class TeleopSession:
         if self._tells_by_s is not None and self._clock() > self._tells_by_s:
             self._tells_by_s = None
             self._terminal.say(NO_RELEASES.format(self._first_hold_s))
-        disk = self._disk.text
-        if disk is not None and disk != self._disk_told:
-            self._terminal.say(f"RECORDING: {printable(disk)}")
-        self._disk_told = disk
-        commands = self._operator.commands
-        self._terminal.show(self._status.line(commands.held, commands.emergency))
+        self._terminal.show(status_line(self._operator.report, self._operator.commands.held, self._clock()))
 
     def finish(self) -> None:
         """Stop the robot, end the episode that was begun here, so that its recording is complete, and say good-bye."""
@@ -130,26 +126,23 @@ class TeleopSession:
             self._operator.release()
         elif key in ATOMS and released:
             self._operator.release(key)
-        elif not released:
+        elif key == "emergency_stop" and not released:
+            self._operator.stop_for_emergency()
+        elif not (released or self._leaving):
             self._press(key)
 
     def _press(self, key: Key | News) -> None:
-        if key == "emergency_stop":
-            if not self._operator.commands.emergency:
-                self._terminal.say("EMERGENCY STOP until you begin a new episode (n) or resume (r)")
-            self._operator.stop_for_emergency()
-        elif self._leaving:
-            return
-        elif key in ATOMS:
-            self._operator.press(key)
+        operator = self._operator
+        if key in ATOMS:
+            operator.press(key)
         elif key == "quit":
             self._node.stop()
         elif key == "new_episode":
             self._begin_episode()
         elif key == "resume":
-            self._operator.resume()
+            operator.resume()
         elif key == "found":
-            self._operator.end(found=True)
+            operator.end(found=True)
 
     def _begin_episode(self) -> None:
         request = ResetRequest(
@@ -158,3 +151,13 @@ class TeleopSession:
         if self._operator.begin(request):
             self._seed += 1
             self._terminal.say(f"new episode, seed {request.seed} ...")
+
+    def _tell_of_disk(self) -> None:
+        """Tell how much room the recorder has; on a thread of its own, since what moves the robot must not wait."""
+        try:
+            told = self._node.bus.call("recorder", "status", Nothing(), Status, _DISK_ANSWER_S).detail.get("disk")
+        except (RpcError, BusError):
+            told = None  # there is none
+        if told not in (None, self._disk):
+            self._terminal.say(f"RECORDING: {printable(str(told))}")
+        self._disk = None if told is None else str(told)

@@ -9,7 +9,6 @@ import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from multiprocessing.connection import Connection
-from unittest.mock import MagicMock
 
 from services.kit.node import Node
 from services.kit.settings import ServiceSettings
@@ -30,7 +29,7 @@ def look_on(robot: str, endpoint: str, owner: Connection) -> None:
     """Be there until killed."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the owner
     with Node("teleop", ServiceSettings(robot=robot, router=endpoint)) as node:
-        operator = Operator(node, KeyHold(now_s), MagicMock())
+        operator = Operator(node, KeyHold(now_s), node.log.info)
         node.every(POLL_S, operator.poll)
         threading.Thread(target=_end_with, args=(owner,), daemon=True).start()
         owner.send("ready")

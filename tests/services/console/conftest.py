@@ -3,21 +3,79 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from concurrent.futures import Future
 from dataclasses import dataclass
 from pathlib import Path
+from typing import IO
 
 import pytest
 
 from services.console.config import ConsoleSettings
+from services.console.library import Library
 from services.console.newest_content import Board
+from services.console.server import WebServer
 from services.console.service import ConsoleService
-from services.console.web import WebServer
 from services.kit.node import Node
 from services.kit.settings import ServiceSettings
 from services.recorder.service import RecorderService
 from tests.services.conftest import RunNode
 from tests.services.console.page import Page
 from tests.services.robot.wheels import Robot, run_robot
+from tests.services.waiting import eventually
+
+
+class Nobody:
+    """Takes the place of the console's service: notes what is asked for, and does nothing."""
+
+    learned = None
+
+    def __init__(self, root: Path) -> None:
+        self.library = Library(root)
+        self.asked: list[object] = []
+        self.maps: list[tuple[str, bytes]] = []
+
+    def do(self, what: Callable[..., None], *arguments: object) -> Future[None]:
+        done: Future[None] = Future()
+        what(*arguments)
+        done.set_result(None)
+        return done
+
+    def hold(self, atom: object, sent_s: float) -> None: ...
+
+    def let_go(self) -> None: ...
+
+    def leave(self) -> None: ...
+
+    def stop(self) -> None: ...
+
+    def ask(self, ask: object, until_s: float) -> None:
+        self.asked.append(ask)
+
+    def make_world(self, name: str, osm_map: IO[bytes]) -> None:
+        self.maps.append((name, Path(f"/proc/self/fd/{osm_map.fileno()}").read_bytes()))
+
+
+@pytest.fixture
+def nobody(tmp_path: Path) -> Nobody:
+    return Nobody(tmp_path)
+
+
+@pytest.fixture
+def page(nobody: Nobody, tmp_path: Path) -> Iterator[Page]:
+    """Give a page that is open to this machine, without a bus."""
+    server = WebServer(nobody, Board(), ConsoleSettings(root=tmp_path, console="127.0.0.1:0"))  # type: ignore[arg-type]
+    page = Page(server)
+    yield page
+    page.close()
+    server.close()
+
+
+@pytest.fixture
+def seated(page: Page) -> Page:
+    """Give a page whose person drives."""
+    page.take()
+    eventually(lambda: page.word)
+    return page
 
 
 @dataclass(frozen=True)
@@ -53,7 +111,6 @@ def console(settings: ServiceSettings, run_node: RunNode, tmp_path: Path) -> Ite
     board = Board()
     service = ConsoleService(node, board, own.root)
     server = WebServer(service, board, own)
-    service.feed.start()
     run_node(node)
     yield Console(service, board, server, own.root)
     server.close()

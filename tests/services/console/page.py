@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import socket
 import threading
 from collections.abc import Callable
 from contextlib import ExitStack, suppress
@@ -13,8 +14,14 @@ import pytest
 from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import ClientConnection, connect
 
-from services.console.web import WebServer
+from services.console.server import WebServer
 from tests.services.waiting import eventually
+
+
+def connected(page: Page) -> socket.socket:
+    """Connect to a page's server."""
+    host, port = page.address.split(":")
+    return socket.create_connection((host, int(port)), timeout=30.0)
 
 
 class Page:
@@ -41,7 +48,7 @@ class Page:
 
     def open(self, path: str, **options: Any) -> ClientConnection:
         """Open a socket as the page itself does."""
-        own = {"origin": f"http://{self.address}"} | options
+        own = {"origin": f"http://{self.address}", "close_timeout": 1.0} | options
         return self._open.enter_context(connect(f"ws://{self.address}/{path}", **own))
 
     def get(self, path: str, **headers: str) -> tuple[int, bytes]:
@@ -109,11 +116,15 @@ class Page:
         """Return what the page tells."""
         return "\n".join(line["text"] for line in self.state.get("news", []))
 
-    def begin(self) -> None:
-        """Sit down, and begin a drive."""
+    def sit(self) -> None:
+        """Sit down, and wait until the robot is heard."""
         self.take()
         eventually(lambda: self.beats > 0 and self.robot(answers=True))
-        self.insist(lambda: self.state["robot"]["episode"] is not None, do="drive", goal="victim")
+
+    def begin(self, **what: object) -> None:
+        """Sit down, and begin a drive."""
+        self.sit()
+        self.insist(lambda: self.state["robot"]["episode"] is not None, **{"do": "drive", "goal": "victim"} | what)
 
     def close(self) -> None:
         """Close the page."""

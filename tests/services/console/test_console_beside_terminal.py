@@ -16,7 +16,7 @@ from services.operator.operator import POLL_S, Operator
 from services.recorder.service import RecorderService
 from services.robot.clock import now_s
 from tests.services.console.page import Page
-from tests.services.operator.test_operator import RUN, Notes, misses_nobody
+from tests.services.operator.test_operator import RUN, misses_nobody
 from tests.services.robot.wheels import Robot
 
 HELD = "an operator has the robot (at teleop), and only they may say so"
@@ -40,11 +40,11 @@ def test_a_page_does_not_undo_the_takeover_of_somebody_at_a_terminal(
 ) -> None:
     """By Drive, which asks for an episode of its person's own, and then Run."""
     monkeypatch.setattr(robot.gate, "watch", misses_nobody)
-    operator = Operator(terminal, KeyHold(now_s), notes := Notes())
+    operator = Operator(terminal, KeyHold(now_s), (told := []).append)
     terminal.every(POLL_S, operator.poll)
     assert terminal.spin(lambda: operator.commands.to_release is not None, 10.0)
     assert operator.begin(RUN)
-    assert terminal.spin(lambda: operator.mine is not None and operator.commands.applied is not None, 10.0), notes.said
+    assert terminal.spin(lambda: operator.mine is not None and operator.commands.applied is not None, 10.0), told
     run = operator.mine
     operator.press("left", math.inf)
     assert terminal.spin(lambda: robot.gate.taken_over and robot.wheels.driven, 10.0)
@@ -69,7 +69,7 @@ def test_a_page_does_not_undo_the_takeover_of_somebody_at_a_terminal(
     assert robot.gate.operator == terminal.session
     # Who has taken over says when the policy goes on.
     operator.resume()
-    assert terminal.spin(lambda: not robot.gate.taken_over, 10.0), notes.said
+    assert terminal.spin(lambda: not robot.gate.taken_over, 10.0), told
 
 
 def _begun(client: Bus, request: ResetRequest, say: Callable[[str], None]) -> Callable[[], None]:

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import sys
+import tempfile
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
-from services.console.folder import Folder
 from services.console.jobs import Job, Jobs
 from services.kit.node import ServiceError
 from tests.services.waiting import eventually
@@ -25,9 +26,14 @@ def jobs_of(script: str, patience_s: float = 60.0) -> tuple[Jobs, list[dict[str,
     return Jobs(shown.append, (sys.executable, "-c", SCRIPT + script), patience_s), shown
 
 
-def learning(out: Path, needs: Folder | None = None) -> Job:
+def learning(out: Path) -> Job:
     arguments = ("learn", "a.mcap")
-    return Job("model", out.stem, f"Learning {out.stem}", "it is learned", arguments, out, "/root/", needs)
+    return Job("model", out.stem, f"Learning {out.stem}", "it is learned", arguments, out, "/root/")
+
+
+def ended(shown: list[dict[str, object]]) -> dict[str, object]:
+    """Wait until a job has ended; return what is shown of it."""
+    return eventually(lambda: shown[-1] if shown and "outcome" in shown[-1] else {}, timeout_s=20.0)
 
 
 @pytest.mark.parametrize(
@@ -35,19 +41,28 @@ def learning(out: Path, needs: Folder | None = None) -> Job:
     [
         ("", "done", ""),
         ("sys.stderr.write('smal: left out\\nsmal: /root/a: no\\n'); sys.exit(1)", "failed", "a: no"),
-        ("sys.exit(1)", "failed", "it ended with status 1"),
+        ("sys.exit(1)", "failed", "a line for people"),
     ],
 )
 def test_a_job_tells_how_far_it_is_and_how_it_ended(tmp_path: Path, script: str, outcome: str, why: str) -> None:
     jobs, shown = jobs_of(script)
-    needed = Folder()
-    jobs.begin(learning(tmp_path / "models" / "way.smal", needed))
-    eventually(lambda: not jobs.running)
-    end = eventually(lambda: shown[-1] if "outcome" in shown[-1] else None)
+    jobs.begin(learning(tmp_path / "models" / "way.smal"))
+    end = ended(shown)
     said = {"kind": "model", "name": "way", "doing": "Learning way", "done": "it is learned"}
     assert {**said, "stage": "reading", "share": 0.25} in shown
     assert (end["outcome"], end["why"]) == (outcome, why)
-    assert not needed.path.exists()
+    assert not jobs.running
+
+
+def test_a_job_reads_an_open_file_that_has_no_name(tmp_path: Path) -> None:
+    jobs, shown = jobs_of("sys.stderr.write(f'smal: {sys.argv[2]}: {open(sys.argv[2]).read()}')")
+    with tempfile.TemporaryFile() as file:
+        file.write(b"<osm/>")
+        file.flush()
+        path = f"/proc/self/fd/{file.fileno()}"
+        job = replace(learning(tmp_path / "way.smal"), arguments=("import", path), hidden=path)
+        jobs.begin(replace(job, called="town.osm", reads=file))
+    assert ended(shown)["remarks"] == ["town.osm: <osm/>"]
 
 
 def test_a_job_is_cancelled_and_one_runs_at_a_time(tmp_path: Path) -> None:
@@ -57,39 +72,43 @@ def test_a_job_is_cancelled_and_one_runs_at_a_time(tmp_path: Path) -> None:
         jobs.begin(learning(tmp_path / "other.smal"))
     eventually(lambda: any(one.get("stage") == "reading" for one in shown))
     jobs.cancel()
-    eventually(lambda: shown[-1].get("outcome") == "cancelled")
+    assert ended(shown)["outcome"] == "cancelled"
     (tmp_path / "way.smal").touch()
-    needed = Folder()
     with pytest.raises(ServiceError, match="choose another name"):
-        jobs.begin(learning(tmp_path / "way.smal", needed))
-    assert not needed.path.exists()
+        jobs.begin(learning(tmp_path / "way.smal"))
 
 
 #: As one that calculates something in one piece does.
-DEAF = "signal.signal(signal.SIGTERM, signal.SIG_IGN); print(STAGE, flush=True); "
+DEAF = "signal.signal(signal.SIGTERM, signal.SIG_IGN); print(STAGE, flush=True); time.sleep(60)"
 
 
-@pytest.mark.parametrize("how", ["cancelled", "says nothing"])
-def test_a_job_that_does_not_hear_is_ended(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, how: str) -> None:
+@pytest.mark.parametrize(
+    ("patience_s", "outcome", "why"), [(60.0, "cancelled", ""), (3.0, "failed", "it said nothing")]
+)
+def test_a_job_that_does_not_hear_is_ended(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, patience_s: float, outcome: str, why: str
+) -> None:
     monkeypatch.setattr("services.console.jobs._ENDING_S", 0.1)
-    jobs, shown = jobs_of(DEAF + "time.sleep(60)", patience_s=60.0 if how == "cancelled" else 3.0)
+    jobs, shown = jobs_of(DEAF, patience_s)
     jobs.begin(learning(tmp_path / "way.smal"))
     eventually(lambda: any(one.get("stage") == "deaf" for one in shown))
-    if how == "cancelled":
+    if outcome == "cancelled":
         jobs.cancel()
-    end = eventually(lambda: shown[-1] if "outcome" in shown[-1] else None, timeout_s=20.0)
+    end = ended(shown)
+    assert (end["outcome"], str(end["why"]).startswith(why)) == (outcome, True)
     assert not jobs.running
-    if how == "cancelled":
-        assert end["outcome"] == "cancelled"
-    else:
-        assert (end["outcome"], "it has said nothing for" in str(end["why"])) == ("failed", True)
 
 
-def test_another_job_begins_where_the_last_one_s_folder_could_not_be_removed(tmp_path: Path) -> None:
+def test_another_job_begins_where_the_last_one_could_not_be_shown(tmp_path: Path) -> None:
     jobs, shown = jobs_of("")
-    needed = Folder()
-    needed.path.rmdir()
-    jobs.begin(learning(tmp_path / "way.smal", needed))
-    eventually(lambda: shown and shown[-1].get("outcome") == "done")
-    jobs.begin(learning(tmp_path / "other.smal"))
-    eventually(lambda: shown[-1].get("name") == "other" and shown[-1].get("outcome") == "done")
+    show = jobs._show
+
+    def fail(job: dict[str, object]) -> None:
+        if job.get("stage") == "reading":
+            raise OSError
+        show(job)
+
+    jobs._show = fail
+    for name in ("way", "other"):
+        jobs.begin(learning(tmp_path / f"{name}.smal"))
+        eventually(lambda name=name: shown[-1].get("name") == name and "outcome" in shown[-1])

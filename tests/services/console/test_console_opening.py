@@ -44,8 +44,7 @@ def test_an_episode_ends_at_once_whose_person_has_left_while_another_world_was_o
 ) -> None:
     asked, goes_on = opening
     page, other = open_page(), open_page()
-    page.take()
-    eventually(lambda: page.beats > 0 and page.robot(answers=True))
+    page.sit()
     page.insist(asked.is_set, do="drive", goal="dock")
     page.say(do="leave")
     eventually(lambda: not console.service.attended)
@@ -59,8 +58,7 @@ def test_an_emergency_stop_while_another_world_is_opened_is_latched_when_it_is(
 ) -> None:
     asked, goes_on = opening
     page, other = open_page(), open_page()
-    page.take()
-    eventually(lambda: page.beats > 0 and page.robot(answers=True))
+    page.sit()
     page.held = "forward"
     page.insist(asked.is_set, do="drive", goal="dock")
     other.stop()
@@ -95,8 +93,7 @@ def test_the_opening_of_a_world_is_cancelled_and_the_next_drive_begins(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     page = open_page()
-    page.take()
-    eventually(lambda: page.beats > 0 and page.robot(answers=True))
+    page.sit()
     page.insist(endless.is_set, do="drive", goal="dock")
     eventually(lambda: page.robot(waiting=True))
     page.insist(lambda: page.robot(waiting=False, episode=None), do="withdraw")
@@ -114,8 +111,7 @@ def test_a_drive_that_is_cancelled_too_late_for_the_robot_ends_at_once(
     """Its body tells of no steps between which it could end."""
     asked, goes_on = opening
     page = open_page()
-    page.take()
-    eventually(lambda: page.beats > 0 and page.robot(answers=True))
+    page.sit()
     page.insist(asked.is_set, do="drive", goal="dock")
     page.say(do="withdraw")
     page.let_go()  # what was said before is heard

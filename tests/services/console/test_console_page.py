@@ -10,8 +10,8 @@ import pytest
 
 from services.console.config import ConsoleSettings
 from services.console.newest_content import Board
-from services.console.web import WebServer
-from tests.services.console.test_console_guard import Nobody
+from services.console.server import WebServer
+from tests.services.console.conftest import Nobody
 from tests.services.waiting import eventually
 
 if TYPE_CHECKING:
@@ -20,32 +20,15 @@ if TYPE_CHECKING:
 pytestmark = pytest.mark.system
 
 
-class Person(Nobody):
-    """Notes what is asked for."""
-
-    def __init__(self, root: Path) -> None:
-        super().__init__(root)
-        self.asked: list[Any] = []
-
-    def ask(self, ask: object, until_s: float) -> Any:
-        self.asked.append(ask)
-        return super().ask(ask, until_s)
-
-
-@pytest.fixture
-def person(tmp_path: Path) -> Person:
-    return Person(tmp_path)
-
-
 @pytest.fixture
 def board() -> Board:
     return Board()
 
 
 @pytest.fixture
-def page(browser: Browser, person: Person, board: Board, tmp_path: Path) -> Iterator[Page]:
+def page(browser: Browser, nobody: Nobody, board: Board, tmp_path: Path) -> Iterator[Page]:
     """Open the page; a test in which its script fails has failed."""
-    server = WebServer(person, board, ConsoleSettings(root=tmp_path, console="127.0.0.1:0"))
+    server = WebServer(nobody, board, ConsoleSettings(root=tmp_path, console="127.0.0.1:0"))  # type: ignore[arg-type]
     errors: list[str] = []
     page = browser.new_page()
     page.on("pageerror", lambda error: errors.append(str(error)))
@@ -72,35 +55,35 @@ def choice(page: Page, name: str) -> str:
     return page.input_value(f"#world-form [name={name}]")
 
 
-def begin(page: Page, person: Person) -> Any:
+def begin(page: Page, nobody: Nobody) -> Any:
     """Begin a drive; return what was asked for."""
     page.click("#drive-form button")
-    return eventually(lambda: person.asked.pop() if person.asked else None)
+    return eventually(lambda: nobody.asked.pop() if nobody.asked else None)
 
 
 @pytest.mark.parametrize("name", ["map (1)", "Berlin, Mitte", "x" * 100, "#7", "<img src=x onerror=alert(1)>"])
 def test_a_robot_whose_world_has_a_name_that_cannot_be_asked_for_is_driven_there(
-    page: Page, person: Person, board: Board, name: str
+    page: Page, nobody: Nobody, board: Board, name: str
 ) -> None:
     """As `smal up --world "map (1).osm"` has it."""
     tell_robot(board, world=name, worlds="campus, yard", variation="day", variations="day, dark")
     page.wait_for_selector("#world-form:visible")
     assert choice(page, "world") == name
-    assert begin(page, person).world is None
+    assert begin(page, nobody).world is None
     page.select_option("#world-form [name=world]", "yard")
-    assert (asked := begin(page, person)).world == "yard"
+    assert (asked := begin(page, nobody)).world == "yard"
     assert asked.variation is None
 
 
 @pytest.mark.parametrize("told", [{"worlds": "x"}, {"worlds": 5, "variations": 3}, {"worlds": "x", "variation": True}])
 def test_what_another_robot_tells_of_worlds_breaks_nothing(
-    page: Page, person: Person, board: Board, told: dict[str, object]
+    page: Page, nobody: Nobody, board: Board, told: dict[str, object]
 ) -> None:
     tell_robot(board, world="x", **told)
     page.wait_for_selector("#world-form:visible")
     board.put("robot", {"answers": True, "episode": None, "outcome": "found"})
     eventually(lambda: "Armed" in page.inner_text("#status"))
-    assert begin(page, person).variation is None
+    assert begin(page, nobody).variation is None
 
 
 def test_who_drives_sees_how_long_the_recorder_has_room(page: Page, board: Board) -> None:
@@ -140,7 +123,7 @@ def test_of_a_model_of_the_papers_scheme_no_goal_is_chosen(page: Page, board: Bo
 
 @pytest.mark.parametrize("scheme", ["filter", "paper"])
 def test_a_model_is_learned_for_the_scheme_that_is_chosen(
-    page: Page, person: Person, board: Board, scheme: str
+    page: Page, nobody: Nobody, board: Board, scheme: str
 ) -> None:
     tell_robot(board, world="yard", worlds="yard", variation="day", variations="day")
     board.put("library", {"folder": "drives", "models": [], "recordings": [recording("a-s-1")]})
@@ -150,7 +133,7 @@ def test_a_model_is_learned_for_the_scheme_that_is_chosen(
         page.select_option("#learn-form [name=scheme]", scheme)
     page.click("#seat")
     page.click("#learn-form button")
-    ask = eventually(lambda: next((ask for ask in person.asked if ask.do == "learn"), None))
+    ask = eventually(lambda: next((ask for ask in nobody.asked if ask.do == "learn"), None))
     assert (ask.name, ask.scheme, ask.recordings) == ("way", scheme, ("drives/a-s-1.mcap",))
 
 
@@ -165,12 +148,12 @@ def test_a_model_is_learned_for_the_scheme_that_is_chosen(
     ],
 )
 def test_a_map_s_file_name_becomes_a_world_s_name_that_may_be(
-    page: Page, person: Person, board: Board, file: str, name: str
+    page: Page, nobody: Nobody, board: Board, file: str, name: str
 ) -> None:
     tell_robot(board, world="yard", worlds="campus, yard", variation="day", variations="day, dark")
     page.wait_for_selector("#world-form:visible")
     page.set_input_files("#world-form [name=map]", {"name": file, "mimeType": "", "buffer": b"<osm/>"})
-    assert eventually(lambda: person.maps or page.locator("#news li").count() > 1) == [(name, b"<osm/>")]
+    assert eventually(lambda: nobody.maps or page.locator("#news li").count() > 1) == [(name, b"<osm/>")]
 
 
 def recording(name: str) -> dict[str, object]:
@@ -195,14 +178,14 @@ def test_who_is_in_the_list_of_recordings_stays_there_when_it_grows(page: Page, 
     assert page.evaluate("document.activeElement.value") == "drives/a-s-1.mcap"
 
 
-def test_what_is_being_begun_is_cancelled_by_who_drives(page: Page, person: Person, board: Board) -> None:
+def test_what_is_being_begun_is_cancelled_by_who_drives(page: Page, nobody: Nobody, board: Board) -> None:
     told = {"episode": None, "answers": True, "emergency": False, "at": 0.0}
     board.put("robot", told | {"waiting": True})
     page.wait_for_selector("#camera .empty:has-text('Waiting for the robot')")
     assert not page.is_visible("#withdraw"), "who watches cancels nothing"
     page.click("#seat")
     page.click("#withdraw")
-    eventually(lambda: [ask.do for ask in person.asked] == ["withdraw"])
+    eventually(lambda: [ask.do for ask in nobody.asked] == ["withdraw"])
     board.put("robot", told | {"waiting": False})
     page.wait_for_selector("#withdraw", state="hidden")
 

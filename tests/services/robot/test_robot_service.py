@@ -31,7 +31,7 @@ from services.robot.service import RobotService, serve_robot
 from services.robot.task import OperatorsTask
 from tests.benchmarks.faults.proxy import link
 from tests.services.conftest import RunNode
-from tests.services.operator.test_operator import RUN, Notes
+from tests.services.operator.test_operator import RUN
 from tests.services.robot.wheels import Wheels, run_robot
 from tests.services.waiting import eventually, status_of
 
@@ -48,11 +48,11 @@ def test_an_operator_behind_a_link_that_grows_slow_is_not_taken_for_being_there(
     with link(router_endpoint) as (address, pid):
         far = settings.model_copy(update={"router": address})
         with Node("teleop", far) as node:
-            operator = Operator(node, KeyHold(now_s), notes := Notes())
+            operator = Operator(node, KeyHold(now_s), (said := []).append)
             node.every(POLL_S, operator.poll)
             assert node.spin(lambda: operator.commands.to_release is not None, 10.0)
             assert operator.begin(RUN)
-            assert node.spin(lambda: robot.wheels.driven, 10.0), notes.said
+            assert node.spin(lambda: robot.wheels.driven, 10.0), said
             os.kill(pid, signal.SIGUSR1)
             node.spin(timeout_s=3.0)  # then the link takes 1.5 s each way
             dead_s = time.monotonic()
@@ -189,7 +189,7 @@ def test_the_opening_of_a_world_is_cancelled_by_who_asked_for_it_or_the_operator
     assert runner.running is None
     operates = threading.Event()
     with Node("teleop", settings) as desk:
-        operator = Operator(desk, KeyHold(now_s), notes := Notes())
+        operator = Operator(desk, KeyHold(now_s), (said := []).append)
         desk.every(POLL_S, operator.poll)
         thread = threading.Thread(target=lambda: desk.spin(operates.is_set, 30.0), daemon=True)
         thread.start()
@@ -197,9 +197,7 @@ def test_the_opening_of_a_world_is_cancelled_by_who_asked_for_it_or_the_operator
         opening = open_for("a")
         operator.withdraw()
         opening.join(10.0)
-        assert told[1:] == ["robot reset: cancelled by the operator; the robot is in line, without an episode"], (
-            notes.said
-        )
+        assert told[1:] == ["robot reset: cancelled by the operator; the robot is in line, without an episode"], said
         operates.set()
         thread.join(10.0)
     reply = client.call("robot", "reset", ResetRequest(seed=1, mode="realtime"), ResetReply)

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import math
-import threading
-from collections.abc import Callable
 from pathlib import Path
 from typing import Final
 
@@ -14,7 +12,7 @@ from schemas.compressed_image import CompressedImage
 from schemas.pose import Pose
 from schemas.state import State
 from schemas.tracked_pose import TrackedPose
-from services.console.health import ASK_S, Health
+from services.console.health import Health
 from services.console.learned import Learned, learned_of
 from services.console.library import Library
 from services.console.newest_content import Board
@@ -26,11 +24,14 @@ from smal.files.container import ModelError
 from smal.files.stored import Stored
 from smal.model import Model
 
-#: Points of today's way; when there are more every second one is left out.
+#: How often services and files are looked at.
+_LOOK_S: Final = 1.0
+#: Points of today's way; when there are more every second one is left out. And how far they are apart.
 _POINTS: Final = 400
+_APART_M: Final = 0.1
 
 
-class Feed:
+class LiveContent:
     """Puts on the board what is heard of the robot, how every service is, and what was recorded and learned.
 
     Parameters
@@ -41,50 +42,37 @@ class Feed:
         Where it is shown.
     library
         Recordings and models.
+
+    Attributes
+    ----------
+    learned
+        The model that the robot goes by.
     """
 
     def __init__(self, node: Node, board: Board, library: Library) -> None:
-        self._node = node
         self._board = board
         self._library = library
         self.health = Health(node.bus, tuple(name for name in stack_services() if name != node.name))
-        #: The model that the robot goes by.
         self.learned: Learned | None = None
         self._followed: tuple[object, object] = (None, None)
         self._way: list[tuple[float, float]] = []
         self._way_of = ""
-        self._closed = threading.Event()
         node.subscribe(topics.JPEG, self._on_image, depth=1)
         node.subscribe(topics.STATE, self._on_state)
         node.subscribe(topics.POSE, self._on_pose)
         node.subscribe(topics.TRACKED, self._on_tracked)
-        self._rounds = [
-            threading.Thread(target=self._repeat, args=(round_,), name=round_.__name__, daemon=True)
-            for round_ in (self._look_at_services, self._look_at_files)
-        ]
-
-    def start(self) -> None:
-        """Begin to look at services and files, now and then."""
-        for thread in self._rounds:
-            thread.start()
-
-    def close(self) -> None:
-        """Look no more."""
-        self._closed.set()
-        for thread in self._rounds:
-            if thread.is_alive():
-                thread.join(2 * ASK_S)
+        node.apart(_LOOK_S, self._look_at_services)
+        node.apart(_LOOK_S, self._look_at_files)
 
     # -- what is heard --------------------------------------------------------------------------------------------
 
     def _on_image(self, image: CompressedImage) -> None:
         if is_jpeg(image.data):
             self._board.show(image.data)
-            self._put("camera", tick=image.tick, width=image.width, height=image.height)
+            self._put("camera", tick=image.tick)
 
     def _on_state(self, state: State) -> None:
-        learned = self.learned
-        belief = {} if learned is None else learned.belief(state)
+        belief = {} if self.learned is None else self.learned.belief(state)
         self._put(
             "belief",
             tick=state.tick,
@@ -99,73 +87,59 @@ class Feed:
 
     def on_action(self, action: Action) -> None:
         """Show what it does, and why."""
-        self._put("plan", tick=action.tick, kind=action.kind, atoms=action.atoms[:20], arrived=action.arrived)
+        self._put("plan", tick=action.tick, kind=action.kind, atoms=action.atoms[:20])
 
     def _on_pose(self, pose: Pose) -> None:
         """Take note of where the robot truly is, and of the way that it has come in this episode."""
         if pose.episode != self._way_of:
             self._way, self._way_of = [], pose.episode
         here = (round(pose.x_m, 2), round(pose.y_m, 2))
-        if not self._way or math.dist(here, self._way[-1]) >= 0.1:
+        if not self._way or math.dist(here, self._way[-1]) >= _APART_M:
             self._way.append(here)
             if len(self._way) > _POINTS:
                 del self._way[1:-1:2]
             # Every tenth point, since the page draws the rest itself from where the robot is.
             if len(self._way) % 10 == 1:
                 self._board.put("way", {"episode": pose.episode, "points": self._way})
-        self._put("pose", episode=pose.episode, pose=_rounded((pose.x_m, pose.y_m, pose.heading_rad)))
+        self._put("pose", episode=pose.episode, pose=_rounded(pose.x_m, pose.y_m, pose.heading_rad))
 
     def _on_tracked(self, pose: TrackedPose) -> None:
         if pose.x_m is not None and pose.y_m is not None and pose.heading_rad is not None:
-            self._put("tracked", pose=_rounded((pose.x_m, pose.y_m, pose.heading_rad)))
+            self._put("tracked", pose=_rounded(pose.x_m, pose.y_m, pose.heading_rad))
 
     def _put(self, channel: str, **content: object) -> None:
         self._board.put(channel, content | {"at": round(self._board.clock(), 3)})
 
     # -- now and then, on threads of their own --------------------------------------------------------------------
 
-    def _repeat(self, look: Callable[[], None]) -> None:
-        while not self._closed.is_set():
-            try:
-                look()
-            except Exception:
-                self._node.log.warning("%s", look.__name__.strip("_").replace("_", " "), exc_info=True)
-            self._closed.wait(ASK_S)
-
     def _look_at_services(self) -> None:
         self._put("health", services=self.health.ask())
-        recorder = self.health.statuses.get("recorder")
-        folder = recorder.detail.get("folder") if recorder is not None else None
+        folder = self.health.detail("recorder", "folder")
         if folder is not None:
             self._library.record_in(Path(str(folder)))
 
     def _look_at_files(self) -> None:
         self._board.put("library", self._library.look(lambda shown: self._board.put("library", shown)))
-        recognition = self.health.statuses.get("recognition")
-        if recognition is not None:
-            told = recognition.detail
-            self._follow_model(told.get("model"), told.get("checksum"), told.get("goal"))
+        told = {key: self.health.detail("recognition", key) for key in ("model", "checksum", "goal")}
+        if told["model"] is not None and self._followed != (told["checksum"], told["goal"]):
+            self._followed = (told["checksum"], told["goal"])
+            self._follow_model(str(told["model"]), None if told["goal"] is None else str(told["goal"]))
 
-    def _follow_model(self, file: object, identity: object, goal: object) -> None:
-        """Look at the model that recognition works with, where that is another one now."""
-        if file is None or self._followed == (identity, goal):
-            return
-        self._followed = (identity, goal)
-        name = name_below(self._library.root, self._library.root / str(file))
+    def _follow_model(self, file: str, goal: str | None) -> None:
+        """Look at another model that recognition works with now."""
+        name = name_below(self._library.root, self._library.root / file)
         try:
             if name is None:
-                raise ServiceError(f"{file} lies outside of the console's root, and is not drawn")
-            recordings = {
-                one.episode: self._library.path(one.name) for one in self._library.recordings() if one.episode
-            }
+                raise ServiceError(f"The page cannot draw {file}: it lies outside of the console's folder.")
+            recordings = {one.episode: self._library.path(one.name) for one in self._library.recordings()}
             model = Stored.load(below(self._library.root, name))
             if not isinstance(model, Model):
-                raise ServiceError(f"{name} is for the paper's scheme: its states have no places on a map")
-            self.learned = learned = learned_of(model, None if goal is None else str(goal), recordings)
+                raise ServiceError(f"{name} is for the paper's scheme: its states have no places on a map.")
+            self.learned = learned = learned_of(model, goal, recordings)
             self._board.put("model", {"name": name} | learned.shown())
         except (ModelError, ServiceError, ValueError, OSError) as error:
-            self._board.put("model", {"name": str(file), "trouble": str(error)})
+            self._board.put("model", {"name": file, "trouble": str(error)})
 
 
-def _rounded(pose: tuple[float, float, float]) -> list[float]:
+def _rounded(*pose: float) -> list[float]:
     return [round(value, 3) for value in pose]

@@ -1,0 +1,39 @@
+"""What was last heard of the robot: whoever shows it to a person draws this."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from schemas.base import Atom, Source
+from schemas.command import StopCause
+from schemas.episode import Outcome, Purpose
+
+
+@dataclass(frozen=True)
+class Report:
+    """What was last heard of the robot, and of its episode."""
+
+    #: When it last told of itself, by the operator's clock.
+    at: float = 0.0
+    answers: bool = False
+    #: An episode was asked for, and has not begun yet.
+    waiting: bool = False
+    #: An emergency stop was asked for here, and the robot was not armed since.
+    emergency: bool = False
+    #: Why the robot stands until it is armed.
+    cause: StopCause | None = None
+    #: The running episode; none where there is none.
+    episode: str | None = None
+    #: Of the running episode, or of the last one: its newest frame, and how the robot moved.
+    tick: int = 0
+    atom: Atom | None = None
+    source: Source | None = None
+    reason: str | None = None
+    refused: int = 0
+    #: How the episode was begun; None where nobody has told.
+    purpose: Purpose | None = None
+    driver: Source | None = None
+    goal: str | None = None
+    world: str | None = None
+    #: How it ended.
+    outcome: Outcome | None = None

@@ -1,0 +1,134 @@
+"""Maps that a page sends: only whoever drives sends one, and whatever happens, nothing of it is left behind."""
+
+from __future__ import annotations
+
+import os
+import tempfile
+from contextlib import suppress
+from http.client import HTTPConnection
+from pathlib import Path
+from urllib.parse import quote
+
+import pytest
+
+from tests.services.console.conftest import Nobody
+from tests.services.console.page import Page, connected
+from tests.services.waiting import eventually
+
+
+@pytest.fixture(autouse=True)
+def _own_folder(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """Have maps lie in a folder of the test's own, while somebody has them open: they have no name there."""
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+
+
+def kept() -> int:
+    """Count the maps that this process has open."""
+    files = []
+    for one in Path("/proc/self/fd").iterdir():
+        with suppress(FileNotFoundError):  # closed just now
+            files.append(str(one.readlink()))
+    return sum(file.startswith(f"{tempfile.gettempdir()}/#") for file in files)
+
+
+def test_a_map_of_whoever_drives_is_taken_whole(seated: Page, nobody: Nobody) -> None:
+    sent = os.urandom(300_000)
+    assert seated.post("/map?name=My+town", sent) == (202, "taken\n")
+    assert (nobody.maps, kept()) == ([("My town", sent)], 0)
+
+
+@pytest.mark.parametrize(
+    ("path", "headers", "status", "why"),
+    [
+        ("/map?name=town", {"Smal-Seat": "guess"}, 403, "only who drives"),
+        ("/map?name=town", {"Smal-Seat": ""}, 403, "only who drives"),
+        ("/map?name=town", {"Origin": "http://evil.example"}, 403, "only the console's own page"),
+        ("/map?name=..%2Ftown", {}, 400, "the world's name"),
+        ("/map", {}, 400, "the world's name"),
+        (f"/map?name={quote('𠀀') * 51}", {}, 400, "at most 200 bytes"),
+        ("/", {}, 405, "nothing is changed this way"),
+        ("/thumbnail", {}, 405, "nothing is changed this way"),
+    ],
+)
+def test_a_map_that_may_not_be_taken_is_not(
+    seated: Page, nobody: Nobody, path: str, headers: dict[str, str], status: int, why: str
+) -> None:
+    answer, said = seated.post(path, b"<osm/>", **headers)
+    assert (answer, why in said, said.count("\n")) == (status, True, 1)
+    assert (nobody.maps, kept()) == ([], 0)
+
+
+def test_a_map_without_an_origin_is_not_taken(seated: Page, nobody: Nobody) -> None:
+    connection = HTTPConnection(seated.address, timeout=5.0)
+    connection.request("POST", "/map?name=town", b"<osm/>", {"Smal-Seat": seated.word})
+    assert connection.getresponse().status == 403
+    assert nobody.maps == []
+
+
+def test_a_map_that_is_too_large_ends_early(seated: Page, nobody: Nobody, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("services.console.web._LARGEST_MAP", 1_000_000)
+    assert seated.post("/map?name=town", bytes(1_000_001)) == (413, "a map has at most 1 MB; cut it smaller\n")
+    assert (nobody.maps, kept()) == ([], 0)
+
+
+def head(page: Page, *lines: str) -> bytes:
+    """Give how a map is begun to be sent."""
+    own = "POST /map?name=town HTTP/1.1", f"Host: {page.address}", f"Origin: http://{page.address}"
+    return "\r\n".join((*own, *lines, "", "")).encode()
+
+
+def test_whoever_stands_up_sends_no_further(seated: Page, nobody: Nobody) -> None:
+    """The word of a seat is of no use to anybody later."""
+    with connected(seated) as sending:
+        sending.sendall(head(seated, f"Smal-Seat: {seated.word}", "Content-Length: 20") + b"first half")
+        eventually(kept)
+        seated.say(do="leave")
+        eventually(lambda: not seated.state.get("taken"))
+        sending.sendall(b"other half")
+        assert b" 403 " in sending.recv(100)
+    assert seated.post("/map?name=town", b"<osm/>")[0] == 403
+    assert nobody.maps == []
+    eventually(lambda: not kept())
+
+
+def test_a_stranger_who_begins_to_send_is_refused_at_once(seated: Page) -> None:
+    with connected(seated) as sending:
+        sending.sendall(head(seated, "Content-Length: 20"))
+        assert b" 403 " in sending.recv(100)
+
+
+@pytest.mark.parametrize("length", ["Content-Length: 20", "Transfer-Encoding: chunked"])
+def test_a_map_that_is_cut_off_is_no_map(
+    seated: Page, nobody: Nobody, length: str, caplog: pytest.LogCaptureFixture
+) -> None:
+    with connected(seated) as sending:
+        sending.sendall(head(seated, f"Smal-Seat: {seated.word}", length) + b"5\r\nfirst\r\n")
+        eventually(kept)
+    eventually(lambda: not kept())
+    assert nobody.maps == []
+    seated.get("/")
+    assert caplog.records == []
+
+
+def test_of_two_maps_the_one_that_was_sent_last_is_taken(seated: Page, nobody: Nobody) -> None:
+    """One that has come to a standstill is in nobody's way, and however many are sent, one is being taken."""
+    with connected(seated) as sending:
+        sending.sendall(head(seated, f"Smal-Seat: {seated.word}", "Content-Length: 20") + b"first half")
+        eventually(kept)
+        assert seated.post("/map?name=town", b"<osm/>") == (202, "taken\n")
+        sending.sendall(b"other half")
+        assert b" 409 " in sending.recv(100)
+    assert nobody.maps == [("town", b"<osm/>")]
+    eventually(lambda: not kept())
+
+
+def test_a_map_for_which_there_is_no_room_is_refused(
+    seated: Page, nobody: Nobody, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path / "gone"))
+    status, why = seated.post("/map?name=town", b"<osm/>")
+    assert (status, why) == (507, "the map cannot be kept: No such file or directory\n")
+    monkeypatch.setattr(tempfile, "TemporaryFile", lambda: open("/dev/full", "wb"))  # noqa: SIM115, PTH123
+    status, why = seated.post("/map?name=town", b"<osm/>")
+    assert (status, why) == (507, "the map cannot be kept: No space left on device\n")
+    assert nobody.maps == []
