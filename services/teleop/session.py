@@ -103,7 +103,7 @@ class TeleopSession:
         self._operator.release()
         self._leaving = True
         if self._operator.asking:
-            self._terminal.say("waiting for the robot's answer, to end what was begun")
+            self._terminal.say("waiting for the robot's answer, then ending the episode")
             self._wait(RESET_S)
         self._operator.end_mine()
         self._wait(ANSWER_S)

@@ -13,8 +13,8 @@ _CAUSES: Final[dict[StopCause | None, str]] = {
     None: "armed",
     "not_armed": "not armed",
     "emergency_stop": "emergency stop",
-    "operator_lost": "stopped, it had lost you; r resumes",
-    "fault": "stopped, its body has failed",
+    "operator_lost": "it had lost you; r resumes",
+    "fault": "its body has failed",
 }
 
 

@@ -77,7 +77,7 @@ def test_an_emergency_stop_stands_until_the_next_episode(robot: Robot, open_cons
     assert robot.gate.stop_cause == "emergency_stop"
     assert robot.wheels.stands_s - pressed_s <= STAND_WITHIN_S
     console.type(b"n")
-    console.wait_for(r"seed 6\).*\r\n.*robot: stop \(nobody drives\)")
+    console.wait_for(r"seed 6 (.*\r\n)+.*robot: stop \(nobody drives\)")
     drive(console, robot)
     console.type(b"q")
     assert console.process.wait(10.0) == 0

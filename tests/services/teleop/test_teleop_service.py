@@ -10,8 +10,9 @@ from schemas.command import Command, CommandApplied
 from schemas.episode import Episode
 from services.operator.commands import Commands
 from services.operator.hold import FIRST_HOLD_S, KeyHold
+from services.operator.report import Report
 from services.robot.gate import CommandGate
-from services.teleop.status import Status
+from services.teleop.status import status_line
 
 
 class Operator:
@@ -55,11 +56,6 @@ def operator() -> Operator:
     return Operator()
 
 
-def test_nothing_is_said_while_no_key_is_held(operator: Operator) -> None:
-    assert [operator.beat(tick) for tick in range(5)] == [None] * 5
-    assert operator.service.poll() is None
-
-
 def test_a_press_is_sent_at_once_and_then_with_every_heartbeat(operator: Operator) -> None:
     operator.beat(3)
     assert brief(operator.service.press("forward")) == ("teleop", "forward", 3, 0)
@@ -74,13 +70,6 @@ def test_a_tick_is_answered_once(operator: Operator) -> None:
     assert operator.beat(3, "command") is None
 
 
-def test_a_command_descends_from_the_heartbeat(operator: Operator) -> None:
-    operator.service.handle(applied(8, episode="drive-1"))
-    command = operator.service.press("left")
-    assert command is not None
-    assert (command.robot, command.episode, command.stamp_ns) == ("r", "drive-1", 8)
-
-
 def test_a_release_is_one_stop_at_once_then_silence(operator: Operator) -> None:
     operator.beat(3)
     operator.service.press("forward")
@@ -88,14 +77,6 @@ def test_a_release_is_one_stop_at_once_then_silence(operator: Operator) -> None:
     operator.now_s = FIRST_HOLD_S
     assert brief(operator.service.poll()) == ("teleop", "stop", 4, 1)
     assert operator.service.poll() is None
-    assert operator.beat(5) is None
-
-
-def test_a_release_that_the_heartbeat_notices_first(operator: Operator) -> None:
-    operator.beat(3)
-    operator.service.press("forward")
-    operator.now_s = FIRST_HOLD_S
-    assert operator.beat(4) == ("teleop", "stop", 4, 0)
     assert operator.beat(5) is None
 
 
@@ -116,21 +97,9 @@ def test_a_key_that_is_let_go_is_one_stop_at_once(operator: Operator) -> None:
     assert operator.beat(4) is None
 
 
-def test_letting_go_of_every_key(operator: Operator) -> None:
-    operator.beat(3)
-    assert operator.service.release() is None
-    operator.service.press("forward")
-    assert brief(operator.service.release()) == ("teleop", "stop", 3, 1)
-
-
-def test_space_stops_even_while_another_drives(operator: Operator) -> None:
-    operator.beat(3)
-    assert brief(operator.service.press("stop")) == ("teleop", "stop", 3, 0)
-
-
 def test_keys_without_a_robot_are_not_kept_for_one(operator: Operator) -> None:
     assert operator.service.press("forward") is None
-    assert operator.beat(0) is None
+    assert [operator.beat(tick) for tick in range(5)] == [None] * 5
 
 
 def test_an_emergency_stop_goes_out_at_once_and_is_repeated_until_it_holds(operator: Operator) -> None:
@@ -141,18 +110,6 @@ def test_an_emergency_stop_goes_out_at_once_and_is_repeated_until_it_holds(opera
     assert operator.beat(5, "emergency_stop") is None
     assert operator.service.press("forward") is None, "it holds until it is released"
     assert operator.beat(6, "emergency_stop") is None
-
-
-def test_an_emergency_stop_before_any_heartbeat_is_sent_with_the_first(operator: Operator) -> None:
-    assert brief(operator.service.stop_for_emergency()) == ("emergency_stop", "stop", 0, 0)
-    assert operator.beat(0) == ("emergency_stop", "stop", 0, 0)
-
-
-def test_an_emergency_stop_between_two_episodes_is_sent(operator: Operator) -> None:
-    operator.beat(3)
-    operator.service.on_event(event("ended", outcome="aborted"))
-    command = operator.service.stop_for_emergency()
-    assert (command.source, command.robot, command.episode) == ("emergency_stop", "r", "e")
 
 
 def test_an_emergency_stop_without_an_episode_is_repeated_until_the_robot_has_it(operator: Operator) -> None:
@@ -207,15 +164,6 @@ def test_what_is_released_is_what_the_robot_has_told(operator: Operator) -> None
     assert operator.service.to_release is None, "the robot has not told its number yet"
     operator.beat(1, "emergency_stop", stop=9)
     assert operator.service.to_release == 9
-
-
-def test_no_other_episode_releases_it(operator: Operator) -> None:
-    operator.beat(3)
-    operator.service.stop_for_emergency()
-    assert operator.beat(0, episode="f") == ("emergency_stop", "stop", 0, 0)
-    assert operator.beat(1, "emergency_stop", "f") is None
-    operator.service.on_event(event("started", "g"))
-    assert operator.service.emergency
 
 
 def test_nothing_is_sent_after_the_end(operator: Operator) -> None:
@@ -299,31 +247,26 @@ def test_an_emergency_stop_is_released_only_by_a_key_that_was_pressed_after_it(s
         assert operator.service.emergency == held
 
 
-def test_the_status_line() -> None:
-    now_s = 0.0
-    said: list[str] = []
-    status = Status(lambda: now_s, said.append)
-    assert status.line(None, emergency=False) == "robot: -  |  you: -  |  no episode; press n to begin one"
-    status.on_answer("not_armed")
-    assert status.line(None, emergency=False).startswith("robot: not armed  |  ")
-    status.on_silence()
-    assert status.line(None, emergency=False).startswith("robot: -  |  ")
-    status.on_event(event("started"))
-    assert said == ["frame 0: started (drive in yard, seed 1)"]
-    status.on_applied(applied(12, "command", "policy"))
-    assert status.line("left", emergency=False) == (
-        "frame 12  |  robot: stop (by policy)  |  refused 0  |  you: left  |  teleop drives"
-    )
-    status.on_applied(applied(13))
-    assert "robot: stop (nobody drives)" in status.line(None, emergency=False)
-    assert status.line(None, emergency=True).startswith("EMERGENCY STOP  |  ")
-    now_s = 3.0
-    assert "NO SIGN OF THE ROBOT for 3 s" in status.line(None, emergency=False)
-    status.on_event(event("victim_found"))
-    assert said[-1].startswith("frame 0: victim found")
-    status.on_event(event("ended", outcome="found"))
-    assert said[-1].startswith("frame 0: ended: found")
-    status.on_applied(applied(14))
-    assert status.line(None, emergency=False) == "robot: -  |  you: -  |  ended: found; press n for the next one"
-    status.on_answer(None)
-    assert status.line(None, emergency=False) == "robot: armed  |  you: -  |  ended: found; press n for the next one"
+@pytest.mark.parametrize(
+    ("told", "line"),
+    [
+        ({}, "robot: -  |  you: left  |  no episode; n: begin one"),
+        ({"answers": True, "cause": "not_armed"}, "robot: not armed  |"),
+        (
+            {"answers": True, "emergency": True, "cause": "emergency_stop"},
+            "EMERGENCY STOP  |  robot: emergency stop  |",
+        ),
+        ({"answers": True, "outcome": "found"}, "robot: armed  |  you: left  |  ended: found; n: next episode"),
+        ({"waiting": True}, "robot: -  |  you: left  |  waiting for the robot"),
+        ({"reason": "command", "source": "policy"}, "frame 12  |  robot: stop (by policy)  |  refused 3  |"),
+        ({"reason": "command", "source": "teleop"}, "robot: stop (by hand)"),
+        ({"reason": "silence"}, "robot: stop (nobody drives)"),
+        ({"reason": "taken_over"}, "robot: stop (you have taken over; r resumes)"),
+        ({"reason": "emergency_stop", "cause": "operator_lost"}, "robot: stop (it had lost you; r resumes)"),
+        ({"reason": "silence", "at": 3.0}, "NO SIGN OF THE ROBOT for 7 s"),
+        ({"reason": "silence", "driver": "teleop"}, "a person drives"),
+    ],
+)
+def test_the_status_line(told: dict[str, object], line: str) -> None:
+    episode = {"episode": "e", "tick": 12, "atom": "stop", "refused": 3, "at": 9.5} if "reason" in told else {}
+    assert line in status_line(Report(**episode | told), "left", 10.0)

@@ -50,27 +50,10 @@ def node(robot: FakeRobot, settings: ServiceSettings) -> Iterator[Node]:
         yield node
 
 
-@pytest.mark.parametrize("key", [b"n", b"r"])
-def test_a_key_releases_the_stop_that_was_known_when_it_was_pressed(node: Node, robot: FakeRobot, key: bytes) -> None:
-    desk = Desk()
-    session = TeleopSession(node, cast("Terminal", desk), TeleopSettings(seed=5))
-    assert node.spin(lambda: "robot: not armed" in desk.status, 10.0)
-    desk.typed = b"n"
-    assert node.spin(lambda: "nobody drives" in desk.status, 10.0)
-    robot.gate.stop("fault")
-    assert node.spin(lambda: "its body has failed" in desk.status, 10.0)
-    robot.gate.stop("operator_lost")  # of which the operator hears only after the key
-    desk.typed = key
-    session.poll()
-    node.spin(lambda: any("another stop was latched" in line for line in desk.said), 10.0)
-    assert robot.arms == [1, 2]
-    assert (len(robot.resets), robot.resumed, robot.gate.emergency_stop) == (1, [], 3)
-
-
 def test_who_drives_is_told_once_a_minute_how_long_the_recorder_has_room(
     node: Node, robot: FakeRobot, settings: ServiceSettings, run_node: RunNode, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("services.teleop.session.ASK_S", 0.05)
+    monkeypatch.setattr("services.teleop.session.DISK_S", 0.05)
     desk = Desk()
     TeleopSession(node, cast("Terminal", desk), TeleopSettings(seed=5))
     assert node.spin(lambda: "robot: not armed" in desk.status, 10.0)
