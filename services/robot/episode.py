@@ -39,7 +39,7 @@ class Episode(Generic[V]):
         self._body = body
         self._task = task
         self._reached: bool | None = None
-        self.tick = 0
+        self.tick = self._timed = 0
         self.view = body.look(0)
 
     @property
@@ -49,15 +49,17 @@ class Episode(Generic[V]):
             self._reached = self._task.reached(self.view)
         return self._reached
 
-    def next_frame(self) -> V:
+    def next_frame(self, *, by_hand: bool = False) -> V:
         """Take the next frame, and set ``outcome`` if the episode ends with it.
 
         A collision counts before the goal. A search ends as soon as its goal is reached; a demonstration goes on until
-        its driver has arrived, or the time is out. Frame 0 ends nothing.
+        its driver has arrived, or the time is out. While a person has taken over, no time passes. Frame 0 ends nothing.
         """
         self.tick += 1
+        self._timed += not by_hand
         self.view, self._reached = self._body.look(self.tick), None
-        timed_out = self.request.max_ticks is not None and self.tick >= self.request.max_ticks
+        limit = self.request.max_ticks
+        timed_out = limit is not None and not by_hand and self._timed >= limit
         if self.view.contact:
             self.outcome = "collision"
         # Whether the goal is reached is asked only where it matters: to look for a victim takes a picture more.

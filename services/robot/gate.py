@@ -39,6 +39,8 @@ Refusal = Literal[
     "out of order",
 ]
 Reason = Literal["command", "silence", "taken_over", "emergency_stop"]
+#: Whoever arms the robot has to know the last of these that has stopped it.
+_WEIGHT: Final[tuple[StopCause, ...]] = ("not_armed", "operator_lost", "fault", "emergency_stop")
 
 
 @dataclass(frozen=True)
@@ -119,16 +121,12 @@ class CommandGate:
         return self._cause if self.emergency_stop else None
 
     def stop(self, cause: StopCause = "emergency_stop") -> None:
-        """Latch a stop.
-
-        A latched emergency stop stays one, whatever stops the robot as well: whoever arms it has to know.
-        """
+        """Latch a stop; of several causes the graver one is told until the robot is armed."""
         with self._lock:
             self._latch(cause)
 
     def _latch(self, cause: StopCause) -> None:
-        if self.stop_cause != "emergency_stop":
-            self._cause = cause
+        self._cause = max(self.stop_cause or cause, cause, key=_WEIGHT.index)
         self._stops += 1
 
     def arm(self, stop: int, session: str) -> str | None:

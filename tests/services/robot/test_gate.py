@@ -393,6 +393,16 @@ def test_a_latched_emergency_stop_is_not_hidden_by_another_stop(gate: CommandGat
     assert gate.stop_cause == other
 
 
+def test_of_two_stops_the_graver_cause_is_told_in_whatever_order_they_come() -> None:
+    """Who only misses the operator would arm a robot whose body has failed, without a look at it."""
+    for graver, other in (("fault", "operator_lost"), ("operator_lost", "not_armed"), ("emergency_stop", "fault")):
+        for causes in ((graver, other), (other, graver)):
+            gate = armed()
+            for cause in causes:
+                gate.stop(cause)
+            assert gate.stop_cause == graver
+
+
 class Interrupted(CommandGate):
     """A gate of which another thread stops the robot for an emergency, in the middle of its latching another stop."""
 

@@ -501,6 +501,20 @@ def test_a_drive_of_a_person_has_no_time_limit() -> None:
     assert runner.running.tick == 3100
 
 
+def test_a_run_that_a_person_corrects_does_not_time_out_in_their_hands() -> None:
+    """It would end as one that found nothing, which teaches nothing."""
+    clock = Clock()
+    runner, _ = begin(LineBody(clock, goal=1e9), mode="realtime", max_ticks=5)
+    advance(runner, clock, 0.2)
+    answer(runner, "left", source="teleop")
+    assert not events(advance(runner, clock, 3.0))
+    run = runner.running
+    assert run is not None
+    runner.resume(ResumeRequest(episode=run.id, tick=run.tick))
+    assert not events(advance(runner, clock, 0.2))
+    assert events(advance(runner, clock, 0.2)) == [("timed_out", None), ("ended", "timeout")]
+
+
 class Real(LineBody):
     """A body that cannot wait for commands."""
 
