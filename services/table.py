@@ -25,6 +25,8 @@ class Service:
         What it does, in a few words.
     takes, gives
         Topics that it may subscribe to, and publish.
+    fetches
+        Topics of which it may have sent what it has missed.
     serves
         Verbs that it answers beside ``status``.
     calls
@@ -41,6 +43,7 @@ class Service:
     meaning: str
     takes: tuple[Topic, ...] = ()
     gives: tuple[Topic, ...] = ()
+    fetches: tuple[Topic, ...] = ()
     serves: tuple[str, ...] = ()
     calls: tuple[str, ...] = ()
     image: Literal["services", "recognition", "simulator"] | None = "services"
@@ -93,6 +96,7 @@ SERVICES: Final = {
             "recorder",
             "writes recordings",
             tuple(topic for topic in TOPICS.values() if topic.recorded),
+            fetches=tuple(topic for topic in TOPICS.values() if topic.is_kept),
             serves=("start", "flush", "stop"),
         ),
         Service("tracker", "measures the robot's pose from above", (topics.OVERHEAD,), (topics.TRACKED,)),
@@ -172,8 +176,8 @@ class Role:
     ----------
     name
         Common name of the certificate.
-    takes, gives
-        Topics that it may subscribe to, and publish.
+    takes, gives, fetches
+        Topics that it may subscribe to, publish, and have sent what it has missed of.
     serves, calls
         Queryables that it may be, and may ask, ``<service>/<verb>``.
     person
@@ -183,6 +187,7 @@ class Role:
     name: str
     takes: tuple[Topic, ...]
     gives: tuple[Topic, ...]
+    fetches: tuple[Topic, ...]
     serves: tuple[str, ...]
     calls: tuple[str, ...]
     person: bool = False
@@ -204,13 +209,19 @@ def roles() -> dict[str, Role]:
     for service in SERVICES.values():
         serves = tuple(f"{service.name}/{verb}" for verb in ("status", *service.serves))
         if service.image is not None:
-            named[service.name] = Role(service.name, service.takes, service.gives, serves, service.calls)
+            named[service.name] = Role(
+                service.name, service.takes, service.gives, service.fetches, serves, service.calls
+            )
     own = [service for service in SERVICES.values() if service.role == "operator"]
     served = tuple(key for role in named.values() for key in role.serves)
     given = tuple(topic for topic in everything if any(topic in service.gives for service in own))
     statuses = tuple(f"{service.name}/status" for service in own)
-    for name, serves in (("operator", statuses), ("console", named["console"].serves)):
-        named[name] = Role(name, everything, given, serves, served, person=True)
+    # Of the episodes that it has run, a person's command must not miss the end.
+    for name, fetches, serves in (
+        ("operator", (topics.EPISODE,), statuses),
+        ("console", (), named["console"].serves),
+    ):
+        named[name] = Role(name, everything, given, fetches, serves, served, person=True)
     asks = tuple(key for key in served if key.endswith("/status"))
-    named["watcher"] = Role("watcher", everything, (), (), asks, person=True)
+    named["watcher"] = Role("watcher", everything, (), (), (), asks, person=True)
     return named

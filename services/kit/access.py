@@ -54,8 +54,8 @@ def _rules(role: Role, robot: str) -> Iterator[Rule]:
 
 def _says(role: Role, robot: str) -> dict[str, set[str]]:
     """Return what a role may send to the router, by kind of message."""
-    gives, kept = _keys(role.gives, robot)
-    takes, replayed = _keys(role.takes, robot)
+    gives, takes = _keys(role.gives, robot), _keys(role.takes, robot)
+    kept, replayed = _kept_keys(role.gives, robot), _kept_keys(role.fetches, robot)
     serves, calls = _services(role, robot)
     listens = {f"{ROOT}/{robot}/**"} if role.person else set()
     administers = {ADMINISTRATION} if role.name == "operator" else set()
@@ -65,7 +65,7 @@ def _says(role: Role, robot: str) -> dict[str, set[str]]:
         "declare_queryable": serves | kept,
         "query": calls | replayed | administers,
         # What a sender kept is answered on the topic's own key.
-        "reply": serves | kept | {topic.key(robot) for topic in role.gives if topic.recorded},
+        "reply": serves | kept | {topic.key(robot) for topic in role.gives if topic.is_kept},
         "liveliness_token": kept,
         "declare_liveliness_subscriber": replayed,
         "liveliness_query": replayed,
@@ -74,8 +74,8 @@ def _says(role: Role, robot: str) -> dict[str, set[str]]:
 
 def _hears(role: Role, robot: str) -> dict[str, set[str]]:
     """Return what a role may be sent by the router, by kind of message."""
-    gives, kept = _keys(role.gives, robot)
-    takes, replayed = _keys(role.takes, robot)
+    gives, takes = _keys(role.gives, robot), _keys(role.takes, robot)
+    kept, replayed = _kept_keys(role.gives, robot), _kept_keys(role.fetches, robot)
     serves, calls = _services(role, robot)
     administers = {ADMINISTRATION} if role.name == "operator" else set()
     return {
@@ -84,16 +84,19 @@ def _hears(role: Role, robot: str) -> dict[str, set[str]]:
         "declare_subscriber": gives | kept,
         "declare_queryable": calls | replayed | administers,
         "query": serves | kept,
-        "reply": calls | replayed | administers | {topic.key(robot) for topic in role.takes if topic.recorded},
+        "reply": calls | replayed | administers | _keys(role.fetches, robot),
         "liveliness_token": replayed,
         "declare_liveliness_subscriber": kept,
         "liveliness_query": kept,
     }
 
 
-def _keys(some: tuple[Topic, ...], robot: str) -> tuple[set[str], set[str]]:
-    """Return the keys of topics, and those of what is kept of the recorded ones."""
-    return {topic.key(robot) for topic in some}, {f"{topic.key(robot)}/{KEPT_KEYS}" for topic in some if topic.recorded}
+def _keys(some: tuple[Topic, ...], robot: str) -> set[str]:
+    return {topic.key(robot) for topic in some}
+
+
+def _kept_keys(some: tuple[Topic, ...], robot: str) -> set[str]:
+    return {f"{topic.key(robot)}/{KEPT_KEYS}" for topic in some if topic.is_kept}
 
 
 def _services(role: Role, robot: str) -> tuple[set[str], set[str]]:

@@ -45,6 +45,8 @@ _BEGIN_S: Final = 30.0
 _ROUND: Final = 50
 #: Calls wait so long for their answers, seconds.
 _ANSWER_S: Final = 1.0
+#: Of who connects on a busy machine.
+_PATIENT: Final[dict[str, object]] = {"connect/timeout_ms": 10_000}
 #: What is put, and what every call but a status asks: refused by who takes it, so that nothing but its number harms.
 _NONSENSE: Final = b"12345678"
 #: What a status asks, which is answered.
@@ -133,7 +135,7 @@ def _flooder(rig: Rig, role: str) -> Iterator[Connection]:
 def flood_all(endpoint: str, keys: Path | None, role: str, told: Connection, owner: Connection) -> None:
     """Flood what is told, until something else is."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the owner
-    session = open_session(endpoint, None if keys is None else credentials_in(keys, role))
+    session = open_session(endpoint, None if keys is None else credentials_in(keys, role), _PATIENT)
     owner.send("ready")
     while True:
         flood = told.recv()

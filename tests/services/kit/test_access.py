@@ -31,7 +31,7 @@ from tests.services.waiting import eventually
 VERBS: Final = ("put", "delete", "subscribe", "query", "serve", "token")
 TOPIC_KEYS: Final = {topic.key(ROBOT): topic for topic in TOPICS.values()}
 SERVED: Final = {rpc_key(ROBOT, *name.split("/")): name for role in roles().values() for name in role.serves}
-KEPT: Final = {f"{topic.key(ROBOT)}/@adv/pub/1/2/_": topic for topic in TOPICS.values() if topic.recorded}
+KEPT: Final = {f"{topic.key(ROBOT)}/@adv/pub/1/2/_": topic for topic in TOPICS.values() if topic.is_kept}
 #: What nobody may name: other robots, the administration of the router, and keys that stand for many.
 ADMINISTRATION: Final = "@/1/router/config/adminspace"
 FOREIGN: Final = (
@@ -51,7 +51,7 @@ def allowed(role: Role, verb: str, key: str) -> bool:
         topic = KEPT[key]
         if verb in {"put", "serve", "token"}:
             return topic in role.gives
-        return verb in {"subscribe", "query"} and topic in role.takes
+        return verb in {"subscribe", "query"} and topic in role.fetches
     if verb == "put":
         return key in TOPIC_KEYS and TOPIC_KEYS[key] in role.gives
     if verb == "subscribe":
