@@ -19,14 +19,12 @@ from tqdm import tqdm
 from schemas.codec import describe, printable
 from services.cli import options, outputs
 from services.cli.stack.child import tied
-from services.importers.atoms import Thresholds
+from services.importers.atoms import QUANTILE, STILL, TURNING
 from services.importers.job import FORMATS, Job, Report, check_format
-from services.importers.source_options import Wishes
 from services.kit.errors import JobError, UsageError
 from services.recordings.sink import free_path, publish
 
-_COMMAND: Final = (sys.executable, "-P", "-m", "services.importers")
-_USUAL: Final = Thresholds()
+_COMMAND: Final = (sys.executable, "-P", "-m", "services.importers.run")
 
 
 def import_recordings(
@@ -73,13 +71,11 @@ def import_recordings(
     ] = None,
     quantile: Annotated[
         float, typer.Option(help="The nominal speed is that which so many of the moving samples do not exceed.")
-    ] = _USUAL.quantile,
+    ] = QUANTILE,
     still: Annotated[
         float, typer.Option(help="Below this fraction of the nominal velocities the robot stands.")
-    ] = _USUAL.still,
-    turning: Annotated[
-        float, typer.Option(help="From this fraction of the nominal turn rate on it turns.")
-    ] = _USUAL.turning,
+    ] = STILL,
+    turning: Annotated[float, typer.Option(help="From this fraction of the nominal turn rate on it turns.")] = TURNING,
     field_of_view: Annotated[
         float | None,
         typer.Option(
@@ -116,15 +112,15 @@ def import_recordings(
         raise UsageError(f"--to {to_s:g}: is not after --from {from_s:g}")
     # What was not asked for has the job's own default.
     given: dict[str, Any] = {"to_s": to_s, "success": None if failed is None else not failed}
+    given |= {"camera": camera, "velocity": velocity, "rate_hz": rate, "speed": speed, "turn_rate": turn_rate}
     if field_of_view is not None:
         given["focal"] = 0.5 / math.tan(math.radians(field_of_view) / 2.0)
-    wished = {"camera": camera, "velocity": velocity, "rate_hz": rate, "speed": speed, "turn_rate": turn_rate}
     with outputs.made_folder(out, "--out"), outputs.workshop(out, ".import-") as folder:
         job = _job(
-            wished | {"episodes": tuple(episode or ())},
             {name: value for name, value in given.items() if value is not None},
             {"format": format_, "path": str(path), "folder": str(folder), "robot": robot, "goal": goal},
             {"reckon": not no_odometry, "from_s": from_s, "quantile": quantile, "still": still, "turning": turning},
+            {"episodes": tuple(episode or ())},
         )
         remarks, report = _run(job)
         files = [_published(Path(file), out) for file in report.files]
@@ -136,9 +132,9 @@ def import_recordings(
     typer.echo("\n".join(_lines(report, job, files, out)))
 
 
-def _job(wished: dict[str, Any], *given: dict[str, Any]) -> Job:
+def _job(*given: dict[str, Any]) -> Job:
     try:
-        return Job(wishes=Wishes(**wished), **{name: value for each in given for name, value in each.items()})
+        return Job(**{name: value for each in given for name, value in each.items()})
     except ValidationError as error:
         raise UsageError(describe(error)) from None
 
@@ -150,7 +146,7 @@ def _published(file: Path, out: Path) -> Path:
 
 
 def _run(job: Job) -> tuple[list[str], Report]:
-    """Do the job in a process of its own; see `services.importers.__main__`."""
+    """Do the job in a process of its own; see `services.importers.run`."""
     # One thread: more of them would each take memory, and the bound is for all.
     environment = os.environ | {"OPENBLAS_NUM_THREADS": "1"}
     with subprocess.Popen(  # noqa: S603 - our own

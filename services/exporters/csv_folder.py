@@ -15,8 +15,8 @@ def write(drives: Sequence[Drive], folder: Path, tally: Tally, advance: Callable
     """Write all drives into one folder, the images of each into a folder of its own."""
     say_view(drives, tally)
     with (folder / NAME).open("w", newline="", encoding="utf-8") as file:
-        table = csv.DictWriter(file, COLUMNS, lineterminator="\n")
-        table.writeheader()
+        table = csv.writer(file, lineterminator="\n")
+        table.writerow(COLUMNS)
         for drive in drives:
             (folder / drive.name).mkdir()
             for moment in drive.moments(tally):
@@ -30,6 +30,6 @@ def write(drives: Sequence[Drive], folder: Path, tally: Tally, advance: Callable
                 (folder / image).write_bytes(moment.jpeg)
                 seconds, rest_ns = divmod(moment.stamp_ns, 1_000_000_000)
                 pose = moment.pose
-                row = (drive.name, image, f"{seconds}.{rest_ns:09d}", *moment.velocity, int(drive.success))
                 way = ("", "", "") if pose is None else (pose.x_m, pose.y_m, pose.heading_rad)
-                table.writerow(dict(zip(COLUMNS, (*row, *way), strict=True)))
+                time_s = f"{seconds}.{rest_ns:09d}"
+                table.writerow([drive.name, image, time_s, *moment.velocity, int(drive.success), *way])

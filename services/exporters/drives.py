@@ -17,7 +17,7 @@ from schemas.imu import Imu
 from schemas.odometry import Odometry
 from schemas.topics import CAMERA_INFO, IMU, ODOMETRY
 from services.importers.drive import Tally
-from services.importers.resample import TICK_S
+from services.importers.ticks import TICK_S
 from services.kit.jpeg import is_jpeg
 from services.recordings.encoding import stamped_jpeg
 from services.recordings.reader import RecordingError, read_recording
@@ -47,8 +47,7 @@ class Rate(NamedTuple):
     origin: str
 
 
-@dataclass(frozen=True)
-class Nominal:
+class Nominal(NamedTuple):
     """How fast a robot's atoms are at full speed: forward and backward, and the turns."""
 
     speed: Rate
@@ -121,29 +120,25 @@ class Drive:
         imus = cast("dict[int, Imu]", self.episode.kept.get(IMU.name, {}))
         last_ns = -1
         for tick in self.ticks:
-            pose, applied = poses.get(tick), self.episode.applied.get(tick)
-            # What descends from a frame has its stamp.
             stamp_ns, jpeg = self._image(tick, tally)
-            stamp_ns = next((message.stamp_ns for message in (pose, applied) if message is not None), stamp_ns)
+            # What descends from a frame has its stamp.
+            stamp_ns = next((one[tick].stamp_ns for one in (poses, self.episode.applied) if tick in one), stamp_ns)
             if stamp_ns <= last_ns:
                 tally.count("ticks are not later than the one before, and are left out")
                 continue
             last_ns = stamp_ns
-            yield Moment(tick, stamp_ns, jpeg, self._velocity(tick), pose, imus.get(tick))
+            yield Moment(tick, stamp_ns, jpeg, self._velocity(tick), poses.get(tick), imus.get(tick))
 
     def _image(self, tick: int, tally: Tally) -> tuple[int, bytes | None]:
-        payload = self.episode.images.get(tick)
-        if payload is None:
+        if tick not in self.episode.images:
             tally.count("ticks have no image")
             return -1, None
         try:
-            stamp_ns, jpeg = stamped_jpeg(bytes(payload))
+            stamp_ns, jpeg = stamped_jpeg(bytes(self.episode.images[tick]))
         except ValueError:
             stamp_ns, jpeg = -1, b""
-        if is_jpeg(jpeg):
-            return stamp_ns, jpeg
-        tally.count("images are damaged")
-        return stamp_ns, None
+        tally.count("images are damaged", int(not is_jpeg(jpeg)))
+        return stamp_ns, jpeg if is_jpeg(jpeg) else None
 
     def _velocity(self, tick: int) -> Velocity | None:
         # At its end the robot stands.
@@ -153,9 +148,8 @@ class Drive:
         if applied is None:
             return None
         ahead, left = DIRECTIONS[applied.atom]
-        speed, turn_rate = self.nominal.speed.value, self.nominal.turn_rate.value
-        forward = speed * (ahead * applied.speed + applied.ahead)
-        return Velocity(round(forward, _DIGITS), round(left * turn_rate * applied.speed, _DIGITS))
+        forward = self.nominal.speed.value * (ahead * applied.speed + applied.ahead)
+        return Velocity(round(forward, _DIGITS), round(left * self.nominal.turn_rate.value * applied.speed, _DIGITS))
 
 
 def read(files: Iterable[Path], speed: float | None, turn_rate: float | None, tally: Tally) -> list[Drive]:
@@ -183,8 +177,8 @@ def read(files: Iterable[Path], speed: float | None, turn_rate: float | None, ta
     for robot in dict.fromkeys(episode.robot for episode in episodes):
         own = [episode for episode in episodes if episode.robot == robot]
         nominal[robot] = Nominal(
-            _rate(own, speed, "--speed", "ahead", ("forward", "backward")),
-            _rate(own, turn_rate, "--turn-rate", "turn_rad", ("left", "right")),
+            _rate(own, speed, "--speed", ("forward", "backward")),
+            _rate(own, turn_rate, "--turn-rate", ("left", "right")),
         )
     return [
         Drive(name if names.count(name) == 1 else f"{episode.robot}-{name}", episode, nominal[episode.robot])
@@ -221,32 +215,22 @@ def _episodes(files: Iterable[Path], tally: Tally) -> Iterator[RecordedEpisode]:
                 yield episode
 
 
-def _rate(
-    episodes: Collection[RecordedEpisode], given: float | None, option: str, unit: str, atoms: tuple[Atom, Atom]
-) -> Rate:
+def _rate(episodes: Collection[RecordedEpisode], given: float | None, option: str, atoms: tuple[Atom, Atom]) -> Rate:
     """Return the rate that the user gives, or else the median over all ticks of these atoms, as learning has it."""
     if given is not None:
         return Rate(given, f"as {option} says")
-    steps = [
-        abs(getattr(Movement.between(episode.odometry[tick], episode.odometry[tick + 1]), unit)) / applied.speed
-        for episode, tick, applied in _made(episodes, atoms)
-        if applied.speed > 0.0 and tick in episode.odometry and tick + 1 in episode.odometry
-    ]
-    rate = round(float(np.median(steps)) / TICK_S, _DIGITS) if steps else 0.0
-    if rate > 0.0:
-        return Rate(rate, "by its odometry")
-    for episode, _, applied in _made(episodes, atoms):
-        raise ExportFailure(
-            f"episode {episode.episode}: no odometry says how fast {applied.atom} is; say it with {option}"
-        )
-    return Rate(0.0, "never done")
-
-
-def _made(
-    episodes: Collection[RecordedEpisode], atoms: tuple[Atom, Atom]
-) -> Iterator[tuple[RecordedEpisode, int, CommandApplied]]:
-    """Yield where some atoms were made."""
+    steps: list[float] = []
+    made: list[tuple[RecordedEpisode, CommandApplied]] = []
     for episode in episodes:
         for tick, applied in episode.applied.items():
-            if applied.atom in atoms:
-                yield episode, tick, applied
+            if applied.atom not in atoms:
+                continue
+            made.append((episode, applied))
+            if applied.speed > 0.0 and tick in episode.odometry and tick + 1 in episode.odometry:
+                moved = Movement.between(episode.odometry[tick], episode.odometry[tick + 1])
+                steps.append(abs(moved.ahead if "forward" in atoms else moved.turn_rad) / applied.speed)
+    rate = round(float(np.median(steps)) / TICK_S, _DIGITS) if steps else 0.0
+    if rate > 0.0 or not made:
+        return Rate(rate, "by its odometry" if made else "never done")
+    episode, applied = made[0]
+    raise ExportFailure(f"episode {episode.episode}: no odometry says how fast {applied.atom} is; say it with {option}")

@@ -7,228 +7,281 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import closing
+from contextlib import contextmanager
 from dataclasses import dataclass, field
+from fractions import Fraction
+from itertools import chain, count, groupby, pairwise
+from operator import attrgetter
 from pathlib import Path
-from typing import Any, Final, NamedTuple
+from typing import Any, Final, NamedTuple, cast
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from services.exporters.drives import Drive, ExportFailure, Moment, say_view
-from services.exporters.statistics import Statistics, histogram, of_images, of_numbers
-from services.exporters.video import CODEC, PIXELS, Videos
+from services.exporters.drives import Drive, ExportFailure, Moment, Velocity, say_view
 from services.importers.drive import Tally
 from services.importers.lerobot import ACTION, DATA, EPISODES, INFO, POSE, STATE, SUCCESS, VELOCITIES, VIDEO
-from services.importers.resample import TICK_S
+from services.importers.ticks import TICK_S
 from services.kit.jpeg import decode_jpeg
 
 CAMERA: Final = "observation.images.front"
 FPS: Final = round(1.0 / TICK_S)
-#: The format's own: files in a folder, and from which size on, in megabytes, another file begins.
+#: The format's own: files in a folder; the largest, in megabytes, that others make when they add to it.
 _CHUNK, _DATA_MB, _VIDEO_MB = 1000, 100, 200
 _FIRST: Final = {"chunk_index": 0, "file_index": 0}
+#: As lerobot has it for random access: every other image stands for itself, and none is told by a later one. With this
+#: quality nobody sees a difference.
+_CODEC, _PIXELS, _OPTIONS = "h264", "yuv420p", {"crf": "18", "g": "2", "bf": "0"}
+_QUANTILES: Final = {"q01": 0.01, "q10": 0.1, "q50": 0.5, "q90": 0.9, "q99": 0.99}
+_NAME: Final = {"pandas_type": "unicode", "numpy_type": "object", "metadata": None}
+_NUMBER: Final = {"pandas_type": "int64", "numpy_type": "int64", "metadata": None}
+#: Of the table of tasks: others read it with pandas, and look tasks up in its index.
+_TASKS: Final = {
+    "index_columns": ["task"],
+    "column_indexes": [{"name": None, "field_name": None, **_NAME, "metadata": {"encoding": "UTF-8"}}],
+    "columns": [
+        {"name": "task_index", "field_name": "task_index", **_NUMBER},
+        {"name": "task", "field_name": "task", **_NAME},
+    ],
+    "creator": {"library": "smal", "version": "0"},
+    "pandas_version": "2.0.0",
+}
+Pixels = NDArray[np.uint8]
+Statistics = dict[str, list[Any]]
 
 
 class _Frame(NamedTuple):
     """A row, without what its place in the table says."""
 
-    action: tuple[float, float]
+    action: Velocity
     pose: tuple[float, float, float] | None
     success: bool
 
 
 @dataclass
 class _Episode:
-    """A piece of a drive without gaps."""
+    """A piece of a drive without gaps, and how often each value is in each channel of its images, (3, 256)."""
 
     task: str
-    video: dict[str, int]
-    begin: int
     frames: list[_Frame] = field(default_factory=list)
     counts: NDArray[np.int64] = field(default_factory=lambda: np.zeros((3, 256), np.int64))
 
 
+class _Shown(NamedTuple):
+    """A tick that the data set has, and which episode of it that is in."""
+
+    episode: int
+    drive: Drive
+    moment: Moment
+    pixels: Pixels
+
+
 def write(drives: Sequence[Drive], folder: Path, tally: Tally, advance: Callable[[], None]) -> None:
-    """Write one data set of all drives."""
+    """Write one data set of all drives; each episode has a video of its own."""
     import av  # noqa: PLC0415 - of the extra `formats`
 
+    episodes: list[_Episode] = []
+    size = 0, 0
     try:
-        with closing(Videos(folder, VIDEO, CAMERA, FPS, _CHUNK, _VIDEO_MB)) as videos:
-            episodes = list(_filmed(drives, videos, tally, advance))
+        for number, shown in groupby(_usable(drives, tally, advance), key=attrgetter("episode")):
+            first = next(shown)
+            size = first.pixels.shape[1], first.pixels.shape[0]
+            with _video(folder / VIDEO.format(video_key=CAMERA, **_place(number)), size) as add:
+                episodes.append(_Episode(f"Go to the {first.drive.episode.goal}."))
+                for one in chain((first,), shown):
+                    add(one.pixels)
+                    _note(episodes[-1], one)
     except av.FFmpegError as error:
         raise ExportFailure(f"the video cannot be written: {error.strerror or type(error).__name__}") from None
     say_view(drives, tally)
     if not episodes:
         raise ExportFailure("nothing to export: no frame has an image and tells what was done then")
-    _Tables(folder, episodes, tally).write(videos, drives[0].episode.robot)
+    _describe(folder, episodes, size, drives[0].episode.robot, tally)
 
 
-def _filmed(drives: Sequence[Drive], videos: Videos, tally: Tally, advance: Callable[[], None]) -> Iterator[_Episode]:
+def _place(episode: int) -> dict[str, int]:
+    return {"chunk_index": episode // _CHUNK, "file_index": episode % _CHUNK}
+
+
+def _usable(drives: Sequence[Drive], tally: Tally, advance: Callable[[], None]) -> Iterator[_Shown]:
+    """Yield the ticks that can be in the data set."""
+    size: tuple[int, ...] | None = None
+    episode = -1
     for drive in drives:
-        episode, last = None, -1
+        last: int | None = None
         for moment in drive.moments(tally):
             advance()
-            pixels = _pixels(moment, videos, tally)
-            if pixels is None or moment.velocity is None:
+            if moment.jpeg is None:
                 continue
-            if episode is None or moment.tick != last + 1:
-                if episode is not None:
-                    tally.count("gaps are the end of an episode and the beginning of another")
-                at, begin = videos.begin_episode(pixels)
-                episode = _Episode(f"Go to the {drive.episode.goal}.", at, begin)
-                yield episode
+            if moment.velocity is None:
+                tally.count("frames do not tell what was done then, and are left out")
+                continue
+            try:
+                pixels = decode_jpeg(moment.jpeg)
+            except ValueError:
+                tally.count("images are damaged")
+                continue
+            size = size or pixels.shape
+            if pixels.shape != size:
+                tally.count("images have another size than the first, and are left out")
+                continue
+            if last is None or moment.tick != last + 1:
+                episode += 1
+                tally.count("gaps are the end of an episode and the beginning of another", int(last is not None))
             last = moment.tick
-            videos.add(pixels)
-            episode.counts += histogram(pixels)
-            pose = moment.pose
-            way = None if pose is None else (pose.x_m, pose.y_m, pose.heading_rad)
-            arrived = drive.success and moment.tick == drive.episode.end_tick
-            episode.frames.append(_Frame(moment.velocity, way, arrived))
+            yield _Shown(episode, drive, moment, pixels)
 
 
-def _pixels(moment: Moment, videos: Videos, tally: Tally) -> NDArray[np.uint8] | None:
-    """Return the image of a tick that can be in the data set."""
-    if moment.jpeg is None:
-        return None
-    if moment.velocity is None:
-        tally.count("frames do not tell what was done then, and are left out")
-        return None
-    try:
-        pixels = decode_jpeg(moment.jpeg)
-    except ValueError:
-        tally.count("images are damaged")
-        return None
-    if videos.size not in (None, pixels.shape[1::-1]):
-        tally.count("images have another size than the first, and are left out")
-        return None
-    return pixels
+@contextmanager
+def _video(path: Path, size: tuple[int, int]) -> Iterator[Callable[[Pixels], None]]:
+    """Open an MP4 file to write; give what adds an image to it."""
+    import av  # noqa: PLC0415 - as above
+
+    width, height = size
+    if width % 2 or height % 2:
+        raise ExportFailure(f"images of {width}x{height} pixels: a video has an even number of columns and rows")
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with av.open(str(path), "w", format="mp4") as container:
+        stream = container.add_stream("libx264", rate=FPS, options=_OPTIONS)
+        stream.width, stream.height = size
+        stream.pix_fmt = _PIXELS
+        number = count()
+
+        def add(pixels: Pixels) -> None:
+            frame = av.VideoFrame.from_ndarray(pixels, format="rgb24")
+            frame.time_base, frame.pts = Fraction(1, FPS), next(number)
+            container.mux(stream.encode(frame))
+
+        yield add
+        container.mux(stream.encode())
 
 
-class _Tables:
-    """Writes everything but the images."""
-
-    def __init__(self, folder: Path, episodes: list[_Episode], tally: Tally) -> None:
-        self._folder = folder
-        self._episodes = episodes
-        lengths = [len(episode.frames) for episode in episodes]
-        self._ends = np.cumsum(lengths).tolist()
-        frames = [frame for episode in episodes for frame in episode.frames]
-        places = np.concatenate([np.arange(length) for length in lengths])
-        self._tasks = list(dict.fromkeys(episode.task for episode in episodes))
-        tasks = [self._tasks.index(episode.task) for episode in episodes]
-        #: By feature, as the rows have them.
-        self._columns: dict[str, NDArray[Any]] = {ACTION: np.array([frame.action for frame in frames], np.float32)}
-        poses = [frame.pose for frame in frames if frame.pose is not None]
-        if len(poses) == len(frames):
-            self._columns[STATE] = np.array(poses, np.float32)
-        else:
-            tally.say(f"{len(frames) - len(poses)} of {len(frames)} frames lack odometry: there is no {STATE}")
-        self._columns |= {
-            SUCCESS: np.array([frame.success for frame in frames]),
-            "timestamp": (places / FPS).astype(np.float32),
-            "frame_index": places,
-            "episode_index": np.repeat(np.arange(len(episodes)), lengths),
-            "index": np.arange(len(frames)),
-            "task_index": np.repeat(tasks, lengths),
-        }
-
-    def write(self, videos: Videos, robot: str) -> None:
-        """Write data and description."""
-        self._rows()
-        self._described()
-        self._named_tasks()
-        images = sum(episode.counts for episode in self._episodes)
-        everything = {CAMERA: of_images(np.asarray(images), self._ends[-1]), **self._statistics(slice(None))}
-        self._json("meta/stats.json", everything)
-        self._json(INFO, self._info(videos, robot))
-
-    def _rows(self) -> None:
-        import pyarrow as pa  # noqa: PLC0415 - of the extra `formats`
-        import pyarrow.parquet as pq  # noqa: PLC0415
-
-        arrays = {name: _arrow(values) for name, values in self._columns.items()}
-        table = pa.table(arrays)
-        with pq.ParquetWriter(self._path(DATA), table.schema) as writer:
-            for begin, end in zip([0, *self._ends], self._ends, strict=False):
-                writer.write_table(table.slice(begin, end - begin))
-
-    def _described(self) -> None:
-        rows = []
-        for number, (episode, end) in enumerate(zip(self._episodes, self._ends, strict=True)):
-            length = len(episode.frames)
-            statistics = {CAMERA: of_images(episode.counts, length), **self._statistics(slice(end - length, end))}
-            row: dict[str, Any] = {"episode_index": number, "tasks": [episode.task], "length": length}
-            row |= {f"data/{name}": index for name, index in _FIRST.items()}
-            row |= {"dataset_from_index": end - length, "dataset_to_index": end}
-            row |= {f"videos/{CAMERA}/{name}": index for name, index in episode.video.items()}
-            row[f"videos/{CAMERA}/from_timestamp"] = episode.begin / FPS
-            row[f"videos/{CAMERA}/to_timestamp"] = (episode.begin + length) / FPS
-            row |= {f"stats/{key}/{name}": value for key, one in statistics.items() for name, value in one.items()}
-            row |= {f"meta/episodes/{name}": index for name, index in _FIRST.items()}
-            rows.append(row)
-        self._parquet(f"{EPISODES}/chunk-{{chunk_index:03d}}/file-{{file_index:03d}}.parquet", rows, None)
-
-    def _named_tasks(self) -> None:
-        # Others read this table with pandas, and look tasks up in its index.
-        column = {"pandas_type": "unicode", "numpy_type": "object", "metadata": None}
-        number = {"pandas_type": "int64", "numpy_type": "int64", "metadata": None}
-        described = {
-            "index_columns": ["task"],
-            "column_indexes": [{"name": None, "field_name": None, **column, "metadata": {"encoding": "UTF-8"}}],
-            "columns": [
-                {"name": "task_index", "field_name": "task_index", **number},
-                {"name": "task", "field_name": "task", **column},
-            ],
-            "creator": {"library": "smal", "version": "0"},
-            "pandas_version": "2.0.0",
-        }
-        rows = [{"task_index": number, "task": task} for number, task in enumerate(self._tasks)]
-        self._parquet("meta/tasks.parquet", rows, {"pandas": json.dumps(described)})
-
-    def _info(self, videos: Videos, robot: str) -> dict[str, Any]:
-        assert videos.size is not None  # noqa: S101 - there are images
-        width, height = videos.size
-        film = {
-            "video.height": height, "video.width": width, "video.codec": CODEC, "video.pix_fmt": PIXELS,
-            "video.is_depth_map": False, "video.fps": FPS, "video.channels": 3, "has_audio": False,
-        }  # fmt: skip
-        names = {ACTION: list(VELOCITIES), STATE: list(POSE)}
-        rows = {
-            key: {"dtype": str(values.dtype), "shape": list(values.shape[1:]) or [1], "names": names.get(key)}
-            for key, values in self._columns.items()
-        }
-        shown = {"dtype": "video", "shape": [height, width, 3], "names": ["height", "width", "channels"], "info": film}
-        return {
-            "codebase_version": "v3.0", "robot_type": robot, "total_episodes": len(self._episodes),
-            "total_frames": self._ends[-1], "total_tasks": len(self._tasks), "chunks_size": _CHUNK,
-            "data_files_size_in_mb": _DATA_MB, "video_files_size_in_mb": _VIDEO_MB, "fps": FPS,
-            "splits": {"train": f"0:{len(self._episodes)}"}, "data_path": DATA, "video_path": VIDEO,
-            "features": {CAMERA: shown, **rows},
-        }  # fmt: skip
-
-    def _statistics(self, rows: slice) -> dict[str, Statistics]:
-        each = {key: values[rows] for key, values in self._columns.items()}
-        return {key: of_numbers(values.reshape(len(values), -1)) for key, values in each.items()}
-
-    def _parquet(self, name: str, rows: list[dict[str, Any]], metadata: dict[str, str] | None) -> None:
-        import pyarrow as pa  # noqa: PLC0415 - as above
-        import pyarrow.parquet as pq  # noqa: PLC0415
-
-        pq.write_table(pa.Table.from_pylist(rows).replace_schema_metadata(metadata), self._path(name))
-
-    def _json(self, name: str, content: dict[str, Any]) -> None:
-        self._path(name).write_text(json.dumps(content, indent=4) + "\n", encoding="utf-8")
-
-    def _path(self, name: str) -> Path:
-        path = self._folder / name.format(**_FIRST)
-        path.parent.mkdir(parents=True, exist_ok=True)
-        return path
+def _note(episode: _Episode, shown: _Shown) -> None:
+    """Keep what the tables say of a frame."""
+    moment, pose = shown.moment, shown.moment.pose
+    arrived = shown.drive.success and moment.tick == shown.drive.episode.end_tick
+    way = None if pose is None else (pose.x_m, pose.y_m, pose.heading_rad)
+    episode.frames.append(_Frame(cast("Velocity", moment.velocity), way, arrived))
+    counts = [cv2.calcHist([shown.pixels], [channel], None, [256], [0.0, 256.0])[:, 0] for channel in range(3)]
+    episode.counts += np.stack(counts).astype(np.int64)
 
 
-def _arrow(values: NDArray[Any]) -> Any:  # noqa: ANN401 - of a package without types
-    """Return a column, of which a cell is a number or a list of as many numbers each."""
+def _describe(folder: Path, episodes: list[_Episode], size: tuple[int, int], robot: str, tally: Tally) -> None:
+    """Write everything but the images."""
+    lengths = [len(episode.frames) for episode in episodes]
+    ends = np.cumsum(lengths).tolist()
+    tasks = list(dict.fromkeys(episode.task for episode in episodes))
+    columns = _columns(episodes, lengths, tasks, tally)
+    _write_rows(folder / DATA.format(**_FIRST), columns, ends)
+    rows = []
+    for number, (episode, length, end) in enumerate(zip(episodes, lengths, ends, strict=True)):
+        film, statistics = f"videos/{CAMERA}", _statistics(columns, slice(end - length, end), [episode])
+        row: dict[str, Any] = {"episode_index": number, "tasks": [episode.task], "length": length}
+        row |= {f"data/{name}": index for name, index in _FIRST.items()}
+        row |= {"dataset_from_index": end - length, "dataset_to_index": end}
+        row |= {f"{film}/{name}": index for name, index in _place(number).items()}
+        row |= {f"{film}/from_timestamp": 0.0, f"{film}/to_timestamp": length / FPS}
+        row |= {f"stats/{key}/{name}": value for key, one in statistics.items() for name, value in one.items()}
+        rows.append(row | {f"meta/episodes/{name}": index for name, index in _FIRST.items()})
+    _write_table(folder / EPISODES / "chunk-000/file-000.parquet", rows, None)
+    named = [{"task_index": number, "task": task} for number, task in enumerate(tasks)]
+    _write_table(folder / "meta/tasks.parquet", named, {"pandas": json.dumps(_TASKS)})
+    _write_json(folder / "meta/stats.json", _statistics(columns, slice(None), episodes))
+    _write_json(folder / INFO, _info(columns, len(episodes), len(tasks), size) | {"robot_type": robot})
+
+
+def _columns(episodes: list[_Episode], lengths: list[int], tasks: list[str], tally: Tally) -> dict[str, NDArray[Any]]:
+    """Return the features, as the rows have them."""
+    frames = [frame for episode in episodes for frame in episode.frames]
+    places = np.concatenate([np.arange(length) for length in lengths])
+    columns: dict[str, NDArray[Any]] = {ACTION: np.array([frame.action for frame in frames], np.float32)}
+    poses = [frame.pose for frame in frames if frame.pose is not None]
+    if len(poses) == len(frames):
+        columns[STATE] = np.array(poses, np.float32)
+    else:
+        tally.say(f"{len(frames) - len(poses)} of {len(frames)} frames lack odometry: there is no {STATE}")
+    return columns | {
+        SUCCESS: np.array([frame.success for frame in frames]),
+        "timestamp": (places / FPS).astype(np.float32),
+        "frame_index": places,
+        "episode_index": np.repeat(np.arange(len(episodes)), lengths),
+        "index": np.arange(len(frames)),
+        "task_index": np.repeat([tasks.index(episode.task) for episode in episodes], lengths),
+    }
+
+
+def _info(columns: dict[str, NDArray[Any]], episodes: int, tasks: int, size: tuple[int, int]) -> dict[str, Any]:
+    width, height = size
+    film = {
+        "video.height": height, "video.width": width, "video.codec": _CODEC, "video.pix_fmt": _PIXELS,
+        "video.is_depth_map": False, "video.fps": FPS, "video.channels": 3, "has_audio": False,
+    }  # fmt: skip
+    names = {ACTION: list(VELOCITIES), STATE: list(POSE)}
+    rows = {
+        key: {"dtype": str(values.dtype), "shape": list(values.shape[1:]) or [1], "names": names.get(key)}
+        for key, values in columns.items()
+    }
+    shown = {"dtype": "video", "shape": [height, width, 3], "names": ["height", "width", "channels"], "info": film}
+    return {
+        "codebase_version": "v3.0", "total_episodes": episodes, "total_frames": len(columns["index"]),
+        "total_tasks": tasks, "chunks_size": _CHUNK, "data_files_size_in_mb": _DATA_MB,
+        "video_files_size_in_mb": _VIDEO_MB, "fps": FPS, "splits": {"train": f"0:{episodes}"}, "data_path": DATA,
+        "video_path": VIDEO, "features": {CAMERA: shown, **rows},
+    }  # fmt: skip
+
+
+def _statistics(columns: dict[str, NDArray[Any]], rows: slice, episodes: list[_Episode]) -> dict[str, Statistics]:
+    """Return what a data set says of the values of each feature, for those who normalize them."""
+    images = sum((episode.counts for episode in episodes), np.zeros((3, 256), np.int64))
+    found = {CAMERA: _of_images(images, sum(len(episode.frames) for episode in episodes))}
+    for key, values in columns.items():
+        part = values[rows].reshape(len(values[rows]), -1)
+        exact = part.astype(np.float64)
+        # The extremes are of their own type, as lerobot has it.
+        made = {"min": part.min(axis=0), "max": part.max(axis=0), "mean": exact.mean(axis=0), "std": exact.std(axis=0)}
+        made |= {name: np.quantile(exact, share, axis=0) for name, share in _QUANTILES.items()}
+        found[key] = {name: value.tolist() for name, value in made.items()} | {"count": [len(part)]}
+    return found
+
+
+def _of_images(counts: NDArray[np.int64], images: int) -> Statistics:
+    """Return the statistics of images from the sum of their histograms; values are from 0 to 1, each (3, 1, 1)."""
+    levels = np.arange(256) / 255.0
+    below = np.cumsum(counts, axis=1) / counts.sum(axis=1, keepdims=True)
+    shares = np.diff(below, axis=1, prepend=0.0)
+    mean = shares @ levels
+    # Of rounding alone it can be less than nothing.
+    variance = np.maximum(shares @ levels**2 - mean**2, 0.0)
+    there = [levels[channel > 0] for channel in counts]
+    found = {"min": [one[0] for one in there], "max": [one[-1] for one in there], "mean": mean, "std": variance**0.5}
+    found |= {name: levels[np.minimum((below < share).sum(axis=1), 255)] for name, share in _QUANTILES.items()}
+    return {name: np.reshape(value, (3, 1, 1)).tolist() for name, value in found.items()} | {"count": [images]}
+
+
+def _write_rows(path: Path, columns: dict[str, NDArray[Any]], ends: list[int]) -> None:
+    """Write a table with a group of rows for each episode; a cell is a number or a list of as many numbers each."""
+    import pyarrow as pa  # noqa: PLC0415 - of the extra `formats`
+    import pyarrow.parquet as pq  # noqa: PLC0415
+
+    arrays = {}
+    for name, values in columns.items():
+        flat = pa.array(values.ravel())
+        arrays[name] = flat if values.ndim == 1 else pa.FixedSizeListArray.from_arrays(flat, values.shape[1])
+    table = pa.table(arrays)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with pq.ParquetWriter(path, table.schema) as writer:
+        for begin, end in pairwise([0, *ends]):
+            writer.write_table(table.slice(begin, end - begin))
+
+
+def _write_table(path: Path, rows: list[dict[str, Any]], metadata: dict[str, str] | None) -> None:
     import pyarrow as pa  # noqa: PLC0415 - as above
+    import pyarrow.parquet as pq  # noqa: PLC0415
 
-    flat = pa.array(values.ravel())
-    return flat if values.ndim == 1 else pa.FixedSizeListArray.from_arrays(flat, values.shape[1])
+    path.parent.mkdir(parents=True, exist_ok=True)
+    pq.write_table(pa.Table.from_pylist(rows).replace_schema_metadata(metadata), path)
+
+
+def _write_json(path: Path, content: dict[str, Any]) -> None:
+    path.write_text(json.dumps(content, indent=4) + "\n", encoding="utf-8")

@@ -7,7 +7,7 @@ both is a turn where the turn is sharp, as one who has only keys would drive it,
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,74 +18,60 @@ from services.importers.drive import Array, ImportFailure
 #: Slower than this nobody drives or turns on purpose: 2 cm and 6 degrees a second. Of a source without units it is 2 %
 #: of full throttle, and 10 % of full lock at that.
 _LEAST_LINEAR, _LEAST_ANGULAR = 0.02, 0.1
-_FORWARD, _BACKWARD, _LEFT, _RIGHT, _STOP = (
-    ATOMS.index(name) for name in ("forward", "backward", "left", "right", "stop")
-)
+#: The nominal speed is that which so many of the moving samples do not exceed, and so is the nominal turn rate: the
+#: fastest few are noise, or a hand that slipped.
+QUANTILE: Final = 0.95
+#: Below this fraction of both nominal velocities the robot stands; joysticks have a dead zone of about as much.
+STILL: Final = 0.1
+#: From this fraction of the nominal turn rate on a tick is a turn: the nearer of all and nothing.
+TURNING: Final = 0.5
 
 
-@dataclass(frozen=True)
-class Thresholds:
-    """Where one atom ends and another begins.
-
-    Parameters
-    ----------
-    quantile
-        The nominal speed is that which so many of the moving ticks do not exceed, and so is the nominal turn rate: the
-        fastest few are noise, or a hand that slipped.
-    still
-        Below this fraction of both nominal velocities the robot stands; joysticks have a dead zone of about as much.
-    turning
-        From this fraction of the nominal turn rate on a tick is a turn: the nearer of all and nothing.
-    """
-
-    quantile: float = 0.95
-    still: float = 0.1
-    turning: float = 0.5
-
-
-@dataclass(frozen=True)
-class Nominal:
+class Nominal(NamedTuple):
     """How fast the robot usually drives and turns, in the source's units."""
 
     linear: float
     angular: float
 
 
-def nominal(velocities: Array, thresholds: Thresholds) -> Nominal:
-    """Measure it on the ticks of all drives.
-
-    Parameters
-    ----------
-    velocities
-        (2, n): linear and angular.
-    thresholds
-        Its quantile.
+def nominal(velocities: Array, quantile: float = QUANTILE) -> Nominal:
+    """Measure it on the samples of all drives, (n, 2): linear and angular.
 
     Raises
     ------
     ImportFailure
         When the robot never moves.
     """
-    linear, angular = np.abs(velocities)
+    linear, angular = np.abs(velocities).T
     driving, turning = linear[linear > _LEAST_LINEAR], angular[angular > _LEAST_ANGULAR]
     if not driving.size:
         raise ImportFailure("the robot never drives: no velocity above 0.02; are its units metres a second?")
-    fast = float(np.quantile(turning, thresholds.quantile)) if turning.size else _LEAST_ANGULAR
-    return Nominal(float(np.quantile(driving, thresholds.quantile)), fast)
+    fast = float(np.quantile(turning, quantile)) if turning.size else _LEAST_ANGULAR
+    return Nominal(float(np.quantile(driving, quantile)), fast)
 
 
-def atoms_of(velocities: Array, usual: Nominal, thresholds: Thresholds) -> NDArray[np.int8]:
-    """Return the atom of each tick, (n,), its place in `ATOMS`."""
-    linear, angular = velocities[0] / usual.linear, velocities[1] / usual.angular
-    turns = np.where(angular > 0.0, _LEFT, _RIGHT)
-    drives = np.where(linear > 0.0, _FORWARD, _BACKWARD)
-    drives = np.where(np.abs(linear) < thresholds.still, turns, drives)
-    atoms = np.where(np.abs(angular) >= thresholds.turning, turns, drives)
-    stands = (np.abs(linear) < thresholds.still) & (np.abs(angular) < thresholds.still)
-    return np.where(stands, _STOP, atoms).astype(np.int8)
+def atoms_of(
+    velocities: Array, usual: Nominal, still: float = STILL, turning: float = TURNING
+) -> tuple[NDArray[np.int8], Array]:
+    """Return what was done in each tick.
 
+    Parameters
+    ----------
+    velocities
+        (n, 2) linear and angular.
+    usual, still, turning
+        What they are measured by.
 
-def ahead_in_turns(velocities: Array, atoms: NDArray[np.int8], usual: Nominal) -> Array:
-    """Return how fast the robot goes ahead in each tick of turning, (n,), -1 to 1 times the nominal speed; else 0."""
-    ahead = np.clip(velocities[0] / usual.linear, -1.0, 1.0)
-    return np.where((atoms == _LEFT) | (atoms == _RIGHT), ahead, 0.0)
+    Returns
+    -------
+    atoms, ahead
+        (n,) places in `ATOMS`; and (n,) how fast it goes ahead in a turn, -1 to 1 times the nominal speed, else 0.
+    """
+    linear, angular = (velocities / usual).T
+    crawls = np.abs(linear) < still
+    stands = crawls & (np.abs(angular) < still)
+    turns = (crawls | (np.abs(angular) >= turning)) & ~stands
+    drives = np.where(linear > 0.0, ATOMS.index("forward"), ATOMS.index("backward"))
+    atoms = np.where(turns, np.where(angular > 0.0, ATOMS.index("left"), ATOMS.index("right")), drives)
+    atoms[stands] = ATOMS.index("stop")
+    return atoms.astype(np.int8), np.where(turns, np.clip(linear, -1.0, 1.0), 0.0)

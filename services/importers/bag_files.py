@@ -44,9 +44,11 @@ def received(inside: Inside, tally: Tally, topic: str | None = None) -> Iterator
     """
     for name in _files(inside):
         path = inside.regular(name)
-        each = _of_sqlite(path, topic, tally) if path.name.endswith(".db3") else _of_mcap(path, topic, tally)
+        messages = _of_sqlite(path, tally) if path.suffix == ".db3" else _of_mcap(path, tally)
         try:
-            yield from each
+            for message in messages:
+                if topic in (None, message.topic):
+                    yield message._replace(data=_unpacked(message.data))
         except (McapError, struct.error, ValueError, sqlite3.Error, MemoryError, OverflowError) as error:
             reason = printable(str(error)) or type(error).__name__
             raise ImportFailure(f"{inside.called(name)}: damaged: {reason}") from None
@@ -58,12 +60,15 @@ def _files(inside: Inside) -> list[str]:
             raise ImportFailure(f"{inside.path}: not a bag: a folder, or a file *.mcap or *.db3")
         return [""]
     names = inside.names()
-    found = sorted((n for n in names if n.endswith((".mcap", ".db3"))), key=_by_number)
+    found = sorted((name for name in names if name.endswith((".mcap", ".db3"))), key=_by_number)
     if not found:
-        packed = [n for n in names if n.endswith(".zstd")]
-        more = f"; unpack {printable(packed[0])} first: zstd -d" if packed else ""
-        bags = [n for n in names if "metadata.yaml" in inside.names(n)]
-        more = f"; {printable(bags[0])} in it is a bag: import each by itself" if bags else more
+        packed = [f"; unpack {printable(name)} first: zstd -d" for name in names if name.endswith(".zstd")]
+        bags = [
+            f"; {printable(name)} in it is a bag: import each by itself"
+            for name in names
+            if "metadata.yaml" in inside.names(name)
+        ]
+        more = [*bags, *packed, ""][0]
         raise ImportFailure(f"{inside.path}: no *.mcap and no *.db3 in this folder{more}")
     return found
 
@@ -74,7 +79,7 @@ def _by_number(name: str) -> tuple[int, str]:
     return int(number[1]) if number else 0, name
 
 
-def _of_mcap(path: Path, topic: str | None, tally: Tally) -> Iterator[Received]:
+def _of_mcap(path: Path, tally: Tally) -> Iterator[Received]:
     data = mapped(path)
     if data[: len(MAGIC)] != MAGIC:
         raise McapError("not an MCAP file")
@@ -86,15 +91,13 @@ def _of_mcap(path: Path, topic: str | None, tally: Tally) -> Iterator[Received]:
         if isinstance(record, Schema):
             types[record.id] = record.name
         elif isinstance(record, Channel):
-            if record.message_encoding == "cdr" and topic in (None, record.topic):
+            if _is_cdr(record.message_encoding, tally):
                 channels[record.id] = record.topic, types.get(record.schema_id, "")
-            elif topic is None:
-                _leave_out(record.message_encoding, tally)
         elif isinstance(record, Message) and record.channel_id in channels:
-            yield Received(*channels[record.channel_id], record.log_time / 1e9, _unpacked(record.data))
+            yield Received(*channels[record.channel_id], record.log_time / 1e9, record.data)
 
 
-def _of_sqlite(path: Path, topic: str | None, tally: Tally) -> Iterator[Received]:
+def _of_sqlite(path: Path, tally: Tally) -> Iterator[Received]:
     with closing(sqlite3.connect(f"file:{quote(str(path))}?mode=ro&immutable=1", uri=True)) as database:
         database.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, _MOST_BYTES)
         # A view could call itself, or compute for ever.
@@ -104,18 +107,17 @@ def _of_sqlite(path: Path, topic: str | None, tally: Tally) -> Iterator[Received
             raise sqlite3.DatabaseError("no tables of topics and messages")
         topics: dict[Any, tuple[str, str]] = {}
         for number, name, kind, form in database.execute("SELECT id, name, type, serialization_format FROM topics"):
-            if form == "cdr" and topic in (None, name):
+            if _is_cdr(form, tally):
                 topics[number] = str(name), str(kind)
-            elif topic is None:
-                _leave_out(form, tally)
         # In the order in which they were received; to sort them by time could take as much room as they do.
         for number, stamp_ns, data in database.execute("SELECT topic_id, timestamp, data FROM messages ORDER BY rowid"):
             if number in topics and isinstance(data, bytes) and isinstance(stamp_ns, int):
-                yield Received(*topics[number], stamp_ns / 1e9, _unpacked(data))
+                yield Received(*topics[number], stamp_ns / 1e9, data)
 
 
-def _leave_out(encoding: object, tally: Tally) -> None:
-    tally.count(f"topics are {encoding or 'of no encoding'}, not ROS 2's CDR")
+def _is_cdr(encoding: object, tally: Tally) -> bool:
+    tally.count(f"topics are {encoding or 'of no encoding'}, not ROS 2's CDR", int(encoding != "cdr"))
+    return encoding == "cdr"
 
 
 def _unpacked(data: bytes | memoryview) -> bytes:

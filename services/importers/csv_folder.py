@@ -9,39 +9,55 @@ from __future__ import annotations
 
 import csv
 from collections.abc import Iterator
-from functools import partial
-from typing import Final, NamedTuple
+from typing import Annotated, Final
 
-import numpy as np
+from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationError
 
-from services.importers.drive import MOST_SAMPLES, Drive, Frame, ImportFailure, Motion, Source, Tally, Track
-from services.importers.image_files import check_rate, image_file
+from services.importers.drive import MOST_SAMPLES, Drive, ImportFailure, Tally
+from services.importers.image_files import Row, drive_of
 from services.importers.inside import Inside
-from services.importers.source_options import Wishes
+from services.importers.job import Job
 
 NAME: Final = "drive.csv"
 POSE: Final = ("x_m", "y_m", "heading_rad")
 COLUMNS: Final = ("episode", "image", "time_s", "linear_m_s", "angular_rad_s", "success", *POSE)
-_SUCCESS: Final = {"1": True, "true": True, "yes": True, "0": False, "false": False, "no": False}
 
 
-class _Row(NamedTuple):
-    time_s: float
-    image: str
-    velocity: tuple[float, float]
-    pose: tuple[float, float, float] | None
-    success: bool | None
+class _Line(BaseModel):
+    """A line of the file; what is empty is not there."""
+
+    model_config = ConfigDict(str_strip_whitespace=True)
+    episode: str = ""
+    image: Annotated[str, Field(min_length=1)]
+    time_s: FiniteFloat
+    linear_m_s: FiniteFloat
+    angular_rad_s: FiniteFloat
+    success: bool | None = None
+    x_m: FiniteFloat | None = None
+    y_m: FiniteFloat | None = None
+    heading_rad: FiniteFloat | None = None
+
+    @property
+    def pose(self) -> tuple[float, float, float] | None:
+        """Where the wheels say that the robot was."""
+        if self.x_m is None or self.y_m is None or self.heading_rad is None:
+            return None
+        return self.x_m, self.y_m, self.heading_rad
 
 
-def read(inside: Inside, wishes: Wishes, tally: Tally) -> Source:
+def read(inside: Inside, job: Job, tally: Tally) -> list[Drive]:
     """Read such a folder; each episode is a drive."""
     name = _csv_name(inside)
-    drives: dict[str, list[_Row]] = {}
-    for episode, row in _rows(inside, name, wishes, tally):
-        drives.setdefault(episode, []).append(row)
+    drives: dict[str, list[Row]] = {}
+    arrived: dict[str, bool] = {}
+    for line in _lines(inside, name, job.rate_hz, tally):
+        velocity = line.linear_m_s * (job.speed or 1.0), line.angular_rad_s * (job.turn_rate or 1.0)
+        drives.setdefault(line.episode, []).append(Row(line.image, line.time_s, velocity, line.pose))
+        if line.success is not None:
+            arrived[line.episode] = line.success
     if not drives:
         raise ImportFailure(f"{inside.called(name)}: no row has an image, a time and velocities")
-    return Source([_drive(inside, *each, tally) for each in drives.items()], metric=True)
+    return [drive_of(inside, each, rows, tally, success=arrived.get(each)) for each, rows in drives.items()]
 
 
 def _csv_name(inside: Inside) -> str:
@@ -53,55 +69,27 @@ def _csv_name(inside: Inside) -> str:
     return names[0]
 
 
+def _lines(inside: Inside, name: str, rate_hz: float | None, tally: Tally) -> Iterator[_Line]:
+    table = csv.DictReader(_text(inside, name))
+    try:
+        needed = {"image", "linear_m_s", "angular_rad_s"} | (set() if rate_hz else {"time_s"})
+        if lacks := sorted(needed - set(table.fieldnames or ())):
+            raise ImportFailure(f"{inside.called(name)}: lacks the columns {', '.join(lacks)}")
+        for number, values in enumerate(table):
+            if number >= MOST_SAMPLES:
+                raise ImportFailure(f"{inside.called(name)}: more than {MOST_SAMPLES} rows")
+            told = {column: values[column] for column in COLUMNS if values.get(column)}
+            try:
+                yield _Line.model_validate(told | ({"time_s": number / rate_hz} if rate_hz else {}))
+            except ValidationError:
+                tally.count("rows lack an image or a number")
+    except csv.Error as error:
+        raise ImportFailure(f"{inside.called(name)}: no CSV: {error}") from None
+
+
 def _text(inside: Inside, name: str) -> Iterator[str]:
     for number, line in enumerate(inside.lines(name), 1):
         try:
             yield line.decode("utf-8-sig" if number == 1 else "utf-8")
         except UnicodeDecodeError:
             raise ImportFailure(f"{inside.called(name)}: line {number} is not UTF-8") from None
-
-
-def _rows(inside: Inside, name: str, wishes: Wishes, tally: Tally) -> Iterator[tuple[str, _Row]]:
-    table = csv.DictReader(_text(inside, name))
-    try:
-        columns = set(table.fieldnames or ())
-        needed = {"image", "linear_m_s", "angular_rad_s"} | (set() if wishes.rate_hz else {"time_s"})
-        if needed - columns:
-            raise ImportFailure(f"{inside.called(name)}: lacks the columns {', '.join(sorted(needed - columns))}")
-        for number, values in enumerate(table):
-            if number >= MOST_SAMPLES:
-                raise ImportFailure(f"{inside.called(name)}: more than {MOST_SAMPLES} rows")
-            try:
-                yield values.get("episode") or "", _row(values, number, wishes, posed=set(POSE) <= columns)
-            except (ValueError, TypeError):
-                tally.count("rows lack an image or a number")
-    except csv.Error as error:
-        raise ImportFailure(f"{inside.called(name)}: no CSV: {error}") from None
-
-
-def _row(values: dict[str, str], number: int, wishes: Wishes, *, posed: bool) -> _Row:
-    time_s = float(values["time_s"]) if wishes.rate_hz is None else number / wishes.rate_hz
-    speed, turn_rate = wishes.speed or 1.0, wishes.turn_rate or 1.0
-    velocity = speed * float(values["linear_m_s"]), turn_rate * float(values["angular_rad_s"])
-    x, y, heading = (values[name] for name in POSE) if posed else ("", "", "")
-    pose = (float(x), float(y), float(heading)) if x or y or heading else None
-    if not np.isfinite((time_s, *velocity, *(pose or ()))).all() or not values["image"]:
-        raise ValueError("no number")
-    return _Row(time_s, values["image"], velocity, pose, _SUCCESS.get((values.get("success") or "").strip().lower()))
-
-
-def _drive(inside: Inside, name: str, rows: list[_Row], tally: Tally) -> Drive:
-    check_rate(np.array([row.time_s for row in rows]), inside)
-
-    def frames() -> Iterator[Frame]:
-        for row in rows:
-            yield Frame(row.time_s, partial(image_file, inside, row.image, tally))
-
-    return Drive(
-        name,
-        Motion.of([(row.time_s, *row.velocity) for row in rows], tally),
-        frames,
-        len(rows),
-        Track.of([(row.time_s, *row.pose) for row in rows if row.pose is not None], tally),
-        success=next((row.success for row in reversed(rows) if row.success is not None), None),
-    )

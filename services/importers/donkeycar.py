@@ -7,105 +7,81 @@ reckoned only where the user says it.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator
-from functools import partial
-from typing import Any, NamedTuple
+from typing import Annotated
 
-import numpy as np
+from pydantic import BaseModel, ConfigDict, Field, FiniteFloat
 
-from schemas.codec import printable
-from services.importers.drive import MOST_SAMPLES, Drive, Frame, ImportFailure, Motion, Source, Tally
-from services.importers.image_files import check_rate, image_file
-from services.importers.inside import Inside, parsed
-from services.importers.source_options import Wishes
+from services.importers.drive import MOST_SAMPLES, Drive, ImportFailure, Tally
+from services.importers.image_files import Row, drive_of
+from services.importers.inside import Inside
+from services.importers.job import Job
 
-_IMAGE, _ANGLE, _THROTTLE, _MODE, _SESSION = (
-    "cam/image_array", "user/angle", "user/throttle", "user/mode", "_session_id",
-)  # fmt: skip
+_Whole = Annotated[int, Field(ge=0, le=2**53)]
 
 
-class _Record(NamedTuple):
-    number: int
-    time_s: float
-    image: str
-    angle: float
-    throttle: float
-    session: str
+class _Manifest(BaseModel):
+    """The last of the five lines of a manifest."""
+
+    paths: list[str]
+    current_index: int
+    deleted_indexes: set[int]
 
 
-def read(inside: Inside, wishes: Wishes, tally: Tally) -> Source:
+class _Record(BaseModel):
+    """A line of a catalog."""
+
+    model_config = ConfigDict(coerce_numbers_to_str=True)
+    index: _Whole = Field(alias="_index")
+    time_ms: FiniteFloat = Field(alias="_timestamp_ms")
+    image: str = Field(alias="cam/image_array")
+    angle: FiniteFloat = Field(alias="user/angle")
+    throttle: FiniteFloat = Field(alias="user/throttle")
+    mode: str = Field(default="user", alias="user/mode")
+    session: str = Field(default="", alias="_session_id")
+
+
+def read(inside: Inside, job: Job, tally: Tally) -> list[Drive]:
     """Read a tub; each of its sessions is a drive, and so is a tub of a version without sessions."""
     lines = inside.read("manifest.json").splitlines()
     if len(lines) < 5:
         raise ImportFailure(f"{inside.called('manifest.json')}: not the manifest of a tub of version 2: five lines")
-    catalogs = parsed(lines[4], inside.called("manifest.json"))
-    try:
-        paths, deleted = [str(one) for one in catalogs["paths"]], {int(one) for one in catalogs["deleted_indexes"]}
-        announced = int(catalogs["current_index"])
-    except (KeyError, TypeError, ValueError, OverflowError):
-        raise ImportFailure(
-            f"{inside.called('manifest.json')}: its fifth line lacks paths, current_index or deleted_indexes"
-        ) from None
-    records, found = _records(inside, paths, deleted, wishes.rate_hz, tally)
-    if found != announced:
-        tally.say(f"the manifest announces {printable(str(announced))} records, the catalogs have {found}")
-    if not records:
+    manifest = inside.parsed(_Manifest, lines[4], "manifest.json")
+    sessions: dict[str, list[Row]] = {}
+    found = 0
+    for found, record in enumerate(_records(inside, manifest.paths, tally), 1):
+        if found > MOST_SAMPLES:
+            raise ImportFailure(f"{inside.path}: more than {MOST_SAMPLES} records")
+        if record is None:
+            continue
+        if record.mode != "user":
+            tally.count("records were not driven by a person")
+        elif record.index in manifest.deleted_indexes:
+            tally.count("records were deleted by their owner")
+        else:
+            sessions.setdefault(record.session, []).append(_row(record, job))
+    if found != manifest.current_index:
+        tally.say(f"the manifest announces {manifest.current_index} records, the catalogs have {found}")
+    if not sessions:
         raise ImportFailure(f"{inside.path}: no record in this tub has an image, an angle and a throttle")
-    sessions: dict[str, list[_Record]] = {}
-    for record in records:
-        sessions.setdefault(record.session, []).append(record)
-    return Source(
-        [_drive(inside, name, session, wishes, tally) for name, session in sessions.items()],
-        metric=wishes.speed is not None and wishes.turn_rate is not None,
-    )
+    metric = job.speed is not None and job.turn_rate is not None
+    return [drive_of(inside, name, rows, tally, metric=metric) for name, rows in sessions.items()]
 
 
-def _records(
-    inside: Inside, paths: list[str], deleted: set[int], rate_hz: float | None, tally: Tally
-) -> tuple[list[_Record], int]:
-    records, found = [], 0
+def _records(inside: Inside, paths: list[str], tally: Tally) -> Iterator[_Record | None]:
+    """Yield all records; None for one that is none."""
     for path in paths:
-        for line in inside.lines(path):
-            if not line.strip():
-                continue
-            found += 1
-            if found > MOST_SAMPLES:
-                raise ImportFailure(f"{inside.path}: more than {MOST_SAMPLES} records")
+        for line in filter(bytes.strip, inside.lines(path)):
             try:
-                record = _record(parsed(line, inside.called(path)), rate_hz)
-            except (ImportFailure, KeyError, TypeError, ValueError, OverflowError):
+                yield inside.parsed(_Record, line, path)
+            except ImportFailure:
                 tally.count("records lack an image, an angle, a throttle or a time")
-                continue
-            if record is None:
-                tally.count("records were not driven by a person")
-            elif record.number in deleted:
-                tally.count("records were deleted by their owner")
-            else:
-                records.append(record)
-    return records, found
+                yield None
 
 
-def _record(values: dict[str, Any], rate_hz: float | None) -> _Record | None:
-    index = int(values["_index"])
-    time_s = float(values["_timestamp_ms"]) / 1000.0 if rate_hz is None else index / rate_hz
-    angle, throttle = (float(values[name]) for name in (_ANGLE, _THROTTLE))
-    if not all(map(math.isfinite, (time_s, angle, throttle))) or not isinstance(values[_IMAGE], str):
-        raise ValueError("no number")
-    if values.get(_MODE, "user") != "user":
-        return None
-    return _Record(index, time_s, values[_IMAGE], angle, throttle, str(values.get(_SESSION, "")))
-
-
-def _drive(inside: Inside, name: str, session: list[_Record], wishes: Wishes, tally: Tally) -> Drive:
-    check_rate(np.array([record.time_s for record in session]), inside)
-    speed, turn_rate = wishes.speed or 1.0, wishes.turn_rate or 1.0
-    # Of donkeycar -1 is full left; no car does more than all, whatever the joystick says.
-    shares = [(r.time_s, *np.clip((r.throttle, r.angle), -1.0, 1.0).tolist()) for r in session]
-    rows = [(time_s, speed * throttle, -turn_rate * angle * throttle) for time_s, throttle, angle in shares]
-
-    def frames() -> Iterator[Frame]:
-        for record in session:
-            yield Frame(record.time_s, partial(image_file, inside, f"images/{record.image}", tally))
-
-    return Drive(name, Motion.of(rows, tally), frames, len(session))
+def _row(record: _Record, job: Job) -> Row:
+    time_s = record.time_ms / 1000.0 if job.rate_hz is None else record.index / job.rate_hz
+    # No car does more than all, whatever the joystick says; and of donkeycar -1 is full left.
+    throttle, angle = (min(max(share, -1.0), 1.0) for share in (record.throttle, record.angle))
+    velocity = throttle * (job.speed or 1.0), -angle * throttle * (job.turn_rate or 1.0)
+    return Row(f"images/{record.image}", time_s, velocity)

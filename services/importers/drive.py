@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
-from typing import Final, NamedTuple, Self
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,125 +35,42 @@ class NotAnImage(ValueError):  # noqa: N818 - it is caught and counted, one fram
     """A frame cannot be used; the text says why."""
 
 
-class Frame(NamedTuple):
-    """One camera image.
-
-    Attributes
-    ----------
-    time_s
-        When, on the source's clock.
-    jpeg
-        Gives the image as JPEG; only asked of frames that are used. Raises `NotAnImage`.
-    """
-
-    time_s: float
-    jpeg: Callable[[], bytes]
-
-
-@dataclass(frozen=True, eq=False)
-class Motion:
-    """How fast the robot was told to go, or went.
-
-    Parameters
-    ----------
-    times_s
-        (n,) ascending, on the clock of the frames.
-    linear
-        (n,) ahead, metres a second, or in a unit of the source's own.
-    angular
-        (n,) counter-clockwise, radians a second, or in a unit of the source's own.
-    """
-
-    times_s: Array
-    linear: Array
-    angular: Array
-
-    @classmethod
-    def of(cls, rows: list[tuple[float, float, float]], tally: Tally) -> Self:
-        """Put samples (time, linear, angular) in the order of their times; what no robot does is counted instead."""
-        most = (LATEST_S, FASTEST_M_S, FASTEST_RAD_S)
-        return cls(
-            *_sound(rows, most, "velocities are no numbers, faster than any robot, or of no time in seconds", tally).T
-        )
-
-
-@dataclass(frozen=True, eq=False)
-class Track:
-    """Where the wheels say that the robot was.
-
-    Parameters
-    ----------
-    times_s
-        (n,) ascending, on the clock of the frames.
-    poses
-        (n, 3) x and y in metres, heading in radians.
-    """
-
-    times_s: Array
-    poses: Array
-
-    @classmethod
-    def of(cls, rows: list[tuple[float, float, float, float]], tally: Tally) -> Self | None:
-        """Put samples (time, x, y, heading) in the order of their times; None where there are none of them."""
-        values = _sound(rows, (LATEST_S, _FURTHEST_M, _FURTHEST_M, _MOST_TURNED_RAD), "poses are nowhere", tally)
-        return cls(values[:, 0], values[:, 1:]) if len(values) else None
-
-
-def _sound(rows: Sequence[tuple[float, ...]], most: tuple[float, ...], what: str, tally: Tally) -> Array:
-    """Return the rows whose numbers are not beyond the most that they can be, in the order of the first."""
-    values = np.array(rows, dtype=np.float64).reshape(-1, len(most))
-    sound = (np.abs(values) <= most).all(axis=1)
-    tally.count(what, int((~sound).sum()))
-    values = values[sound]
-    found: Array = values[np.argsort(values[:, 0], kind="stable")]
-    return found
+#: Gives one frame as JPEG, or raises `NotAnImage`; only asked of frames that are used.
+Image = Callable[[], bytes]
 
 
 @dataclass(frozen=True, eq=False)
 class Drive:
-    """One drive of a source.
+    """One drive of a source; all times are on the same clock, in seconds.
 
     Parameters
     ----------
     name
         As the source calls it.
+    times_s
+        (n,) of the frames.
+    images
+        Gives the n frames in their order, each time anew.
     motion
-        What atoms are made of.
-    frames
-        Gives the frames in the order of their times, each time anew.
-    count
-        How many frames there are, for a progress bar.
+        (k, 3) time, speed ahead, turn rate counter-clockwise, ascending: what atoms are made of.
     track
-        Odometry, where the source has some.
+        (m, 4) time, x and y in metres, heading in radians, ascending: where the wheels say that the robot was.
     success
         Whether it reached its goal; None where the source does not say.
     focal
         Focal length of the camera over the width of its image, where the source says it.
+    metric
+        Whether velocities are metres and radians a second, so that a way can be reckoned from them.
     """
 
     name: str
-    motion: Motion
-    frames: Callable[[], Iterator[Frame]]
-    count: int
-    track: Track | None = None
+    times_s: Array
+    images: Callable[[], Iterator[Image]]
+    motion: Array
+    track: Array = field(default_factory=lambda: np.zeros((0, 4)))
     success: bool | None = None
     focal: float | None = None
-
-
-@dataclass(frozen=True, eq=False)
-class Source:
-    """What a format's reader makes of a path.
-
-    Parameters
-    ----------
-    drives
-        All of it.
-    metric
-        Whether velocities are in metres and radians a second, so that a way can be reckoned from them.
-    """
-
-    drives: list[Drive]
-    metric: bool
+    metric: bool = True
 
 
 @dataclass
@@ -188,3 +105,23 @@ class Tally:
     def lines(self) -> list[str]:
         """Return all that is to be said."""
         return [*self.remarks, *self.counted()]
+
+
+def motion_of(rows: Sequence[tuple[float, ...]] | Array, tally: Tally) -> Array:
+    """Return (time, speed, turn rate) in the order of time, (k, 3); what no robot does is counted instead."""
+    said = "velocities are no numbers, faster than any robot, or of no time in seconds"
+    return _sound(rows, (LATEST_S, FASTEST_M_S, FASTEST_RAD_S), said, tally)
+
+
+def track_of(rows: Sequence[tuple[float, ...]] | Array, tally: Tally) -> Array:
+    """Return (time, x, y, heading) in the order of time, (m, 4); what is nowhere is counted instead."""
+    return _sound(rows, (LATEST_S, _FURTHEST_M, _FURTHEST_M, _MOST_TURNED_RAD), "poses are nowhere", tally)
+
+
+def _sound(rows: Sequence[tuple[float, ...]] | Array, most: tuple[float, ...], what: str, tally: Tally) -> Array:
+    values = np.array(rows, dtype=np.float64).reshape(-1, len(most))
+    sound = (np.abs(values) <= most).all(axis=1)
+    tally.count(what, int((~sound).sum()))
+    values = values[sound]
+    found: Array = values[np.argsort(values[:, 0], kind="stable")]
+    return found

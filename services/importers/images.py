@@ -1,14 +1,18 @@
-"""Images of other people's files as JPEG: what is JPEG already stays as it is, to the byte."""
+"""Images and videos of other people's files as JPEG: what is JPEG already stays as it is, to the byte."""
 
 from __future__ import annotations
 
-from typing import Final
+import math
+from collections.abc import Iterator
+from contextlib import closing
+from functools import partial
+from typing import IO, Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from schemas.compressed_image import CompressedImage
-from services.importers.drive import NotAnImage
+from services.importers.drive import Array, Image, ImportFailure, NotAnImage
 from services.kit.jpeg import MOST_PIXELS, decode_image_file, decode_jpeg, encode_jpeg
 
 #: Most bytes of an image file.
@@ -34,36 +38,24 @@ def as_jpeg(data: bytes) -> bytes:
         raise NotAnImage("images are larger than 16 MiB")
     if data.startswith(_JPEG):
         try:
-            check_size(decode_jpeg(data))
-        except ValueError as error:
-            raise error if isinstance(error, NotAnImage) else NotAnImage("images are damaged") from None
+            pixels = decode_jpeg(data)
+        except ValueError:
+            raise NotAnImage("images are damaged") from None
+        _check_size(pixels)
         return data
     if data.startswith(_PNG):
-        return encode_jpeg(_decoded_png(data))
+        return raw_as_jpeg(_decoded_png(data))
     raise NotAnImage("images are neither JPEG nor PNG")
 
 
-def raw_as_jpeg(image: NDArray[np.uint8]) -> bytes:
-    """Compress RGB pixels (height, width, 3).
-
-    Raises
-    ------
-    NotAnImage
-        When they have a size that no camera has.
-    """
-    check_size(image)
-    return encode_jpeg(image)
+def raw_as_jpeg(pixels: NDArray[np.uint8]) -> bytes:
+    """Compress RGB pixels (height, width, 3); those of a size that no camera has are `NotAnImage`."""
+    _check_size(pixels)
+    return encode_jpeg(pixels)
 
 
-def size_of(jpeg: bytes) -> tuple[int, int]:
-    """Return width and height of what `as_jpeg` returned."""
-    height, width, _ = decode_jpeg(jpeg).shape
-    return width, height
-
-
-def check_size(image: NDArray[np.uint8]) -> None:
-    """Refuse, as `NotAnImage`, what is too large for a recording or too small for features."""
-    height, width = image.shape[:2]
+def _check_size(pixels: NDArray[np.uint8]) -> None:
+    height, width = pixels.shape[:2]
     if not (_LEAST[0] <= width <= _MOST[0] and _LEAST[1] <= height <= _MOST[1]):
         raise NotAnImage("images are not within 32x24 and 4096x3072 pixels")
 
@@ -71,10 +63,55 @@ def check_size(image: NDArray[np.uint8]) -> None:
 def _decoded_png(data: bytes) -> NDArray[np.uint8]:
     # Before OpenCV, which makes room for what the header claims; and a PNG without an end makes libpng write of it.
     width, height = int.from_bytes(data[16:20], "big"), int.from_bytes(data[20:24], "big")
-    if data[12:16] != b"IHDR" or not 0 < width * height <= MOST_PIXELS or b"IEND" not in data[-16:]:
+    claims = data[12:16] == b"IHDR" and 0 < width * height <= MOST_PIXELS and b"IEND" in data[-16:]
+    pixels = decode_image_file(data) if claims else None
+    if pixels is None:
         raise NotAnImage("images are damaged")
-    image = decode_image_file(data)
-    if image is None:
-        raise NotAnImage("images are damaged")
-    check_size(image)
-    return image
+    return pixels
+
+
+def frames_at(file: IO[bytes], called: str, times_s: Array, tolerance_s: float) -> Iterator[Image]:
+    """Yield for each time, ascending, the frame of a video that is nearest, decoded one after the other.
+
+    Only MP4 is read, and only from this file: a playlist that calls itself MP4 could name others.
+
+    Raises
+    ------
+    ImportFailure
+        When it is none.
+    """
+    import av  # noqa: PLC0415 - of the extra `formats`
+
+    try:
+        with closing(av.open(file, mode="r", format="mp4")) as container:
+            if not container.streams.video:
+                raise ImportFailure(f"{called}: has no video")
+            stream = container.streams.video[0]
+            if stream.codec_context.width * stream.codec_context.height > MOST_PIXELS:
+                raise ImportFailure(f"{called}: larger than {MOST_PIXELS} pixels")
+            stream.thread_type = "NONE"
+            stream.codec_context.options = {"max_pixels": str(MOST_PIXELS)}
+            if times_s[0] > 0.0 and stream.time_base:
+                container.seek(math.floor(times_s[0] / float(stream.time_base)), stream=stream, backward=True)
+            yield from _nearest(container.decode(stream), times_s, tolerance_s)
+    except (av.FFmpegError, OSError, ValueError, OverflowError, MemoryError) as error:
+        reason = getattr(error, "strerror", None) or type(error).__name__
+        raise ImportFailure(f"{called}: not a video that can be read: {reason}") from None
+
+
+def _nearest(frames: Iterator[Any], times_s: Array, tolerance_s: float) -> Iterator[Image]:
+    held, following = None, next(frames, None)
+    for time_s in times_s.tolist():
+        while following is not None and _off(following, time_s) <= _off(held, time_s):
+            held, following = following, next(frames, None)
+        yield partial(_frame, held if _off(held, time_s) <= tolerance_s else None)
+
+
+def _off(frame: Any, time_s: float) -> float:  # noqa: ANN401 - of a package without types
+    return math.inf if frame is None or frame.time is None else abs(float(frame.time) - time_s)
+
+
+def _frame(frame: Any) -> bytes:  # noqa: ANN401 - as above
+    if frame is None:
+        raise NotAnImage("frames are not in the video")
+    return raw_as_jpeg(np.asarray(frame.to_ndarray(format="rgb24"), dtype=np.uint8))

@@ -6,14 +6,15 @@ recording, or to a pipe that nobody ever writes to.
 
 from __future__ import annotations
 
-import errno
-import json
 import os
 from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
-from typing import IO, Any, Final
+from typing import IO, Final, TypeVar
 
-from schemas.codec import printable
+from pydantic import BaseModel, ValidationError
+
+from schemas.codec import describe, printable
 from services.importers.drive import ImportFailure
 from services.kit.root import OutsideError, below, open_below
 
@@ -21,14 +22,7 @@ from services.kit.root import OutsideError, below, open_below
 MOST_BYTES: Final = 256 * 2**20
 #: Most characters of a line; of a row of numbers it has a few hundred.
 LONGEST_LINE: Final = 1_000_000
-
-
-class Outside(ImportFailure):
-    """A name leads out of the folder."""
-
-
-class Missing(ImportFailure):
-    """There is no file of that name."""
+Model = TypeVar("Model", bound=BaseModel)
 
 
 class Inside:
@@ -47,10 +41,8 @@ class Inside:
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        try:
+        with self._failures(""):
             self._root = path.resolve(strict=True)
-        except (OSError, RuntimeError) as error:
-            raise ImportFailure(f"{path}: {getattr(error, 'strerror', None) or 'no such file or folder'}") from None
 
     @property
     def is_folder(self) -> bool:
@@ -71,27 +63,22 @@ class Inside:
 
         Raises
         ------
-        Outside
-            When the name, or a link, leads out of the folder.
-        Missing
-            When there is none.
         ImportFailure
-            When it is no regular file, or cannot be read.
+            When the name, or a link, leads out of the folder; or it is no regular file, or cannot be read.
         """
-        try:
+        with self._failures(name):
             return open_below(self._root, name)
+
+    @contextmanager
+    def _failures(self, name: str) -> Iterator[None]:
+        try:
+            yield
         except OutsideError:
-            raise self._outside(name) from None
-        except (FileNotFoundError, NotADirectoryError):
-            raise Missing(f"{self.called(name)}: no such file") from None
+            said = f"{self.called(name)} leads out of {self.path}; copy links as files first (cp -rL)"
+            raise ImportFailure(said) from None
         except (OSError, ValueError) as error:
             why = getattr(error, "strerror", None) or "no file name"
-            if getattr(error, "errno", None) in (errno.EISDIR, errno.EINVAL):
-                why = "is no regular file"
             raise ImportFailure(f"{self.called(name)}: {why}") from None
-
-    def _outside(self, name: str) -> Outside:
-        return Outside(f"{self.called(name)} leads out of {self.path}; copy links as files first (cp -rL)")
 
     def read(self, name: str = "", most: int = MOST_BYTES) -> bytes:
         """Return the bytes of a file; errors are those of `open`, and one that is too large is another."""
@@ -112,20 +99,13 @@ class Inside:
 
     def names(self, folder: str = "") -> list[str]:
         """Return the names of what is in a folder, sorted; of none nothing."""
+        with self._failures(folder):
+            path = below(self._root, folder)
+            return sorted(each.name for each in path.iterdir()) if path.is_dir() else []
+
+    def parsed(self, model: type[Model], data: bytes, name: str) -> Model:
+        """Return the JSON of a file, or of a line of it, as a model of pydantic; all else is an `ImportFailure`."""
         try:
-            return sorted(path.name for path in below(self._root, folder).iterdir())
-        except OutsideError:
-            raise self._outside(folder) from None
-        except (FileNotFoundError, NotADirectoryError):
-            return []
-        except OSError as error:
-            raise ImportFailure(f"{self.called(folder)}: {error.strerror}") from None
-
-
-def parsed(data: bytes, called: str) -> Any:  # noqa: ANN401 - any JSON value
-    """Return a JSON value; one that is none, or nested beyond reason, is an `ImportFailure`."""
-    try:
-        return json.loads(data)
-    except (ValueError, RecursionError) as error:
-        reason = "nested too deeply" if isinstance(error, RecursionError) else printable(str(error))
-        raise ImportFailure(f"{called}: not JSON: {reason}") from None
+            return model.model_validate_json(data)
+        except ValidationError as error:
+            raise ImportFailure(f"{self.called(name)}: {describe(error).removeprefix('message: ')}") from None

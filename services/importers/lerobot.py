@@ -8,55 +8,102 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Iterator
-from dataclasses import dataclass
 from functools import partial
-from typing import Any, Final
+from typing import Annotated, Any, Final, Literal, NamedTuple
 
 import numpy as np
+from pydantic import BaseModel, BeforeValidator, Field, JsonValue, NonNegativeInt, PositiveInt
 
 from schemas.codec import printable
-from services.importers.drive import Array, Drive, Frame, ImportFailure, Motion, NotAnImage, Source, Tally, Track
-from services.importers.images import as_jpeg
-from services.importers.inside import Inside, parsed
-from services.importers.parquet import IMAGES, batches, numbers
-from services.importers.source_options import Wishes
-from services.importers.video import frames_at, jpeg_of
+from services.importers.drive import (
+    Array,
+    Drive,
+    Image,
+    ImportFailure,
+    NotAnImage,
+    Tally,
+    motion_of,
+    track_of,
+)
+from services.importers.images import as_jpeg, frames_at
+from services.importers.inside import Inside
+from services.importers.job import Job
+from services.importers.parquet import EPISODE, batches, numbers
 
 #: Metres and radians a second; and a pose by the wheels, as only our own data sets have it.
 VELOCITIES: Final = ("linear_velocity", "angular_velocity")
 ACTION, STATE, SUCCESS = "action", "observation.state", "next.success"
 POSE: Final = ("x_m", "y_m", "heading_rad")
 #: What bases call their velocities, and what the angular one is in radians a second; LeKiwi has degrees.
-_NAMES: Final = {
+_NAMES: Final[dict[tuple[str, ...], float]] = {
     ("x_vel", "theta_vel"): math.radians(1.0),
-    **dict.fromkeys(
-        [
-            VELOCITIES,
-            ("linear_vel", "angular_vel"),
-            ("linear_x", "angular_z"),
-            ("linear", "angular"),
-            ("vx", "wz"),
-        ],
-        1.0,
-    ),
+    VELOCITIES: 1.0,
+    ("linear_vel", "angular_vel"): 1.0,
+    ("linear_x", "angular_z"): 1.0,
+    ("linear", "angular"): 1.0,
+    ("vx", "wz"): 1.0,
 }
-#: Where they are looked for: what the robot was told says more of the driver than what it did.
-_FEATURES: Final = (ACTION, STATE)
 _SIDEWAYS: Final = ("y_vel", "linear_y", "vy")
 #: Slower than this it does not go sideways, but is measured badly: `atoms` has the same for ahead.
 _LEAST_SIDEWAYS: Final = 0.02
-_V2: Final = ("data/chunk-{0:03d}/episode_{1:06d}.parquet", "videos/chunk-{0:03d}/{2}/episode_{1:06d}.mp4")
+#: Files of version 2.
+_LINES: Final = "meta/episodes.jsonl"
+_DATA_V2: Final = "data/chunk-{0:03d}/episode_{1:06d}.parquet"
+_VIDEO_V2: Final = "videos/chunk-{0:03d}/{2}/episode_{1:06d}.mp4"
 #: Files of version 3.0.
 INFO: Final = "meta/info.json"
 EPISODES: Final = "meta/episodes"
 DATA: Final = "data/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet"
 VIDEO: Final = "videos/{video_key}/chunk-{chunk_index:03d}/file-{file_index:03d}.mp4"
-_MOST_EPISODES: Final = 1_000_000
+#: Rows of images that are read at a time.
+_IMAGES: Final = 16
 
 
-@dataclass(frozen=True)
-class _Velocity:
-    """Where in a row the velocities are."""
+def _names(names: object) -> list[str]:
+    """Return the names of a feature's numbers: a list, or the only value of a map."""
+    if isinstance(names, dict) and len(names) == 1:
+        (names,) = names.values()
+    return [str(name) for name in names] if isinstance(names, list) else []
+
+
+class _Feature(BaseModel):
+    dtype: JsonValue = None
+    names: Annotated[list[str], BeforeValidator(_names)] = []
+
+
+class _Info(BaseModel):
+    """The description that holds for all episodes."""
+
+    codebase_version: Literal["v2.0", "v2.1", "v3.0"]
+    fps: Annotated[float, Field(ge=1.0, le=1000.0)]
+    chunks_size: PositiveInt = 1000
+    total_episodes: JsonValue = None
+    features: dict[str, _Feature]
+
+    def names(self, feature: str) -> list[str]:
+        """Return the names of a feature's numbers; none where there is no such feature."""
+        return self.features[feature].names if feature in self.features else []
+
+
+class _Line(BaseModel):
+    """An episode of version 2."""
+
+    episode_index: NonNegativeInt
+    length: int
+
+
+class _Episode(NamedTuple):
+    """Where an episode is; without a video its images are in the data."""
+
+    number: int
+    length: int
+    data: str
+    video: str | None
+    begin_s: float = 0.0
+
+
+class _Velocity(NamedTuple):
+    """Where in the rows of a feature the velocities are, and what they are in metres and radians a second."""
 
     feature: str
     linear: int
@@ -66,89 +113,136 @@ class _Velocity:
     radians: float
 
 
-@dataclass(frozen=True)
-class _Episode:
-    """Where an episode is."""
+class _DataSet:
+    """A data set; each of its episodes is a drive."""
 
-    number: int
-    length: int
-    data: str
-    video: str | None
-    begin_s: float
+    def __init__(self, inside: Inside, job: Job, tally: Tally) -> None:
+        self._inside, self._tally = inside, tally
+        self.info = inside.parsed(_Info, inside.read(INFO), INFO)
+        self._camera = _camera(self.info, job, inside.called(INFO))
+        self._velocity = _velocity(self.info, job, inside.called(INFO))
+        state = self.info.names(STATE)
+        self._pose = [state.index(name) for name in POSE] if set(POSE) <= set(state) else []
+        self._filmed = self.info.features[self._camera].dtype == "video"
+
+    def episodes(self) -> Iterator[_Episode]:
+        """Yield what the data set says that it has."""
+        return self._of_tables() if self.info.codebase_version == "v3.0" else self._of_lines()
+
+    def _of_lines(self) -> Iterator[_Episode]:
+        for line in self._inside.lines(_LINES):
+            told = self._inside.parsed(_Line, line, _LINES)
+            at = told.episode_index // self.info.chunks_size, told.episode_index, self._camera
+            video = _VIDEO_V2.format(*at) if self._filmed else None
+            yield _Episode(told.episode_index, told.length, _DATA_V2.format(*at), video)
+
+    def _of_tables(self) -> Iterator[_Episode]:
+        columns = ["length", "data/chunk_index", "data/file_index"]
+        if self._filmed:
+            columns += [f"videos/{self._camera}/{name}" for name in ("chunk_index", "file_index", "from_timestamp")]
+        chunks = [f"{EPISODES}/{chunk}" for chunk in self._inside.names(EPISODES)]
+        files = [f"{chunk}/{name}" for chunk in chunks for name in self._inside.names(chunk)]
+        tables = [name for name in files if name.endswith(".parquet")]
+        if not tables:
+            raise ImportFailure(f"{self._inside.called(EPISODES)}: has no chunk-000/file-000.parquet")
+        for name in tables:
+            each = numbers(self._inside, name, [EPISODE, *columns])
+            if not all(column.ndim == 1 and (column >= 0.0).all() and (column < np.inf).all() for column in each):
+                raise ImportFailure(f"{self._inside.called(name)}: not numbers from 0 on")
+            for number, length, chunk, file, *film in zip(*(column.tolist() for column in each), strict=True):
+                data = DATA.format(chunk_index=int(chunk), file_index=int(file))
+                episode = _Episode(int(number), int(length), data, None)
+                if film:
+                    at = {"chunk_index": int(film[0]), "file_index": int(film[1])}
+                    episode = episode._replace(video=VIDEO.format(video_key=self._camera, **at), begin_s=film[2])
+                yield episode
+
+    def drive(self, episode: _Episode) -> Drive:
+        """Read an episode, all but its images."""
+        where = self._velocity
+        columns = ["timestamp", where.feature]
+        columns += [SUCCESS] if SUCCESS in self.info.features else []
+        columns += [STATE] if self._pose and STATE not in columns else []
+        read = numbers(self._inside, episode.data, columns, episode.number)
+        found = dict(zip(columns, read, strict=True))
+        times_s = found["timestamp"].ravel()
+        name = str(episode.number)
+        if times_s.size != episode.length:
+            self._tally.say(f"episode {name}: announces {episode.length} frames, has {times_s.size}")
+        moved = self._columns(episode, found, where.feature, [where.linear, where.angular])
+        if where.sideways is not None:
+            aside = np.abs(self._columns(episode, found, where.feature, [where.sideways])) > _LEAST_SIDEWAYS
+            self._tally.count("frames go sideways, for which there is no atom", int(aside.sum()))
+        rows = np.column_stack([times_s, moved * (where.metres, where.radians)])
+        poses = self._columns(episode, found, STATE, self._pose) if self._pose else np.zeros((0, len(POSE)))
+        return Drive(
+            name,
+            times_s,
+            partial(self._video if episode.video else self._embedded, episode, times_s),
+            motion_of(rows, self._tally),
+            track_of(np.column_stack([times_s[: len(poses)], poses]), self._tally),
+            success=bool(found[SUCCESS].any()) if SUCCESS in found else None,
+        )
+
+    def _columns(self, episode: _Episode, found: dict[str, Array], feature: str, at: list[int]) -> Array:
+        """Return some numbers of a feature, (n, m)."""
+        rows = found[feature]
+        if rows.size and (rows.ndim != 2 or rows.shape[1] <= max(at)):
+            called = self._inside.called(episode.data)
+            raise ImportFailure(f"{called}: {feature} has fewer numbers than {INFO} names")
+        return rows[:, at] if rows.size else np.zeros((0, len(at)))
+
+    def _video(self, episode: _Episode, times_s: Array) -> Iterator[Image]:
+        name = episode.video or ""
+        if times_s.size:
+            with self._inside.open(name) as file:
+                times_s = episode.begin_s + times_s
+                yield from frames_at(file, self._inside.called(name), times_s, 0.5 / self.info.fps)
+
+    def _embedded(self, episode: _Episode, _times_s: Array) -> Iterator[Image]:
+        for batch in batches(self._inside, episode.data, [self._camera], episode.number, _IMAGES):
+            yield from (partial(_cell, cell) for cell in batch.column(self._camera))
 
 
-@dataclass(frozen=True)
-class _Set:
-    """What the description says that holds for all episodes."""
-
-    inside: Inside
-    layout: str
-    fps: float
-    chunk: int
-    camera: str
-    is_video: bool
-    velocity: _Velocity
-    pose: list[int] | None
+def read(inside: Inside, job: Job, tally: Tally) -> list[Drive]:
+    """Read a data set."""
+    dataset = _DataSet(inside, job, tally)
+    asked = (one for one in dataset.episodes() if not job.episodes or str(one.number) in job.episodes)
+    drives = [dataset.drive(episode) for episode in asked]
+    announced = dataset.info.total_episodes
+    if not job.episodes and announced != len(drives):
+        tally.say(f"{INFO} announces {printable(str(announced))} episodes, there are {len(drives)}")
+    return drives
 
 
-def read(inside: Inside, wishes: Wishes, tally: Tally) -> Source:
-    """Read a data set; each of its episodes is a drive."""
-    called = inside.called(INFO)
-    info = parsed(inside.read(INFO), called)
-    try:
-        version, features = str(info["codebase_version"]), dict(info["features"])
-        fps, chunk = float(info["fps"]), int(info.get("chunks_size", 1000))
-        described = {str(key): dict(feature) for key, feature in features.items()}
-    except (KeyError, TypeError, ValueError, AttributeError, OverflowError):
-        raise ImportFailure(f"{called}: lacks codebase_version, fps or features") from None
-    layout = version.partition(".")[0]
-    if version not in ("v2.0", "v2.1", "v3.0"):
-        raise ImportFailure(f"{called}: version {printable(version)}; v2.0, v2.1 and v3.0 are read")
-    if not 1.0 <= fps <= 1000.0 or chunk < 1:
-        raise ImportFailure(f"{called}: {fps:g} frames a second and chunks of {chunk} are not those of a camera")
-    camera = _camera(described, wishes, called)
-    velocity = _velocity(described, wishes, called)
-    state = _names(described.get(STATE, {}))
-    pose = [state.index(name) for name in POSE] if set(POSE) <= set(state) else None
-    dataset = _Set(inside, layout, fps, chunk, camera, described[camera]["dtype"] == "video", velocity, pose)
-    drives = [
-        _drive(dataset, episode, tally)
-        for episode in _episodes(dataset)
-        if not wishes.episodes or str(episode.number) in wishes.episodes
-    ]
-    announced = info.get("total_episodes")
-    if not wishes.episodes and announced != len(drives):
-        tally.say(f"meta/info.json announces {printable(str(announced))} episodes, there are {len(drives)}")
-    return Source(drives, metric=True)
-
-
-def _camera(features: dict[str, dict[str, Any]], wishes: Wishes, called: str) -> str:
-    cameras = [key for key, feature in features.items() if feature.get("dtype") in ("video", "image")]
+def _camera(info: _Info, job: Job, called: str) -> str:
+    cameras = [key for key, feature in info.features.items() if feature.dtype in ("video", "image")]
     named = ", ".join(map(printable, cameras)) or "none"
-    if wishes.camera is not None:
-        if wishes.camera not in cameras:
-            raise ImportFailure(f"{called}: no camera {wishes.camera}; there are: {named}")
-        return wishes.camera
-    if len(cameras) != 1:
+    if job.camera is not None and job.camera not in cameras:
+        raise ImportFailure(f"{called}: no camera {job.camera}; there are: {named}")
+    if job.camera is None and len(cameras) != 1:
         raise ImportFailure(f"{called}: {len(cameras)} cameras ({named}); choose one with --camera")
-    return cameras[0]
+    return job.camera or cameras[0]
 
 
-def _velocity(features: dict[str, dict[str, Any]], wishes: Wishes, called: str) -> _Velocity:
-    asked = None if wishes.velocity is None else tuple(map(_plain, wishes.velocity.split(",")))
-    known = _NAMES if asked is None else {asked: _NAMES.get(asked, 1.0)}  # type: ignore[arg-type]
+def _velocity(info: _Info, job: Job, called: str) -> _Velocity:
+    known: dict[tuple[str, ...], float] = dict(_NAMES)
+    if job.velocity is not None:
+        asked = tuple(map(_plain, job.velocity.split(",")))
+        known = {asked: known.get(asked, 1.0)} if len(asked) == 2 else {}
     seen: list[str] = []
-    for feature in _FEATURES:
-        names = [_plain(name) for name in _names(features.get(feature, {}))]
+    # What the robot was told says more of the driver than what it did.
+    for feature in (ACTION, STATE):
+        names = list(map(_plain, info.names(feature)))
         seen += names
-        for wanted, radians in known.items():
-            if len(wanted) == 2 and set(wanted) <= set(names):
-                linear, angular = (names.index(name) for name in wanted)
+        for (linear, angular), radians in known.items():
+            if linear in names and angular in names:
                 sideways = next((names.index(name) for name in _SIDEWAYS if name in names), None)
-                return _Velocity(feature, linear, angular, sideways, wishes.speed or 1.0, wishes.turn_rate or radians)
+                scale = job.speed or 1.0, job.turn_rate or radians
+                return _Velocity(feature, names.index(linear), names.index(angular), sideways, *scale)
     named = ", ".join(map(printable, dict.fromkeys(seen))) or "no names"
     raise ImportFailure(
-        f"{called}: neither action nor observation.state has a linear and an angular velocity of a base "
+        f"{called}: neither {ACTION} nor {STATE} has a linear and an angular velocity of a base "
         f"({named[:300]}); name them with --velocity LINEAR,ANGULAR"
     )
 
@@ -157,141 +251,7 @@ def _plain(name: str) -> str:
     return re.sub(r"[.\s/_]+", "_", name.strip().lower())
 
 
-def _names(feature: dict[str, Any]) -> list[str]:
-    names = feature.get("names")
-    if isinstance(names, dict) and len(names) == 1:
-        (names,) = names.values()
-    return [str(name) for name in names] if isinstance(names, list) else []
-
-
-def _episodes(dataset: _Set) -> Iterator[_Episode]:
-    found = _episodes_of_lines(dataset) if dataset.layout == "v2" else _episodes_of_tables(dataset)
-    for count, episode in enumerate(found):
-        if count >= _MOST_EPISODES:
-            raise ImportFailure(f"{dataset.inside.path}: more than {_MOST_EPISODES} episodes")
-        yield episode
-
-
-def _episodes_of_lines(dataset: _Set) -> Iterator[_Episode]:
-    called = dataset.inside.called("meta/episodes.jsonl")
-    data, video = _V2
-    for line in dataset.inside.lines("meta/episodes.jsonl"):
-        values = parsed(line, called)
-        try:
-            number, length = int(values["episode_index"]), int(values["length"])
-            at = (number // dataset.chunk, number, dataset.camera)
-            yield _Episode(number, length, data.format(*at), video.format(*at) if dataset.is_video else None, 0.0)
-        except (KeyError, TypeError, ValueError, OverflowError):
-            raise ImportFailure(f"{called}: a line lacks episode_index or length") from None
-
-
-def _episodes_of_tables(dataset: _Set) -> Iterator[_Episode]:
-    key = f"videos/{dataset.camera}/"
-    columns = ["episode_index", "length", "data/chunk_index", "data/file_index"]
-    if dataset.is_video:
-        columns += [f"{key}chunk_index", f"{key}file_index", f"{key}from_timestamp"]
-    for name in _tables(dataset.inside):
-        for batch in batches(dataset.inside, name, columns):
-            each = [numbers(batch, column, dataset.inside.called(name)) for column in columns]
-            if any(column.ndim != 1 or not np.isfinite(column).all() or (column < 0).any() for column in each):
-                raise ImportFailure(f"{dataset.inside.called(name)}: not numbers from 0 on")
-            for number, length, chunk, file, *of_video in zip(*(column.tolist() for column in each), strict=True):
-                video, begin_s = None, 0.0
-                if of_video:
-                    at = {"chunk_index": int(of_video[0]), "file_index": int(of_video[1])}
-                    video, begin_s = VIDEO.format(video_key=dataset.camera, **at), of_video[2]
-                data = DATA.format(chunk_index=int(chunk), file_index=int(file))
-                yield _Episode(int(number), int(length), data, video, begin_s)
-
-
-def _tables(inside: Inside) -> list[str]:
-    chunks = [f"{EPISODES}/{chunk}" for chunk in inside.names(EPISODES)]
-    found = [f"{chunk}/{name}" for chunk in chunks for name in inside.names(chunk)]
-    tables = [name for name in found if name.endswith(".parquet")]
-    if not tables:
-        raise ImportFailure(f"{inside.called(EPISODES)}: has no chunk-000/file-000.parquet")
-    return tables
-
-
-def _drive(dataset: _Set, episode: _Episode, tally: Tally) -> Drive:
-    called = dataset.inside.called(episode.data)
-    velocity = dataset.velocity
-    found: dict[str, list[Array]] = {"timestamp": [], velocity.feature: [], SUCCESS: []}
-    if dataset.pose is not None:
-        found[STATE] = []
-    for batch in batches(dataset.inside, episode.data, ["episode_index", *found]):
-        mine = numbers(batch, "episode_index", called) == episode.number
-        for column, parts in found.items():
-            if column != SUCCESS or SUCCESS in batch.schema.names:
-                parts.append(numbers(batch, column, called)[mine])
-    times_s = np.concatenate([np.zeros(0), *(part.reshape(-1) for part in found["timestamp"])])
-    name = f"episode {episode.number}"
-    if times_s.size != episode.length:
-        tally.say(f"{name}: announces {episode.length} frames, has {times_s.size}")
-    motion = _motion(times_s, found[velocity.feature], velocity, called, tally)
-    success = bool(np.concatenate(found[SUCCESS]).any()) if found[SUCCESS] else None
-    frames = partial(_video_frames, dataset, episode, times_s) if episode.video else None
-    return Drive(
-        str(episode.number),
-        motion,
-        frames or partial(_embedded_frames, dataset, episode),
-        times_s.size,
-        None if dataset.pose is None else _track(times_s, found[STATE], dataset.pose, called, tally),
-        success=success,
-    )
-
-
-def _motion(times_s: Array, rows: list[Array], velocity: _Velocity, called: str, tally: Tally) -> Motion:
-    if not times_s.size:
-        return Motion.of([], tally)
-    values = _joined(rows, velocity.feature, max(velocity.linear, velocity.angular, velocity.sideways or 0), called)
-    if velocity.sideways is not None:
-        aside = np.abs(values[:, velocity.sideways]) > _LEAST_SIDEWAYS
-        tally.count("frames go sideways, for which there is no atom", int(aside.sum()))
-    linear, angular = velocity.metres * values[:, velocity.linear], velocity.radians * values[:, velocity.angular]
-    return Motion.of(list(zip(times_s.tolist(), linear.tolist(), angular.tolist(), strict=True)), tally)
-
-
-def _track(times_s: Array, rows: list[Array], pose: list[int], called: str, tally: Tally) -> Track | None:
-    if not times_s.size:
-        return None
-    poses = _joined(rows, STATE, max(pose), called)[:, pose]
-    return Track.of([(time_s, x, y, heading) for time_s, (x, y, heading) in zip(times_s, poses, strict=True)], tally)
-
-
-def _joined(rows: list[Array], feature: str, last: int, called: str) -> Array:
-    """Return rows (n, width) that have a number at the place that is to be the last."""
-    if any(part.ndim != 2 or part.shape[1] != rows[0].shape[1] for part in rows):
-        raise ImportFailure(f"{called}: the rows of {feature} are not equally long")
-    values = np.concatenate(rows)
-    if values.shape[1] <= last:
-        raise ImportFailure(f"{called}: {feature} has fewer numbers than {INFO} names")
-    return values
-
-
-def _video_frames(dataset: _Set, episode: _Episode, times_s: Array) -> Iterator[Frame]:
-    assert episode.video is not None  # noqa: S101 - or this would not be asked
-    if not times_s.size:
-        return
-    called = dataset.inside.called(episode.video)
-    with dataset.inside.open(episode.video) as file:
-        found = frames_at(file, called, episode.begin_s + times_s, 0.5 / dataset.fps)
-        for time_s, frame in zip(times_s.tolist(), found, strict=True):
-            yield Frame(time_s, partial(jpeg_of, frame))
-
-
-def _embedded_frames(dataset: _Set, episode: _Episode) -> Iterator[Frame]:
-    called = dataset.inside.called(episode.data)
-    for batch in batches(dataset.inside, episode.data, ["episode_index", "timestamp", dataset.camera], IMAGES):
-        mine = numbers(batch, "episode_index", called) == episode.number
-        times_s = numbers(batch, "timestamp", called).reshape(-1)
-        if dataset.camera not in batch.schema.names:
-            raise ImportFailure(f"{called}: lacks the column {printable(dataset.camera)}")
-        for row in np.flatnonzero(mine).tolist():
-            yield Frame(float(times_s[row]), partial(_embedded, batch.column(dataset.camera)[row]))
-
-
-def _embedded(cell: Any) -> bytes:  # noqa: ANN401 - of a package without types
+def _cell(cell: Any) -> bytes:  # noqa: ANN401 - of a package without types
     value = cell.as_py()
     data = value.get("bytes") if isinstance(value, dict) else value
     if not isinstance(data, bytes):

@@ -11,62 +11,66 @@ from schemas.codec import printable
 from services.importers.drive import MOST_SAMPLES, Array, ImportFailure
 from services.importers.inside import Inside
 
-#: Rows at a time: of numbers, and of images.
-ROWS: Final = 4096
-IMAGES: Final = 16
+#: Rows at a time.
+_ROWS: Final = 4096
 #: Most bytes of a file's own description, and entries of it; that of ten million rows has some hundred thousand.
 _MOST_BYTES, _MOST_ENTRIES = 64 * 2**20, 10_000_000
-#: Widest row; of an action it has some ten numbers.
-_WIDEST: Final = 4096
+EPISODE: Final = "episode_index"
 
 
-def batches(inside: Inside, name: str, columns: Sequence[str], rows: int = ROWS) -> Iterator[Any]:
-    """Yield record batches of the columns that there are.
+def batches(
+    inside: Inside, name: str, columns: Sequence[str], episode: int | None = None, rows: int = _ROWS
+) -> Iterator[Any]:
+    """Yield record batches of the columns, of one episode or of all.
 
     Raises
     ------
     ImportFailure
-        When the file is not there, is none, or is larger than any drive.
+        When the file is not there, is none, lacks a column, or is larger than any drive.
     """
     import pyarrow as pa  # noqa: PLC0415 - of the extra `formats`
+    import pyarrow.compute as pc  # noqa: PLC0415
     import pyarrow.parquet as pq  # noqa: PLC0415
 
     called = inside.called(name)
+    limits = {"thrift_string_size_limit": _MOST_BYTES, "thrift_container_size_limit": _MOST_ENTRIES}
     try:
         with inside.open(name) as file:
-            table = pq.ParquetFile(
-                file, thrift_string_size_limit=_MOST_BYTES, thrift_container_size_limit=_MOST_ENTRIES
-            )
-            if table.metadata.num_rows > MOST_SAMPLES:
-                raise ImportFailure(
-                    f"{called}: announces {table.metadata.num_rows} rows, at most {MOST_SAMPLES} are read"
-                )
-            there = [column for column in columns if column in table.schema_arrow.names]
-            yield from table.iter_batches(batch_size=rows, columns=there, use_threads=False)
+            table = pq.ParquetFile(file, **limits)
+            count = table.metadata.num_rows
+            if count > MOST_SAMPLES:
+                raise ImportFailure(f"{called}: announces {count} rows, at most {MOST_SAMPLES} are read")
+            for column in (EPISODE, *columns):
+                if column not in table.schema_arrow.names:
+                    raise ImportFailure(f"{called}: lacks the column {printable(column)}")
+            for batch in table.iter_batches(batch_size=rows, columns=[EPISODE, *columns], use_threads=False):
+                yield batch if episode is None else batch.filter(pc.equal(batch.column(EPISODE), episode))
     except (pa.ArrowException, OSError, ValueError, MemoryError) as error:
         raise ImportFailure(f"{called}: not a Parquet file that can be read: {printable(str(error))}") from None
 
 
-def numbers(batch: Any, column: str, called: str) -> Array:  # noqa: ANN401 - of a package without types
-    """Return a column of numbers, (n,), or of lists of as many numbers each, (n, width).
+def numbers(inside: Inside, name: str, columns: Sequence[str], episode: int | None = None) -> list[Array]:
+    """Return columns of numbers, of one episode or of all: (n,), or of lists of as many numbers each, (n, width).
 
     Raises
     ------
     ImportFailure
-        When it is missing or is something else.
+        As of `batches`, or when a column is something else.
     """
-    import pyarrow as pa  # noqa: PLC0415
+    parts: list[list[Array]] = [[] for _ in columns]
+    for batch in batches(inside, name, columns, episode):
+        if not batch.num_rows:
+            continue
+        for column, found in zip(columns, parts, strict=True):
+            try:
+                found.append(np.array(batch.column(column).to_pylist(), dtype=np.float64))
+            except (ValueError, TypeError, OverflowError):
+                raise _mixed(inside, name, column) from None
+            if found[-1].shape[1:] != found[0].shape[1:]:
+                raise _mixed(inside, name, column)
+    return [np.concatenate(found) if found else np.zeros(0) for found in parts]
 
-    if column not in batch.schema.names:
-        raise ImportFailure(f"{called}: lacks the column {printable(column)}")
-    values = batch.column(column)
-    count = len(values)
-    try:
-        if pa.types.is_nested(values.type):
-            flat = values.flatten().to_numpy(zero_copy_only=False)
-            if count and (len(flat) % count or len(flat) > _WIDEST * count or values.null_count):
-                raise ImportFailure(f"{called}: the rows of {printable(column)} are not equally long")
-            return np.asarray(flat, dtype=np.float64).reshape(count, -1)
-        return np.asarray(values.to_numpy(zero_copy_only=False), dtype=np.float64)
-    except (pa.ArrowException, ValueError, TypeError, AttributeError):
-        raise ImportFailure(f"{called}: {printable(column)} is not a column of numbers") from None
+
+def _mixed(inside: Inside, name: str, column: str) -> ImportFailure:
+    said = f"{inside.called(name)}: {printable(column)} is not a column of numbers, or its rows are not equally long"
+    return ImportFailure(said)

@@ -7,10 +7,12 @@ atoms; odometry, where it is there, says where the robot was.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Collection, Iterator
 from dataclasses import dataclass, field
 from functools import cache, partial
 from typing import Any, Final
+
+import numpy as np
 
 from schemas.codec import printable
 from services.importers.bag_files import Received, received
@@ -19,28 +21,21 @@ from services.importers.drive import (
     MOST_FOCAL,
     MOST_SAMPLES,
     Drive,
-    Frame,
+    Image,
     ImportFailure,
-    Motion,
     NotAnImage,
-    Source,
     Tally,
-    Track,
+    motion_of,
+    track_of,
 )
 from services.importers.images import as_jpeg, raw_as_jpeg
 from services.importers.inside import Inside
-from services.importers.source_options import Wishes
+from services.importers.job import Job
 from services.kit.raw_image import ENCODINGS, rgb_of
 
-COMPRESSED, _RAW = "sensor_msgs/msg/CompressedImage", "sensor_msgs/msg/Image"
-_TWIST, STAMPED, ODOMETRY = "geometry_msgs/msg/Twist", "geometry_msgs/msg/TwistStamped", "nav_msgs/msg/Odometry"
+COMPRESSED, RAW = "sensor_msgs/msg/CompressedImage", "sensor_msgs/msg/Image"
+TWIST, STAMPED, ODOMETRY = "geometry_msgs/msg/Twist", "geometry_msgs/msg/TwistStamped", "nav_msgs/msg/Odometry"
 INFO: Final = "sensor_msgs/msg/CameraInfo"
-_IMAGES: Final = (COMPRESSED, _RAW)
-_COMMANDS: Final = (_TWIST, STAMPED)
-#: What a velocity topic is called nearly everywhere.
-_USUAL_COMMAND: Final = "cmd_vel"
-
-Sample = tuple[float, float, float]
 
 
 @cache
@@ -63,45 +58,49 @@ def _decoded(message: Received) -> Any:  # noqa: ANN401 - as above
 
 @dataclass
 class _Found:
-    """What the topics of a bag have: everything but the images, which are only counted."""
+    """What a bag has, by topic: everything but the images, of which only the times are kept."""
 
-    images: dict[str, int] = field(default_factory=dict)
-    velocities: dict[str, list[Sample]] = field(default_factory=dict)
-    tracks: dict[str, list[tuple[float, float, float, float]]] = field(default_factory=dict)
+    images: dict[str, list[float]] = field(default_factory=dict)
+    velocities: dict[str, list[tuple[float, ...]]] = field(default_factory=dict)
+    tracks: dict[str, list[tuple[float, ...]]] = field(default_factory=dict)
     focal: dict[str, float] = field(default_factory=dict)
-    others: dict[str, str] = field(default_factory=dict)
+    topics: set[str] = field(default_factory=set)
 
     def take(self, message: Received) -> None:
         """Take one message; ValueError where it is none of its type."""
-        if message.type in _IMAGES:
-            self.images[message.topic] = self.images.get(message.topic, 0) + 1
-        elif message.type in _COMMANDS:
-            twist = _decoded(message)
-            twist = twist.twist if message.type == STAMPED else twist
-            self._velocity(message, twist)
-        elif message.type == ODOMETRY:
+        topic, kind, time_s, _ = message
+        self.topics.add(topic)
+        if kind in (COMPRESSED, RAW):
+            _keep(self.images, topic, time_s)
+        elif kind == TWIST:
+            self._velocity(message, _decoded(message))
+        elif kind == STAMPED:
+            self._velocity(message, _decoded(message).twist)
+        elif kind == ODOMETRY:
             odometry = _decoded(message)
             self._velocity(message, odometry.twist.twist)
             place, turn = odometry.pose.pose.position, odometry.pose.pose.orientation
             yaw = math.atan2(2.0 * (turn.w * turn.z + turn.x * turn.y), 1.0 - 2.0 * (turn.y * turn.y + turn.z * turn.z))
-            self.tracks.setdefault(message.topic, []).append((message.time_s, place.x, place.y, yaw))
-        elif message.type == INFO and message.topic not in self.focal:
+            _keep(self.tracks, topic, (time_s, place.x, place.y, yaw))
+        elif kind == INFO and topic not in self.focal:
             info = _decoded(message)
             focal = float(info.k[0]) / max(info.width, 1)
             if not LEAST_FOCAL <= focal <= MOST_FOCAL:
                 raise ValueError("no camera sees so")
-            self.focal[message.topic] = focal
-        else:
-            self.others[message.topic] = message.type
+            self.focal[topic] = focal
 
     def _velocity(self, message: Received, twist: Any) -> None:  # noqa: ANN401 - as above
-        samples = self.velocities.setdefault(message.topic, [])
-        if len(samples) >= MOST_SAMPLES:
-            raise ImportFailure(f"{message.topic}: more than {MOST_SAMPLES} messages")
-        samples.append((message.time_s, float(twist.linear.x), float(twist.angular.z)))
+        _keep(self.velocities, message.topic, (message.time_s, float(twist.linear.x), float(twist.angular.z)))
 
 
-def read(inside: Inside, wishes: Wishes, tally: Tally) -> Source:
+def _keep(kept: dict[str, list[Any]], topic: str, sample: Any) -> None:  # noqa: ANN401 - a time, or a tuple with one
+    samples = kept.setdefault(topic, [])
+    if len(samples) >= MOST_SAMPLES:
+        raise ImportFailure(f"{printable(topic)}: more than {MOST_SAMPLES} messages")
+    samples.append(sample)
+
+
+def read(inside: Inside, job: Job, tally: Tally) -> list[Drive]:
     """Read a bag; it is one drive."""
     typestore()
     found = _Found()
@@ -110,87 +109,64 @@ def read(inside: Inside, wishes: Wishes, tally: Tally) -> Source:
             found.take(message)
         except ValueError:
             tally.count(f"messages of {message.topic} are not what their type says")
-    image = _chosen("image (CompressedImage or Image)", "--camera", wishes.camera, list(found.images), inside, found)
-    velocity = _chosen(
-        "velocity (Twist, TwistStamped or Odometry)", "--velocity", wishes.velocity, _velocities(found), inside, found
-    )
-    scale = wishes.speed or 1.0, wishes.turn_rate or 1.0
-    rows = [(time_s, scale[0] * linear, scale[1] * angular) for time_s, linear, angular in found.velocities[velocity]]
-    tracked = velocity if velocity in found.tracks else _only(found.tracks)
-    if tracked is not None:
-        tally.say(f"odometry is that of {printable(tracked)}")
-    tally.say(f"images are those of {printable(image)}, velocities those of {printable(velocity)}")
-    drive = Drive(
-        inside.path.stem,
-        Motion.of(rows, tally),
-        partial(_frames, inside, image),
-        found.images[image],
-        None if tracked is None else Track.of(found.tracks[tracked], tally),
-        focal=_focal(image, found.focal),
-    )
-    return Source([drive], metric=True)
-
-
-def _velocities(found: _Found) -> list[str]:
-    """Return the topics that can be meant: commands, or else odometry; of several the one with the usual name."""
     commands = [topic for topic in found.velocities if topic not in found.tracks]
-    usual = [topic for topic in commands if topic.rpartition("/")[2] == _USUAL_COMMAND]
-    return usual if len(usual) == 1 else commands or list(found.tracks)
+    meant = _called(commands, "cmd_vel") or commands or list(found.tracks)
+    image = _chosen("image (CompressedImage or Image)", "--camera", job.camera, list(found.images), found, inside)
+    velocity = _chosen("velocity (Twist, TwistStamped or Odometry)", "--velocity", job.velocity, meant, found, inside)
+    tracks = [velocity] if velocity in found.tracks else _called(found.tracks, "odom") or list(found.tracks)
+    if len(tracks) == 1:
+        tally.say(f"odometry is that of {printable(tracks[0])}")
+    tally.say(f"images are those of {printable(image)}, velocities those of {printable(velocity)}")
+    rows = np.array(found.velocities[velocity]) * (1.0, job.speed or 1.0, job.turn_rate or 1.0)
+    # The camera beside the images: /camera/camera_info of /camera/image.
+    beside = [topic for topic in found.focal if (at := topic.rpartition("/")[0]) and image.startswith(f"{at}/")]
+    return [
+        Drive(
+            inside.path.stem,
+            np.array(found.images[image]),
+            partial(_images, inside, image),
+            motion_of(rows, tally),
+            track_of(found.tracks[tracks[0]] if len(tracks) == 1 else [], tally),
+            focal=found.focal[beside[0]] if len(beside) == 1 else None,
+        )
+    ]
 
 
-def _only(tracks: dict[str, Any]) -> str | None:
-    usual = [topic for topic in tracks if topic.rpartition("/")[2] == "odom"]
-    return next(iter(usual if len(usual) == 1 else tracks if len(tracks) == 1 else []), None)
+def _called(topics: Collection[str], usual: str) -> list[str]:
+    """Return the topic that has the usual name; none where several have."""
+    found = [topic for topic in topics if topic.rpartition("/")[2] == usual]
+    return found if len(found) == 1 else []
 
 
-def _chosen(what: str, flag: str, wish: str | None, topics: list[str], inside: Inside, found: _Found) -> str:
+def _chosen(what: str, flag: str, wish: str | None, topics: list[str], found: _Found, inside: Inside) -> str:
+    """Return the topic that is wished for, or the only one."""
     if wish is not None:
         known = found.images if flag == "--camera" else found.velocities
         if wish not in known:
-            raise ImportFailure(f"{inside.path}: no topic {wish} of {what}; there are: {_list(list(known))}")
+            raise ImportFailure(f"{inside.path}: no topic {wish} of {what}; there are: {_list(known)}")
         return wish
     if not topics:
-        every = {**found.others, **dict.fromkeys([*found.images, *found.velocities], "")}
-        raise ImportFailure(f"{inside.path}: no topic of {what}; it has: {_list(list(every))}")
+        raise ImportFailure(f"{inside.path}: no topic of {what}; it has: {_list(sorted(found.topics))}")
     if len(topics) > 1:
         raise ImportFailure(f"{inside.path}: several topics of {what}: {_list(topics)}; choose one with {flag}")
     return topics[0]
 
 
-def _list(topics: list[str]) -> str:
-    return printable(", ".join(topics[:10])) or "none"
+def _list(topics: Collection[str]) -> str:
+    return printable(", ".join(list(topics)[:10])) or "none"
 
 
-def _focal(image: str, focal: dict[str, float]) -> float | None:
-    """Return the focal length of the camera beside the images: /camera/camera_info of /camera/image."""
-    of = [topic for topic in focal if topic.rpartition("/")[0] and image.startswith(topic.rpartition("/")[0] + "/")]
-    return focal[of[0]] if len(of) == 1 else None
+def _images(inside: Inside, topic: str) -> Iterator[Image]:
+    return (partial(_image, message) for message in received(inside, Tally(), topic))
 
 
-def _frames(inside: Inside, topic: str) -> Iterator[Frame]:
-    for message in received(inside, Tally(), topic):
-        yield Frame(message.time_s, partial(_READ[message.type], message))
-
-
-def _compressed(message: Received) -> bytes:
-    return as_jpeg(bytes(_image(message).data))
-
-
-def _raw(message: Received) -> bytes:
-    image = _image(message)
-    if image.encoding not in ENCODINGS:
-        raise NotAnImage("images have an encoding that is not read (8 bits of RGB, BGR, grey or YUV 4:2:2 are)")
+def _image(message: Received) -> bytes:
     try:
+        image = _decoded(message)
+        if message.type == COMPRESSED:
+            return as_jpeg(bytes(image.data))
+        if image.encoding not in ENCODINGS:
+            raise NotAnImage("images have an encoding that is not read (8 bits of RGB, BGR, grey or YUV 4:2:2 are)")
         return raw_as_jpeg(rgb_of(image.encoding, image.width, image.height, image.step, image.data))
     except ValueError as error:
         raise error if isinstance(error, NotAnImage) else NotAnImage("images are damaged") from None
-
-
-def _image(message: Received) -> Any:  # noqa: ANN401 - as above
-    try:
-        return _decoded(message)
-    except ValueError:
-        raise NotAnImage("images are damaged") from None
-
-
-_READ: Final[dict[str, Callable[[Received], bytes]]] = {COMPRESSED: _compressed, _RAW: _raw}

@@ -23,6 +23,7 @@ def seeds() -> list[bytes]:
 
 
 def run(data: bytes) -> bool:
+    seeds()  # before its file is another
     (_folder() / "drive.csv").write_bytes(data)
     return imported.accepted("folder", _folder())
 

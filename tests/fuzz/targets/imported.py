@@ -6,7 +6,8 @@ import shutil
 from pathlib import Path
 
 from services.importers.drive import ImportFailure, Tally
-from services.importers.job import Format, Job, run
+from services.importers.job import Format, Job
+from services.importers.run import run
 from tests.fuzz.targets import check_line, scratch
 
 

@@ -86,7 +86,7 @@ def test_a_failed_import_leaves_nothing_behind(smal, tmp_path: Path) -> None:  #
 def test_a_decoder_that_breaks_down_is_one_line(
     smal, end: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch  # noqa: ANN001
 ) -> None:  # fmt: skip
-    program = f"import services.importers.__main__ as m; m.run = lambda *_: exec('import os; {end}'); m.main()"
+    program = f"import services.importers.run as m; m.run = lambda *_: exec('import os; {end}'); m.main()"
     monkeypatch.setattr(importing, "_COMMAND", (sys.executable, "-c", program))
     status, _, errors = smal("import", "folder", str(tmp_path), "--out", str(tmp_path / "out"))
     assert (status, errors.count("\n")) == (1, 1)

@@ -15,7 +15,6 @@ from schemas.episode import Episode
 from schemas.imu import Imu, ImuSample
 from schemas.odometry import Odometry
 from services.kit.jpeg import encode_jpeg
-from services.recordings.reader import read_recording
 from services.recordings.recorded import RecordedEpisode
 from services.recordings.writer import EpisodeWriter
 from tests import corridor
@@ -95,12 +94,6 @@ def _tick(
         Imu.after(cause, samples=tuple(samples)),
         *([made] if cause.tick < len(MADE) - 1 else []),
     ]
-
-
-def episode_of(path: Path) -> RecordedEpisode:
-    """Return the only episode of a recording."""
-    (episode,) = read_recording(path).episodes
-    return episode
 
 
 def atoms_of(episode: RecordedEpisode) -> dict[int, str]:

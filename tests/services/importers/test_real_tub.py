@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 
 from services.importers.drive import ImportFailure
 from services.importers.job import Report
-from services.importers.source_options import Wishes
 from services.recordings.dataset import Teacher
 from services.recordings.encoding import decode_image
 from services.recordings.recorded import RecordedEpisode
@@ -64,9 +63,8 @@ def test_its_times_are_those_of_a_conversion_and_that_is_said(tmp_path: Path) ->
 
 
 def test_the_second_lap_is_recognized_as_the_first(tmp_path: Path) -> None:
-    wishes = Wishes(rate_hz=20.0)
-    first, _ = imported(TUB, "donkeycar", tmp_path / "first", wishes=wishes, to_s=LAP_S)
-    second, _ = imported(TUB, "donkeycar", tmp_path / "second", wishes=wishes, from_s=LAP_S)
+    first, _ = imported(TUB, "donkeycar", tmp_path / "first", rate_hz=20.0, to_s=LAP_S)
+    second, _ = imported(TUB, "donkeycar", tmp_path / "second", rate_hz=20.0, from_s=LAP_S)
     teacher = Teacher(FeatureSettings(), shortest=5)
     teacher.read(Path(first.files[0]))
     model = learn(teacher.teaching.demonstrations)
@@ -97,9 +95,9 @@ BEGIN_S = (22.0, 25.48, 28.96, 32.45)
 @pytest.mark.skipif(not CIRCLES.is_dir(), reason=f"{CIRCLES} is not here")
 def test_a_lap_at_full_lock_is_learned_and_another_one_recognized_and_driven(tmp_path: Path) -> None:
     def lap(number: int) -> Report:
-        begin_s, wishes = BEGIN_S[number], Wishes(episodes=("22-08-27_1",))
+        begin_s, episodes = BEGIN_S[number], ("22-08-27_1",)
         folder = tmp_path / str(number)
-        return imported(CIRCLES, "donkeycar", folder, wishes=wishes, from_s=begin_s, to_s=begin_s + 3.45)[0]
+        return imported(CIRCLES, "donkeycar", folder, episodes=episodes, from_s=begin_s, to_s=begin_s + 3.45)[0]
 
     teacher = Teacher(FeatureSettings(), shortest=5)
     first = lap(0)

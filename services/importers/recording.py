@@ -1,0 +1,167 @@
+"""A drive as a recording like those of our own recorder, which ``smal learn`` takes without knowing its origin."""
+
+from __future__ import annotations
+
+import hashlib
+import re
+from collections import Counter
+from collections.abc import Callable, Iterator
+from itertools import chain, islice
+from pathlib import Path
+from typing import Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from schemas.base import ATOMS, Message
+from schemas.camera_info import CameraInfo
+from schemas.command import CommandApplied
+from schemas.compressed_image import CompressedImage
+from schemas.episode import Episode
+from schemas.odometry import Odometry
+from services.importers.atoms import Nominal, atoms_of
+from services.importers.drive import Array, Drive, ImportFailure, NotAnImage, Tally
+from services.importers.job import Job
+from services.importers.ticks import TICK_S, Moves, Ticks, odometry, ticks
+from services.kit.jpeg import jpeg_size
+from services.recordings.writer import EpisodeWriter
+from smal.movement import wrapped
+
+#: Of poses: a micrometre and a microradian.
+_DIGITS: Final = 6
+_LEAST_FRAMES: Final = 2
+
+
+class Written(NamedTuple):
+    """What became of a drive; how many ticks there are of each atom."""
+
+    path: Path
+    atoms: Counter[str]
+    with_odometry: bool
+    success: bool
+
+
+class _Done(NamedTuple):
+    """What was done, (n,), and where the robot was, (n, 5) and whether that is known, (n,), at each tick."""
+
+    atoms: NDArray[np.int8]
+    ahead: Array
+    poses: Array
+    known: NDArray[np.bool_]
+
+
+def write(drive: Drive, job: Job, usual: Nominal, tally: Tally, advance: Callable[[], None]) -> Written | None:
+    """Write the recording of a drive.
+
+    Parameters
+    ----------
+    drive, job
+        What, and as what.
+    usual
+        How fast the robot is.
+    tally
+        Is told what cannot be used.
+    advance
+        Called for each frame.
+
+    Returns
+    -------
+    Written or None
+        None where nothing of the drive can be used.
+
+    Raises
+    ------
+    ImportFailure
+        When the source is damaged there; then nothing is left behind.
+    OSError
+        When it cannot be written.
+    """
+    shown = ticks(drive.times_s, job.from_s, job.to_s, tally)
+    images = _images(drive, shown, tally, advance)
+    begin = list(islice(images, _LEAST_FRAMES))
+    if len(begin) < _LEAST_FRAMES:
+        tally.count("drives have less than two usable frames and are left out")
+        return None
+    done = _done(drive, job, usual, shown.times_s, tally)
+    success = drive.success is not False if job.success is None else job.success
+    name = _name(drive, shown, begin[0][1])
+    told = {"purpose": "drive", "driver": "teleop", "world": job.format, "seed": 0, "goal": job.goal}
+
+    def header(row: int) -> Message:
+        tick = int(shown.numbers[row])
+        stamp_ns = round((max(shown.start_s, 0.0) + TICK_S * tick) * 1e9)
+        return Message(robot=job.robot, episode=name, tick=tick, stamp_ns=stamp_ns)
+
+    cause = header(begin[0][0])
+    started = Episode.after(cause, event="started", **told)
+    writer = EpisodeWriter.begin(Path(job.folder), started)
+    atoms: Counter[str] = Counter()
+    try:
+        writer.write(started)
+        for row, jpeg in chain(begin, images):
+            cause = header(row)
+            focal = None if atoms else job.focal or drive.focal
+            for message in _messages(cause, jpeg, focal, done, row):
+                writer.write(message)
+            atoms[ATOMS[done.atoms[row]]] += 1
+        ended = {"outcome": "found", "judge": "operator"} if success else {"outcome": "aborted"}
+        writer.write(Episode.after(cause, event="ended", **told, **ended))
+    except BaseException:
+        writer.seal().unlink(missing_ok=True)
+        raise
+    path = writer.seal()
+    if writer.problem is not None:
+        raise ImportFailure(f"{path}: cannot be written: {writer.problem}")
+    return Written(path, atoms, bool(done.known.any()), success)
+
+
+def _images(drive: Drive, shown: Ticks, tally: Tally, advance: Callable[[], None]) -> Iterator[tuple[int, bytes]]:
+    """Yield each row of the ticks and its JPEG; those whose frame is no image are left out."""
+    rows = np.searchsorted(shown.frames, np.arange(drive.times_s.size + 1)).tolist()
+    for frame, image in enumerate(drive.images()):
+        advance()
+        if rows[frame] == rows[frame + 1]:
+            continue
+        try:
+            jpeg = image()
+        except NotAnImage as error:
+            tally.count(str(error))
+            continue
+        yield from ((row, jpeg) for row in range(rows[frame], rows[frame + 1]))
+
+
+def _done(drive: Drive, job: Job, usual: Nominal, times_s: Array, tally: Tally) -> _Done:
+    moves = Moves(drive.motion)
+    tally.count("ticks lack a velocity; the robot is taken to stand", moves.silent(times_s))
+    atoms, ahead = atoms_of(moves.velocities(times_s), usual, job.still, job.turning)
+    way = odometry(drive, times_s, moves if job.reckon and drive.metric else None)
+    if way is None:
+        return _Done(atoms, ahead, np.zeros((times_s.size, 5)), np.zeros(times_s.size, dtype=bool))
+    poses, known = way
+    moved, passed_s = np.diff(poses, axis=0, prepend=poses[:1]), np.diff(times_s, prepend=times_s[0] - TICK_S)
+    heading = wrapped(poses[:, 2])
+    speed = (moved[:, 0] * np.cos(heading) + moved[:, 1] * np.sin(heading)) / passed_s
+    return _Done(atoms, ahead, np.column_stack([poses[:, :2], heading, speed, wrapped(moved[:, 2]) / passed_s]), known)
+
+
+def _messages(cause: Message, jpeg: bytes, focal: float | None, done: _Done, row: int) -> Iterator[Message]:
+    width, height = jpeg_size(jpeg) or (0, 0)
+    yield CompressedImage.after(cause, width=width, height=height, data=jpeg)
+    if focal is not None:
+        sees = {"focal_px": focal * width, "centre_x_px": width / 2, "centre_y_px": height / 2}
+        yield CameraInfo.after(cause, width=width, height=height, **sees)
+    if done.known[row]:
+        names = ("x_m", "y_m", "heading_rad", "speed_m_s", "turn_rate_rad_s")
+        yield Odometry.after(cause, **dict(zip(names, done.poses[row].round(_DIGITS).tolist(), strict=True)))
+    atom, ahead = ATOMS[done.atoms[row]], round(float(done.ahead[row]), _DIGITS)
+    speed = 0.0 if atom == "stop" else 1.0
+    yield CommandApplied.after(cause, atom=atom, speed=speed, ahead=ahead, source="teleop", reason="command")
+
+
+def _name(drive: Drive, shown: Ticks, first: bytes) -> str:
+    """Name an episode by its drive and what is in it: imported twice it is known again, and another one is another."""
+    digest = hashlib.sha256(first)
+    for part in (shown.numbers, drive.times_s[shown.frames], drive.motion):
+        digest.update(part.tobytes())
+    plain = re.sub(r"[^a-z0-9]+", "-", drive.name.lower()).strip("-")[:32]
+    return f"{plain or 'drive'}-{digest.hexdigest()[:12]}"

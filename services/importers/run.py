@@ -1,0 +1,120 @@
+"""One import in a process of its own: a job as JSON in, lines of JSON out. It reads, resamples and writes.
+
+The libraries that decode Parquet, video and images are written in C and C++. What a stranger's file makes them do,
+a crash or a demand for all memory, ends this process and no other.
+"""
+
+from __future__ import annotations
+
+import importlib
+import json
+import resource
+import sys
+import time
+from collections import Counter
+from collections.abc import Callable
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+
+from schemas.base import ATOMS
+from services.importers.atoms import nominal
+from services.importers.drive import Drive, ImportFailure, Tally
+from services.importers.inside import Inside
+from services.importers.job import Format, Job, Report
+from services.importers.recording import write
+from services.kit.errors import describe_os_error
+
+#: Where each is read: ``read(inside, job, tally)``. What it needs is imported only then.
+_READERS: Final[dict[Format, str]] = {
+    "rosbag2": "services.importers.rosbag2",
+    "lerobot": "services.importers.lerobot",
+    "donkeycar": "services.importers.donkeycar",
+    "folder": "services.importers.csv_folder",
+}
+#: Memory that an import may take, bytes; numbers of the longest drive that is read take a quarter of it.
+MOST_MEMORY: Final = 2 * 2**30
+#: Between two reports of progress, seconds.
+_PERIOD_S: Final = 0.1
+
+
+def run(job: Job, tally: Tally, advance: Callable[[int], None] = lambda _total: None) -> Report:
+    """Import; ``advance`` is called for each frame with the number of all.
+
+    Raises
+    ------
+    ImportFailure
+        When nothing can be imported.
+    OSError
+        When it cannot be written.
+    """
+    try:
+        return _run(job, tally, advance)
+    except ImportFailure as error:
+        # What did not fit may be why.
+        raise ImportFailure("; ".join([str(error), *tally.counted()])) from None
+
+
+def _run(job: Job, tally: Tally, advance: Callable[[int], None]) -> Report:
+    every: list[Drive] = importlib.import_module(_READERS[job.format]).read(Inside(Path(job.path)), job, tally)
+    drives = [drive for drive in every if not job.episodes or drive.name in job.episodes]
+    if not drives:
+        names = ", ".join(drive.name for drive in every[:10]) or "none"
+        raise ImportFailure(f"{job.path}: none of the episodes {', '.join(job.episodes)}; there are: {names}")
+    usual = nominal(np.concatenate([drive.motion[:, 1:] for drive in drives]), job.quantile)
+    total = sum(drive.times_s.size for drive in drives)
+    found = [write(drive, job, usual, tally, lambda: advance(total)) for drive in drives]
+    written = [one for one in found if one is not None]
+    if not written:
+        raise ImportFailure(f"{job.path}: nothing to import")
+    made = sum((one.atoms for one in written), Counter[str]())
+    origin = "of the source" if any(drive.track.size for drive in drives) else "reckoned from velocities"
+    return Report(
+        files=tuple(str(one.path) for one in written),
+        ticks=made.total(),
+        successes=sum(one.success for one in written),
+        odometry=origin if any(one.with_odometry for one in written) else "none",  # type: ignore[arg-type]
+        speed=usual.linear,
+        turn_rate=usual.angular,
+        metric=all(drive.metric for drive in drives),
+        atoms={name: made[name] for name in ATOMS},
+    )
+
+
+def main() -> int:
+    """Run the job; the exit status is 1 where it failed."""
+    # What is mapped from files does not count: bags are larger than this.
+    resource.setrlimit(resource.RLIMIT_DATA, (MOST_MEMORY, MOST_MEMORY))
+    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+    job, tally, done, told_s = Job.model_validate_json(sys.stdin.read()), Tally(), 0, 0.0
+
+    def advance(total: int) -> None:
+        nonlocal done, told_s
+        done += 1
+        if time.monotonic() - told_s >= _PERIOD_S:
+            told_s = time.monotonic()
+            _tell(done=done, total=max(total, done))
+
+    try:
+        report = run(job, tally, advance)
+    except ImportFailure as error:
+        said = str(error)
+    except MemoryError:
+        said = f"{job.path}: reading it takes more than {MOST_MEMORY >> 30} GiB of memory"
+    except OSError as error:
+        said = describe_os_error(error)
+    else:
+        _tell(remarks=tally.lines(), report=report.model_dump(mode="json"))
+        return 0
+    _tell(error=said)
+    return 1
+
+
+def _tell(**what: object) -> None:
+    sys.stdout.write(json.dumps(what) + "\n")
+    sys.stdout.flush()
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,202 @@
+"""Ticks of 10 Hz out of whatever rates a source has.
+
+A tick shows the frame that is nearest to its time. What the robot did in it is how far it went until the next one:
+a velocity holds until the next, but not longer than a base would obey it.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from schemas.base import MAX_TICK
+from services.importers.drive import FASTEST_M_S, LATEST_S, Array, Drive, ImportFailure, Tally
+from smal.movement import seen_from
+
+#: Time between two ticks, on which the stack runs and learning reckons.
+TICK_S: Final = 0.1
+#: A base stops that has not been told anything for so long: what ROS drivers usually have, and twice what our gate has.
+HOLD_S: Final = 0.5
+#: Further from any frame than this a tick has none: a camera slower than 4 Hz shows too little of the way.
+GAP_S: Final = 0.125
+#: What times may be off by the rounding of numbers.
+_ROUNDING_S: Final = 1e-6
+#: A recording has no pose further from its first.
+_FURTHEST_M: Final = 1e6
+
+
+class Ticks(NamedTuple):
+    """The ticks of a drive that have a frame.
+
+    Attributes
+    ----------
+    numbers
+        (n,) from 0, ten a second; those without a frame are missing.
+    frames
+        (n,) which of the drive's frames each shows, ascending.
+    start_s
+        When tick 0 was.
+    """
+
+    numbers: NDArray[np.intp]
+    frames: NDArray[np.intp]
+    start_s: float
+
+    @property
+    def times_s(self) -> Array:
+        """When each was."""
+        return np.asarray(self.start_s + TICK_S * self.numbers, dtype=np.float64)
+
+
+def ticks(times_s: Array, from_s: float, to_s: float, tally: Tally) -> Ticks:
+    """Give the ticks of a drive, and count what becomes of its frames.
+
+    Parameters
+    ----------
+    times_s
+        (n,) of the frames.
+    from_s, to_s
+        Which part of the drive, in seconds from its first frame; tick 0 is at its first frame within.
+    tally
+        Gets how many frames were between two ticks, stand for more than one, and how many ticks have none.
+
+    Raises
+    ------
+    ImportFailure
+        When these are no times in seconds.
+    """
+    numbers = np.where(np.isfinite(times_s), times_s, -np.inf)
+    before = np.maximum.accumulate(np.concatenate([[-np.inf], numbers]))[:-1]
+    later = np.flatnonzero(numbers > before)
+    tally.count("frames are not later than the one before", times_s.size - later.size)
+    none = np.zeros(0, np.intp)
+    if not later.size:
+        return Ticks(none, none, 0.0)
+    if np.abs(times_s[later]).max() > LATEST_S:
+        raise ImportFailure("times beyond all calendars: they are not in seconds")
+    passed_s = times_s[later] - times_s[later[0]]
+    chosen = later[(from_s <= passed_s) & (passed_s <= to_s)]
+    if not chosen.size:
+        return Ticks(none, none, 0.0)
+    there_s = times_s[chosen]
+    count = math.ceil((there_s[-1] + TICK_S / 2.0 - there_s[0] - _ROUNDING_S) / TICK_S)
+    if count > MAX_TICK:
+        raise ImportFailure(f"a drive of {count * TICK_S / 86400.0:.3g} days: its times are not in seconds")
+    due_s = there_s[0] + TICK_S * np.arange(count)
+    nearest = np.searchsorted((there_s[1:] + there_s[:-1]) / 2.0, due_s + _ROUNDING_S, side="right")
+    near = np.abs(there_s[nearest] - due_s) <= GAP_S + _ROUNDING_S
+    shown = np.unique(nearest[near]).size
+    tally.count("frames between two ticks are not needed", chosen.size - shown)
+    tally.count("ticks have no frame", int((~near).sum()))
+    tally.count("ticks show the frame of the tick before", int(near.sum()) - shown)
+    return Ticks(np.flatnonzero(near), chosen[nearest[near]], float(there_s[0]))
+
+
+class Moves:
+    """How far the robot goes, from its velocities.
+
+    Parameters
+    ----------
+    motion
+        As of `Drive`; a sample holds until the next, at most `HOLD_S`.
+    """
+
+    def __init__(self, motion: Array) -> None:
+        begins, velocities = motion[:, 0], motion[:, 1:]
+        ends = np.minimum(np.append(begins[1:], np.inf), begins + HOLD_S)
+        gone = velocities * (ends - begins)[:, None]
+        sums = np.cumsum(gone, axis=0)
+        self._begins, self._ends = np.append(-np.inf, begins), np.append(-np.inf, ends)
+        self._knots = np.stack([begins, ends], axis=1).ravel()
+        # At its sample's time a velocity has added nothing yet, at its end all of it, and in between what is usual.
+        self._sums = np.stack([sums - gone, sums], axis=1).reshape(-1, 2)
+
+    def until(self, times_s: Array) -> Array:
+        """Return how far it went, and turned, until each time, (n, 2)."""
+        if not self._knots.size:
+            return np.zeros((times_s.size, 2))
+        return np.stack([np.interp(times_s, self._knots, sums) for sums in self._sums.T], axis=1)
+
+    def velocities(self, times_s: Array) -> Array:
+        """Return the mean velocities, linear and angular, over the tick that begins at each time, (n, 2)."""
+        mean: Array = (self.until(times_s + TICK_S) - self.until(times_s)) / TICK_S
+        return mean
+
+    def silent(self, times_s: Array) -> int:
+        """Count ticks within which no velocity holds: the robot is taken to stand."""
+        last = np.searchsorted(self._begins, times_s + TICK_S) - 1
+        return int((self._ends[last] <= times_s).sum())
+
+    def way(self, times_s: Array) -> Array:
+        """Add the velocities up: poses (n, 3) at times, beginning at (0, 0, 0).
+
+        This is dead reckoning: by measured velocities as good as the wheels' own; by commanded ones it takes the robot
+        to do at once what it is told.
+        """
+        inside = self._knots[(self._knots > times_s[0]) & (self._knots < times_s[-1])]
+        grid = np.union1d(times_s, inside)
+        gone, turned = self.until(grid).T
+        middle = (turned[1:] + turned[:-1]) / 2.0
+        steps = np.stack([np.cos(middle), np.sin(middle)], axis=1) * np.diff(gone)[:, None]
+        places = np.concatenate([np.zeros((1, 2)), np.cumsum(steps, axis=0)])
+        found: Array = np.column_stack([places, turned - turned[0]])[np.searchsorted(grid, times_s)]
+        return found
+
+
+def odometry(drive: Drive, times_s: Array, moves: Moves | None) -> tuple[Array, NDArray[np.bool_]] | None:
+    """Give the pose at each tick, as seen from the first one.
+
+    Parameters
+    ----------
+    drive
+        Its track is taken where it has one.
+    times_s
+        Of the ticks, (n,).
+    moves
+        What to reckon from where it has none; None where that is not wanted.
+
+    Returns
+    -------
+    (poses, known) or None
+        (n, 3) and (n,): a tick further than `HOLD_S` from the samples of the track has none.
+
+    Raises
+    ------
+    ImportFailure
+        When it jumps, or leads nowhere.
+    """
+    if drive.track.size:
+        poses, known = _tracked(drive.track, times_s)
+        if not known.any():
+            return None
+        _check_steps(drive.name, poses[known], times_s[known], times_s[0])
+        poses = seen_from(poses, np.broadcast_to(poses[known][0], poses.shape))
+    elif moves is not None:
+        poses, known = moves.way(times_s), np.ones(times_s.size, dtype=bool)
+    else:
+        return None
+    if float(np.abs(poses[known, :2]).max()) > _FURTHEST_M:
+        raise ImportFailure(f"drive {drive.name}: goes further than {_FURTHEST_M / 1000.0:.0f} km")
+    return poses, known
+
+
+def _tracked(track: Array, times_s: Array) -> tuple[Array, NDArray[np.bool_]]:
+    columns = (track[:, 1], track[:, 2], np.unwrap(track[:, 3]))
+    poses = np.stack([np.interp(times_s, track[:, 0], column) for column in columns], axis=1)
+    after = np.searchsorted(track[:, 0], times_s)
+    beside = np.clip([after - 1, after], 0, len(track) - 1)
+    return poses, np.abs(track[beside, 0] - times_s).min(axis=0) <= HOLD_S
+
+
+def _check_steps(name: str, poses: Array, times_s: Array, start_s: float) -> None:
+    steps, passed_s = np.hypot(*np.diff(poses[:, :2], axis=0).T), np.diff(times_s)
+    jumps = np.flatnonzero(steps > FASTEST_M_S * passed_s)
+    if jumps.size:
+        at = jumps[0]
+        raise ImportFailure(
+            f"drive {name}: the odometry jumps by {steps[at]:.3g} m within {passed_s[at]:.1f} s, "
+            f"{times_s[at] - start_s:.1f} s after the first frame; cut there with --from and --to"
+        )
