@@ -11,6 +11,7 @@ from typing import Annotated, Final
 
 import typer
 
+from services.cli import options
 from services.cli.interrupts import interrupted_by_signals
 from services.cli.stack.child import tied
 from services.cli.stack.processes import flags
@@ -26,7 +27,7 @@ _STOP_TIMEOUT_S: Final = 10.0
 def bench(
     context: typer.Context,
     name: Annotated[str, typer.Argument(help="Which: bus, faults, latency, recognition, recorder, rendering, soak.")],
-    json_file: Annotated[Path | None, typer.Option("--json", help="Write the results as JSON.")] = None,
+    json_file: options.JsonFile = None,
     out: Annotated[Path | None, typer.Option(help="Folder for pictures.")] = None,
     quick: Annotated[bool, typer.Option("--quick", help="A small run, of a minute or two.")] = False,
     threads: Annotated[int, typer.Option(min=1, help="Threads of the numerical libraries.")] = 1,

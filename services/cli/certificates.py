@@ -38,6 +38,7 @@ ROUTER: Final = "router"
 #: Name of a host: labels of at most 63 letters, digits and hyphens (RFC 1123); of another alphabet as ``xn--``.
 _LABEL: Final = r"[A-Za-z0-9](?:[A-Za-z0-9_-]{0,61}[A-Za-z0-9])?"
 _HOST_PATTERN: Final = rf"{_LABEL}(?:\.{_LABEL})*"
+_PEM: Final = serialization.Encoding.PEM
 
 
 class Authority(NamedTuple):
@@ -63,12 +64,15 @@ def begin(folder: Path, robot: str) -> None:
     OSError
         When the folder cannot be written to.
     """
-    authority = _authority(robot)
+    key = ec.generate_private_key(ec.SECP256R1())
+    # Named apart, so that of two only the one that has signed is tried.
+    name = f"smal {robot} {secrets.token_hex(4)}"
+    certificate = _signed(name, _name(name), key.public_key(), key, CA_DAYS, x509.BasicConstraints(True, 0), _CA_USAGE)
     folder.mkdir(mode=0o700, parents=True, exist_ok=True)
     known = (folder / CA_FILE).read_bytes() if (folder / CA_FILE).exists() else b""
     # Known before it signs: whoever interrupts this is left with an authority that has its key.
-    _write(folder / CA_FILE, authority.certificate.public_bytes(serialization.Encoding.PEM) + known, mode=0o644)
-    _write(folder / CA_KEY_FILE, _pem_of(authority.key))
+    _write(folder / CA_FILE, certificate.public_bytes(_PEM) + known, mode=0o644)
+    _write(folder / CA_KEY_FILE, _pem_of(key))
 
 
 def issue(folder: Path, hosts: Iterable[str], days: float = DAYS) -> None:
@@ -84,8 +88,26 @@ def issue(folder: Path, hosts: Iterable[str], days: float = DAYS) -> None:
         key = ec.generate_private_key(ec.SECP256R1())
         certificate = certificate_of(authority, role, key.public_key(), hosts if role == ROUTER else (), days)
         _write(folder / f"{role}{KEY_SUFFIX}", _pem_of(key))
-        pem = certificate.public_bytes(serialization.Encoding.PEM)
-        _write(folder / f"{role}{CERTIFICATE_SUFFIX}", pem, mode=0o644)
+        _write(folder / f"{role}{CERTIFICATE_SUFFIX}", certificate.public_bytes(_PEM), mode=0o644)
+
+
+def certificate_of(
+    authority: Authority, role: str, key: ec.EllipticCurvePublicKey, hosts: Iterable[str], days: float
+) -> x509.Certificate:
+    """Return a certificate of a role; with hosts it is a router's as well."""
+    hosts = list(hosts)
+    uses = [ExtendedKeyUsageOID.CLIENT_AUTH, *([ExtendedKeyUsageOID.SERVER_AUTH] if hosts else [])]
+    names = dict.fromkeys([x509.DNSName(role), *map(_general_name, hosts)])
+    return _signed(
+        role,
+        authority.certificate.subject,
+        key,
+        authority.key,
+        days,
+        x509.BasicConstraints(ca=False, path_length=None),
+        x509.ExtendedKeyUsage(uses),
+        x509.SubjectAlternativeName(names),
+    )
 
 
 def check_host(host: str) -> str:
@@ -146,33 +168,12 @@ def retire(folder: Path) -> int:
         When a certificate in the folder would be of no use any more.
     """
     newest = read_authority(folder).certificate
-    for role in roles():
-        path = folder / f"{role}{CERTIFICATE_SUFFIX}"
-        if path.exists():
-            ok, text = _verdict(path, role, [newest])
-            if not ok:
-                raise UsageError(f"{path}: {text}; run `smal secure renew` first")
+    for one in _of_roles(folder, [newest]):
+        if not one.ok:
+            raise UsageError(f"{folder / one.file}: {one.text}; run `smal secure renew` first")
     others = len(_authorities(folder)) - 1
-    _write(folder / CA_FILE, newest.public_bytes(serialization.Encoding.PEM), mode=0o644)
+    _write(folder / CA_FILE, newest.public_bytes(_PEM), mode=0o644)
     return others
-
-
-def certificate_of(
-    authority: Authority, role: str, key: ec.EllipticCurvePublicKey, hosts: Iterable[str], days: float
-) -> x509.Certificate:
-    """Return a certificate of a role; with hosts it is a router's as well."""
-    uses = [ExtendedKeyUsageOID.CLIENT_AUTH]
-    names: list[x509.GeneralName] = [x509.DNSName(role)]
-    for host in hosts:
-        uses = [ExtendedKeyUsageOID.CLIENT_AUTH, ExtendedKeyUsageOID.SERVER_AUTH]
-        names.append(_general_name(host))
-    return (
-        _builder(role, authority.certificate.subject, key, days)
-        .add_extension(x509.BasicConstraints(ca=False, path_length=None), critical=True)
-        .add_extension(x509.ExtendedKeyUsage(uses), critical=True)
-        .add_extension(x509.SubjectAlternativeName(dict.fromkeys(names)), critical=False)
-        .sign(authority.key, hashes.SHA256())
-    )
 
 
 def read_authority(folder: Path) -> Authority:
@@ -223,39 +224,44 @@ def check(folder: Path) -> Iterator[Finding]:
     for k, authority in enumerate(authorities):
         name = CA_FILE if k == 0 else f"{CA_FILE}, older"
         yield Finding(name, *_validity(authority, "rotate"))
-    for role in roles():
-        path = folder / f"{role}{CERTIFICATE_SUFFIX}"
-        if path.exists():
-            yield Finding(path.name, *_verdict(path, role, authorities))
+    yield from _of_roles(folder, authorities)
     path = folder / CA_KEY_FILE
     if path.exists() and (open_to := _open_to_others(path)):
         yield Finding(path.name, ok=False, text=open_to)
 
 
+def _of_roles(folder: Path, authorities: list[x509.Certificate]) -> Iterator[Finding]:
+    for role in roles():
+        path = folder / f"{role}{CERTIFICATE_SUFFIX}"
+        if path.exists():
+            yield Finding(path.name, *_verdict(path, role, authorities))
+
+
 def _verdict(path: Path, role: str, authorities: list[x509.Certificate]) -> tuple[bool, str]:
+    key_path = path.with_suffix(KEY_SUFFIX)
     try:
-        certificate = _read_certificate(path)
-        key = _read_key(path.with_suffix(KEY_SUFFIX))
-    except (OSError, ValueError) as error:
-        return (
-            False,
-            f"it or its key cannot be read: {describe_os_error(error) if isinstance(error, OSError) else error}",
-        )
-    names = [str(one.value) for one in certificate.subject.get_attributes_for_oid(NameOID.COMMON_NAME)]
-    if names != [role]:
-        return False, f"it is the certificate of {', '.join(names) or 'nobody'}, not of {role}"
-    if not any(_signed(certificate, authority) for authority in authorities):
-        return False, f"no authority in {CA_FILE} has signed it"
-    if key.public_key() != certificate.public_key():
-        return False, "its key is another certificate's"
-    if open_to := _open_to_others(path.with_suffix(KEY_SUFFIX)):
-        return False, f"its key {open_to}"
-    try:
+        certificate, key = _read_certificate(path), _read_key(key_path)
         uses = certificate.extensions.get_extension_for_class(x509.ExtendedKeyUsage).value
     except x509.ExtensionNotFound:
         return False, "it does not say what it may be used for"
-    if (ExtendedKeyUsageOID.SERVER_AUTH in uses) != (role == ROUTER):
-        return False, "it lets its holder be a router" if role != ROUTER else "it does not let its holder be a router"
+    except OSError as error:
+        return False, f"it or its key cannot be read: {describe_os_error(error)}"
+    except ValueError as error:
+        return False, f"it or its key cannot be read: {error}"
+    names = [str(one.value) for one in certificate.subject.get_attributes_for_oid(NameOID.COMMON_NAME)]
+    is_router = ExtendedKeyUsageOID.SERVER_AUTH in uses
+    open_to = _open_to_others(key_path)
+    faults = (
+        (names != [role], f"it is the certificate of {', '.join(names) or 'nobody'}, not of {role}"),
+        (not any(_has_signed(one, certificate) for one in authorities), f"no authority in {CA_FILE} has signed it"),
+        (key.public_key() != certificate.public_key(), "its key is another certificate's"),
+        (bool(open_to), f"its key {open_to}"),
+        (is_router and role != ROUTER, "it lets its holder be a router"),
+        (role == ROUTER and not is_router, "it does not let its holder be a router"),
+    )
+    for wrong, text in faults:
+        if wrong:
+            return False, text
     return _validity(certificate)
 
 
@@ -272,7 +278,7 @@ def _validity(certificate: x509.Certificate, remedy: str = "renew") -> tuple[boo
     return True, f"valid until {end:%Y-%m-%d}" + (f": soon; run: smal secure {remedy}" if end - now < SOON else "")
 
 
-def _signed(certificate: x509.Certificate, authority: x509.Certificate) -> bool:
+def _has_signed(authority: x509.Certificate, certificate: x509.Certificate) -> bool:
     try:
         certificate.verify_directly_issued_by(authority)
     except (ValueError, TypeError, InvalidSignature):
@@ -280,34 +286,28 @@ def _signed(certificate: x509.Certificate, authority: x509.Certificate) -> bool:
     return True
 
 
-def _authority(robot: str) -> Authority:
-    key = ec.generate_private_key(ec.SECP256R1())
-    # Named apart, so that of two only the one that has signed is tried.
-    name = f"smal {robot} {secrets.token_hex(4)}"
-    builder = _builder(name, _name(name), key.public_key(), CA_DAYS)
-    usage = dict.fromkeys(
-        ("digital_signature", "content_commitment", "key_encipherment", "data_encipherment", "key_agreement",
-         "encipher_only", "decipher_only"), False
-    )  # fmt: skip
-    certificate = (
-        builder.add_extension(x509.BasicConstraints(ca=True, path_length=0), critical=True)
-        .add_extension(x509.KeyUsage(key_cert_sign=True, crl_sign=True, **usage), critical=True)
-        .sign(key, hashes.SHA256())
-    )
-    return Authority(certificate, key)
+#: An authority signs, and nothing else.
+_CA_USAGE: Final = x509.KeyUsage(
+    key_cert_sign=True, crl_sign=True, digital_signature=False, content_commitment=False, key_encipherment=False,
+    data_encipherment=False, key_agreement=False, encipher_only=False, decipher_only=False,
+)  # fmt: skip
 
 
-def _builder(name: str, issuer: x509.Name, key: ec.EllipticCurvePublicKey, days: float) -> x509.CertificateBuilder:
+def _signed(
+    name: str,
+    issuer: x509.Name,
+    key: ec.EllipticCurvePublicKey,
+    by: ec.EllipticCurvePrivateKey,
+    days: float,
+    *extensions: x509.ExtensionType,
+) -> x509.Certificate:
     now = datetime.now(UTC)
-    return (
-        x509.CertificateBuilder()
-        .subject_name(_name(name))
-        .issuer_name(issuer)
-        .public_key(key)
-        .serial_number(x509.random_serial_number())
-        .not_valid_before(now - SKEW)
-        .not_valid_after(now + timedelta(days=days))
-    )
+    builder = x509.CertificateBuilder().subject_name(_name(name)).issuer_name(issuer).public_key(key)
+    builder = builder.serial_number(x509.random_serial_number())
+    builder = builder.not_valid_before(now - SKEW).not_valid_after(now + timedelta(days=days))
+    for one in extensions:
+        builder = builder.add_extension(one, critical=not isinstance(one, x509.SubjectAlternativeName))
+    return builder.sign(by, hashes.SHA256())
 
 
 def _authorities(folder: Path) -> list[x509.Certificate]:
@@ -350,9 +350,7 @@ def _read_key(path: Path) -> PrivateKeyTypes:
 
 
 def _pem_of(key: ec.EllipticCurvePrivateKey) -> bytes:
-    return key.private_bytes(
-        serialization.Encoding.PEM, serialization.PrivateFormat.PKCS8, serialization.NoEncryption()
-    )
+    return key.private_bytes(_PEM, serialization.PrivateFormat.PKCS8, serialization.NoEncryption())
 
 
 def _write(path: Path, content: bytes, mode: int = 0o600) -> None:

@@ -18,7 +18,7 @@ from typing import Final
 from pydantic import ValidationError
 
 from schemas import topics
-from schemas.base import Strict
+from schemas.base import Message, Strict
 from schemas.command import Command
 from schemas.rpc import Nothing, Status
 from services.cli.stack.processes import free_endpoint
@@ -51,12 +51,13 @@ class _ProbeAnswer(Strict):
     seconds: float = 0.0
 
 
-def check_python(version: tuple[int, int] = sys.version_info[:2]) -> Check:
+def check_python() -> Check:
     """Look at the version of Python."""
-    found = ".".join(map(str, version))
+    version = sys.version_info[:2]
+    found = f"Python {version[0]}.{version[1]}"
     if PYTHONS[0] <= version <= PYTHONS[1]:
-        return Check("python", True, f"Python {found}")
-    return Check("python", False, f"Python {found}; use 3.11, 3.12 or 3.13: python3.13 -m venv .venv")
+        return Check("python", True, found)
+    return Check("python", False, f"{found}; use 3.11, 3.12 or 3.13: python3.13 -m venv .venv")
 
 
 def check_rendering(command: tuple[str, ...] = (sys.executable, "-m", "services.simulator.scene.probe")) -> Check:
@@ -67,9 +68,8 @@ def check_rendering(command: tuple[str, ...] = (sys.executable, "-m", "services.
         return Check("rendering", False, f"no frame within {RENDER_TIMEOUT_S:.0f} s; try another Vulkan driver")
     if done.returncode < 0:
         name = signal.Signals(-done.returncode).name
-        return Check(
-            "rendering", False, f"the Vulkan driver crashed ({name}); update it, or install Mesa 24.3 or newer"
-        )
+        text = f"the Vulkan driver crashed ({name}); update it, or install Mesa 24.3 or newer"
+        return Check("rendering", False, text)
     try:
         answer = _ProbeAnswer.model_validate_json((done.stdout.strip().splitlines() or [""])[-1])
     except ValidationError:
@@ -100,12 +100,13 @@ def check_zenoh() -> Check:
 
 def _time_message(sender: Bus, arrived: threading.Event, sequence: int) -> float:
     """Return the time from sending to arrival; the first message is repeated until the subscription is known."""
+    header = Message(robot="doctor", episode="doctor", tick=0, stamp_ns=0)
+    message = Command.after(header, source="teleop", sequence=sequence, atom="stop")
     arrived.clear()
     deadline = time.monotonic() + MESSAGE_TIMEOUT_S
     while time.monotonic() < deadline:
         begin_s = time.monotonic()
-        sender.publish(Command(robot="doctor", episode="doctor", tick=0, stamp_ns=0, source="teleop",
-                               sequence=sequence, atom="stop"))  # fmt: skip
+        sender.publish(message)
         if arrived.wait(0.05):
             return time.monotonic() - begin_s
     raise TimeoutError
@@ -148,10 +149,10 @@ def _runs(bus: Bus, service: str) -> bool:
     return True
 
 
-def check_disk(folder: Path | None = None, needed_gb: float = DISK_GB) -> Check:
+def check_disk() -> Check:
     """Look how much room is left for recordings."""
-    folder = (folder or Path()).resolve()
+    folder = Path.cwd()
     free_gb = shutil.disk_usage(folder).free / 1e9
-    if free_gb >= needed_gb:
+    if free_gb >= DISK_GB:
         return Check("disk", True, f"{free_gb:.0f} GB free in {folder}")
-    return Check("disk", False, f"{free_gb:.1f} GB free in {folder}; make room for {needed_gb:.0f} GB of recordings")
+    return Check("disk", False, f"{free_gb:.1f} GB free in {folder}; make room for {DISK_GB:.0f} GB of recordings")

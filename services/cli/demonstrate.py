@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from functools import partial
+from contextlib import closing
 from pathlib import Path
 from typing import Annotated
 
@@ -11,12 +11,11 @@ import typer
 from tqdm import tqdm
 
 from schemas import topics
-from schemas.rpc import ResetReply, ResetRequest
+from schemas.episode import Purpose
+from schemas.rpc import ResetRequest
 from services.cli import options, outputs
-from services.cli.episodes.client import EpisodeClient, EpisodeRecord, check_world_of
-from services.cli.episodes.recording import recording
-from services.cli.feature_options import Modalities, feature_flags, features_of_own_stack
-from services.cli.simulator_options import simulator_of_own_stack
+from services.cli.episodes.client import EpisodeClient, EpisodeRecord
+from services.cli.episodes.files import recording
 from services.cli.stack.processes import Access, flags, stack_for
 from services.expert.driver import DRIVE_TICKS, RECOVERY_TICKS
 from services.expert.service import ExpertService
@@ -24,7 +23,8 @@ from services.kit.errors import UsageError
 
 
 def demonstrate(
-    world: options.WorldOfStack = None,
+    *,
+    world: options.World = None,
     episodes: Annotated[int, typer.Option(min=0, help="Full drives from the start to the victim.")] = 1,
     recoveries: Annotated[
         int, typer.Option(min=0, help="Short drives that begin off the route and come back, for the paper's scheme.")
@@ -32,14 +32,9 @@ def demonstrate(
     seed: options.Seed = 1,
     goal: options.GoalOfDrives = "victim",
     out: Annotated[Path, typer.Option(help="Folder for the recordings, one MCAP file a drive.")] = Path("recordings"),
-    camera: options.OwnCameraSize = None,
-    shake: options.Shake = None,
-    base: options.Base = None,
-    variation: options.Variation = None,
-    modalities: Modalities = None,
-    connect: options.Connect = None,
-    secure: options.Secure = None,
-    robot: options.Robot = options.DEFAULT_ROBOT,
+    simulator: options.Simulator,
+    modalities: options.Modalities = None,
+    stack: options.Running,
 ) -> None:
     """Have the scripted expert demonstrate the search, and record it.
 
@@ -48,62 +43,47 @@ def demonstrate(
 
     Example: smal demonstrate --world campus --seed 1 --out drives
     """
-    chosen, name = options.world_of_stack(world, connect)
-    asked = None if name is None else chosen
-    simulator = simulator_of_own_stack(chosen, camera, connect, shake=shake, base=base, variation=variation)
-    features = features_of_own_stack(modalities, connect)
-    requests = list(_requests(episodes, recoveries, seed, options.check_goal(goal)))
+    chosen, name = stack.world(world)
+    stack.refuse(simulator, modalities)
+    kinds: tuple[tuple[Purpose, int, int], ...] = (
+        ("drive", episodes, DRIVE_TICKS),
+        ("recovery", recoveries, RECOVERY_TICKS),
+    )
+    requests = [
+        ResetRequest(seed=seed + k, purpose=purpose, goal=goal, driver="expert", max_ticks=ticks)
+        for purpose, count, ticks in kinds
+        for k in range(count)
+    ]
     if not requests:
         raise UsageError("--episodes 0 --recoveries 0: nothing to demonstrate")
     outputs.make_folder(out, "--out")
     services = ("router", "robot", "features", "recorder")
     own = {
-        "robot": simulator.flags(),
-        "features": feature_flags(features),
+        "robot": simulator.flags(chosen),
+        "features": options.feature_flags(modalities),
         "recorder": flags(root=out.resolve()),
     }
-    with stack_for(connect, services, robot, own, secure) as access:
-        recorded = _record(requests, access, out, asked, name)
+    with stack_for(stack.settings, services, stack.robot, own) as access:
+        recorded = _record(requests, access, out, None if name is None else chosen, name)
     typer.echo(f"recorded {recorded} drives in {out}; next: smal learn {out} --out MODEL")
-
-
-def _requests(episodes: int, recoveries: int, seed: int, goal: str) -> Iterator[ResetRequest]:
-    for k in range(episodes):
-        yield ResetRequest(seed=seed + k, purpose="drive", goal=goal, driver="expert", max_ticks=DRIVE_TICKS)
-    for k in range(recoveries):
-        yield ResetRequest(seed=seed + k, purpose="recovery", goal=goal, driver="expert", max_ticks=RECOVERY_TICKS)
 
 
 def _record(requests: list[ResetRequest], access: Access, out: Path, world: str | None, name: str | None) -> int:
     """Have every drive driven and recorded; return how many."""
-    client = EpisodeClient("demonstrate", access.settings)
     expert = ExpertService()
     records: list[EpisodeRecord] = []
-    client.watch_poses(expert.see)
-    client.node.subscribe(topics.OBSERVATION, expert.handle, depth=4)
-    try:
+    with closing(EpisodeClient("demonstrate", access.settings)) as client:
+        client.watch_poses(expert.see)
+        client.node.subscribe(topics.OBSERVATION, expert.handle, depth=4)
         client.node.bus.wait_connected(5.0)
         with recording(client.node.bus, out, "--out") as recorded:
             for request, progress in _with_progress(requests):
-                record = client.run(
-                    request,
-                    on_begin=partial(_begin, expert, name),
-                    done=lambda: expert.arrived,
-                    on_tick=progress,
-                    check=access.check,
-                )
+                record = client.run(request, expert.begin, lambda: expert.arrived, progress, access.check, world=name)
                 _complain(record)
                 records.append(record)
                 if len(records) in {1, len(requests)}:
                     _draw(world, records, out / "drives.png")
-    finally:
-        client.close()
-    return len(recorded.files)
-
-
-def _begin(expert: ExpertService, world: str | None, reply: ResetReply) -> None:
-    check_world_of(reply, world)
-    expert.begin(reply)
+    return len(recorded)
 
 
 def _with_progress(requests: list[ResetRequest]) -> Iterator[tuple[ResetRequest, Callable[[int], None]]]:

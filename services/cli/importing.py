@@ -89,7 +89,7 @@ def import_recordings(
         bool, typer.Option("--no-odometry", help="Do not reckon a way from velocities where there is no odometry.")
     ] = False,
     robot: options.Robot = options.DEFAULT_ROBOT,
-    json_file: Annotated[Path | None, typer.Option("--json", help="Write the report as JSON.")] = None,
+    json_file: options.JsonFile = None,
 ) -> None:
     """Make recordings that `smal learn` takes out of what somebody recorded with other software.
 
@@ -105,8 +105,6 @@ def import_recordings(
     Example: smal import donkeycar tub --rate 20 --to 25 --out drives
     """
     check_format(format_)
-    options.check_robot(robot)
-    options.check_goal(goal)
     outputs.check_file(json_file, "--json")
     if to_s is not None and to_s <= from_s:
         raise UsageError(f"--to {to_s:g}: is not after --from {from_s:g}")

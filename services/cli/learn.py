@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import json
-import math
 import sys
 import time
-from collections.abc import Mapping
 from dataclasses import asdict, replace
 from functools import partial
 from pathlib import Path
@@ -16,8 +14,7 @@ import typer
 from tqdm import tqdm
 
 from schemas.rpc import Scheme
-from services.cli import outputs
-from services.cli.feature_options import ModalitiesOfRecordings, Weights, parse_features, with_weights
+from services.cli import options, outputs
 from services.experiments.matching.report import described_by
 from services.kit.errors import JobError, UsageError
 from services.kit.model_service import AnyModel
@@ -26,8 +23,7 @@ from services.recordings.recorded_features import features_of_recordings
 from smal.features import FeatureSettings
 from smal.files.container import ModelError
 from smal.mapping import learn as learn_map
-from smal.model import Model
-from smal.paper.learning import LearningReport, LearningSettings
+from smal.paper.learning import LearningSettings
 from smal.paper.learning import learn as learn_paper
 from smal.paper.novelty import WeightTest
 from smal.paper.reward import RewardError
@@ -46,11 +42,15 @@ def learn(
     ] = "filter",
     tau: Annotated[
         float | None,
-        typer.Option(help="Paper: threshold of the test for new states (Eq. 8), for each query frame. [default: 0.5]"),
+        typer.Option(
+            min=0,
+            max=1e6,
+            help="Paper: threshold of the test for new states (Eq. 8), for each query frame. [default: 0.5]",
+        ),
     ] = None,
     gamma: Annotated[float | None, typer.Option(help="Paper: discount factor. [default: 0.95]")] = None,
-    modalities: ModalitiesOfRecordings = None,
-    weights: Weights = None,
+    modalities: options.Modalities = None,
+    weights: options.Weights = None,
     include_runs: Annotated[
         bool, typer.Option(help="Learn also from runs in which the robot found the victim.")
     ] = False,
@@ -63,7 +63,7 @@ def learn(
             "4 n (n + m) bytes for n template frames of m features. [default: no limit]",
         ),
     ] = None,
-    json_file: Annotated[Path | None, typer.Option("--json", help="Write the report as JSON.")] = None,
+    json_file: options.JsonFile = None,
     progress: Annotated[
         bool, typer.Option("--progress", help="Print progress as lines of JSON, for a program that waits.")
     ] = False,
@@ -81,74 +81,67 @@ def learn(
     Example: smal learn drives --out campus.smal
     """
     began_s = time.perf_counter()
-    given = {"--length": length, "--lambda1": lambda1, "--lambda2": lambda2, "--tau": tau, "--gamma": gamma}
-    if scheme == "filter":
-        _refuse(given | {"--memory": memory})
-    settings = _settings(length, lambda1, lambda2, tau, gamma, memory)
+    given = {"length": length, "lambda1": lambda1, "lambda2": lambda2, "tau": tau, "gamma": gamma, "memory": memory}
+    settings = _settings(scheme, {name: value for name, value in given.items() if value is not None})
     if out.is_dir():
         raise UsageError(f"--out {out}: is a folder; give the name of a file, for example {out / 'model.smal'}")
     outputs.make_folder(out.parent, "--out")
     outputs.check_file(json_file, "--json")
     files = find_recordings(recordings)
-    settings = replace(settings, features=_features(files, scheme, modalities, weights))
+    features = _features(files, scheme, modalities, weights)
     bar = _Lines() if progress else _StageBar()
     try:
-        teaching = _read(
-            files, settings.features, settings.sequence_length if scheme == "paper" else 2, include_runs, bar
-        )
-        model, found = _learn(teaching, scheme, settings, bar)
+        teaching = _read(files, features, settings.sequence_length if scheme == "paper" else 2, include_runs, bar)
+        model, found = _learn(teaching, scheme, replace(settings, features=features), bar)
     finally:
         bar.close()
-    told = {"features": described_by(settings.features)} | found
+    used = {"recordings": teaching.recordings, "episodes": teaching.episodes, "remarks": teaching.remarks}
+    chosen = {"modalities": features.modalities, "weights": features.weights}
     try:
         model.save(out)
         if json_file is not None:
-            outputs.write_json(json_file, "--json", _as_json(teaching, settings.features, out) | found)
+            outputs.write_json(json_file, "--json", {"model": str(out)} | used | chosen | found)
     except ModelError as error:
         raise JobError(str(error)) from None
-    except OSError as error:
-        raise JobError(f"cannot write {error.filename or out}: {error.strerror}") from None
-    typer.echo(_as_text(teaching, told, out, time.perf_counter() - began_s))
+    rows = {
+        "recordings": f"{teaching.recordings} ({teaching.episodes} episodes used)",
+        "features": described_by(features),
+        **found,
+        "seconds": f"{time.perf_counter() - began_s:.1f}",
+        "model": out,
+    }
+    for name, value in rows.items():
+        typer.echo(f"{name.replace('_', ' '):16}{value}")
 
 
-def _refuse(of_paper: Mapping[str, object]) -> None:
-    """Refuse what only the paper's scheme has."""
-    for name, value in of_paper.items():
-        if value is not None:
-            raise UsageError(f"{name} {value}: only the paper's scheme has it; give --scheme paper")
-
-
-def _settings(
-    length: int | None,
-    lambda1: float | None,
-    lambda2: float | None,
-    tau: float | None,
-    gamma: float | None,
-    memory: int | None,
-) -> LearningSettings:
-    tau = WeightTest().tau if tau is None else tau
-    if not (math.isfinite(tau) and tau >= 0.0):
-        raise UsageError(f"--tau must be finite and not negative, got {tau}")
-    given: dict[str, object] = {"sequence_length": length, "lambda1": lambda1, "lambda2": lambda2, "gamma": gamma}
-    given |= {"max_bytes": memory and memory * 2**20}
-    chosen = {name: value for name, value in given.items() if value is not None}
-    chosen |= {"novelty": "weight", "novelty_parameters": {"tau": tau}}
+def _settings(scheme: Scheme, given: dict[str, Any]) -> LearningSettings:
+    """Return how the paper's scheme learns; refuse what only that has with another."""
+    if scheme == "filter":
+        for name, value in given.items():
+            raise UsageError(f"--{name} {value}: only the paper's scheme has it; give --scheme paper")
+    names = {"length": "sequence_length", "lambda1": "lambda1", "lambda2": "lambda2", "gamma": "gamma"}
+    chosen = {names[name]: value for name, value in given.items() if name in names}
+    if "memory" in given:
+        chosen["max_bytes"] = given["memory"] * 2**20
     try:
-        return LearningSettings(**chosen)  # type: ignore[arg-type]  # checked by LearningSettings
+        test = {"tau": given.get("tau", WeightTest().tau)}
+        return LearningSettings(**chosen, novelty="weight", novelty_parameters=test)
     except ValueError as error:
         raise UsageError(str(error)) from None
 
 
-def _features(files: list[Path], scheme: Scheme, modalities: str | None, weights: str | None) -> FeatureSettings:
+def _features(
+    files: list[Path], scheme: Scheme, modalities: FeatureSettings | None, weights: str | None
+) -> FeatureSettings:
     """Return what is learned from: what is asked for, or what the recordings hold, of which a map takes no depth."""
-    features = features_of_recordings(files) if modalities is None else parse_features(modalities)
+    features = modalities or features_of_recordings(files)
     if scheme == "filter" and "depth" in features.needs:
         if modalities is not None:
             raise UsageError(
-                f"--modalities {modalities}: a map of views has no depth; leave depth out, or give --scheme paper"
+                f"--modalities {modalities.text}: a map of views has no depth; leave depth out, or give --scheme paper"
             )
         features = features.of_images() or FeatureSettings()
-    return features if weights is None else with_weights(features, weights)
+    return options.weighted(features, weights)
 
 
 class _Lines:
@@ -161,7 +154,7 @@ class _Lines:
         now = (stage, 100 * done // max(total, 1))
         if now != self._said:
             self._said = now
-            sys.stdout.write(json.dumps({"stage": stage, "done": done, "total": total}) + "\n")
+            typer.echo(json.dumps({"stage": stage, "done": done, "total": total}))
             sys.stdout.flush()
 
     def close(self) -> None:
@@ -176,14 +169,12 @@ class _StageBar:
         self._stage = ""
 
     def __call__(self, stage: str, done: int, total: int) -> None:
-        bar = self._bar
-        if bar is None or stage != self._stage:
+        if self._bar is None or stage != self._stage:
             self.close()
             # disable=None: no bars in a log file or a pipe, where the remarks would drown in them.
-            bar = tqdm(desc=stage, dynamic_ncols=True, disable=None)
-            self._stage, self._bar = stage, bar
-        bar.total = total
-        bar.update(done - bar.n)
+            self._stage, self._bar = stage, tqdm(desc=stage, dynamic_ncols=True, disable=None)
+        self._bar.total = total
+        self._bar.update(done - self._bar.n)
 
     def close(self) -> None:
         if self._bar is not None:
@@ -218,43 +209,24 @@ def _learn(
     try:
         if scheme == "filter":
             mapped = learn_map(drives, settings.features, progress=partial(bar, "views"))
-            return mapped, _of_map(mapped)
+            taught = mapped.mapped
+            return mapped, {
+                "drives": len(taught.goals),
+                "frames": len(taught.poses),
+                "keyframes": len(taught.keyframes),
+                "goals": ", ".join(sorted(set(taught.goals))),
+            }
         model, report = learn_paper(drives, settings, bar)
     except (ValueError, RewardError) as error:
         raise JobError(f"cannot learn from these recordings: {error}") from None
     except MemoryBoundError as error:
         raise JobError(f"--memory: {error}") from None
-    return model, _of_paper(settings, replace(report, shared_states=states_shared_by_episodes(model)))
-
-
-def _of_map(model: Model) -> dict[str, Any]:
-    taught = model.mapped
-    return {
-        "drives": len(taught.goals),
-        "frames": len(taught.poses),
-        "keyframes": len(taught.keyframes),
-        "goals": ", ".join(sorted(set(taught.goals))),
-    }
-
-
-def _of_paper(settings: LearningSettings, report: LearningReport) -> dict[str, Any]:
     lambda1, lambda2 = settings.lambdas
-    chosen = {"length": settings.sequence_length, "lambda1": lambda1, "lambda2": lambda2, "gamma": settings.gamma}
-    return chosen | {"novelty": settings.novelty} | asdict(report)
-
-
-def _as_text(teaching: Teaching, told: dict[str, Any], out: Path, seconds: float) -> str:
-    rows = {"recordings": f"{teaching.recordings} ({teaching.episodes} episodes used)"} | told
-    rows |= {"seconds": f"{seconds:.1f}", "model": out}
-    return "\n".join(f"{name.replace('_', ' '):16}{value}" for name, value in rows.items())
-
-
-def _as_json(teaching: Teaching, features: FeatureSettings, out: Path) -> dict[str, object]:
-    return {
-        "model": str(out),
-        "recordings": teaching.recordings,
-        "episodes": teaching.episodes,
-        "remarks": teaching.remarks,
-        "modalities": features.modalities,
-        "weights": features.weights,
+    return model, {
+        "length": settings.sequence_length,
+        "lambda1": lambda1,
+        "lambda2": lambda2,
+        "gamma": settings.gamma,
+        "novelty": settings.novelty,
+        **asdict(replace(report, shared_states=states_shared_by_episodes(model))),
     }

@@ -7,17 +7,14 @@ from __future__ import annotations
 
 import sys
 from importlib import import_module
-from typing import TYPE_CHECKING, Annotated, Any, Final, cast
+from typing import Annotated, Any, Final, cast
 
 import typer
 from typer.core import TyperCommand, TyperGroup
 
-from services.cli import STYLE
+from services.cli.grouping import STYLE, grouped
 from services.kit.errors import JobError, UsageError, describe_os_error
 from services.kit.version import program_version
-
-if TYPE_CHECKING:
-    from pydantic import ValidationError
 
 _EXIT_FAILED, _EXIT_USAGE, _EXIT_INTERRUPTED = 1, 2, 130
 #: Where each command is, and what it does. Modules are loaded when a command runs: all of them take seconds.
@@ -74,7 +71,7 @@ def _load(name: str) -> TyperGroup | TyperCommand:
     found = getattr(import_module(module), attribute)
     if not isinstance(found, typer.Typer):
         alone = typer.Typer(**STYLE | {"no_args_is_help": False})
-        alone.command(name, context_settings=_CONTEXTS.get(name))(found)
+        alone.command(name, context_settings=_CONTEXTS.get(name))(grouped(found))
         found = alone
     command = cast("TyperGroup | TyperCommand", typer.main.get_command(found))
     command.name = name
@@ -118,31 +115,26 @@ def main() -> None:
         status = _say(describe_os_error(error), _EXIT_FAILED)
     except (KeyboardInterrupt, typer.Abort):
         status = _say("interrupted", _EXIT_INTERRUPTED)
-    except _errors_of_services() as error:
-        status = _say(str(error), _EXIT_FAILED)
-    except _errors_of_messages() as error:
-        status = _say(_described(error), _EXIT_USAGE)
+    except Exception as error:  # noqa: BLE001 - what is none of these is raised again
+        status = _say(*_known(error))
     sys.exit(status if isinstance(status, int) else 0)
 
 
-# Python asks for these where something was raised that is none of the above: until then nothing need be loaded.
-def _errors_of_services() -> tuple[type[Exception], ...]:
+def _known(error: Exception) -> tuple[str, int]:
+    """Return what a service, the bus or a message says is wrong, and the exit status; raise anything else again."""
+    # Loaded only here: until then nothing of it may be needed.
+    from pydantic import ValidationError  # noqa: PLC0415
+
+    from schemas.codec import describe  # noqa: PLC0415
     from services.kit.bus import BusError, RpcError  # noqa: PLC0415
     from services.kit.node import ServiceError  # noqa: PLC0415
 
-    return ServiceError, BusError, RpcError
-
-
-def _errors_of_messages() -> type[ValueError]:
-    from pydantic import ValidationError  # noqa: PLC0415
-
-    return ValidationError
-
-
-def _described(error: ValueError) -> str:
-    from schemas.codec import describe  # noqa: PLC0415
-
-    return describe(cast("ValidationError", error))
+    match error:
+        case ValidationError():
+            return describe(error), _EXIT_USAGE
+        case ServiceError() | BusError() | RpcError():
+            return str(error), _EXIT_FAILED
+    raise error
 
 
 def _say(message: str, status: int) -> int:

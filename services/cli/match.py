@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-import math
 import time
 from collections.abc import Callable
 from pathlib import Path
-from typing import Annotated, Final, NoReturn
+from typing import Annotated, Final, cast
 
 import typer
 from tqdm import tqdm
 
-from services.cli import outputs
-from services.cli.match_settings import choose
+from services.cli import options, outputs
 from services.experiments.matching.image_folder import (
     ImageFolder,
     describe_frames,
@@ -24,7 +22,7 @@ from services.experiments.matching.report import Quality, Result, Traverses, as_
 from services.kit.errors import JobError, UsageError
 from smal.evaluation.ground_truth import IntervalTruth, judge
 from smal.evaluation.precision_recall import PrecisionRecall, block_length, bootstrap, intervals_of
-from smal.features import MODALITY_NAMES, FeatureSettings
+from smal.features import FeatureSettings
 from smal.place_recognition import Matches
 from smal.place_recognition.methods import METHODS, MatchSettings, Method
 
@@ -44,7 +42,6 @@ def _defaults(of: Callable[[Method], object]) -> str:
 
 _DEFAULT_LENGTHS: Final = _defaults(lambda method: method.length)
 _DEFAULT_PENALTIES: Final = _defaults(lambda method: method.penalty)
-_DEFAULT_MODALITIES: Final = _defaults(lambda method: ",".join(method.features.modalities))
 
 
 def match(
@@ -54,24 +51,14 @@ def match(
     query_dir: Annotated[
         Path, typer.Argument(metavar="QUERY_DIR", help="Folder with the images of the traverse to be recognized.")
     ],
-    method: Annotated[str, typer.Option(metavar="NAME", help=f"How places are recognized. {_METHODS}.")] = "smal",
+    name: Annotated[
+        str, typer.Option("--method", metavar="NAME", help=f"How places are recognized. {_METHODS}.")
+    ] = "smal",
     length: Annotated[
         int | None, typer.Option(min=1, help=f"Frames of a window, l. {_DEFAULT_LENGTHS}", show_default=False)
     ] = None,
-    modalities: Annotated[
-        str | None,
-        typer.Option(
-            metavar="NAMES",
-            help=f"Feature modalities, separated by commas, out of {', '.join(MODALITY_NAMES)}. {_DEFAULT_MODALITIES}",
-        ),
-    ] = None,
-    weights: Annotated[
-        str | None,
-        typer.Option(
-            metavar="NUMBERS",
-            help="How much each modality counts: as many, separated by commas, in their order. [default: all the same]",
-        ),
-    ] = None,
+    modalities: options.Modalities = None,
+    weights: options.Weights = None,
     penalty: Annotated[
         float | None,
         typer.Option(
@@ -83,7 +70,9 @@ def match(
     tau: Annotated[
         float | None,
         typer.Option(
-            help="Leave out matches with a score of at most this; --truth then judges what is left. [default: keep all]"
+            min=-1e6,
+            max=1e6,
+            help="Leave out matches with a score of at most this; --truth judges what is left. [default: keep all]",
         ),
     ] = None,
     reference_depth: Annotated[
@@ -107,7 +96,7 @@ def match(
             "100 % precision.",
         ),
     ] = None,
-    json_file: Annotated[Path | None, typer.Option("--json", metavar="FILE", help="Write the matches as JSON.")] = None,
+    json_file: options.JsonFile = None,
     plot: Annotated[
         Path | None,
         typer.Option(
@@ -133,30 +122,28 @@ def match(
 
     Example: smal match summer winter --length 10 --truth truth.csv --json matches.json --plot matches.png
     """
-    chosen, settings = choose(method, length, modalities, weights, penalty)
-    features = settings.features
-    if tau is not None and not math.isfinite(tau):
-        raise UsageError(f"--tau {tau}: must be finite")
-    folders = (reference_dir, query_dir, reference_depth, query_depth)
-    _check_outputs(json_file, plot, [] if truth is None else [truth], [one for one in folders if one is not None])
+    method, settings = choose(name, length, modalities, weights, penalty)
+    folders = [one for one in (reference_dir, query_dir, reference_depth, query_depth) if one is not None]
+    _check_outputs(json_file, plot, [] if truth is None else [truth], folders)
     references, queries = list_folder(reference_dir, "REFERENCE_DIR"), list_folder(query_dir, "QUERY_DIR")
-    depths = _depths(features, references, queries, reference_depth, query_depth)
+    named = (("--reference-depth", reference_depth, references), ("--query-depth", query_depth, queries))
+    depths = [_depth_folder(settings.features, *one) for one in named]
     expected = None if truth is None else read_truth_of(truth, queries, references)
     began_s = time.perf_counter()
     traverses = Traverses(
         references,
         queries,
-        describe_frames(references, features, depths[0], "reading references"),
-        describe_frames(queries, features, depths[1], "reading queries"),
+        describe_frames(references, settings.features, depths[0], "reading references"),
+        describe_frames(queries, settings.features, depths[1], "reading queries"),
     )
     read_s = time.perf_counter()
     _check_windows(traverses, settings.length)
-    found = traverses.in_folders(_match(chosen, traverses, settings))
+    found = traverses.in_folders(_match(method, traverses, settings))
     matches = found if tau is None else found.above(tau)
     seconds = {"reading": read_s - began_s, "matching": time.perf_counter() - read_s}
     quality = None if expected is None else _quality(matches, expected, settings.length)
     unsure = int(found.matched.sum() - matches.matched.sum())
-    result = Result(method, settings, tau, traverses, matches, unsure, quality, seconds)
+    result = Result(name, settings, tau, traverses, matches, unsure, quality, seconds)
     written: list[Path] = []
     try:
         if json_file is not None:
@@ -171,6 +158,32 @@ def match(
             typer.echo(line)
 
 
+def choose(
+    name: str, length: int | None, modalities: FeatureSettings | None, weights: str | None, penalty: float | None
+) -> tuple[Method, MatchSettings]:
+    """Take a method of the table, and its own settings where nothing is asked for.
+
+    Raises
+    ------
+    UsageError
+        When there is no such method, or it does not work with that setting.
+    """
+    if name not in METHODS:
+        raise UsageError(f"--method {name}: unknown; known are {', '.join(METHODS)}")
+    method = METHODS[name]
+    if not method.any_features and (modalities or weights):
+        flag = f"--weights {weights}" if modalities is None else f"--modalities {modalities.text}"
+        raise UsageError(f"{flag}: the method {name} has its own features, {', '.join(method.features.modalities)}")
+    if length not in (None, method.length) and not method.any_length:
+        raise UsageError(f"--length {length}: the method {name} is made for {method.length}")
+    if penalty is not None and method.penalty is None:
+        raise UsageError(f"--penalty {penalty:g}: the method {name} has none")
+    if penalty is not None and not 0.0 < penalty < 1.0:
+        raise UsageError(f"--penalty {penalty:g}: must be above 0 and below 1")
+    features = options.weighted(modalities or method.features, weights)
+    return method, MatchSettings(features, length or method.length, method.penalty if penalty is None else penalty)
+
+
 def _check_outputs(json_file: Path | None, plot: Path | None, read: list[Path], folders: list[Path]) -> None:
     for path, option in ((json_file, "--json"), (plot, "--plot")):
         outputs.check_file(path, option, read, folders)
@@ -182,26 +195,14 @@ def _check_outputs(json_file: Path | None, plot: Path | None, read: list[Path], 
         raise UsageError(f"--plot {plot}: is also the file of --json; give another name")
 
 
-def _depths(
-    features: FeatureSettings,
-    references: ImageFolder,
-    queries: ImageFolder,
-    reference_depth: Path | None,
-    query_depth: Path | None,
-) -> tuple[ImageFolder | None, ImageFolder | None]:
-    """List the depth folders, both or none, as the features need them."""
-    named = (("--reference-depth", reference_depth, references), ("--query-depth", query_depth, queries))
-    needed = "depth" in features.needs
-    for option, path, _ in named:
-        if needed and path is None:
-            raise UsageError(f"{option}: missing; the modality depth needs --reference-depth and --query-depth")
-        if not needed and path is not None:
+def _depth_folder(features: FeatureSettings, option: str, path: Path | None, colour: ImageFolder) -> ImageFolder | None:
+    """List a folder of depth images, if the features need them."""
+    if "depth" not in features.needs:
+        if path is not None:
             raise UsageError(f"{option} {path}: no modality uses depth; ask for it with --modalities, as in hog,depth")
-    both = [_depth_folder(option, path, colour) for option, path, colour in named if path is not None]
-    return (both[0], both[1]) if both else (None, None)
-
-
-def _depth_folder(option: str, path: Path, colour: ImageFolder) -> ImageFolder:
+        return None
+    if path is None:
+        raise UsageError(f"{option}: missing; the modality depth needs --reference-depth and --query-depth")
     folder = list_folder(path, option)
     if len(folder.frames) != len(colour.frames):
         raise UsageError(
@@ -226,17 +227,13 @@ def _match(method: Method, traverses: Traverses, settings: MatchSettings) -> Mat
     references, queries = traverses.reference_frames.features, traverses.query_frames.features
     with tqdm(total=len(queries), desc="matching", unit="frame", dynamic_ncols=True, disable=None) as bar:
         try:
-            return method.match(references, queries, settings, lambda done: _advance(bar, done))
+            return method.match(references, queries, settings, lambda done: cast("None", bar.update(done - bar.n)))
         except ValueError as error:
             raise JobError(f"cannot match these folders: {error}") from None
         except MemoryError:
             raise JobError(
                 f"matching {len(queries)} and {len(references)} frames takes more memory than there is"
             ) from None
-
-
-def _advance(bar: tqdm[NoReturn], done: int) -> None:
-    bar.update(done - bar.n)
 
 
 def _quality(matches: Matches, truth: IntervalTruth, length: int) -> Quality:

@@ -9,25 +9,21 @@ from typing import Annotated
 import typer
 from tqdm import tqdm
 
-from services.cli import STYLE, outputs
+from services.cli import outputs
+from services.cli.grouping import STYLE
 from services.experiments.showing.summary import lines
 from services.kit.errors import JobError, UsageError
 from services.kit.model_service import load_model
 from services.recordings.dataset import find_recordings
 from smal.files.container import ModelError
 
-app = typer.Typer(
-    help="Look at what was learned.\n\nExample: smal model show campus.smal --recordings drives --out shown",
-    **STYLE,
-)
+_EXAMPLE = "Example: smal model show campus.smal --recordings drives --out shown"
+app = typer.Typer(help=f"Look at what was learned.\n\n{_EXAMPLE}", **STYLE)
 
 
-@app.callback()
+@app.callback(help=f"Look at what was learned.\n\n{_EXAMPLE}")
 def model_commands() -> None:
-    """Look at what was learned.
-
-    Example: smal model show campus.smal --recordings drives --out shown
-    """
+    """Keep `show` a command of its own, though it is the only one."""
 
 
 @app.command("show")
@@ -64,11 +60,12 @@ def show(
     from services.experiments.showing.drives import find_drives  # noqa: PLC0415
     from services.experiments.showing.page import write_page  # noqa: PLC0415
 
-    found = None if files is None else find_drives(model, tqdm(files, desc="reading", unit="file", disable=None))
-    if found is not None:
+    found = None
+    # disable=None: no bars in a log file or a pipe.
+    if files is not None:
+        found = find_drives(model, tqdm(files, desc="reading", unit="file", disable=None))
         for line in (*found.remarks, *(f"missing: {one}" for one in found.missing)):
             sys.stderr.write(f"smal: {line}\n")
-    # disable=None: no bars in a log file or a pipe.
     with tqdm(dynamic_ncols=True, disable=None) as bar:
 
         def advance(what: str, done: int, total: int) -> None:

@@ -1,91 +1,34 @@
-"""Options that several commands share, so that they are spelled and explained the same way everywhere."""
+"""Options that several commands share: declared once, and checked where they are read."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Annotated, Any, Final, Self
+from typing import Annotated, Any, Final, Self, TypeVar
 
 import typer
-from pydantic import ValidationError
+from pydantic import TypeAdapter, ValidationError
 
 from schemas.codec import describe
-from schemas.rpc import ResetRequest, Scheme
+from schemas.episode import GoalName
+from schemas.rpc import Scheme
 from schemas.topics import check_robot_id
+from services.cli.stack.processes import flags
 from services.kit.bus import DEFAULT_ROUTER
 from services.kit.errors import UsageError
 from services.kit.model_service import AnyModel, load_model, refused
 from services.kit.settings import DEFAULT_SECURE_ROUTER, ServiceSettings
-from services.simulator.variation import VARIATIONS
+from services.simulator.opening import BaseKind
+from services.simulator.variation import VARIATIONS, variation_named
+from services.simulator.world import World as LoadedWorld
 from services.simulator.world import WorldError, load_world
-from services.simulator.world.place import World as LoadedWorld
+from smal.features import MODALITY_NAMES, FeatureSettings
 from smal.files.container import ModelError
 
 DEFAULT_ROBOT: Final = "rescuebot"
 DEFAULT_WORLD: Final = "campus"
-
-Robot = Annotated[str, typer.Option(envvar="SMAL_ROBOT", help="Robot id, part of every topic's key.")]
-Router = Annotated[
-    str | None,
-    typer.Option(
-        envvar="SMAL_ROUTER",
-        help=f"Address of the stack's Zenoh router. [default: {DEFAULT_ROUTER}; with --secure {DEFAULT_SECURE_ROUTER}]",
-    ),
-]
-Secure = Annotated[
-    Path | None,
-    typer.Option(envvar="SMAL_SECURE", help="Folder of certificates, made by `smal secure init`."),
-]
-Json = Annotated[bool, typer.Option("--json", help="Print JSON.")]
-World = Annotated[
-    str, typer.Option(help="World: a name, such as campus or indoor, or the path of an OpenStreetMap or world file.")
-]
-WorldOfStack = Annotated[
-    str | None,
-    typer.Option(
-        "--world",
-        help="World: a name, such as campus or indoor, or the path of an OpenStreetMap or world file. "
-        "[default: campus; with --connect whatever the robot is in]",
-    ),
-]
-Seed = Annotated[int, typer.Option(min=0, help="Seed of the first episode; episode k uses SEED + k.")]
-CameraSize = Annotated[str, typer.Option("--camera", help="Camera image, WIDTHxHEIGHT; smaller renders faster.")]
-OwnCameraSize = Annotated[
-    str | None,
-    typer.Option("--camera", help="Camera image, WIDTHxHEIGHT; smaller renders faster. [default: 1024x768]"),
-]
-Base = Annotated[
-    str | None,
-    typer.Option(help="physics: driven wheels with mass and friction; kinematic: exact arcs. [default: physics]"),
-]
-Variation = Annotated[
-    str | None,
-    typer.Option(help=f"Conditions other than those of a fair day: {', '.join(VARIATIONS)}. [default: day]"),
-]
-Shake = Annotated[
-    float | None,
-    typer.Option(min=0, max=10, help="How much the camera shakes in driving. [default: 1 indoors, 0 outdoors]"),
-]
-Connect = Annotated[
-    str | None,
-    typer.Option(
-        help=f"Use the running stack whose router is at this address (`smal up`: {DEFAULT_ROUTER}; with --secure "
-        f"{DEFAULT_SECURE_ROUTER})."
-    ),
-]
-ModelFile = Annotated[Path, typer.Option(help="Model file, made by `smal learn`.")]
-SchemeOption = Annotated[
-    Scheme | None,
-    typer.Option("--scheme", help="Refuse a model that was not learned for this scheme, filter or paper."),
-]
-Goal = Annotated[str | None, typer.Option(help="Where to go, in a model with several goals.")]
-GoalOfDrives = Annotated[
-    str, typer.Option(help="Name of the place that the drives lead to, for `smal run --goal` with what is learned.")
-]
-Stride = Annotated[
-    int | None,
-    typer.Option(min=1, help="Frames from one decision to the next, of the paper's scheme. [default: the model's l]"),
-]
+T = TypeVar("T")
 
 
 @dataclass(frozen=True)
@@ -97,13 +40,7 @@ class Camera:
 
     @classmethod
     def parse(cls, text: str) -> Self:
-        """Read ``WIDTHxHEIGHT``.
-
-        Raises
-        ------
-        UsageError
-            When the text is not two whole numbers within 32x24 and 4096x3072.
-        """
+        """Read ``WIDTHxHEIGHT``; UsageError says what is wrong with it."""
         width, _, height = text.partition("x")
         if not (width.isdecimal() and height.isdecimal()):
             raise UsageError(f"--camera {text!r}: expected WIDTHxHEIGHT, for example 1024x768")
@@ -113,82 +50,199 @@ class Camera:
         return camera
 
 
-def camera_of_own_stack(camera: str | None, connect: str | None) -> Camera:
-    """Read ``--camera`` of a command that starts a stack of its own unless it connects to another.
-
-    Raises
-    ------
-    UsageError
-        When the text is no size, or the camera belongs to a stack that runs already.
-    """
-    if camera is not None and connect is not None:
-        raise UsageError("--camera: with --connect the running stack has its camera; give it to `smal up`")
-    return Camera.parse(camera or "1024x768")
+USUAL_CAMERA: Final = Camera(1024, 768)
 
 
-def settings_for(robot: str, router: str | None, secure: Path | None) -> ServiceSettings:
-    """Return how a stack is reached.
+def checked(check: Callable[[str], T]) -> Callable[[str], T]:
+    """Make a parser for Typer of a check; what raises ValueError there is bad use, and why is said in one line."""
 
-    Raises
-    ------
-    UsageError
-        When the robot's id cannot be part of a key, or the environment has settings that cannot be used.
-    """
-    check_robot(robot)
-    try:
-        given: dict[str, Any] = {"robot": robot, "secure": secure} | ({} if router is None else {"router": router})
-        return ServiceSettings(**given)
-    except ValidationError as error:
-        raise UsageError(describe(error)) from None
+    def parse(text: str) -> T:
+        try:
+            return check(text)
+        except ValidationError as error:
+            raise typer.BadParameter(describe(error)) from None
+        except ValueError as error:
+            raise typer.BadParameter(str(error)) from None
+
+    return parse
 
 
-def check_robot(robot: str) -> str:
-    """Return a robot id.
-
-    Raises
-    ------
-    UsageError
-        When it cannot be part of a key.
-    """
-    try:
-        return check_robot_id(robot)
-    except ValueError as error:
-        raise UsageError(f"--robot: {error}") from None
+def _variation(name: str) -> str:
+    variation_named(name)
+    return name
 
 
-def check_goal(goal: str) -> str:
-    """Return the name of a goal.
+_goal = checked(TypeAdapter(GoalName).validate_python)
+Robot = Annotated[
+    str,
+    typer.Option(
+        envvar="SMAL_ROBOT", parser=checked(check_robot_id), metavar="ID", help="Robot id, part of every topic's key."
+    ),
+]
+Secure = Annotated[
+    Path | None,
+    typer.Option(envvar="SMAL_SECURE", help="Folder of certificates, made by `smal secure init`."),
+]
+Json = Annotated[bool, typer.Option("--json", help="Print JSON.")]
+JsonFile = Annotated[Path | None, typer.Option("--json", metavar="FILE", help="Write the results as JSON.")]
+World = Annotated[
+    str | None,
+    typer.Option(
+        help="World: a name, such as campus or indoor, or the path of an OpenStreetMap or world file. "
+        "[default: campus; with --connect whatever the robot is in]",
+    ),
+]
+Seed = Annotated[int, typer.Option(min=0, help="Seed of the first episode; episode k uses SEED + k.")]
+CameraSize = Annotated[
+    Camera | None,
+    typer.Option(
+        "--camera",
+        parser=Camera.parse,
+        metavar="SIZE",
+        help="Camera image, WIDTHxHEIGHT; smaller renders faster. [default: 1024x768; of `smal up` 640x480]",
+    ),
+]
+Goal = Annotated[
+    str | None, typer.Option(parser=_goal, metavar="NAME", help="Where to go, in a model with several goals.")
+]
+GoalOfDrives = Annotated[
+    str,
+    typer.Option(
+        parser=_goal,
+        metavar="NAME",
+        help="Name of the place that the drives lead to, for `smal run --goal` with what is learned.",
+    ),
+]
+Modalities = Annotated[
+    FeatureSettings | None,
+    typer.Option(
+        "--modalities",
+        parser=checked(FeatureSettings.parse),
+        metavar="NAMES",
+        help=f"Feature modalities, separated by commas, out of {', '.join(MODALITY_NAMES)}. "
+        "[default: those of the model, the recordings or the method; else color,hog]",
+    ),
+]
+Weights = Annotated[
+    str | None,
+    typer.Option(metavar="NUMBERS", help="How much each modality counts, in their order. [default: all the same]"),
+]
 
-    Raises
-    ------
-    UsageError
-        When it is empty, too long or has control characters.
-    """
-    try:
-        return ResetRequest(seed=0, goal=goal).goal
-    except ValidationError as error:
-        raise UsageError(f"--goal: {describe(error)}") from None
+
+@dataclass(frozen=True)
+class Reach:
+    """How a running stack is reached."""
+
+    robot: Robot = DEFAULT_ROBOT
+    router: Annotated[
+        str | None,
+        typer.Option(
+            envvar="SMAL_ROUTER",
+            help="Address of the stack's Zenoh router. "
+            f"[default: {DEFAULT_ROUTER}; with --secure {DEFAULT_SECURE_ROUTER}]",
+        ),
+    ] = None
+    secure: Secure = None
+
+    @property
+    def settings(self) -> ServiceSettings:
+        """The same as settings; ValidationError where the environment has some that cannot be used."""
+        given: dict[str, Any] = {"robot": self.robot, "secure": self.secure}
+        return ServiceSettings(**given | ({} if self.router is None else {"router": self.router}))
 
 
-def world_of_stack(world: str | None, connect: str | None) -> tuple[str, str | None]:
-    """Return the world of a stack that is started, and the name that the robot's world must have, if any.
+@dataclass(frozen=True)
+class Simulator:
+    """How a simulator is started; None leaves a setting at its default."""
 
-    Raises
-    ------
-    UsageError
-        When there is no such world, or its file is no map.
-    """
-    chosen = world or DEFAULT_WORLD
-    return chosen, None if world is None and connect is not None else check_world(chosen)
+    camera: CameraSize = None
+    shake: Annotated[
+        float | None,
+        typer.Option(min=0, max=10, help="How much the camera shakes in driving. [default: 1 indoors, 0 outdoors]"),
+    ] = None
+    base: Annotated[
+        BaseKind | None,
+        typer.Option(help="physics: driven wheels with mass and friction; kinematic: exact arcs. [default: physics]"),
+    ] = None
+    variation: Annotated[
+        str | None,
+        typer.Option(
+            parser=checked(_variation),
+            metavar="NAME",
+            help=f"Conditions other than those of a fair day: {', '.join(VARIATIONS)}. [default: day]",
+        ),
+    ] = None
+
+    def flags(self, world: str, usual: Camera = USUAL_CAMERA) -> tuple[str, ...]:
+        """Return the flags of the service."""
+        camera = self.camera or usual
+        return flags(**asdict(self) | {"camera": None}, world=world, camera_width=camera.width,
+                     camera_height=camera.height)  # fmt: skip
 
 
-def check_world(world: str) -> str:
-    """Read a world, to say what is wrong with it before the processes start; return its name; see `read_world`."""
-    return read_world(world).name
+@dataclass(frozen=True)
+class Running:
+    """Which stack a command works with: one that runs, or one of its own."""
+
+    connect: Annotated[
+        str | None,
+        typer.Option(
+            help=f"Use the running stack whose router is at this address (`smal up`: {DEFAULT_ROUTER}; with --secure "
+            f"{DEFAULT_SECURE_ROUTER})."
+        ),
+    ] = None
+    secure: Secure = None
+    robot: Robot = DEFAULT_ROBOT
+
+    @property
+    def settings(self) -> ServiceSettings | None:
+        """How the running stack is reached; None for one of its own."""
+        if self.connect is None:
+            return None
+        return ServiceSettings(robot=self.robot, router=self.connect, secure=self.secure)
+
+    def refuse(self, simulator: Simulator, modalities: FeatureSettings | None) -> None:
+        """Refuse with `connect` what the running stack has already.
+
+        Raises
+        ------
+        UsageError
+            When there is something of it.
+        """
+        for name, value in (asdict(simulator) | {"modalities": modalities}).items():
+            if value is not None and self.connect is not None:
+                raise UsageError(f"--{name}: with --connect the running stack has its own; give it to `smal up`")
+
+    def world(self, world: str | None) -> tuple[str, str | None]:
+        """Return the world of a stack that is started, and the name that the robot's world must have, if any.
+
+        Raises
+        ------
+        UsageError
+            When there is no such world, or its file is no map.
+        """
+        chosen = world or DEFAULT_WORLD
+        return chosen, None if world is None and self.connect is not None else read_world(chosen).name
+
+
+@dataclass(frozen=True)
+class Use:
+    """How a model is used."""
+
+    scheme: Annotated[
+        Scheme | None, typer.Option(help="Refuse a model that was not learned for this scheme, filter or paper.")
+    ] = None
+    stride: Annotated[
+        int | None,
+        typer.Option(
+            min=1, help="Frames from one decision to the next, of the paper's scheme. [default: the model's l]"
+        ),
+    ] = None
+    goal: Goal = None
 
 
 def read_world(world: str) -> LoadedWorld:
-    """Read the world of ``--world``.
+    """Read the world of ``--world``, to say what is wrong with it before the processes start.
 
     Raises
     ------
@@ -217,3 +271,36 @@ def read_model(path: Path, scheme: Scheme | None, stride: int | None = None, goa
     if refusal is not None:
         raise UsageError(f"--model {path}: {refusal}")
     return model
+
+
+def weighted(features: FeatureSettings, weights: str | None) -> FeatureSettings:
+    """Give ``--weights`` to modalities.
+
+    Raises
+    ------
+    UsageError
+        When they are no positive numbers, or not as many as the modalities.
+    """
+    try:
+        return features if weights is None else FeatureSettings.parse(features.text, weights)
+    except ValueError as error:
+        raise UsageError(f"--weights {weights}: {error}") from None
+
+
+def feature_flags(modalities: FeatureSettings | None, model: FeatureSettings | None = None) -> tuple[str, ...]:
+    """Return the flags of a features service that may have a model from the start.
+
+    Raises
+    ------
+    UsageError
+        When the modalities are not those that the model was learned on, or it names a network whose file the user has
+        not given: what a model says makes nothing run.
+    """
+    features = modalities or model or FeatureSettings()
+    if model is not None and model.fingerprint != features.fingerprint:
+        learned_on = ",".join(model.modalities)
+        raise UsageError(f"--modalities {','.join(features.modalities)}: the model was learned on {learned_on}")
+    try:
+        return "--modalities", features.text
+    except ValueError as error:
+        raise UsageError(f"the model was learned on {','.join(features.modalities)}: {error} (--modalities)") from None

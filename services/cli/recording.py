@@ -12,7 +12,8 @@ from typing import Annotated, Any
 
 import typer
 
-from services.cli import STYLE, outputs
+from services.cli import outputs
+from services.cli.grouping import STYLE
 from services.cli.options import Json
 from services.kit.errors import JobError, UsageError
 from services.kit.process import EXIT_FAILED
@@ -128,9 +129,7 @@ def _record(contents: Contents) -> dict[str, Any]:
 
 
 def _episode_record(episode: EpisodeContents) -> dict[str, Any]:
-    own = {
-        field.name: getattr(episode, field.name) for field in fields(episode) if field.name not in ("said", "topics")
-    }
+    own = {one.name: getattr(episode, one.name) for one in fields(episode) if one.name not in ("said", "topics")}
     topics = {
         name: {"messages": one.messages, "rate_hz": one.rate_hz, "bytes": one.size}
         for name, one in named_topics(episode)
@@ -164,10 +163,9 @@ def _episode_lines(episode: EpisodeContents) -> Iterator[str]:
     way = "" if episode.odometry_m is None else f", {episode.odometry_m:.1f} m by the wheels"
     yield f"  length     {episode.seconds:.1f} s, {episode.frames} frames{way}"
     if episode.width is not None:
-        focal = episode.focal_px
-        view = (
-            "" if focal is None else f", {math.degrees(2 * math.atan(0.5 * episode.width / focal)):.0f} degrees across"
-        )
+        view = ""
+        if episode.focal_px is not None:
+            view = f", {math.degrees(2 * math.atan(0.5 * episode.width / episode.focal_px)):.0f} degrees across"
         yield f"  camera     {episode.width}x{episode.height}{view}"
     if episode.modalities:
         yield f"  features   {' '.join(episode.modalities)}"
@@ -176,12 +174,6 @@ def _episode_lines(episode: EpisodeContents) -> Iterator[str]:
     ]
     for line in table([["topic", "messages", "Hz", "MB"], *rows]):
         yield f"  {line}"
-
-
-def _view(episode: EpisodeContents) -> str:
-    if episode.width is None or episode.focal_px is None:
-        return ""
-    return f", {math.degrees(2.0 * math.atan(0.5 * episode.width / episode.focal_px)):.0f} degrees across"
 
 
 def _sum(contents: Contents) -> int:

@@ -6,7 +6,6 @@ import secrets
 import sys
 import time
 from collections.abc import Callable
-from itertools import count
 from pathlib import Path
 from typing import Annotated, Final
 
@@ -16,8 +15,8 @@ from tqdm import tqdm
 from schemas.base import Message
 from schemas.episode import Episode
 from schemas.topics import CAMERA, Topic
+from services.cli import options
 from services.cli.interrupts import interrupted_by_signals
-from services.cli.options import DEFAULT_ROBOT, Robot, Router, Secure, settings_for
 from services.kit.errors import JobError, UsageError
 from services.kit.node import Detail, Node
 from services.recordings.reader import RecordingError
@@ -29,16 +28,15 @@ LISTENERS_S: Final = 2.0
 
 
 def replay(
+    *,
     recording: Annotated[Path, typer.Argument(help="Recording (MCAP).")],
     rate: Annotated[float, typer.Option(min=0.01, max=100.0, help="How many times as fast as it was.")] = 1.0,
     step: Annotated[bool, typer.Option("--step", help="Go on by one frame at each Enter.")] = False,
     names: Annotated[
-        str | None,
-        typer.Option("--topics", help=f"Only these, with commas between. [default: {','.join(REPLAYABLE)}]"),
-    ] = None,
-    robot: Robot = DEFAULT_ROBOT,
-    router: Router = None,
-    secure: Secure = None,
+        str,
+        typer.Option("--topics", help="Only these, with commas between.", metavar="NAMES"),
+    ] = ",".join(REPLAYABLE),
+    reach: options.Reach,
 ) -> None:
     """Put a recording on the topics, with its timing, so that what follows the robot runs without one.
 
@@ -48,46 +46,43 @@ def replay(
 
     Example: smal replay drives/drive-1.mcap --rate 2
     """
-    wanted = _wanted(names)
-    settings = settings_for(robot, router, secure)
+    chosen = [name.strip() for name in names.split(",")]
+    for name in chosen:
+        if name not in REPLAYABLE:
+            raise UsageError(f"--topics: {name!r} is not replayed; these are: {', '.join(REPLAYABLE)}")
+    wanted = {name: topic for name, topic in REPLAYABLE.items() if name in chosen}
     try:
         tracks = tracks_of(recording)
     except RecordingError as error:
         raise JobError(str(error)) from None
     # Until this is over no robot of this id starts either: they ask as we do.
-    check_alone(settings, "end it first; the stack without a robot is `smal up --robot-body none`")
-    with interrupted_by_signals(), Node(ROBOT, settings) as node:
+    check_alone(reach.settings, "end it first; the stack without a robot is `smal up --robot-body none`")
+    with interrupted_by_signals(), Node(ROBOT, reach.settings) as node:
         # From now on it answers as ready.
         node.spin(timeout_s=0.0)
-        _await_listeners(node, wanted)
+        if CAMERA.name in wanted:
+            _await_listeners(node)
         session = secrets.token_hex(6)
-        for number, track in zip(count(1), tracks, strict=False):
+        for number, track in enumerate(tracks, 1):
             player = Player(node, track, f"replay-{session}-{number}", wanted)
             sys.stderr.write(f"smal: episode {track.episode} of {track.robot} as {player.episode}\n")
-            player.run(_by_hand if step else Clock(rate).wait)
+            player.run(_by_hand if step else _by_clock(rate))
             if track.bad:
                 sys.stderr.write(f"smal: {track.bad} messages do not decode and were left out\n")
 
 
-class Clock:
-    """Waits until a tick is due.
+def _by_clock(rate: float) -> Callable[[Tick], bool]:
+    """Make what waits until a tick is due, and always goes on."""
+    began_s: list[float] = []
 
-    Parameters
-    ----------
-    rate
-        How many times as fast as recorded.
-    """
-
-    def __init__(self, rate: float) -> None:
-        self._rate = rate
-        self._began_s: float | None = None
-
-    def wait(self, tick: Tick) -> bool:
-        """Wait; always go on."""
-        if self._began_s is None:
-            self._began_s = time.monotonic() - tick.since_s / self._rate
-        time.sleep(max(0.0, self._began_s + tick.since_s / self._rate - time.monotonic()))
+    def wait(tick: Tick) -> bool:
+        after_s = tick.since_s / rate
+        if not began_s:
+            began_s.append(time.monotonic() - after_s)
+        time.sleep(max(0.0, began_s[0] + after_s - time.monotonic()))
         return True
+
+    return wait
 
 
 def _by_hand(tick: Tick) -> bool:
@@ -98,7 +93,7 @@ def _by_hand(tick: Tick) -> bool:
 
 
 class Player:
-    """Tells one episode.
+    """Tells what a robot told in one episode.
 
     Parameters
     ----------
@@ -114,57 +109,37 @@ class Player:
 
     def __init__(self, node: Node, track: Track, episode: str, wanted: dict[str, Topic]) -> None:
         self.episode = episode
-        self._node = node
-        self._ticks = track.play(node.robot, episode, time.time_ns(), wanted)
-        self._total = len(track)
+        self._node, self._track, self._wanted = node, track, wanted
         self._started: Episode | None = None
         self._last: Message | None = None
         node.detail = self._detail
-        self._replayed = track.episode
 
     def run(self, wait: Callable[[Tick], bool]) -> None:
-        """Tell all of it, each tick when `wait` has returned, or up to where it says that this is the end."""
+        """Tell each tick when `wait` has returned, or up to where it says that this is the end."""
+        ticks = self._track.play(self._node.robot, self.episode, time.time_ns(), self._wanted)
         try:
             # disable=None: no bar in a pipe or a log.
-            for tick in tqdm(self._ticks, total=self._total, unit="frame", dynamic_ncols=True, disable=None):
+            for tick in tqdm(ticks, total=len(self._track), unit="frame", dynamic_ncols=True, disable=None):
                 if not wait(tick):
                     break
-                self.tell(tick)
+                for message in tick.messages:
+                    self._tell(message)
         finally:
-            self.end()
+            if self._started is not None and self._last is not None:
+                self._tell(end_of(self._last, self._started))
 
-    def tell(self, tick: Tick) -> None:
-        """Tell one tick."""
-        for message in tick.messages:
-            self._node.publish(message)
-            self._last = message
-            if isinstance(message, Episode):
-                self._started = None if message.event == "ended" else message
+    def _tell(self, message: Message) -> None:
+        self._node.publish(message)
+        self._last = message
+        if isinstance(message, Episode):
+            self._started = None if message.event == "ended" else message
 
     def _detail(self) -> Detail:
         tick = None if self._last is None else self._last.tick
-        return {"replayed": self._replayed, "episode": self.episode, "tick": tick}
-
-    def end(self) -> None:
-        """Tell that it is over, where the recording has not."""
-        if self._started is not None and self._last is not None:
-            self._node.publish(end_of(self._last, self._started))
-            self._started = None
+        return {"replayed": self._track.episode, "episode": self.episode, "tick": tick}
 
 
-def _wanted(names: str | None) -> dict[str, Topic]:
-    if names is None:
-        return dict(REPLAYABLE)
-    chosen = [name.strip() for name in names.split(",")]
-    for name in chosen:
-        if name not in REPLAYABLE:
-            raise UsageError(f"--topics: {name!r} is not replayed; these are: {', '.join(REPLAYABLE)}")
-    return {name: topic for name, topic in REPLAYABLE.items() if name in chosen}
-
-
-def _await_listeners(node: Node, wanted: dict[str, Topic]) -> None:
-    if CAMERA.name not in wanted:
-        return
+def _await_listeners(node: Node) -> None:
     deadline_s = time.monotonic() + LISTENERS_S
     while not node.bus.has_listeners(CAMERA):
         if time.monotonic() > deadline_s:

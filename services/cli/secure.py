@@ -9,8 +9,9 @@ from typing import Annotated, Final
 
 import typer
 
-from services.cli import STYLE, certificates, options
+from services.cli import certificates, options
 from services.cli.certificates import DAYS, HOSTS
+from services.cli.grouping import STYLE
 from services.kit.bus import zenohd_configuration
 from services.kit.credentials import Certificate
 from services.kit.errors import UsageError
@@ -48,19 +49,15 @@ def init(
 
     Example: smal secure init keys --host robot.example
     """
-    options.check_robot(robot)
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
         raise UsageError(f"{folder}: is there already; `smal secure renew` makes new certificates")
     hosts = _hosts(host)
-    try:
-        certificates.begin(folder, robot)
-        certificates.issue(folder, hosts, days)
-        settings = zenohd_configuration("tls/0.0.0.0:7447", robot, ZENOHD_SEES)
-        (folder / ZENOHD_FILE).write_text(json.dumps(settings, indent=2) + "\n")
-        # A folder in a checkout must not be committed.
-        (folder / ".gitignore").write_text("*\n")
-    except OSError as error:
-        raise UsageError(f"cannot write to {folder}: {error.strerror or error}") from None
+    certificates.begin(folder, robot)
+    certificates.issue(folder, hosts, days)
+    settings = zenohd_configuration("tls/0.0.0.0:7447", robot, ZENOHD_SEES)
+    (folder / ZENOHD_FILE).write_text(json.dumps(settings, indent=2) + "\n")
+    # A folder in a checkout must not be committed.
+    (folder / ".gitignore").write_text("*\n")
     typer.echo(f"certificates of {', '.join(roles())} in {folder}; next: smal up --secure {folder}")
 
 
@@ -110,12 +107,10 @@ def retire(folder: Folder) -> None:
 
     Example: smal secure retire keys
     """
-    forgotten = certificates.retire(folder)
-    typer.echo(
-        f"{folder} knows the newest authority alone; start the router again"
-        if forgotten
-        else f"{folder} has one authority; nothing to forget"
-    )
+    if certificates.retire(folder):
+        typer.echo(f"{folder} knows the newest authority alone; start the router again")
+    else:
+        typer.echo(f"{folder} has one authority; nothing to forget")
 
 
 def _hosts(more: list[str] | None) -> tuple[str, ...]:

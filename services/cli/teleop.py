@@ -5,10 +5,8 @@ from __future__ import annotations
 from typing import Annotated
 
 import typer
-from pydantic import ValidationError
 
-from schemas.codec import describe
-from services.cli.options import DEFAULT_ROBOT, GoalOfDrives, Robot, Router, Secure, settings_for
+from services.cli import options
 from services.kit.errors import UsageError
 from services.teleop.config import TeleopSettings
 from services.teleop.session import run
@@ -16,11 +14,10 @@ from services.teleop.terminal import NoTerminalError, require_terminal
 
 
 def teleop(
-    robot: Robot = DEFAULT_ROBOT,
-    router: Router = None,
-    secure: Secure = None,
+    *,
+    reach: options.Reach,
     seed: Annotated[int | None, typer.Option(min=0, help="Seed of the first episode; random if not given.")] = None,
-    goal: GoalOfDrives = "victim",
+    goal: options.GoalOfDrives = "victim",
 ) -> None:
     """Drive with the keyboard: arrows or w a s d, held; n begins an episode.
 
@@ -30,10 +27,6 @@ def teleop(
     """
     try:
         require_terminal()
-        reached = settings_for(robot, router, secure)
-        settings = TeleopSettings(**reached.model_dump(), seed=seed, goal=goal)
     except NoTerminalError as error:
         raise UsageError(str(error)) from None
-    except ValidationError as error:
-        raise UsageError(describe(error)) from None
-    run(settings)
+    run(TeleopSettings(**reach.settings.model_dump(), seed=seed, goal=goal))

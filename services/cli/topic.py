@@ -10,10 +10,9 @@ import typer
 
 from schemas.codec import encoding_of
 from schemas.topics import TOPICS, Topic, topic_of
-from services.cli import STYLE
-from services.cli.listening.commands import bw, echo, hz, say
-from services.cli.listening.latency_command import latency
-from services.cli.options import DEFAULT_ROBOT, Json, Robot, check_robot
+from services.cli import options
+from services.cli.grouping import STYLE, grouped
+from services.cli.listening.commands import bw, echo, hz, latency, say
 from services.kit.errors import UsageError
 from services.kit.tables import table
 from services.table import givers, graph, takers
@@ -26,16 +25,15 @@ app = typer.Typer(
 
 @app.command("list")
 def list_topics(
-    as_json: Json = False,
+    as_json: options.Json = False,
     as_markdown: Annotated[bool, typer.Option("--markdown", help="Print a Markdown table.")] = False,
 ) -> None:
     """List every topic; needs no running stack.
 
     Example: smal topic list --json
     """
-    rows = [_row(topic) for topic in TOPICS.values()]
     if as_json:
-        say(json.dumps(rows, indent=2))
+        say(json.dumps([_row(topic) for topic in TOPICS.values()], indent=2))
     elif as_markdown:
         say(markdown_table())
     else:
@@ -47,8 +45,8 @@ def list_topics(
 @app.command("info")
 def info(
     name: Annotated[str, typer.Argument(help="Topic, for example state.")],
-    robot: Robot = DEFAULT_ROBOT,
-    as_json: Json = False,
+    robot: options.Robot = options.DEFAULT_ROBOT,
+    as_json: options.Json = False,
 ) -> None:
     """Describe one topic; needs no running stack.
 
@@ -61,7 +59,7 @@ def info(
         near = get_close_matches(name, TOPICS, n=1) or ["smal topic list"]
         raise UsageError(f"no topic {name!r}; did you mean: {near[0]}?")
     row = _row(topic) | {
-        "key": topic.key(check_robot(robot)),
+        "key": topic.key(robot),
         "encoding": encoding_of(topic.message),
         "most_bytes": topic.message.max_bytes,
         "queue": topic.queue,
@@ -85,10 +83,8 @@ def draw_graph() -> None:
     say(graph())
 
 
-app.command("echo")(echo)
-app.command("hz")(hz)
-app.command("bw")(bw)
-app.command("latency")(latency)
+for listening in (echo, hz, bw, latency):
+    app.command(listening.__name__)(grouped(listening))
 
 
 def markdown_table() -> str:

@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from services.cli import STYLE, outputs
+from services.cli import outputs
+from services.cli.grouping import STYLE
 from services.cli.world_render import render
 from services.kit.errors import JobError, UsageError
 from services.kit.tables import table

@@ -40,7 +40,7 @@ def render(
     name: Annotated[str, typer.Argument(metavar="WORLD", help="Name of a world, or the path of a map or world file.")],
     out: Annotated[Path, typer.Option(help="Folder for the pictures.")] = Path("views"),
     views: Annotated[int, typer.Option(min=2, max=_MOST_VIEWS, help="Pictures along the route.")] = 6,
-    camera: options.CameraSize = "1024x768",
+    camera: options.CameraSize = None,
 ) -> None:
     """Draw a world: map.png from above with the planned route, and what the robot sees along that route.
 
@@ -51,7 +51,7 @@ def render(
 
     Example: smal world render campus --out campus-views --views 8
     """
-    size = options.Camera.parse(camera)
+    size = camera or options.USUAL_CAMERA
     outputs.make_folder(out, "--out")
     try:
         world = load_world(name)
@@ -85,22 +85,12 @@ def _draw(world: World, out: Path, views: int, settings: CameraSettings) -> None
     from services.simulator.scene.rendering import SceneCamera  # noqa: PLC0415 - loads the renderer
 
     places = viewpoints(world, views)
-    outdoors = isinstance(world.place, Terrain)
-    with tqdm(total=views + 2 + outdoors, desc="rendering", unit="picture", dynamic_ncols=True) as bar:
-        world_map(world, places).savefig(out / "map.png", dpi=150)
-        bar.update()
-        bar.set_postfix_str("building the scene")
-        eye = SceneCamera(world, settings)
-        bar.update()
-        for number, (metres, pose) in enumerate(places):
-            name = f"view-{number:02d}-{metres:.0f}m.png"
-            bar.set_postfix_str(name)
-            _write(out / name, eye.render(pose))
-            bar.update()
-        if outdoors:
-            bar.set_postfix_str("aerial.png")
-            _write(out / "aerial.png", eye.look(*aerial_view(world)))
-            bar.update()
+    world_map(world, places).savefig(out / "map.png", dpi=150)
+    eye = SceneCamera(world, settings)
+    for number, (metres, pose) in enumerate(tqdm(places, desc="rendering", unit="picture", dynamic_ncols=True)):
+        _write(out / f"view-{number:02d}-{metres:.0f}m.png", eye.render(pose))
+    if isinstance(world.place, Terrain):
+        _write(out / "aerial.png", eye.look(*aerial_view(world)))
 
 
 def aerial_view(world: World) -> tuple[Vector, Vector]:
@@ -114,7 +104,7 @@ def aerial_view(world: World) -> tuple[Vector, Vector]:
 
 
 def world_map(world: World, places: list[tuple[float, Pose]]) -> Figure:
-    """Return the map of a world with its route, the viewpoints by number, and a scale."""
+    """Return the map of a world with its route, and the viewpoints by number."""
     from matplotlib.figure import Figure  # noqa: PLC0415 - takes as long to load as all the rest
 
     from services.simulator.world.map_view import draw_map  # noqa: PLC0415 - see above
@@ -127,20 +117,9 @@ def world_map(world: World, places: list[tuple[float, Pose]]) -> Figure:
     for number, (_, pose) in enumerate(places):
         axes.annotate(str(number), (pose.x, pose.y), fontsize=8, zorder=5, ha="center", va="center",
                       bbox={"boxstyle": "circle,pad=0.15", "fc": "white", "ec": "#d6602d", "lw": 0.8})  # fmt: skip
-    bar_m = scale_bar_m(world.place.bounds[2] - world.place.bounds[0])
-    left, low = (world.place.bounds[k] + 0.04 * (world.place.bounds[k + 2] - world.place.bounds[k]) for k in range(2))
-    axes.plot([left, left + bar_m], [low, low], color="black", lw=3, solid_capstyle="butt", zorder=5)
-    axes.annotate(f"{bar_m:g} m", (left + bar_m / 2, low), xytext=(0, 4), textcoords="offset points", ha="center",
-                  zorder=5)  # fmt: skip
     axes.legend(loc="upper right")
     axes.set_title(world.name)
     return figure
-
-
-def scale_bar_m(across_m: float) -> float:
-    """Return 1, 2 or 5 times a power of ten metres: the longest that is at most a fifth of a width."""
-    power = 10.0 ** math.floor(math.log10(across_m / 5))
-    return max(step * power for step in (1.0, 2.0, 5.0) if step * power <= across_m / 5)
 
 
 def _write(path: Path, image: NDArray[np.uint8]) -> None:

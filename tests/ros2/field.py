@@ -23,8 +23,7 @@ from schemas.observation import Observation
 from schemas.pose import Pose as PoseMessage
 from schemas.rpc import ArmRequest, EndRequest, LoadReply, LoadRequest, Nothing, ResetReply, ResetRequest, Status
 from services.cli.episodes.client import EpisodeClient, EpisodeRecord
-from services.cli.episodes.names import name_for
-from services.cli.episodes.recording import recording
+from services.cli.episodes.files import name_for, recording
 from services.cli.stack.processes import Stack, StackPlan, flags, free_endpoint
 from services.expert.service import ExpertService
 from services.kit.bus import RpcError

@@ -13,8 +13,7 @@ from schemas.pose import Pose
 from schemas.rpc import ResetRequest
 from schemas.tracked_pose import TrackedPose
 from services.cli.episodes.client import EpisodeClient
-from services.cli.options import Camera
-from services.cli.simulator_options import SimulatorOptions
+from services.cli.options import Camera, Simulator
 from services.cli.stack.processes import stack_for
 from services.expert.service import ExpertService
 
@@ -24,7 +23,7 @@ pytestmark = [pytest.mark.rendering, pytest.mark.system]
 def test_the_tracker_agrees_with_the_true_pose_over_a_whole_drive(
     tmp_path: Path, record_testsuite_property: Callable[[str, object], None]
 ) -> None:
-    simulator = SimulatorOptions("indoor", Camera(64, 48)).flags()
+    simulator = Simulator(Camera(64, 48)).flags("indoor")
     services = ("router", "robot", "features", "tracker")
     with stack_for(None, services, "turtlebot", {"robot": simulator}, logs=tmp_path) as access:
         client, expert = EpisodeClient("tracking", access.settings), ExpertService()

@@ -7,7 +7,7 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from itertools import count
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,47 +39,26 @@ JUDGED_S: Final = 30.0
 
 @dataclass
 class EpisodeRecord:
-    """What was seen of one episode.
-
-    Attributes
-    ----------
-    request
-        How it was asked for.
-    world
-        Where it was: name of the world, or of a real robot's body.
-    ticks
-        Frames that passed.
-    outcome
-        How it ended.
-    poses
-        True poses, (x, y) metres, by tick.
-    arrived
-        Whether the robot said that it was at the goal.
-    decisions
-        Kind of every decision, by tick.
-    unrecognized
-        Ticks of the decisions that were taken without a recognized state.
-    latencies_ms
-        From a frame's readiness to the acceptance of its command, by tick.
-    frames
-        Some camera images of the way, by tick.
-    """
+    """What was seen of one episode; what is told of single frames is kept by their tick."""
 
     request: ResetRequest
+    #: Name of the world, or of a real robot's body.
     world: str = ""
+    #: Frames that passed.
     ticks: int = 0
     outcome: RunOutcome = "aborted"
+    #: True poses, (x, y) metres.
     poses: dict[int, tuple[float, float]] = field(default_factory=dict)
+    #: Whether the robot said that it was at the goal.
     arrived: bool = False
+    #: Kind of every decision.
     decisions: dict[int, str] = field(default_factory=dict)
+    #: Decisions that were taken without a recognized state.
     unrecognized: set[int] = field(default_factory=set)
+    #: From a frame's readiness to the acceptance of its command.
     latencies_ms: dict[int, float] = field(default_factory=dict)
+    #: Some camera images of the way.
     frames: dict[int, NDArray[np.uint8]] = field(default_factory=dict)
-
-    @property
-    def unknown(self) -> int:
-        """Decisions that were taken without a recognized state."""
-        return len(self.unrecognized)
 
     @property
     def decision_latencies_ms(self) -> list[float]:
@@ -87,28 +66,8 @@ class EpisodeRecord:
         return [ms for tick, ms in self.latencies_ms.items() if tick in self.decisions]
 
 
-def check_world_of(reply: ResetReply, wanted: str | None) -> None:
-    """Compare the world of the stack with the one that was asked for, if one was.
-
-    Raises
-    ------
-    JobError
-        When they differ: the results would be those of another world.
-    """
-    if wanted is not None and reply.world != wanted:
-        raise JobError(f"the stack runs {reply.world}, not {wanted}; start it with --world {wanted}")
-
-
 class EpisodeClient:
-    """Runs one episode after another on a stack.
-
-    Parameters
-    ----------
-    name
-        Name of this client on the bus.
-    settings
-        Robot and router.
-    """
+    """Runs one episode after another on a stack, by this name on the bus."""
 
     def __init__(self, name: str, settings: ServiceSettings) -> None:
         self.node = Node(name, settings)
@@ -128,8 +87,8 @@ class EpisodeClient:
         """Keep the true poses; ``handler`` sees each as well, and may answer."""
 
         def on_pose(pose: Pose) -> Message | None:
-            if self._record is not None and pose.episode == self._episode:
-                self._record.poses[pose.tick] = (pose.x_m, pose.y_m)
+            if record := self._of(pose):
+                record.poses[pose.tick] = (pose.x_m, pose.y_m)
             return handler(pose)
 
         self.node.subscribe(topics.POSE, on_pose, depth=256)
@@ -138,8 +97,9 @@ class EpisodeClient:
         """Keep each ``every``-th camera image."""
 
         def on_image(image: CompressedImage) -> None:
-            if self._record is not None and image.episode == self._episode and image.tick % every == 0:
-                self._record.frames[image.tick] = decode_jpeg(image.data)
+            record = self._of(image)
+            if record and image.tick % every == 0:
+                record.frames[image.tick] = decode_jpeg(image.data)
 
         self.node.subscribe(topics.JPEG, on_image, depth=4)
 
@@ -150,6 +110,7 @@ class EpisodeClient:
         done: Callable[[], bool] = lambda: False,
         on_tick: Callable[[int], None] = lambda _tick: None,
         check: Callable[[], None] = lambda: None,
+        world: str | None = None,
     ) -> EpisodeRecord:
         """Run one episode to its end.
 
@@ -158,18 +119,20 @@ class EpisodeClient:
         request
             Seed, purpose, driver, mode.
         on_begin
-            Called with the simulator's reply, before any message of the episode is handled; may raise JobError.
+            Called with the robot's reply, before any message of the episode is handled; may raise JobError.
         done
             Ends the episode when it holds; the robot ends it as well, by saying that it is at the goal.
         on_tick
             Called with the tick, now and then, for a progress bar.
         check
             Raises when the stack can no longer work.
+        world
+            Where it must be: the results would be those of another world.
 
         Raises
         ------
         JobError
-            When the robot falls silent.
+            When the robot is elsewhere, or falls silent.
         """
         self._record = record = EpisodeRecord(request)
         self._ended = False
@@ -180,10 +143,12 @@ class EpisodeClient:
         self._episode, record.world = reply.episode, reply.world
         self._alive_s = time.monotonic()
         try:
+            if world not in (None, reply.world):
+                raise JobError(f"the stack runs {reply.world}, not {world}; start it with --world {world}")
             on_begin(reply)
         except JobError:
             # Nobody will drive it.
-            self._end(reply.episode)
+            self._end()
             raise
         while not self.node.spin(until=lambda: self._ended or record.arrived or done(), timeout_s=0.5):
             on_tick(record.ticks)
@@ -193,16 +158,23 @@ class EpisodeClient:
         if record.arrived and not self._ended:
             self._await_judge()
         if not self._ended:
-            self._end(reply.episode)
+            self._end()
         if record.arrived and record.outcome == "aborted":
             record.outcome = "false_goal"
         on_tick(record.ticks)
         return record
 
+    def _of(self, message: Message) -> EpisodeRecord | None:
+        """Return the record of the episode that a message is of, if it is the one that runs."""
+        return self._record if message.episode == self._episode else None
+
+    def _robot(self) -> dict[str, Any]:
+        return self.node.bus.call("robot", "status", Nothing(), Status).detail
+
     def _await_judge(self) -> None:
         """Give the operator time to say that the goal is found, where nobody else can."""
-        detail = self.node.bus.call("robot", "status", Nothing(), Status).detail
-        if detail.get("judge") == "operator" and detail.get("operator"):
+        robot = self._robot()
+        if robot.get("judge") == "operator" and robot.get("operator"):
             tqdm.write(
                 f"it says that it has arrived; if so, say it within {JUDGED_S:.0f} s (f in smal teleop)",
                 file=sys.stderr,
@@ -217,9 +189,9 @@ class EpisodeClient:
         """
         if self._armed:
             return
-        detail = self.node.bus.call("robot", "status", Nothing(), Status).detail
-        if detail.get("stop_cause") == "not_armed" and not detail.get("attended"):
-            request = ArmRequest(stop=int(detail["emergency_stop"] or 0), session=self.node.session)
+        robot = self._robot()
+        if robot.get("stop_cause") == "not_armed" and not robot.get("attended"):
+            request = ArmRequest(stop=int(robot["emergency_stop"] or 0), session=self.node.session)
             self.node.bus.call("robot", "arm", request, Nothing)
         self._armed = True
 
@@ -229,23 +201,23 @@ class EpisodeClient:
             own = {"session": self.node.session, "name": self.node.name, "sequence": next(self._beats)}
             self.node.publish(Heartbeat.after(header, **own))
 
-    def _end(self, episode: str) -> None:
+    def _end(self) -> None:
         refusal: RpcError | None = None
         try:
-            self.node.bus.call("robot", "end", EndRequest(episode=episode, session=self.node.session), Nothing)
+            self.node.bus.call("robot", "end", EndRequest(episode=self._episode, session=self.node.session), Nothing)
         except RpcError as error:
             # It may have ended by itself in the meantime; then its last message is on the way.
             refusal = error
         if not self.node.spin(until=lambda: self._ended, timeout_s=10.0):
-            raise refusal or JobError(f"episode {episode} did not end")
+            raise refusal or JobError(f"episode {self._episode} did not end")
 
     def close(self) -> None:
         """Leave the bus."""
         self.node.close()
 
     def _on_event(self, event: Episode) -> None:
-        if self._record is not None and event.episode == self._episode and event.event == "ended":
-            record = self._record
+        record = self._of(event)
+        if record and event.event == "ended":
             record.ticks, record.outcome = event.tick, event.outcome or "aborted"
             # What is decided about the last frame moves nothing any more, and may or may not have arrived by now.
             record.decisions = {tick: kind for tick, kind in record.decisions.items() if tick < event.tick}
@@ -253,18 +225,17 @@ class EpisodeClient:
             self._ended = True
 
     def _on_applied(self, applied: CommandApplied) -> None:
-        if self._record is None or applied.episode != self._episode:
-            return
-        self._alive_s = time.monotonic()
-        self._record.ticks = max(self._record.ticks, applied.tick)
-        if applied.latency_ns is not None and applied.answered_tick is not None:
-            self._record.latencies_ms.setdefault(applied.answered_tick, applied.latency_ns / 1e6)
+        if record := self._of(applied):
+            self._alive_s = time.monotonic()
+            record.ticks = max(record.ticks, applied.tick)
+            if applied.latency_ns is not None and applied.answered_tick is not None:
+                record.latencies_ms.setdefault(applied.answered_tick, applied.latency_ns / 1e6)
 
     def _on_action(self, action: Action) -> None:
-        if self._record is not None and action.episode == self._episode:
-            self._record.decisions[action.tick] = action.kind
+        if record := self._of(action):
+            record.decisions[action.tick] = action.kind
             # The policy speaks also where somebody else drives.
-            self._record.arrived |= action.arrived and self._record.request.driver == "policy"
+            record.arrived |= action.arrived and record.request.driver == "policy"
             # Not the kind says so: the robot also looks around where the state is known but has no way on.
             if action.state is None:
-                self._record.unrecognized.add(action.tick)
+                record.unrecognized.add(action.tick)

@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from services.cli.episodes.client import EpisodeRecord
-from services.simulator.world import World, known_worlds, load_world
+from services.simulator.world import known_worlds, load_world
 from services.simulator.world.map_view import draw_map
 
 #: Half the side of what is shown, in sizes of what happened.
@@ -34,35 +34,28 @@ def draw_routes(world: str | None, records: Sequence[EpisodeRecord]) -> Figure:
     """
     figure = Figure(figsize=(9, 9), layout="constrained")
     axes = figure.add_subplot()
-    there = _map_of(world, records[0].world)
+    # What a robot tells may be the name of a world of ours, but never a path to be read.
+    name = world or (records[0].world if records[0].world in known_worlds() else None)
+    there = None if name is None else load_world(name)
     seen: list[NDArray[np.float64]] = []
-    if there is not None:
-        draw_map(there, axes)
-        seen.append(np.array([(there.start.x, there.start.y), (there.victim.x, there.victim.y)]))
-    labelled: set[str] = set()
     for record in records:
-        if not record.poses:
-            continue
-        xy = np.array([record.poses[tick] for tick in sorted(record.poses)])
-        seen.append(xy)
-        label = None if record.outcome in labelled else record.outcome
-        labelled.add(record.outcome)
-        axes.plot(*xy.T, color=OUTCOME_COLOURS[record.outcome], lw=1.6, alpha=0.75, label=label, zorder=3)
-        axes.plot(*xy[-1], "x", color=OUTCOME_COLOURS[record.outcome], ms=6, zorder=3)
+        if record.poses:
+            xy = np.array([record.poses[tick] for tick in sorted(record.poses)])
+            colour = OUTCOME_COLOURS[record.outcome]
+            axes.plot(*xy.T, color=colour, lw=1.6, alpha=0.75, label=record.outcome, zorder=3)
+            axes.plot(*xy[-1], "x", color=colour, ms=6, zorder=3)
+            seen.append(xy)
     if there is None:
         axes.set(aspect="equal", xlabel="m", ylabel="m")
     else:
+        draw_map(there, axes)
+        seen.append(np.array([(there.start.x, there.start.y), (there.victim.x, there.victim.y)]))
         _look_at(axes, np.concatenate(seen), there.place.bounds)
     # Beside the map, where it hides nothing.
-    figure.legend(loc="outside lower center", ncols=6)
+    handles, labels = axes.get_legend_handles_labels()
+    by_label = dict(zip(labels, handles, strict=True))
+    figure.legend(by_label.values(), by_label.keys(), loc="outside lower center", ncols=6)
     return figure
-
-
-def _map_of(asked: str | None, told: str) -> World | None:
-    """Return the world that was asked for; what a robot tells may be a name of ours, but never a path to be read."""
-    if asked is not None:
-        return load_world(asked)
-    return load_world(told) if told in known_worlds() else None
 
 
 def _look_at(axes: Axes, points: NDArray[np.float64], bounds: tuple[float, float, float, float]) -> None:

@@ -1,4 +1,4 @@
-"""``smal topic echo``, ``hz`` and ``bw``: listening to key expressions, and what the others need to listen too."""
+"""``smal topic echo``, ``hz``, ``bw`` and ``latency``: listening to what crosses the bus."""
 
 from __future__ import annotations
 
@@ -9,18 +9,21 @@ import time
 from collections import defaultdict
 from collections.abc import Iterator
 from contextlib import closing, contextmanager
-from pathlib import Path
-from typing import Annotated, Final, cast
+from typing import Annotated, Any, Final, cast
 
 import typer
 
-from schemas.topics import ROOT
-from services.cli.listening.bandwidth import Sizes, bandwidth_lines, total
-from services.cli.listening.rates import Rate, rate_lines
+from schemas.codec import DecodeError
+from schemas.topics import ACTION, APPLIED, CAMERA, COMMANDS, OBSERVATION, POSE, ROOT, STATE
+from services.cli import options
+from services.cli.listening import arrivals
+from services.cli.listening.arrivals import Arrivals
+from services.cli.listening.latency import ACCEPTED, FRAME, LatencyTrace, rows
 from services.cli.listening.samples import Sample
-from services.cli.options import DEFAULT_ROBOT, Json, Robot, Router, Secure, settings_for
 from services.kit.bus import Bus
+from services.kit.errors import JobError
 from services.kit.inbox import Inbox
+from services.kit.tables import table
 
 #: Samples kept while the terminal is slower than the bus; a raw frame takes 2.4 MB.
 QUEUE: Final = 64
@@ -31,16 +34,15 @@ Keys = Annotated[
         help="Key expression, or a topic's name such as camera/rgb. [default: all of the robot]", metavar="[KEYEXPR]"
     ),
 ]
-Seconds = Annotated[float, typer.Option(min=0.1, max=86400, help="How long to listen; Ctrl-C ends it earlier.")]
+Seconds = Annotated[float, typer.Option(min=0.1, max=3600, help="How long to listen; Ctrl-C ends it earlier.")]
 
 
 def echo(
+    *,
     keys: Keys = None,
     count: Annotated[int | None, typer.Option(min=1, help="End after this many messages.")] = None,
-    as_json: Json = False,
-    robot: Robot = DEFAULT_ROBOT,
-    router: Router = None,
-    secure: Secure = None,
+    as_json: options.Json = False,
+    reach: options.Reach,
 ) -> None:
     """Print every message until Ctrl-C.
 
@@ -50,9 +52,9 @@ def echo(
     """
     inbox = Inbox()
     inbox.open("samples", QUEUE)
-    with listening(robot, router, secure) as bus:
+    with _listening(reach) as bus:
         bus.listen(
-            key_expression(keys, robot),
+            key_expression(keys, reach.robot),
             lambda key, payload, encoding: inbox.put("samples", Sample(key, payload, encoding), len(payload)),
         )
         printed = 0
@@ -67,12 +69,11 @@ def echo(
 
 
 def hz(
+    *,
     keys: Keys = None,
     seconds: Seconds = 5.0,
-    as_json: Json = False,
-    robot: Robot = DEFAULT_ROBOT,
-    router: Router = None,
-    secure: Secure = None,
+    as_json: options.Json = False,
+    reach: options.Reach,
 ) -> None:
     """Measure rate and regularity of each key.
 
@@ -80,27 +81,20 @@ def hz(
 
     Example: smal topic hz camera/rgb --seconds 10
     """
-    expression = key_expression(keys, robot)
-    rates: defaultdict[str, Rate] = defaultdict(Rate)
-    with listening(robot, router, secure) as bus:
-        # Counted on Zenoh's thread, where the time of arrival is true; one subscription, so one thread.
-        bus.listen(expression, lambda key, payload, _: rates[key].add(len(payload), time.monotonic()))
-        wait(expression, seconds)
+    heard, _ = _hear(keys, seconds, reach)
+    rates = {key: one.rates() for key, one in heard.items()}
     if as_json:
-        say(json.dumps({key: rate.record() for key, rate in sorted(rates.items())}, indent=2))
-    elif not rates:
-        _silence(expression)
-    else:
-        say("\n".join(rate_lines(rates)))
+        say(json.dumps(rates, indent=2))
+    elif rates:
+        say("\n".join(arrivals.lines(rates, arrivals.RATES)))
 
 
 def bw(
+    *,
     keys: Keys = None,
     seconds: Seconds = 5.0,
-    as_json: Json = False,
-    robot: Robot = DEFAULT_ROBOT,
-    router: Router = None,
-    secure: Secure = None,
+    as_json: options.Json = False,
+    reach: options.Reach,
 ) -> None:
     """Measure bandwidth and size of messages.
 
@@ -109,21 +103,93 @@ def bw(
 
     Example: smal topic bw 'camera/*' --seconds 10
     """
-    expression = key_expression(keys, robot)
-    sizes: defaultdict[str, Sizes] = defaultdict(Sizes)
-    started_s = time.monotonic()
-    with listening(robot, router, secure) as bus:
-        bus.listen(expression, lambda key, payload, _: sizes[key].add(len(payload)))
-        started_s = time.monotonic()
-        wait(expression, seconds)
-    elapsed_s = time.monotonic() - started_s
+    heard, elapsed_s = _hear(keys, seconds, reach)
+    sizes = {key: arrivals.sizes([one], elapsed_s) for key, one in heard.items()}
+    total = arrivals.sizes(heard.values(), elapsed_s)
     if as_json:
-        keyed = {key: one.record(elapsed_s) for key, one in sorted(sizes.items())}
-        say(json.dumps({"seconds": elapsed_s, "keys": keyed, "total": total(sizes).record(elapsed_s)}, indent=2))
-    elif not sizes:
-        _silence(expression)
+        say(json.dumps({"seconds": elapsed_s, "keys": sizes, "total": total}, indent=2))
+    elif sizes:
+        say("\n".join(arrivals.lines(sizes | {"total": total}, arrivals.SIZES)))
+
+
+def latency(
+    *,
+    seconds: Seconds = 10.0,
+    camera: Annotated[
+        bool, typer.Option("--camera", help="Time camera/rgb itself; for a robot without pose/truth.")
+    ] = False,
+    as_json: options.Json = False,
+    reach: options.Reach,
+) -> None:
+    """Break down the time from frame to command.
+
+    Every hop is timed by the arrival of its messages here, on one clock. A frame begins with its pose/truth: the
+    simulator sends it in the same instant, right before the image, and it is small. Listening to the images
+    themselves (--camera) would have the router send every one of them, 2.4 MB, once more, which slows down what is
+    measured; and their arrival here would hide how long they travel.
+
+    Beside it stands what the actuator measures on its own clock, from the frame's readiness to the acceptance of its
+    command. In real time it tells what it does at the next frame, so "-> command/applied" is up to 100 ms there.
+
+    Example: smal topic latency --seconds 30
+    """
+    frames = CAMERA if camera else POSE
+    trace = LatencyTrace(frames.name)
+    bad: list[str] = []
+
+    def take(key: str, payload: bytes, encoding: str) -> None:
+        # On Zenoh's thread, where the time of arrival is true.
+        now_s = time.monotonic()
+        try:
+            trace.see(Sample(key, payload, encoding).decoded(), now_s)
+        except DecodeError:
+            bad.append(key)
+
+    with _listening(reach) as bus:
+        for topic in (frames, OBSERVATION, STATE, ACTION, *COMMANDS.values(), APPLIED):
+            # Images in a session of their own, so that nothing else waits behind them; the rest in one, in order.
+            bus.listen(topic.key(bus.robot), take, lane="ordinary" if topic is CAMERA else "urgent")
+        wait(f"frames ({frames.name}) and commands of {bus.robot}", seconds)
+    if bad:
+        typer.echo(f"smal: {len(bad)} messages could not be decoded; see smal topic echo", err=True)
+    if not trace.drivers():
+        raise JobError(_why_nothing(trace, frames.name, reach.robot))
+    if as_json:
+        say(json.dumps(_record(trace, frames.name, reach.robot), indent=2))
     else:
-        say("\n".join(bandwidth_lines(sizes, elapsed_s)))
+        say("\n".join(table(list(_rows(trace)))))
+
+
+def _why_nothing(trace: LatencyTrace, frames: str, robot: str) -> str:
+    if not trace.commands:
+        return f"nobody drove {robot}; drive it with smal teleop, or smal run --connect, and measure again"
+    if not trace.frames and frames == POSE.name:
+        return f"commands to {robot} came, but no {POSE.name}; for a robot without it: smal topic latency --camera"
+    return f"{trace.commands} commands to {robot} came, but none for any of the {trace.frames} frames seen"
+
+
+def _record(trace: LatencyTrace, frames: str, robot: str) -> dict[str, Any]:
+    drivers = {
+        driver: {
+            name: [
+                {"from": start, "to": end} | spread
+                for (start, end), spread in trace.breakdown(driver, decisions_only=name == "decisions").items()
+            ]
+            for name in ("all", "decisions")
+        }
+        for driver in trace.drivers()
+    }
+    return {"robot": robot, "frame": frames, "frames": trace.frames, "drivers": drivers}
+
+
+def _rows(trace: LatencyTrace) -> Iterator[list[str]]:
+    for driver in trace.drivers():
+        found = trace.breakdown(driver)
+        # A source that commands while a higher one drives is measured as well, up to its command.
+        yield from rows(f"{driver}, every tick" if (FRAME, ACCEPTED) in found else f"{driver}, not obeyed", found)
+        decisions = trace.breakdown(driver, decisions_only=True)
+        if driver == "policy" and decisions:
+            yield from rows(f"{driver}, ticks with a decision", decisions)
 
 
 def key_expression(keys: str | None, robot: str) -> str:
@@ -133,10 +199,25 @@ def key_expression(keys: str | None, robot: str) -> str:
     return keys if keys == ROOT or keys.startswith((f"{ROOT}/", "*")) else f"{ROOT}/{robot}/{keys}"
 
 
+def _hear(keys: str | None, seconds: float, reach: options.Reach) -> tuple[dict[str, Arrivals], float]:
+    """Listen; return what came on each key, in their order, and for how many seconds it was listened."""
+    expression = key_expression(keys, reach.robot)
+    heard: defaultdict[str, Arrivals] = defaultdict(Arrivals)
+    began_s = time.monotonic()
+    with _listening(reach) as bus:
+        # Noted on Zenoh's thread, where the time of arrival is true; one subscription, so one thread.
+        bus.listen(expression, lambda key, payload, _: heard[key].add(len(payload), time.monotonic()))
+        began_s = time.monotonic()
+        wait(expression, seconds)
+    if not heard:
+        typer.echo(f"smal: nothing was published on {expression}", err=True)
+    return dict(sorted(heard.items())), time.monotonic() - began_s
+
+
 @contextmanager
-def listening(robot: str, router: str | None, secure: Path | None) -> Iterator[Bus]:
+def _listening(reach: options.Reach) -> Iterator[Bus]:
     """Connect to the bus; Ctrl-C, and a reader that closed the pipe, end the listening and nothing else."""
-    with closing(settings_for(robot, router, secure).open_bus("watcher", CONNECT_S)) as bus:
+    with closing(reach.settings.open_bus("watcher", CONNECT_S)) as bus:
         try:
             yield bus
         except KeyboardInterrupt:
@@ -154,9 +235,5 @@ def wait(what: str, seconds: float) -> None:
 
 def say(text: str) -> None:
     """Print a line at once, also into a pipe."""
-    sys.stdout.write(f"{text}\n")
+    typer.echo(text)
     sys.stdout.flush()
-
-
-def _silence(expression: str) -> None:
-    typer.echo(f"smal: nothing was published on {expression}", err=True)

@@ -1,20 +1,15 @@
-"""What came from the bus: as one line for ``smal topic echo``, as one JSON object, or the header alone."""
+"""What came from the bus: as one line for ``smal topic echo``, or as one JSON object."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from typing import Final
 
-import msgpack
-from pydantic import ValidationError
-
 from schemas.base import Message
-from schemas.codec import DecodeError, decode, describe, misfit, printable
-from schemas.topics import Topic, key_of, topic_of
+from schemas.codec import DecodeError, decode, printable
+from schemas.topics import key_of, topic_of
 
 MOST_ITEMS: Final = 12
-#: The header is at most 143 bytes.
-HEADER_BYTES: Final = 256
 
 
 @dataclass(frozen=True)
@@ -44,7 +39,7 @@ class Sample:
     def record(self) -> dict[str, object]:
         """Return the sample for JSON: the fields, or why there are none; of binary data the length only."""
         try:
-            return {"key": self.key, "message": without_binary(self.decoded().model_dump())}
+            return {"key": self.key, "message": _without_binary(self.decoded().model_dump())}
         except DecodeError as error:
             return {"key": self.key, "error": str(error), "bytes": len(self.payload)}
 
@@ -57,39 +52,12 @@ class Sample:
         return f"{printable(self.key)}  " + " ".join(f"{name}={_text(value)}" for name, value in fields.items())
 
 
-def header_of(topic: Topic, payload: bytes, encoding: str) -> Message:
-    """Read robot, episode, tick and stamp off the beginning of a payload, and nothing else.
-
-    It takes microseconds for any message, a raw image among them; the rest of the payload is not looked at.
-
-    Raises
-    ------
-    DecodeError
-        When the payload does not begin as a message of the topic does.
-    """
-    if (why := misfit(topic.message, encoding, len(payload))) is not None:
-        raise DecodeError(why)
-    unpacker = msgpack.Unpacker(max_buffer_size=HEADER_BYTES)
-    unpacker.feed(payload[:HEADER_BYTES])
-    fields: dict[str, object] = {}
-    try:
-        # Field by field, as they were written: the four of the header come first.
-        for _ in range(min(unpacker.read_map_header(), len(Message.model_fields))):
-            name = unpacker.unpack()
-            fields[name] = unpacker.unpack()
-        return Message.model_validate(fields)
-    except ValidationError as error:
-        raise DecodeError(f"{topic.name}: {describe(error)}") from None
-    except (ValueError, TypeError, msgpack.exceptions.UnpackException) as error:
-        raise DecodeError(f"{topic.name}: no header: {printable(str(error) or type(error).__name__)}") from None
-
-
-def without_binary(value: object) -> object:
+def _without_binary(value: object) -> object:
     """Return a copy of plain data in which every ``bytes`` has given way to its length."""
     if isinstance(value, bytes):
         return {"bytes": len(value)}
     if isinstance(value, dict):
-        return {name: without_binary(part) for name, part in value.items()}
+        return {name: _without_binary(part) for name, part in value.items()}
     return value
 
 

@@ -13,6 +13,7 @@ encoder: what zenoh-cli puts has Zenoh's default encoding, which every service r
 from __future__ import annotations
 
 import json
+import re
 
 from schemas.codec import encoding_of, printable
 from schemas.topics import ROOT, topic_of
@@ -20,23 +21,18 @@ from services.cli.listening.samples import Sample
 
 
 def decode_to_json(key: str, value: bytes) -> str:
-    """Return a payload as one line of JSON.
+    """Return a payload as one line of JSON: the message's fields, of binary data only the length.
 
     Parameters
     ----------
     key
         The key that it came on; zenoh-cli passes an object that is no string but prints as one.
     value
-        The payload: a message on a topic, or the JSON of a call under ``rpc/``.
-
-    Returns
-    -------
-    str
-        The message's fields, of binary data only the length. For what is no message of that key an object with
-        ``error`` and ``bytes``; no exception, which zenoh-cli would log with a traceback.
+        The payload: a message on a topic, or the JSON of a call under ``rpc/``. For what is no message of that key the
+        line is an object with ``error`` and ``bytes``: zenoh-cli would log an exception with a traceback.
     """
     key = str(key)
-    if _is_call(key):
+    if re.match(f"{ROOT}/[^/]*/rpc/", key):
         try:
             return json.dumps(json.loads(value))
         except (ValueError, RecursionError) as error:
@@ -45,8 +41,3 @@ def decode_to_json(key: str, value: bytes) -> str:
     record = Sample(key, value, "" if topic is None else encoding_of(topic.message)).record()
     del record["key"]
     return json.dumps(record.get("message", record))
-
-
-def _is_call(key: str) -> bool:
-    root, _, rest = key.partition("/")
-    return root == ROOT and rest.partition("/")[2].startswith("rpc/")

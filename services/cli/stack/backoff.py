@@ -14,16 +14,7 @@ STEADY_S: Final = 60.0
 
 
 class Backoff:
-    """Spaces the starts of one service.
-
-    A service that worked for a while comes back at once; one that dies at every start does not take the machine
-    from the others, nor fill the log.
-
-    Parameters
-    ----------
-    clock
-        Monotonic seconds.
-    """
+    """Spaces the starts of one service: one that worked comes back at once, one that keeps dying ever less often."""
 
     def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
         self._clock = clock
@@ -35,17 +26,16 @@ class Backoff:
         self._began_s = self._clock()
         self._due_s: float | None = None
 
-    @property
-    def mourned(self) -> bool:
-        """Whether the death of the service is known."""
-        return self._due_s is not None
+    def mourn(self) -> bool:
+        """Note that the service is dead; return whether that is new."""
+        if self._due_s is not None:
+            return False
+        if self._clock() - self._began_s >= STEADY_S:
+            self._spacing_s = FIRST_S
+        self._due_s = self._began_s + self._spacing_s
+        self._spacing_s = min(2 * self._spacing_s, LONGEST_S)
+        return True
 
     def wait_s(self) -> float:
-        """Return how long the dead service still has to wait; the first call notes its death."""
-        now_s = self._clock()
-        if self._due_s is None:
-            if now_s - self._began_s >= STEADY_S:
-                self._spacing_s = FIRST_S
-            self._due_s = self._began_s + self._spacing_s
-            self._spacing_s = min(2 * self._spacing_s, LONGEST_S)
-        return max(0.0, self._due_s - now_s)
+        """Return how long a service that is mourned still has to wait, seconds."""
+        return 0.0 if self._due_s is None else max(0.0, self._due_s - self._clock())

@@ -6,7 +6,6 @@ import logging
 import os
 import time
 from collections.abc import Callable, Mapping
-from functools import partial
 from pathlib import Path
 from typing import Final
 
@@ -15,7 +14,7 @@ from services.kit.errors import JobError
 #: Who has hardly used the processor for so long hangs; a service that waits for another one gives up long before.
 HANGS_S: Final = 60.0
 #: Share of a processor: whoever is connected and waits uses a tenth of it, who works beside a hundred others more.
-_LEAST_SHARE: Final = 0.01
+LEAST_SHARE: Final = 0.01
 #: How often whoever waits is told.
 _TELL_S: Final = 10.0
 _log = logging.getLogger("stack")
@@ -30,29 +29,6 @@ def processor_s(pid: int) -> float:
     return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
 
 
-class Worker:
-    """Tells whether a process works or hangs, by the processor time that it uses.
-
-    Parameters
-    ----------
-    used_s
-        Processor time so far.
-    clock
-        Monotonic seconds.
-    """
-
-    def __init__(self, used_s: Callable[[], float], clock: Callable[[], float] = time.monotonic) -> None:
-        self._used_s, self._clock = used_s, clock
-        self._before, self._since_s = used_s(), clock()
-
-    def hangs(self) -> bool:
-        """Whether it has hardly done anything for `HANGS_S`; to be asked now and then."""
-        used_s, now_s = self._used_s(), self._clock()
-        if used_s - self._before > _LEAST_SHARE * HANGS_S:
-            self._before, self._since_s = used_s, now_s
-        return now_s - self._since_s > HANGS_S
-
-
 class Patience:
     """Waits for services, tells whom it waits for and how long already, and gives up on one that hangs.
 
@@ -60,27 +36,46 @@ class Patience:
     ----------
     last_line
         What a service said last of what it is doing; empty where that is not known.
+    used_s
+        Processor time of a process, seconds.
+    clock
+        Monotonic seconds.
     """
 
-    def __init__(self, last_line: Callable[[str], str]) -> None:
-        self._last_line = last_line
-        self._began_s = time.monotonic()
+    def __init__(
+        self,
+        last_line: Callable[[str], str],
+        used_s: Callable[[int], float] = processor_s,
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self._last_line, self._used_s, self._clock = last_line, used_s, clock
+        self._began_s = clock()
         self._told_s = 0.0
-        self._workers: dict[str, Worker] = {}
+        #: When each service was last known to work, and how much processor time it had used by then.
+        self._worked: dict[str, tuple[float, float]] = {}
 
-    def wait(self, pids: Mapping[str, int]) -> None:
-        """Wait a little for services that are not ready, given with their process ids.
+    def check(self, pids: Mapping[str, int]) -> float:
+        """Look at services that are not ready, given with their process ids; return how long they are waited for.
 
         Raises
         ------
         JobError
-            When one of them hangs.
+            When one of them has hardly done anything for `HANGS_S`.
         """
-        waited_s = time.monotonic() - self._began_s
+        now_s = self._clock()
+        waited_s = now_s - self._began_s
         for service, pid in pids.items():
-            worker = self._workers.setdefault(service, Worker(partial(processor_s, pid)))
-            if worker.hangs():
+            used_s = self._used_s(pid)
+            since_s, before_s = self._worked.setdefault(service, (now_s, used_s))
+            if used_s - before_s > LEAST_SHARE * HANGS_S:
+                self._worked[service] = now_s, used_s
+            elif now_s - since_s > HANGS_S:
                 raise JobError(f"{service} hangs: not ready after {waited_s:.0f} s{self._doing(service)}")
+        return waited_s
+
+    def wait(self, pids: Mapping[str, int]) -> None:
+        """Wait a little for services; see `check`."""
+        waited_s = self.check(pids)
         if waited_s - self._told_s >= _TELL_S:
             self._told_s = waited_s
             for service in pids:

@@ -10,16 +10,14 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import closing, contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
-from types import TracebackType
 from typing import Final, Self
 
 from schemas.rpc import Nothing, Status
 from services.cli.interrupts import interrupted_by_signals
-from services.cli.options import check_robot, settings_for
 from services.cli.stack.backoff import Backoff
 from services.cli.stack.child import tied
 from services.cli.stack.patience import Patience
@@ -39,6 +37,12 @@ def free_endpoint() -> str:
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
         return f"tcp/127.0.0.1:{probe.getsockname()[1]}"
+
+
+def flags(**values: object) -> tuple[str, ...]:
+    """Turn keyword arguments into flags of a service; None leaves one out."""
+    given = {name: str(value) for name, value in values.items() if value is not None}
+    return tuple(part for name, value in given.items() for part in (f"--{name.replace('_', '-')}", value))
 
 
 @dataclass(frozen=True)
@@ -77,15 +81,18 @@ class Stack:
         self.plan = plan
         self._children: dict[str, subprocess.Popen[bytes]] = {}
         self._backoffs: dict[str, Backoff] = {}
-        self._logs = plan.logs
 
     @property
     def settings(self) -> ServiceSettings:
         """How to reach it; nothing but the plan says who gets in."""
         return ServiceSettings(
-            robot=self.plan.robot, router=self.plan.endpoint, secure=self.plan.secure, tls_ca=None, tls_cert=None,
+            robot=self.plan.robot,
+            router=self.plan.endpoint,
+            secure=self.plan.secure,
+            tls_ca=None,
+            tls_cert=None,
             tls_key=None,
-        )  # fmt: skip
+        )
 
     def __enter__(self) -> Self:
         try:
@@ -101,41 +108,34 @@ class Stack:
             raise
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_error: object) -> None:
         self.stop()
 
     def check(self) -> None:
         """Raise JobError, with the last line of its log, if a service has ended."""
-        for service, child in self._children.items():
-            if child.poll() is not None:
-                raise JobError(self._epitaph(service, child))
+        for service in self._dead():
+            raise JobError(self._epitaph(service))
 
     def restart_dead(self) -> list[str]:
-        """Start again the services that have ended, one that keeps dying less and less often.
+        """Start again the services that have ended, one that keeps dying less and less often; return which.
 
-        Returns
-        -------
-        list of str
-            Those that were started now.
+        What died is said once.
         """
-        dead = {service: child for service, child in self._children.items() if child.poll() is not None}
-        for service, child in dead.items():
+        for service in self._dead():
             backoff = self._backoffs[service]
-            if not backoff.mourned:
+            if backoff.mourn():
                 wait_s = backoff.wait_s()
                 when = f"in {wait_s:.1f} s" if wait_s else "now"
-                _log.warning("%s; it is started again %s", self._epitaph(service, child), when)
-        due = [service for service in dead if self._backoffs[service].wait_s() <= 0.0]
+                _log.warning("%s; it is started again %s", self._epitaph(service), when)
+        due = [service for service in self._dead() if self._backoffs[service].wait_s() <= 0.0]
         for service in due:
             self._start(service)
         return due
 
     def stop(self) -> None:
         """Ask every service to stop, router last, and end those that do not within five seconds."""
-        router_last = sorted(self._children, key=lambda service: service == "router")
-        for group in ([s for s in router_last if s != "router"], [s for s in router_last if s == "router"]):
+        routers = [service for service in self._children if service == "router"]
+        for group in ([service for service in self._children if service not in routers], routers):
             for service in group:
                 self._children[service].send_signal(signal.SIGTERM)
             deadline = time.monotonic() + STOP_TIMEOUT_S
@@ -144,27 +144,28 @@ class Stack:
         self._children.clear()
 
     def _start(self, service: str) -> None:
-        environment = {name: value for name, value in os.environ.items() if name not in _KEYS} | {
-            "SMAL_ROBOT": self.plan.robot,
-            "SMAL_ROUTER": self.plan.endpoint,
-        }
-        if self.plan.secure is not None:
-            environment["SMAL_SECURE"] = str(self.plan.secure.resolve())
+        plan = self.plan
+        environment = {name: value for name, value in os.environ.items() if name not in _KEYS}
+        environment |= {"SMAL_ROBOT": plan.robot, "SMAL_ROUTER": plan.endpoint}
+        if plan.secure is not None:
+            environment["SMAL_SECURE"] = str(plan.secure.resolve())
         # The solves are small: a second BLAS thread only takes the other service's core.
         environment.setdefault("OPENBLAS_NUM_THREADS", "1")
-        # In a session of its own, so that Ctrl-C reaches this process alone; `tied` ends it with this one.
-        module = self.plan.modules.get(service)
+        module = plan.modules.get(service)
         program = SERVICES[service].command if module is None else ("-m", module)
-        command = tied(sys.executable, *program, *self.plan.flags.get(service, ()))
+        command = tied(sys.executable, *program, *plan.flags.get(service, ()))
         self._backoffs.setdefault(service, Backoff()).begin()
-        if self._logs is None:
-            self._children[service] = subprocess.Popen(command, env=environment, start_new_session=True)  # noqa: S603
-            return
-        self._logs.mkdir(parents=True, exist_ok=True)
-        with self._log(service).open("ab") as log:
+        if plan.logs is not None:
+            plan.logs.mkdir(parents=True, exist_ok=True)
+        log = None if plan.logs is None else (plan.logs / f"{service}.log").open("ab")
+        try:
+            # In a session of its own, so that Ctrl-C reaches this process alone; `tied` ends it with this one.
             self._children[service] = subprocess.Popen(  # noqa: S603
                 command, env=environment, stdout=log, stderr=log, start_new_session=True
             )
+        finally:
+            if log is not None:
+                log.close()
 
     def _reach_router(self) -> Bus:
         """Connect to the router; notice at once when it could not start."""
@@ -185,18 +186,20 @@ class Stack:
             self.check()
             patience.wait({service: self._children[service].pid for service in waiting})
 
-    def _log(self, service: str) -> Path:
-        assert self._logs is not None  # noqa: S101 - only asked where logs go to files
-        return self._logs / f"{service}.log"
+    def _dead(self) -> list[str]:
+        return [service for service, child in self._children.items() if child.poll() is not None]
 
-    def _epitaph(self, service: str, child: subprocess.Popen[bytes]) -> str:
-        if child.returncode < 0:
-            return f"{service} was killed by {signal.Signals(-child.returncode).name}"
-        return f"{service}: {self._last_line(service) or f'it ended with status {child.returncode}'}"
+    def _epitaph(self, service: str) -> str:
+        status = self._children[service].returncode
+        if status < 0:
+            return f"{service} was killed by {signal.Signals(-status).name}"
+        return f"{service}: {self._last_line(service) or f'it ended with status {status}'}"
 
     def _last_line(self, service: str) -> str:
         """Return what a service said last; nothing where it said it to this terminal."""
-        lines = [] if self._logs is None else self._log(service).read_text(errors="replace").strip().splitlines()
+        if self.plan.logs is None:
+            return ""
+        lines = (self.plan.logs / f"{service}.log").read_text(errors="replace").strip().splitlines()
         return lines[-1].split(f" {service}: ", 1)[-1] if lines else ""
 
 
@@ -213,12 +216,6 @@ def _end(child: subprocess.Popen[bytes], deadline: float) -> None:
     except subprocess.TimeoutExpired:
         child.kill()
         child.wait()
-
-
-def flags(**values: object) -> tuple[str, ...]:
-    """Turn keyword arguments into flags; None leaves one out."""
-    pairs: Iterable[tuple[str, object]] = ((k, v) for k, v in values.items() if v is not None)
-    return tuple(part for key, value in pairs for part in (f"--{key.replace('_', '-')}", str(value)))
 
 
 @dataclass(frozen=True)
@@ -242,19 +239,17 @@ class Access:
 
 @contextmanager
 def stack_for(
-    connect: str | None,
+    running: ServiceSettings | None,
     services: tuple[str, ...],
     robot: str,
     service_flags: Mapping[str, tuple[str, ...]],
-    secure: Path | None = None,
     logs: Path | None = None,
 ) -> Iterator[Access]:
-    """Use the running stack at ``connect``, or start one for as long as the context lasts."""
+    """Use a running stack, or start one for as long as the context lasts; only this machine reaches that."""
     with interrupted_by_signals():
-        if connect is not None:
-            yield Access(settings_for(robot, connect, secure), lambda: None, None)
+        if running is not None:
+            yield Access(running, lambda: None, None)
             return
         logs = logs or Path(tempfile.mkdtemp(prefix="smal-logs-"))
-        # Not secured: it lasts as long as this command, and only this machine reaches it.
-        with Stack(StackPlan(services, check_robot(robot), free_endpoint(), service_flags, logs=logs)) as stack:
+        with Stack(StackPlan(services, robot, free_endpoint(), service_flags, logs=logs)) as stack:
             yield Access(stack.settings, stack.check, logs)

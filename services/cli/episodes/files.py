@@ -1,0 +1,66 @@
+"""The user's files in the hands of a stack's services: what they call them, and the recorder that writes them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import Final
+
+from tqdm import tqdm
+
+from schemas.rpc import Nothing, RecordReply, RecordRequest, Status
+from services.kit.bus import Bus, RpcError
+from services.kit.errors import UsageError
+from services.kit.root import name_below
+
+#: The last file's disk may be slow; after a failure nobody wants to wait for it as long.
+STOP_TIMEOUT_S: Final = 30.0
+STOP_AFTER_FAILURE_TIMEOUT_S: Final = 5.0
+
+
+def name_for(bus: Bus, service: str, path: Path, option: str) -> str:
+    """Return the name of a path below the root of a service.
+
+    Raises
+    ------
+    UsageError
+        When it is elsewhere.
+    RpcError
+        When the service does not answer.
+    """
+    root = bus.call(service, "status", Nothing(), Status).detail.get("root")
+    name = name_below(Path(str(root)), path)
+    if name is None:
+        raise UsageError(
+            f"{option} {path}: the {service} of this stack takes only what is below {root}; put it there, or start the "
+            "stack with --root"
+        )
+    return name
+
+
+@contextmanager
+def recording(bus: Bus, folder: Path, option: str) -> Iterator[list[str]]:
+    """Record every episode into a folder; give the list of the finished recordings, which is filled at the end.
+
+    A stack that goes on running is told to stop recording after a failure as well.
+
+    Raises
+    ------
+    UsageError
+        When the recorder does not write there; `option` names the folder then.
+    """
+    request = RecordRequest(folder=name_for(bus, "recorder", folder, option))
+    bus.call("recorder", "start", request, Nothing)
+    files: list[str] = []
+    try:
+        yield files
+    except BaseException:
+        # What failed is the news, and not that the recorder may be gone with it.
+        with suppress(RpcError):
+            bus.call("recorder", "stop", Nothing(), RecordReply, STOP_AFTER_FAILURE_TIMEOUT_S)
+        raise
+    reply = bus.call("recorder", "stop", Nothing(), RecordReply, STOP_TIMEOUT_S)
+    files.extend(reply.files)
+    if reply.dropped:
+        tqdm.write(f"warning: the recorder dropped {reply.dropped} messages; smal learn cuts recordings at gaps")
