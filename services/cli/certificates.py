@@ -59,10 +59,7 @@ class Finding(NamedTuple):
 def begin(folder: Path, robot: str) -> None:
     """Make an authority; one that is there before stays known, so that what it has signed goes on to be taken.
 
-    Raises
-    ------
-    OSError
-        When the folder cannot be written to.
+    Raises OSError when the folder cannot be written to.
     """
     key = ec.generate_private_key(ec.SECP256R1())
     # Named apart, so that of two only the one that has signed is tried.
@@ -78,10 +75,7 @@ def begin(folder: Path, robot: str) -> None:
 def issue(folder: Path, hosts: Iterable[str], days: float = DAYS) -> None:
     """Make a certificate of every role, signed by the newest authority, in place of what is there.
 
-    Raises
-    ------
-    UsageError
-        When the authority's key is not there or is no authority's of the folder.
+    Raises UsageError when the authority's key is not there or is no authority's of the folder.
     """
     authority = read_authority(folder)
     for role in roles():
@@ -111,13 +105,7 @@ def certificate_of(
 
 
 def check_host(host: str) -> str:
-    """Return a host's name or address.
-
-    Raises
-    ------
-    UsageError
-        When it is none.
-    """
+    """Return a host's name or address; raises UsageError when it is none."""
     try:
         ipaddress.ip_address(host)
     except ValueError:
@@ -129,10 +117,7 @@ def check_host(host: str) -> str:
 def names_of_router(folder: Path) -> list[str]:
     """Return the names and addresses that the router's certificate has; none where there is no such certificate.
 
-    Raises
-    ------
-    UsageError
-        When its file is no certificate.
+    Raises UsageError when its file is no certificate.
     """
     path = folder / f"{ROUTER}{CERTIFICATE_SUFFIX}"
     if not path.exists():
@@ -147,10 +132,7 @@ def names_of_router(folder: Path) -> list[str]:
 def robot_of(authority: Authority) -> str:
     """Return whose bus an authority is for.
 
-    Raises
-    ------
-    UsageError
-        When it does not say so, because `smal secure init` has not made it.
+    Raises UsageError when it does not say so, because `smal secure init` has not made it.
     """
     name = authority.certificate.subject.rfc4514_string()
     found = re.fullmatch(r"CN=smal (\S+) \w+", name)
@@ -162,10 +144,7 @@ def robot_of(authority: Authority) -> str:
 def retire(folder: Path) -> int:
     """Forget all authorities but the newest; return how many were forgotten.
 
-    Raises
-    ------
-    UsageError
-        When a certificate in the folder would be of no use any more.
+    Raises UsageError when a certificate in the folder would be of no use any more.
     """
     newest = read_authority(folder).certificate
     for one in _of_roles(folder, [newest]):
@@ -179,10 +158,7 @@ def retire(folder: Path) -> int:
 def read_authority(folder: Path) -> Authority:
     """Read the authority that signs, and its key: of those in the folder, the one whose key is there.
 
-    Raises
-    ------
-    UsageError
-        When they are not there, or do not belong together.
+    Raises UsageError when they are not there, or do not belong together.
     """
     path = folder / CA_KEY_FILE
     authorities = _authorities(folder)
@@ -199,13 +175,7 @@ def read_authority(folder: Path) -> Authority:
 
 
 def require(folder: Path, needed: Iterable[str]) -> None:
-    """Check the authorities in a folder, and the certificates of some roles.
-
-    Raises
-    ------
-    UsageError
-        When one is of no use.
-    """
+    """Check the authorities in a folder, and some roles' certificates; raises UsageError when one is of no use."""
     files = {CA_FILE, *(f"{role}{CERTIFICATE_SUFFIX}" for role in needed)}
     for one in check(folder):
         if one.file in files and not one.ok:
@@ -213,13 +183,7 @@ def require(folder: Path, needed: Iterable[str]) -> None:
 
 
 def check(folder: Path) -> Iterator[Finding]:
-    """Look at every certificate in a folder.
-
-    Raises
-    ------
-    UsageError
-        When it has no authority.
-    """
+    """Look at every certificate in a folder; raises UsageError when it has no authority."""
     authorities = _authorities(folder)
     for k, authority in enumerate(authorities):
         name = CA_FILE if k == 0 else f"{CA_FILE}, older"

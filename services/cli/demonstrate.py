@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
 from contextlib import closing
 from pathlib import Path
 from typing import Annotated
 
 import typer
 from tqdm import tqdm
+from typer import Option
 
 from schemas import topics
 from schemas.episode import Purpose
@@ -25,13 +25,13 @@ from services.kit.errors import UsageError
 def demonstrate(
     *,
     world: options.World = None,
-    episodes: Annotated[int, typer.Option(min=0, help="Full drives from the start to the victim.")] = 1,
+    episodes: Annotated[int, Option(min=0, help="Full drives from the start to the victim.")] = 1,
     recoveries: Annotated[
-        int, typer.Option(min=0, help="Short drives that begin off the route and come back, for the paper's scheme.")
+        int, Option(min=0, help="Short drives that begin off the route and come back, for the paper's scheme.")
     ] = 0,
     seed: options.Seed = 1,
     goal: options.GoalOfDrives = "victim",
-    out: Annotated[Path, typer.Option(help="Folder for the recordings, one MCAP file a drive.")] = Path("recordings"),
+    out: Annotated[Path, Option(help="Folder for the recordings, one MCAP file a drive.")] = Path("recordings"),
     simulator: options.Simulator,
     modalities: options.Modalities = None,
     stack: options.Running,
@@ -77,8 +77,10 @@ def _record(requests: list[ResetRequest], access: Access, out: Path, world: str 
         client.node.subscribe(topics.OBSERVATION, expert.handle, depth=4)
         client.node.bus.wait_connected(5.0)
         with recording(client.node.bus, out, "--out") as recorded:
-            for request, progress in _with_progress(requests):
-                record = client.run(request, expert.begin, lambda: expert.arrived, progress, access.check, world=name)
+            driven = client.run_all(
+                requests, access, "demonstrating", world=name, on_begin=expert.begin, done=lambda: expert.arrived
+            )
+            for record in driven:
                 _complain(record)
                 records.append(record)
                 if len(records) in {1, len(requests)}:
@@ -86,32 +88,14 @@ def _record(requests: list[ResetRequest], access: Access, out: Path, world: str 
     return len(recorded)
 
 
-def _with_progress(requests: list[ResetRequest]) -> Iterator[tuple[ResetRequest, Callable[[int], None]]]:
-    """Give each request with a function that moves the bar; the estimate learns from the drives so far."""
-    drive_ticks = 500.0
-    with tqdm(desc="demonstrating", unit="frame", dynamic_ncols=True) as bar:
-        driven: int = 0
-        for k, request in enumerate(requests):
-            left = sum(RECOVERY_TICKS if r.purpose == "recovery" else drive_ticks for r in requests[k:])
-            bar.total = driven + round(left)
-            bar.set_postfix_str(f"{request.purpose} {k + 1}/{len(requests)}")
-            yield request, lambda tick, before=driven: bar.update(before + tick - bar.n)  # type: ignore[misc]
-            if request.purpose == "drive":
-                drive_ticks += (bar.n - driven - drive_ticks) / (k + 1)
-            driven = int(bar.n)
-        bar.total = driven
-
-
 def _draw(world: str | None, records: list[EpisodeRecord], picture: Path) -> None:
-    from services.cli.episodes.route_map import draw_routes  # noqa: PLC0415 - matplotlib takes a second to import
+    from services.cli.episodes.report import draw_routes  # noqa: PLC0415 - matplotlib takes a second to import
 
     draw_routes(world, records).savefig(picture, dpi=110)
     tqdm.write(f"picture of {len(records)} drives: {picture}")
 
 
 def _complain(record: EpisodeRecord) -> None:
-    name = f"{record.request.purpose} with seed {record.request.seed}"
-    if record.outcome == "collision":
-        tqdm.write(f"warning: {name} ended in a collision; smal learn leaves it out")
-    elif record.request.purpose == "drive" and record.outcome != "found":
-        tqdm.write(f"warning: {name} did not reach the victim ({record.outcome}); smal learn leaves it out")
+    purpose, outcome = record.request.purpose, record.outcome
+    if outcome == "collision" or (purpose == "drive" and outcome != "found"):
+        tqdm.write(f"warning: {purpose} with seed {record.request.seed} ended as {outcome}; smal learn leaves it out")

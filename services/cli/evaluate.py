@@ -7,6 +7,7 @@ from typing import Annotated, Any
 
 import typer
 from tqdm import tqdm
+from typer import Option
 
 from services.cli import options, outputs
 from services.cli.interrupts import interrupted_by_signals
@@ -18,14 +19,14 @@ from services.kit.errors import UsageError
 
 
 def evaluate(
-    out: Annotated[Path, typer.Option(help="Folder for the results; where it has some already, it goes on.")],
-    quick: Annotated[bool, typer.Option(help="In some minutes: fewer drives, lengths and runs.")] = False,
+    out: Annotated[Path, Option(help="Folder for the results; where it has some already, it goes on.")],
+    quick: Annotated[bool, Option(help="In some minutes: fewer drives, lengths and runs.")] = False,
     world: Annotated[
         str | None,
-        typer.Option(help="In this world instead, for example an imported map: SMAL and teach and repeat, one drive."),
+        Option(help="In this world instead, for example an imported map: SMAL and teach and repeat, one drive."),
     ] = None,
-    workers: Annotated[int, typer.Option(min=1, max=64, help="Processes at work, one core each.")] = 2,
-    report_only: Annotated[bool, typer.Option("--report-only", help="Only write the page of what is done.")] = False,
+    workers: Annotated[int, Option(min=1, max=64, help="Processes at work, one core each.")] = 2,
+    report_only: Annotated[bool, Option("--report-only", help="Only write the page of what is done.")] = False,
 ) -> None:
     """Run the paper's experiments in simulation, and write a page with their figures.
 

@@ -9,6 +9,7 @@ from typing import Annotated, cast
 
 import typer
 from tqdm import tqdm
+from typer import Argument, Option
 
 from services.cli import outputs
 from services.exporters.drives import Drive, ExportFailure, read
@@ -20,16 +21,16 @@ from services.recordings.dataset import find_recordings
 
 
 def export_recordings(
-    format_: Annotated[str, typer.Argument(metavar="FORMAT", help=f"One of {', '.join(FORMATS)}.")],
-    recordings: Annotated[list[Path], typer.Argument(help="Recordings, or folders of them.")],
-    out: Annotated[Path, typer.Option(help="Folder to be made.")],
+    format_: Annotated[str, Argument(metavar="FORMAT", help=f"One of {', '.join(FORMATS)}.")],
+    recordings: Annotated[list[Path], Argument(help="Recordings, or folders of them.")],
+    out: Annotated[Path, Option(help="Folder to be made.")],
     speed: Annotated[
         float | None,
-        typer.Option(min=0, max=50, metavar="M_S", help="Of forward, metres a second. [default: by the odometry]"),
+        Option(min=0, max=50, metavar="M_S", help="Of forward, metres a second. [default: by the odometry]"),
     ] = None,
     turn_rate: Annotated[
         float | None,
-        typer.Option(min=0, max=100, metavar="RAD_S", help="Of left, radians a second. [default: by the odometry]"),
+        Option(min=0, max=100, metavar="RAD_S", help="Of left, radians a second. [default: by the odometry]"),
     ] = None,
 ) -> None:
     """Write recordings as other software reads them.

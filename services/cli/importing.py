@@ -8,16 +8,16 @@ import os
 import subprocess
 import sys
 from collections.abc import Iterator
-from contextlib import suppress
+from contextlib import closing, suppress
 from pathlib import Path
 from typing import Annotated, Any, Final
 
 import typer
-from pydantic import ValidationError
-from tqdm import tqdm
+from typer import Argument, Option
 
-from schemas.codec import describe, printable
+from schemas.codec import printable
 from services.cli import options, outputs
+from services.cli.progress import Bars
 from services.cli.stack.child import tied
 from services.importers.atoms import QUANTILE, STILL, TURNING
 from services.importers.job import FORMATS, Job, Report, check_format
@@ -28,66 +28,26 @@ _COMMAND: Final = (sys.executable, "-P", "-m", "services.importers.run")
 
 
 def import_recordings(
-    format_: Annotated[str, typer.Argument(metavar="FORMAT", help=f"One of {', '.join(FORMATS)}.")],
-    path: Annotated[Path, typer.Argument(help="The source: a folder, or of a bag the file.")],
-    out: Annotated[Path, typer.Option(help="Folder for the recordings, one MCAP file a drive.")] = Path("recordings"),
+    format_: Annotated[str, Argument(metavar="FORMAT", help=f"One of {', '.join(FORMATS)}.")],
+    path: Annotated[Path, Argument(help="The source: a folder, or of a bag the file.")],
+    out: Annotated[Path, Option(help="Folder for the recordings, one MCAP file a drive.")] = Path("recordings"),
     goal: options.GoalOfDrives = "victim",
-    failed: Annotated[
-        bool | None,
-        typer.Option(
-            "--failed/--succeeded",
-            help="Whether the drives reached the goal. [default: as the source says, or else that they did]",
-        ),
-    ] = None,
-    camera: Annotated[str | None, typer.Option(help="Which camera: a bag's topic, a LeRobot feature.")] = None,
-    velocity: Annotated[
-        str | None, typer.Option(help="Which velocities: a bag's topic, or LINEAR,ANGULAR of a LeRobot action.")
-    ] = None,
-    episode: Annotated[
-        list[str] | None, typer.Option(help="Only this drive, by the source's own name; may be repeated.")
-    ] = None,
-    from_s: Annotated[
-        float, typer.Option("--from", min=0, metavar="S", help="Leave out each drive's first seconds.")
-    ] = 0.0,
-    to_s: Annotated[
-        float | None, typer.Option("--to", min=0, metavar="S", help="Leave out what comes after so many seconds.")
-    ] = None,
-    rate: Annotated[
-        float | None,
-        typer.Option(min=0.1, max=1000, metavar="HZ", help="Frames a second, where the source's times are wrong."),
-    ] = None,
-    speed: Annotated[
-        float | None,
-        typer.Option(
-            metavar="M_S", help="Metres a second that a speed of 1 stands for. [default: 1; of donkeycar unknown]"
-        ),
-    ] = None,
-    turn_rate: Annotated[
-        float | None,
-        typer.Option(
-            metavar="RAD_S",
-            help="Radians a second that a turn rate of 1 stands for. [default: 1; of x.vel and theta.vel pi/180]",
-        ),
-    ] = None,
-    quantile: Annotated[
-        float, typer.Option(help="The nominal speed is that which so many of the moving samples do not exceed.")
-    ] = QUANTILE,
-    still: Annotated[
-        float, typer.Option(help="Below this fraction of the nominal velocities the robot stands.")
-    ] = STILL,
-    turning: Annotated[float, typer.Option(help="From this fraction of the nominal turn rate on it turns.")] = TURNING,
+    failed: Annotated[bool | None, Option("--failed/--succeeded", help="Whether the drives reached the goal.")] = None,
+    camera: Annotated[str | None, Option(help="Which camera: a bag's topic, a LeRobot feature.")] = None,
+    velocity: Annotated[str | None, Option(help="Which velocities; see above.")] = None,
+    episode: Annotated[list[str] | None, Option(help="Only this drive, by the source's name; may be repeated.")] = None,
+    from_s: Annotated[float, Option("--from", min=0, metavar="S", help="Leave out each drive's first seconds.")] = 0.0,
+    to_s: Annotated[float | None, Option("--to", min=0, metavar="S", help="Leave out what comes after.")] = None,
+    rate: Annotated[float | None, Option(min=0.1, max=1000, metavar="HZ", help="Where times are wrong.")] = None,
+    speed: Annotated[float | None, Option(metavar="M_S", help="What a speed of 1 stands for.")] = None,
+    turn_rate: Annotated[float | None, Option(metavar="RAD_S", help="What a turn rate of 1 stands for.")] = None,
+    quantile: Annotated[float, Option(help="So many moving samples are at most as fast as nominal.")] = QUANTILE,
+    still: Annotated[float, Option(help="Below this fraction of nominal the robot stands.")] = STILL,
+    turning: Annotated[float, Option(help="From this fraction of the nominal turn rate on it turns.")] = TURNING,
     field_of_view: Annotated[
-        float | None,
-        typer.Option(
-            min=5,
-            max=170,
-            metavar="DEG",
-            help="Of the camera, across. [default: the source's, or learning estimates it]",
-        ),
+        float | None, Option(min=5, max=170, metavar="DEG", help="Of the camera, across. [default: the source's]")
     ] = None,
-    no_odometry: Annotated[
-        bool, typer.Option("--no-odometry", help="Do not reckon a way from velocities where there is no odometry.")
-    ] = False,
+    no_odometry: Annotated[bool, Option("--no-odometry", help="Reckon no way from velocities.")] = False,
     robot: options.Robot = options.DEFAULT_ROBOT,
     json_file: options.JsonFile = None,
 ) -> None:
@@ -98,49 +58,40 @@ def import_recordings(
     (v2.0, v2.1, v3.0) of a base. donkeycar: a tub of version 2. folder: images and a drive.csv with the columns image,
     time_s, linear_m_s, angular_rad_s (and episode, success, x_m, y_m, heading_rad).
 
+    Unless the source or --failed says otherwise, drives reached the goal. --velocity is a bag's topic, or
+    LINEAR,ANGULAR of a LeRobot action. A speed of 1 is 1 m/s (of donkeycar unknown), a turn rate of 1 is 1 rad/s (of
+    x.vel and theta.vel a degree a second). --rate is for a source whose times are wrong.
+
     Whatever rate the source has, a recording has 10 frames a second. Velocities become the atoms forward, backward,
     left, right and stop by --still and --turning, fractions of the robot's own nominal speed and turn rate. What does
     not fit is counted and said. Images that are JPEG stay as they are. No file outside of PATH is read.
 
     Example: smal import donkeycar tub --rate 20 --to 25 --out drives
     """
-    check_format(format_)
+    form = check_format(format_)
     outputs.check_file(json_file, "--json")
     if to_s is not None and to_s <= from_s:
         raise UsageError(f"--to {to_s:g}: is not after --from {from_s:g}")
-    # What was not asked for has the job's own default.
-    given: dict[str, Any] = {"to_s": to_s, "success": None if failed is None else not failed}
-    given |= {"camera": camera, "velocity": velocity, "rate_hz": rate, "speed": speed, "turn_rate": turn_rate}
-    if field_of_view is not None:
-        given["focal"] = 0.5 / math.tan(math.radians(field_of_view) / 2.0)
     with outputs.made_folder(out, "--out"), outputs.workshop(out, ".import-") as folder:
-        job = _job(
-            {name: value for name, value in given.items() if value is not None},
-            {"format": format_, "path": str(path), "folder": str(folder), "robot": robot, "goal": goal},
-            {"reckon": not no_odometry, "from_s": from_s, "quantile": quantile, "still": still, "turning": turning},
-            {"episodes": tuple(episode or ())},
-        )
+        job = Job(
+            format=form, path=str(path), folder=str(folder), robot=robot, goal=goal,
+            success=None if failed is None else not failed, reckon=not no_odometry,
+            from_s=from_s, **{} if to_s is None else {"to_s": to_s},
+            focal=None if field_of_view is None else 0.5 / math.tan(math.radians(field_of_view) / 2.0),
+            quantile=quantile, still=still, turning=turning, camera=camera, velocity=velocity, rate_hz=rate,
+            speed=speed, turn_rate=turn_rate, episodes=tuple(episode or ()),
+        )  # fmt: skip
         remarks, report = _run(job)
-        files = [_published(Path(file), out) for file in report.files]
+        files = []
+        for made in map(Path, report.files):
+            files.append(free_path(out, made.stem))
+            publish(made, files[-1])
     for remark in remarks:
         sys.stderr.write(f"smal: {remark}\n")
     if json_file is not None:
         content = report.model_dump(mode="json") | {"files": [str(file) for file in files], "remarks": remarks}
         outputs.write_json(json_file, "--json", content)
     typer.echo("\n".join(_lines(report, job, files, out)))
-
-
-def _job(*given: dict[str, Any]) -> Job:
-    try:
-        return Job(**{name: value for each in given for name, value in each.items()})
-    except ValidationError as error:
-        raise UsageError(describe(error)) from None
-
-
-def _published(file: Path, out: Path) -> Path:
-    path = free_path(out, file.stem)
-    publish(file, path)
-    return path
 
 
 def _run(job: Job) -> tuple[list[str], Report]:
@@ -171,12 +122,11 @@ def _listen(child: subprocess.Popen[str]) -> dict[str, Any]:
     """Show the progress; return the last that was said."""
     last: dict[str, Any] = {}
     assert child.stdout is not None  # noqa: S101 - by PIPE
-    with tqdm(desc="importing", unit="frame", dynamic_ncols=True, disable=None) as bar:
+    with closing(Bars("frame")) as bars:
         for line in child.stdout:
             last = json.loads(line)
             if "done" in last:
-                bar.total = last["total"]
-                bar.update(last["done"] - bar.n)
+                bars("importing", last["done"], last["total"])
     return last
 
 

@@ -8,13 +8,14 @@ import time
 from dataclasses import asdict, replace
 from functools import partial
 from pathlib import Path
-from typing import Annotated, Any, NoReturn
+from typing import Annotated, Any
 
 import typer
-from tqdm import tqdm
+from typer import Argument, Option
 
 from schemas.rpc import Scheme
 from services.cli import options, outputs
+from services.cli.progress import Bars
 from services.experiments.matching.report import described_by
 from services.kit.errors import JobError, UsageError
 from services.kit.model_service import AnyModel
@@ -31,42 +32,22 @@ from smal.paper.template_store import MemoryBoundError
 
 
 def learn(
-    recordings: Annotated[list[Path], typer.Argument(help="Recordings (MCAP), or folders of them.")],
-    out: Annotated[Path, typer.Option(help="Where to write the model.")],
-    length: Annotated[int | None, typer.Option(min=1, help="Paper: frames of a sequence, l. [default: 5]")] = None,
-    lambda1: Annotated[float | None, typer.Option(help="Paper: of Eq. 7. [default: 0.1 sqrt(l)]")] = None,
-    lambda2: Annotated[float | None, typer.Option(help="Paper: of Eq. 7. [default: 0.1 sqrt(l)]")] = None,
-    scheme: Annotated[
-        Scheme,
-        typer.Option(help="filter: a map of views, which the robot follows; paper: the paper's states and policy."),
-    ] = "filter",
+    recordings: Annotated[list[Path], Argument(help="Recordings (MCAP), or folders of them.")],
+    out: Annotated[Path, Option(help="Where to write the model.")],
+    length: Annotated[int | None, Option(min=1, help="Paper: frames of a sequence, l. [default: 5]")] = None,
+    lambda1: Annotated[float | None, Option(help="Paper: of Eq. 7. [default: 0.1 sqrt(l)]")] = None,
+    lambda2: Annotated[float | None, Option(help="Paper: of Eq. 7. [default: 0.1 sqrt(l)]")] = None,
+    scheme: Annotated[Scheme, Option(help="filter: a map of views; paper: the paper's states and policy.")] = "filter",
     tau: Annotated[
-        float | None,
-        typer.Option(
-            min=0,
-            max=1e6,
-            help="Paper: threshold of the test for new states (Eq. 8), for each query frame. [default: 0.5]",
-        ),
+        float | None, Option(min=0, max=1e6, help="Paper: threshold for a new state, a query frame. [default: 0.5]")
     ] = None,
-    gamma: Annotated[float | None, typer.Option(help="Paper: discount factor. [default: 0.95]")] = None,
+    gamma: Annotated[float | None, Option(help="Paper: discount factor. [default: 0.95]")] = None,
     modalities: options.Modalities = None,
     weights: options.Weights = None,
-    include_runs: Annotated[
-        bool, typer.Option(help="Learn also from runs in which the robot found the victim.")
-    ] = False,
-    memory: Annotated[
-        int | None,
-        typer.Option(
-            min=1,
-            metavar="MIB",
-            help="Paper: stop, rather than take more memory than this for templates and their inner products: "
-            "4 n (n + m) bytes for n template frames of m features. [default: no limit]",
-        ),
-    ] = None,
+    include_runs: Annotated[bool, Option(help="Learn also from runs in which the robot found the victim.")] = False,
+    memory: Annotated[int | None, Option(min=1, metavar="MIB", help="Paper: stop rather than take more.")] = None,
     json_file: options.JsonFile = None,
-    progress: Annotated[
-        bool, typer.Option("--progress", help="Print progress as lines of JSON, for a program that waits.")
-    ] = False,
+    progress: Annotated[bool, Option("--progress", help="Print progress as lines of JSON, for a program.")] = False,
 ) -> None:
     """Learn the taught ways from recorded drives: a map of views, or with --scheme paper the paper's model.
 
@@ -74,6 +55,9 @@ def learn(
     scheme alone; drives that did not reach the victim, collisions, and the robot's own runs teach nothing. What is left
     out of a recording is said on standard error. Only camera, wheel odometry and applied commands are used, never true
     poses.
+
+    With --scheme paper --tau is the threshold of Eq. 8; --memory bounds templates and their inner products, 4 n (n + m)
+    bytes for n template frames of m features.
 
     The modalities may be any of those in a recording. All but depth can also be computed from the recorded images; a
     map has no depth.
@@ -89,7 +73,7 @@ def learn(
     outputs.check_file(json_file, "--json")
     files = find_recordings(recordings)
     features = _features(files, scheme, modalities, weights)
-    bar = _Lines() if progress else _StageBar()
+    bar = _Lines() if progress else Bars()
     try:
         teaching = _read(files, features, settings.sequence_length if scheme == "paper" else 2, include_runs, bar)
         model, found = _learn(teaching, scheme, replace(settings, features=features), bar)
@@ -119,12 +103,12 @@ def _settings(scheme: Scheme, given: dict[str, Any]) -> LearningSettings:
     if scheme == "filter":
         for name, value in given.items():
             raise UsageError(f"--{name} {value}: only the paper's scheme has it; give --scheme paper")
-    names = {"length": "sequence_length", "lambda1": "lambda1", "lambda2": "lambda2", "gamma": "gamma"}
-    chosen = {names[name]: value for name, value in given.items() if name in names}
-    if "memory" in given:
-        chosen["max_bytes"] = given["memory"] * 2**20
+    names = {"length": "sequence_length", "memory": "max_bytes"}
+    chosen = {names.get(name, name): value for name, value in given.items()}
+    if "max_bytes" in chosen:
+        chosen["max_bytes"] *= 2**20
     try:
-        test = {"tau": given.get("tau", WeightTest().tau)}
+        test = {"tau": chosen.pop("tau", WeightTest().tau)}
         return LearningSettings(**chosen, novelty="weight", novelty_parameters=test)
     except ValueError as error:
         raise UsageError(str(error)) from None
@@ -161,29 +145,8 @@ class _Lines:
         """Have nothing to end."""
 
 
-class _StageBar:
-    """A progress bar that begins anew with every stage."""
-
-    def __init__(self) -> None:
-        self._bar: tqdm[NoReturn] | None = None
-        self._stage = ""
-
-    def __call__(self, stage: str, done: int, total: int) -> None:
-        if self._bar is None or stage != self._stage:
-            self.close()
-            # disable=None: no bars in a log file or a pipe, where the remarks would drown in them.
-            self._stage, self._bar = stage, tqdm(desc=stage, dynamic_ncols=True, disable=None)
-        self._bar.total = total
-        self._bar.update(done - self._bar.n)
-
-    def close(self) -> None:
-        if self._bar is not None:
-            self._bar.close()
-            self._bar = None
-
-
 def _read(
-    files: list[Path], features: FeatureSettings, shortest: int, include_runs: bool, bar: _Lines | _StageBar
+    files: list[Path], features: FeatureSettings, shortest: int, include_runs: bool, bar: _Lines | Bars
 ) -> Teaching:
     teacher = Teacher(features, shortest, include_runs=include_runs)
     for number, path in enumerate(files):
@@ -202,7 +165,7 @@ def _read(
 
 
 def _learn(
-    teaching: Teaching, scheme: Scheme, settings: LearningSettings, bar: _Lines | _StageBar
+    teaching: Teaching, scheme: Scheme, settings: LearningSettings, bar: _Lines | Bars
 ) -> tuple[AnyModel, dict[str, Any]]:
     """Return the model, and what is told of it."""
     drives = teaching.demonstrations

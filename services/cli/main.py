@@ -10,6 +10,7 @@ from importlib import import_module
 from typing import Annotated, Any, Final, cast
 
 import typer
+from typer import Option
 from typer.core import TyperCommand, TyperGroup
 
 from services.cli.grouping import STYLE, grouped
@@ -90,7 +91,7 @@ def _version(wanted: bool) -> None:
 @app.callback()
 def smal(
     version: Annotated[
-        bool, typer.Option("--version", callback=_version, is_eager=True, help="Show the version and exit.")
+        bool, Option("--version", callback=_version, is_eager=True, help="Show the version and exit.")
     ] = False,
 ) -> None:
     """Teach a robot to find a victim by driving it there; match places.

@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from contextlib import closing
 from pathlib import Path
-from typing import Annotated, Final, cast
+from typing import Annotated, Final
 
 import typer
-from tqdm import tqdm
+from typer import Argument, Option
 
 from services.cli import options, outputs
+from services.cli.progress import Bars
 from services.experiments.matching.image_folder import (
     ImageFolder,
     describe_frames,
@@ -27,82 +28,26 @@ from smal.place_recognition import Matches
 from smal.place_recognition.methods import METHODS, MatchSettings, Method
 
 _PLOT_FORMATS: Final = (".png", ".svg", ".pdf")
-_METHODS: Final = "; ".join(f"{name}: {method.meaning}" for name, method in METHODS.items())
-
-
-def _defaults(of: Callable[[Method], object]) -> str:
-    """Say in one bracket what every method does unless told otherwise; those that have nothing are left out."""
-    names: dict[str, list[str]] = {}
-    for name, method in METHODS.items():
-        if of(method) is not None:
-            names.setdefault(str(of(method)), []).append(name)
-    said = "; ".join(f"{value} ({', '.join(those)})" for value, those in names.items())
-    return f"[default: {said}]"
-
-
-_DEFAULT_LENGTHS: Final = _defaults(lambda method: method.length)
-_DEFAULT_PENALTIES: Final = _defaults(lambda method: method.penalty)
+_METHODS: Final = "; ".join(
+    f"{name}: {method.meaning} (l = {method.length}" + (f", penalty {method.penalty:g})" if method.penalty else ")")
+    for name, method in METHODS.items()
+)
 
 
 def match(
-    reference_dir: Annotated[
-        Path, typer.Argument(metavar="REFERENCE_DIR", help="Folder with the images of the traverse that is known.")
-    ],
-    query_dir: Annotated[
-        Path, typer.Argument(metavar="QUERY_DIR", help="Folder with the images of the traverse to be recognized.")
-    ],
-    name: Annotated[
-        str, typer.Option("--method", metavar="NAME", help=f"How places are recognized. {_METHODS}.")
-    ] = "smal",
-    length: Annotated[
-        int | None, typer.Option(min=1, help=f"Frames of a window, l. {_DEFAULT_LENGTHS}", show_default=False)
-    ] = None,
+    reference_dir: Annotated[Path, Argument(help="Folder with the images of the traverse that is known.")],
+    query_dir: Annotated[Path, Argument(help="Folder with the images of the traverse to be recognized.")],
+    name: Annotated[str, Option("--method", help=f"How places are recognized. {_METHODS}.")] = "smal",
+    length: Annotated[int | None, Option(min=1, help="Frames of a window, l. [default: the method's]")] = None,
     modalities: options.Modalities = None,
     weights: options.Weights = None,
-    penalty: Annotated[
-        float | None,
-        typer.Option(
-            help="Weight of the regularization, above 0 and below 1 (smal and image: as a share of the one for which "
-            f"nothing matches; paper: a in lambda1 = lambda2 = a sqrt(l)). {_DEFAULT_PENALTIES}",
-            show_default=False,
-        ),
-    ] = None,
-    tau: Annotated[
-        float | None,
-        typer.Option(
-            min=-1e6,
-            max=1e6,
-            help="Leave out matches with a score of at most this; --truth judges what is left. [default: keep all]",
-        ),
-    ] = None,
-    reference_depth: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="DIR",
-            help="For the modality depth: 16-bit images in millimetres, one for each image of REFERENCE_DIR, in the "
-            "same order.",
-        ),
-    ] = None,
-    query_depth: Annotated[
-        Path | None, typer.Option(metavar="DIR", help="The same for the images of QUERY_DIR.")
-    ] = None,
-    truth: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="CSV",
-            help="What is right: a file with the columns query, reference_first, reference_last, one row a query, "
-            "frames counted from 0, the last included (7,20,24). A query that no reference shows has the row 7,, and "
-            "one without a row is not judged. Adds the area under the precision-recall curve (AUC) and the recall at "
-            "100 % precision.",
-        ),
-    ] = None,
+    penalty: Annotated[float | None, Option(help="Weight of the regularization; see above.")] = None,
+    tau: Annotated[float | None, Option(min=-1e6, max=1e6, help="Leave out scores of at most this.")] = None,
+    reference_depth: Annotated[Path | None, Option(metavar="DIR", help="For the modality depth; see above.")] = None,
+    query_depth: Annotated[Path | None, Option(metavar="DIR", help="The same for QUERY_DIR.")] = None,
+    truth: Annotated[Path | None, Option(metavar="CSV", help="What is right; see above.")] = None,
     json_file: options.JsonFile = None,
-    plot: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="FILE", help="Draw the matches, as PNG, SVG or PDF; with --truth also precision and recall."
-        ),
-    ] = None,
+    plot: Annotated[Path | None, Option(metavar="FILE", help="Draw the matches, as PNG, SVG or PDF.")] = None,
 ) -> None:
     """Find for every image of one folder the image of another that was taken at the same place.
 
@@ -114,6 +59,14 @@ def match(
 
     What all images of a folder have in common, as its light, is taken away (but by paper): matching is not causal, and
     the more queries there are, the better it works.
+
+    --penalty is above 0 and below 1: with smal and image a share of the one for which nothing matches, with paper a in
+    lambda1 = lambda2 = a sqrt(l). Depth images have 16 bits, in millimetres; --reference-depth has one for each image
+    of REFERENCE_DIR, in the same order.
+
+    The file of --truth has the columns query, reference_first, reference_last, one row a query, frames counted from 0,
+    the last included (7,20,24). A query that no reference shows has the row 7,, and one without a row is not judged. It
+    adds the area under the precision-recall curve (AUC) and the recall at 100 % precision, with --tau of what is left.
 
     The JSON has "method", "length", "tau", "modalities", "weights", "penalty"; the folders' paths as "references" and
     "queries" and the names of their frames, read or not; "matches", one for each query frame: {"query", "reference",
@@ -163,10 +116,7 @@ def choose(
 ) -> tuple[Method, MatchSettings]:
     """Take a method of the table, and its own settings where nothing is asked for.
 
-    Raises
-    ------
-    UsageError
-        When there is no such method, or it does not work with that setting.
+    Raises UsageError when there is no such method, or it does not work with that setting.
     """
     if name not in METHODS:
         raise UsageError(f"--method {name}: unknown; known are {', '.join(METHODS)}")
@@ -225,9 +175,9 @@ def _check_windows(traverses: Traverses, length: int) -> None:
 
 def _match(method: Method, traverses: Traverses, settings: MatchSettings) -> Matches:
     references, queries = traverses.reference_frames.features, traverses.query_frames.features
-    with tqdm(total=len(queries), desc="matching", unit="frame", dynamic_ncols=True, disable=None) as bar:
+    with closing(Bars("frame")) as bars:
         try:
-            return method.match(references, queries, settings, lambda done: cast("None", bar.update(done - bar.n)))
+            return method.match(references, queries, settings, lambda done: bars("matching", done, len(queries)))
         except ValueError as error:
             raise JobError(f"cannot match these folders: {error}") from None
         except MemoryError:

@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 import sys
+from contextlib import closing
 from pathlib import Path
 from typing import Annotated
 
 import typer
 from tqdm import tqdm
+from typer import Argument, Option
 
 from services.cli import outputs
 from services.cli.grouping import STYLE
+from services.cli.progress import Bars
 from services.experiments.showing.summary import lines
 from services.kit.errors import JobError, UsageError
 from services.kit.model_service import load_model
@@ -28,11 +31,11 @@ def model_commands() -> None:
 
 @app.command("show")
 def show(
-    file: Annotated[Path, typer.Argument(metavar="MODEL", help="Model file, made by `smal learn`.")],
-    out: Annotated[Path | None, typer.Option(help="Write a page with pictures to this folder.")] = None,
+    file: Annotated[Path, Argument(metavar="MODEL", help="Model file, made by `smal learn`.")],
+    out: Annotated[Path | None, Option(help="Write a page with pictures to this folder.")] = None,
     recordings: Annotated[
         list[Path] | None,
-        typer.Option(help="What it was learned from, recordings (MCAP) or folders of them; may be given again."),
+        Option(help="What it was learned from, recordings (MCAP) or folders of them; may be given again."),
     ] = None,
 ) -> None:
     """Say what a model is; with --out show it on a page.
@@ -60,21 +63,14 @@ def show(
     from services.experiments.showing.drives import find_drives  # noqa: PLC0415
     from services.experiments.showing.page import write_page  # noqa: PLC0415
 
-    found = None
-    # disable=None: no bars in a log file or a pipe.
-    if files is not None:
-        found = find_drives(model, tqdm(files, desc="reading", unit="file", disable=None))
-        for line in (*found.remarks, *(f"missing: {one}" for one in found.missing)):
-            sys.stderr.write(f"smal: {line}\n")
-    with tqdm(dynamic_ncols=True, disable=None) as bar:
-
-        def advance(what: str, done: int, total: int) -> None:
-            bar.set_description(what, refresh=False)
-            bar.total = total
-            bar.update(done - bar.n)
-
+    with closing(Bars()) as bars:
+        found = None
+        if files is not None:
+            found = find_drives(model, tqdm(files, desc="reading", unit="file", disable=None))
+            for line in (*found.remarks, *(f"missing: {one}" for one in found.missing)):
+                sys.stderr.write(f"smal: {line}\n")
         try:
-            page = write_page(out, model, file, found, advance)
+            page = write_page(out, model, file, found, bars)
         except ValueError as error:
             raise JobError(f"{file}: {error}") from None
     typer.echo(f"results: {page}")

@@ -9,6 +9,7 @@ from typing import Annotated, Any, Final, Self, TypeVar
 
 import typer
 from pydantic import TypeAdapter, ValidationError
+from typer import Option
 
 from schemas.codec import describe
 from schemas.episode import GoalName
@@ -28,6 +29,7 @@ from smal.files.container import ModelError
 
 DEFAULT_ROBOT: Final = "rescuebot"
 DEFAULT_WORLD: Final = "campus"
+_ROUTERS: Final = f"{DEFAULT_ROUTER}; with --secure {DEFAULT_SECURE_ROUTER}"
 T = TypeVar("T")
 
 
@@ -74,48 +76,29 @@ def _variation(name: str) -> str:
 
 _goal = checked(TypeAdapter(GoalName).validate_python)
 Robot = Annotated[
-    str,
-    typer.Option(
-        envvar="SMAL_ROBOT", parser=checked(check_robot_id), metavar="ID", help="Robot id, part of every topic's key."
-    ),
+    str, Option(envvar="SMAL_ROBOT", parser=checked(check_robot_id), metavar="ID", help="Robot id, part of every key.")
 ]
 Secure = Annotated[
-    Path | None,
-    typer.Option(envvar="SMAL_SECURE", help="Folder of certificates, made by `smal secure init`."),
+    Path | None, Option(envvar="SMAL_SECURE", help="Folder of certificates, made by `smal secure init`.")
 ]
-Json = Annotated[bool, typer.Option("--json", help="Print JSON.")]
-JsonFile = Annotated[Path | None, typer.Option("--json", metavar="FILE", help="Write the results as JSON.")]
+Json = Annotated[bool, Option("--json", help="Print JSON.")]
+JsonFile = Annotated[Path | None, Option("--json", metavar="FILE", help="Write the results as JSON.")]
 World = Annotated[
     str | None,
-    typer.Option(
-        help="World: a name, such as campus or indoor, or the path of an OpenStreetMap or world file. "
-        "[default: campus; with --connect whatever the robot is in]",
-    ),
+    Option(help="A name, such as indoor, or a map's or world's file. [default: campus; with --connect the robot's]"),
 ]
-Seed = Annotated[int, typer.Option(min=0, help="Seed of the first episode; episode k uses SEED + k.")]
+Seed = Annotated[int, Option(min=0, help="Seed of the first episode; episode k uses SEED + k.")]
 CameraSize = Annotated[
     Camera | None,
-    typer.Option(
-        "--camera",
-        parser=Camera.parse,
-        metavar="SIZE",
-        help="Camera image, WIDTHxHEIGHT; smaller renders faster. [default: 1024x768; of `smal up` 640x480]",
-    ),
+    Option("--camera", parser=Camera.parse, metavar="WxH", help="Image. [default: 1024x768; of `smal up` 640x480]"),
 ]
-Goal = Annotated[
-    str | None, typer.Option(parser=_goal, metavar="NAME", help="Where to go, in a model with several goals.")
-]
+Goal = Annotated[str | None, Option(parser=_goal, metavar="NAME", help="Where to go, in a model with several goals.")]
 GoalOfDrives = Annotated[
-    str,
-    typer.Option(
-        parser=_goal,
-        metavar="NAME",
-        help="Name of the place that the drives lead to, for `smal run --goal` with what is learned.",
-    ),
+    str, Option(parser=_goal, metavar="NAME", help="Where the drives lead, by the name for `smal run --goal`.")
 ]
 Modalities = Annotated[
     FeatureSettings | None,
-    typer.Option(
+    Option(
         "--modalities",
         parser=checked(FeatureSettings.parse),
         metavar="NAMES",
@@ -124,8 +107,7 @@ Modalities = Annotated[
     ),
 ]
 Weights = Annotated[
-    str | None,
-    typer.Option(metavar="NUMBERS", help="How much each modality counts, in their order. [default: all the same]"),
+    str | None, Option(metavar="NUMBERS", help="How much each modality counts, in their order. [default: all the same]")
 ]
 
 
@@ -135,12 +117,7 @@ class Reach:
 
     robot: Robot = DEFAULT_ROBOT
     router: Annotated[
-        str | None,
-        typer.Option(
-            envvar="SMAL_ROUTER",
-            help="Address of the stack's Zenoh router. "
-            f"[default: {DEFAULT_ROUTER}; with --secure {DEFAULT_SECURE_ROUTER}]",
-        ),
+        str | None, Option(envvar="SMAL_ROUTER", help=f"The Zenoh router's address. [default: {_ROUTERS}]")
     ] = None
     secure: Secure = None
 
@@ -156,21 +133,11 @@ class Simulator:
     """How a simulator is started; None leaves a setting at its default."""
 
     camera: CameraSize = None
-    shake: Annotated[
-        float | None,
-        typer.Option(min=0, max=10, help="How much the camera shakes in driving. [default: 1 indoors, 0 outdoors]"),
-    ] = None
-    base: Annotated[
-        BaseKind | None,
-        typer.Option(help="physics: driven wheels with mass and friction; kinematic: exact arcs. [default: physics]"),
-    ] = None
+    shake: Annotated[float | None, Option(min=0, max=10, help="Of the camera. [default: 1 indoors, 0 outdoors]")] = None
+    base: Annotated[BaseKind | None, Option(help="Driven wheels, or exact arcs. [default: physics]")] = None
     variation: Annotated[
         str | None,
-        typer.Option(
-            parser=checked(_variation),
-            metavar="NAME",
-            help=f"Conditions other than those of a fair day: {', '.join(VARIATIONS)}. [default: day]",
-        ),
+        Option(parser=checked(_variation), metavar="NAME", help=f"Of {', '.join(VARIATIONS)}. [default: day]"),
     ] = None
 
     def flags(self, world: str, usual: Camera = USUAL_CAMERA) -> tuple[str, ...]:
@@ -184,13 +151,9 @@ class Simulator:
 class Running:
     """Which stack a command works with: one that runs, or one of its own."""
 
-    connect: Annotated[
-        str | None,
-        typer.Option(
-            help=f"Use the running stack whose router is at this address (`smal up`: {DEFAULT_ROUTER}; with --secure "
-            f"{DEFAULT_SECURE_ROUTER})."
-        ),
-    ] = None
+    connect: Annotated[str | None, Option(help=f"Use the stack that runs at this router (`smal up`: {_ROUTERS}).")] = (
+        None
+    )
     secure: Secure = None
     robot: Robot = DEFAULT_ROBOT
 
@@ -202,13 +165,7 @@ class Running:
         return ServiceSettings(robot=self.robot, router=self.connect, secure=self.secure)
 
     def refuse(self, simulator: Simulator, modalities: FeatureSettings | None) -> None:
-        """Refuse with `connect` what the running stack has already.
-
-        Raises
-        ------
-        UsageError
-            When there is something of it.
-        """
+        """Refuse with `connect` what the running stack has already; raises UsageError when there is something of it."""
         for name, value in (asdict(simulator) | {"modalities": modalities}).items():
             if value is not None and self.connect is not None:
                 raise UsageError(f"--{name}: with --connect the running stack has its own; give it to `smal up`")
@@ -216,10 +173,7 @@ class Running:
     def world(self, world: str | None) -> tuple[str, str | None]:
         """Return the world of a stack that is started, and the name that the robot's world must have, if any.
 
-        Raises
-        ------
-        UsageError
-            When there is no such world, or its file is no map.
+        Raises UsageError when there is no such world, or its file is no map.
         """
         chosen = world or DEFAULT_WORLD
         return chosen, None if world is None and self.connect is not None else read_world(chosen).name
@@ -229,25 +183,15 @@ class Running:
 class Use:
     """How a model is used."""
 
-    scheme: Annotated[
-        Scheme | None, typer.Option(help="Refuse a model that was not learned for this scheme, filter or paper.")
-    ] = None
-    stride: Annotated[
-        int | None,
-        typer.Option(
-            min=1, help="Frames from one decision to the next, of the paper's scheme. [default: the model's l]"
-        ),
-    ] = None
+    scheme: Annotated[Scheme | None, Option(help="Refuse a model that was learned for another scheme.")] = None
+    stride: Annotated[int | None, Option(min=1, help="Paper: frames a decision. [default: the model's l]")] = None
     goal: Goal = None
 
 
 def read_world(world: str) -> LoadedWorld:
     """Read the world of ``--world``, to say what is wrong with it before the processes start.
 
-    Raises
-    ------
-    UsageError
-        When there is no such world, or its file is no map.
+    Raises UsageError when there is no such world, or its file is no map.
     """
     try:
         return load_world(world)
@@ -258,10 +202,7 @@ def read_world(world: str) -> LoadedWorld:
 def read_model(path: Path, scheme: Scheme | None, stride: int | None = None, goal: str | None = None) -> AnyModel:
     """Read the model of ``--model``, for which ``--scheme``, ``--stride`` and ``--goal`` must be right.
 
-    Raises
-    ------
-    UsageError
-        When the file is no model, or cannot be used so.
+    Raises UsageError when the file is no model, or cannot be used so.
     """
     try:
         model = load_model(path)
@@ -276,10 +217,7 @@ def read_model(path: Path, scheme: Scheme | None, stride: int | None = None, goa
 def weighted(features: FeatureSettings, weights: str | None) -> FeatureSettings:
     """Give ``--weights`` to modalities.
 
-    Raises
-    ------
-    UsageError
-        When they are no positive numbers, or not as many as the modalities.
+    Raises UsageError when they are no positive numbers, or not as many as the modalities.
     """
     try:
         return features if weights is None else FeatureSettings.parse(features.text, weights)
@@ -290,11 +228,8 @@ def weighted(features: FeatureSettings, weights: str | None) -> FeatureSettings:
 def feature_flags(modalities: FeatureSettings | None, model: FeatureSettings | None = None) -> tuple[str, ...]:
     """Return the flags of a features service that may have a model from the start.
 
-    Raises
-    ------
-    UsageError
-        When the modalities are not those that the model was learned on, or it names a network whose file the user has
-        not given: what a model says makes nothing run.
+    Raises UsageError when the model was learned on others, or names a network whose file the user has not given: what a
+    model says makes nothing run.
     """
     features = modalities or model or FeatureSettings()
     if model is not None and model.fingerprint != features.fingerprint:

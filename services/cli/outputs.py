@@ -18,10 +18,7 @@ from smal.files.container import replacing
 def make_folder(path: Path, option: str) -> None:
     """Make the folder for results before the work begins whose results would be lost without it.
 
-    Raises
-    ------
-    UsageError
-        When nothing can be written there.
+    Raises UsageError when nothing can be written there.
     """
     try:
         path.mkdir(parents=True, exist_ok=True)
@@ -59,10 +56,7 @@ def check_file(path: Path | None, option: str, read: Iterable[str | Path] = (), 
     folders
         Folders whose files the command reads: results must not lie among them.
 
-    Raises
-    ------
-    UsageError
-        When it cannot.
+    Raises UsageError when it cannot.
     """
     if path is None:
         return
@@ -91,10 +85,7 @@ def workshop(folder: Path, prefix: str) -> Iterator[Path]:
 def new_folder(path: Path, option: str) -> Iterator[Path]:
     """Fill a folder that does not exist yet, or is empty; it gets its name when it is whole.
 
-    Raises
-    ------
-    UsageError
-        When there is something else, or it cannot be made.
+    Raises UsageError when there is something else, or it cannot be made.
     """
     if path.exists() and (not path.is_dir() or any(path.iterdir())):
         raise UsageError(f"{option} {path}: exists{' and is not empty' if path.is_dir() else ''}; give another name")
@@ -109,13 +100,7 @@ def new_folder(path: Path, option: str) -> Iterator[Path]:
 
 @contextmanager
 def writing(path: Path, option: str) -> Iterator[IO[bytes]]:
-    """Write a file so that there is never a half-written one under its name.
-
-    Raises
-    ------
-    JobError
-        When the system refuses.
-    """
+    """Write a file so that there is never a half-written one; raises JobError when the system refuses."""
     try:
         with replacing(path) as file:
             yield file

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import typer
+from typer import Argument, Option
 
 from services.cli import outputs
 from services.cli.grouping import STYLE
@@ -24,10 +25,9 @@ from services.recordings.reader import RecordingError
 from services.recordings.repair import RepairError, repair, usual_name
 
 app = typer.Typer(
-    help="Tell what is in recordings; check and repair them.\n\nExample: smal recording info drives",
-    **STYLE,
+    help="Tell what is in recordings; check and repair them.\n\nExample: smal recording info drives", **STYLE
 )
-Paths = Annotated[list[Path], typer.Argument(help="Recordings (MCAP), or folders of them.")]
+Paths = Annotated[list[Path], Argument(help="Recordings (MCAP), or folders of them.")]
 
 
 @app.command("info")
@@ -69,14 +69,9 @@ def check(recordings: Paths, as_json: Json = False) -> None:
 
 @app.command("repair")
 def mend(
-    recordings: Annotated[list[Path], typer.Argument(help="Recording (MCAP); several of one drive become one.")],
-    out: Annotated[
-        Path | None,
-        typer.Option(help="The repaired one. [default: NAME.mcap of NAME.mcap.partial, else NAME-repaired.mcap]"),
-    ] = None,
-    replace: Annotated[
-        bool, typer.Option("--replace", help="Put it in the place of the damaged one, or of the file at --out.")
-    ] = False,
+    recordings: Annotated[list[Path], Argument(help="Recording (MCAP); several of one drive become one.")],
+    out: Annotated[Path | None, Option(help="The repaired one. [default: NAME.mcap, or NAME-repaired.mcap]")] = None,
+    replace: Annotated[bool, Option("--replace", help="Put it in the place of the damaged one, or of --out.")] = False,
 ) -> None:
     """Make a sealed recording of all that is whole in one that is damaged, was left behind, or is in several files.
 
@@ -141,7 +136,12 @@ def _lines(contents: Contents) -> Iterator[str]:
     written = " ".join(f"{contents.about.get(name, '')}" for name in ("recorded_utc", "software")).strip()
     yield f"{contents.path}: {contents.size / 1e6:.1f} MB, {contents.state}{written and f', of {written}'}"
     for episode in contents.episodes:
-        yield from _episode_lines(episode)
+        for name, value in _said(episode):
+            yield f"  {name:9}  {value}"
+        topics = named_topics(episode)
+        rows = [[name, str(one.messages), number(one.rate_hz), number(one.size, 1e-6)] for name, one in topics]
+        for line in table([["topic", "messages", "Hz", "MB"], *rows]):
+            yield f"  {line}"
     if contents.views:
         yield f"  views      {contents.views} messages, {contents.views_size / 1e6:.2f} MB, for Foxglove and Rerun"
     if contents.others:
@@ -150,30 +150,23 @@ def _lines(contents: Contents) -> Iterator[str]:
         yield "  no episode"
 
 
-def _episode_lines(episode: EpisodeContents) -> Iterator[str]:
-    said = episode.said
-    yield f"  episode    {episode.episode} of {episode.robot}"
+def _said(episode: EpisodeContents) -> Iterator[tuple[str, str]]:
+    said, focal = episode.said, episode.focal_px
+    yield "episode", f"{episode.episode} of {episode.robot}"
     if said:
-        outcome = episode.outcome or "its end was not recorded"
         judge = f" (says the {episode.judge})" if episode.judge else ""
-        yield f"  purpose    {said['purpose']} to {said['goal']} in {said['world']}, seed {said['seed']}"
-        yield f"  outcome    {outcome}{judge}"
         ticks = ", ".join(f"{name} {count}" for name, count in sorted(episode.drove.items()) if count)
-        yield f"  driver     {said['driver']}{ticks and f' (ticks: {ticks})'}"
+        yield "purpose", f"{said['purpose']} to {said['goal']} in {said['world']}, seed {said['seed']}"
+        yield "outcome", f"{episode.outcome or 'its end was not recorded'}{judge}"
+        yield "driver", f"{said['driver']}{ticks and f' (ticks: {ticks})'}"
     way = "" if episode.odometry_m is None else f", {episode.odometry_m:.1f} m by the wheels"
-    yield f"  length     {episode.seconds:.1f} s, {episode.frames} frames{way}"
+    yield "length", f"{episode.seconds:.1f} s, {episode.frames} frames{way}"
     if episode.width is not None:
-        view = ""
-        if episode.focal_px is not None:
-            view = f", {math.degrees(2 * math.atan(0.5 * episode.width / episode.focal_px)):.0f} degrees across"
-        yield f"  camera     {episode.width}x{episode.height}{view}"
+        degrees = None if focal is None else math.degrees(2 * math.atan(0.5 * episode.width / focal))
+        view = "" if degrees is None else f", {degrees:.0f} degrees across"
+        yield "camera", f"{episode.width}x{episode.height}{view}"
     if episode.modalities:
-        yield f"  features   {' '.join(episode.modalities)}"
-    rows = [
-        [name, str(one.messages), number(one.rate_hz), number(one.size, 1e-6)] for name, one in named_topics(episode)
-    ]
-    for line in table([["topic", "messages", "Hz", "MB"], *rows]):
-        yield f"  {line}"
+        yield "features", " ".join(episode.modalities)
 
 
 def _sum(contents: Contents) -> int:

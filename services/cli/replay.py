@@ -9,8 +9,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated, Final
 
-import typer
 from tqdm import tqdm
+from typer import Argument, Option
 
 from schemas.base import Message
 from schemas.episode import Episode
@@ -29,13 +29,12 @@ LISTENERS_S: Final = 2.0
 
 def replay(
     *,
-    recording: Annotated[Path, typer.Argument(help="Recording (MCAP).")],
-    rate: Annotated[float, typer.Option(min=0.01, max=100.0, help="How many times as fast as it was.")] = 1.0,
-    step: Annotated[bool, typer.Option("--step", help="Go on by one frame at each Enter.")] = False,
-    names: Annotated[
-        str,
-        typer.Option("--topics", help="Only these, with commas between.", metavar="NAMES"),
-    ] = ",".join(REPLAYABLE),
+    recording: Annotated[Path, Argument(help="Recording (MCAP).")],
+    rate: Annotated[float, Option(min=0.01, max=100.0, help="How many times as fast as it was.")] = 1.0,
+    step: Annotated[bool, Option("--step", help="Go on by one frame at each Enter.")] = False,
+    names: Annotated[str, Option("--topics", help="Only these, with commas between.", metavar="NAMES")] = ",".join(
+        REPLAYABLE
+    ),
     reach: options.Reach,
 ) -> None:
     """Put a recording on the topics, with its timing, so that what follows the robot runs without one.

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from contextlib import closing, nullcontext
 from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
 import typer
-from tqdm import tqdm
+from typer import Option
 
 from schemas.rpc import MAX_TICKS, LoadReply, LoadRequest, Nothing, ResetRequest, Start, Status
 from services.cli import options, outputs
@@ -33,30 +32,18 @@ CHAIN = ("recognition", "policy")
 
 def run(
     *,
-    model: Annotated[Path, typer.Option(help="Model file, made by `smal learn`.")],
+    model: Annotated[Path, Option(help="Model file, made by `smal learn`.")],
     world: options.World = None,
-    episodes: Annotated[int, typer.Option(min=1, help="Runs.")] = 20,
+    episodes: Annotated[int, Option(min=1, help="Runs.")] = 20,
     seed: options.Seed = 1,
     use: options.Use,
-    start: Annotated[
-        Start, typer.Option(help="Where runs begin: about the world's start, or anywhere beside the way to the victim.")
-    ] = "start",
-    kidnap: Annotated[
-        int | None,
-        typer.Option(min=1, metavar="TICK", help="Carry the robot to another place beside the way at this frame."),
-    ] = None,
-    realtime: Annotated[bool, typer.Option(help="Let the clock run, instead of waiting for every command.")] = False,
-    max_ticks: Annotated[
-        int | None,
-        typer.Option(
-            min=1,
-            help="Frames after which a run times out. [default: three times those of the longest taught drive, "
-            f"at least {LEAST_TICKS}]",
-        ),
-    ] = None,
+    start: Annotated[Start, Option(help="Begin about the world's start, or anywhere beside the way.")] = "start",
+    kidnap: Annotated[int | None, Option(min=1, metavar="TICK", help="Carry the robot away at this frame.")] = None,
+    realtime: Annotated[bool, Option(help="Let the clock run, instead of waiting for every command.")] = False,
+    max_ticks: Annotated[int | None, Option(min=1, help="Frames after which a run times out.")] = None,
     json_file: options.JsonFile = None,
-    report: Annotated[Path | None, typer.Option(help="Write a page of results, with pictures, to this folder.")] = None,
-    record: Annotated[Path | None, typer.Option(help="Record the runs into this folder.")] = None,
+    report: Annotated[Path | None, Option(help="Write a page of results, with pictures, to this folder.")] = None,
+    record: Annotated[Path | None, Option(help="Record the runs into this folder.")] = None,
     simulator: options.Simulator,
     modalities: options.Modalities = None,
     stack: options.Running,
@@ -64,6 +51,9 @@ def run(
     """Let the robot find the victim by itself, and count how often it does.
 
     The starts differ from those of demonstrations with the same seed. Without --connect a stack of its own is started.
+
+    A robot that --kidnap carries away goes on at another place beside the way. Without --max-ticks a run times out
+    after three times the frames of the longest taught drive, and at least 3000.
 
     Example: smal run --model campus.smal --world campus --episodes 20 --seed 1 --json runs.json
     """
@@ -110,7 +100,8 @@ def run(
             _check_models(bus, identity, use.goal)
             with recording(bus, record, "--record") if record else nullcontext():
                 _check_features(bus, loaded.feature_settings)
-                for one in _run_all(client, requests, access, name):
+                for one in client.run_all(requests, access, "running", world=name):
+                    _check_run(one, access)
                     _check_models(bus, identity, use.goal)
                     records.append(one)
     finally:
@@ -159,10 +150,7 @@ def _load(bus: Bus, model: Path, use: options.Use) -> None:
 def _check_features(bus: Bus, wanted: FeatureSettings) -> None:
     """Ask the features service whether it makes what the model was learned on.
 
-    Raises
-    ------
-    JobError
-        When it does not: recognition would refuse every frame.
+    Raises JobError when it does not: recognition would refuse every frame.
     """
     detail = bus.call("features", "status", Nothing(), Status).detail
     if detail.get("fingerprint") != wanted.fingerprint:
@@ -177,10 +165,8 @@ def _check_features(bus: Bus, wanted: FeatureSettings) -> None:
 def _check_models(bus: Bus, identity: str, goal: str | None) -> None:
     """Ask recognition and policy whether they work with the model whose results these are to be.
 
-    Raises
-    ------
-    JobError
-        When one does not: the file was replaced, or the service was started again, with the model of its stack.
+    Raises JobError when one does not: the file was replaced, or the service was started again, with the model of its
+    stack.
     """
     for service in CHAIN:
         detail = bus.call(service, "status", Nothing(), Status).detail
@@ -192,23 +178,9 @@ def _check_models(bus: Bus, identity: str, goal: str | None) -> None:
                 )
 
 
-def _run_all(
-    client: EpisodeClient, requests: list[ResetRequest], access: Access, world: str | None
-) -> Iterator[EpisodeRecord]:
-    """Give every run as it ends; one that was aborted is an error, since it says nothing of the model."""
-    outcomes: list[str] = []
-    with tqdm(requests, desc="running", unit="run", dynamic_ncols=True) as bar:
-
-        def show(tick: int) -> None:
-            bar.set_postfix_str(f"{outcomes.count('found')} of {len(outcomes)} found, frame {tick}")
-
-        for request in bar:
-            record = client.run(request, on_tick=show, check=access.check, world=world)
-            if record.outcome == "aborted":
-                where = f" ({access.logs})" if access.logs else ""
-                raise JobError(
-                    f"run with seed {request.seed}: no command came; see the logs of recognition and policy{where}"
-                )
-            outcomes.append(record.outcome)
-            show(record.ticks)
-            yield record
+def _check_run(record: EpisodeRecord, access: Access) -> None:
+    """Refuse a run that was aborted: it says nothing of the model."""
+    if record.outcome == "aborted":
+        where = f" ({access.logs})" if access.logs else ""
+        seed = record.request.seed
+        raise JobError(f"run with seed {seed}: no command came; see the logs of recognition and policy{where}")

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Annotated, Final
 
 import typer
+from typer import Argument, Option
 
 from services.cli import certificates, options
 from services.cli.certificates import DAYS, HOSTS
@@ -21,12 +22,12 @@ from services.table import roles
 #: What deploy/secure.yml shows Eclipse's router.
 ZENOHD_SEES: Final = Certificate(*(Path("/run/secrets") / name for name in ("ca.pem", "cert.pem", "key.pem")))
 ZENOHD_FILE: Final = "zenohd.json5"
-Folder = Annotated[Path, typer.Argument(help="Folder of the certificates.", metavar="DIR")]
+Folder = Annotated[Path, Argument(help="Folder of the certificates.", metavar="DIR")]
 Hosts = Annotated[
     list[str] | None,
-    typer.Option("--host", help="Name or address by which other machines go to the router; may be repeated."),
+    Option("--host", help="Name or address by which other machines go to the router; may be repeated."),
 ]
-Days = Annotated[float, typer.Option(min=0, max=3650, help="How long the certificates are valid.")]
+Days = Annotated[float, Option(min=0, max=3650, help="How long the certificates are valid.")]
 
 app = typer.Typer(
     help="Make and check the certificates by which the router knows who may do what.\n\n"
@@ -36,12 +37,7 @@ app = typer.Typer(
 
 
 @app.command("init")
-def init(
-    folder: Folder,
-    robot: options.Robot = options.DEFAULT_ROBOT,
-    host: Hosts = None,
-    days: Days = DAYS,
-) -> None:
+def init(folder: Folder, robot: options.Robot = options.DEFAULT_ROBOT, host: Hosts = None, days: Days = DAYS) -> None:
     """Make a certificate authority, a certificate of every role, and the rules of Eclipse's router.
 
     Give each machine ca.pem and the certificate and key of what runs there, and keep ca.key where no robot is: whoever

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Annotated
 
-import typer
+from typer import Option
 
 from services.cli import options
 from services.kit.errors import UsageError
@@ -16,7 +16,7 @@ from services.teleop.terminal import NoTerminalError, require_terminal
 def teleop(
     *,
     reach: options.Reach,
-    seed: Annotated[int | None, typer.Option(min=0, help="Seed of the first episode; random if not given.")] = None,
+    seed: Annotated[int | None, Option(min=0, help="Seed of the first episode; random if not given.")] = None,
     goal: options.GoalOfDrives = "victim",
 ) -> None:
     """Drive with the keyboard: arrows or w a s d, held; n begins an episode.

@@ -7,6 +7,7 @@ from difflib import get_close_matches
 from typing import Annotated
 
 import typer
+from typer import Argument, Option
 
 from schemas.codec import encoding_of
 from schemas.topics import TOPICS, Topic, topic_of
@@ -17,16 +18,13 @@ from services.kit.errors import UsageError
 from services.kit.tables import table
 from services.table import givers, graph, takers
 
-app = typer.Typer(
-    help="List the topics; listen to them.\n\nExample: smal topic echo state --count 5",
-    **STYLE,
-)
+app = typer.Typer(help="List the topics; listen to them.\n\nExample: smal topic echo state --count 5", **STYLE)
 
 
 @app.command("list")
 def list_topics(
     as_json: options.Json = False,
-    as_markdown: Annotated[bool, typer.Option("--markdown", help="Print a Markdown table.")] = False,
+    as_markdown: Annotated[bool, Option("--markdown", help="Print a Markdown table.")] = False,
 ) -> None:
     """List every topic; needs no running stack.
 
@@ -44,7 +42,7 @@ def list_topics(
 
 @app.command("info")
 def info(
-    name: Annotated[str, typer.Argument(help="Topic, for example state.")],
+    name: Annotated[str, Argument(help="Topic, for example state.")],
     robot: options.Robot = options.DEFAULT_ROBOT,
     as_json: options.Json = False,
 ) -> None:

@@ -9,7 +9,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated, Final, Literal
 
-import typer
+from typer import Option
 
 from services.cli import certificates, options, outputs
 from services.cli.interrupts import interrupted_by_signals
@@ -32,47 +32,23 @@ RobotBody = Literal["simulator", "ros2", "none"]
 def up(
     *,
     world: options.World = None,
-    model: Annotated[Path | None, typer.Option(help="Model that recognition and policy load at the start.")] = None,
+    model: Annotated[Path | None, Option(help="Model that recognition and policy load at the start.")] = None,
     use: options.Use,
     root: Annotated[
-        Path,
-        typer.Option(
-            envvar="SMAL_ROOT",
-            exists=True,
-            file_okay=False,
-            help="Folder below which clients of the stack, such as smal run --connect, may have models read and "
-            "recordings written. [default: the current one]",
-            show_default=False,
-        ),
+        Path, Option(envvar="SMAL_ROOT", exists=True, file_okay=False, help="Where clients may read and write files.")
     ] = Path(),
-    recordings: Annotated[Path | None, typer.Option(help="Record every episode into this folder.")] = None,
+    recordings: Annotated[Path | None, Option(help="Record every episode into this folder.")] = None,
     simulator: options.Simulator,
     modalities: options.Modalities = None,
     metrics_port: Annotated[
-        int | None,
-        typer.Option(
-            min=1,
-            max=65535 - len(stack_services()),
-            help="First of the ports for health and metrics over HTTP, one a service.",
-        ),
+        int | None, Option(min=1, max=65535 - len(stack_services()), help="First of the ports for health and metrics.")
     ] = None,
-    console: Annotated[
-        str, typer.Option(envvar="SMAL_CONSOLE", help="Where the page for browsers is, HOST:PORT.", metavar="HOST:PORT")
-    ] = "127.0.0.1:8080",
-    no_console: Annotated[bool, typer.Option("--no-console", help="Without that page.")] = False,
-    robot_body: Annotated[
-        RobotBody,
-        typer.Option(
-            help="What the robot drives: the simulator, a real base that speaks ROS 2, or none (smal replay)."
-        ),
-    ] = "simulator",
-    ros2_config: Annotated[
-        Path | None, typer.Option(help="File that says which ROS 2 base; it may begin with a preset.")
-    ] = None,
+    console: Annotated[str, Option(envvar="SMAL_CONSOLE", help="Where the page is, HOST:PORT.")] = "127.0.0.1:8080",
+    no_console: Annotated[bool, Option("--no-console", help="Without that page.")] = False,
+    robot_body: Annotated[RobotBody, Option(help="What the robot drives; none is for smal replay.")] = "simulator",
+    ros2_config: Annotated[Path | None, Option(help="Which ROS 2 base; the file may begin with a preset.")] = None,
     reach: options.Reach,
-    insecure: Annotated[
-        bool, typer.Option("--insecure", help="Listen where other machines reach it, and let everybody in.")
-    ] = False,
+    insecure: Annotated[bool, Option("--insecure", help="Let everybody in, from other machines too.")] = False,
 ) -> None:
     """Start the services, from the router to the recorder, and keep them running.
 
@@ -80,8 +56,9 @@ def up(
     A browser drives, teaches and watches it at http://127.0.0.1:8080; other terminals use it as well: smal teleop, smal
     topic hz, smal run --connect.
 
-    With --metrics-port 9100 the router tells its health on http://127.0.0.1:9100/healthz and what Prometheus wants on
-    /metrics, the simulator on 9101, and so on.
+    Clients of the stack, such as smal run --connect, may have models read and recordings written below --root, by
+    default the current folder. With --metrics-port 9100 the router tells its health on http://127.0.0.1:9100/healthz
+    and what Prometheus wants on /metrics, the simulator on 9101, and so on.
 
     Example: smal up --world campus --model campus.smal
     """

@@ -8,7 +8,7 @@ import pytest
 
 from schemas import topics
 from schemas.topics import TOPICS, Topic
-from services.cli.checks import check_port
+from services.cli.doctor import check_port
 from services.cli.stack.processes import Stack, StackPlan
 from services.cli.topic import markdown_table
 from services.kit.settings import ServiceSettings

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from itertools import count
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,6 +22,7 @@ from schemas.episode import Episode
 from schemas.heartbeat import Heartbeat
 from schemas.pose import Pose
 from schemas.rpc import ArmRequest, EndRequest, Nothing, ResetReply, ResetRequest, Status
+from services.cli.stack.processes import Access
 from services.kit.bus import RpcError
 from services.kit.errors import JobError
 from services.kit.jpeg import decode_jpeg
@@ -116,8 +117,6 @@ class EpisodeClient:
 
         Parameters
         ----------
-        request
-            Seed, purpose, driver, mode.
         on_begin
             Called with the robot's reply, before any message of the episode is handled; may raise JobError.
         done
@@ -127,12 +126,7 @@ class EpisodeClient:
         check
             Raises when the stack can no longer work.
         world
-            Where it must be: the results would be those of another world.
-
-        Raises
-        ------
-        JobError
-            When the robot is elsewhere, or falls silent.
+            Where it must be. JobError when the robot is elsewhere, or falls silent.
         """
         self._record = record = EpisodeRecord(request)
         self._ended = False
@@ -164,16 +158,36 @@ class EpisodeClient:
         on_tick(record.ticks)
         return record
 
+    def run_all(
+        self,
+        requests: Sequence[ResetRequest],
+        access: Access,
+        what: str,
+        *,
+        world: str | None,
+        on_begin: Callable[[ResetReply], None] = lambda _reply: None,
+        done: Callable[[], bool] = lambda: False,
+    ) -> Iterator[EpisodeRecord]:
+        """Run one episode after another, with one bar over all of them; see `run`."""
+        outcomes: list[RunOutcome] = []
+        with tqdm(requests, desc=what, unit="episode", dynamic_ncols=True) as bar:
+
+            def show(tick: int) -> None:
+                bar.set_postfix_str(f"{outcomes.count('found')} of {len(outcomes)} found, frame {tick}")
+
+            for request in bar:
+                record = self.run(request, on_begin, done, show, access.check, world)
+                outcomes.append(record.outcome)
+                show(record.ticks)
+                yield record
+
     def _of(self, message: Message) -> EpisodeRecord | None:
         """Return the record of the episode that a message is of, if it is the one that runs."""
         return self._record if message.episode == self._episode else None
 
-    def _robot(self) -> dict[str, Any]:
-        return self.node.bus.call("robot", "status", Nothing(), Status).detail
-
     def _await_judge(self) -> None:
         """Give the operator time to say that the goal is found, where nobody else can."""
-        robot = self._robot()
+        robot = self.node.bus.call("robot", "status", Nothing(), Status).detail
         if robot.get("judge") == "operator" and robot.get("operator"):
             tqdm.write(
                 f"it says that it has arrived; if so, say it within {JUDGED_S:.0f} s (f in smal teleop)",
@@ -189,7 +203,7 @@ class EpisodeClient:
         """
         if self._armed:
             return
-        robot = self._robot()
+        robot = self.node.bus.call("robot", "status", Nothing(), Status).detail
         if robot.get("stop_cause") == "not_armed" and not robot.get("attended"):
             request = ArmRequest(stop=int(robot["emergency_stop"] or 0), session=self.node.session)
             self.node.bus.call("robot", "arm", request, Nothing)

@@ -22,12 +22,7 @@ STOP_AFTER_FAILURE_TIMEOUT_S: Final = 5.0
 def name_for(bus: Bus, service: str, path: Path, option: str) -> str:
     """Return the name of a path below the root of a service.
 
-    Raises
-    ------
-    UsageError
-        When it is elsewhere.
-    RpcError
-        When the service does not answer.
+    Raises UsageError when it is elsewhere. Raises RpcError when the service does not answer.
     """
     root = bus.call(service, "status", Nothing(), Status).detail.get("root")
     name = name_below(Path(str(root)), path)
@@ -45,10 +40,7 @@ def recording(bus: Bus, folder: Path, option: str) -> Iterator[list[str]]:
 
     A stack that goes on running is told to stop recording after a failure as well.
 
-    Raises
-    ------
-    UsageError
-        When the recorder does not write there; `option` names the folder then.
+    Raises UsageError when the recorder does not write there; `option` names the folder then.
     """
     request = RecordRequest(folder=name_for(bus, "recorder", folder, option))
     bus.call("recorder", "start", request, Nothing)

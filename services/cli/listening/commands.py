@@ -12,6 +12,7 @@ from contextlib import closing, contextmanager
 from typing import Annotated, Any, Final, cast
 
 import typer
+from typer import Argument, Option
 
 from schemas.codec import DecodeError
 from schemas.topics import ACTION, APPLIED, CAMERA, COMMANDS, OBSERVATION, POSE, ROOT, STATE
@@ -30,17 +31,17 @@ QUEUE: Final = 64
 CONNECT_S: Final = 2.0
 Keys = Annotated[
     str | None,
-    typer.Argument(
+    Argument(
         help="Key expression, or a topic's name such as camera/rgb. [default: all of the robot]", metavar="[KEYEXPR]"
     ),
 ]
-Seconds = Annotated[float, typer.Option(min=0.1, max=3600, help="How long to listen; Ctrl-C ends it earlier.")]
+Seconds = Annotated[float, Option(min=0.1, max=3600, help="How long to listen; Ctrl-C ends it earlier.")]
 
 
 def echo(
     *,
     keys: Keys = None,
-    count: Annotated[int | None, typer.Option(min=1, help="End after this many messages.")] = None,
+    count: Annotated[int | None, Option(min=1, help="End after this many messages.")] = None,
     as_json: options.Json = False,
     reach: options.Reach,
 ) -> None:
@@ -68,13 +69,7 @@ def echo(
         typer.echo(f"smal: {inbox.dropped['samples']} messages came faster than they were printed", err=True)
 
 
-def hz(
-    *,
-    keys: Keys = None,
-    seconds: Seconds = 5.0,
-    as_json: options.Json = False,
-    reach: options.Reach,
-) -> None:
+def hz(*, keys: Keys = None, seconds: Seconds = 5.0, as_json: options.Json = False, reach: options.Reach) -> None:
     """Measure rate and regularity of each key.
 
     The rate is that between the first message and the last, also where a robot drove only for a part of the time.
@@ -89,13 +84,7 @@ def hz(
         say("\n".join(arrivals.lines(rates, arrivals.RATES)))
 
 
-def bw(
-    *,
-    keys: Keys = None,
-    seconds: Seconds = 5.0,
-    as_json: options.Json = False,
-    reach: options.Reach,
-) -> None:
+def bw(*, keys: Keys = None, seconds: Seconds = 5.0, as_json: options.Json = False, reach: options.Reach) -> None:
     """Measure bandwidth and size of messages.
 
     Of each key, and in total. The bandwidth is that of the payloads over the whole time of listening. Listening to
@@ -115,9 +104,7 @@ def bw(
 def latency(
     *,
     seconds: Seconds = 10.0,
-    camera: Annotated[
-        bool, typer.Option("--camera", help="Time camera/rgb itself; for a robot without pose/truth.")
-    ] = False,
+    camera: Annotated[bool, Option("--camera", help="Time camera/rgb itself; for a robot without pose/truth.")] = False,
     as_json: options.Json = False,
     reach: options.Reach,
 ) -> None:

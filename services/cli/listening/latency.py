@@ -25,10 +25,7 @@ FRAME: Final = "frame"
 #: Not a message: what the actuator says of itself, on its own clock.
 ACCEPTED: Final = "accepted"
 #: What a source waits for before it commands, in this order; a person at the keys waits for nothing but the frame.
-CAUSES: Final[dict[Source, tuple[str, ...]]] = {
-    "policy": (OBSERVATION.name, STATE.name),
-    "expert": (OBSERVATION.name,),
-}
+CAUSES: Final[dict[Source, tuple[str, ...]]] = {"policy": (OBSERVATION.name, STATE.name), "expert": (OBSERVATION.name,)}
 #: Sources that drive, with the topics of their commands; an emergency stop answers no frame.
 DRIVERS: Final[dict[Source, str]] = {source: COMMANDS[source].name for source in SOURCES if source != "emergency_stop"}
 

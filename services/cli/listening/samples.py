@@ -23,10 +23,7 @@ class Sample:
     def decoded(self) -> Message:
         """Return the message.
 
-        Raises
-        ------
-        DecodeError
-            When the key is no topic of SMAL, or the payload is not what belongs on it.
+        Raises DecodeError when the key is no topic of SMAL, or the payload is not what belongs on it.
         """
         topic = topic_of(self.key)
         if topic is None:

@@ -57,10 +57,7 @@ class Patience:
     def check(self, pids: Mapping[str, int]) -> float:
         """Look at services that are not ready, given with their process ids; return how long they are waited for.
 
-        Raises
-        ------
-        JobError
-            When one of them has hardly done anything for `HANGS_S`.
+        Raises JobError when one of them has hardly done anything for `HANGS_S`.
         """
         now_s = self._clock()
         waited_s = now_s - self._began_s

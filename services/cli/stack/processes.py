@@ -11,7 +11,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import closing, contextmanager
+from contextlib import closing, contextmanager, nullcontext
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Final, Self
@@ -47,30 +47,20 @@ def flags(**values: object) -> tuple[str, ...]:
 
 @dataclass(frozen=True)
 class StackPlan:
-    """What to start.
+    """What to start."""
 
-    Attributes
-    ----------
-    services
-        Names out of `services.table`, the router first.
-    robot, endpoint
-        Robot id, and the address of the stack's own router.
-    flags
-        Command line flags of single services.
-    secure
-        Folder of certificates; without one whoever reaches the router gets in.
-    logs
-        Folder for one log file a service; None lets them write to this terminal.
-    modules
-        What ``python -m`` runs in place of a service's own module, for example a robot with another body.
-    """
-
+    #: Names out of `services.table`, the router first.
     services: tuple[str, ...]
     robot: str
+    #: Address of the stack's own router.
     endpoint: str
+    #: Command line flags of single services.
     flags: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    #: Folder of certificates; without one whoever reaches the router gets in.
     secure: Path | None = None
+    #: Folder for one log file a service; None lets them write to this terminal.
     logs: Path | None = None
+    #: What ``python -m`` runs in place of a service's own module, for example a robot with another body.
     modules: Mapping[str, str] = field(default_factory=dict)
 
 
@@ -117,10 +107,7 @@ class Stack:
             raise JobError(self._epitaph(service))
 
     def restart_dead(self) -> list[str]:
-        """Start again the services that have ended, one that keeps dying less and less often; return which.
-
-        What died is said once.
-        """
+        """Start again the services that have ended, one that keeps dying ever less often; return which."""
         for service in self._dead():
             backoff = self._backoffs[service]
             if backoff.mourn():
@@ -157,15 +144,11 @@ class Stack:
         self._backoffs.setdefault(service, Backoff()).begin()
         if plan.logs is not None:
             plan.logs.mkdir(parents=True, exist_ok=True)
-        log = None if plan.logs is None else (plan.logs / f"{service}.log").open("ab")
-        try:
-            # In a session of its own, so that Ctrl-C reaches this process alone; `tied` ends it with this one.
+        # In a session of its own, so that Ctrl-C reaches this process alone; `tied` ends it with this one.
+        with nullcontext() if plan.logs is None else (plan.logs / f"{service}.log").open("ab") as log:
             self._children[service] = subprocess.Popen(  # noqa: S603
                 command, env=environment, stdout=log, stderr=log, start_new_session=True
             )
-        finally:
-            if log is not None:
-                log.close()
 
     def _reach_router(self) -> Bus:
         """Connect to the router; notice at once when it could not start."""
@@ -220,20 +203,12 @@ def _end(child: subprocess.Popen[bytes], deadline: float) -> None:
 
 @dataclass(frozen=True)
 class Access:
-    """A stack that can be used.
-
-    Attributes
-    ----------
-    settings
-        How to reach it.
-    check
-        Raises JobError when one of its processes has ended.
-    logs
-        Folder of its services' logs; None for a stack that was running before.
-    """
+    """A stack that can be used."""
 
     settings: ServiceSettings
+    #: Raises JobError when one of its processes has ended.
     check: Callable[[], None]
+    #: Folder of its services' logs; None for a stack that was running before.
     logs: Path | None
 
 

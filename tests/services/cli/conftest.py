@@ -20,19 +20,33 @@ ROOT = Path(__file__).parents[3]
 SMAL = [sys.executable, "-c", "from services.cli.main import main; main()"]
 
 Smal = Callable[..., tuple[int, str, str]]
+Mistake = Callable[..., str]
 
 
 @pytest.fixture
-def smal(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Smal:
-    """Run a command in this process; returns exit status, output and errors."""
+def smal(monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]) -> Smal:
+    """Run a command in this process; returns exit status, output and errors, also those of what it starts."""
 
-    def run(*arguments: str) -> tuple[int, str, str]:
-        monkeypatch.setattr(sys, "argv", ["smal", *arguments])
+    def run(*arguments: object) -> tuple[int, str, str]:
+        monkeypatch.setattr(sys, "argv", ["smal", *map(str, arguments)])
         with pytest.raises(SystemExit) as ended:
             main()
-        out, err = capsys.readouterr()
+        out, err = capfd.readouterr()
         assert isinstance(ended.value.code, int)
         return ended.value.code, out, err
+
+    return run
+
+
+@pytest.fixture
+def mistake(smal: Smal) -> Mistake:
+    """Run a command that must end with a status, one line that says why, and no output; returns that line."""
+
+    def run(status: int, *arguments: object) -> str:
+        ended, out, err = smal(*arguments)
+        assert (ended, out, err.count("\n")) == (status, "", 1), err
+        assert err.startswith("smal: ")
+        return err
 
     return run
 
@@ -55,19 +69,11 @@ class Listening:
 
     def lines_until(self, count: int, *messages: Message) -> list[str]:
         """Publish until that many lines have been printed."""
-
-        def talk() -> None:
-            for message in messages:
-                self._client.publish(message)
-
-        return self.lines_while(count, talk)
-
-    def lines_while(self, count: int, talk: Callable[[], None]) -> list[str]:
-        """Let the robot talk until that many lines have been printed."""
         printed: list[str] = []
 
         def enough() -> bool:
-            talk()
+            for message in messages:
+                self._client.publish(message)
             assert self.process.stdout is not None
             printed.extend(self.process.stdout.readlines())
             return len(printed) >= count

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 
 import pytest
 
 from services.cli import bench
-from services.cli import main as cli
 from services.kit.process import EXIT_FAILED, EXIT_USAGE
+from tests.services.cli.conftest import Mistake, Smal
 
 PROBE = """
 import json, os, sys
@@ -18,15 +17,8 @@ sys.exit(3)
 """
 
 
-def run(monkeypatch: pytest.MonkeyPatch, *arguments: object) -> object:
-    monkeypatch.setattr(sys, "argv", ["smal", "bench", *map(str, arguments)])
-    with pytest.raises(SystemExit) as ended:
-        cli.main()
-    return ended.value.code
-
-
 def test_a_benchmark_runs_with_its_threads_fixed_where_the_user_is(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+    tmp_path: Path, smal: Smal, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     folder = tmp_path / "checkout" / "tests" / "benchmarks"
     (folder / "probe").mkdir(parents=True)
@@ -39,10 +31,9 @@ def test_a_benchmark_runs_with_its_threads_fixed_where_the_user_is(
     monkeypatch.chdir(tmp_path)
     (tmp_path / "tests").mkdir()
     assert bench.benchmarks(folder) == ["probe"]
-    status = run(monkeypatch, "probe", "--json", "a.json", "--speed", "7", "--quick", "--threads", "2")
-    said, wrong = capfd.readouterr()
+    status, said, wrong = smal("bench", "probe", "--json", "a.json", "--speed", "7", "--quick", "--threads", "2")
     assert (status, wrong) == (3, "")
-    assert '["probe", "--json", "a.json", "--quick", "--speed", "7"]' in said
+    assert '["probe", "--json", "a.json", "--speed", "7", "--quick"]' in said
     assert said.count('_NUM_THREADS": "2"') >= 4
     assert str(tmp_path) in said
 
@@ -59,19 +50,13 @@ def test_a_benchmark_runs_with_its_threads_fixed_where_the_user_is(
     ],
 )  # fmt: skip
 def test_every_mistake_is_one_line(
-    arguments: list[str], line: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+    arguments: list[str], line: str, tmp_path: Path, mistake: Mistake, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
     (tmp_path / "file").touch()
-    assert run(monkeypatch, *arguments) == EXIT_USAGE
-    assert capfd.readouterr() == ("", f"smal: {line}\n")
+    assert mistake(EXIT_USAGE, "bench", *arguments) == f"smal: {line}\n"
 
 
-def test_without_a_checkout_there_are_none(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
-) -> None:
+def test_without_a_checkout_there_are_none(tmp_path: Path, mistake: Mistake, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(bench, "FOLDER", tmp_path / "tests" / "benchmarks")
-    assert run(monkeypatch, "recognition") == EXIT_FAILED
-    said = capfd.readouterr().err
-    assert said.startswith("smal: benchmarks need a checkout of the project")
-    assert said.count("\n") == 1
+    assert "benchmarks need a checkout of the project" in mistake(EXIT_FAILED, "bench", "recognition")

@@ -1,9 +1,10 @@
-"""Whatever a command raises is one line and the promised exit status; and what `smal up` gives its services."""
+"""What every command has in common: its help, and mistakes as one line with the promised exit status."""
 
 from __future__ import annotations
 
 import errno
-import re
+import socket
+import struct
 import subprocess
 import sys
 from pathlib import Path
@@ -12,141 +13,26 @@ import pytest
 
 from schemas.rpc import ResetRequest
 from services.cli import main as cli
+from services.cli.options import Use, feature_flags
 from services.cli.up import _chain_flags
 from services.kit.errors import UsageError
 from services.kit.process import EXIT_FAILED, EXIT_USAGE
 from services.kit.version import program_version
+from smal.features import FeatureSettings
+from smal.files.stored import FORMAT_VERSION
 from tests import corridor
+from tests.command import run_smal
 from tests.services.chain import FEATURES, LENGTH, save_model
-from tests.services.cli.conftest import ROOT, Smal
-
-
-@pytest.mark.parametrize(
-    ("raised", "status", "line"),
-    [
-        (OSError(errno.ENOSPC, "No space left on device", "/data/x.json"), EXIT_FAILED,
-         "smal: /data/x.json: No space left on device\n"),
-        (OSError("the disk is gone"), EXIT_FAILED, "smal: the disk is gone\n"),
-        (TimeoutError(), EXIT_FAILED, "smal: TimeoutError\n"),
-        (KeyboardInterrupt(), 130, "smal: interrupted\n"),
-    ],
-)  # fmt: skip
-def test_every_error_is_one_line(
-    raised: BaseException, status: int, line: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    def fail(**_: object) -> None:
-        raise raised
-
-    monkeypatch.setattr(cli, "app", fail)
-    with pytest.raises(SystemExit) as ended:
-        cli.main()
-    assert (ended.value.code, capsys.readouterr().err) == (status, line)
-
-
-def test_a_value_that_no_message_can_carry_is_bad_use(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.setattr(cli, "app", lambda **_: ResetRequest(seed=-1))
-    with pytest.raises(SystemExit) as ended:
-        cli.main()
-    said = capsys.readouterr().err
-    assert ended.value.code == EXIT_USAGE
-    assert said.startswith("smal: seed: ")
-    assert said.count("\n") == 1
-
-
-def test_recognition_and_policy_have_their_model_from_the_start(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    model, mapped = save_model(tmp_path / "corridor.smal"), corridor.save_model(tmp_path / "mapped.smal")
-    paper, own = ("--model", str(model)), ("--model", str(mapped))
-    assert _chain_flags(None, None, None, None) == ((), None)
-    assert _chain_flags(Path("corridor.smal"), None, 2, None) == ((*paper, "--stride", "2"), FEATURES)
-    assert _chain_flags(Path("corridor.smal"), "paper", None, None) == ((*paper, "--scheme", "paper"), FEATURES)
-    assert _chain_flags(Path("mapped.smal"), None, None, None) == (own, corridor.FEATURES)
-    named = _chain_flags(Path("mapped.smal"), None, None, "victim")
-    assert named == ((*own, "--goal", "victim"), corridor.FEATURES)
-    for path, scheme, stride, goal, line in (
-        (None, "paper", None, None, "--scheme paper: needs --model"),
-        (None, None, 2, None, "--stride 2: needs --model"),
-        (None, None, None, "office", "--goal office: needs --model"),
-        (tmp_path / "none", None, None, None, "No such file"),
-        (mapped, None, None, "office", "the model has no goal 'office'; it has victim"),
-        (model, None, None, "victim", "goal 'victim': the paper's scheme goes to the nearest goal"),
-        (model, "paper", LENGTH + 1, None, f"stride must be 1 to the sequence length {LENGTH}, got {LENGTH + 1}"),
-        (model, "filter", None, None, "it was learned for the scheme 'paper', not 'filter': smal learn --scheme"),
-        (mapped, None, 2, None, "only the paper's scheme has a stride"),
-    ):
-        with pytest.raises(UsageError, match=line):
-            _chain_flags(path, scheme, stride, goal)
-
-
-@pytest.mark.parametrize("command", ["run", "up"])
-@pytest.mark.parametrize(
-    ("name", "flags", "line"),
-    [
-        ("mapped", ("--stride", "2"), "stride 2: the filter decides at every frame; only the paper"),
-        ("mapped", ("--scheme", "paper"), "it was learned for the scheme 'filter', not 'paper'"),
-        ("corridor", ("--scheme", "filter"), "it was learned for the scheme 'paper', not 'filter'"),
-        ("corridor", ("--stride", "4"), f"stride must be 1 to the sequence length {LENGTH}, got 4"),
-        ("mapped", ("--scheme", "dream"), "'dream' is not one of 'filter', 'paper'"),
-    ],
-)
-def test_a_scheme_that_does_not_go_with_the_model_is_bad_use(
-    command: str, name: str, flags: tuple[str, ...], line: str, tmp_path: Path, smal: Smal
-) -> None:
-    save_model(tmp_path / "corridor.smal")
-    corridor.save_model(tmp_path / "mapped.smal")
-    status, _, said = smal(command, "--world", "yard", "--model", str(tmp_path / f"{name}.smal"), *flags)
-    assert status == EXIT_USAGE
-    assert said.startswith("smal: ")
-    assert line in said
-    assert said.count("\n") == 1
-
-
-@pytest.mark.parametrize(
-    "command",
-    [
-        ("up", "--world", "yard", "--router", "memory/test"),
-        ("topic", "hz", "--router", "memory/test"),
-        ("demonstrate", "--world", "yard", "--out", "drives", "--connect", "memory/test"),
-    ],
-    ids=lambda command: command[0],
-)
-def test_a_router_in_memory_is_for_no_command(
-    command: tuple[str, ...], smal: Smal, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    status, _, said = smal(*command)
-    assert status == EXIT_FAILED
-    assert re.fullmatch(r"smal: .*'memory/test': .*expected tcp/<host>:<port>.*\n", said)
-
-
-@pytest.mark.parametrize(
-    ("console", "status", "said"),
-    [
-        ("0.0.0.0:0", EXIT_FAILED, "other machines reach it"),
-        ("127.0.0.1:70000", EXIT_FAILED, "no such port"),
-        ("8080", EXIT_USAGE, "console: String should match pattern"),
-    ],
-)
-def test_a_page_that_cannot_be_served_is_said_before_anything_starts(
-    smal: Smal, free_endpoint: str, console: str, status: int, said: str
-) -> None:
-    got, _, line = smal("up", "--world", "yard", "--router", free_endpoint, "--console", console)
-    assert (got, line.count("\n")) == (status, 1)
-    assert said in line
+from tests.services.cli.conftest import ROOT, Mistake, Smal
 
 
 @pytest.mark.parametrize("name", sorted(cli.COMMANDS))
-def test_every_command_of_the_list_explains_itself(name: str, smal: Smal) -> None:
-    """In its help, with an example, and in one line of a terminal."""
+def test_every_command_of_the_list_explains_itself_with_an_example(name: str, smal: Smal) -> None:
     status, out, err = smal(name, "--help")
     assert (status, err) == (0, "")
     assert out.startswith(f"Usage: smal {name} ")
     assert f"Example: smal {name}" in out
-    assert len(cli.COMMANDS[name][1]) <= 55
+    assert len(cli.COMMANDS[name][1]) <= 55, "one line of a terminal"
 
 
 def test_help_and_version_load_no_command(smal: Smal) -> None:
@@ -164,3 +50,192 @@ def test_help_and_version_load_no_command(smal: Smal) -> None:
 
 def test_a_command_that_is_none_is_named_and_another_suggested(smal: Smal) -> None:
     assert smal("mach") == (2, "", "smal: No such command 'mach'. Did you mean 'match'?\n")
+
+
+@pytest.mark.parametrize(
+    ("raised", "status", "line"),
+    [
+        (OSError(errno.ENOSPC, "No space left on device", "/data/x.json"), EXIT_FAILED,
+         "smal: /data/x.json: No space left on device\n"),
+        (TimeoutError(), EXIT_FAILED, "smal: TimeoutError\n"),
+        (KeyboardInterrupt(), 130, "smal: interrupted\n"),
+    ],
+)  # fmt: skip
+def test_every_error_is_one_line(
+    raised: BaseException, status: int, line: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def fail(**_: object) -> None:
+        raise raised
+
+    monkeypatch.setattr(cli, "app", fail)
+    with pytest.raises(SystemExit) as ended:
+        cli.main()
+    assert (ended.value.code, capsys.readouterr().err) == (status, line)
+
+
+def test_a_value_that_no_message_can_carry_is_bad_use(monkeypatch: pytest.MonkeyPatch, mistake: Mistake) -> None:
+    monkeypatch.setattr(cli, "app", lambda **_: ResetRequest(seed=-1))
+    assert mistake(EXIT_USAGE).startswith("smal: seed: ")
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ("run",),
+        ("nonsense",),
+        ("learn", "--out", "x"),
+        ("run", "--model", "x", "--episodes", "0"),
+        ("demonstrate", "--camera", "big"),
+        ("demonstrate", "--seed", "-1"),
+        ("demonstrate", "--shake", "nan"),
+        ("demonstrate", "--base", "hover"),
+        ("demonstrate", "--variation", "eclipse"),
+        ("demonstrate", "--goal", "\n"),
+        ("demonstrate", "--modalities", "smell"),
+        ("demonstrate", "--camera", "160x120", "--connect", "tcp/127.0.0.1:9"),
+        ("demonstrate", "--shake", "0", "--connect", "tcp/127.0.0.1:9"),
+        ("demonstrate", "--modalities", "color", "--connect", "tcp/127.0.0.1:9"),
+        ("up", "--robot", "A B"),
+        ("up", "--stride", "2"),
+        ("up", "--model", "none.smal"),
+        ("run", "--model", "x", "--scheme", "dream"),
+        ("run", "--model", "x", "--start", "nowhere"),
+        ("run", "--model", "x", "--kidnap", "0"),
+    ],
+)
+def test_bad_use_names_the_last_option(mistake: Mistake, arguments: tuple[str, ...]) -> None:
+    said = mistake(EXIT_USAGE, *arguments)
+    named = [one for one in arguments if one.startswith("--") and one != "--connect"]
+    assert not named or named[-1] in said or arguments[-1] in said or arguments[0] == "learn"
+
+
+def test_a_world_that_is_none_is_named_beside_those_that_are(mistake: Mistake) -> None:
+    said = mistake(EXIT_USAGE, "demonstrate", "--world", "atlantis")
+    assert "atlantis" in said
+    assert "campus" in said
+
+
+@pytest.mark.system
+def test_no_vulkan_driver(tmp_path: Path) -> None:
+    result = run_smal("demonstrate", "--world", "yard", "--out", tmp_path, VK_ICD_FILENAMES="/nonexistent.json")
+    (line,) = result.stderr.splitlines()
+    assert result.returncode == EXIT_FAILED
+    assert "nonexistent.json" in line
+    assert "mesa" in line
+
+
+@pytest.mark.zenoh
+def test_a_router_that_cannot_be_there(mistake: Mistake, tmp_path: Path) -> None:
+    with socket.socket() as taken:
+        taken.bind(("127.0.0.1", 0))
+        taken.listen()
+        port = taken.getsockname()[1]
+        said = mistake(EXIT_FAILED, "up", "--world", "yard", "--router", f"tcp/127.0.0.1:{port}")
+        assert f"{port}" in said
+        assert "in use" in said
+    demonstrate = ("demonstrate", "--world", "yard", "--out", str(tmp_path))
+    assert "127.0.0.1:9" in mistake(EXIT_FAILED, *demonstrate, "--connect", "tcp/127.0.0.1:9")
+    for command in (("up", "--world", "yard", "--router"), ("topic", "hz", "--router"), (*demonstrate, "--connect")):
+        assert "'memory/test': expected tcp/<host>:<port>" in mistake(EXIT_FAILED, *command, "memory/test")
+
+
+def test_settings_of_the_environment_are_checked(mistake: Mistake, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("SMAL_LOG_LEVEL", "loud")
+    assert "log_level" in mistake(EXIT_USAGE, "up", "--world", "yard")
+
+
+@pytest.mark.parametrize(
+    ("console", "status", "said"),
+    [
+        ("0.0.0.0:0", EXIT_FAILED, "other machines reach it"),
+        ("127.0.0.1:70000", EXIT_FAILED, "no such port"),
+        ("8080", EXIT_USAGE, "console: String should match pattern"),
+    ],
+)
+def test_a_page_that_cannot_be_served_is_said_before_anything_starts(
+    mistake: Mistake, free_endpoint: str, console: str, status: int, said: str
+) -> None:
+    assert said in mistake(status, "up", "--world", "yard", "--router", free_endpoint, "--console", console)
+
+
+# -- models -----------------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def models(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Give a folder with a model of each scheme, and files that are none."""
+    folder = tmp_path_factory.mktemp("models")
+    save_model(folder / "corridor.smal")
+    content = bytearray(corridor.save_model(folder / "mapped.smal").read_bytes())
+    content[8:12] = struct.pack("<I", FORMAT_VERSION + 1)
+    (folder / "newer.smal").write_bytes(content)
+    for name, text in (("empty.smal", b""), ("text.smal", b"not a model"), ("short.smal", b"SMAL")):
+        (folder / name).write_bytes(text)
+    return folder
+
+
+@pytest.mark.parametrize("command", ["run", "up"])
+@pytest.mark.parametrize(
+    ("name", "flags", "line"),
+    [
+        ("none", (), "No such file"),
+        ("empty", (), "empty.smal"),
+        ("text", (), "text.smal"),
+        ("short", (), "short.smal"),
+        ("newer", (), f"format {FORMAT_VERSION + 1}"),
+        ("mapped", ("--stride", "2"), "stride 2: the filter decides at every frame; only the paper"),
+        ("mapped", ("--scheme", "paper"), "it was learned for the scheme 'filter', not 'paper'"),
+        ("mapped", ("--goal", "office"), "the model has no goal 'office'; it has victim"),
+        ("mapped", ("--modalities", "color"), "--modalities color: the model was learned on"),
+        ("corridor", ("--scheme", "filter"), "it was learned for the scheme 'paper', not 'filter'"),
+        ("corridor", ("--stride", "4"), f"stride must be 1 to the sequence length {LENGTH}, got 4"),
+        ("corridor", ("--goal", "victim"), "goal 'victim': the paper's scheme goes to the nearest goal"),
+    ],
+)
+def test_a_model_that_cannot_be_used_so_is_bad_use(
+    command: str, name: str, flags: tuple[str, ...], line: str, models: Path, mistake: Mistake
+) -> None:
+    assert line in mistake(EXIT_USAGE, command, "--world", "yard", "--model", str(models / f"{name}.smal"), *flags)
+
+
+def test_recognition_and_policy_have_their_model_from_the_start(models: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(models)
+    paper, own = (("--model", str(models / name)) for name in ("corridor.smal", "mapped.smal"))
+    assert _chain_flags(None, Use()) == ((), None)
+    assert _chain_flags(Path("corridor.smal"), Use(stride=2)) == ((*paper, "--stride", "2"), FEATURES)
+    assert _chain_flags(Path("corridor.smal"), Use("paper")) == ((*paper, "--scheme", "paper"), FEATURES)
+    assert _chain_flags(Path("mapped.smal"), Use(goal="victim")) == ((*own, "--goal", "victim"), corridor.FEATURES)
+
+
+def test_what_a_model_says_makes_no_network_run(tmp_path: Path) -> None:
+    named = FeatureSettings.of(("color", f"onnx:{'ab' * 32}:4"))
+    with pytest.raises(UsageError, match="is run only where its file is given, as onnx:FILE"):
+        feature_flags(None, named)
+    onnx = pytest.importorskip("tests.smal.test_onnx_features", exc_type=ImportError)
+    text = f"color,{onnx.network(tmp_path / 'mix.onnx')}"
+    given = FeatureSettings.parse(text)
+    assert feature_flags(given, FeatureSettings.parse(text)) == ("--modalities", text)
+    with pytest.raises(UsageError, match=r"the model was learned on color,onnx:abab"):
+        feature_flags(given, named)
+
+
+def test_a_stack_has_the_features_of_its_model_whatever_their_weights() -> None:
+    names = ("color", "hog", "depth")
+    heavy = FeatureSettings(names, (1.0, 1.0, 3.0))
+    assert feature_flags(None) == ("--modalities", "color,hog")
+    assert feature_flags(None, heavy) == feature_flags(FeatureSettings.of(names), heavy) == feature_flags(heavy)
+
+
+def test_places_for_results_are_checked_before_the_stack_starts(mistake: Mistake, models: Path, tmp_path: Path) -> None:
+    (tmp_path / "file").touch()
+    model = models / "mapped.smal"
+    for option, value in (
+        ("--json", tmp_path / "none" / "runs.json"),
+        ("--json", tmp_path),
+        ("--json", model),
+        ("--report", tmp_path / "file"),
+        ("--record", tmp_path / "file" / "deeper"),
+    ):
+        said = mistake(EXIT_USAGE, "run", "--model", str(model), "--world", "yard", option, str(value))
+        assert f"{option} {value}" in said
+    assert "--out" in mistake(EXIT_USAGE, "demonstrate", "--world", "yard", "--out", str(tmp_path / "file"))

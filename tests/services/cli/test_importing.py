@@ -12,27 +12,17 @@ import pytest
 from services.cli import importing
 from services.importers import job
 from services.recordings.reader import read_recording
+from tests.services.cli.conftest import Mistake, Smal
 from tests.services.importers import sources
 
 KEY = "observation.images.front"
 
 
-def test_a_folder_becomes_recordings_that_teach(smal, tmp_path: Path) -> None:  # noqa: ANN001
+def test_a_folder_becomes_recordings_that_teach(smal: Smal, tmp_path: Path) -> None:
     folder, out = sources.csv_folder(tmp_path / "set"), tmp_path / "drives"
     report = tmp_path / "report.json"
-    status, said, errors = smal(
-        "import",
-        "folder",
-        str(folder),
-        "--out",
-        str(out),
-        "--goal",
-        "dock",
-        "--json",
-        str(report),
-        "--field-of-view",
-        "60",
-    )
+    more = ("--goal", "dock", "--json", report, "--field-of-view", "60")
+    status, said, errors = smal("import", "folder", folder, "--out", out, *more)
     assert status == 0
     assert "drives        1 (1 reached dock)" in said
     assert "nominal       2 m/s, 0.8 rad/s" in said
@@ -53,48 +43,46 @@ def test_a_folder_becomes_recordings_that_teach(smal, tmp_path: Path) -> None:  
     [
         (("bagpipe", "x"), 2, "no format 'bagpipe'; known are: rosbag2, lerobot, donkeycar, folder"),
         (("folder", "no-such"), 1, "no-such: No such file or directory"),
-        (("folder", "x", "--goal", "\n"), 2, "--goal: "),
-        (("folder", "x", "--robot", "Burger"), 2, "--robot: "),
+        (("folder", "x", "--goal", "\n"), 2, "'--goal'"),
+        (("folder", "x", "--robot", "Burger"), 2, "'--robot'"),
         (("folder", "x", "--from", "5", "--to", "5"), 2, "--to 5: is not after --from 5"),
         (("folder", "x", "--speed", "-1"), 2, "speed"),
     ],
 )
-def test_bad_use_is_one_line(smal, arguments: tuple[str, ...], status: int, said: str, tmp_path: Path) -> None:  # noqa: ANN001
-    ended, _, errors = smal("import", *arguments, "--out", str(tmp_path / "out"))
-    assert (ended, errors.count("\n")) == (status, 1)
-    assert said in errors
+def test_bad_use_is_one_line(
+    mistake: Mistake, arguments: tuple[str, ...], status: int, said: str, tmp_path: Path
+) -> None:
+    assert said in mistake(status, "import", *arguments, "--out", tmp_path / "out")
     assert not (tmp_path / "out").exists()
 
 
-def test_missing_packages_are_named_in_one_line(smal, monkeypatch: pytest.MonkeyPatch) -> None:  # noqa: ANN001
+def test_missing_packages_are_named_in_one_line(mistake: Mistake, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "pyarrow", None)
     monkeypatch.setattr(job, "missing_packages", lambda _form: ["pyarrow", "av"])
-    status, _, errors = smal("import", "lerobot", "x")
-    assert (status, errors) == (2, "smal: lerobot needs pyarrow and av: pip install -e '.[formats]'\n")
+    said = mistake(2, "import", "lerobot", "x")
+    assert said == "smal: lerobot needs pyarrow and av: pip install -e '.[formats]'\n"
 
 
-def test_a_failed_import_leaves_nothing_behind(smal, tmp_path: Path) -> None:  # noqa: ANN001
+def test_a_failed_import_leaves_nothing_behind(mistake: Mistake, tmp_path: Path) -> None:
     tub = sources.donkeycar(tmp_path / "tub")
     (tub / "manifest.json").write_bytes(b"PK\x05\x06" + bytes(18))
     out = tmp_path / "out"
-    status, _, errors = smal("import", "donkeycar", str(tub), "--out", str(out))
-    assert (status, errors.count("\n")) == (1, 1)
+    mistake(1, "import", "donkeycar", tub, "--out", out)
     assert not out.exists()
 
 
 @pytest.mark.parametrize("end", ["os.kill(os.getpid(), 11)", "os._exit(3)", "x = [bytes(2**29) for _ in range(9)]"])
 def test_a_decoder_that_breaks_down_is_one_line(
-    smal, end: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch  # noqa: ANN001
+    mistake: Mistake, end: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:  # fmt: skip
     program = f"import services.importers.run as m; m.run = lambda *_: exec('import os; {end}'); m.main()"
     monkeypatch.setattr(importing, "_COMMAND", (sys.executable, "-c", program))
-    status, _, errors = smal("import", "folder", str(tmp_path), "--out", str(tmp_path / "out"))
-    assert (status, errors.count("\n")) == (1, 1)
+    errors = mistake(1, "import", "folder", str(tmp_path), "--out", str(tmp_path / "out"))
     assert "the source is damaged, or hostile" in errors or "takes more than 2 GiB of memory" in errors
     assert not (tmp_path / "out").exists()
 
 
-def test_a_table_that_unpacks_to_all_memory_is_one_line(smal, tmp_path: Path) -> None:  # noqa: ANN001
+def test_a_table_that_unpacks_to_all_memory_is_one_line(mistake: Mistake, tmp_path: Path) -> None:
     pa = pytest.importorskip("pyarrow", reason="needs the extra formats")
     import pyarrow.parquet as pq  # noqa: PLC0415
 
@@ -106,6 +94,5 @@ def test_a_table_that_unpacks_to_all_memory_is_one_line(smal, tmp_path: Path) ->
         for _ in range(48):  # 2 GB in all
             writer.write_table(table)
     assert path.stat().st_size < 1_000_000
-    status, _, errors = smal("import", "lerobot", str(dataset), "--out", str(tmp_path / "out"))
-    assert (status, errors.count("\n")) == (1, 1)
+    errors = mistake(1, "import", "lerobot", str(dataset), "--out", str(tmp_path / "out"))
     assert str(dataset) in errors

@@ -18,6 +18,7 @@ from schemas.odometry import Odometry
 from services.cli.learn import learn
 from services.kit.errors import JobError, UsageError
 from services.kit.jpeg import encode_jpeg
+from services.kit.process import EXIT_FAILED, EXIT_USAGE
 from services.recordings.dataset import Teacher, find_recordings
 from services.recordings.reader import read_recording
 from services.recordings.writer import EpisodeWriter
@@ -28,6 +29,7 @@ from smal.paper.model import Model as PaperModel
 from smal.paper.novelty import WeightTest
 from smal.virtual_views import USUAL_FOCAL
 from tests import corridor
+from tests.services.cli.conftest import Mistake
 from tests.services.recordings.recorded_messages import applied, event, header
 from tests.services.recordings.test_recorder_files import leave, record
 
@@ -203,38 +205,39 @@ def test_damaged_recordings_are_named_and_the_rest_teaches(
     living.seal()
 
 
-def test_every_mistake_is_one_line(drives: Path, tmp_path: Path) -> None:
-    out, empty = tmp_path / "model.smal", tmp_path / "empty"
-    empty.mkdir()
-    bad = tmp_path / "bad.mcap"
-    bad.write_bytes(b"")
-    failed = record(tmp_path, drive("failed", purpose="recovery", outcome="aborted"))
-    paper = {"scheme": "paper"}
-    for paths, options, kind, line in (
-        ([tmp_path / "none"], {}, UsageError, f"{tmp_path}/none: no such file or folder"),
-        ([empty], {}, UsageError, f"{empty}: no recording (*.mcap) in this folder"),
-        ([drives], paper | {"gamma": 1.5}, UsageError, "gamma"),
-        ([drives], paper | {"lambda2": float("inf")}, UsageError, "lambda2 must be finite and positive, got inf"),
-        ([bad], {}, JobError, f"{bad}: empty"),
-        ([drives], paper | {"length": 41}, JobError, "nothing to learn from in 4 recordings, for the reasons above"),
-        ([failed], {}, JobError, "cannot learn from these recordings: "),
-        ([failed], paper, JobError, "cannot learn from these recordings: "),
-    ):
-        with pytest.raises(kind) as caught:
-            learn(paths, out, **options)
-        assert line in str(caught.value)
-        assert "\n" not in str(caught.value)
-    with pytest.raises(UsageError, match="is a folder"):
-        learn([drives], tmp_path)
-    for place in (bad, bad / "deeper"):
-        with pytest.raises(UsageError, match="--out"):
-            learn([drives], place / "model.smal")
-    with pytest.raises(UsageError, match=r"--json .*no folder"):
-        learn([drives], out, json_file=tmp_path / "none" / "report.json")
-    for tau in (-0.1, float("nan"), float("inf")):
-        with pytest.raises(UsageError, match="--tau"):
-            learn([drives], out, scheme="paper", tau=tau)
-    assert not out.exists()
+@pytest.mark.parametrize(
+    ("arguments", "status", "line"),
+    [
+        (("none",), EXIT_USAGE, "none: no such file or folder"),
+        (("empty",), EXIT_USAGE, "empty: no recording (*.mcap) in this folder"),
+        (("drives", "--gamma", "1.5"), EXIT_USAGE, "gamma"),
+        (("drives", "--lambda2", "inf"), EXIT_USAGE, "lambda2 must be finite and positive, got inf"),
+        (("drives", "--tau", "-0.1"), EXIT_USAGE, "--tau"),
+        (("drives", "--tau", "nan"), EXIT_USAGE, "--tau"),
+        (("drives", "--out", "drives"), EXIT_USAGE, "--out drives: is a folder"),
+        (("drives", "--out", "bad.mcap/model.smal"), EXIT_USAGE, "--out bad.mcap: is a file"),
+        (("drives", "--json", "none/report.json"), EXIT_USAGE, "--json none/report.json: no folder none"),
+        (
+            ("drives", "--modalities", "thumbnail", "--weights", "1,2"),
+            EXIT_USAGE,
+            "--weights 1,2: 1 modalities need as",
+        ),
+        (("drives", "--weights", "0"), EXIT_USAGE, "--weights 0: modality weights must be finite and positive"),
+        (("drives", "--memory", "1"), EXIT_FAILED, "--memory: "),
+        (("bad.mcap",), EXIT_FAILED, "bad.mcap: empty"),
+        (("failed.mcap",), EXIT_FAILED, "cannot learn from these recordings: "),
+    ],
+)
+def test_every_mistake_is_one_line(
+    arguments: tuple[str, ...], status: int, line: str, drives: Path, mistake: Mistake, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(drives.parent)
+    Path("empty").mkdir()
+    Path("bad.mcap").write_bytes(b"")
+    record(Path(), drive("failed", purpose="recovery", outcome="aborted"))
+    out = () if "--out" in arguments else ("--out", "model.smal")
+    assert line in mistake(status, "learn", *arguments, *out, "--scheme", "paper")
+    assert not Path("model.smal").exists()
 
 
 @pytest.mark.parametrize("name", ["length", "lambda1", "lambda2", "tau", "gamma", "memory"])

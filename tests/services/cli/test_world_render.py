@@ -9,15 +9,16 @@ import numpy as np
 import pytest
 import shapely
 
-from services.cli.world_render import render
-from services.kit.errors import JobError, UsageError
+from services.cli.options import Camera
+from services.cli.world import render
+from services.kit.errors import JobError
 from services.simulator.world import load_world
 from services.simulator.world.route import plan_route
 
 
 @pytest.mark.rendering
 def test_the_pictures_are_there_with_names_that_say_where(tmp_path: Path) -> None:
-    render("yard", tmp_path, views=3, camera="160x120")
+    render("yard", tmp_path, views=3, camera=Camera(160, 120))
     length = shapely.LineString(plan_route(load_world("yard"), _start("yard"))).length
     names = sorted(path.name for path in tmp_path.glob("view-*.png"))
     metres = [int(name.removesuffix("m.png").split("-")[2]) for name in names]
@@ -36,12 +37,7 @@ def test_the_pictures_are_there_with_names_that_say_where(tmp_path: Path) -> Non
 
 def test_a_world_that_does_not_exist_is_named(tmp_path: Path) -> None:
     with pytest.raises(JobError, match="atlantis"):
-        render("atlantis", tmp_path, views=2, camera="160x120")
-
-
-def test_a_size_that_is_none_is_named(tmp_path: Path) -> None:
-    with pytest.raises(UsageError, match="--camera 'large'"):
-        render("yard", tmp_path, views=2, camera="large")
+        render("atlantis", tmp_path, views=2, camera=Camera(160, 120))
 
 
 def _start(name: str) -> tuple[float, float]:

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterator
 from contextlib import closing
-from functools import partial
 from pathlib import Path
 from threading import Timer
-from typing import cast
 
 import pytest
 
@@ -15,11 +14,9 @@ from schemas.action import Action
 from schemas.base import Message
 from schemas.episode import Episode, Outcome
 from schemas.rpc import ArmRequest, EndRequest, LoadReply, LoadRequest, ResetReply, ResetRequest
-from services.cli.episodes.client import EpisodeClient, EpisodeRecord, check_world_of
-from services.cli.options import Camera, camera_of_own_stack, world_of_stack
-from services.cli.run import CHAIN, _check_models, _run_all, summarize
-from services.cli.simulator_options import simulator_of_own_stack
-from services.cli.stack.processes import Access
+from services.cli.episodes.client import EpisodeClient
+from services.cli.options import Running
+from services.cli.run import CHAIN, _check_models
 from services.expert.service import ExpertService
 from services.kit.errors import JobError, UsageError
 from services.kit.model_service import identity_of
@@ -27,8 +24,9 @@ from services.kit.node import Detail, Node, ServiceError
 from services.kit.process import EXIT_FAILED, EXIT_USAGE
 from services.kit.settings import ServiceSettings
 from services.robot.episode import RunOutcome
+from smal.features import FeatureSettings
 from tests import corridor
-from tests.services.cli.conftest import Smal
+from tests.services.cli.conftest import Mistake, Smal
 from tests.services.conftest import RunNode
 
 REQUEST = ResetRequest(seed=3)
@@ -43,6 +41,7 @@ class FakeSimulator:
     stop_cause: str | None = "not_armed"
     attended = False
     judge = "task"
+    route: tuple[tuple[float, float], ...] = ((0.0, 0.0), (1.0, 0.0))
 
     def __init__(self, node: Node) -> None:
         self._node = node
@@ -69,7 +68,7 @@ class FakeSimulator:
         for tick, (kind, state) in enumerate(self.decisions):
             cause = CAUSE.model_copy(update={"tick": tick})
             self._node.publish(Action.after(cause, kind=kind, state=state, atoms=("left",), arrived=kind == "goal"))
-        return ResetReply(episode="e", world="campus", route=((0.0, 0.0), (1.0, 0.0)), speed_m_s=2.0, found_m=5.0)
+        return ResetReply(episode="e", world="campus", route=self.route, speed_m_s=2.0, found_m=5.0)
 
     def end(self, request: EndRequest) -> None:
         self.ended.append("found" if request.found else request.episode)
@@ -102,7 +101,7 @@ def test_decisions_without_a_state_and_before_the_end_are_counted(
 ) -> None:
     record = client.run(REQUEST, done=lambda: bool(client._record and len(client._record.decisions) == 5))
     assert list(record.decisions.values()) == ["follow", "look_around", "guess", "stop"]
-    assert record.unknown == 1
+    assert record.unrecognized == {1}
     assert simulator.ended == ["e"]
 
 
@@ -145,24 +144,24 @@ def test_another_world_than_asked_for_is_an_error_and_its_episode_is_ended(
     simulator: FakeSimulator, client: EpisodeClient
 ) -> None:
     with pytest.raises(JobError, match="the stack runs campus, not yard; start it with --world yard"):
-        client.run(REQUEST, on_begin=partial(check_world_of, wanted="yard"))
+        client.run(REQUEST, world="yard")
     assert simulator.ended == ["e"]
 
 
-def test_an_aborted_run_is_an_error_after_the_finished_ones(settings: ServiceSettings, tmp_path: Path) -> None:
-    class Client:
-        def run(self, request: ResetRequest, **_: object) -> EpisodeRecord:
-            return EpisodeRecord(request, outcome="found" if request.seed < 3 else "aborted")
+def test_where_nobody_knows_the_way_the_expert_does_not_drive(simulator: FakeSimulator, client: EpisodeClient) -> None:
+    simulator.route = ()
+    with pytest.raises(JobError, match="campus: nobody knows the way there; demonstrate it by hand"):
+        client.run(REQUEST, on_begin=ExpertService().begin)
+    assert simulator.ended == ["e"]
 
-    records: list[EpisodeRecord] = []
-    requests = [ResetRequest(seed=seed) for seed in (1, 2, 3, 4)]
-    access = Access(settings, lambda: None, tmp_path)
-    with pytest.raises(JobError) as caught:
-        records.extend(_run_all(cast("EpisodeClient", Client()), requests, access, "yard"))
-    assert str(caught.value) == (
-        f"run with seed 3: no command came; see the logs of recognition and policy ({tmp_path})"
-    )
-    assert [one["seed"] for one in summarize("yard", records)["episodes"]] == [1, 2]  # type: ignore[attr-defined]
+
+def test_with_connect_the_robot_may_be_anywhere_unless_a_world_is_named() -> None:
+    running = Running(connect="tcp/127.0.0.1:1")
+    assert Running().world(None) == ("campus", "campus")
+    assert running.world("yard") == ("yard", "yard")
+    assert running.world(None) == ("campus", None)
+    with pytest.raises(UsageError, match=r"^--world nowhere: "):
+        running.world("nowhere")
 
 
 @pytest.mark.parametrize("others", ["fedcba9876543210", None])
@@ -175,89 +174,85 @@ def test_results_of_another_model_are_an_error(
         node = Node(service, settings)
         node.detail = lambda service=service: {"checksum": has[service]}  # type: ignore[misc]
         run_node(node)
-    _check_models(client, "0123456789abcdef", None)
+    _check_models(client.node.bus, "0123456789abcdef", None)
     has[wrong] = others
     with pytest.raises(JobError, match=f"^{wrong} has model {others or 'none'}, not 0123456789abcdef"):
-        _check_models(client, "0123456789abcdef", None)
+        _check_models(client.node.bus, "0123456789abcdef", None)
+
+
+class FakeStack:
+    """A stack that `smal run` may use: it loads any model, and begins `begins` episodes."""
+
+    def __init__(self, settings: ServiceSettings, run_node: RunNode, root: Path, features: FeatureSettings) -> None:
+        self.asked: list[ResetRequest] = []
+        self.loaded: list[LoadRequest] = []
+        self.begins = 0
+        self._robot = Node("robot", settings)
+        self._robot.serve("reset", ResetRequest, self.reset)
+        nodes = {name: Node(name, settings) for name in ("features", *CHAIN)}
+        nodes["features"].detail = lambda: {"fingerprint": features.fingerprint, "modalities": "color hog"}
+        for name in CHAIN:
+            nodes[name].detail = lambda: {"checksum": identity_of(corridor.model()), "root": str(root)}
+            nodes[name].serve("load", LoadRequest, self.load)
+        for node in (self._robot, *nodes.values()):
+            run_node(node)
+
+    def reset(self, request: ResetRequest) -> ResetReply:
+        """Begin an episode that ends at once: the first ones find the victim, the next is aborted."""
+        self.asked.append(request)
+        if len(self.asked) > self.begins + 1:
+            raise ServiceError("enough seen")
+        outcome: Outcome = "found" if len(self.asked) <= self.begins else "aborted"
+        last = CAUSE.model_copy(update={"tick": 4, "episode": f"e{len(self.asked)}"})
+        told = {"purpose": "run", "driver": "policy", "world": "yard", "seed": request.seed, "outcome": outcome}
+        Timer(0.2, lambda: self._robot.publish(Episode.after(last, event="ended", **told))).start()
+        return ResetReply(episode=last.episode, world="yard", speed_m_s=2.0)
+
+    def load(self, request: LoadRequest) -> LoadReply:
+        """Note what is loaded."""
+        self.loaded.append(request)
+        return LoadReply(scheme="filter", stride=1)
 
 
 @pytest.mark.parametrize(
-    ("flags", "start", "kidnap_tick"),
-    [((), "start", None), (("--start", "anywhere"), "anywhere", None), (("--kidnap", "5"), "start", 5)],
+    ("flags", "start", "kidnap_tick"), [(("--start", "anywhere"), "anywhere", None), (("--kidnap", "5"), "start", 5)]
 )
-def test_start_and_kidnap_reach_the_simulator(
+def test_start_and_kidnap_reach_the_simulator_and_finished_runs_are_written_though_a_later_one_fails(
     flags: tuple[str, ...], start: str, kidnap_tick: int | None, settings: ServiceSettings, run_node: RunNode,
     tmp_path: Path, smal: Smal,
 ) -> None:  # fmt: skip
-    asked: list[ResetRequest] = []
-    loaded: list[LoadRequest] = []
+    stack = FakeStack(settings, run_node, tmp_path, corridor.FEATURES)
+    stack.begins = 2
     path = corridor.save_model(tmp_path / "mapped.smal")
-    identity = identity_of(corridor.model())
+    more = ("--episodes", 4, "--connect", settings.router, "--json", tmp_path / "runs.json", *flags)
+    status, _, said = smal("run", "--model", path, "--world", "yard", *more)
+    last = "smal: run with seed 3: no command came; see the logs of recognition and policy"
+    assert (status, said.splitlines()[-1]) == (EXIT_FAILED, last)
+    assert [(one.seed, one.start, one.kidnap_tick, one.purpose) for one in stack.asked] == [
+        (seed, start, kidnap_tick, "run") for seed in (1, 2, 3)
+    ]
+    assert stack.loaded == [LoadRequest(model="mapped.smal")] * 2
+    written = json.loads((tmp_path / "runs.json").read_text())
+    assert [(one["seed"], one["outcome"]) for one in written["episodes"]] == [(1, "found"), (2, "found")]
+    assert written["success_rate"] == 1.0
 
-    def reset(request: ResetRequest) -> ResetReply:
-        asked.append(request)
-        raise ServiceError("enough seen")
 
-    def load(request: LoadRequest) -> LoadReply:
-        loaded.append(request)
-        return LoadReply(scheme="filter", stride=1)
-
-    fakes = {name: Node(name, settings) for name in ("robot", "features", *CHAIN)}
-    fakes["robot"].serve("reset", ResetRequest, reset)
-    fakes["features"].detail = lambda: {"fingerprint": corridor.FEATURES.fingerprint}
-    for name in CHAIN:
-        fakes[name].detail = lambda: {"checksum": identity, "root": str(tmp_path)}
-        fakes[name].serve("load", LoadRequest, load)
-    for node in fakes.values():
-        run_node(node)
-    status, _, said = smal("run", "--model", str(path), "--world", "yard", "--episodes", "1", *flags,
-                           "--connect", settings.router)  # fmt: skip
-    assert (status, said.splitlines()[-1]) == (EXIT_FAILED, "smal: robot reset: enough seen")
-    assert [(one.start, one.kidnap_tick, one.purpose) for one in asked] == [(start, kidnap_tick, "run")]
-    assert loaded == [LoadRequest(model="mapped.smal")] * 2
+def test_a_model_of_other_features_is_an_error_before_the_first_run(
+    settings: ServiceSettings, run_node: RunNode, tmp_path: Path, mistake: Mistake
+) -> None:
+    stack = FakeStack(settings, run_node, tmp_path, FeatureSettings())
+    path = corridor.save_model(tmp_path / "mapped.smal")
+    said = mistake(EXIT_FAILED, "run", "--model", path, "--world", "yard", "--connect", settings.router)
+    names = ",".join(corridor.FEATURES.modalities)
+    assert f"learned on the features {names}, and the stack makes color,hog; start it with `smal up --mod" in said
+    assert stack.asked == []
 
 
 def test_a_model_that_the_stack_does_not_read_is_one_line_that_says_what_to_do(
-    settings: ServiceSettings, run_node: RunNode, tmp_path: Path, smal: Smal
+    settings: ServiceSettings, run_node: RunNode, tmp_path: Path, mistake: Mistake
 ) -> None:
-    path, root = corridor.save_model(tmp_path / "mapped.smal"), tmp_path / "root"
-    for name in CHAIN:
-        node = Node(name, settings)
-        node.detail = lambda: {"root": str(root)}
-        run_node(node)
-    status, _, said = smal("run", "--model", str(path), "--world", "yard", "--connect", settings.router)
-    assert status == EXIT_USAGE
-    assert said == (
-        f"smal: --model {path}: the recognition of this stack takes only what is below {root}; put it there, or start "
-        "the stack with --root\n"
-    )
-    status, _, said = smal("run", "--model", str(path), "--modalities", "color", "--connect", settings.router)
-    assert (status, said.split(":")[1]) == (EXIT_USAGE, " --modalities")
-
-
-def test_what_a_running_stack_has_cannot_be_chosen() -> None:
-    assert simulator_of_own_stack("yard", None, "tcp/127.0.0.1:1").camera == Camera(1024, 768)
-    with pytest.raises(UsageError, match=r"^--shake: with --connect .* `smal up`$"):
-        simulator_of_own_stack("yard", None, "tcp/127.0.0.1:1", shake=0.0)
-
-
-def test_camera_belongs_to_the_stack_that_is_started() -> None:
-    assert camera_of_own_stack(None, "tcp/127.0.0.1:1") == Camera(1024, 768)
-    assert camera_of_own_stack("64x48", None) == Camera(64, 48)
-    with pytest.raises(UsageError, match="--connect"):
-        camera_of_own_stack("64x48", "tcp/127.0.0.1:1")
-
-
-def test_with_connect_the_robot_may_be_anywhere_unless_a_world_is_named() -> None:
-    running = "tcp/127.0.0.1:1"
-    assert world_of_stack(None, None) == ("campus", "campus")
-    assert world_of_stack("yard", running) == ("yard", "yard")
-    assert world_of_stack(None, running) == ("campus", None)
-    check_world_of(ResetReply(episode="e", world="turtlebot4", speed_m_s=0.3), None)
-    with pytest.raises(UsageError, match=r"^--world nowhere: "):
-        world_of_stack("nowhere", running)
-
-
-def test_the_expert_cannot_drive_where_nobody_knows_the_way() -> None:
-    with pytest.raises(JobError, match="turtlebot4: nobody knows the way there; demonstrate it by hand"):
-        ExpertService().begin(ResetReply(episode="e", world="turtlebot4", speed_m_s=0.3))
+    root = tmp_path / "root"
+    FakeStack(settings, run_node, root, corridor.FEATURES)
+    path = corridor.save_model(tmp_path / "mapped.smal")
+    said = mistake(EXIT_USAGE, "run", "--model", path, "--world", "yard", "--connect", settings.router)
+    assert f"--model {path}: the recognition of this stack takes only what is below {root}; put it there" in said

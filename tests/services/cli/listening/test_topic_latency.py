@@ -16,7 +16,7 @@ from schemas.observation import Observation
 from schemas.pose import Pose
 from schemas.state import State
 from schemas.topics import APPLIED, COMMANDS
-from services.cli.listening import latency_command
+from services.cli.listening import commands
 from services.kit.bus import Bus
 from tests.schemas.messages import EXAMPLES
 from tests.services.cli.conftest import Smal
@@ -51,8 +51,8 @@ def measured(smal: Smal, client: Bus, router_endpoint: str, monkeypatch: pytest.
     """Run the command while the robot drives, until it must have heard several ticks."""
     witness = Bus("rescuebot", router_endpoint)
 
-    def run(*arguments: str, without: tuple[type[Message], ...] = (), rubbish: bool = False) -> tuple[int, str, str]:
-        robot = Robot(client, [cls for cls in CHAIN if cls not in without])
+    def run(*arguments: str) -> tuple[int, str, str]:
+        robot = Robot(client, CHAIN)
 
         def wait(_what: str, _seconds: float) -> None:
             # The router passes subscriptions on in the background, this later one after those of the command.
@@ -61,13 +61,12 @@ def measured(smal: Smal, client: Bus, router_endpoint: str, monkeypatch: pytest.
 
             def enough() -> bool:
                 robot()
-                if rubbish:
-                    send_as_stranger(client, COMMANDS["teleop"], b"\xc1")
+                send_as_stranger(client, COMMANDS["teleop"], b"\xc1")
                 return len(heard) >= 20
 
             eventually(enough, timeout_s=20.0)
 
-        monkeypatch.setattr(latency_command, "wait", wait)
+        monkeypatch.setattr(commands, "wait", wait)
         return smal("topic", "latency", *arguments, "--router", router_endpoint)
 
     yield run
@@ -80,7 +79,7 @@ def hops(rows: list[dict[str, Any]]) -> list[tuple[str, str]]:
 
 @pytest.mark.parametrize(("arguments", "frame"), [((), "pose/truth"), (("--camera",), "camera/rgb")])
 def test_from_frame_to_command(measured: Measured, arguments: tuple[str, ...], frame: str) -> None:
-    status, out, _ = measured("--json", *arguments)
+    status, out, err = measured("--json", *arguments)
     assert status == 0
     found = json.loads(out)
     assert found["frame"] == frame
@@ -98,6 +97,7 @@ def test_from_frame_to_command(measured: Measured, arguments: tuple[str, ...], f
     assert every[3]["p50_ms"] > 0
     assert every[-1]["p50_ms"] == pytest.approx(12.0)
     assert hops(decisions) == hops(every)
+    assert "messages could not be decoded; see smal topic echo" in err
 
 
 def test_nobody_drives(smal: Smal, router_endpoint: str) -> None:

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import json
-import statistics
 from collections.abc import Iterator
-from itertools import pairwise
 
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -14,7 +13,7 @@ from hypothesis import strategies as st
 from schemas.command import Command
 from schemas.image import Image
 from services.cli.listening import commands as listening_commands
-from services.cli.listening.rates import Rate
+from services.cli.listening.arrivals import RATES, SIZES, Arrivals, lines, sizes
 from services.kit.bus import Bus
 from tests.schemas.messages import EXAMPLES
 from tests.services.cli.conftest import Listen, Smal
@@ -23,20 +22,25 @@ from tests.services.waiting import eventually
 KEY = "smal/rescuebot/command/teleop"
 
 
-@given(st.lists(st.floats(0.001, 10), min_size=1, max_size=30), st.integers(0, 10_000))
-def test_rates(intervals_s: list[float], size: int) -> None:
-    times_s = [100.0]
-    for interval_s in intervals_s:
-        times_s.append(times_s[-1] + interval_s)
-    rate = Rate()
+@given(st.lists(st.floats(0.001, 10), max_size=30), st.integers(0, 10_000))
+def test_rates_and_sizes_are_those_of_what_came(intervals_s: list[float], size: int) -> None:
+    times_s = np.cumsum([100.0, *intervals_s])
+    heard = Arrivals()
     for time_s in times_s:
-        rate.add(size, time_s)
-    gaps = [later - earlier for earlier, later in pairwise(times_s)]
-    assert rate.mean_s == pytest.approx(sum(gaps) / len(gaps))
-    assert rate.rate_hz == pytest.approx(len(gaps) / sum(gaps))
-    assert rate.bytes_per_s == pytest.approx(size * len(gaps) / sum(gaps))
-    assert (rate.min_s, rate.max_s) == (min(gaps), max(gaps))
-    assert rate.std_s == pytest.approx(statistics.pstdev(gaps), abs=1e-9)
+        heard.add(size, time_s)
+    rates, found = heard.rates(), sizes([heard, Arrivals()], 4.0)
+    assert rates["messages"] == found["messages"] == len(times_s)
+    assert found["bytes_per_s"] == size * len(times_s) / 4.0
+    assert found["mean_bytes"] == found["min_bytes"] == found["max_bytes"] == size
+    if not intervals_s:
+        assert {value for name, value in rates.items() if name != "messages"} == {None}
+        return
+    gaps = np.diff(times_s)
+    assert rates["rate_hz"] == pytest.approx(1.0 / gaps.mean())
+    assert rates["bytes_per_s"] == pytest.approx(size / gaps.mean())
+    assert (rates["min_s"], rates["max_s"]) == pytest.approx((gaps.min(), gaps.max()))
+    assert (rates["mean_s"], rates["std_s"]) == pytest.approx((gaps.mean(), gaps.std()))
+    assert len(list(lines({"key": rates}, RATES))) == len(list(lines({"key": found}, SIZES))) == 2
 
 
 @pytest.mark.zenoh

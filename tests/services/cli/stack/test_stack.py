@@ -19,9 +19,9 @@ from schemas.rpc import Nothing, Status
 from services.cli.interrupts import interrupted_by_signals
 from services.cli.stack import patience
 from services.cli.stack.backoff import FIRST_S, LONGEST_S, STEADY_S, Backoff
-from services.cli.stack.processes import Stack, StackPlan, flags, stack_for
+from services.cli.stack.processes import Stack, StackPlan, flags
 from services.kit.bus import Bus
-from services.kit.errors import JobError, UsageError
+from services.kit.errors import JobError
 from tests.services.waiting import eventually, ready
 
 #: What services are that do not start at once.
@@ -108,15 +108,18 @@ def test_a_service_that_hangs_in_starting_is_named(
 
 def test_whether_a_process_works_is_told_by_its_processor_time() -> None:
     now_s = used_s = 0.0
-    worker = patience.Worker(lambda: used_s, lambda: now_s)
+    waiting = patience.Patience(lambda _: "slow", lambda _: used_s, lambda: now_s)
     for share in (0.02, 1.0, 0.02):
         for _ in range(1000):
             now_s, used_s = now_s + 1.0, used_s + share
-            assert not worker.hangs(), "however long it works, and however little it gets of a busy machine"
+            waiting.check({"robot": 1})  # however long it works, and however little it gets of a busy machine
     began_s = now_s
-    while not worker.hangs():
+    for _ in range(int(0.5 * patience.HANGS_S)):
         now_s, used_s = now_s + 1.0, used_s + 0.002
-    assert 0.5 * patience.HANGS_S < now_s - began_s < 2.0 * patience.HANGS_S
+        waiting.check({"robot": 1})
+    now_s = began_s + 2.0 * patience.HANGS_S
+    with pytest.raises(JobError, match=r"robot hangs: not ready after \d+ s \(slow\)"):
+        waiting.check({"robot": 1})
 
 
 def test_processor_time_is_that_of_the_process() -> None:
@@ -187,25 +190,22 @@ def test_handlers_are_given_back_and_nohup_is_respected() -> None:
         signal.signal(signal.SIGHUP, before)
 
 
-def test_robot_id_is_checked_before_anything_starts() -> None:
-    with pytest.raises(UsageError, match="'A B'"), stack_for(None, ("router",), "A B", {}):
-        pass
-
-
 def test_a_service_that_keeps_dying_is_started_less_and_less_often() -> None:
     now = [0.0]
     backoff = Backoff(lambda: now[0])
     spacings = []
     for _ in range(8):
         began = now[0]
-        assert not backoff.mourned
+        assert backoff.mourn()
+        assert not backoff.mourn()
         now[0] += backoff.wait_s()
-        assert backoff.mourned
         assert backoff.wait_s() == 0.0
         spacings.append(now[0] - began)
         backoff.begin()
     assert spacings == [FIRST_S, 2.0, 4.0, 8.0, 16.0, LONGEST_S, LONGEST_S, LONGEST_S]
     now[0] += STEADY_S
+    backoff.mourn()
     assert backoff.wait_s() == 0.0
     backoff.begin()
+    backoff.mourn()
     assert backoff.wait_s() == 2.0
