@@ -44,22 +44,16 @@ _CONTEXTS: Final = {"bench": {"allow_extra_args": True, "ignore_unknown_options"
 class _LazyGroup(TyperGroup):
     """Loads a command when it is asked for."""
 
-    def list_commands(self, ctx: typer.Context) -> list[str]:  # type: ignore[override]  # typer hides the class
-        """Name all, also those that are not loaded."""
-        return list(COMMANDS)
+    def __init__(self, *arguments: Any, **more: Any) -> None:  # noqa: ANN401
+        super().__init__(*arguments, **more)
+        #: By name; what each is need not be known to list them, or to suggest others.
+        self.commands = dict.fromkeys(COMMANDS)  # type: ignore[assignment]
 
-    def get_command(  # type: ignore[override]
+    def get_command(  # type: ignore[override]  # typer hides the classes
         self, ctx: typer.Context, cmd_name: str
     ) -> TyperGroup | TyperCommand | None:
         """Load one."""
         return _load(cmd_name) if cmd_name in COMMANDS else None
-
-    def resolve_command(  # type: ignore[override]
-        self, ctx: typer.Context, args: list[str]
-    ) -> tuple[str | None, TyperGroup | TyperCommand | None, list[str]]:
-        """Load one; for a name that is none suggest others, for which they need not be loaded."""
-        self.commands = dict.fromkeys(COMMANDS)  # type: ignore[assignment]
-        return super().resolve_command(ctx, args)  # type: ignore[return-value]
 
     def format_commands(self, ctx: typer.Context, formatter: Any) -> None:  # type: ignore[override]  # noqa: ANN401
         """List all without loading any."""

@@ -47,16 +47,8 @@ def made_folder(path: Path, option: str) -> Iterator[None]:
 def check_file(path: Path | None, option: str, read: Iterable[str | Path] = (), folders: Iterable[Path] = ()) -> None:
     """Check, before the work begins, that a file of results can be written, if one is wanted.
 
-    Parameters
-    ----------
-    path, option
-        The file, and what names it.
-    read
-        Files that the command reads, which results must not replace.
-    folders
-        Folders whose files the command reads: results must not lie among them.
-
-    Raises UsageError when it cannot.
+    It must not replace one of the files that the command reads, nor lie among those of the folders that it reads.
+    Raises UsageError when it cannot be.
     """
     if path is None:
         return

@@ -92,19 +92,7 @@ def _by_hand(tick: Tick) -> bool:
 
 
 class Player:
-    """Tells what a robot told in one episode.
-
-    Parameters
-    ----------
-    node
-        That of the robot.
-    track
-        What it told.
-    episode
-        Id of the new episode.
-    wanted
-        Topics to tell.
-    """
+    """Tells what a robot told in one episode, by the id of a new one: the topics that are wanted."""
 
     def __init__(self, node: Node, track: Track, episode: str, wanted: dict[str, Topic]) -> None:
         self.episode = episode

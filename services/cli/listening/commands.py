@@ -9,7 +9,7 @@ import time
 from collections import defaultdict
 from collections.abc import Iterator
 from contextlib import closing, contextmanager
-from typing import Annotated, Any, Final, cast
+from typing import Annotated, Final, cast
 
 import typer
 from typer import Argument, Option
@@ -140,33 +140,14 @@ def latency(
     if bad:
         typer.echo(f"smal: {len(bad)} messages could not be decoded; see smal topic echo", err=True)
     if not trace.drivers():
-        raise JobError(_why_nothing(trace, frames.name, reach.robot))
+        came = f"{trace.commands} commands came, and {trace.frames} frames by {frames.name}; none was for the other"
+        raise JobError(f"{came}; drive {reach.robot} meanwhile, and give --camera where it has no {POSE.name}")
     if as_json:
-        say(json.dumps(_record(trace, frames.name, reach.robot), indent=2))
+        drivers = {driver: trace.record(driver) for driver in trace.drivers()}
+        told = {"robot": reach.robot, "frame": frames.name, "frames": trace.frames, "drivers": drivers}
+        say(json.dumps(told, indent=2))
     else:
         say("\n".join(table(list(_rows(trace)))))
-
-
-def _why_nothing(trace: LatencyTrace, frames: str, robot: str) -> str:
-    if not trace.commands:
-        return f"nobody drove {robot}; drive it with smal teleop, or smal run --connect, and measure again"
-    if not trace.frames and frames == POSE.name:
-        return f"commands to {robot} came, but no {POSE.name}; for a robot without it: smal topic latency --camera"
-    return f"{trace.commands} commands to {robot} came, but none for any of the {trace.frames} frames seen"
-
-
-def _record(trace: LatencyTrace, frames: str, robot: str) -> dict[str, Any]:
-    drivers = {
-        driver: {
-            name: [
-                {"from": start, "to": end} | spread
-                for (start, end), spread in trace.breakdown(driver, decisions_only=name == "decisions").items()
-            ]
-            for name in ("all", "decisions")
-        }
-        for driver in trace.drivers()
-    }
-    return {"robot": robot, "frame": frames, "frames": trace.frames, "drivers": drivers}
 
 
 def _rows(trace: LatencyTrace) -> Iterator[list[str]]:

@@ -91,6 +91,14 @@ class LatencyTrace:
                 found[hop] = {"ticks": len(ms), "p50_ms": p50, "p95_ms": p95, "max_ms": max(ms)}
         return found
 
+    def record(self, driver: Source) -> dict[str, list[dict[str, Any]]]:
+        """Return both breakdowns of a driver for JSON."""
+        both = {"all": self.breakdown(driver), "decisions": self.breakdown(driver, decisions_only=True)}
+        return {
+            name: [{"from": start, "to": end} | spread for (start, end), spread in found.items()]
+            for name, found in both.items()
+        }
+
 
 def _of(name: str, driver: Source) -> str:
     """Return by what name a tick keeps an arrival: what the actuator says is of one driver."""

@@ -32,14 +32,8 @@ def processor_s(pid: int) -> float:
 class Patience:
     """Waits for services, tells whom it waits for and how long already, and gives up on one that hangs.
 
-    Parameters
-    ----------
-    last_line
-        What a service said last of what it is doing; empty where that is not known.
-    used_s
-        Processor time of a process, seconds.
-    clock
-        Monotonic seconds.
+    `last_line` gives what a service said last of what it is doing, if that is known, and `used_s` the processor time of
+    a process, seconds.
     """
 
     def __init__(

@@ -223,7 +223,6 @@ def test_damaged_recordings_are_named_and_the_rest_teaches(
             "--weights 1,2: 1 modalities need as",
         ),
         (("drives", "--weights", "0"), EXIT_USAGE, "--weights 0: modality weights must be finite and positive"),
-        (("drives", "--memory", "1"), EXIT_FAILED, "--memory: "),
         (("bad.mcap",), EXIT_FAILED, "bad.mcap: empty"),
         (("failed.mcap",), EXIT_FAILED, "cannot learn from these recordings: "),
     ],

@@ -103,6 +103,4 @@ def test_from_frame_to_command(measured: Measured, arguments: tuple[str, ...], f
 def test_nobody_drives(smal: Smal, router_endpoint: str) -> None:
     code, out, err = smal("topic", "latency", "--seconds", "0.1", "--router", router_endpoint)
     assert (code, out) == (1, "")
-    assert err.splitlines()[1:] == [
-        "smal: nobody drove rescuebot; drive it with smal teleop, or smal run --connect, and measure again"
-    ]
+    assert err.splitlines()[1].startswith("smal: 0 commands came, and 0 frames by pose/truth; ")
