@@ -41,7 +41,10 @@ def evaluate(
     outputs.make_folder(out, "--out")
     if quick and world is not None:
         raise UsageError("--quick: an evaluation of one's own world (--world) has one size")
-    plan = PLANS["quick" if quick else "full"] if world is None else _plan_in(world)
+    plan = PLANS["quick" if quick else "full"]
+    if world is not None:
+        path = Path(world)
+        plan = in_world(str(path.resolve()) if path.is_file() else world, options.read_world(world).scale.aside_m)
     store = ResultStore(out, plan)
     planned = units(plan)
     with interrupted_by_signals():
@@ -52,11 +55,6 @@ def evaluate(
 
         page = write_page(plan, planned, store)
     typer.echo(f"results: {page}")
-
-
-def _plan_in(world: str) -> Plan:
-    there = options.read_world(world)
-    return in_world(str(Path(world).resolve()) if Path(world).is_file() else world, there.scale.aside_m)
 
 
 def _work(plan: Plan, planned: list[Unit], store: ResultStore, workers: int) -> None:

@@ -61,10 +61,8 @@ def checked(check: Callable[[str], T]) -> Callable[[str], T]:
     def parse(text: str) -> T:
         try:
             return check(text)
-        except ValidationError as error:
-            raise typer.BadParameter(describe(error)) from None
         except ValueError as error:
-            raise typer.BadParameter(str(error)) from None
+            raise typer.BadParameter(describe(error) if isinstance(error, ValidationError) else str(error)) from None
 
     return parse
 

@@ -75,8 +75,8 @@ def import_world(
         raise UsageError(f"--out {out}: the name of a world file ends in .json")
     outputs.check_file(out, "--out")
     wishes = Wishes(
-        start=None if start is None else _pose(start, "--start", (3,)),
-        victim=None if victim is None else _pose(victim, "--victim", (2, 3)),
+        start=_pose("--start", start, "X,Y,HEADING_DEG", (3,)),
+        victim=_pose("--victim", victim, "X,Y or X,Y,HEADING_DEG", (2, 3)),
         seed=seed,
         around=_surroundings(around, radius),
     )
@@ -93,14 +93,19 @@ def import_world(
     typer.echo(f"wrote {out}; next: smal demonstrate --world {out} --out DIR")
 
 
-def _pose(text: str, option: str, sizes: Iterable[int]) -> Pose:
+def _numbers(option: str, text: str, wanted: str, counts: tuple[int, ...], example: str) -> list[float]:
     numbers = [float(part) for part in text.split(",")] if re.fullmatch(rf"{_NUMBER}(,{_NUMBER})*", text) else []
-    if len(numbers) not in sizes:
-        wanted = "X,Y,HEADING_DEG" if option == "--start" else "X,Y or X,Y,HEADING_DEG"
-        raise UsageError(f"{option} {text!r}: expected {wanted}, for example 12.5,-3,90")
-    x, y, heading_deg = (*numbers, 0.0)[:3]
-    if not all(map(math.isfinite, (x, y, heading_deg))):
+    if len(numbers) not in counts:
+        raise UsageError(f"{option} {text!r}: expected {wanted}, for example {example}")
+    if not all(map(math.isfinite, numbers)):
         raise UsageError(f"{option} {text!r}: larger than any world")
+    return numbers
+
+
+def _pose(option: str, text: str | None, wanted: str, counts: tuple[int, ...]) -> Pose | None:
+    if text is None:
+        return None
+    x, y, heading_deg = (*_numbers(option, text, wanted, counts, "12.5,-3,90"), 0.0)[:3]
     return Pose(x, y, math.remainder(math.radians(heading_deg), math.tau))
 
 
@@ -109,9 +114,7 @@ def _surroundings(around: str | None, radius: float | None) -> Surroundings | No
         return None
     if radius is None:
         raise UsageError(f"--around {around}: needs --radius, in metres")
-    if not re.fullmatch(rf"{_NUMBER},{_NUMBER}", around):
-        raise UsageError(f"--around {around!r}: expected LAT,LON in degrees, for example 39.751,-105.223")
-    latitude, longitude = map(float, around.split(","))
+    latitude, longitude = _numbers("--around", around, "LAT,LON in degrees", (2,), "39.751,-105.223")
     if not (abs(latitude) <= 85 and abs(longitude) <= 180):
         raise UsageError(f"--around {around!r}: latitude is from -85 to 85 degrees, longitude from -180 to 180")
     return Surroundings(latitude, longitude, radius)
