@@ -1,64 +1,53 @@
 // Where the robot thinks it is: the belief over the taught frames, and the taught image that it matches.
 
-import { $, cleared, color, element, percent, say, seconds } from "./element.js";
+import { $, cleared, color, element, say } from "./element.js";
+import { beliefFacts, planFacts } from "./words.js";
 
-const BAR_PX = 4, HEIGHT = 64, LEAST = 0.01, DOES = { forward: "↑ forward", backward: "↓ backward", left: "← turn left", right: "→ turn right", stop: "■ stop" };
-const WHY = {
-  follow: "follows the taught way", action: "does the action of its state", goal: "has arrived", dead_end: "knows no way on",
-  look_around: "looks around", guess: "drives by its best guess", stop: "stops: it does not know where it is",
-};
-
-const section = $("#belief");
-const parts = { empty: section.querySelector(".empty"), content: section.querySelector(".content"), facts: section.querySelector(".facts") };
-const strip = section.querySelector(".strip"), image = section.querySelector("img"), caption = section.querySelector("figcaption"), list = section.querySelector("dl");
-
-let recognized = "";
+const BAR_PX = 4, HEIGHT = 64, LEAST = 0.01;
+const section = $("#belief"), strip = $("#belief .strip"), image = $("#belief img"), list = $("#belief dl");
 
 export function drawBelief({ model, belief, plan }, age) {
   const known = model && !model.trouble && model.id;
-  parts.content.hidden = !known;
-  parts.empty.hidden = Boolean(known);
-  if (!known) return say(parts.empty.querySelector("p"), model?.trouble ?? "No model is loaded.");
-  const fresh = belief && age("belief") < 2;
-  const lost = fresh && belief.status === "unknown";
-  section.classList.toggle("lost", Boolean(lost));
+  $("#belief .content").hidden = !known;
+  $("#belief .empty").hidden = Boolean(known);
+  if (!known) return say($("#belief .empty p"), model?.trouble ?? "No model is loaded.");
+  const fresh = Boolean(belief) && age < 2, key = belief?.keyframe;
+  section.classList.toggle("lost", fresh && belief.status === "unknown");
   section.classList.toggle("old", !fresh);
-  section.classList.toggle("nowhere", Boolean(fresh) && belief.keyframe === undefined);
-  if (!fresh) recognized = "";
-  else if (Number.isInteger(belief.state)) recognized = `The paper's scheme: state ${belief.state}, duality gap ${belief.gap.toExponential(0)}.`;
-  say(parts.facts, !fresh ? (belief ? `As it was ${seconds(age("belief"))} ago.` : "It tells nothing before a run.") : belief.keyframe === undefined ? (belief.status === "unknown" ? "No taught place looks like this." : belief.status === "recognized" && !Number.isInteger(belief.state) ? "The model is being read …" : recognized || "No taught place is recognized yet.") : lost ? `Lost: ${percent(belief.lost)} sure that it is nowhere near.` : `${percent(belief.sure ?? 0)} sure of this place, ${percent(belief.lost)} lost.`);
+  section.classList.toggle("nowhere", fresh && key === undefined);
+  say($("#belief .facts"), beliefFacts(belief, age));
   drawStrip(model, fresh ? belief : null);
   if (!fresh) return;
-  const rows = { Plan: plan ? WHY[plan.kind] : "–", Now: plan ? plan.atoms.slice(0, 3).map((atom) => DOES[atom]).join(", ") : "–", "To go": belief.cost === undefined ? "–" : belief.cost === null ? "no way to the goal" : `${belief.cost.toFixed(0)} s to ${model.goal}` };
+  const rows = planFacts(plan, belief, model.goal);
   if (list.children.length === 0) for (const name in rows) list.append(element("dt", {}, name), element("dd"));
   Object.values(rows).forEach((text, k) => say(list.children[2 * k + 1], text));
-  const key = belief.keyframe;
   if (key === undefined) return;
-  const source = `taught/${model.id}/${key}`;
+  const source = `taught/${model.id}/${key}`, along = model.along[key].toFixed(1);
   if (image.getAttribute("src") !== source) image.setAttribute("src", source);
-  image.alt = `The taught image that the view matches, ${model.along[key]} m along the way`;
-  say(caption, `The taught image that it matches, ${model.along[key].toFixed(1)} m along drive ${model.drives[key] + 1}; cosine ${belief.cosine.toFixed(2)}${belief.gap ? `, duality gap ${belief.gap.toExponential(0)}` : ""}.`);
+  image.alt = `The taught image that the view matches, ${along} m along the way`;
+  const alike = `cosine ${belief.cosine.toFixed(2)}${belief.gap ? `, duality gap ${belief.gap.toExponential(0)}` : ""}`;
+  const where = `${along} m along drive ${model.drives[key] + 1}`;
+  say($("#belief figcaption"), `The view matches this taught image, ${where}; ${alike}.`);
 }
 
 /** One track a drive, as long as its way; a bar is the belief on that stretch. */
-function drawStrip(model, belief) {
+function drawStrip({ drives, along }, belief) {
   const [pen, width] = cleared(strip, HEIGHT);
-  const drives = Math.max(...model.drives) + 1, room = HEIGHT / drives, longest = Math.max(...model.along, 1e-9);
+  const room = HEIGHT / (Math.max(...drives) + 1), longest = Math.max(...along, 1e-9);
+  const place = (drive, from, to, height) => pen.fillRect(from, (drive + 1) * room - 5 - height, to - from, height);
   pen.fillStyle = color("track");
-  for (let drive = 0; drive < drives; drive++) {
-    const length = Math.max(...model.along.filter((_, k) => model.drives[k] === drive));
-    pen.fillRect(0, (drive + 1) * room - 5, (width * length) / longest, 4);
+  for (const drive of new Set(drives)) {
+    place(drive, 0, (width * Math.max(...along.filter((_, k) => drives[k] === drive))) / longest, -4);
   }
   if (!belief) return;
-  const bars = new Map();
+  const bars = {};
   for (const [key, weight] of belief.places) {
-    const at = `${model.drives[key]} ${Math.min(Math.floor((model.along[key] / longest) * width / BAR_PX), Math.floor(width / BAR_PX) - 1)}`;
-    bars.set(at, (bars.get(at) ?? 0) + weight * (1 - belief.lost));
+    const bar = Math.min(Math.floor(((along[key] / longest) * width) / BAR_PX), Math.floor(width / BAR_PX) - 1);
+    const known = (bars[`${drives[key]} ${bar}`] ??= { drive: drives[key], bar, weight: 0 });
+    known.weight += weight * (1 - belief.lost);
   }
   pen.fillStyle = color(belief.status === "unknown" ? "bad" : "accent");
-  for (const [at, weight] of bars) {
-    if (weight < LEAST) continue;
-    const [drive, bar] = at.split(" ").map(Number), height = Math.max(2, weight * (room - 8));
-    pen.fillRect(bar * BAR_PX, (drive + 1) * room - 5 - height, BAR_PX - 1, height);
+  for (const { drive, bar, weight } of Object.values(bars)) {
+    if (weight >= LEAST) place(drive, bar * BAR_PX, (bar + 1) * BAR_PX - 1, Math.max(2, weight * (room - 8)));
   }
 }

@@ -5,7 +5,9 @@ const KEYS = {
   ArrowUp: "forward", ArrowLeft: "left", ArrowDown: "backward", ArrowRight: "right",
 };
 const TAKEN = 4002;
-const DEAD_ZONE = 0.5, GAMEPAD_STOP = 1, GAMEPAD_PAD = { 12: "forward", 13: "backward", 14: "left", 15: "right" };
+const DEAD_ZONE = 0.5, GAMEPAD_STOP = 1;
+const GAMEPAD_PAD = { 12: "forward", 13: "backward", 14: "left", 15: "right" };
+const TYPED_IN = "input:not([type=checkbox], [type=file]), select, textarea";
 
 export class Drive {
   constructor({ onChange, onRefused, onStop }) {
@@ -19,7 +21,9 @@ export class Drive {
     addEventListener("keydown", (event) => this._key(event, true));
     addEventListener("keyup", (event) => this._key(event, false));
     // While a menu is open or something is dragged, no page hears that a key is let go.
-    for (const lost of ["blur", "pagehide", "contextmenu", "dragstart"]) addEventListener(lost, (event) => event.defaultPrevented || this.letGo());
+    for (const lost of ["blur", "pagehide", "contextmenu", "dragstart"]) {
+      addEventListener(lost, (event) => event.defaultPrevented || this.letGo());
+    }
     document.addEventListener("visibilitychange", () => this._visibility());
   }
 
@@ -43,7 +47,8 @@ export class Drive {
         this._answer();
       };
       socket.onclose = ({ code }) => {
-        this._onRefused(code === TAKEN ? "Somebody else drives; you watch." : this.sits ? "Your connection was lost: the robot stands." : "");
+        const lost = this.sits ? "You lost the connection: the robot stands." : "";
+        this._onRefused(code === TAKEN ? "Somebody else drives; you watch." : lost);
         this._sit(false, done);
       };
     });
@@ -108,7 +113,7 @@ export class Drive {
     if (event.code === "Escape") return down && !event.repeat && this._onStop();
     if (event.metaKey || event.key === "Meta") return this.letGo();  // macOS tells of no other key's release then
     const atom = KEYS[event.code];
-    const types = event.target instanceof Element && event.target.closest("input:not([type=checkbox], [type=file]), select, textarea");
+    const types = event.target instanceof Element && event.target.closest(TYPED_IN);
     if (!atom || (down && (types || event.ctrlKey || event.altKey))) return;
     if (this.sits && down) event.preventDefault();
     if (down && event.repeat) return;

@@ -30,5 +30,3 @@ export function cleared(canvas, height) {
 }
 
 export const color = (name) => getComputedStyle(document.documentElement).getPropertyValue(`--${name}`);
-export const seconds = (s) => (s < 10 ? `${s.toFixed(1)} s` : s < 120 ? `${Math.round(s)} s` : `${Math.round(s / 60)} min`);
-export const percent = (share) => `${Math.round(100 * share)} %`;

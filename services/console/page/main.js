@@ -2,101 +2,84 @@
 
 import { drawBelief } from "./belief.js";
 import { Drive } from "./drive.js";
-import { $, element, say, seconds } from "./element.js";
-import { drawHealth, illness } from "./health.js";
+import { $, element, say } from "./element.js";
+import { drawHealth } from "./health.js";
 import { drawMap } from "./map.js";
-import { drawJob, drawLibrary, inWorld, OUTCOMES, wireTeaching } from "./teach.js";
+import { drawJob, drawLibrary, inWorld, wireTeaching } from "./teach.js";
 import { Watch } from "./watch.js";
+import { episodeFacts, illness, robotStatus, seconds } from "./words.js";
 import { drawWorlds, hideNews, opening, wireWorlds } from "./world.js";
 
-const OLD_S = 1, SILENT_S = 2, NO_WORD_S = 3, MOST_LINES = 50, LATEST_MS = 6000;
-const CAUSES = {
-  not_armed: "Not armed: a drive or a run arms it",
-  emergency_stop: "EMERGENCY STOP: it stands until you press “Arm, resume”",
-  operator_lost: "It stands: it lost its operator for a moment. Press “Arm, resume”",
-  fault: "It stands: its body has failed. Look at it, then press “Arm, resume”",
-};
-const BY = { teleop: "Driven by hand", policy: "Drives by itself", expert: "Driven by the expert" };
-const DOING = { forward: "drives forward", backward: "drives backward", left: "turns left", right: "turns right", stop: "stands" };
-
+const OLD_S = 1, NO_WORD_S = 3, MOST_LINES = 50, LATEST_MS = 6000;
 const camera = $("#camera canvas"), noCamera = $("#camera .empty"), pad = $("#pad");
 const watch = new Watch(onNews, onPicture);
 const drive = new Drive({ onChange: drawSeat, onRefused: tell, onStop: stop });
+const since = (ms) => seconds((performance.now() - ms) / 1000);
 
 // -- what is heard ---------------------------------------------------------------------------------------------------
 
 const draws = {
-  library: () => drawLibrary(watch.state.library),
-  health: () => {
-    drawHealth(watch.state.health);
-    const told = watch.state.health.services.find(({ name }) => name === "robot")?.told;
-    if (told) drawWorlds(told), inWorld(told.world);
-    const disk = watch.state.health.services.find(({ name }) => name === "recorder")?.told?.disk;
+  library: drawLibrary, job: drawJob, news: drawNews, taken: drawSeat,
+  robot_id: (name) => say($("#robot"), name),
+  health: (health) => {
+    drawHealth(health);
+    const told = (service) => health.services.find(({ name }) => name === service)?.told;
+    if (told("robot")) drawWorlds(told("robot")), inWorld(told("robot").world);
+    const disk = told("recorder")?.disk;
     say($("#disk"), disk ? `Recording: ${disk}` : "");
     $("#disk").hidden = !disk;
   },
-  job: () => drawJob(watch.state.job),
-  news: () => drawNews(watch.state.news),
-  robot_id: () => say($("#robot"), watch.state.robot_id),
-  taken: drawSeat,
 };
 
 function onNews(channels) {
   if (channels.length > 0 || !watch.connected) document.body.classList.add("told");
-  for (const channel of channels) draws[channel]?.();
+  for (const channel of channels) draws[channel]?.(watch.state[channel]);
   drawStatus();
-  if (channels.some((one) => ["belief", "plan", "model"].includes(one))) drawBelief(watch.state, (channel) => watch.age(channel));
-  if (channels.some((one) => ["pose", "way", "model", "belief", "tracked", "goal"].includes(one))) drawMap(watch.state, (channel) => watch.age(channel));
+  if (channels.some((one) => ["belief", "plan", "model"].includes(one))) drawBelief(watch.state, watch.age("belief"));
+  if (channels.some((one) => ["pose", "way", "model", "belief", "tracked", "goal"].includes(one))) {
+    drawMap(watch.state, (channel) => watch.age(channel));
+  }
 }
 
 async function onPicture(blob) {
-  const image = await createImageBitmap(blob);
-  if (camera.width !== image.width || camera.height !== image.height) [camera.width, camera.height] = [image.width, image.height];
+  const image = await createImageBitmap(blob), { width, height } = image;
+  if (camera.width !== width || camera.height !== height) Object.assign(camera, { width, height });
   camera.getContext("2d").drawImage(image, 0, 0);
   image.close();
 }
 
-/** How the robot is, in one line, and whether that is good, a warning or bad. */
 function status() {
-  const { robot } = watch.state, ill = illness(watch.state.health, ["router", "robot"]);
-  if (!watch.connected) return ["bad", `No connection to the console for ${seconds((performance.now() - watch.sinceMs) / 1000)}`];
-  if (watch.silence > NO_WORD_S) return ["bad", `No word from the console for ${seconds(watch.silence)}`];
-  if (!robot || (!robot.answers && !robot.waiting)) return ["bad", ["The robot does not answer", ...(ill === "" || ill === "robot: does not answer" ? [] : [ill])].join(": ")];
-  if (robot.emergency || robot.cause === "emergency_stop") return ["bad", CAUSES.emergency_stop];
-  if (robot.waiting) return ["warn", `Waiting for the robot${drive.sits && opening() ? ` to open ${opening()}` : ""} …`];
-  if (robot.cause) return [robot.cause === "not_armed" ? "warn" : "bad", CAUSES[robot.cause]];
-  if (!robot.episode) return ["good", robot.outcome ? `Armed; the last ${robot.purpose}: ${OUTCOMES[robot.outcome] ?? robot.outcome}` : "Armed"];
-  if (watch.age("robot") > SILENT_S) return ["bad", `No sign of the robot for ${seconds(watch.age("robot"))}`];
-  if (robot.reason === "taken_over") return ["warn", "It stands: taken over by hand. Drive on, or press “Arm, resume” and it goes on by itself"];
-  if (robot.reason === "silence") return ["warn", robot.driver !== "teleop" ? "It stands: no command has come" : drive.sits ? "It stands: hold a key to drive" : watch.state.taken ? "It stands: who drives holds no key" : "It stands: take control, and hold a key to drive"];
-  return ["good", `${BY[robot.source] ?? "It stands"}${robot.source === "policy" && drive.sits ? "; hold a key to correct it" : ""}`];
+  if (!watch.connected) return ["bad", `No connection to the console for ${since(watch.sinceMs)}`];
+  if (watch.silence > NO_WORD_S) return ["bad", `The console has been silent for ${seconds(watch.silence)}`];
+  return robotStatus(watch.state, { age: watch.age("robot"), sits: drive.sits, opening: drive.sits && opening() });
 }
 
 let waitingSinceMs = 0;
 
 function drawStatus() {
-  if (!watch.state.robot?.waiting) waitingSinceMs = performance.now();
-  const [how, text] = status(), pill = $("#status"), { robot } = watch.state;
+  const [how, text] = status(), pill = $("#status"), { robot } = watch.state, running = Boolean(robot?.episode);
   pill.className = `pill ${how}`;
   say(pill, text);
   pill.title = text;  // where it is cut off
   $("#stop").setAttribute("aria-pressed", String(Boolean(robot?.emergency || robot?.cause === "emergency_stop")));
-  const running = Boolean(robot?.episode);
   if (running && document.body.dataset.episode !== robot.episode) hideNews();
   document.body.dataset.episode = robot?.episode ?? "";
   document.body.dataset.outcome = robot?.outcome ?? "";
   for (const id of ["found", "end"]) $(`#${id}`).disabled = !running;
-  say($("#episode"), !robot?.purpose ? "" : `${robot.purpose === "run" ? "Run" : "Drive"} to ${robot.goal} in ${robot.world}: frame ${robot.tick}${robot.episode ? `, it ${DOING[robot.atom] ?? "stands"}` : ""}${robot.outcome ? `, ${OUTCOMES[robot.outcome] ?? robot.outcome}` : ""}`);
-  drawCameraAge(running);
+  say($("#episode"), episodeFacts(robot));
+  drawCameraAge(running, Boolean(robot?.waiting));
 }
 
-function drawCameraAge(running) {
-  const age = watch.age("camera"), waits = Boolean(watch.state.robot?.waiting);
+function drawCameraAge(running, waits) {
+  const age = watch.age("camera"), opens = drive.sits && opening(), ill = illness(watch.state.health);
+  if (!waits) waitingSinceMs = performance.now();
   $("#withdraw").hidden = !waits || !drive.sits;
   noCamera.hidden = !waits && age !== null && (age < OLD_S || !running);
-  if (waits) say(noCamera, `${drive.sits && opening() ? `Opening ${opening()}, which may take a minute` : "Waiting for the robot"}: ${seconds((performance.now() - waitingSinceMs) / 1000)}`);
+  if (noCamera.hidden) return;
+  const what = opens ? `The robot opens ${opens}, which may take a minute` : "Waiting for the robot";
+  if (waits) say(noCamera, `${what}: ${since(waitingSinceMs)}`);
   else if (age === null) say(noCamera, "No camera frame yet. Begin a drive or a run.");
-  else if (!noCamera.hidden) say(noCamera, `No camera frame for ${seconds(age)}${illness(watch.state.health, ["router", "robot"]).replace(/^(?=.)/, ": ")}`);
+  else say(noCamera, `No camera frame for ${seconds(age)}${ill && `: ${ill}`}`);
 }
 
 let lastLine = 0;
@@ -113,10 +96,9 @@ function drawNews(lines) {
 // -- what is pressed -------------------------------------------------------------------------------------------------
 
 function drawSeat() {
-  const seat = $("#seat"), taken = Boolean(watch?.state.taken) && !drive?.sits;
-  seat.setAttribute("aria-pressed", String(Boolean(drive?.sits)));
-  say(seat, drive?.sits ? "Leave control" : taken ? "Somebody else drives" : "Take control");
-  const held = drive?.held;
+  const seat = $("#seat"), sits = Boolean(drive?.sits), held = drive?.held;
+  seat.setAttribute("aria-pressed", String(sits));
+  say(seat, sits ? "Leave control" : watch?.state.taken ? "Somebody else drives" : "Take control");
   for (const button of pad.children) button.classList.toggle("held", button.dataset.atom === held);
 }
 
@@ -143,36 +125,40 @@ function stop() {
 
 $("#stop").onclick = stop;
 $("#seat").onclick = () => (drive.sits ? drive.leave() : drive.take());
-$("#resume").onclick = () => drive.ask({ do: "resume" });
-$("#found").onclick = () => drive.ask({ do: "end", found: true });
-$("#withdraw").onclick = () => drive.ask({ do: "withdraw" });
-$("#end").onclick = () => drive.ask({ do: "end", found: false });
+const asks = {
+  resume: { do: "resume" }, found: { do: "end", found: true }, end: { do: "end", found: false },
+  withdraw: { do: "withdraw" },
+};
+for (const id in asks) $(`#${id}`).onclick = () => drive.ask(asks[id]);
 wireTeaching((what) => {
   drive.ask(what);
-  if (["drive", "run"].includes(what.do)) $("#camera").scrollIntoView({ block: "start" });  // what is to be looked at now
+  if (["drive", "run"].includes(what.do)) $("#camera").scrollIntoView({ block: "start" });  // to be looked at now
 });
 wireWorlds(async (map, name) => {
   if (!(await drive.take())) return;
   tell(`Sending ${map.name} …`);
   try {
-    const answer = await fetch(`map?${new URLSearchParams({ name })}`, { method: "POST", headers: { "smal-seat": drive.word }, body: map });
+    const sent = { method: "POST", headers: { "smal-seat": drive.word }, body: map };
+    const answer = await fetch(`map?${new URLSearchParams({ name })}`, sent);
     if (!answer.ok) tell(`${map.name}: ${await answer.text()}`);
   } catch (error) {
-    tell(`${map.name} could not be sent: ${error.message}`);
+    tell(`The page could not send ${map.name}: ${error.message}`);
   }
 });
 
 for (const button of pad.children) {
-  const { atom } = button.dataset;
+  const { atom } = button.dataset, isPress = ({ code }) => ["Space", "Enter"].includes(code);
   const press = async () => (await drive.take()) && button.matches(":active") && drive.press(atom);
   button.onpointerdown = (event) => {
     button.setPointerCapture(event.pointerId);
     drive.sits ? drive.press(atom) : press();
   };
-  for (const let_go of ["onpointerup", "onpointercancel", "onlostpointercapture", "onblur"]) button[let_go] = () => drive.release(atom);
+  for (const lost of ["onpointerup", "onpointercancel", "onlostpointercapture", "onblur"]) {
+    button[lost] = () => drive.release(atom);
+  }
   // Who returns false there keeps every key from what it does elsewhere, and Tab would not lead away.
-  button.onkeydown = ({ code, repeat }) => { if (["Space", "Enter"].includes(code) && !repeat && drive.sits) drive.press(atom); };
-  button.onkeyup = ({ code }) => { if (["Space", "Enter"].includes(code)) drive.release(atom); };
+  button.onkeydown = (event) => { if (isPress(event) && !event.repeat && drive.sits) drive.press(atom); };
+  button.onkeyup = (event) => { if (isPress(event)) drive.release(atom); };
   button.oncontextmenu = (event) => event.preventDefault();
 }
 onNews(["belief", "pose"]);

@@ -20,9 +20,11 @@ export function drawMap({ model, way, pose, tracked, belief, robot, goal }, age)
     pen.font = "14px system-ui, sans-serif";
     return pen.fillText("Nothing to draw yet.", MARGIN, HEIGHT / 2);
   }
-  const bounds = [0, 1].map((axis) => [Math.min(...all.map((p) => p[axis])), Math.max(...all.map((p) => p[axis]))]);
-  const [middleX, middleY] = bounds.map(([low, high]) => (low + high) / 2);
-  const scale = Math.min((width - 2 * MARGIN) / Math.max(bounds[0][1] - bounds[0][0], LEAST_M), (HEIGHT - 2 * MARGIN) / Math.max(bounds[1][1] - bounds[1][0], LEAST_M));
+  const axes = [0, 1].map((axis) => all.map((point) => point[axis]));
+  const spans = axes.map((values) => [Math.min(...values), Math.max(...values)]);
+  const [middleX, middleY] = spans.map(([low, high]) => (low + high) / 2);
+  const room = [width, HEIGHT].map((pixels) => pixels - 2 * MARGIN);
+  const scale = Math.min(...spans.map(([low, high], axis) => room[axis] / Math.max(high - low, LEAST_M)));
   const at = ([x, y]) => [width / 2 + (x - middleX) * scale, HEIGHT / 2 - (y - middleY) * scale];
 
   const line = (points, shade, thickness) => {

@@ -1,17 +1,20 @@
 // Recordings, learning, and running what was learned.
 
-import { $, element, percent, say } from "./element.js";
+import { $, element, say } from "./element.js";
+import { percent, recordingFacts } from "./words.js";
 import { chosenWorld, madeWorld, showNews, worldOf } from "./world.js";
 
-export const OUTCOMES = { found: "found", collision: "collision", timeout: "time was out", aborted: "ended before the goal" };
 const REALLY_MS = 3000;
 const list = $("#recordings"), learn = $("#learn-form"), run = $("#run-form"), job = $("#job");
 const chosen = new Map();
+let library = { recordings: [], models: [] }, world = null;
 
 export function wireTeaching(ask) {
-  $("#drive-form").onsubmit = (event) => send(event, ({ goal, name }) => ask({ do: "drive", goal: goal.trim(), name: name.trim().toLowerCase().replace(/\s+/g, "-") || null, ...chosenWorld() }));
-  learn.onsubmit = (event) => send(event, ({ name, scheme }) => ask({ do: "learn", name: name.trim(), scheme, recordings: picked() }));
-  run.onsubmit = (event) => send(event, ({ model, goal, start, seed }) => ask({ do: "run", model, goal: goal ?? null, start, seed: Number(seed), ...chosenWorld() }));
+  const plain = (name) => name.trim().toLowerCase().replace(/\s+/g, "-") || null;
+  const begin = (what) => ask({ ...what, ...chosenWorld() });
+  send($("#drive-form"), ({ goal, name }) => begin({ do: "drive", goal: goal.trim(), name: plain(name) }));
+  send(learn, ({ name, scheme }) => ask({ do: "learn", name: name.trim(), scheme, recordings: picked() }));
+  send(run, ({ goal = null, seed, ...what }) => begin({ do: "run", goal, seed: Number(seed), ...what }));
   $("#cancel").onclick = () => ask({ do: "cancel" });
   list.onchange = ({ target }) => (chosen.set(target.value, target.checked), allowLearning());
   list.onclick = ({ target }) => {
@@ -26,19 +29,16 @@ export function wireTeaching(ask) {
   $("#world-form").addEventListener("change", warn);
 }
 
-function send(event, what) {
-  event.preventDefault();
-  what(Object.fromEntries(new FormData(event.target)));
-  document.activeElement?.blur();  // the keys are for driving again
+function send(form, what) {
+  form.onsubmit = (event) => {
+    event.preventDefault();
+    what(Object.fromEntries(new FormData(form)));
+    document.activeElement?.blur();  // the keys are for driving again
+  };
 }
 
 const picked = () => [...list.querySelectorAll("input:checked")].map((box) => box.value);
-
-function allowLearning() {
-  learn.querySelector("button").disabled = picked().length === 0;
-}
-
-let library = { recordings: [], models: [] }, world = null;
+const allowLearning = () => (learn.querySelector("button").disabled = picked().length === 0);
 
 /** Take note of where the robot is: what was driven elsewhere is not chosen to learn from, unless somebody does. */
 export function inWorld(now) {
@@ -54,12 +54,12 @@ export function drawLibrary(now) {
   drawRecordings(now.recordings);
   const empty = $("#recordings-empty");
   empty.hidden = now.recordings.length > 0;
-  if (now.folder === null) say(empty, "The recorder records outside of the console's folder; start the stack with --root.");
-  const names = new Set(now.models.map(({ name }) => name.split("/").at(-1)));
-  const name = learn.elements.name;
-  if (!name.value || (names.has(`${name.value}.smal`) && document.activeElement !== name)) {
+  const elsewhere = "The recorder records outside of the console's folder; start the stack with --root.";
+  if (now.folder === null) say(empty, elsewhere);
+  const names = new Set(now.models.map(({ name }) => short(name))), name = learn.elements.name;
+  if (!name.value || (names.has(name.value) && document.activeElement !== name)) {
     let number = 1;
-    while (names.has(`way-${number}.smal`)) number++;
+    while (names.has(`way-${number}`)) number++;
     name.value = `way-${number}`;
   }
   fillModels();
@@ -67,10 +67,14 @@ export function drawLibrary(now) {
   warn();
 }
 
+const chosenModel = () => library.models.find(({ name }) => name === run.elements.model.value);
+
 /** Say where the chosen model was taught, unless that is where the run will be. */
 function warn() {
-  const { name, worlds = [] } = library.models.find(({ name }) => name === run.elements.model.value) ?? {}, there = worldOf(world);
-  say($("#elsewhere"), worlds.length === 0 || !there || worlds.includes(there) ? "" : `${short(name)} was taught in ${worlds.join(" and ")}, and this run is in ${there}: it knows no way there.`);
+  const { name = "", worlds = [] } = chosenModel() ?? {}, there = worldOf(world);
+  const known = !there || worlds.length === 0 || worlds.includes(there);
+  const taught = `${short(name)} was taught in ${worlds.join(" and ")}`;
+  say($("#elsewhere"), known ? "" : `${taught}, and this run is in ${there}: it knows no way there.`);
 }
 
 let items = new Map();
@@ -90,64 +94,70 @@ function drawRecordings(recordings) {
 }
 
 /** Whether it is learned from: as somebody has chosen, else what was driven here to the end. */
-function teaches(one) {
-  return !one.useless && (chosen.get(one.name) ?? (one.purpose === "drive" && one.outcome === "found" && one.world === world));
+function teaches({ useless, name, purpose, outcome, world: where }) {
+  return !useless && (chosen.get(name) ?? (purpose === "drive" && outcome === "found" && where === world));
 }
 
 function recordingItem(one) {
   const when = new Date(1000 * one.when_s).toLocaleString([], { dateStyle: "short", timeStyle: "short" });
-  const named = one.episode.replace(/-[^-]+-\d+$/, ""), name = /^(drive|run|recovery)-\d+$/.test(named) ? "" : named;
-  const title = `${name && `${name}: `}${one.purpose === "run" ? "Run" : "Drive"} to ${one.goal || "?"}`;
-  const facts = one.useless || `${OUTCOMES[one.outcome] ?? "end not recorded"}${one.corrected ? ", corrected by hand" : ""}, ${one.world}, ${Math.round(one.seconds)} s, ${one.frames} frames, ${when}`;
+  const named = one.episode.replace(/-[^-]+-\d+$/, ""), nameless = /^((drive|run|recovery)-\d+)?$/.test(named);
+  const title = `${nameless ? "" : `${named}: `}${one.purpose === "run" ? "Run" : "Drive"} to ${one.goal || "?"}`;
   const box = element("input", { type: "checkbox", value: one.name, disabled: Boolean(one.useless) });
-  const pictures = Array.from({ length: one.thumbnails }, (_, k) => element("img", { alt: "", loading: "lazy", width: 72, height: 54, src: `thumbnail?${new URLSearchParams({ of: one.name, k })}` }));
-  const text = element("span", {}, title, element("small", {}, facts));
-  text.title = one.name;
+  const text = element("span", { title: one.name }, title, element("small", {}, recordingFacts(one, when)));
+  const pictures = Array.from({ length: one.thumbnails }, (_, k) => {
+    const src = `thumbnail?${new URLSearchParams({ of: one.name, k })}`;
+    return element("img", { alt: "", loading: "lazy", width: 72, height: 54, src });
+  });
   const remove = element("button", { type: "button", "aria-label": `Delete ${title}, ${when}` }, "Delete");
   remove.dataset.recording = one.name;
-  return element("li", {}, element("label", {}, box, text), element("div", { className: "thumbnails" }, ...pictures), remove);
+  const row = element("div", { className: "thumbnails" }, ...pictures);
+  return element("li", {}, element("label", {}, box, text), row, remove);
 }
 
 /** A model as one has named it: where it lies means nothing here. */
 const short = (name) => name.replace(/^models\//, "").replace(/\.smal$/, "");
 
+let newest;
+
 function fillModels() {
   const select = run.elements.model, before = select.value;
-  const options = library.models.map(({ name, goals, useless }) => element("option", { value: name, disabled: Boolean(useless) }, useless ? `${short(name)}: ${useless}` : goals.length ? short(name) : `${short(name)} (the paper's scheme)`));
-  select.replaceChildren(...options);
+  const named = ({ name, goals, useless }) =>
+    `${short(name)}${useless ? `: ${useless}` : goals.length ? "" : " (the paper's scheme)"}`;
+  const option = (one) => element("option", { value: one.name, disabled: Boolean(one.useless) }, named(one));
+  select.replaceChildren(...library.models.map(option));
   const usable = library.models.filter(({ useless }) => !useless).map(({ name }) => name);
   // The newest model is the one that somebody has just learned.
-  if (usable.includes(before) && usable[0] === fillModels.newest) select.value = before;
-  else if (usable.length > 0) select.value = usable[0];
-  fillModels.newest = usable[0];
+  if (usable.length > 0) select.value = usable.includes(before) && usable[0] === newest ? before : usable[0];
+  newest = usable[0];
   run.querySelector("button").disabled = usable.length === 0;
   fillGoals();
 }
 
 function fillGoals() {
-  const goals = library.models.find(({ name }) => name === run.elements.model.value)?.goals ?? [];
-  const { goal } = run.elements, before = goal.value;
+  const goals = chosenModel()?.goals ?? [], { goal } = run.elements, before = goal.value;
   goal.disabled = goals.length === 0;  // the paper's scheme goes to the nearest one
-  run.elements.goal.replaceChildren(...goals.map((goal) => element("option", { value: goal }, goal)));
-  if (goals.includes(before)) run.elements.goal.value = before;
+  goal.replaceChildren(...goals.map((goal) => element("option", { value: goal }, goal)));
+  if (goals.includes(before)) goal.value = before;
 }
 
 let working = null;
 
-export function drawJob(now) {
-  const works = !now.outcome;
-  $("#cancel").hidden = !works;
-  if (works) {
+export function drawJob({ kind, name, doing, done, stage, share, outcome, why, remarks }) {
+  const tell = kind === "world" ? showNews : () => {};
+  $("#cancel").hidden = Boolean(outcome);
+  if (!outcome) {
     if (!job.querySelector("progress")) job.replaceChildren(element("p"), element("progress", { max: 1 }));
-    working = now.name;
-    say(job.firstChild, [now.doing, now.stage].filter(Boolean).join(": "));
-    if (now.kind === "world") showNews(`${now.doing} …`);
-    now.share === null ? job.lastChild.removeAttribute("value") : (job.lastChild.value = now.share);
-    job.lastChild.setAttribute("aria-label", now.share === null ? now.doing : `${now.stage}: ${percent(now.share)}`);
+    const [text, bar] = job.children;
+    working = name;
+    say(text, [doing, stage].filter(Boolean).join(": "));
+    tell(`${doing} …`);
+    share === null ? bar.removeAttribute("value") : (bar.value = share);
+    bar.setAttribute("aria-label", share === null ? doing : `${stage}: ${percent(share)}`);
     return;
   }
-  if (now.kind === "world" && now.outcome === "done" && working === now.name) madeWorld(now.name);
-  const said = { done: now.done, cancelled: `${now.name} was cancelled.`, failed: `${now.doing} failed: ${now.why}` };
-  if (now.kind === "world" && working === now.name) showNews(said[now.outcome]);
-  job.replaceChildren(element("p", {}, said[now.outcome]), ...now.remarks.filter((text) => text !== now.why).map((text) => element("p", { className: "hint" }, text)));
+  const said = { done, cancelled: `${name} was cancelled.`, failed: `${doing} failed: ${why}` }[outcome];
+  if (working === name) tell(said);
+  if (working === name && kind === "world" && outcome === "done") madeWorld(name);
+  const hints = remarks.filter((text) => text !== why).map((text) => element("p", { className: "hint" }, text));
+  job.replaceChildren(element("p", {}, said), ...hints);
 }

@@ -41,7 +41,9 @@ export class Watch {
     const socket = (this._socket = new WebSocket(`${location.origin.replace("http", "ws")}/watch`));
     socket.binaryType = "arraybuffer";
     socket.onopen = () => this._connection(true);
-    socket.onmessage = ({ data }) => (typeof data === "string" ? this._take(JSON.parse(data), socket) : this._show(data, socket));
+    socket.onmessage = ({ data }) => {
+      typeof data === "string" ? this._take(JSON.parse(data), socket) : this._show(data, socket);
+    };
     socket.onclose = () => {
       this._connection(false);
       setTimeout(() => this._open(), this._waitMs);

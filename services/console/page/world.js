@@ -15,13 +15,16 @@ export function wireWorlds(take) {
   file.onchange = () => offer(file.files);
   // A file that is dropped beside the card must not open in the place of the page.
   for (const type of ["dragover", "drop"]) addEventListener(type, (event) => event.preventDefault());
-  for (const [type, over] of [["dragover", true], ["dragleave", false], ["drop", false]]) card.addEventListener(type, () => card.classList.toggle("over", over && !form.hidden));
+  for (const type of ["dragover", "dragleave", "drop"]) {
+    card.addEventListener(type, () => card.classList.toggle("over", type === "dragover" && !form.hidden));
+  }
   card.addEventListener("drop", ({ dataTransfer }) => !form.hidden && offer(dataTransfer.files));
 }
 
 /** The name of a file as one that a world may have; see WorldName in schemas/rpc.py. */
 function nameOf({ name }) {
-  const plain = name.normalize().replace(/\.[^.]*$/, "").replace(/[^\p{Alphabetic}\p{M}\p{Nd}\p{Pc} ().-]/gu, "-");
+  const whole = name.normalize().replace(/\.[^.]*$/, "");
+  const plain = whole.replace(/[^\p{Alphabetic}\p{M}\p{Nd}\p{Pc} ().-]/gu, "-");
   const letters = [...plain.replace(/^[ ().-]+/, "")].slice(0, MOST_LETTERS);
   while (new TextEncoder().encode(letters.join("")).length > MOST_BYTES) letters.pop();
   return letters.join("") || "map";
@@ -47,12 +50,14 @@ export function drawWorlds(told) {
   if (form.hidden) return;
   fill(form.elements.world, told.worlds, told.world);
   fill(form.elements.variation, told.variations, told.variation);
-  if ([...form.elements.world.options].some(({ value }) => value === fresh)) [form.elements.world.value, fresh] = [fresh, null];
+  const { world } = form.elements;
+  if ([...world.options].some(({ value }) => value === fresh)) [world.value, fresh] = [fresh, null];
 }
 
 /** Offer what there is, and where the robot is in any case; what is chosen stays so until the robot is elsewhere. */
 function fill(select, told = "", here = "") {
-  const now = String(here), names = [...new Set([...String(told).split(", "), now])].filter(Boolean), before = select.value;
+  const now = String(here), before = select.value;
+  const names = [...new Set([...String(told).split(", "), now])].filter(Boolean);
   if ([...select.options].map(({ value }) => value).join() !== names.join()) {
     select.replaceChildren(...names.map((name) => element("option", { value: name }, name)));
     select.value = names.includes(before) ? before : now;

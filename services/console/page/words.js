@@ -1,0 +1,94 @@
+// What the page says of the robot, in words.
+
+export const OUTCOMES = {
+  found: "found", collision: "collision", timeout: "out of time", aborted: "ended before the goal",
+};
+export const DOES = {
+  forward: "drives forward", backward: "drives backward", left: "turns left", right: "turns right", stop: "stands",
+};
+const PLANS = {
+  follow: "follows the taught way", action: "does the action of its state", goal: "has arrived",
+  dead_end: "knows no way on", look_around: "looks around", guess: "drives by its best guess",
+  stop: "stops: it does not know where it is",
+};
+const CAUSES = {
+  not_armed: "The robot is not armed: a drive or a run arms it",
+  emergency_stop: "EMERGENCY STOP: the robot stands until you press “Arm, resume”",
+  operator_lost: "The robot stands: it lost its operator for a moment. Press “Arm, resume”",
+  fault: "The robot stands: its body has failed. Look at it, then press “Arm, resume”",
+};
+const DRIVERS = { teleop: "A person drives", policy: "The robot drives by itself", expert: "The expert drives" };
+const SILENT_S = 2;
+
+export function seconds(s) {
+  if (s >= 120) return `${Math.round(s / 60)} min`;
+  return s < 10 ? `${s.toFixed(1)} s` : `${Math.round(s)} s`;
+}
+
+export const percent = (share) => `${Math.round(100 * share)} %`;
+
+/** Who of those that something needs is ill; nothing where all work. */
+export function illness(health, needed = ["router", "robot"]) {
+  const ill = health?.services.filter(({ name, ailment }) => ailment && needed.includes(name)) ?? [];
+  return ill.map(({ name, ailment }) => `${name}: ${ailment}`).join(", ");
+}
+
+/** How the robot is, in one line, and whether that is good, a warning or bad; `opening` is a world that it opens. */
+export function robotStatus({ robot, health, taken }, { age, sits, opening }) {
+  if (!robot || (!robot.answers && !robot.waiting)) {
+    const ill = illness(health);
+    return ["bad", `The robot does not answer${["", "robot: does not answer"].includes(ill) ? "" : `: ${ill}`}`];
+  }
+  if (robot.emergency || robot.cause === "emergency_stop") return ["bad", CAUSES.emergency_stop];
+  if (robot.waiting) return ["warn", `Waiting for the robot${opening ? ` to open ${opening}` : ""} …`];
+  if (robot.cause) return [robot.cause === "not_armed" ? "warn" : "bad", CAUSES[robot.cause]];
+  const last = robot.outcome ? `. The last ${robot.purpose}: ${OUTCOMES[robot.outcome]}` : "";
+  if (!robot.episode) return ["good", `Armed${last}`];
+  if (age > SILENT_S) return ["bad", `No sign of the robot for ${seconds(age)}`];
+  if (robot.reason === "taken_over") {
+    return ["warn", "A person has taken over: drive on, or press “Arm, resume”, and the robot goes on by itself"];
+  }
+  if (robot.reason === "silence") {
+    const free = taken ? "the driver holds no key" : "take control, then hold a key to drive";
+    const why = sits ? "hold a key to drive" : free;
+    return ["warn", `The robot stands: ${robot.driver === "teleop" ? why : "it hears no command"}`];
+  }
+  const correct = robot.source === "policy" && sits ? "; hold a key to correct it" : "";
+  return ["good", `${DRIVERS[robot.source] ?? "The robot stands"}${correct}`];
+}
+
+/** How the episode goes, or how the last one went. */
+export function episodeFacts(robot) {
+  if (!robot?.purpose) return "";
+  const now = robot.episode ? `, it ${DOES[robot.atom] ?? "stands"}` : "";
+  const end = robot.outcome ? `, ${OUTCOMES[robot.outcome]}` : "";
+  return `${robot.purpose === "run" ? "Run" : "Drive"} to ${robot.goal} in ${robot.world}: frame ${robot.tick}${now}${end}`;
+}
+
+/** What the robot knows of where it is; `age` is that of the belief, in seconds. */
+export function beliefFacts(belief, age) {
+  if (!belief) return "Nothing yet: begin a run.";
+  if (age >= 2) return `This is ${seconds(age)} old.`;
+  const { status, keyframe, lost, sure, state, gap } = belief;
+  if (status === "unknown") return `Lost${keyframe === undefined ? "" : ` (${percent(lost)})`}: no taught place matches.`;
+  if (keyframe !== undefined) return `The robot is ${percent(sure)} sure of this place, and ${percent(lost)} lost.`;
+  if (Number.isInteger(state)) return `The paper's scheme: state ${state}, duality gap ${gap.toExponential(0)}.`;
+  return status === "recognized" ? "The page reads the model …" : "The robot has not recognized a taught place yet.";
+}
+
+/** What the robot plans and does, and how far it has to go, by name. */
+export function planFacts(plan, belief, goal) {
+  const cost = belief.cost === null ? "no way to the goal" : `${belief.cost?.toFixed(0)} s to ${goal}`;
+  return {
+    Plan: plan ? PLANS[plan.kind] : "–",
+    Now: plan ? plan.atoms.slice(0, 3).map((atom) => DOES[atom]).join(", ") : "–",
+    "To go": belief.cost === undefined ? "–" : cost,
+  };
+}
+
+/** What is in a recording, and why it teaches nothing if so. */
+export function recordingFacts(one, when) {
+  if (one.useless) return one.useless;
+  const end = `${OUTCOMES[one.outcome] ?? "end not recorded"}${one.corrected ? ", corrected by hand" : ""}`;
+  return `${end}, ${one.world}, ${Math.round(one.seconds)} s, ${one.frames} frames, ${when}`;
+}

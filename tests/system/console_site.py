@@ -1,0 +1,213 @@
+"""A stack with its page, a browser that opens it, and what a person does there."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import pytest
+
+from schemas import topics
+from schemas.codec import decode
+from schemas.command import CommandApplied
+from schemas.pose import Pose
+from schemas.rpc import Nothing, Status
+from services.cli.stack.processes import Stack
+from services.expert.driver import RouteDriver
+from services.kit.bus import Bus, RpcError
+from services.simulator.world import load_world
+from services.simulator.world.route import plan_route
+from tests.services.waiting import eventually, status_of
+
+if TYPE_CHECKING:
+    from playwright.sync_api import Browser, Page
+
+KEYS = {"forward": "w", "left": "a", "right": "d", "backward": "s"}
+SPEED_M_S = 2.0
+
+
+class Site:
+    """A stack with its page, and what the robot really does."""
+
+    def __init__(self, address: str, stack: Stack, bus: Bus, root: Path) -> None:
+        self.address = address
+        self.stack = stack
+        self.bus = bus
+        self.root = root
+        self.poses: list[Pose] = []
+        #: What moved the robot, since when.
+        self.applied: list[tuple[float, CommandApplied]] = []
+        bus.subscribe(topics.POSE, lambda payload, encoding, _: self.poses.append(decode(Pose, payload, encoding)))
+        bus.subscribe(topics.APPLIED, self._note)
+
+    def _note(self, payload: bytes, encoding: str, _transit_s: float | None) -> None:
+        self.applied.append((time.monotonic(), decode(CommandApplied, payload, encoding)))
+
+    @property
+    def drives(self) -> bool:
+        """Whether the robot is being moved."""
+        return bool(self.applied) and self.applied[-1][1].atom != "stop"
+
+    def stood_s(self, since_s: float) -> float:
+        """Wait until the actuator stands; return how long after a time it was last told to move."""
+        eventually(lambda: not self.drives)
+        return max((at for at, one in self.applied if one.atom != "stop"), default=since_s) - since_s
+
+    def pid_of_console(self) -> int:
+        """Wait until the console answers; return its process id."""
+        status = eventually(lambda: status_of(self.bus, "console"), timeout_s=30.0)
+        assert status is not None
+        return status.pid
+
+    def robot(self, key: str) -> object:
+        """Return what the robot tells of itself."""
+        with suppress(RpcError):
+            return self.bus.call("robot", "status", Nothing(), Status).detail[key]
+        return None
+
+
+@contextmanager
+def opened(browser: Browser, site: Site, by: str | None = None) -> Iterator[Page]:
+    """Open the page in a context of its own, as another person would; no error may appear in it.
+
+    ``by`` is another address that leads to it.
+    """
+    context = browser.new_context(viewport={"width": 1440, "height": 1000})
+    page = context.new_page()
+    errors: list[str] = []
+    page.on("pageerror", lambda error: errors.append(str(error)))
+    page.goto(f"http://{by or site.address}/")
+    eventually(lambda: told(page) and "onnect" not in told(page))
+    try:
+        yield page
+    finally:
+        if not page.is_closed():
+            # pytest shows it where the test has failed.
+            sys.stdout.write("\n".join(page.inner_text(part) for part in ("#status", "#job", "#news")) + "\n")
+        context.close()
+    assert errors == []
+
+
+def told(page: Page) -> str:
+    """Return the line that says how the robot is."""
+    return page.inner_text("#status")
+
+
+def data(page: Page, name: str) -> str:
+    """Return what the page notes of the episode."""
+    return page.get_attribute("body", f"data-{name}") or ""
+
+
+def begin_a_drive(page: Page, site: Site) -> None:
+    before = data(page, "episode")
+    insist(page, site, lambda: page.click("#drive-form button"), lambda: data(page, "episode") not in ("", before))
+    # Pressed twice, it has begun two, and the page follows.
+    eventually(lambda: site.poses and site.poses[-1].episode == data(page, "episode"))
+
+
+def drive_ahead(page: Page, site: Site) -> None:
+    """Begin a drive, and hold the key for ahead."""
+    begin_a_drive(page, site)
+    hold(page, site, lambda: page.keyboard.down("w"))
+
+
+def insist(page: Page, site: Site, press: Callable[[], None], done: Callable[[], object]) -> None:
+    """Press something until it is done: a busy machine loses the robot's operator meanwhile, and refuses."""
+    press()
+
+    def is_done() -> object:
+        if was_lost(page, site):
+            press()
+        return done()
+
+    eventually(is_done, timeout_s=60.0)
+
+
+def hold(page: Page, site: Site, press: Callable[[], None], atom: str = "forward") -> None:
+    """Press something until the robot moves by it."""
+    insist(page, site, press, lambda: site.drives and site.applied[-1][1].atom == atom)
+
+
+def was_lost(page: Page, site: Site) -> bool:
+    """Arm a robot that had lost its operator, since the machine was busy elsewhere; a person would go on as well."""
+    if site.robot("stop_cause") != "operator_lost":
+        return False
+    for key in KEYS.values():
+        page.keyboard.up(key)
+
+    def armed() -> bool:
+        page.click("#resume")
+        with suppress(pytest.fail.Exception):
+            return eventually(lambda: site.robot("stop_cause") is None, timeout_s=2.0)
+        return False  # it was lost once more meanwhile
+
+    return eventually(armed, timeout_s=60.0)
+
+
+def drive_to_the_victim(page: Page, site: Site) -> None:
+    """Drive by keys, as the scripted expert would."""
+    world, here = load_world("yard"), site.poses[-1]
+    driver = RouteDriver(plan_route(world, (here.x_m, here.y_m)), SPEED_M_S, world.scale.found_m)
+    held = ""
+    while not driver.arrived(here.x_m, here.y_m):
+        key = KEYS[driver.key(here.x_m, here.y_m, here.heading_rad)]
+        if key != held:
+            if held:
+                page.keyboard.up(held)
+            page.keyboard.down(key)
+            held = key
+        if was_lost(page, site):
+            held = ""
+        eventually(lambda seen=here: site.poses[-1] is not seen)  # type: ignore[misc]
+        here = site.poses[-1]
+    page.keyboard.up(held)
+
+
+def run_in(page: Page, script: str) -> Any:
+    """Run a script as the developer's tools do; the page's own policy forbids what Playwright would do."""
+    tools = page.context.new_cdp_session(page)
+    asked = {"expression": script, "awaitPromise": True, "returnByValue": True}
+    answer = tools.send("Runtime.evaluate", asked)
+    assert "exceptionDetails" not in answer, answer
+    tools.detach()
+    return answer["result"].get("value")
+
+
+def processes_of(name: str) -> list[int]:
+    """Return the processes of a name that this one's children have started."""
+    parents, named = {}, []
+    for entry in Path("/proc").iterdir():
+        with suppress(OSError, ValueError):
+            _, _, rest = (entry / "stat").read_text().rpartition(") ")
+            parents[int(entry.name)] = int(rest.split()[1])
+            if name in (entry / "cmdline").read_text():
+                named.append(int(entry.name))
+
+    def is_ours(pid: int) -> bool:
+        return pid == os.getpid() or (pid in parents and is_ours(parents[pid]))
+
+    return [pid for pid in named if is_ours(pid)]
+
+
+def drop(page: Page, file: Path, name: str) -> None:
+    """Drop a file on the map, as from a folder's window."""
+    run_in(page, "var dropped = new DataTransfer()")
+    run_in(page, f"dropped.items.add(new File([{json.dumps(file.read_text())}], {json.dumps(name)}))")
+    event = "new DragEvent('drop', {dataTransfer: dropped, bubbles: true, cancelable: true})"
+    run_in(page, f"document.querySelector('#map').dispatchEvent({event})")
+
+
+@contextmanager
+def frozen(pid: int) -> Iterator[None]:
+    os.kill(pid, signal.SIGSTOP)
+    try:
+        yield
+    finally:
+        os.kill(pid, signal.SIGCONT)
