@@ -9,11 +9,9 @@ import subprocess
 import sys
 import threading
 from collections import deque
-from collections.abc import Callable, Sequence
-from contextlib import suppress
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from queue import Empty, SimpleQueue
 from typing import IO, Final
 
 from schemas.codec import printable
@@ -65,28 +63,29 @@ class Job:
     reads: IO[bytes] | None = None
 
 
-@dataclass(frozen=True)
-class _Ending:
-    """How a command has ended, or why it is to be ended; where that is empty, by its own status."""
-
-    outcome: str = ""
-    why: str = ""
-
-
-@dataclass(frozen=True)
 class _Work:
-    """A command at work, and what is heard of it: its lines, then its ending."""
+    """A command at work, and how it was ended, if it was: the outcome, and why."""
 
-    process: subprocess.Popen[str]
-    heard: SimpleQueue[str | _Ending]
+    def __init__(self, process: subprocess.Popen[str]) -> None:
+        self.process = process
+        self.ended: tuple[str, str] | None = None
 
-    def listen(self) -> None:
-        """Hear it to its end."""
+    def lines(self, patience_s: float) -> Iterator[str]:
+        """Give what it says until it ends; it is ended where it says nothing for so long."""
+        why = f"it said nothing for {patience_s / 60:.0f} min, and was ended"
         assert self.process.stdout is not None  # noqa: S101 - it is a pipe
-        for line in self.process.stdout:
-            self.heard.put(line)
-        self.process.wait()
-        self.heard.put(_Ending())
+        line = " "
+        while line:
+            silence = _later(patience_s, self.end, "failed", why)
+            line = self.process.stdout.readline()
+            silence.cancel()
+            yield line.strip()
+
+    def end(self, outcome: str, why: str = "") -> None:
+        """End it: it may tidy up, for a while."""
+        self.ended = self.ended or (outcome, why)
+        self.process.terminate()
+        _later(_ENDING_S, self.process.kill)
 
 
 class Jobs:
@@ -141,48 +140,41 @@ class Jobs:
             errors="replace",
         )
         os.setpriority(os.PRIO_PROCESS, process.pid, _NICENESS)
-        self._work = work = _Work(process, SimpleQueue())
-        threading.Thread(target=work.listen, name="job's listener", daemon=True).start()
-        threading.Thread(target=self._follow, args=(job, work), name="job", daemon=True).start()
+        self._work = _Work(process)
+        threading.Thread(target=self._follow, args=(job, self._work), name="job", daemon=True).start()
 
     def cancel(self) -> None:
         """End the job that is at work, without what it makes."""
         if (work := self._work) is not None:
-            work.heard.put(_Ending("cancelled"))
-            work.process.terminate()
+            work.end("cancelled")
 
     def _follow(self, job: Job, work: _Work) -> None:
         """Show how far a command is until it has ended, and then how."""
         shown: dict[str, object] = {"kind": job.kind, "name": job.name, "doing": job.doing, "done": job.done}
-        lines: deque[str] = deque(maxlen=_LINES)
-        ending = _Ending()
+        said: deque[str] = deque(maxlen=_LINES)
         try:
             self._show({**shown, "stage": "", "share": None})
-            while isinstance(heard := self._hear(work), str):
-                if (progress := _progress(heard)) is not None:
+            for line in work.lines(self._patience_s):
+                if (progress := _progress(line)) is not None:
                     self._show({**shown, **progress})
-                else:
-                    lines.append(printable(heard.strip()).replace(job.hidden, job.called))
-            ending = heard
-            with suppress(subprocess.TimeoutExpired):
-                work.process.wait(_ENDING_S)
+                elif line:
+                    said.append(printable(line).replace(job.hidden, job.called))
         except Exception:  # noqa: BLE001 - whatever it is, the next one has its turn
             _log.warning("%s", job.doing, exc_info=True)
-        work.process.kill()
+            work.process.kill()
         status = work.process.wait()
-        remarks = [line.removeprefix("smal: ") for line in lines if line.startswith("smal: ")]
-        if not ending.outcome:
-            why = (remarks or [*lines] or [f"it ended with status {status}"])[-1]
-            ending = _Ending("done") if status == 0 else _Ending("failed", why)
         self._work = None
-        self._show({**shown, "outcome": ending.outcome, "why": ending.why, "remarks": remarks[-_REMARKS:]})
+        remarks = [line.removeprefix("smal: ") for line in said if line.startswith("smal: ")]
+        last = (remarks or [*said] or [f"it ended with status {status}"])[-1]
+        outcome, why = work.ended or (("done", "") if status == 0 else ("failed", last))
+        self._show({**shown, "outcome": outcome, "why": why, "remarks": remarks[-_REMARKS:]})
 
-    def _hear(self, work: _Work) -> str | _Ending:
-        try:
-            return work.heard.get(timeout=self._patience_s)
-        except Empty:
-            work.process.terminate()
-            return _Ending("failed", f"it said nothing for {self._patience_s / 60:.0f} min, and was ended")
+
+def _later(after_s: float, what: Callable[..., None], *arguments: object) -> threading.Timer:
+    timer = threading.Timer(after_s, what, arguments)
+    timer.daemon = True
+    timer.start()
+    return timer
 
 
 def _progress(line: str) -> dict[str, object] | None:

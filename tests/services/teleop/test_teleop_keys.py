@@ -76,25 +76,6 @@ def test_the_letters_of_an_escape_sequence_are_no_keys(begun: bytes, final: int)
         (b"\x1b[?0u\x1b[?1u\x1b[?u\x1b[?62c", []),
         (b"\x1b[I\x1b[O", ["focus_lost"]),
     ],
-    ids=[
-        "press, repeat, release",
-        "press in full",
-        "shift",
-        "caps and num lock",
-        "a code of the capital letter",
-        "arrows",
-        "arrows of the pad",
-        "Ctrl-C",
-        "Ctrl-C with locks",
-        "release of Ctrl-C, and c",
-        "shortcuts",
-        "a release while Ctrl is down",
-        "stops with any modifier",
-        "other keys",
-        "tells releases",
-        "tells no releases",
-        "focus",
-    ],
 )
 def test_keys_of_the_kitty_protocol(data: bytes, keys: list[str]) -> None:
     keys = [key for key in keys if key != "-quit"]

@@ -67,18 +67,3 @@ def test_kill_9_of_the_teleoperation_while_it_drives(robot: Robot, open_console:
     again.wait_for(r"robot: stop \(nobody drives\)")
     assert robot.wheels.stands_s - killed_s <= STAND_WITHIN_S, "the key that was pressed before moved nothing"
     drive(again, robot)
-
-
-def test_an_emergency_stop_stands_until_the_next_episode(robot: Robot, open_console: Callable[[], Console]) -> None:
-    console = driving(open_console, robot)
-    console.type(b"\x1b[101u")
-    pressed_s = time.monotonic()
-    console.wait_for(r"EMERGENCY STOP  \|  .*robot: stop \(emergency stop\)")
-    assert robot.gate.stop_cause == "emergency_stop"
-    assert robot.wheels.stands_s - pressed_s <= STAND_WITHIN_S
-    console.type(b"n")
-    console.wait_for(r"seed 6 (.*\r\n)+.*robot: stop \(nobody drives\)")
-    drive(console, robot)
-    console.type(b"q")
-    assert console.process.wait(10.0) == 0
-    eventually(lambda: robot.gate.stop_cause == "operator_lost")

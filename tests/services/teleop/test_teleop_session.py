@@ -9,8 +9,10 @@ import pytest
 
 from services.kit.node import Node
 from services.kit.settings import ServiceSettings
+from services.operator.report import Report
 from services.teleop.config import TeleopSettings
 from services.teleop.session import TeleopSession
+from services.teleop.status import status_line
 from services.teleop.terminal import Terminal
 from tests.services.conftest import RunNode
 from tests.services.teleop.fake_robot import FakeRobot
@@ -76,3 +78,28 @@ def test_nothing_is_released_before_the_robot_has_told_what_it_stands_for(node: 
     assert desk.said[-1] == "the robot has not told yet whether it stands for a stop; press again"
     eventually(lambda: robot.gate.stop_cause == "emergency_stop")
     assert (robot.arms, robot.resets) == ([], [])
+
+
+@pytest.mark.parametrize(
+    ("told", "line"),
+    [
+        ({}, "robot: -  |  you: left  |  no episode; n: begin one"),
+        ({"answers": True, "cause": "not_armed"}, "robot: not armed  |"),
+        (
+            {"answers": True, "emergency": True, "cause": "emergency_stop"},
+            "EMERGENCY STOP  |  robot: emergency stop  |",
+        ),
+        ({"answers": True, "outcome": "found"}, "robot: armed  |  you: left  |  ended: found; n: next episode"),
+        ({"waiting": True}, "robot: -  |  you: left  |  waiting for the robot"),
+        ({"reason": "command", "source": "policy"}, "frame 12  |  robot: stop (by policy)  |  refused 3  |"),
+        ({"reason": "command", "source": "teleop"}, "robot: stop (by hand)"),
+        ({"reason": "silence"}, "robot: stop (nobody drives)"),
+        ({"reason": "taken_over"}, "robot: stop (you have taken over; r resumes)"),
+        ({"reason": "emergency_stop", "cause": "operator_lost"}, "robot: stop (it had lost you; r resumes)"),
+        ({"reason": "silence", "at": 3.0}, "NO SIGN OF THE ROBOT for 7 s"),
+        ({"reason": "silence", "driver": "teleop"}, "a person drives"),
+    ],
+)
+def test_the_status_line(told: dict[str, object], line: str) -> None:
+    episode = {"episode": "e", "tick": 12, "atom": "stop", "refused": 3, "at": 9.5} if "reason" in told else {}
+    assert line in status_line(Report(**episode | told), "left", 10.0)

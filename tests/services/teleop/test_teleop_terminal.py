@@ -13,8 +13,6 @@ from contextlib import suppress
 
 import pytest
 
-from schemas.command import Command
-from services.kit.bus import Bus
 from services.kit.settings import ServiceSettings
 from tests.services.conftest import RunNode
 from tests.services.teleop.console import ROOT, Console
@@ -81,12 +79,6 @@ def test_hold_to_drive_release_to_stop(console: Console, robot: FakeRobot) -> No
     eventually(lambda: robot.atoms()[-1:] == ["stop"])
 
 
-def test_a_terminal_that_tells_releases_is_not_complained_of(told: Console, robot: FakeRobot) -> None:
-    eventually(lambda: robot.beats)
-    hear(robot, beats=30)  # 1.5 s; the line would come after one
-    assert "let go" not in told.output
-
-
 def test_letting_go_stops_at_once(told: Console, robot: FakeRobot) -> None:
     begin(told, robot)
     stopped_s = []
@@ -148,16 +140,6 @@ def test_the_driver_goes_on_when_the_operator_says_so(console: Console, robot: F
     console.type(b"r")
     eventually(lambda: [request.episode for request in robot.resumed] == ["drive-1"])
     assert robot.arms == [1], "nothing had to be released"
-
-
-def test_resuming_arms_a_robot_that_had_lost_its_operator(console: Console, robot: FakeRobot) -> None:
-    begin(console, robot)
-    robot.gate.stop("operator_lost")
-    console.wait_for(r"robot: stop \(it had lost you; r resumes\)")
-    console.type(b"r")
-    eventually(lambda: robot.resumed)
-    assert robot.arms == [1, 2]
-    assert robot.resumed[0].session == robot.beats[0].session
 
 
 @pytest.mark.parametrize("key", [b"n", b"r"])
@@ -326,17 +308,6 @@ def test_a_closed_window_stops_the_robot(console: Console, robot: FakeRobot) -> 
     eventually(lambda: not robot.beats[-1].present)
     assert robot.atoms()[-1] == "stop"
     assert [request.episode for request in robot.ends] == ["drive-1"]
-
-
-def test_a_process_that_is_killed_says_no_good_bye(console: Console, robot: FakeRobot, client: Bus) -> None:
-    begin(console, robot)
-    console.process.kill()
-    console.process.wait()
-    # Whatever it had sent has come by now: the next command comes after it.
-    heard = len(robot.commands)
-    client.publish(Command(robot="rescuebot", episode="e", tick=0, stamp_ns=0, source="emergency_stop", atom="stop"))
-    eventually(lambda: len(robot.commands) > heard)
-    assert all(beat.present for beat in robot.beats)
 
 
 def test_neither_control_z_nor_control_backslash_nor_control_s_stops_the_driver(

@@ -10,9 +10,7 @@ from schemas.command import Command, CommandApplied
 from schemas.episode import Episode
 from services.operator.commands import Commands
 from services.operator.hold import FIRST_HOLD_S, KeyHold
-from services.operator.report import Report
 from services.robot.gate import CommandGate
-from services.teleop.status import status_line
 
 
 class Operator:
@@ -63,13 +61,6 @@ def test_a_press_is_sent_at_once_and_then_with_every_heartbeat(operator: Operato
     assert operator.beat(5) == ("teleop", "forward", 5, 0)
 
 
-def test_a_tick_is_answered_once(operator: Operator) -> None:
-    """The robot says at once, for the same frame, that it has changed its movement; that needs no answer."""
-    operator.beat(3)
-    operator.service.press("forward")
-    assert operator.beat(3, "command") is None
-
-
 def test_a_release_is_one_stop_at_once_then_silence(operator: Operator) -> None:
     operator.beat(3)
     operator.service.press("forward")
@@ -78,14 +69,6 @@ def test_a_release_is_one_stop_at_once_then_silence(operator: Operator) -> None:
     assert brief(operator.service.poll()) == ("teleop", "stop", 4, 1)
     assert operator.service.poll() is None
     assert operator.beat(5) is None
-
-
-def test_changing_the_key_within_a_tick(operator: Operator) -> None:
-    operator.beat(3)
-    operator.service.press("forward")
-    assert brief(operator.service.press("left")) == ("teleop", "left", 3, 1)
-    assert brief(operator.service.press("forward")) == ("teleop", "forward", 3, 2)
-    assert operator.service.press("forward") is None, "a repeat is no change"
 
 
 def test_a_key_that_is_let_go_is_one_stop_at_once(operator: Operator) -> None:
@@ -112,12 +95,6 @@ def test_an_emergency_stop_goes_out_at_once_and_is_repeated_until_it_holds(opera
     assert operator.beat(6, "emergency_stop") is None
 
 
-def test_an_emergency_stop_without_an_episode_is_repeated_until_the_robot_has_it(operator: Operator) -> None:
-    operator.service.stop_for_emergency()
-    assert brief(operator.service.told(0)) == ("emergency_stop", "stop", 0, 1)
-    assert operator.service.told(3) is None
-
-
 def test_the_emergency_stop_ends_when_the_robot_was_armed(operator: Operator) -> None:
     operator.beat(3)
     operator.service.stop_for_emergency()
@@ -133,27 +110,6 @@ def test_the_emergency_stop_ends_when_the_robot_was_armed(operator: Operator) ->
     assert brief(operator.service.press("left")) == ("teleop", "left", 6, 0)
 
 
-def test_an_emergency_stop_that_is_pressed_while_the_robot_is_armed_stays(operator: Operator) -> None:
-    operator.beat(3, "emergency_stop")
-    operator.service.arming()
-    assert operator.service.stop_for_emergency() is not None
-    operator.service.armed()
-    operator.service.answered()
-    assert operator.service.emergency
-    assert operator.beat(4) == ("emergency_stop", "stop", 4, 0), "it was lost on the way"
-    assert operator.service.press("forward") is None
-
-
-def test_an_emergency_stop_holds_where_arming_is_refused(operator: Operator) -> None:
-    operator.beat(3)
-    operator.service.stop_for_emergency()
-    operator.beat(4, "emergency_stop")
-    operator.service.arming()
-    operator.service.answered()
-    assert operator.service.emergency
-    assert operator.beat(5) == ("emergency_stop", "stop", 5, 0)
-
-
 def test_what_is_released_is_what_the_robot_has_told(operator: Operator) -> None:
     assert operator.service.to_release is None, "nothing was heard yet"
     operator.service.told(4)
@@ -164,21 +120,6 @@ def test_what_is_released_is_what_the_robot_has_told(operator: Operator) -> None
     assert operator.service.to_release is None, "the robot has not told its number yet"
     operator.beat(1, "emergency_stop", stop=9)
     assert operator.service.to_release == 9
-
-
-def test_nothing_is_sent_after_the_end(operator: Operator) -> None:
-    operator.beat(3)
-    operator.service.press("forward")
-    operator.service.on_event(event("ended", outcome="collision"))
-    assert operator.service.press("left") is None
-    assert operator.beat(4) is None, "a heartbeat that the news of the end has overtaken"
-    assert operator.service.poll() is None
-
-
-def test_a_key_held_across_two_episodes_must_be_pressed_again(operator: Operator) -> None:
-    operator.beat(3)
-    operator.service.press("forward")
-    assert operator.beat(0, episode="f") is None
 
 
 steps = st.one_of(
@@ -245,28 +186,3 @@ def test_an_emergency_stop_is_released_only_by_a_key_that_was_pressed_after_it(s
             operator.service.answered()
             asked = None
         assert operator.service.emergency == held
-
-
-@pytest.mark.parametrize(
-    ("told", "line"),
-    [
-        ({}, "robot: -  |  you: left  |  no episode; n: begin one"),
-        ({"answers": True, "cause": "not_armed"}, "robot: not armed  |"),
-        (
-            {"answers": True, "emergency": True, "cause": "emergency_stop"},
-            "EMERGENCY STOP  |  robot: emergency stop  |",
-        ),
-        ({"answers": True, "outcome": "found"}, "robot: armed  |  you: left  |  ended: found; n: next episode"),
-        ({"waiting": True}, "robot: -  |  you: left  |  waiting for the robot"),
-        ({"reason": "command", "source": "policy"}, "frame 12  |  robot: stop (by policy)  |  refused 3  |"),
-        ({"reason": "command", "source": "teleop"}, "robot: stop (by hand)"),
-        ({"reason": "silence"}, "robot: stop (nobody drives)"),
-        ({"reason": "taken_over"}, "robot: stop (you have taken over; r resumes)"),
-        ({"reason": "emergency_stop", "cause": "operator_lost"}, "robot: stop (it had lost you; r resumes)"),
-        ({"reason": "silence", "at": 3.0}, "NO SIGN OF THE ROBOT for 7 s"),
-        ({"reason": "silence", "driver": "teleop"}, "a person drives"),
-    ],
-)
-def test_the_status_line(told: dict[str, object], line: str) -> None:
-    episode = {"episode": "e", "tick": 12, "atom": "stop", "refused": 3, "at": 9.5} if "reason" in told else {}
-    assert line in status_line(Report(**episode | told), "left", 10.0)
