@@ -35,14 +35,9 @@ HEADERS: Final = {
 
 
 class Guard:
-    """Lets through what the page itself asks for.
+    """Lets through to ``app`` what the page itself asks for.
 
-    Parameters
-    ----------
-    app
-        What answers then.
-    token
-        The word that a browser has to know; without one the page is for this machine's own names alone.
+    ``token`` is the word that a browser has to know; without one the page is for this machine's own names alone.
     """
 
     def __init__(self, app: ASGIApp, token: str | None = None) -> None:

@@ -89,16 +89,10 @@ class _Work:
 
 
 class Jobs:
-    """One job at a time.
+    """One job at a time; of one thread, but for ``show``.
 
-    Parameters
-    ----------
-    show
-        Called with the job as the page draws it, whenever that changes, on the job's thread.
-    command
-        What is run, before a job's arguments.
-    patience_s
-        How long it may say nothing.
+    ``show`` is called with the job as the page draws it, whenever that changes, on the job's thread. ``command`` is run
+    with a job's arguments, and may say nothing for ``patience_s``.
     """
 
     def __init__(

@@ -90,16 +90,9 @@ class Learned:
 
 
 def learned_of(model: Model, goal: str | None, recordings: dict[str, Path]) -> Learned:
-    """Return what the page knows of a model.
+    """Return what the page knows of a model; ``goal`` is None for the only one.
 
-    Parameters
-    ----------
-    model
-        The model.
-    goal
-        Where the robot goes; None for the only goal.
-    recordings
-        Where the recordings are that it may have been learned from, by episode.
+    ``recordings`` are the files of those that it may have been learned from, by episode.
 
     Raises
     ------

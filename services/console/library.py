@@ -65,14 +65,9 @@ class LearnedModel:
 
 
 class Library:
-    """Recordings and models below a root, looked at again where they have changed.
+    """Recordings and models below a root, which has no links in its path, looked at again where they have changed.
 
     ``look`` is called on one thread; everything else on any.
-
-    Parameters
-    ----------
-    root
-        Folder of the files that browsers may name, without links in its path.
     """
 
     def __init__(self, root: Path) -> None:
@@ -144,13 +139,7 @@ class Library:
         return goals.pop() if len(goals) == 1 else "nearest" if goals else "victim"
 
     def path(self, name: str) -> Path:
-        """Return the path of something that is listed.
-
-        Raises
-        ------
-        OSError
-            When a link leads out of the root.
-        """
+        """Return the path of something that is listed; an ``OSError`` where a link leads out of the root."""
         return below(self.root, name)
 
     def delete(self, name: str) -> None:
@@ -158,10 +147,8 @@ class Library:
 
         Raises
         ------
-        ServiceError
-            When it is not listed.
-        OSError
-            When it cannot be deleted.
+        ServiceError, OSError
+            When it is not listed, or cannot be deleted.
         """
         if self.recording(name) is None:
             raise ServiceError("no such recording")

@@ -34,19 +34,7 @@ _APART_M: Final = 0.1
 class LiveContent:
     """Puts on the board what is heard of the robot, how every service is, and what was recorded and learned.
 
-    Parameters
-    ----------
-    node
-        Where to listen; all but the topic ``action`` is subscribed here.
-    board
-        Where it is shown.
-    library
-        Recordings and models.
-
-    Attributes
-    ----------
-    learned
-        The model that the robot goes by.
+    All but the topic ``action`` is subscribed here. ``learned`` is the model that the robot goes by.
     """
 
     def __init__(self, node: Node, board: Board, library: Library) -> None:

@@ -28,10 +28,7 @@ class FullError(Exception):
 class Board:
     """Holds the newest content of each channel, as JSON, and the newest picture; of any thread.
 
-    Parameters
-    ----------
-    clock
-        Seconds; whatever tells an age goes by it.
+    Whatever tells an age goes by its clock, in seconds.
     """
 
     def __init__(self, clock: Callable[[], float] = now_s) -> None:

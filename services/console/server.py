@@ -56,19 +56,10 @@ class _Socket(WebSocketsSansIOProtocol, asyncio.BufferedProtocol):
 class WebServer:
     """Serves the page.
 
-    Parameters
-    ----------
-    service
-        What browsers can do.
-    board
-        What they see.
-    settings
-        Where to listen, and who gets in.
-
     Raises
     ------
     ServiceError
-        When that may not be listened on, or cannot be, or the certificate is of no use.
+        When it may not listen there, or cannot, or the certificate is of no use.
     """
 
     def __init__(self, service: ConsoleService, board: Board, settings: ConsoleSettings) -> None:

@@ -43,16 +43,8 @@ _LINES: Final = 30
 class ConsoleService:
     """Wires an operator and a board to a node.
 
-    All that a person does is done on the node's thread: other threads call it by ``do``.
-
-    Parameters
-    ----------
-    node
-        Where to listen and publish.
-    board
-        Where everything is shown.
-    root
-        Folder of the files that browsers may name, without links in its path.
+    All that a person does is done on the node's thread: other threads call it by ``do``. Browsers may name files below
+    ``root``, which has no links in its path.
     """
 
     def __init__(self, node: Node, board: Board, root: Path) -> None:

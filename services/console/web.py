@@ -45,13 +45,6 @@ class Web:
 
     What a person does is done when its future ends, and their browser is heard further then: so nothing waits behind
     more than one thing that each has said, be it an emergency stop behind a flood.
-
-    Parameters
-    ----------
-    service
-        What they can do.
-    board
-        What they see.
     """
 
     def __init__(self, service: ConsoleService, board: Board) -> None:

@@ -19,12 +19,7 @@ class Commands:
     An emergency stop goes out at once, be there an episode or not, and is repeated until the robot says that it stands.
     It ends when the robot was armed; one that is pressed after that was asked for stays.
 
-    Parameters
-    ----------
-    keys
-        Tells which movement is asked for.
-    robot
-        Whom an emergency stop is for before anything was heard of the robot.
+    ``robot`` is whom an emergency stop is for before anything was heard of the robot.
 
     Attributes
     ----------

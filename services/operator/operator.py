@@ -49,14 +49,10 @@ class Operator:
 
     Parameters
     ----------
-    node
-        Where to publish.
-    keys
-        Tells which movement is asked for.
-    say
-        Tells the person one thing, once.
-    show
-        Called with the report on the robot when it has changed.
+    node, keys
+        Where to publish; which movement is asked for.
+    say, show
+        Tells the person one thing, once; shows them the report on the robot when it has changed.
     clock
         Monotonic seconds.
     there
@@ -114,27 +110,22 @@ class Operator:
             # It began before this process did, and nobody has told how.
             self._note(purpose=None, driver=None, goal=None, world=None, outcome=None)
         self._note(
+            **{name: getattr(applied, name) for name in ("episode", "tick", "atom", "source", "reason", "refused")},
+            cause=applied.stop_cause,
             at=self._heard_s,
             answers=True,
             waiting=False,
-            episode=applied.episode,
-            tick=applied.tick,
-            atom=applied.atom,
-            source=applied.source,
-            reason=applied.reason,
-            cause=applied.stop_cause,
-            refused=applied.refused,
         )
 
     def _on_event(self, event: Episode) -> None:
         """Follow the episode."""
         self.commands.on_event(event)
-        begun = {"purpose": event.purpose, "driver": event.driver, "goal": event.goal, "world": event.world}
+        told = {name: getattr(event, name) for name in ("purpose", "driver", "goal", "world", "outcome", "tick")}
         named = f"{'Run' if event.purpose == 'run' else 'Drive'} to {event.goal}"
         if event.event == "started":
-            self._note(**begun, at=self._clock(), waiting=False, episode=event.episode, tick=0, outcome=None)
+            self._note(**told, at=self._clock(), waiting=False, episode=event.episode)
         elif event.event == "ended":
-            self._note(**begun, at=self._clock(), episode=None, tick=event.tick, outcome=event.outcome)
+            self._note(**told, at=self._clock(), episode=None)
             self._say(f"{named}: {event.outcome} after {event.tick} frames")
             if event.episode == self.mine:
                 self.mine = None
@@ -210,23 +201,10 @@ class Operator:
         there: Callable[[], bool] = lambda: True,
         begun: Callable[[ResetReply], None] = lambda _: None,
     ) -> bool:
-        """Arm the robot if it has to be, and ask for an episode.
+        """Arm the robot if it has to be, and ask for an episode, which will be this operator's; return whether.
 
-        Parameters
-        ----------
-        request
-            The episode; it will be this operator's.
-        prepare
-            Called first, on another thread; what it raises is told, and no episode begins.
-        there
-            Whether the person is still there, who may have left meanwhile: both to prepare and to begin may take long.
-        begun
-            Called when the episode has begun, on the node's thread.
-
-        Returns
-        -------
-        bool
-            Whether it is asked for; why not is told.
+        ``prepare`` is called first, on another thread; what it raises is told, and no episode begins. Both may take
+        long: nothing begins for a person who is not ``there`` any more. ``begun`` is called on the node's thread.
         """
         request = request.model_copy(update={"session": self._node.session})
         arm = self._arming()

@@ -31,6 +31,8 @@ if TYPE_CHECKING:
 
 KEYS = {"forward": "w", "left": "a", "right": "d", "backward": "s"}
 SPEED_M_S = 2.0
+#: After so long a person presses a button again.
+AGAIN_S = 15.0
 
 
 class Site:
@@ -119,12 +121,15 @@ def drive_ahead(page: Page, site: Site) -> None:
 
 
 def insist(page: Page, site: Site, press: Callable[[], None], done: Callable[[], object]) -> None:
-    """Press something until it is done: a busy machine loses the robot's operator meanwhile, and refuses."""
+    """Press something until it is done: a busy machine loses the robot's operator meanwhile, or an answer."""
     press()
+    pressed_s = time.monotonic()
 
     def is_done() -> object:
-        if was_lost(page, site):
+        nonlocal pressed_s
+        if was_lost(page, site) or time.monotonic() > pressed_s + AGAIN_S:
             press()
+            pressed_s = time.monotonic()
         return done()
 
     eventually(is_done, timeout_s=60.0)

@@ -3,26 +3,18 @@
 from __future__ import annotations
 
 import os
-import shutil
 import signal
-import subprocess
-import sys
 import time
 from collections.abc import Callable, Iterator
-from contextlib import AbstractContextManager, closing, contextmanager
-from pathlib import Path
+from contextlib import AbstractContextManager, contextmanager
 from typing import TYPE_CHECKING
 
 import pytest
 
 from schemas.rpc import Nothing, Status
-from services.cli.stack.processes import Stack, StackPlan, flags, free_endpoint
-from services.kit.bus import Bus
 from services.robot.loop import STAND_WITHIN_S
 from services.simulator.world.loading import WORLDS_FOLDER
-from services.table import stack_services
 from tests.benchmarks.faults.proxy import link
-from tests.benchmarks.soak.page import held, judge_page
 from tests.services.waiting import eventually
 from tests.system.console_site import (
     Site,
@@ -49,34 +41,8 @@ pytestmark = [pytest.mark.system, pytest.mark.rendering, pytest.mark.zenoh]
 WHOLE_LOOP_S = 240.0
 
 
-@pytest.fixture(scope="module")
-def site(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Site]:
-    """Start a stack on the world ``yard``."""
-    root, endpoint = tmp_path_factory.mktemp("root"), free_endpoint()
-    address = free_endpoint().removeprefix("tcp/")
-    below = flags(root=root)
-    own = {
-        "robot": flags(world="yard", camera_width=320, camera_height=240) + below,
-        **dict.fromkeys(("recognition", "policy", "recorder"), below),
-        "console": flags(console=address) + below,
-    }
-    plan = StackPlan(stack_services(), "rescuebot", endpoint, own, logs=root / "logs")
-    with Stack(plan) as stack, closing(Bus("rescuebot", endpoint)) as bus:
-        yield Site(address, stack, bus, root)
-
-
-@pytest.fixture
-def page(browser: Browser, site: Site) -> Iterator[Page]:
-    """Open the page."""
-    with opened(browser, site) as page:
-        yield page
-
-
 def test_teach_once_learn_run_found(page: Page, site: Site) -> None:
-    """By clicks and keys alone; what is compiled is compiled before, as it is when SMAL is set up."""
-    subprocess.run(
-        [sys.executable, "-c", "from smal.paper.matching.streaming import compile_ahead; compile_ahead()"], check=True
-    )
+    """By clicks and keys alone."""
     began_s = time.monotonic()
     begin_a_drive(page, site)
     eventually(lambda: page.is_visible("#map .victim"))
@@ -224,158 +190,7 @@ def test_a_map_that_is_dropped_is_a_world_to_drive_in(page: Page, site: Site) ->
     eventually(lambda: "Making a world of no map failed: no map.osm: not a readable" in page.inner_text("#job"), 60.0)
 
 
-# -- who sees and how --------------------------------------------------------------------------------------------------
-
-
-@pytest.fixture
-def taught_here(site: Site, taught: Path) -> Iterator[None]:
-    """Have a model, and the recording that it was learned from, where the page finds them."""
-    files = {taught / "model.smal": site.root / "models" / "taught.smal"}
-    files |= {one: site.root / "drives" / one.name for one in (taught / "drives").glob("*.mcap")}
-    for here, there in files.items():
-        there.parent.mkdir(exist_ok=True)
-        shutil.copy(here, there)
-    yield
-    for there in files.values():
-        there.unlink()
-
-
-def begin_a_run(page: Page, site: Site) -> None:
-    """Begin a run where it was taught, and see the first belief."""
-    name = "models/taught.smal"
-    eventually(lambda: page.locator("#world-form option[value=yard]").count() == 1)
-    page.select_option("#world-form [name=world]", "yard")
-    eventually(lambda: page.locator(f"#run-form option[value='{name}']").count() == 1)
-    page.select_option("#run-form select[name=model]", name)
-    insist(page, site, lambda: page.click("#run-form button"), lambda: data(page, "episode").startswith("run"))
-    eventually(lambda: page.locator("#belief img").get_attribute("src"), timeout_s=30.0)
-
-
-def look(page: Page, frames: int) -> None:
-    """Look on while so many frames of the robot pass."""
-
-    def frame() -> int:
-        _, _, text = page.inner_text("#episode").partition("frame ")
-        return int(text.split(",")[0] or 0)
-
-    until = frame() + frames
-    eventually(lambda: frame() >= until, timeout_s=30.0)
-
-
-SIZES = {1440: 1000, 1024: 900, 390: 844}
-# Of the results of a run of axe-core those that are wrong, with the elements that they are about.
-VIOLATIONS = """axe.run({resultTypes: ["violations"]}).then(({violations}) => violations.map(
-    ({id, nodes}) => `${id}: ${nodes.map(({target}) => target.join(" ")).join(", ")}`))"""
-
-
-@pytest.mark.usefixtures("taught_here")
-def test_axe_core_finds_nothing(page: Page, site: Site) -> None:
-    axe = pytest.importorskip("axe_playwright_python.base", reason="axe-playwright-python is not installed")
-    run_in(page, f"{axe.AXE_SCRIPT}; 0")
-
-    def violations() -> dict[tuple[str, int], list[str]]:
-        found = {}
-        for scheme in ("light", "dark"):
-            page.emulate_media(color_scheme=scheme)  # type: ignore[arg-type]
-            for width, height in SIZES.items():
-                page.set_viewport_size({"width": width, "height": height})
-                found[scheme, width] = run_in(page, VIOLATIONS)
-        page.set_viewport_size({"width": 1440, "height": SIZES[1440]})
-        return {where: wrong for where, wrong in found.items() if wrong}
-
-    assert violations() == {}
-    for _ in range(30):  # more news than there is room for
-        page.keyboard.press("w")
-    begin_a_run(page, site)
-    assert violations() == {}
-    # It does look, and in all of them.
-    run_in(page, "document.querySelector('#resume').style.color = 'var(--line)'")
-    wrong = violations()
-    assert len(wrong) == 2 * len(SIZES)
-    assert all(one == ["color-contrast: #resume"] for one in wrong.values())
-
-
-SHIFTS = """window.shifted = 0; new PerformanceObserver((list) => {
-    for (const one of list.getEntries()) if (!one.hadRecentInput) shifted += one.value;
-}).observe({type: "layout-shift", buffered: true})"""
-#: What counts as good; Google's Web Vitals.
-MOST_SHIFT = 0.1
-
-
-@pytest.mark.usefixtures("taught_here")
-def test_nothing_moves_below_the_eyes(page: Page, site: Site) -> None:
-    def shifted() -> float:
-        return float(run_in(page, "shifted"))
-
-    run_in(page, SHIFTS)
-    begin_a_run(page, site)
-    assert shifted() < MOST_SHIFT
-    for width, height in SIZES.items():
-        page.set_viewport_size({"width": width, "height": height})
-        run_in(page, "document.querySelector('#belief').scrollIntoView(); shifted = 0")
-        look(page, 10)
-        assert shifted() < MOST_SHIFT
-
-
-CONTROLS = """window.controls = [...document.querySelectorAll("a, button, input, select, textarea, [tabindex]")]
-    .filter((one) => one.checkVisibility() && !one.disabled); controls.length"""
-FOCUSED = """(() => {
-    const one = document.activeElement, {outlineStyle, outlineWidth} = getComputedStyle(one);
-    return [controls.indexOf(one), outlineStyle, outlineWidth];
-})()"""
-
-
-def test_keys_alone_reach_everything_and_drive(page: Page, site: Site) -> None:
-
-    def enter() -> None:
-        page.focus("#drive-form [name=goal]")
-        page.keyboard.press("Enter")
-
-    insist(page, site, enter, lambda: data(page, "episode") != "")
-    eventually(lambda: page.locator("#found").is_enabled())
-    count = run_in(page, CONTROLS)
-    assert count > 15
-    reached = {}
-    # Once round, by the browser's own controls as well.
-    for _ in range(2 * count):
-        page.keyboard.press("Tab")
-        place, *outline = run_in(page, FOCUSED)
-        reached[place] = outline
-        if set(range(count)) <= set(reached):
-            break
-    reached.pop(-1, None)
-    # What has gone meanwhile need not be reached.
-    still = "window.controls.map((one) => one.isConnected && one.checkVisibility() && !one.disabled)"
-    missing = [place for place, there in enumerate(run_in(page, still)) if there and place not in reached]
-    assert not missing, run_in(page, f"{missing}.map((k) => [controls[k].isConnected, controls[k].outerHTML]).join()")
-    assert [one for one in reached.values() if one != ["solid", "3px"]] == []
-    for key, let_go in (("Space", page.keyboard.up), ("Enter", lambda _: page.keyboard.press("Tab"))):
-
-        def press(key: str = key) -> None:
-            page.keyboard.up(key)
-            page.focus("#pad [data-atom=left]")
-            page.keyboard.down(key)
-
-        hold(page, site, press, "left")
-        released_s = time.monotonic()
-        let_go(key)
-        assert site.stood_s(released_s) <= STAND_WITHIN_S
-
-
-@pytest.mark.usefixtures("taught_here")
-def test_a_page_that_watches_does_not_grow(page: Page, site: Site) -> None:
-    """For ten minutes: ``smal bench soak --page``."""
-    begin_a_run(page, site)
-    begin_a_drive(page, site)
-    tools = page.context.new_cdp_session(page)
-    look(page, 20)
-    first = held(0.0, tools.send)
-    look(page, 70)
-    then = held(1.0, tools.send)
-    assert judge_page([first, then])[""] == "met"
-
-
-# -- faults ------------------------------------------------------------------------------------------------------------
+# -- faults -----------------------------------------------------------------------------------------------------------
 
 
 @contextmanager

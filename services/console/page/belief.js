@@ -12,7 +12,6 @@ export function drawBelief({ model, belief, plan }, age) {
   $("#belief .empty").hidden = Boolean(known);
   if (!known) return say($("#belief .empty p"), model?.trouble ?? "No model is loaded.");
   const fresh = Boolean(belief) && age < 2, key = belief?.keyframe;
-  section.classList.toggle("lost", fresh && belief.status === "unknown");
   section.classList.toggle("old", !fresh);
   section.classList.toggle("nowhere", fresh && key === undefined);
   say($("#belief .facts"), beliefFacts(belief, age));

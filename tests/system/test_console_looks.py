@@ -1,0 +1,169 @@
+"""Who sees the page, and how: by keys alone, by day and night, on narrow screens; nothing shifts, nothing grows."""
+
+from __future__ import annotations
+
+import shutil
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import pytest
+
+from services.robot.loop import STAND_WITHIN_S
+from tests.benchmarks.soak.page import held, judge_page
+from tests.services.waiting import eventually
+from tests.system.console_site import Site, begin_a_drive, data, hold, insist, run_in
+
+if TYPE_CHECKING:
+    from playwright.sync_api import Page
+
+pytestmark = [pytest.mark.system, pytest.mark.rendering, pytest.mark.zenoh]
+
+
+@pytest.fixture
+def taught_here(site: Site, taught: Path) -> Iterator[None]:
+    """Have a model, and the recording that it was learned from, where the page finds them."""
+    files = {taught / "model.smal": site.root / "models" / "taught.smal"}
+    files |= {one: site.root / "drives" / one.name for one in (taught / "drives").glob("*.mcap")}
+    for here, there in files.items():
+        there.parent.mkdir(exist_ok=True)
+        shutil.copy(here, there)
+    yield
+    for there in files.values():
+        there.unlink()
+
+
+def begin_a_run(page: Page, site: Site) -> None:
+    """Begin a run where it was taught, and see the first belief."""
+    name = "models/taught.smal"
+    eventually(lambda: page.locator("#world-form option[value=yard]").count() == 1)
+    page.select_option("#world-form [name=world]", "yard")
+    eventually(lambda: page.locator(f"#run-form option[value='{name}']").count() == 1)
+    page.select_option("#run-form select[name=model]", name)
+    insist(page, site, lambda: page.click("#run-form button"), lambda: data(page, "episode").startswith("run"))
+    eventually(lambda: page.locator("#belief img").get_attribute("src"), timeout_s=30.0)
+
+
+def look(page: Page, frames: int) -> None:
+    """Look on while so many frames of the robot pass."""
+
+    def frame() -> int:
+        _, _, text = page.inner_text("#episode").partition("frame ")
+        return int(text.split(",")[0] or 0)
+
+    until = frame() + frames
+    eventually(lambda: frame() >= until, timeout_s=30.0)
+
+
+SIZES = {1440: 1000, 1024: 900, 390: 844}
+# Of the results of a run of axe-core those that are wrong, with the elements that they are about.
+VIOLATIONS = """axe.run({resultTypes: ["violations"]}).then(({violations}) => violations.map(
+    ({id, nodes}) => `${id}: ${nodes.map(({target}) => target.join(" ")).join(", ")}`))"""
+
+
+@pytest.mark.usefixtures("taught_here")
+def test_axe_core_finds_nothing(page: Page, site: Site) -> None:
+    axe = pytest.importorskip("axe_playwright_python.base", reason="axe-playwright-python is not installed")
+    run_in(page, f"{axe.AXE_SCRIPT}; 0")
+
+    def violations() -> dict[tuple[str, int], list[str]]:
+        found = {}
+        for scheme in ("light", "dark"):
+            page.emulate_media(color_scheme=scheme)  # type: ignore[arg-type]
+            for width, height in SIZES.items():
+                page.set_viewport_size({"width": width, "height": height})
+                found[scheme, width] = run_in(page, VIOLATIONS)
+        page.set_viewport_size({"width": 1440, "height": SIZES[1440]})
+        return {where: wrong for where, wrong in found.items() if wrong}
+
+    assert violations() == {}
+    for _ in range(30):  # more news than there is room for
+        page.keyboard.press("w")
+    begin_a_run(page, site)
+    assert violations() == {}
+    # It does look, and in all of them.
+    run_in(page, "document.querySelector('#resume').style.color = 'var(--line)'")
+    wrong = violations()
+    assert len(wrong) == 2 * len(SIZES)
+    assert all(one == ["color-contrast: #resume"] for one in wrong.values())
+
+
+SHIFTS = """window.shifted = 0; new PerformanceObserver((list) => {
+    for (const one of list.getEntries()) if (!one.hadRecentInput) shifted += one.value;
+}).observe({type: "layout-shift", buffered: true})"""
+#: What counts as good; Google's Web Vitals.
+MOST_SHIFT = 0.1
+
+
+@pytest.mark.usefixtures("taught_here")
+def test_nothing_moves_below_the_eyes(page: Page, site: Site) -> None:
+    def shifted() -> float:
+        return float(run_in(page, "shifted"))
+
+    run_in(page, SHIFTS)
+    begin_a_run(page, site)
+    assert shifted() < MOST_SHIFT
+    for width, height in SIZES.items():
+        page.set_viewport_size({"width": width, "height": height})
+        run_in(page, "document.querySelector('#belief').scrollIntoView(); shifted = 0")
+        look(page, 10)
+        assert shifted() < MOST_SHIFT
+
+
+CONTROLS = """window.controls = [...document.querySelectorAll("a, button, input, select, textarea, [tabindex]")]
+    .filter((one) => one.checkVisibility() && !one.disabled); controls.length"""
+FOCUSED = """(() => {
+    const one = document.activeElement, {outlineStyle, outlineWidth} = getComputedStyle(one);
+    return [controls.indexOf(one), outlineStyle, outlineWidth];
+})()"""
+
+
+def test_keys_alone_reach_everything_and_drive(page: Page, site: Site) -> None:
+
+    def enter() -> None:
+        page.focus("#drive-form [name=goal]")
+        page.keyboard.press("Enter")
+
+    insist(page, site, enter, lambda: data(page, "episode") != "")
+    eventually(lambda: page.locator("#found").is_enabled())
+    count = run_in(page, CONTROLS)
+    assert count > 15
+    reached = {}
+    # Once round, by the browser's own controls as well.
+    for _ in range(2 * count):
+        page.keyboard.press("Tab")
+        place, *outline = run_in(page, FOCUSED)
+        reached[place] = outline
+        if set(range(count)) <= set(reached):
+            break
+    reached.pop(-1, None)
+    # What has gone meanwhile need not be reached.
+    still = "window.controls.map((one) => one.isConnected && one.checkVisibility() && !one.disabled)"
+    missing = [place for place, there in enumerate(run_in(page, still)) if there and place not in reached]
+    assert not missing, run_in(page, f"{missing}.map((k) => [controls[k].isConnected, controls[k].outerHTML]).join()")
+    assert [one for one in reached.values() if one != ["solid", "3px"]] == []
+    for key, let_go in (("Space", page.keyboard.up), ("Enter", lambda _: page.keyboard.press("Tab"))):
+
+        def press(key: str = key) -> None:
+            page.keyboard.up(key)
+            page.focus("#pad [data-atom=left]")
+            page.keyboard.down(key)
+
+        hold(page, site, press, "left")
+        released_s = time.monotonic()
+        let_go(key)
+        assert site.stood_s(released_s) <= STAND_WITHIN_S
+
+
+@pytest.mark.usefixtures("taught_here")
+def test_a_page_that_watches_does_not_grow(page: Page, site: Site) -> None:
+    """For ten minutes: ``smal bench soak --page``."""
+    begin_a_run(page, site)
+    begin_a_drive(page, site)
+    tools = page.context.new_cdp_session(page)
+    look(page, 20)
+    first = held(0.0, tools.send)
+    look(page, 70)
+    then = held(1.0, tools.send)
+    assert judge_page([first, then])[""] == "met"
