@@ -224,9 +224,7 @@ def test_anybody_stops_it_for_an_emergency(driving: Page, robot: Robot, open_pag
     eventually(lambda: other.robot(emergency=True, cause="emergency_stop"))
     driving.let_go()
     eventually(lambda: driving.robot(cause="emergency_stop"))
-    driving.say(do="resume")
-    eventually(lambda: robot.gate.stop_cause is None)
-    eventually(lambda: other.robot(emergency=False))
+    driving.insist(lambda: robot.gate.stop_cause is None and other.robot(emergency=False), do="resume")
 
 
 def test_an_emergency_stop_needs_no_episode_and_nobody_at_the_wheel(robot: Robot, open_page: OpenPage) -> None:
