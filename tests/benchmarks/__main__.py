@@ -4,34 +4,25 @@ from __future__ import annotations
 
 import importlib
 import sys
-from typing import NoReturn
 
 from services.cli.interrupts import interrupted_by_signals
 from services.kit.errors import JobError, UsageError, describe_os_error
 from services.kit.process import EXIT_FAILED, EXIT_USAGE
 
 
-def run(name: str, arguments: list[str]) -> NoReturn:
-    """Run one of the packages beside this file, and exit."""
-    status = 0
+def run(name: str, arguments: list[str]) -> int:
+    """Run one of the packages beside this file; return the exit status."""
     try:
         with interrupted_by_signals():
             importlib.import_module(f"tests.benchmarks.{name}.benchmark").main(arguments)
-    except UsageError as error:
-        status = _say(str(error), EXIT_USAGE)
-    except JobError as error:
-        status = _say(str(error), EXIT_FAILED)
-    except OSError as error:
-        status = _say(describe_os_error(error), EXIT_FAILED)
     except KeyboardInterrupt:
-        status = 130  # `smal bench` says it
-    sys.exit(status)
-
-
-def _say(message: str, status: int) -> int:
-    sys.stderr.write(f"smal: {message}\n")
-    return status
+        return 130  # `smal bench` says it
+    except (UsageError, JobError, OSError) as error:
+        said = describe_os_error(error) if isinstance(error, OSError) else str(error)
+        sys.stderr.write(f"smal: {said}\n")
+        return EXIT_USAGE if isinstance(error, UsageError) else EXIT_FAILED
+    return 0
 
 
 if __name__ == "__main__":
-    run(sys.argv[1], sys.argv[2:])
+    sys.exit(run(sys.argv[1], sys.argv[2:]))

@@ -18,9 +18,9 @@ from services.kit.zenoh_settings import settings_of
 ROBOT: Final = "rescuebot"
 
 
-def make_keys(folder: Path, days: float = certificates.DAYS) -> Path:
+def make_keys(folder: Path, days: float = certificates.DAYS, robot: str = ROBOT) -> Path:
     """Make the certificates of every role."""
-    certificates.begin(folder, ROBOT)
+    certificates.begin(folder, robot)
     certificates.issue(folder, certificates.HOSTS, days)
     return folder
 

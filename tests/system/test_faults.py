@@ -11,8 +11,6 @@ from pathlib import Path
 import pytest
 
 from schemas.rpc import Nothing, Status
-from services.robot.clock import TICK_S
-from services.robot.loop import STAND_WITHIN_S
 from services.table import SERVICES, stack_services
 from tests.benchmarks.faults.cells import MATRIX
 from tests.benchmarks.faults.rig import Rig, RigPlan, rig_for
@@ -20,11 +18,8 @@ from tests.benchmarks.faults.run import run_cell
 
 pytestmark = [pytest.mark.rendering, pytest.mark.system, pytest.mark.timeout(300)]
 
-CELLS = {cell.name: cell for cell in MATRIX}
 #: What a machine that does other things as well may miss.
-BUSY = {"recovery", "pause", "rate", "stand still (not sure)"}
-#: And by how much the simulated robot, which shares its processor with all others, may stand late: a tick.
-LATE_S = TICK_S
+BUSY = {"recovery", "pause", "rate"}
 
 
 @pytest.fixture(scope="module")
@@ -33,30 +28,15 @@ def rig(taught: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Rig]
         yield rig
 
 
-@pytest.mark.parametrize("name", ["kill -9 policy", "freeze recognition 3 s", "restart router", "kill -9 recorder"])
+@pytest.mark.parametrize(
+    "name", ["kill -9 policy", "freeze robot 1 s", "restart router", "kill -9 recorder", "kill -9 robot"]
+)
 def test_the_robot_stands_the_stack_recovers_and_the_recording_is_whole(rig: Rig, name: str) -> None:
-    outcome = run_cell(CELLS[name], rig)
+    outcome = run_cell(MATRIX[name], rig)
     assert outcome.recovery_s is not None, outcome
-    assert outcome.recovery_s < 15.0
-    assert (outcome.restart_s is not None) == (CELLS[name].watched is not None), outcome
-    record = outcome.record()
-    late = {"stand still"} if float(str(record["still_s"] or 0.0)) <= STAND_WITHIN_S + LATE_S else set()
-    assert set(outcome.not_met) <= BUSY | late, str(record)  # pytest would shorten anything else
+    assert (outcome.restart_s is not None) == (MATRIX[name].watched is not None), outcome
+    assert set(outcome.not_met) <= BUSY, str(outcome.record())  # pytest would shorten anything else
     assert outcome.recorded > 100
-
-
-@pytest.fixture(scope="module")
-def rolling_rig(taught: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Rig]:
-    with rig_for(RigPlan(taught / "model.smal", tmp_path_factory.mktemp("rolling"), rolling=True)) as rig:
-        yield rig
-
-
-@pytest.mark.parametrize("name", ["freeze router 1 s", "freeze robot 1 s", "kill -9 robot"])
-def test_a_base_that_moves_on_by_itself_stands_and_drives_again(rolling_rig: Rig, name: str) -> None:
-    outcome = run_cell(CELLS[f"{name}, moving base"], rolling_rig)
-    assert outcome.stood_s is not None
-    assert outcome.recovery_s is not None, outcome
-    assert set(outcome.not_met) <= BUSY, str(outcome.record())
 
 
 def test_every_service_takes_and_gives_what_the_table_of_services_says(rig: Rig) -> None:

@@ -1,1 +1,1 @@
-"""What kills, freezes and outages cost."""
+"""A driving stack under kills, freezes, outages, a full disk, a client that does not read, and floods."""

@@ -1,35 +1,38 @@
-"""The matrix: every fault, what it may cost, and the stack that it needs."""
+"""The matrix: every fault, how it is done, and what it may cost."""
 
 from __future__ import annotations
 
+import os
+import resource
 import signal
-from collections.abc import Callable
+import socket
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from functools import partial
-from typing import Final, Literal
+from typing import Final
 
 from schemas.topics import KEPT_S
+from services.kit.bus import host_and_port
+from services.kit.errors import JobError
+from services.recordings.sink import PARTIAL_SUFFIX
 from services.table import stack_services
-from tests.benchmarks.faults import harm
-from tests.benchmarks.faults.floods import flooded
+from tests.benchmarks.child import child
 from tests.benchmarks.faults.judge import Window
-from tests.benchmarks.faults.rig import Rig
+from tests.benchmarks.faults.peers import consume_slowly, look_on
+from tests.benchmarks.faults.proxy import GROWTH, LATE_S, link
+from tests.benchmarks.faults.rig import LINKED, Rig
 
-#: plain: everything talks to the router; linked: some services by links that can go down; clock: with libfaketime;
-#: rolling: linked, and the robot's base is a process of its own that moves on in real time; flooded: the robot notes
-#: when it stood for a stop; guarded: as well, behind certificates.
-Bench = Literal["plain", "linked", "clock", "rolling", "flooded", "guarded"]
-LINKED: Final = ("robot", "policy", "recorder")
-#: From the death of a service to the next frame that the loop answers.
-_RESTARTED_S: Final = 15.0
-#: From the return of the router, of a frozen process or of a link to the next frame that the loop answers.
-_RECOVERED_S: Final = 1.0
+_RESTART_S: Final = 40.0
+#: What is left on the full disk, bytes: less than a second of recording.
+_ROOM: Final = 100_000
+#: How long an operator looks on, and how long after the last sign of life there is nobody, seconds.
+_LOOKS_ON_S: Final = 1.0
+#: From the death of a service to the next frame that the loop answers, and from the return of one that was away.
+_RESTARTED_S, _RECOVERED_S = 15.0, 1.0
 _FREEZES_S: Final = (1.0, 3.0, 14.0)
 _OUTAGE_S: Final = 20.0
-_FULL_S: Final = 5.0
-_SLOW_S: Final = 15.0
-_HOUR_S: Final = 3600
-_CONTROL_S: Final = 5.0
 #: Without a new command, of what must not disturb the robot: it stands after half a second.
 _UNDISTURBED_S: Final = 1.0
 
@@ -69,15 +72,12 @@ class Cell:
     harm : callable
         Does it to a rig whose robot drives, and returns when it lasted.
     limits : Limits
-    bench : str
     watched : str, optional
         A service that must be another process, and ready, after the fault.
     drives_on : bool
         Whether episodes go on meanwhile.
-    stands : bool
-        Whether the robot has to stand in the meantime, since whoever commands or moves it is gone for longer.
-    abandoned : bool
-        Whether the robot has to stand in the meantime, and may stand already when the fault begins.
+    stands, abandoned : bool
+        Whether the robot has to stand in the meantime; abandoned: it may stand already when the fault begins.
     next_episode : bool
         Whether the next episode's recording is judged, in place of this one's, of which only what is there must be
         readable.
@@ -86,7 +86,6 @@ class Cell:
     name: str
     harm: Callable[[Rig], Window]
     limits: Limits = field(default_factory=Limits)
-    bench: Bench = "plain"
     watched: str | None = None
     drives_on: bool = False
     stands: bool = False
@@ -94,108 +93,164 @@ class Cell:
     next_episode: bool = False
 
 
-def _controls() -> list[Cell]:
-    """Return what the rest is compared with: on a machine that is busy with other things these are not met either."""
-    harmless = partial(harm.nothing, seconds=_CONTROL_S)
-    limits = Limits(pause_s=_UNDISTURBED_S)
-    return [
-        Cell("no fault", harmless, limits, drives_on=True),
-        Cell("no fault, libfaketime", harmless, limits, bench="clock", drives_on=True),
-    ]
+@contextmanager
+def _timed() -> Iterator[list[float]]:
+    times = [time.monotonic()]
+    try:
+        yield times
+    finally:
+        times.append(time.monotonic())
 
 
-def _harmed() -> list[str]:
-    """Return whom single faults harm and a run needs; the console is none of them."""
-    return [service for service in stack_services() if service != "console"]
+def nothing(rig: Rig, seconds: float) -> Window:
+    """Do no harm."""
+    with _timed() as times:
+        rig.hold(seconds)
+    return Window(*times)
 
 
-def _kills() -> list[Cell]:
-    # What a killed process had not handed over is gone with it: of its own messages those of one frame, and as much of
-    # the recorder's.
-    limits = Limits(recovery_s=_RESTARTED_S, lost_ticks=1)
-    return [
-        Cell(f"kill -9 {service}", partial(harm.kill, service=service), limits, watched=service)
-        for service in _harmed()
-        if service != "router"
-    ]
+def kill(rig: Rig, service: str) -> Window:
+    """Kill a service; whoever looks after the stack starts it again. The fault ends at once."""
+    os.kill(rig.pid(service), signal.SIGKILL)
+    now_s = time.monotonic()
+    return Window(now_s, now_s)
 
 
-def _freezes() -> list[Cell]:
-    return [_freeze(service, seconds) for service in _harmed() for seconds in _FREEZES_S]
+def freeze(rig: Rig, service: str, seconds: float) -> Window:
+    """Stop a process for some time."""
+    return _frozen(rig, rig.pid(service), seconds)
 
 
-def _freeze(service: str, seconds: float) -> Cell:
-    return Cell(f"freeze {service} {seconds:.0f} s", partial(harm.freeze, service=service, seconds=seconds))
+def link_down(rig: Rig, service: str, seconds: float) -> Window:
+    """Let the link of a service forward nothing for some time."""
+    return _frozen(rig, rig.links[service], seconds)
 
 
-def _outages() -> list[Cell]:
-    kill = partial(harm.restart_router, number=signal.SIGKILL)
-    return [
-        Cell("kill -9 router", kill, watched="router"),
-        Cell("restart router", partial(harm.restart_router, number=signal.SIGTERM), watched="router"),
-        Cell("router down 20 s", partial(kill, seconds=_OUTAGE_S), watched="router"),
-    ]
+def _frozen(rig: Rig, pid: int, seconds: float) -> Window:
+    with _timed() as times:
+        os.kill(pid, signal.SIGSTOP)
+        try:
+            rig.hold(seconds)
+        finally:
+            os.kill(pid, signal.SIGCONT)
+    return Window(*times)
 
 
-def _links() -> list[Cell]:
-    cells = [
-        Cell(
-            f"link of {service} down 20 s", partial(harm.link_down, service=service, seconds=_OUTAGE_S), bench="linked"
-        )
-        for service in LINKED
-    ]
-    # Longer than anything is kept: what is lost must stand in the recording.
-    longer_s = KEPT_S + 15.0
-    longer = partial(harm.link_down, service="recorder", seconds=longer_s)
-    name = f"link of recorder down {longer_s:.0f} s"
-    return [*cells, Cell(name, longer, Limits(lost_ticks=None), bench="linked")]
+def abandon(rig: Rig, slow: bool) -> Window:
+    """Kill an operator who looks on, behind a link that is as it should be or has grown slow; then arm the robot."""
+    with (
+        link(rig.bus.endpoint) as (address, link_pid),
+        child("the operator", look_on, rig.bus.robot, address) as operator,
+    ):
+
+        def noticed() -> bool:
+            status = rig.status("robot")
+            return status is not None and status.detail.get("operator") is True
+
+        if not rig.until(noticed, _RESTART_S):
+            raise JobError("the robot does not hear of its operator")
+        rig.hold(_LOOKS_ON_S)
+        if slow:
+            os.kill(link_pid, signal.SIGUSR1)
+            rig.hold(LATE_S / GROWTH)
+        begin_s = time.monotonic()
+        os.kill(operator.pid, signal.SIGKILL)
+        rig.hold(LATE_S + _LOOKS_ON_S)
+    rig.resume()
+    return Window(begin_s, time.monotonic())
 
 
-def _rolling() -> list[Cell]:
-    """Return the faults of whatever is between the camera and the wheels, for a base that moves on by itself."""
-    chain = ("router", "robot", "features", "recognition", "policy")
-    # Features are there again before the robot has to stand.
-    gone = ("robot", "recognition", "policy")
-    kills = [replace(cell, stands=cell.watched in gone) for cell in (*_kills(), _outages()[0])]
-    freezes = [replace(_freeze(service, s), stands=True) for service in chain for s in _FREEZES_S]
-    links = [replace(cell, stands=True) for cell in _links() if cell.name.split()[2] in ("robot", "policy")]
-    operators = [
-        Cell(name, partial(harm.abandon, slow=slow), drives_on=True, abandoned=True)
-        for name, slow in (("kill -9 operator", False), ("kill -9 operator, link grown slow", True))
-    ]
-    cells = (*kills, *freezes, *links, *operators)
-    return [replace(cell, name=f"{cell.name}, moving base", bench="rolling") for cell in cells]
+def restart_router(rig: Rig, number: signal.Signals, seconds: float = 0.0) -> Window:
+    """End the router; the fault ends when the next one accepts connections, after ``seconds`` or a little more."""
+    pid = rig.pid("router")
+    rig.supervised = seconds <= 0.0
+    with _timed() as times:
+        os.kill(pid, number)
+        try:
+            rig.until(lambda: not _accepts(rig.bus.endpoint), 10.0)
+            rig.hold(seconds)
+        finally:
+            rig.supervised = True
+        if not rig.until(lambda: _accepts(rig.bus.endpoint), _RESTART_S):
+            raise JobError(f"the router did not come back within {_RESTART_S:.0f} s")
+    return Window(*times)
 
 
-def _others() -> list[Cell]:
+def _accepts(endpoint: str) -> bool:
+    try:
+        socket.create_connection(host_and_port(endpoint), timeout=0.2).close()
+    except OSError:
+        return False
+    return True
+
+
+def fill_disk(rig: Rig, seconds: float) -> Window:
+    """Let the recorder's files grow no more; root is not needed for that."""
+    pid = rig.pid("recorder")
+    size = max((path.stat().st_size for path in rig.plan.recordings.glob(f"*{PARTIAL_SUFFIX}")), default=0)
+    before = resource.prlimit(pid, resource.RLIMIT_FSIZE)
+    with _timed() as times:
+        # Python ignores SIGXFSZ, so a write fails as it does on a full disk, but with EFBIG.
+        resource.prlimit(pid, resource.RLIMIT_FSIZE, (size + _ROOM, before[1]))
+        try:
+            rig.hold(seconds)
+        finally:
+            resource.prlimit(pid, resource.RLIMIT_FSIZE, before)
+    return Window(*times)
+
+
+def slow_consumer(rig: Rig, seconds: float) -> Window:
+    """Have a client that takes everything and then blocks; meanwhile an episode ends and the next one begins.
+
+    Events of episodes are what a sender waits with until they can be sent on.
+    """
+    with _timed() as times, child("the slow consumer", consume_slowly, rig.bus.robot, rig.bus.endpoint):
+        rig.hold(seconds / 2.0)
+        rig.end_episode()
+        rig.hold(seconds / 2.0)
+    return Window(*times)
+
+
+def _matrix() -> Iterator[Cell]:
     undisturbed = Limits(pause_s=_UNDISTURBED_S)
+    # On a machine that is busy with other things this is not met either.
+    yield Cell("no fault", partial(nothing, seconds=5.0), undisturbed, drives_on=True)
+    harmed = [service for service in stack_services() if service != "console"]
+    chain = ("router", "robot", "features", "recognition", "policy")
+    # What a killed process had not handed over is gone with it: of its own messages those of one frame.
+    killed = Limits(recovery_s=_RESTARTED_S, lost_ticks=1)
+    for service in harmed:
+        if service != "router":
+            # Features are there again before the robot has to stand.
+            stands = service in ("robot", "recognition", "policy")
+            yield Cell(f"kill -9 {service}", partial(kill, service=service), killed, service, stands=stands)
+        for seconds in _FREEZES_S:
+            harm = partial(freeze, service=service, seconds=seconds)
+            yield Cell(f"freeze {service} {seconds:.0f} s", harm, stands=service in chain)
+    for name, number, seconds in (
+        ("kill -9 router", signal.SIGKILL, 0.0), ("restart router", signal.SIGTERM, 0.0),
+        ("router down 20 s", signal.SIGKILL, _OUTAGE_S),
+    ):  # fmt: skip
+        yield Cell(name, partial(restart_router, number=number, seconds=seconds), watched="router")
+    for service in LINKED:
+        harm = partial(link_down, service=service, seconds=_OUTAGE_S)
+        yield Cell(f"link of {service} down 20 s", harm, stands=service != "recorder")
+    # Longer than anything is kept: what is lost must stand in the recording.
+    longer = partial(link_down, service="recorder", seconds=KEPT_S + 15.0)
+    yield Cell(f"link of recorder down {KEPT_S + 15.0:.0f} s", longer, Limits(lost_ticks=None))
+    for name, slow in (("kill -9 operator", False), ("kill -9 operator, link grown slow", True)):
+        yield Cell(name, partial(abandon, slow=slow), drives_on=True, abandoned=True)
+    console = partial(freeze, service="console", seconds=3.0)
+    yield Cell("kill -9 console", partial(kill, service="console"), undisturbed, "console", drives_on=True)
+    yield Cell("freeze console 3 s", console, undisturbed, drives_on=True)
+    yield Cell("full disk", partial(fill_disk, seconds=5.0), undisturbed, next_episode=True)
     # Between two episodes there is no command for a moment.
-    slow = replace(undisturbed, pause_s=2 * _UNDISTURBED_S, rate_hz=9.0)
-    kill, freeze = partial(harm.kill, service="console"), partial(harm.freeze, service="console", seconds=3.0)
-    return [
-        Cell("kill -9 console", kill, undisturbed, watched="console", drives_on=True),
-        Cell("freeze console 3 s", freeze, undisturbed, drives_on=True),
-        Cell("full disk", partial(harm.fill_disk, seconds=_FULL_S), undisturbed, next_episode=True),
-        Cell("slow consumer", partial(harm.consume_slowly, seconds=_SLOW_S), slow, drives_on=True),
-        Cell("clock +1 h", partial(harm.jump, offset_s=_HOUR_S), undisturbed, bench="clock", drives_on=True),
-        Cell("clock -1 h", partial(harm.jump, offset_s=-_HOUR_S), undisturbed, bench="clock", drives_on=True),
-    ]
+    slow_limits = replace(undisturbed, pause_s=2 * _UNDISTURBED_S, rate_hz=9.0)
+    yield Cell("slow consumer", partial(slow_consumer, seconds=15.0), slow_limits, drives_on=True)
 
 
-def _floods() -> list[Cell]:
-    return [
-        Cell("floods", flooded, bench="flooded"),
-        Cell("floods with certificates", flooded, bench="guarded"),
-    ]
-
-
-MATRIX: Final = (*_controls(), *_kills(), *_freezes(), *_outages(), *_links(), *_rolling(), *_others(), *_floods())
+MATRIX: Final = {cell.name: cell for cell in _matrix()}
+#: Stops in a flood, which have a stack and a judgement of their own (`floods`).
+FLOODS: Final = ("floods", "floods with certificates")
 #: The short version: what tells most in a minute.
-QUICK: Final = (
-    "no fault",
-    "kill -9 policy",
-    "kill -9 recorder",
-    "freeze recognition 3 s",
-    "restart router",
-    "full disk",
-)
+QUICK: Final = ("no fault", "kill -9 policy", "kill -9 recorder", "freeze recognition 3 s", "restart router")

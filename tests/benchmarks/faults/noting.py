@@ -18,22 +18,15 @@ from services.kit.process import run_service
 from services.robot.gate import Applied, CommandGate, Refusal
 from services.robot.service import ROBOT
 from services.simulator.__main__ import serve
-from tests.benchmarks.faults.stop import NOTES
 
+#: Names the file of the notes, in the environment.
+NOTES: Final = "BENCH_STOPS"
 #: The robot stands for so long, seconds, then it drives on; five steps of the actuator.
 _STANDS_S: Final = 0.1
 
 
 class NotingGate(CommandGate):
-    """A gate that writes a line when a stop is latched, and one when the actuator stands for it.
-
-    Parameters
-    ----------
-    notes
-        Where to.
-    attended
-        As ``CommandGate`` has it.
-    """
+    """A gate that writes a line when a stop is latched, and one when the actuator stands for it."""
 
     def __init__(self, notes: Path, *, attended: bool) -> None:
         super().__init__(attended=attended)

@@ -17,7 +17,7 @@ from multiprocessing.connection import Connection
 from typing import Final
 
 from services.kit.bus import host_and_port
-from tests.benchmarks.faults.child import child
+from tests.benchmarks.child import child
 
 #: How late a slow link is at last, each way, and by how much later what is sent a second later: so slowly that what
 #: is sent 20 times a second arrives several times a second all the time.
@@ -30,13 +30,12 @@ _UNDER_WAY: Final = 1024
 @contextmanager
 def link(endpoint: str) -> Iterator[tuple[str, int]]:
     """Run a proxy to a router; give the address to use in the router's place, and the process id."""
-    with child("the link of the benchmark", forward, endpoint) as (pid, port):
-        yield f"tcp/127.0.0.1:{port}", pid
+    with child("the link of the benchmark", forward, endpoint) as proxy:
+        yield f"tcp/127.0.0.1:{proxy.said}", proxy.pid
 
 
 def forward(endpoint: str, owner: Connection) -> None:
     """Forward connections until the owner of the pipe closes it, or dies."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the owner
     asyncio.run(_forward(endpoint, owner))
 
 

@@ -1,4 +1,4 @@
-"""A stack that drives, an observer beside it, and the hands that do harm to it."""
+"""A stack that drives, what is observed of it, and the hands that look after it while others do harm."""
 
 from __future__ import annotations
 
@@ -6,30 +6,30 @@ import os
 import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, closing, contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Final
+from typing import Final, Literal
 from unittest.mock import patch
 
+from schemas.codec import DecodeError, decode
 from schemas.rpc import ArmRequest, EndRequest, Nothing, RecordReply, ResetReply, ResetRequest, ResumeRequest, Status
-from schemas.topics import EPISODE
+from schemas.topics import EPISODE, TOPICS, Topic
 from services.cli.stack.processes import Stack, StackPlan, flags, free_endpoint
 from services.cli.up import WATCH_S
 from services.kit.bus import Bus, RpcError
 from services.kit.errors import JobError
 from services.kit.node import Detail
 from services.table import stack_services
-from tests.benchmarks.faults.judge import moving
-from tests.benchmarks.faults.log import Entry, Step, Tail, boot_ahead_s, read_steps
-from tests.benchmarks.faults.observer import observing
+from tests.benchmarks.faults.judge import Entry, drives
+from tests.benchmarks.faults.noting import NOTES
 from tests.benchmarks.faults.proxy import link
-from tests.benchmarks.faults.stop import NOTES, Stop
-from tests.benchmarks.faults.track import Track, tracks
-from tests.benchmarks.faults.wheels import rolling
+from tests.benchmarks.faults.wheels import Step, boot_ahead_s, read_steps, rolling
 
 ROBOT: Final = "faulty"
 WORLD: Final = "yard"
 CAMERA: Final = (160, 120)
+#: Services whose way to the router is a link that can go down.
+LINKED: Final = ("robot", "policy", "recorder")
 _LOOK_S: Final = 0.02
 _MOVING_S: Final = 12.0
 _STARTS: Final = 5
@@ -43,35 +43,21 @@ class RigPlan:
     ----------
     model : Path
     folder : Path
-        New folder for log, recordings and the services' logs.
-    linked : tuple of str
-        Services whose way to the router is a link that can go down.
-    environment : dict of str to str
-        More environment of the services.
-    rolling : bool
-        Whether the robot's base is a process of its own, which moves on in real time whatever is harmed.
+        New folder for recordings and logs.
+    robot : str
+        "moving base": a process of its own, which moves on in real time whatever is harmed. "noting": the simulated
+        robot, which notes its stops; nobody observes, who would only be flooded as well. "simulated": as it is.
     console : str
         Where the page is, host and port.
-    flooded : bool
-        Whether the bus is flooded: the robot notes its stops, and nobody observes, who would only be flooded as well.
     secure : Path, optional
         Folder of certificates.
     """
 
     model: Path
     folder: Path
-    linked: tuple[str, ...] = ()
-    environment: Mapping[str, str] = field(default_factory=dict)
-    rolling: bool = False
+    robot: Literal["moving base", "noting", "simulated"] = "moving base"
     console: str = "127.0.0.1:0"
-    flooded: bool = False
     secure: Path | None = None
-
-    @property
-    def modules(self) -> dict[str, str]:
-        """What runs in place of services of the stack."""
-        own = "robot" if self.rolling else "noting" if self.flooded else None
-        return {} if own is None else {"robot": f"tests.benchmarks.faults.{own}"}
 
     @property
     def notes(self) -> Path:
@@ -84,17 +70,12 @@ class RigPlan:
         return self.folder / "recordings"
 
     @property
-    def log(self) -> Path:
-        """The observer's log."""
-        return self.folder / "observer.jsonl"
-
-    @property
     def steps(self) -> Path:
         """The moving base's log."""
         return self.folder / "steps.jsonl"
 
-    def service_flags(self, links: Mapping[str, str], wheels: str | None = None) -> dict[str, tuple[str, ...]]:
-        """Return the services' flags, with the addresses of the links and of the moving base."""
+    def stack(self, endpoint: str, links: Mapping[str, str], wheels: str | None) -> StackPlan:
+        """Return what to start, with the addresses of the links and of the moving base."""
         chain = flags(model=self.model.resolve())
         own = {
             "robot": flags(world=WORLD, camera_width=CAMERA[0], camera_height=CAMERA[1], wheels=wheels),
@@ -103,46 +84,35 @@ class RigPlan:
             "recorder": flags(recordings=self.recordings.resolve()),
             "console": flags(console=self.console, root=self.folder.resolve()),
         }
-        return {name: own.get(name, ()) + flags(router=links.get(name)) for name in stack_services()}
+        every = {name: own.get(name, ()) + flags(router=links.get(name)) for name in stack_services()}
+        module = {"moving base": "robot", "noting": "noting"}.get(self.robot)
+        modules = {"robot": f"tests.benchmarks.faults.{module}"} if module else {}
+        return StackPlan(stack_services(), ROBOT, endpoint, every, self.secure, self.folder / "logs", modules)
 
 
 class Rig:
-    """A driving stack; made by ``rig_for``.
+    """A driving stack; made by ``rig_for``."""
 
-    Parameters
-    ----------
-    plan : RigPlan
-    stack : Stack
-    bus : Bus
-        For calls.
-    tail : Tail
-        Of the observer's log.
-    links : dict of str to int
-        Process id of the link of each linked service.
-    """
-
-    def __init__(self, plan: RigPlan, stack: Stack, bus: Bus, tail: Tail, links: Mapping[str, int]) -> None:
-        self.plan, self.stack, self.bus, self.links = plan, stack, bus, links
-        #: Everything that was seen since the last ``forget``.
+    def __init__(self, plan: RigPlan, stack: Stack, bus: Bus, links: Mapping[str, int], arrived: list[Entry]) -> None:
+        self.plan, self.stack, self.bus = plan, stack, bus
+        #: Process id of the link of each linked service.
+        self.links = links
+        #: Everything that was observed since the last ``forget``.
         self.entries: list[Entry] = []
         #: Whether dead services are started again, as ``smal up`` does.
         self.supervised = True
         #: Whether a new episode begins when one has ended.
         self.driven = False
         self.notes: list[str] = []
-        #: What became of each emergency stop that was sent while the bus was flooded.
-        self.stops: list[Stop] = []
         self.seed = 100
         #: How many episodes have begun.
         self.begun = 0
         #: When the account began, monotonic seconds.
         self.since_s = time.monotonic()
         self._armed = False
-        self._tail = tail
+        self._arrived = arrived
         self._episode: str | None = None
         self._watch_s = self._begin_s = 0.0
-
-    # -- time -----------------------------------------------------------------------------------------------------
 
     def until(self, done: Callable[[], bool], timeout_s: float) -> bool:
         """Look after the stack until ``done()``, at most ``timeout_s``; return whether it is done."""
@@ -160,7 +130,8 @@ class Rig:
         self.until(lambda: False, seconds)
 
     def _look(self) -> None:
-        new = self._tail.read()
+        new = self._arrived[:]
+        del self._arrived[: len(new)]
         self.entries += new
         for one in new:
             if one.topic == EPISODE.name and one.told["event"] == "ended" and one.episode == self._episode:
@@ -173,20 +144,14 @@ class Rig:
             self._begin_s = time.monotonic() + WATCH_S
             self.begin(timeout_s=30.0)
 
-    # -- driving --------------------------------------------------------------------------------------------------
-
     def forget(self) -> None:
         """Begin a new account; an episode that has ended meanwhile is noticed all the same."""
         self._look()
         self.entries, self.notes, self.since_s = [], [], time.monotonic()
 
-    def tracks(self) -> list[Track]:
-        """Return what was seen since then, by episode."""
-        return tracks(self.entries, -boot_ahead_s() if self.plan.rolling else None)
-
     def steps(self) -> list[Step]:
-        """Return what the moving base did since then; nothing without one."""
-        return read_steps(self.plan.steps, self.since_s) if self.plan.rolling else []
+        """Return what the moving base did since then."""
+        return read_steps(self.plan.steps, self.since_s)
 
     def start_moving(self) -> None:
         """Begin an episode in which the robot moves by the commands of the policy.
@@ -199,19 +164,17 @@ class Rig:
         for _ in range(_STARTS):
             self.finish_episode()
             self.forget()
-            if self.until(lambda: self.begin(timeout_s=30.0), 30.0) and self.until(self._moves, _MOVING_S):
+            begun = self.until(lambda: self.begin(timeout_s=30.0), 30.0)
+            if begun and self.until(lambda: drives(self.entries, self._episode), _MOVING_S):
                 return
         raise JobError(f"the robot does not move, from {_STARTS} starts; see {self.plan.folder / 'logs'}")
-
-    def _moves(self) -> bool:
-        mine = [one for one in self.entries if one.episode == self._episode]
-        return bool(mine) and moving(Track(mine[0].episode, mine))
 
     def begin(self, timeout_s: float) -> bool:
         """Begin an episode; return whether one has begun."""
         request = ResetRequest(seed=self.seed + 1, mode="realtime")
         try:
-            self._arm()
+            if not self._armed:  # as its operator does with a robot that was just started
+                self._arm("not_armed")
             self._episode = self.bus.call("robot", "reset", request, ResetReply, timeout_s).episode
         except RpcError:
             return False
@@ -219,32 +182,25 @@ class Rig:
         self.begun += 1
         return True
 
-    def _arm(self) -> None:
-        """Arm a robot that was just started, as its operator does, who knows of that; for nothing else it is armed."""
-        if self._armed:
-            return
-        detail = self.bus.call("robot", "status", Nothing(), Status).detail
-        if detail["stop_cause"] == "not_armed":
-            self.bus.call("robot", "arm", ArmRequest(stop=int(detail["emergency_stop"] or 0)), Nothing)
+    def _arm(self, cause: str | None = None) -> Detail:
+        """Arm a robot that stands, for this cause or any; return what it tells of itself."""
+        told = self.bus.call("robot", "status", Nothing(), Status).detail
+        if told["emergency_stop"] and cause in (None, told["stop_cause"]):
+            self.bus.call("robot", "arm", ArmRequest(stop=int(told["emergency_stop"])), Nothing)
         self._armed = True
+        return told
 
     def resume(self) -> None:
-        """Arm the robot for which stop it may stand, and have the policy go on."""
-        told = self.detail()
-        if told.get("emergency_stop"):
-            self.bus.call("robot", "arm", ArmRequest(stop=int(told["emergency_stop"] or 0)), Nothing)
+        """Arm the robot for whichever stop it stands, and have the policy go on."""
+        told = self._arm()
         if told.get("episode") is not None:
             request = ResumeRequest(episode=str(told["episode"]), tick=int(told["tick"] or 0))
             self.bus.call("robot", "resume", request, Nothing)
 
     def end_episode(self) -> None:
         """Have the running episode end, if any."""
-        if self._episode is None:
-            return
-        try:
-            self.bus.call("robot", "end", EndRequest(episode=self._episode), Nothing)
-        except RpcError as error:
-            self.notes.append(str(error))
+        if self._episode is not None:
+            self._call("robot", "end", EndRequest(episode=self._episode))
 
     def finish_episode(self) -> None:
         """End the running episode, if any, and have its recording finished."""
@@ -254,13 +210,15 @@ class Rig:
         if not self.until(lambda: self._episode is None, 5.0):
             self.notes.append(f"the end of {episode} was not seen")
             self._episode = None
-        try:
-            self.bus.call("recorder", "flush", Nothing(), RecordReply, timeout_s=15.0)
-        except RpcError as error:
-            self.notes.append(str(error))
+        self._call("recorder", "flush", Nothing())
         self._look()
 
-    # -- services -------------------------------------------------------------------------------------------------
+    def _call(self, service: str, verb: str, request: EndRequest | Nothing) -> None:
+        """Call, and note a failure."""
+        try:
+            self.bus.call(service, verb, request, RecordReply if verb == "flush" else Nothing, timeout_s=15.0)
+        except RpcError as error:
+            self.notes.append(str(error))
 
     def status(self, service: str, timeout_s: float = 2.0) -> Status | None:
         """Ask a service how it is; None where it does not answer."""
@@ -268,11 +226,6 @@ class Rig:
             return self.bus.call(service, "status", Nothing(), Status, timeout_s)
         except RpcError:
             return None
-
-    def detail(self) -> Detail:
-        """Return what the robot tells of itself; nothing where it does not answer."""
-        status = self.status("robot")
-        return {} if status is None else status.detail
 
     def pid(self, service: str) -> int:
         """Return a service's process id.
@@ -282,12 +235,11 @@ class Rig:
         JobError
             When it does not answer.
         """
-        status = self.status(service)
-        if status is None:
+        if (status := self.status(service)) is None:
             raise JobError(f"{service} does not answer; see {self.plan.folder / 'logs'}")
         return status.pid
 
-    def ready(self, service: str, not_pid: int = 0) -> bool:
+    def ready(self, service: str, not_pid: int) -> bool:
         """Whether a service, and not its dead predecessor, is ready."""
         status = self.status(service, timeout_s=0.3)
         return status is not None and status.state == "ready" and status.pid != not_pid
@@ -296,24 +248,40 @@ class Rig:
 @contextmanager
 def rig_for(plan: RigPlan) -> Iterator[Rig]:
     """Set everything up, and leave no process behind."""
-    endpoint = free_endpoint()
+    endpoint, arrived = free_endpoint(), list[Entry]()
     if plan.secure is not None:
         endpoint = endpoint.replace("tcp/127.0.0.1", "tls/localhost")
     plan.folder.mkdir(parents=True, exist_ok=True)
+    plan.notes.touch()
     with ExitStack() as stacked:
-        links = {service: stacked.enter_context(link(endpoint)) for service in plan.linked}
-        wheels = stacked.enter_context(rolling(WORLD, plan.steps)) if plan.rolling else None
-        service_flags = plan.service_flags({service: address for service, (address, _) in links.items()}, wheels)
-        stack = Stack(
-            StackPlan(stack_services(), ROBOT, endpoint, service_flags, plan.secure, plan.folder / "logs", plan.modules)
-        )
-        with patch.dict(os.environ, {**plan.environment, NOTES: str(plan.notes.resolve())}):
+        linked = LINKED if plan.robot == "moving base" else ()
+        links = {service: stacked.enter_context(link(endpoint)) for service in linked}
+        wheels = stacked.enter_context(rolling(WORLD, plan.steps)) if plan.robot == "moving base" else None
+        stack = Stack(plan.stack(endpoint, {service: address for service, (address, _) in links.items()}, wheels))
+        with patch.dict(os.environ, {NOTES: str(plan.notes.resolve())}):
             stacked.enter_context(stack)
-        if plan.flooded:
-            plan.log.touch()
-            plan.notes.write_text("")
-        else:
-            stacked.enter_context(observing(ROBOT, endpoint, plan.log))
+        if plan.robot != "noting":
+            stacked.enter_context(closing(observer(endpoint, arrived)))
         bus = stacked.enter_context(closing(stack.settings.open_bus("operator")))
-        tail = stacked.enter_context(closing(Tail(plan.log)))
-        yield Rig(plan, stack, bus, tail, {service: pid for service, (_, pid) in links.items()})
+        yield Rig(plan, stack, bus, {service: pid for service, (_, pid) in links.items()}, arrived)
+
+
+def observer(endpoint: str, arrived: list[Entry]) -> Bus:
+    """Note every message that is recorded; what was missed in an outage is asked for, as the recorder does."""
+    bus = Bus(ROBOT, endpoint)
+    for topic in TOPICS.values():
+        if topic.recorded:
+            _note(bus, topic, arrived)
+    bus.wait_connected(30.0)
+    return bus
+
+
+def _note(bus: Bus, topic: Topic, arrived: list[Entry]) -> None:
+    def take(payload: bytes, encoding: str, *_transit: object) -> None:
+        t_s = time.monotonic()
+        try:
+            arrived.append(Entry.of(decode(topic.message, payload, encoding), t_s, boot_ahead_s()))
+        except DecodeError:
+            return
+
+    bus.subscribe(topic, take, replay=True)

@@ -1,4 +1,4 @@
-"""The processes of the fault benchmark: observer, base, link that can go down, slow consumer; and its command line."""
+"""The processes of the fault benchmark: base, link that can go down, peers; and its command line."""
 
 from __future__ import annotations
 
@@ -17,27 +17,24 @@ from schemas.rpc import Nothing, Status
 from schemas.topics import COMMANDS, HEARTBEAT, POSE, PULSE, TOPICS, rpc_key
 from services.cli.stack.processes import Stack, StackPlan, free_endpoint
 from services.kit.bus import Bus, RpcError
-from services.kit.errors import JobError, UsageError
+from services.kit.errors import UsageError
 from services.simulator.base import STEP_S, KinematicBase
 from services.simulator.body import WATCHDOG_S
 from services.simulator.robots import RESCUEBOT
 from services.simulator.world import load_world
 from services.table import roles
+from tests.benchmarks.child import child
 from tests.benchmarks.faults import benchmark as faults
-from tests.benchmarks.faults.floods import floods
-from tests.benchmarks.faults.log import read_log, read_steps
+from tests.benchmarks.faults.floods import Stop, floods, read_notes
+from tests.benchmarks.faults.judge import Entry
 from tests.benchmarks.faults.noting import NotingGate
-from tests.benchmarks.faults.observer import observing
-from tests.benchmarks.faults.operator import looking_on
+from tests.benchmarks.faults.peers import consume_slowly, look_on
 from tests.benchmarks.faults.proxy import GROWTH, link
-from tests.benchmarks.faults.rig import ROBOT as FLOODED
-from tests.benchmarks.faults.slow import slow_consumer
-from tests.benchmarks.faults.stop import Stop, read_notes
-from tests.benchmarks.faults.wheels import FarBase, Wheels, rolling
+from tests.benchmarks.faults.rig import ROBOT, observer
+from tests.benchmarks.faults.wheels import FarBase, Wheels, read_steps, rolling
 from tests.schemas.messages import EXAMPLES
 from tests.services.waiting import eventually
 
-ROBOT = "rescuebot"
 system = pytest.mark.system
 
 
@@ -46,21 +43,6 @@ def endpoint(tmp_path: Path) -> Iterator[str]:
     endpoint = free_endpoint()
     with Stack(StackPlan(("router",), ROBOT, endpoint, logs=tmp_path / "logs")):
         yield endpoint
-
-
-@system
-def test_the_observer_notes_what_is_published(endpoint: str, tmp_path: Path) -> None:
-    log = tmp_path / "log.jsonl"
-    with closing(Bus(ROBOT, endpoint)) as bus, observing(ROBOT, endpoint, log) as pid:
-
-        def noted() -> set[str]:
-            for message in EXAMPLES.values():
-                bus.publish(message)
-            return {one.topic for one in read_log(log)} & {POSE.name, "camera/rgb"}
-
-        assert len(eventually(lambda: noted() if len(noted()) == 2 else set())) == 2
-    with pytest.raises(ProcessLookupError):
-        os.kill(pid, 0)
 
 
 @system
@@ -83,12 +65,10 @@ def test_a_link_goes_down_and_comes_back(endpoint: str) -> None:
 
 @system
 def test_a_link_grows_slow_each_way_and_loses_nothing(endpoint: str) -> None:
-    with link(endpoint) as (address, pid), closing(Bus(ROBOT, address)) as far, closing(Bus(ROBOT, endpoint)) as near:
-        arrived: list[float] = []
-        near.subscribe(POSE, lambda *_sample: arrived.append(time.monotonic()))
-        for bus in (far, near):
-            bus.wait_connected(10.0)
-        example = EXAMPLES[POSE.message]
+    arrived: list[Entry] = []
+    example = EXAMPLES[POSE.message].model_copy(update={"robot": ROBOT})
+    with link(endpoint) as (address, pid), closing(Bus(ROBOT, address)) as far, closing(observer(endpoint, arrived)):
+        far.wait_connected(10.0)
         eventually(lambda: (far.publish(example), arrived)[1])
         os.kill(pid, signal.SIGUSR1)
         begun_s = time.monotonic()
@@ -99,25 +79,22 @@ def test_a_link_grows_slow_each_way_and_loses_nothing(endpoint: str) -> None:
         arrived.clear()
         for _ in range(20):
             far.publish(example)
-        eventually(lambda: len(arrived) == 20)
+        eventually(lambda: len(arrived) >= 20)
+        assert {one.topic for one in arrived} == {POSE.name}
 
 
 @system
-def test_an_operator_looks_on_until_killed(endpoint: str) -> None:
-    with closing(Bus(ROBOT, endpoint)) as bus, looking_on(ROBOT, endpoint) as pid:
+def test_peers_are_there_until_their_end(endpoint: str) -> None:
+    with closing(Bus(ROBOT, endpoint)) as bus:
         answers: list[object] = []
         bus.subscribe(HEARTBEAT, lambda *sample: answers.append(sample))
-        eventually(lambda: (bus.publish(EXAMPLES[PULSE.message].model_copy(update={"robot": ROBOT})), answers)[1])
-        os.kill(pid, signal.SIGKILL)
-
-
-@system
-def test_a_slow_consumer_leaves_nothing_behind(endpoint: str) -> None:
-    with slow_consumer(ROBOT, endpoint) as pid, closing(Bus(ROBOT, endpoint)) as bus:
-        bus.publish(EXAMPLES[POSE.message])
-        os.kill(pid, 0)
-    with pytest.raises(ProcessLookupError):
-        os.kill(pid, 0)
+        with child("the operator", look_on, ROBOT, endpoint) as operator:
+            eventually(lambda: (bus.publish(EXAMPLES[PULSE.message].model_copy(update={"robot": ROBOT})), answers)[1])
+        with child("the slow consumer", consume_slowly, ROBOT, endpoint) as consumer:
+            bus.publish(EXAMPLES[POSE.message])
+    for one in (operator, consumer):
+        with pytest.raises(ProcessLookupError):
+            os.kill(one.pid, 0)
 
 
 def test_a_base_in_another_process_stands_by_its_own_watchdog_and_tells_what_it_did(tmp_path: Path) -> None:
@@ -144,8 +121,7 @@ def test_a_base_in_another_process_stands_by_its_own_watchdog_and_tells_what_it_
 
 
 def test_a_base_that_was_late_does_not_obey_backwards_in_time(tmp_path: Path) -> None:
-    log = tmp_path / "steps.jsonl"
-    with log.open("w") as file:
+    with (tmp_path / "steps.jsonl").open("w") as file:
         wheels = Wheels(KinematicBase(load_world("yard").place), file, 10.0)
         wheels.take({"question": 1, "put": [*vars(load_world("yard").start).values()], "seed": 1}, 10.0)
         wheels.roll_on(10.5)
@@ -157,24 +133,12 @@ def test_a_base_that_was_late_does_not_obey_backwards_in_time(tmp_path: Path) ->
     assert moved == [False] * 25 + [True] * 10 + [False] * 15
 
 
-@system
-def test_a_plan_may_have_another_module_run_a_service(tmp_path: Path) -> None:
-    endpoint = free_endpoint()
-    plan = StackPlan(
-        ("router", "recorder"), ROBOT, endpoint, {}, logs=tmp_path, modules={"recorder": "services.nothing"}
-    )
-    with pytest.raises(JobError, match=r"recorder: .*services\.nothing"), Stack(plan):
-        pass
-
-
-def test_a_cell_that_does_not_exist(tmp_path: Path) -> None:
-    with pytest.raises(UsageError, match="kill -9 policy"):
-        faults.main(["--cell", "earthquake", "--out", str(tmp_path)])
-
-
-def test_a_model_that_does_not_exist(tmp_path: Path) -> None:
-    with pytest.raises(UsageError, match=r"none\.smal"):
-        faults.main(["--model", str(tmp_path / "none.smal"), "--quick"])
+@pytest.mark.parametrize(
+    ("arguments", "said"), [(["--cell", "earthquake"], "kill -9 policy"), (["--model", "none.smal"], r"none\.smal")]
+)
+def test_mistakes_are_said_before_anything_is_driven(arguments: list[str], said: str) -> None:
+    with pytest.raises(UsageError, match=said):
+        faults.main([*arguments, "--quick"])
 
 
 @pytest.mark.parametrize("secure", [False, True])
@@ -182,10 +146,10 @@ def test_every_key_and_call_of_every_role_is_flooded_but_a_stop_s(secure: bool) 
     of_all = floods(secure)
     flooded = {(one.kind, one.key) for of_it in of_all.values() for one in of_it}
     assert {key for kind, key in flooded if kind == "put"} == {
-        topic.key(FLOODED) for topic in TOPICS.values() if topic.name != "command/emergency_stop"
+        topic.key(ROBOT) for topic in TOPICS.values() if topic.name != "command/emergency_stop"
     }
     called = {name for role in roles().values() for name in role.calls}
-    assert {("call", rpc_key(FLOODED, *name.split("/", 1))) for name in called} <= flooded
+    assert {("call", rpc_key(ROBOT, *name.split("/", 1))) for name in called} <= flooded
     assert not secure or {"robot", "policy", "operator", "watcher"} <= of_all.keys()
 
 
@@ -196,15 +160,11 @@ def test_a_robot_that_notes_its_stops_stands_for_each_and_drives_on(tmp_path: Pa
     gate.begin("e", "policy")
     stop = EXAMPLES[COMMANDS["emergency_stop"].message].model_copy(update={"source": "emergency_stop", "sequence": 7})
     gate.offer(stop, 1.0)
-    assert read_notes(notes)[7].stood_s is None
+    assert read_notes(notes)[7].keys() == {"latched_s"}
     assert gate.applied(1.02).reason == "emergency_stop"
-    assert read_notes(notes)[7].stood_s is not None
+    assert read_notes(notes)[7].keys() == {"latched_s", "stood_s"}
     assert gate.applied(1.1).reason == "emergency_stop"
     gate.applied(1.2)
     assert not gate.emergency_stop
     assert not gate.taken_over
-
-
-@pytest.mark.parametrize(("late_s", "in_time"), [(None, False), (0.51, False), (0.5, True)])
-def test_a_stop_is_obeyed_in_time_or_lost(late_s: float | None, in_time: bool) -> None:
-    assert Stop("put of state by policy", 1e5, late_s).in_time == in_time
+    assert [Stop("", 1e5, late_s).in_time for late_s in (None, 0.51, 0.5)] == [False, False, True]

@@ -11,11 +11,12 @@ import json
 import os
 import secrets
 import select
-import signal
 import socket
+import time
 from collections import deque
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import astuple, dataclass
 from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import IO, Any, Final
@@ -28,8 +29,7 @@ from services.simulator.base import STEP_S, Base, KinematicBase, Motion
 from services.simulator.body import WATCHDOG_S
 from services.simulator.world import load_world
 from services.simulator.world.place import Pose
-from tests.benchmarks.faults.child import child
-from tests.benchmarks.faults.log import Step
+from tests.benchmarks.child import child
 
 #: Motions kept until the robot asks: the longest freeze, 14 s, and as much again for what comes before and after.
 _KEPT: Final = round(30.0 / STEP_S)
@@ -37,6 +37,40 @@ _KEPT: Final = round(30.0 / STEP_S)
 _LARGEST: Final = 1 << 18
 #: The base answers within a step of its own time; on a busy machine it may have to wait for its turn.
 _ANSWER_S: Final = 2.0
+
+
+@dataclass(frozen=True)
+class Step:
+    """One step of the base.
+
+    Parameters
+    ----------
+    t_s, ordered_s : float
+        When it ended, and when the last order came: in the file by the clock that also passes while the machine is
+        suspended, read by the monotonic one.
+    speed_m_s : float
+        Of the faster wheel, 0 where the base stands.
+    atom : str
+        What it carried out; ``stop`` as well where its watchdog made it stand.
+    """
+
+    t_s: float
+    ordered_s: float
+    speed_m_s: float
+    atom: str
+
+
+def boot_ahead_s() -> float:
+    """Return how far the clock of robot and base is ahead of the monotonic one: for how long the machine slept."""
+    return time.clock_gettime(time.CLOCK_BOOTTIME) - time.monotonic()
+
+
+def read_steps(path: Path, since_s: float) -> list[Step]:
+    """Read what a base has done since then, monotonic seconds; it may be in the middle of a line."""
+    ahead_s = boot_ahead_s()
+    *whole, _rest = path.read_text().split("\n")
+    steps = (Step(t_s - ahead_s, ordered_s - ahead_s, *rest) for t_s, ordered_s, *rest in map(json.loads, whole))
+    return [step for step in steps if step.t_s > since_s]
 
 
 @contextmanager
@@ -49,7 +83,6 @@ def rolling(world: str, log: Path) -> Iterator[str]:
 
 def roll(world: str, address: str, log: Path, owner: Connection) -> None:
     """Move until the owner of the pipe closes it, or dies."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the owner
     base = KinematicBase(load_world(world).place)
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as orders, log.open("a", buffering=1) as file:
         orders.bind(_abstract(address))
@@ -122,8 +155,8 @@ class Wheels:
         motion = self._base.step(atom, speed, STEP_S)
         self._motions.append(motion)
         speed_m_s = max(map(abs, motion.rolled_m)) / STEP_S
-        pose = motion.pose
-        self._log.write(Step(self.due_s, pose.x, pose.y, pose.heading, speed_m_s, atom, self._ordered_s).line())
+        step = Step(self.due_s, self._ordered_s, speed_m_s, atom)
+        self._log.write(json.dumps(astuple(step)) + "\n")
 
 
 class FarBase:

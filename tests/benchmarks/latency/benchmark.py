@@ -11,49 +11,42 @@ from __future__ import annotations
 
 import argparse
 import tempfile
+from collections import defaultdict
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, closing, nullcontext
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
+import cv2
 import numpy as np
+from numpy.typing import NDArray
 from tqdm import tqdm
 
 from schemas.rpc import LoadReply, LoadRequest
 from services.cli.options import Camera, read_model
 from services.cli.stack.processes import Stack, StackPlan, flags, free_endpoint
-from services.kit.errors import UsageError
+from services.kit.errors import JobError, UsageError
 from services.kit.jpeg import encode_jpeg
 from services.kit.settings import ServiceSettings
 from services.recordings.dataset import find_recordings
-from tests.benchmarks.command_line import Parser, say
-from tests.benchmarks.latency.drives import Frames, Way, drives, make, resized
-from tests.benchmarks.latency.robot import Robot
-from tests.benchmarks.latency.watchers import watching
-from tests.benchmarks.machine import machine
-from tests.benchmarks.results import table
+from services.recordings.encoding import decode_image
+from services.recordings.reader import RecordingError, read_recording
+from tests.benchmarks.child import child
+from tests.benchmarks.drives import taught
+from tests.benchmarks.latency.robot import Robot, Way
+from tests.benchmarks.latency.watchers import watch
+from tests.benchmarks.reporting import Parser, Record, say, table
 
 SERVICES: Final = ("router", "features", "recognition", "policy")
 _ROBOT: Final = "bench"
 _LOADING_S: Final = 120.0
+Frames = list[NDArray[np.uint8]]
 
 
 @dataclass(frozen=True)
 class Plan:
-    """What is measured; the default is the full run.
-
-    Parameters
-    ----------
-    ticks : int
-        Frames for each camera.
-    cameras : sequence of Camera or None
-        Sizes of the image; None is that of the recordings.
-    episodes, recoveries : int
-        Drives to make where no model is given.
-    watchers : int
-        Pages that watch in every second drive; 0 for no console at all.
-    """
+    """What is measured: frames for each camera (None is that of the recordings), drives to make, pages that watch."""
 
     ticks: int = 1000
     cameras: Sequence[Camera | None] = (None, Camera(1024, 768))
@@ -65,74 +58,81 @@ class Plan:
 def benchmark(plan: Plan, model: Path, recordings: Path, logs: Path) -> dict[str, Any]:
     """Measure every case; return what the JSON file holds."""
     endpoint, below = free_endpoint(), flags(root=model.resolve().parent)
-    page = free_endpoint().removeprefix("tcp/") if plan.watchers else ""
-    services = (*SERVICES, "console") if page else SERVICES
+    page = free_endpoint().removeprefix("tcp/")
+    services = (*SERVICES, "console") if plan.watchers else SERVICES
     own = {**dict.fromkeys(("recognition", "policy"), below), "console": (*below, *flags(console=page))}
-    counts = [0, plan.watchers] if page else [0]
-    total = plan.ticks * len(plan.cameras) * len(counts)
+    counts = (0, plan.watchers) if plan.watchers else (0,)
+    taken_s: defaultdict[tuple[str, int], list[float | None]] = defaultdict(list)
     with (
         Stack(StackPlan(services, _ROBOT, endpoint, own, logs=logs)) as stack,
         closing(Robot(ServiceSettings(robot=_ROBOT, router=endpoint))) as robot,
-        tqdm(total=total, desc="driving", unit="frame", dynamic_ncols=True) as bar,
+        tqdm(total=plan.ticks * len(plan.cameras) * len(counts), desc="driving", unit="frame") as bar,
     ):
-        cases = []
-        loaded = _load(robot, model)
+        # Both load the same model.
+        request = LoadRequest(model=model.resolve().name)
+        loaded = [
+            robot.node.bus.call(name, "load", request, LoadReply, _LOADING_S) for name in ("policy", "recognition")
+        ]
         for camera in plan.cameras:
             stack.check()
-            sides = [Side(count) for count in counts]
             for k, (frames, way) in enumerate(_shown(recordings, camera, plan.ticks)):
-                for side in sides:
-                    side.measure(robot, f"bench-{len(cases)}-{k}-{side.watchers}", frames, way, page, bar)
-            cases += [side.case(loaded) for side in sides]
-    return {"benchmark": "latency", "machine": machine(), "ticks": plan.ticks, "cases": cases}
+                pictures = [encode_jpeg(one) for one in frames] if plan.watchers else None
+                height, width, _ = frames[0].shape
+                for count in counts:
+                    with child("the pages", watch, page, count) if count else nullcontext():
+                        case = taken_s[f"{width}x{height}", count]
+                        case += robot.drive(f"bench-{len(taken_s)}-{k}-{count}", frames, way, bar.update, pictures)
+    cases = [
+        {"camera": camera, "watchers": count, "keyframes": loaded[0].keyframes} | summary(taken)
+        for (camera, count), taken in taken_s.items()
+    ]
+    return {"benchmark": "latency", "ticks": plan.ticks, "cases": cases}
 
 
-def _load(robot: Robot, model: Path) -> LoadReply:
-    """Have recognition and policy load the model; return what both have loaded."""
-    request, bus = LoadRequest(model=model.resolve().name), robot.node.bus
-    bus.call("policy", "load", request, LoadReply, timeout_s=_LOADING_S)
-    return bus.call("recognition", "load", request, LoadReply, timeout_s=_LOADING_S)
-
-
-def _shown(recordings: Path, camera: Camera | None, ticks: int) -> Iterator[tuple[Frames, Way]]:
-    """Give drives until there are enough frames."""
-    for recorded, way in drives(recordings):
-        if ticks <= 0:
-            return
-        yield resized(recorded[:ticks], camera), way[:ticks]
-        ticks -= len(recorded)
-
-
-@dataclass
-class Side:
-    """What is measured with so many pages that watch."""
-
-    watchers: int
-    taken_s: list[float | None] = field(default_factory=list)
-    camera: str = ""
-
-    def measure(self, robot: Robot, episode: str, frames: Frames, way: Way, page: str, bar: tqdm[Any]) -> None:
-        """Show one drive."""
-        height, width, _ = frames[0].shape
-        self.camera = f"{width}x{height}"
-        # Made before: who drives is not kept by it.
-        pictures = [encode_jpeg(one) for one in frames] if page else None
-        watched = watching(page, self.watchers) if self.watchers else nullcontext()
-        with watched:
-            self.taken_s += robot.drive(episode, frames, way, bar.update, pictures)
-
-    def case(self, loaded: LoadReply) -> dict[str, Any]:
-        """Return the figures."""
-        facts = loaded.model_dump(include={"keyframes"})
-        return {"camera": self.camera, "watchers": self.watchers} | facts | summary(self.taken_s)
-
-
-def summary(taken_s: Sequence[float | None]) -> dict[str, Any]:
+def summary(taken_s: Sequence[float | None]) -> Record:
     """Give percentiles in milliseconds; a frame without a command took for ever, which is told as None."""
     taken = np.array([np.inf if one is None else 1e3 * one for one in taken_s] or [np.inf])
     marks = {f"p{mark}_ms": float(np.percentile(taken, mark, method="higher")) for mark in (50, 95)}
-    known: dict[str, Any] = {name: value if np.isfinite(value) else None for name, value in marks.items()}
+    known: Record = {name: value if np.isfinite(value) else None for name, value in marks.items()}
     return {"frames": len(taken_s), "missing": sum(one is None for one in taken_s)} | known
+
+
+def _shown(recordings: Path, camera: Camera | None, ticks: int) -> Iterator[tuple[Frames, Way]]:
+    """Give drives, over and over, until there are enough frames of the camera's size."""
+    for frames, way in drives(recordings):
+        if ticks <= 0:
+            return
+        size = None if camera is None else (camera.width, camera.height)
+        shown = frames[:ticks]
+        if size is not None and frames[0].shape[1::-1] != size:
+            shown = [np.asarray(cv2.resize(one, size, interpolation=cv2.INTER_CUBIC), np.uint8) for one in shown]
+        yield shown, way[:ticks]
+        ticks -= len(frames)
+
+
+def drives(folder: Path) -> Iterator[tuple[Frames, Way]]:
+    """Give the camera images of one whole drive after the other, (height, width, 3), and its way, over and over.
+
+    Raises
+    ------
+    JobError
+        There is none.
+    """
+    found = True
+    while found:
+        found = False
+        for path in find_recordings([folder]):
+            try:
+                episodes = read_recording(path).episodes
+            except RecordingError as error:
+                raise JobError(str(error)) from None
+            for episode in episodes:
+                ticks = sorted(episode.images.keys() & episode.odometry.keys())
+                if episode.purpose != "recovery" and ticks:
+                    found = True
+                    images = [decode_image(bytes(episode.images[tick])) for tick in ticks]
+                    yield images, [episode.odometry[tick] for tick in ticks]
+    raise JobError(f"{folder}: holds no drive with camera images and odometry")
 
 
 def main(arguments: list[str]) -> None:
@@ -145,7 +145,7 @@ def main(arguments: list[str]) -> None:
         folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="smal-bench-")))
         model, recordings = flags.model, flags.recordings
         if model is None:
-            model, recordings = make(folder, plan.episodes, plan.recoveries), folder
+            model, recordings = taught(folder, plan.episodes, plan.recoveries, "campus", "320x240"), folder
         # What is wrong with the files is found out before services start.
         read_model(model, "filter", None)
         find_recordings([recordings])
@@ -155,13 +155,8 @@ def main(arguments: list[str]) -> None:
 
 def _plan(flags: argparse.Namespace) -> Plan:
     shape = Plan(ticks=100, episodes=2, recoveries=2) if flags.quick else Plan()
-    return Plan(
-        flags.ticks or shape.ticks,
-        [Camera.parse(size) for size in flags.camera] or shape.cameras,
-        shape.episodes,
-        shape.recoveries,
-        flags.watchers,
-    )
+    cameras = [Camera.parse(size) for size in flags.camera] or shape.cameras
+    return Plan(flags.ticks or shape.ticks, cameras, shape.episodes, shape.recoveries, flags.watchers)
 
 
 def _parser() -> Parser:

@@ -27,14 +27,12 @@ _LAST_ANSWER_S: Final = 1.0
 _PREPARE_S: Final = 0.5
 
 
-class Robot:
-    """Stands in for the simulator, without the rendering.
+#: Pose of each frame by the wheels: x, y in metres, heading in radians.
+Way = list[tuple[float, float, float]]
 
-    Parameters
-    ----------
-    settings
-        Robot and router.
-    """
+
+class Robot:
+    """Stands in for the simulator, without the rendering."""
 
     def __init__(self, settings: ServiceSettings) -> None:
         self.node = Node("bench", settings)
@@ -49,7 +47,7 @@ class Robot:
         self,
         episode: str,
         frames: list[NDArray[np.uint8]],
-        way: list[tuple[float, float, float]],
+        way: Way,
         on_tick: Callable[[], object],
         pictures: list[bytes] | None = None,
     ) -> list[float | None]:
@@ -93,14 +91,10 @@ class Robot:
         applied = self._gate.applied(time.monotonic())
         self.node.publish(
             CommandApplied.after(
-                self._header,
-                atom=applied.atom,
-                speed=applied.speed,
-                source=applied.source,
-                reason=applied.reason,
+                self._header, atom=applied.atom, speed=applied.speed, source=applied.source, reason=applied.reason,
                 answered_tick=applied.answered_tick,
             )
-        )
+        )  # fmt: skip
 
     def _step(self, episode: str, tick: int) -> None:
         self._header = Message(robot=self.node.robot, episode=episode, tick=tick, stamp_ns=time.time_ns())

@@ -25,12 +25,9 @@ from services.cli import options
 from services.cli.stack.processes import free_endpoint
 from services.kit.errors import JobError
 from services.table import stack_services
-from tests.benchmarks.command_line import Parser, folder_for, say
-from tests.benchmarks.faults.model import taught_model
-from tests.benchmarks.faults.picture import draw_growth
+from tests.benchmarks.faults.benchmark import taught_model
 from tests.benchmarks.faults.rig import Rig, RigPlan, rig_for
-from tests.benchmarks.machine import machine
-from tests.benchmarks.results import Record, table
+from tests.benchmarks.reporting import Parser, Record, folder_for, say, table
 from tests.benchmarks.soak.growth import Sample, judge, sample, warmed_up
 from tests.benchmarks.soak.page import CHROMIUM, NO_CHROMIUM, Held, Send, held, judge_page, page_of
 
@@ -58,7 +55,7 @@ def benchmark(minutes: float, model: Path | None, folder: Path, *, page: bool) -
     # The console draws what lies below its root.
     own.mkdir(parents=True, exist_ok=True)
     model = Path(shutil.copy(model, own / "model.smal"))
-    with rig_for(RigPlan(model, own, console=address)) as rig, browser as send:
+    with rig_for(RigPlan(model, own, "simulated", console=address)) as rig, browser as send:
         rig.start_moving()
         rig.driven = True
         samples = list(_samples(rig, minutes * 60.0, folder / "samples.jsonl", send, pages))
@@ -70,7 +67,6 @@ def benchmark(minutes: float, model: Path | None, folder: Path, *, page: bool) -
     rate_hz = sum(int(one["commands"]) for one in messages if one["service"] == "policy") / (minutes * 60.0)
     return {
         "benchmark": "soak",
-        "machine": machine(),
         "minutes": minutes,
         "episodes": episodes,
         "commands_hz": rate_hz,
@@ -135,24 +131,8 @@ def as_text(results: dict[str, Any]) -> str:
     """Lay the results out for a reader."""
     text = table(f"{results['minutes']:g} minutes, {results['episodes']} episodes", results["services"])
     text += table("messages", results["messages"])
-    text += table("the page, minute by minute", _minute_by_minute(results))
-    text += table("the page", results["pages"])
+    text += table("the page, minute by minute", results["page_samples"]) + table("the page", results["pages"])
     return text + f"\n{results['commands_hz']:.1f} commands a second; {'met' if results['met'] else 'NOT MET'}\n"
-
-
-def _minute_by_minute(results: dict[str, Any]) -> list[Record]:
-    """Return what the page held at each of its samples, and its console then."""
-    console = [one for one in results["samples"] if one["service"] == "console"]
-    return [
-        {
-            "minute": round(one["t_s"] / 60.0, 1),
-            "page kB": one["bytes"] / 1e3,
-            "nodes": one["nodes"],
-            "listeners": one["listeners"],
-            "console MB": min(console, key=lambda own: abs(own["t_s"] - one["t_s"]))["rss_bytes"] / 1e6,
-        }
-        for one in results["page_samples"]
-    ]
 
 
 def main(arguments: list[str]) -> None:
@@ -166,8 +146,6 @@ def main(arguments: list[str]) -> None:
     minutes = chosen.minutes or (_QUICK_MINUTES if chosen.quick else usual)
     with folder_for(chosen.out) as folder:
         results = benchmark(minutes, chosen.model, folder, page=chosen.page)
-    if chosen.out is not None:
-        draw_growth([Sample(**one) for one in results["samples"]], chosen.out / "soak.png")
     say(chosen, results, as_text(results))
     if not results["met"]:
         raise JobError("the soak is not met")

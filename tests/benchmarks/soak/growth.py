@@ -5,28 +5,17 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Final, Protocol, TypeVar
+from typing import Any, Final
 
 import numpy as np
 
-from tests.benchmarks.results import Record
+from tests.benchmarks.reporting import Record
 
 #: Of the run, and at least so long: what is allocated once.
 WARM_UP_SHARE: Final = 0.1
 WARM_UP_S: Final = 120.0
 MOST_GROWTH: Final = 0.05
 _PROC: Final = Path("/proc")
-
-
-class Timed(Protocol):
-    """Something that was seen at one time."""
-
-    @property
-    def t_s(self) -> float:
-        """Since the beginning."""
-
-
-_Timed = TypeVar("_Timed", bound=Timed)
 
 
 @dataclass(frozen=True)
@@ -63,7 +52,7 @@ def sample(t_s: float, service: str, pid: int) -> Sample:
     return Sample(t_s, service, pid, 1024 * int(fields["VmRSS"][0]), descriptors, int(fields["Threads"][0]))
 
 
-def warmed_up(samples: Sequence[_Timed]) -> list[_Timed]:
+def warmed_up(samples: Sequence[Any]) -> list[Any]:
     """Return the samples after the warm-up; in a run too short for one, those of the second half."""
     whole_s = max((one.t_s for one in samples), default=0.0)
     warm_s = min(max(WARM_UP_SHARE * whole_s, WARM_UP_S), whole_s / 2.0)
@@ -78,40 +67,35 @@ def judge(samples: Sequence[Sample]) -> list[Record]:
 
 def _judge(samples: Sequence[Sample]) -> Record:
     warm = warmed_up(samples)
-    growth = _growth(warm)
+    first, last = line([one.t_s for one in warm], [one.rss_bytes for one in warm])
     descriptors, threads = (rise([getattr(one, name) for one in warm]) for name in ("descriptors", "threads"))
     restarts = len({one.pid for one in samples}) - 1
-    not_met = [
-        name
-        for name, failed in (
-            ("memory", growth >= MOST_GROWTH),
-            ("descriptors", descriptors > 0),
-            ("threads", threads > 0),
-            ("restarted", restarts > 0),
-        )
-        if failed
-    ]
     return {
         "service": samples[0].service,
-        "rss_mb_first": warm[0].rss_bytes / 1e6,
-        "rss_mb_last": warm[-1].rss_bytes / 1e6,
-        "growth_percent": 100.0 * growth,
-        "descriptors": max(one.descriptors for one in warm),
+        "rss_mb": warm[-1].rss_bytes / 1e6,
+        "growth_percent": 100.0 * (last / first - 1.0),
         "descriptors_rise": descriptors,
-        "threads": max(one.threads for one in warm),
         "threads_rise": threads,
         "restarts": restarts,
-        "": "met" if not not_met else f"NOT MET: {', '.join(not_met)}",
-    }
+        "": said(
+            memory=last / first - 1.0 >= MOST_GROWTH, descriptors=descriptors > 0, threads=threads > 0,
+            restarted=restarts > 0,
+        ),
+    }  # fmt: skip
 
 
-def _growth(warm: Sequence[Sample]) -> float:
-    """Return how much of its size a process grew over the samples, by a straight line through them."""
-    if len(warm) < 3:
-        return 0.0
-    times, sizes = np.array([one.t_s for one in warm]), np.array([one.rss_bytes for one in warm], dtype=float)
-    slope, at_zero = np.polyfit(times, sizes, 1)
-    return float(slope * (times[-1] - times[0]) / (at_zero + slope * times[0]))
+def said(**failed: bool) -> str:
+    """Name what is not met, if anything."""
+    names = [name for name, one in failed.items() if one]
+    return f"NOT MET: {', '.join(names)}" if names else "met"
+
+
+def line(times: Sequence[float], sizes: Sequence[float]) -> tuple[float, float]:
+    """Return where a straight line through sizes over time begins and ends."""
+    if len(times) < 2:
+        return float(sizes[0]), float(sizes[-1])
+    slope, at_zero = np.polyfit(times, np.array(sizes, dtype=float), 1)
+    return float(at_zero + slope * times[0]), float(at_zero + slope * times[-1])
 
 
 def rise(counts: Sequence[int]) -> float:

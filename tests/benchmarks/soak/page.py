@@ -20,13 +20,12 @@ from http.client import HTTPConnection
 from pathlib import Path
 from typing import Any, Final
 
-import numpy as np
 from websockets.sync.client import ClientConnection, connect
 
 from services.cli.stack.child import tied
 from services.kit.errors import JobError
-from tests.benchmarks.results import Record
-from tests.benchmarks.soak.growth import rise
+from tests.benchmarks.reporting import Record
+from tests.benchmarks.soak.growth import line, rise, said
 
 CHROMIUM: Final = shutil.which("chromium")
 NO_CHROMIUM: Final = "no chromium on this machine (apt-get install chromium)"
@@ -75,36 +74,15 @@ def held(t_s: float, send: Send) -> Held:
 
 def judge_page(warm: Sequence[Held]) -> Record:
     """Judge a page by its samples after its warm-up."""
-    growth = _growth(warm)
+    first, last = line([one.t_s for one in warm], [one.bytes for one in warm])
     nodes, listeners = (rise([getattr(one, name) for one in warm]) for name in ("nodes", "listeners"))
-    not_met = [
-        name
-        for name, failed in (
-            ("memory", growth > MOST_GROWTH),
-            ("nodes", nodes > MOST_NODES),
-            ("listeners", listeners > 0),
-        )
-        if failed
-    ]
     return {
         "page": "console",
-        "kb_first": warm[0].bytes / 1e3,
-        "kb_last": warm[-1].bytes / 1e3,
-        "growth_kb": growth / 1e3,
-        "nodes": warm[-1].nodes,
+        "growth_kb": (last - first) / 1e3,
         "nodes_rise": nodes,
-        "listeners": warm[-1].listeners,
         "listeners_rise": listeners,
-        "": "met" if not not_met else f"NOT MET: {', '.join(not_met)}",
+        "": said(memory=last - first > MOST_GROWTH, nodes=nodes > MOST_NODES, listeners=listeners > 0),
     }
-
-
-def _growth(warm: Sequence[Held]) -> float:
-    """Return by how many bytes a page grew over the samples, by a straight line through them."""
-    if len(warm) < 2:
-        return 0.0
-    times = np.array([one.t_s for one in warm])
-    return float(np.polyfit(times, np.array([one.bytes for one in warm], dtype=float), 1)[0] * np.ptp(times))
 
 
 @contextmanager

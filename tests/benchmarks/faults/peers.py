@@ -1,33 +1,24 @@
-"""An operator who looks on: a process of its own, with what `smal teleop` and the page tell the robot."""
+"""Clients beside the stack: an operator who looks on, and one who listens to everything and takes nothing."""
 
 from __future__ import annotations
 
 import contextlib
 import os
-import signal
 import threading
-from collections.abc import Iterator
-from contextlib import contextmanager
+import time
 from multiprocessing.connection import Connection
 
+from schemas.topics import LANES, ROOT
+from services.kit.bus import Bus
 from services.kit.node import Node
 from services.kit.settings import ServiceSettings
 from services.operator.hold import KeyHold
 from services.operator.operator import POLL_S, Operator
 from services.robot.clock import now_s
-from tests.benchmarks.faults.child import child
-
-
-@contextmanager
-def looking_on(robot: str, endpoint: str) -> Iterator[int]:
-    """Have an operator there for as long as the context lasts; give the process id."""
-    with child("the operator", look_on, robot, endpoint, patience_s=0.0) as (pid, _ready):
-        yield pid
 
 
 def look_on(robot: str, endpoint: str, owner: Connection) -> None:
-    """Be there until killed."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the owner
+    """Be an operator as `smal teleop` and the page are, until killed."""
     with Node("teleop", ServiceSettings(robot=robot, router=endpoint)) as node:
         operator = Operator(node, KeyHold(now_s), node.log.info)
         node.every(POLL_S, operator.poll)
@@ -36,7 +27,18 @@ def look_on(robot: str, endpoint: str, owner: Connection) -> None:
         node.spin()
 
 
+def consume_slowly(robot: str, endpoint: str, owner: Connection) -> None:
+    """Block in the first callback, until killed."""
+    bus = Bus(robot, endpoint)
+    bus.wait_connected(10.0)
+    for lane in LANES:
+        bus.listen(f"{ROOT}/**", lambda *_sample: time.sleep(3600.0), lane=lane)
+    owner.send("ready")
+    _end_with(owner)
+
+
 def _end_with(owner: Connection) -> None:
+    """End at once: the session cannot be closed where its thread hangs in a callback."""
     with contextlib.suppress(EOFError, OSError):
         owner.recv_bytes()
     os._exit(0)

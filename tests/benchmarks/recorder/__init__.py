@@ -1,1 +1,0 @@
-"""What the recorder holds while one drive goes on for hours."""

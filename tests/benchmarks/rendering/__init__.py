@@ -1,1 +1,0 @@
-"""What a frame of each kind of scene costs."""
