@@ -12,9 +12,9 @@ from typer import Option
 from services.cli import options, outputs
 from services.cli.interrupts import interrupted_by_signals
 from services.experiments.evaluation.plan import PLANS, Plan, in_world
-from services.experiments.evaluation.results import ResultStore
-from services.experiments.evaluation.schedule import Unit, units
-from services.experiments.evaluation.worker_pool import do_all
+from services.experiments.evaluation.pool import do_all
+from services.experiments.evaluation.results import Results
+from services.experiments.evaluation.units import Unit, units
 from services.kit.errors import UsageError
 
 
@@ -45,27 +45,26 @@ def evaluate(
     if world is not None:
         path = Path(world)
         plan = in_world(str(path.resolve()) if path.is_file() else world, options.read_world(world).scale.aside_m)
-    store = ResultStore(out, plan)
     planned = units(plan)
+    results = Results(out, planned)
     with interrupted_by_signals():
         if not report_only:
-            store.forget_missing(planned)
-            _work(plan, planned, store, workers)
+            _work(planned, results, workers)
         from services.experiments.evaluation.report.page import write_page  # noqa: PLC0415 - loads matplotlib
 
-        page = write_page(plan, planned, store)
+        page = write_page(plan, results)
     typer.echo(f"results: {page}")
 
 
-def _work(plan: Plan, planned: list[Unit], store: ResultStore, workers: int) -> None:
+def _work(planned: list[Unit], results: Results, workers: int) -> None:
     """Do what is left to do, with one bar over all of it."""
-    done = {unit.key for unit in planned if unit.key in store.findings}
+    done = set(results.findings)
     with tqdm(total=len(planned), initial=len(done), desc="evaluating", unit="unit", dynamic_ncols=True) as bar:
 
-        def finish(unit: Unit, finding: dict[str, Any], seconds: float) -> None:
-            store.add(unit, finding, seconds)
-            bar.set_postfix_str(f"{unit.kind} {unit.world}", refresh=False)
+        def finish(unit: Unit, found: dict[str, Any]) -> None:
+            results.add(unit, found)
+            bar.set_postfix_str(f"{unit.kind} {unit['world']}", refresh=False)
             bar.update()
 
         if len(done) < len(planned):
-            do_all(plan, planned, done, store.work, workers, finish)
+            do_all(planned, done, results.work, workers, finish)

@@ -1,4 +1,4 @@
-"""Figures that are part of a page, and have its colours by day and by night."""
+"""The look of all figures, and figures that are part of a page with its colours by day and by night."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ from matplotlib.figure import Figure
 _P = ParamSpec("_P")
 _T = TypeVar("_T")
 
-#: Stand for the colours of the page (`html.page`) until the figure is part of it: nothing else has them.
-TEXT, MUTED, LINE, BACK = "#0a0b00", "#0a0b01", "#0a0b02", "#0a0b03"
-COLOURS: Final = tuple(f"#0a0b1{number}" for number in range(6))
+#: Colours of the page (`html.page`) by day; `svg` has them follow the page.
+TEXT, MUTED, LINE, BACK = "#222222", "#5f5f5f", "#dddddd", "#ffffff"
+COLOURS: Final = ("#0b5fa5", "#c2410c", "#1a7f37", "#7b1fa2", "#8a6100", "#0e7490")
 #: Beside each colour, for those who do not tell colours apart.
 DASHES: Final = ("-", "--", "-.", ":", (0, (5, 1, 1, 1, 1, 1)), (0, (8, 2)))
 _ON_PAGE: Final = {TEXT: "text", MUTED: "muted", LINE: "line", BACK: "back"} | {
@@ -29,17 +29,17 @@ _ON_PAGE: Final = {TEXT: "text", MUTED: "muted", LINE: "line", BACK: "back"} | {
 _STYLE: Final[dict[Any, Any]] = {
     "axes.edgecolor": LINE, "axes.labelcolor": MUTED, "axes.titlecolor": TEXT, "axes.titlesize": 10, "axes.grid": True,
     "axes.axisbelow": True, "axes.spines.right": False, "axes.spines.top": False, "axes.labelsize": 10,
-    "font.size": 10, "grid.color": LINE, "grid.linewidth": 0.6, "legend.frameon": False, "legend.fontsize": 10,
-    "legend.labelcolor": TEXT, "text.color": TEXT, "text.parse_math": False, "xtick.color": LINE,
-    "xtick.labelcolor": MUTED, "ytick.color": LINE, "ytick.labelcolor": MUTED,
-    "svg.fonttype": "none", "svg.hashsalt": "smal",
+    "figure.constrained_layout.use": True, "font.size": 10, "grid.color": LINE, "grid.linewidth": 0.6,
+    "legend.frameon": False, "legend.fontsize": 9, "legend.labelcolor": TEXT, "text.color": TEXT,
+    "text.parse_math": False, "xtick.color": LINE, "xtick.labelcolor": MUTED, "ytick.color": LINE,
+    "ytick.labelcolor": MUTED, "svg.fonttype": "none", "svg.hashsalt": "smal",
 }  # fmt: skip
 #: Half of a page, inches: as wide as that it is read on a telephone too.
 WIDTH_IN: Final = 5.0
 
 
 def styled(draw: Callable[_P, _T]) -> Callable[_P, _T]:
-    """Have what draws a figure do so in the style of the page."""
+    """Have what draws a figure do so in this style."""
 
     @wraps(draw)
     def drawing(*args: _P.args, **kwargs: _P.kwargs) -> _T:
@@ -50,8 +50,8 @@ def styled(draw: Callable[_P, _T]) -> Callable[_P, _T]:
 
 
 def figure(height_in: float) -> Figure:
-    """Return an empty figure, as wide as all of them."""
-    return Figure(figsize=(WIDTH_IN, height_in), layout="constrained")
+    """Return an empty figure, half a page wide."""
+    return Figure(figsize=(WIDTH_IN, height_in))
 
 
 @styled
@@ -61,7 +61,7 @@ def svg(drawn: Figure, name: str, said: str) -> str:
     Parameters
     ----------
     drawn
-        Of `figure`, within `styled`.
+        Made within `styled`.
     name
         Letters; no other figure of the page has it.
     said

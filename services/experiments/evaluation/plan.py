@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import hashlib
-import json
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final, Literal
 
 from schemas.rpc import Start
-from services.experiments.evaluation.degradation import degradation_named
-from services.simulator.variation import variation_named
+from services.experiments.evaluation.degradation import DEGRADATIONS
+from services.simulator.variation import VARIATIONS as KNOWN_VARIATIONS
 from smal.paper.learning import LearningSettings
 
 #: Sequences have this length by default; the filter has none.
@@ -34,14 +33,14 @@ class Criterion:
 
 #: Frames from one that is to be recognized to the next: ten frames a second show nearly the same.
 JUDGED_TICKS: Final = 4
-#: Who searches, and how each decides, in a line for people. Peers have the same drives.
+#: Who searches: a name for people, and how each decides. Peers have the same drives.
 CONTROLLERS: Final = {
-    "smal": "the filter and the planner, at every frame",
-    "teach-and-repeat": "wheels, corrected by the shift of the image (Dall'Osto et al. 2021)",
-    "paper": "the paper: a decision every l frames",
-    "nearest-1": "does what was done at the most alike frame",
-    "nearest-5": "the same, of five frames in a row",
-    "seqslam": "goes on from where SeqSLAM says that it is",
+    "smal": ("SMAL", "the filter and the planner, at every frame"),
+    "teach-and-repeat": ("teach and repeat", "wheels, corrected by the shift of the image (Dall'Osto et al. 2021)"),
+    "paper": ("the paper's scheme", "a decision every l frames"),
+    "nearest-1": ("imitating the nearest frame", "does what was done at the most alike frame"),
+    "nearest-5": ("imitating the nearest 5 frames", "the same, of five frames in a row"),
+    "seqslam": ("continuing from where SeqSLAM says", "goes on from where SeqSLAM says that it is"),
 }
 #: Light and season other than those of the drives.
 VARIATIONS: Final = ("dark", "overcast", "evening", "other-day")
@@ -55,9 +54,13 @@ class Recognizer:
     length: int
 
     @property
-    def key(self) -> str:
-        """Short name."""
-        return f"{self.name}-{self.length}"
+    def title(self) -> str:
+        """For people."""
+        if self.name == "smal":
+            return "single image (l = 1)" if self.length == 1 else f"Eq. 9, l = {self.length}"
+        if self.name == "seqslam":
+            return f"SeqSLAM, {self.length} frames"
+        return "nearest frame" if self.length == 1 else f"nearest {self.length} frames"
 
 
 #: Peers that recognize, beside Eq. 9 at all lengths of the plan (l = 1 is the single image).
@@ -102,12 +105,17 @@ class Trial:
     kidnap_tick: int = 0
 
     def __post_init__(self) -> None:
-        degradation_named(self.degradation)
-        variation_named(self.variation)
-        if self.controller not in CONTROLLERS:
-            raise ValueError(f"unknown controller {self.controller!r}; known are {', '.join(CONTROLLERS)}")
-        if self.drives < 1 or self.runs < 1:
-            raise ValueError(f"a trial needs at least one drive and one run, got {self.drives} and {self.runs}")
+        for name, known in (
+            (self.controller, CONTROLLERS), (self.degradation, DEGRADATIONS), (self.variation, KNOWN_VARIATIONS),
+        ):  # fmt: skip
+            if name not in known:
+                raise ValueError(f"unknown {name!r}; known are {', '.join(known)}")
+
+    @property
+    def title(self) -> str:
+        """Who drives, for people."""
+        name, _ = CONTROLLERS[self.controller]
+        return f"{name}, l = {self.length}" if self.controller == "paper" else name
 
     @property
     def condition(self) -> str:
@@ -170,31 +178,13 @@ class WorldPlan:
     template_frames: int = 1000
 
     def __post_init__(self) -> None:
-        for name in self.recognized:
-            degradation_named(name)
         if len({replace(trial, runs=1) for trial in self.trials}) < len(self.trials):
             raise ValueError(f"{self.world}: a trial stands in the plan twice")
-        if self.drives < 1 or not self.criteria:
-            raise ValueError(f"{self.world}: a plan needs at least one drive and one criterion")
 
     @property
     def title(self) -> str:
         """Its name, also where the world is a file."""
         return Path(self.world).stem
-
-    @property
-    def all_drives(self) -> int:
-        """How many drives are made."""
-        recognition = [self.drives] if self.queries else []
-        return max([*recognition, *(trial.drives for trial in self.trials)], default=0)
-
-    @property
-    def models(self) -> tuple[tuple[int, int], ...]:
-        """Numbers of drives, and lengths, for which a model is learned."""
-        needed = {(trial.drives, trial.length) for trial in self.trials if trial.controller in {"smal", "paper"}}
-        if self.queries:
-            needed |= {(self.drives, length) for length in (*self.lengths, DEFAULT_LENGTH)}
-        return tuple(sorted(needed))
 
     @property
     def first_judged_tick(self) -> int:
@@ -230,12 +220,6 @@ class Plan:
     patience: float = 3.0
     camera: tuple[int, int] = (320, 240)
     omitted: tuple[str, ...] = ()
-
-    @property
-    def fingerprint(self) -> str:
-        """Fingerprint of the whole plan, and of what all plans have in common."""
-        everything = [asdict(self), CONTROLLERS, [asdict(one) for one in PEER_RECOGNIZERS], JUDGED_TICKS]
-        return hashlib.sha256(json.dumps(everything, sort_keys=True).encode()).hexdigest()[:12]
 
 
 _INDOOR: Final = (Criterion(0.35, 25.0), Criterion(0.2, 15.0))

@@ -1,39 +1,51 @@
 """One search in this process: the same objects as the services use, in lockstep, without messages between them.
 
-Image, features, controller, movement, tick after tick. What the services add changes nothing in lockstep: between
-simulator and features the image is raw (JPEG is for recordings and people), the world waits for the answer to every
-frame, and the answer is carried out from that frame on. So the same seed gives the same poses (a test says so).
+Image, driver, movement, tick after tick. What the services add changes nothing in lockstep: between simulator and
+features the image is raw (JPEG is for recordings and people), the world waits for the answer to every frame, and the
+answer is carried out from that frame on. So the same seed gives the same poses (a test says so).
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import math
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from typing import Final
+from typing import Any, Final, Protocol, cast
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import KDTree
 
 from schemas.base import Atom as AtomName
-from schemas.rpc import ResetRequest, Start
-from services.experiments.evaluation.controllers import Controller, Place, seen_by
-from services.experiments.evaluation.degradation import CLEAN, Degradation, Degrader
+from schemas.rpc import ResetRequest
+from services.experiments.evaluation.degradation import Degrader
+from services.experiments.evaluation.plan import Criterion
+from services.robot.clock import TICK_S
 from services.robot.episode import RunOutcome
 from services.robot.messages import rounded
 from services.simulator.lockstep import LockstepEpisode
 from services.simulator.simulation import Simulation
 from services.simulator.world.route import route_length_m
-from smal.movement import Atom
+from smal.movement import Atom, placed, seen_from
+from smal.robot import Place
 
 #: Frames after which a search times out, at least, in `smal run`.
 MAX_TICKS: Final = 3000
-_NAMES: Final[dict[Atom, AtomName]] = {
-    Atom.STOP: "stop",
-    Atom.FORWARD: "forward",
-    Atom.BACKWARD: "backward",
-    Atom.LEFT: "left",
-    Atom.RIGHT: "right",
-}
+#: Frames from one kept picture of an example route to the next, and of one kept position of any way.
+PICTURE_TICKS, WAY_TICKS = 10, 5
+
+
+class Driver(Protocol):
+    """Who drives: `smal.Robot`, the paper's `Robot`, or a peer.
+
+    One that has ``where`` says where it is, unless it is ``lost``, and ``done``, which ends the search.
+    """
+
+    def reset(self) -> None:
+        """Forget everything of the last episode."""
+
+    def step(self, image: NDArray[np.uint8], odometry: Sequence[float]) -> Atom:
+        """Take one image, RGB, and the pose by the wheels; return the movement until the next one."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,41 +54,28 @@ class Search:
 
     Attributes
     ----------
-    seed
-        Of the episode.
     outcome
         How it ended: "found", "collision", "timeout", or "false_goal": the robot said that it was there, and was not.
-    ticks
-        Frames that passed; frame 0 is the start.
-    decisions
-        Kind of every decision, by tick; empty for a controller that makes none.
-    unrecognized
-        Ticks of the decisions that were taken without a recognized state.
     poses
         (ticks + 1, 3) float64: x, y in metres, heading in radians.
     atoms
-        (ticks,) int8, what was done from each frame to the next, `smal.paper.action_space.Atom`.
-    places
-        Where the robot believed to be at every frame, for a controller that says so.
+        (ticks,) int8, what was done from each frame to the next.
     shortest_m
         Of the way from the start to where the victim counts as found.
+    places
+        Where the robot believed to be at every frame, None where it was lost; empty for one that does not say it.
     pictures
         What the robot saw at chosen ticks, (height, width, 3) uint8 RGB.
     kidnap_tick
         Frame at which it was carried away; 0 for never.
     """
 
-    seed: int
     outcome: RunOutcome
-    ticks: int
-    decisions: dict[int, str]
-    unrecognized: frozenset[int]
     poses: NDArray[np.float64]
     atoms: NDArray[np.int8]
     shortest_m: float
     places: tuple[Place | None, ...] = ()
     pictures: dict[int, NDArray[np.uint8]] = field(default_factory=dict)
-
     kidnap_tick: int = 0
 
     @property
@@ -87,87 +86,96 @@ class Search:
             steps[self.kidnap_tick - 1] = 0.0
         return float(steps.sum())
 
-    @property
-    def unknown(self) -> int:
-        """Decisions that were taken without a recognized state."""
-        return len(self.unrecognized)
-
 
 def search(
     simulation: Simulation,
-    controller: Controller,
-    seed: int,
-    *,
-    degradation: Degradation = CLEAN,
-    start: Start = "start",
-    kidnap_tick: int = 0,
-    max_ticks: int = MAX_TICKS,
+    driver: Driver,
+    request: ResetRequest,
+    degrader: Degrader | None = None,
     keep: Callable[[int], bool] = lambda _tick: False,
 ) -> Search:
-    """Let a controller search for the victim.
+    """Let somebody search for the victim.
 
     Parameters
     ----------
     simulation
-        Its world and camera; where the degradation shakes the camera, opened with that shake.
-    controller
-        Who drives; reset before the first frame.
-    seed
-        Of the start, the wheels and the shake, as in `smal run`; also of the degradation.
-    degradation
-        Of the images that the controller sees.
-    start
-        Where it begins, as in `smal run`.
-    kidnap_tick
-        Frame at which the robot is carried away; 0 for never.
-    max_ticks
-        Frames after which the search times out, at least 1.
+        Its world and camera; where a degradation shakes the camera, opened with that shake.
+    driver
+        Reset before the first frame.
+    request
+        Seed, start, kidnapping, and after how many frames the search times out.
+    degrader
+        Of the images that the driver sees.
     keep
         Of which ticks to keep the picture.
     """
-    degrader = Degrader(degradation, seed)
-    request = ResetRequest(seed=seed, purpose="run", start=start, kidnap_tick=kidnap_tick or None, max_ticks=max_ticks)
     episode = LockstepEpisode(simulation, request)
-    controller.reset()
+    driver.reset()
     # The search ends where the victim counts as found.
     shortest_m = max(route_length_m(np.array(episode.beginning.route)) - simulation.found_m, 0.0)
-    poses = [episode.view.pose]
-    atoms: list[int] = []
-    decisions: dict[int, str] = {}
-    unrecognized: set[int] = set()
-    places: list[Place | None] = []
-    pictures: dict[int, NDArray[np.uint8]] = {}
+    tells = hasattr(type(driver), "where")
+    poses, atoms, places, pictures = [episode.view.pose], list[Atom](), list[Place | None](), {}
     outcome: RunOutcome | None = None
-    while outcome is None:
+    while True:
         tick, view = episode.tick, episode.view
-        image = degrader.apply(tick, view.image)
+        image = view.image if degrader is None else degrader.apply(tick, view.image)
         if keep(tick):
             pictures[tick] = image
-        move = controller.act(seen_by(controller, tick, image, rounded(view.odometry)[:3]))
-        places.append(move.place)
-        if move.decision is not None:
-            decisions[tick] = move.decision
-            if not move.recognized:
-                unrecognized.add(tick)
-            if move.arrived:
+        if outcome is not None:
+            break
+        atom = driver.step(image, rounded(view.odometry)[:3])
+        if tells:
+            places.append(None if driver.lost else driver.where)  # type: ignore[attr-defined]
+            if driver.done:  # type: ignore[attr-defined]
                 outcome = "found" if episode.reached else "false_goal"
                 break
-        poses.append(episode.step(_NAMES[move.atom]).pose)
-        atoms.append(move.atom)
+        poses.append(episode.step(cast(AtomName, atom.name.lower())).pose)
+        atoms.append(atom)
         outcome = episode.outcome
-    last = len(atoms)
-    if keep(last):
-        pictures[last] = degrader.apply(last, episode.view.image)
-    return Search(
-        seed,
-        outcome,
-        last,
-        decisions,
-        frozenset(unrecognized),
-        np.array([[pose.x, pose.y, pose.heading] for pose in poses]),
-        np.array(atoms, dtype=np.int8),
-        shortest_m,
-        tuple(places),
-        pictures,
-        kidnap_tick,
-    )
+    way = np.array([[pose.x, pose.y, pose.heading] for pose in poses])
+    made = np.array(atoms, dtype=np.int8)
+    return Search(outcome, way, made, shortest_m, tuple(places), pictures, request.kidnap_tick or 0)
+
+
+def finding(found: Search, taught: NDArray[np.float64], criterion: Criterion) -> dict[str, Any]:
+    """Return what a search says, in numbers that JSON knows.
+
+    `taught` are the true poses of all taught frames, (n, 3); a belief is right that is as near to the truth as the
+    criterion says.
+    """
+    positions = found.poses[:, :2]
+    aside_m = np.asarray(KDTree(taught[:, :2]).query(positions)[0], dtype=np.float64)
+    said = {
+        "outcome": found.outcome,
+        "ticks": len(found.atoms),
+        "shortest_m": round(found.shortest_m, 2),
+        "driven_m": round(found.driven_m, 2),
+        "aside_rms_m": round(float(np.sqrt(np.mean(aside_m**2))), 4),
+        "aside_max_m": round(float(aside_m.max()), 4),
+        "aside_m": aside_m[::WAY_TICKS].round(3).tolist(),
+        "way": np.concatenate([positions[:-1:WAY_TICKS], positions[-1:]]).round(2).tolist(),
+    }
+    if found.places:
+        sure = np.array([place is not None for place in found.places])
+        right = np.array([_is_right(*pair, taught, criterion) for pair in zip(found.places, found.poses, strict=False)])
+        said["wrong_share"] = round(float((sure & ~right).mean()), 4)
+        if 0 < found.kidnap_tick <= len(found.atoms):
+            said["right_after_s"] = _right_after_s(right[found.kidnap_tick :])
+    return said
+
+
+def _is_right(
+    place: Place | None, true: NDArray[np.float64], taught: NDArray[np.float64], criterion: Criterion
+) -> bool:
+    if place is None:
+        return False
+    believed = placed(np.array([place.ahead, place.left, place.turned_rad]), taught[place.frame])
+    x, y, turned = seen_from(believed, true)
+    return bool(np.hypot(x, y) <= criterion.distance_m and abs(turned) <= math.radians(criterion.angle_deg))
+
+
+def _right_after_s(right: NDArray[np.bool_]) -> float | None:
+    """Return the time after which the belief is right for a whole second, or to the end; None where it never is."""
+    second = round(1.0 / TICK_S)
+    ticks = (tick for tick in range(right.size) if right[tick : tick + second].all())
+    return next((round(tick * TICK_S, 1) for tick in ticks), None)

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from smal.demonstration import Demonstration
-from smal.features import Centering, FeatureSettings
+from smal.features import Centering, FeatureSettings, extract
 from smal.movement import Atom
 
 
@@ -43,6 +43,7 @@ class NearestNeighbourImitation:
             raise ValueError("there is no demonstration to imitate")
         if frames < 1:
             raise ValueError(f"frames must be at least 1, got {frames}")
+        self._settings, self._frames = settings, frames
         raw = [one.features for one in demonstrations]
         self._centering = Centering.fit(raw, settings)
         self._templates = np.concatenate([self._centering.apply(each) for each in raw])
@@ -50,7 +51,6 @@ class NearestNeighbourImitation:
         self._atoms = np.concatenate([one.atoms for one in demonstrations])
         # How many frames of the same demonstration are before each.
         self._before = np.concatenate([np.arange(len(each)) for each in raw])
-        self._frames = frames
         self.reset()
 
     def reset(self) -> None:
@@ -69,6 +69,7 @@ class NearestNeighbourImitation:
         needed = min(len(self._distances) - 1, int(self._before.max()))
         return int(np.where(self._before >= needed, total, np.inf).argmin())
 
-    def act(self, raw_features: NDArray[np.float32]) -> Atom:
-        """Take one frame (m,), and return what to do."""
-        return Atom(int(self._atoms[self.nearest(raw_features)]))
+    def step(self, image: NDArray[np.uint8], odometry: Sequence[float] | None = None) -> Atom:
+        """Take one image, (height, width, 3) RGB, and return what to do; the wheels do not count."""
+        del odometry
+        return Atom(int(self._atoms[self.nearest(extract(image, self._settings))]))

@@ -16,14 +16,15 @@ whose camera sees 75 degrees too. It departs from them where the robot or its ta
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Any, Final, NamedTuple
+from typing import Final, NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
+from smal.demonstration import Demonstration
 from smal.movement import Atom, atom_movements, placed, seen_from
 
+_T = TypeVar("_T")
 #: Pixels of the images that are compared, and of the square within which each of their pixels is normalized.
 COLUMNS, ROWS, PATCH = 115, 44, 9
 #: Forward atoms between keyframes: theirs are 0.2 m apart, about five atoms (0.5 s) of a slow indoor robot.
@@ -44,28 +45,6 @@ TURN_GAIN, WAY_GAIN = 0.1, 0.01
 FIRST, SURE = 0.1, 0.3
 
 
-@dataclass(frozen=True, eq=False)
-class TaughtDrive:
-    """One drive as the robot saw it.
-
-    Attributes
-    ----------
-    images
-        (f, h, w) grey or (f, h, w, 3) RGB, uint8.
-    odometry
-        (f, 3), x and y in metres and heading in radians of each frame, from any origin.
-    atoms
-        (f,) int8, atom k was executed after frame k.
-    field_of_view_rad
-        Horizontal, radians.
-    """
-
-    images: NDArray[np.uint8]
-    odometry: NDArray[np.float64]
-    atoms: NDArray[np.int8]
-    field_of_view_rad: float
-
-
 class _Route(NamedTuple):
     """Poses (k, 3) and padded images of the keyframes of one drive."""
 
@@ -78,8 +57,11 @@ class TeachAndRepeat:
 
     Parameters
     ----------
-    drives : sequence of TaughtDrive
-        At least one, all with the same camera; one whose keyframe correlates best with the first image is repeated.
+    drives : sequence of Demonstration
+        At least one, with images of one camera and odometry; one whose keyframe correlates best with the first image is
+        repeated.
+    field_of_view_rad : float
+        Of the camera, horizontal, above 0 and below pi.
 
     Attributes
     ----------
@@ -89,32 +71,20 @@ class TeachAndRepeat:
     Raises
     ------
     ValueError
-        The drives do not fit, or show no turn or no way ahead.
+        A drive lacks images or odometry, or the drives show no turn or no way ahead.
     """
 
-    def __init__(self, drives: Sequence[TaughtDrive]) -> None:
-        for number, drive in enumerate(drives):
-            frames, shape = len(drive.atoms), drive.images.shape
-            fits = drive.odometry.shape == (frames, 3) and shape[0] == frames > 1 and drive.atoms.ndim == 1
-            if not (fits and _is_image(drive.images[0])):
-                raise ValueError(
-                    f"drive {number}: images (f, h, w[, 3]), odometry (f, 3) and atoms (f,) do not fit, "
-                    f"got {shape}, {drive.odometry.shape} and {drive.atoms.shape}"
-                )
-        cameras = {(drive.images.shape[1:], drive.field_of_view_rad) for drive in drives}
-        if len(cameras) != 1:
-            raise ValueError(f"there must be drives, with one camera, got {len(cameras)} cameras")
-        (self._shape, self._field), *_ = cameras
-        if not 0.0 < self._field < math.pi:
-            raise ValueError(f"the field of view must be between 0 and pi radians, got {self._field}")
-        movements = atom_movements([drive.odometry for drive in drives], [drive.atoms for drive in drives])
-        self._turn, self._spacing = (
-            abs(float(movements[Atom.LEFT, 1])),
-            SPACING_ATOMS * float(movements[Atom.FORWARD, 0]),
-        )
+    def __init__(self, drives: Sequence[Demonstration], field_of_view_rad: float) -> None:
+        if not 0.0 < field_of_view_rad < math.pi:
+            raise ValueError(f"the field of view must be between 0 and pi radians, got {field_of_view_rad}")
+        self._field = field_of_view_rad
+        taught = [(_kept(drive.images, drive.name), _kept(drive.odometry, drive.name)) for drive in drives]
+        movements = atom_movements([odometry for _, odometry in taught], [drive.atoms for drive in drives])
+        self._turn = abs(float(movements[Atom.LEFT, 1]))
+        self._spacing = SPACING_ATOMS * float(movements[Atom.FORWARD, 0])
         if not (self._turn > 0.0 and self._spacing > 0.0):
             raise ValueError("the drives must show at least one turn and one way ahead")
-        self._routes = [self._route_of(drive) for drive in drives]
+        self._routes = [self._route_of(*one) for one in taught]
         self.reset()
 
     def reset(self) -> None:
@@ -125,19 +95,17 @@ class TeachAndRepeat:
         self._looked_rad, self._looking, self._heading = 0.0, False, math.nan
         self._best: tuple[float, int, int, float, tuple[float, float, float]] = (-math.inf, 0, 0, 0.0, (0.0, 0.0, 0.0))
 
-    def act(self, image: NDArray[np.uint8], odometry_pose: Sequence[float]) -> Atom:
+    def step(self, image: NDArray[np.uint8], odometry: Sequence[float]) -> Atom:
         """Take one frame, and return what to do.
 
         Parameters
         ----------
-        image : uint8 array (h, w) or (h, w, 3)
+        image : uint8 array (height, width, 3)
             As those of the drives.
-        odometry_pose : sequence of float (3,)
+        odometry : sequence of float (3,)
             Of this episode: x, y in metres, heading in radians.
         """
-        here = np.asarray(odometry_pose, dtype=np.float64)
-        if image.shape != self._shape or here.shape != (3,):
-            raise ValueError(f"image and pose must be {self._shape} and (3,), got {image.shape} and {here.shape}")
+        here = np.asarray(odometry, dtype=np.float64)
         seen = _prepared(image)
         route = self._route or self._begin(seen, here)
         if route is None:
@@ -157,15 +125,15 @@ class TeachAndRepeat:
             self._advance(route)
         return Atom.STOP
 
-    def _route_of(self, drive: TaughtDrive) -> _Route:
+    def _route_of(self, images: Sequence[NDArray[np.uint8]], odometry: NDArray[np.float64]) -> _Route:
         """Pick the first frame, the last, and one after each spacing or turn."""
         keys = [0]
-        for frame, pose in enumerate(drive.odometry):
-            x, y, heading = seen_from(pose, drive.odometry[keys[-1]])
-            if math.hypot(x, y) > self._spacing or abs(heading) > TURNED_RAD or frame == len(drive.odometry) - 1:
+        for frame, pose in enumerate(odometry):
+            x, y, heading = seen_from(pose, odometry[keys[-1]])
+            if math.hypot(x, y) > self._spacing or abs(heading) > TURNED_RAD or frame == len(odometry) - 1:
                 keys.append(frame)
         margin = ((0, 0), (COLUMNS // 2, COLUMNS // 2))
-        return _Route(drive.odometry[keys], [np.pad(_prepared(drive.images[key]), margin) for key in keys])
+        return _Route(odometry[keys], [np.pad(_prepared(images[key]), margin) for key in keys])
 
     def _match(self, seen: NDArray[np.float32], taught: NDArray[np.float32]) -> tuple[float, float]:
         """Return how far left of the robot's heading the taught one is, radians, and the correlation then."""
@@ -231,15 +199,17 @@ class TeachAndRepeat:
         self._goal = placed(goal, here + np.array([0.0, 0.0, turn]))
 
 
-def _is_image(image: NDArray[Any]) -> bool:
-    return image.shape[2:] in {(), (3,)} and image.ndim > 1
+def _kept(what: _T | None, name: str) -> _T:
+    if what is None:
+        raise ValueError(f"demonstration {name}: teach and repeat needs images and odometry")
+    return what
 
 
 def _prepared(image: NDArray[np.uint8]) -> NDArray[np.float32]:
     """Return an image as (44, 115): grey, each pixel by mean and deviation of the square around it, within [-1, 1]."""
     import cv2  # noqa: PLC0415 - see above
 
-    grey = image if image.ndim == 2 else cv2.cvtColor(np.ascontiguousarray(image), cv2.COLOR_RGB2GRAY)
+    grey = cv2.cvtColor(np.ascontiguousarray(image), cv2.COLOR_RGB2GRAY)
     small = cv2.resize(grey, (COLUMNS, ROWS), interpolation=cv2.INTER_AREA).astype(np.float32)
     mean = cv2.blur(small, (PATCH, PATCH))
     # A deviation below one grey level is that of rounding.

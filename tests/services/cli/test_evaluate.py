@@ -13,7 +13,7 @@ import pytest
 
 from services.experiments.evaluation import plan as plans
 from services.experiments.evaluation.plan import CONTROLLERS, Criterion, Plan, Trial, WorldPlan
-from services.experiments.evaluation.schedule import units
+from services.experiments.evaluation.units import units
 from tests.services.cli.conftest import ROOT, Smal
 from tests.services.waiting import eventually
 
@@ -43,15 +43,10 @@ if __name__ == "__main__":
 """
 
 
-def lines_of(folder: Path) -> list[str]:
-    path = folder / "units.jsonl"
-    return path.read_text().splitlines() if path.exists() else []
-
-
-def finding_by_key(folder: Path) -> dict[str, dict[str, object]]:
-    """Return what was found out, without the time that it took."""
-    entries = [json.loads(line) for line in lines_of(folder)]
-    return {one["key"]: {name: value for name, value in one["finding"].items() if name != "cpu_s"} for one in entries}
+def done_in(folder: Path) -> dict[str, dict[str, object]]:
+    """Return what was found out by file, without the time that it took."""
+    entries = {path.name: json.loads(path.read_text())["finding"] for path in (folder / "units").glob("*.json")}
+    return {name: {key: value for key, value in one.items() if key != "cpu_s"} for name, one in entries.items()}
 
 
 @pytest.mark.rendering
@@ -64,42 +59,37 @@ def test_an_evaluation_goes_on_where_it_was_interrupted(
         [sys.executable, "-c", TINY_COMMAND, "evaluate", "--out", str(out), "--quick"],
         cwd=ROOT, stderr=subprocess.PIPE, text=True, env=os.environ | {"PYTHONPATH": str(ROOT)},
     )  # fmt: skip
-    eventually(lambda: lines_of(out) or command.poll() is not None, timeout_s=120.0)
+    eventually(lambda: done_in(out) or command.poll() is not None, timeout_s=120.0)
     command.send_signal(signal.SIGINT)
     _, said = command.communicate(timeout=20.0)
     assert command.returncode == 130, said
     assert "Traceback" not in said
-    before = lines_of(out)
+    before = done_in(out)
     assert not (out / "index.html").exists()
 
     # What there is so far can be looked at, and nothing is done for it.
     status, printed, _ = smal("evaluate", "--out", str(out), "--quick", "--report-only")
     assert (status, printed) == (0, f"results: {out / 'index.html'}\n")
     assert f"<b>Not all is done:</b> {len(before)} of" in (out / "index.html").read_text()
-    assert lines_of(out) == before
+    assert done_in(out) == before
 
     status, printed, _ = smal("evaluate", "--out", str(out), "--quick")
     assert (status, printed) == (0, f"results: {out / 'index.html'}\n")
-    after = lines_of(out)
-    assert after[: len(before)] == before
-    keys = [json.loads(line)["key"] for line in after]
-    assert len(keys) == len(set(keys)) == len(units(TINY))
+    after = done_in(out)
+    assert len(after) == len(units(TINY))
+    assert before.items() <= after.items()
     first = json.loads((out / "results.json").read_text())
 
     # Nothing is left to do; and what is lost is found out again, by one worker, the same to the last digit.
+    times = {path: path.stat().st_mtime_ns for path in (out / "units").iterdir()}
     assert smal("evaluate", "--out", str(out), "--quick")[0] == 0
-    assert lines_of(out) == after
-    everything = finding_by_key(out)
-    lost = [line for line in after if json.loads(line)["key"].startswith(("recognize", "search", "objective"))]
-    (out / "units.jsonl").write_text("".join(f"{line}\n" for line in after if line not in lost[::2]))
+    assert {path: path.stat().st_mtime_ns for path in (out / "units").iterdir()} == times
+    lost = [unit for unit in units(TINY) if unit.kind in ("recognize", "search", "objective")]
+    for unit in lost[::2]:
+        (out / "units" / f"{unit.digest}.json").unlink()
     assert smal("evaluate", "--out", str(out), "--quick", "--workers", "1")[0] == 0
-    assert finding_by_key(out) == everything
-    second = json.loads((out / "results.json").read_text())
-    assert second["worlds"] == first["worlds"]
-
-    status, _, said = smal("evaluate", "--out", str(out))
-    assert status == 2
-    assert said.startswith(f"smal: --out {out}: holds results of the plan 'quick' (quick, now full); give another")
+    assert done_in(out) == after
+    assert json.loads((out / "results.json").read_text())["worlds"] == first["worlds"]
 
 
 def test_a_file_is_no_folder_and_of_nothing_there_is_no_report(tmp_path: Path, smal: Smal) -> None:
@@ -122,6 +112,6 @@ def test_a_unit_that_fails_is_one_line_and_leaves_what_was_done(tmp_path: Path, 
         plans.PLANS["quick"] = plans_before
     assert status == 1
     last = said.splitlines()[-1]
-    assert last.startswith("smal: teach/nowhere/")
+    assert last.startswith("smal: teach/world=nowhere/")
     assert "nowhere" in last.split(": ", 2)[2]
     assert "Traceback" not in said

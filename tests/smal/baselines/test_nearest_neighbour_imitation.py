@@ -10,8 +10,9 @@ from numpy.typing import NDArray
 
 from smal.demonstration import Demonstration
 from smal.evaluation.baselines.nearest_neighbour_imitation import NearestNeighbourImitation
-from smal.features import Centering
+from smal.features import Centering, extract
 from smal.movement import Atom
+from tests.services.chain import picture
 from tests.smal.worlds import COLOR, corridor, drive
 
 
@@ -49,26 +50,22 @@ def test_nearest_window_is_that_of_the_least_sum_of_squares(seed: int, frames: i
         assert imitation.nearest(seen[tick]) == by_hand(taught, seen[: tick + 1], frames)
 
 
-@pytest.mark.parametrize("frames", [1, 5])
+@pytest.mark.parametrize("frames", [1, 5, 80])
 def test_it_does_what_was_done_in_a_demonstration_that_it_sees_again(frames: int) -> None:
+    """An episode may be shorter than the window, and demonstrations too."""
     taught = demonstrations(3, [40, 60, 50])
     imitation = NearestNeighbourImitation(taught, COLOR, frames)
-    for one in taught:
+    for number, one in enumerate(taught):
         imitation.reset()
-        assert [imitation.act(view) for view in one.features] == [Atom(int(atom)) for atom in one.atoms]
+        first = sum(len(before.atoms) for before in taught[:number])
+        assert [imitation.nearest(view) - first for view in one.features] == list(range(len(one.atoms)))
 
 
-def test_an_episode_may_be_shorter_and_demonstrations_too_than_the_window() -> None:
-    taught = demonstrations(5, [6, 8])
-    imitation = NearestNeighbourImitation(taught, COLOR, 20)
-    one = taught[1]
-    assert [imitation.act(view) for view in one.features] == [Atom(int(atom)) for atom in one.atoms]
-    for view in one.features:
-        imitation.act(view)
-
-
-def test_bad_use_is_named() -> None:
+def test_it_acts_as_at_the_nearest_image() -> None:
+    images = [picture(place) for place in (1, 20, 40)]
+    features = np.stack([extract(image, COLOR) for image in images])
+    atoms = np.array([Atom.FORWARD, Atom.LEFT, Atom.STOP], dtype=np.int8)
+    imitation = NearestNeighbourImitation([Demonstration("d", features, atoms)], COLOR)
+    assert [imitation.step(image) for image in images] == [Atom.FORWARD, Atom.LEFT, Atom.STOP]
     with pytest.raises(ValueError, match="no demonstration"):
         NearestNeighbourImitation([], COLOR)
-    with pytest.raises(ValueError, match="frames must be at least 1, got 0"):
-        NearestNeighbourImitation(demonstrations(1, [6]), COLOR, 0)

@@ -6,9 +6,12 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from smal.evaluation.baselines.seqslam_localization import SeqSlamLocalizer
+from smal.demonstration import Demonstration
+from smal.evaluation.baselines.seqslam_localization import SeqSlamImitation, SeqSlamLocalizer
 from smal.features.thumbnail import thumbnail_descriptor
+from smal.movement import Atom
 from smal.place_recognition.seqslam import SeqSlamSettings, match_seqslam
+from tests.services.chain import picture
 
 SETTINGS = SeqSlamSettings(length=6, window=10)
 
@@ -63,6 +66,14 @@ def test_the_place_is_in_the_right_demonstration_and_no_trajectory_spans_two() -
     assert (place.demonstration, place.frame) != (1, 2)
 
 
-def test_a_demonstration_that_is_too_short_is_refused() -> None:
+def test_it_does_what_was_done_where_it_finds_itself() -> None:
+    images = [picture(place) for place in range(32)]
+    atoms = np.full(32, Atom.FORWARD, dtype=np.int8)
+    atoms[12:16], atoms[-1] = Atom.LEFT, Atom.STOP
+    taught = Demonstration("d", np.zeros((32, 1), np.float32), atoms, images=images)
+    robot = SeqSlamImitation([taught], SeqSlamSettings(length=4))
+    done = [robot.step(image) for image in images]
+    assert done[3:] == atoms[3:].tolist()
+    assert Atom.STOP not in done[:3], "it moves at once, though it is not sure yet"
     with pytest.raises(ValueError, match="no demonstration is long enough"):
         SeqSlamLocalizer([traverse(3, 1)], SETTINGS)

@@ -10,7 +10,7 @@ import numpy as np
 from scipy.stats import binomtest
 
 from services.experiments.evaluation.plan import CONTROLLERS, DEFAULT_LENGTH, Trial
-from services.experiments.evaluation.report.summary import Recognized, Results, Success, success_of
+from services.experiments.evaluation.report.summary import Recognized, Success, WorldResults, success_of
 
 _CERTAIN: Final = 0.05
 #: Frames from which on a sequence is a long one.
@@ -35,7 +35,7 @@ class Comparison:
     text: str
 
 
-def comparisons(found: Results) -> list[Comparison]:
+def comparisons(found: WorldResults) -> list[Comparison]:
     """Return all that the report says of a world."""
     name = found.world.title
     return [
@@ -57,8 +57,8 @@ def compare_recognition(world: str, found: Sequence[Recognized]) -> list[Compari
             low, high = np.nanpercentile(ours.areas - peer.areas, [2.5, 97.5])
             verdict: Literal["ahead", "behind", "open"] = "ahead" if low > 0.0 else "behind" if high < 0.0 else "open"
             text = (
-                f"recognition, {ours.degradation}: area {ours.curve.auc:.3f} of {ours.name} against "
-                f"{peer.curve.auc:.3f} of {peer.name}, {_said('Eq. 9', verdict)} "
+                f"recognition, {ours.degradation}: area {ours.curve.auc:.3f} of {ours.recognizer.title} against "
+                f"{peer.curve.auc:.3f} of {peer.recognizer.title}, {_said('Eq. 9', verdict)} "
                 f"(difference {low:+.3f} to {high:+.3f})"
             )
             compared.append(Comparison(world, verdict, text))
@@ -78,8 +78,8 @@ def compare_searches(world: str, found: Sequence[Success]) -> list[Comparison]:
             verdict, chance = _sign_test(ours, peer)
             drives = f"{ours.trial.drives} drive{'s' if ours.trial.drives > 1 else ''}"
             text = (
-                f"searches after {drives}, {ours.trial.condition}: {ours.found} of {ours.runs} found by {ours.name} "
-                f"against {peer.found} of {peer.runs} by {peer.name}, {_said('SMAL', verdict)} (p = {chance:.2g})"
+                f"searches after {drives}, {ours.trial.condition}: {ours.said} found by {ours.trial.title} "
+                f"against {peer.said} by {peer.trial.title}, {_said('SMAL', verdict)} (p = {chance:.2g})"
             )
             compared.append(Comparison(world, verdict, text))
     return compared
@@ -114,7 +114,7 @@ def long_sequences(world: str, found: Sequence[Success]) -> list[Comparison]:
         if not short or not long:
             continue
         best = max(short, key=lambda one: one.rate)
-        counts = ", ".join(f"{one.found} of {one.runs} at l = {one.trial.length}" for one in each)
+        counts = ", ".join(f"{one.said} at l = {one.trial.length}" for one in each)
         text = f"lengths of the paper's scheme, {trial.condition}: {counts}; {_long_against_short(long, best)}"
         said.append(Comparison(world, "counts", text))
     return said

@@ -4,64 +4,55 @@ from __future__ import annotations
 
 import json
 import platform
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator
 from functools import partial
 from html import escape
 from pathlib import Path
 from typing import Final
 
+from matplotlib.figure import Figure
+
 from services.experiments import html
 from services.experiments.evaluation.plan import DEFAULT_LENGTH, QUERY_SEED, RUN_SEED, TEACHING_SEED, Plan
 from services.experiments.evaluation.report.comparisons import Comparison, comparisons
-from services.experiments.evaluation.report.figure_style import embed
-from services.experiments.evaluation.report.numbers import as_json
 from services.experiments.evaluation.report.recognition_section import objective_section, recognition_section
 from services.experiments.evaluation.report.search_section import search_section
 from services.experiments.evaluation.report.summary import results_of
-from services.experiments.evaluation.results import Finding, ResultStore
-from services.experiments.evaluation.schedule import Unit, whole_series
+from services.experiments.evaluation.results import Results
 from services.experiments.evaluation.search import MAX_TICKS
+from services.experiments.evaluation.units import code_fingerprint, units, whole_series
 from services.kit.version import program_version
 
+_DPI: Final = 130
 _VERDICT: Final = {"ahead": "yes", "behind": "no", "open": "not shown", "counts": "-"}
 
 
-def write_page(plan: Plan, units: Sequence[Unit], store: ResultStore) -> Path:
-    """Write ``index.html``, ``results.json`` and the figures into the folder of the results.
+def write_page(plan: Plan, results: Results) -> Path:
+    """Write ``index.html``, ``results.json`` and the figures into the folder of the results; return the page.
 
-    Parameters
-    ----------
-    plan, units
-        What is to be run, all of it.
-    store
-        What was found out. Where that is not all, the page says so, and shows every series that is whole.
-
-    Returns
-    -------
-    Path
-        Of the page.
+    Where not all units of the plan are done, the page says so, and shows every series that is whole.
     """
-    planned, done = len(units), sum(unit.key in store.findings for unit in units)
-    units = whole_series(units, store.findings)
-    found = [results_of(world, units, store.findings) for world in plan.worlds]
+    planned = units(plan)
+    shown = whole_series(planned, results.findings)
+    found = [results_of(world, shown, results.findings) for world in plan.worlds]
     compared = [one for each in found for one in comparisons(each)]
     numbers = {
         "plan": plan.name,
         "version": program_version(),
-        "units": {"planned": planned, "done": done, "shown": len(units)},
-        "machine_seconds": _seconds(units, store.findings),
-        "comparisons": [{"world": c.world, "verdict": c.verdict, "text": c.text} for c in compared],
-        "worlds": as_json(found),
+        "units": {"planned": len(planned), "done": len(results.findings), "shown": len(shown)},
+        "machine_seconds": round(sum(_seconds_by_kind(results).values()), 1),
+        "comparisons": [vars(one) for one in compared],
+        "worlds": {one.world.title: one.as_json() for one in found},
     }
-    (store.folder / "results.json").write_text(json.dumps(numbers, indent=1) + "\n", encoding="utf-8")
-    figures = store.folder / "figures"
+    (results.folder / "results.json").write_text(json.dumps(numbers, indent=1) + "\n", encoding="utf-8")
+    figures = results.folder / "figures"
     figures.mkdir(exist_ok=True)
     put = partial(embed, figures)
-    body = [*_introduction(plan, units, store)]
-    if done < planned:
+    body = [*_introduction(plan, results)]
+    if len(results.findings) < len(planned):
         body.append(
-            f"<p><b>Not all is done:</b> {done:,} of {planned:,} units. What is shown is whole, with all of its runs; "
-            "the rest is left out until it is.</p>"
+            f"<p><b>Not all is done:</b> {len(results.findings):,} of {len(planned):,} units. What is shown is whole, "
+            "with all of its runs; the rest is left out until it is.</p>"
         )
     body += _summary(compared)
     for each in found:
@@ -69,19 +60,29 @@ def write_page(plan: Plan, units: Sequence[Unit], store: ResultStore) -> Path:
         if each.recognized[0]:
             body += recognition_section(each, put)
         if each.successes:
-            body += search_section(each, store, put)
-    body += [*objective_section(found, put), *_method(plan, units, store)]
-    path = store.folder / "index.html"
+            body += search_section(each, results, put)
+    body += [*objective_section(found, put), *_method(plan, results)]
+    path = results.folder / "index.html"
     path.write_text(html.page(f"SMAL: evaluation in simulation ({plan.name})", "\n".join(body), 72), encoding="utf-8")
     return path
 
 
-def _seconds(units: Sequence[Unit], findings: Mapping[str, Finding]) -> float:
-    return round(sum(float(findings[unit.key]["cpu_s"]) for unit in units), 1)
+def embed(folder: Path, name: str, figure: Figure, caption: str) -> str:
+    """Write a figure as ``NAME.png``, and return it as HTML with its caption, which is HTML too."""
+    data = html.png(figure, _DPI)
+    (folder / f"{name}.png").write_bytes(data)
+    return f'<figure class="own">{html.image(data, name)}<figcaption>{caption}</figcaption></figure>'
 
 
-def _introduction(plan: Plan, units: Sequence[Unit], store: ResultStore) -> Iterator[str]:
-    seconds = _seconds(units, store.findings)
+def _seconds_by_kind(results: Results) -> dict[str, float]:
+    seconds: dict[str, float] = {}
+    for unit, found in results.findings.items():
+        seconds[unit.kind] = seconds.get(unit.kind, 0.0) + float(found["cpu_s"])
+    return seconds
+
+
+def _introduction(plan: Plan, results: Results) -> Iterator[str]:
+    seconds = sum(_seconds_by_kind(results).values())
     time = f"{seconds / 3600:.1f} h" if seconds > 7200 else f"{seconds / 60:.0f} min"
     yield (
         "<p>The experiments of Han, Yang, Zhang and Zhang, <em>Sequence-based Multimodal Apprenticeship Learning for "
@@ -92,8 +93,8 @@ def _introduction(plan: Plan, units: Sequence[Unit], store: ResultStore) -> Iter
     )
     if plan.omitted:
         yield f"<p><b>This is the quick evaluation.</b> It leaves out: {'; '.join(map(escape, plan.omitted))}.</p>"
-    searches = sum(unit.kind == "search" for unit in units)
-    queries = sum(int(store.findings[unit.key]["frames"]) for unit in units if unit.kind == "queries")
+    searches = sum(unit.kind == "search" for unit in results.findings)
+    queries = sum(int(found["frames"]) for unit, found in results.findings.items() if unit.kind == "queries")
     yield html.tiles(
         {
             "worlds": ", ".join(world.title for world in plan.worlds),
@@ -122,7 +123,7 @@ def _summary(compared: Iterable[Comparison]) -> Iterator[str]:
     yield f'<div class="scroll"><table>{head}{"".join(rows)}</table></div>'
 
 
-def _method(plan: Plan, units: Sequence[Unit], store: ResultStore) -> Iterator[str]:
+def _method(plan: Plan, results: Results) -> Iterator[str]:
     width, height = plan.camera
     yield "<h2>Conditions</h2>"
     yield (
@@ -138,17 +139,15 @@ def _method(plan: Plan, units: Sequence[Unit], store: ResultStore) -> Iterator[s
     )
     rows = []
     for world in plan.worlds:
-        taught = [store.findings[unit.key] for unit in units if unit.kind == "teach" and unit.world == world.world]
-        learned = {(unit.number("drives"), unit.number("length")): store.findings[unit.key]
-                   for unit in units if unit.kind == "learn" and unit.world == world.world}  # fmt: skip
-        states = ", ".join(f"{one['states']} ({n} drives, l = {length})" for (n, length), one in learned.items())
-        rows.append([world.title, str(len(taught)), f"{sum(one['frames'] for one in taught):,}", states])
+        here = {unit: found for unit, found in results.findings.items() if unit["world"] == world.world}
+        taught = [found["frames"] for unit, found in here.items() if unit.kind == "teach"]
+        states = ", ".join(f"{found['states']} ({unit['drives']} drives, l = {unit['length']})"
+                           for unit, found in here.items() if "states" in found)  # fmt: skip
+        rows.append([world.title, str(len(taught)), f"{sum(taught):,}", states])
     yield html.table(["world", "drives", "frames", "states learned"], rows, left=1)
-    kinds = dict.fromkeys(unit.kind for unit in units)
-    spent = {kind: _seconds([unit for unit in units if unit.kind == kind], store.findings) for kind in kinds}
-    times = ", ".join(f"{kind} {seconds:.0f} s" for kind, seconds in spent.items())
+    times = ", ".join(f"{kind} {seconds:.0f} s" for kind, seconds in _seconds_by_kind(results).items())
     yield (
         f"<p>Processor time: {times}. Machine: {escape(platform.processor() or platform.machine())}, "
-        f"{escape(platform.system())}, Python {platform.python_version()}. Plan {plan.fingerprint}, version "
-        f"{program_version()}.</p>"
+        f"{escape(platform.system())}, Python {platform.python_version()}. Version "
+        f"{program_version()}, code {code_fingerprint()[:12]}.</p>"
     )

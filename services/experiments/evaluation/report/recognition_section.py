@@ -2,18 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from html import escape
 
+from matplotlib.figure import Figure
+
 from services.experiments import html
-from services.experiments.evaluation.degradation import degradation_named
+from services.experiments.evaluation.degradation import DEGRADATIONS
 from services.experiments.evaluation.plan import JUDGED_TICKS, WorldPlan
-from services.experiments.evaluation.report import recognition_figures as figures
-from services.experiments.evaluation.report.figure_style import Put
-from services.experiments.evaluation.report.summary import Recognized, Results
+from services.experiments.evaluation.report import figures
+from services.experiments.evaluation.report.summary import Recognized, WorldResults
+
+#: Name, figure and caption (HTML) to HTML.
+Put = Callable[[str, Figure, str], str]
 
 
-def recognition_section(found: Results, put: Put) -> Iterator[str]:
+def recognition_section(found: WorldResults, put: Put) -> Iterator[str]:
     """Write it as HTML, piece by piece."""
     world = found.world
     name = world.title
@@ -30,7 +34,7 @@ def recognition_section(found: Results, put: Put) -> Iterator[str]:
         yield f"<p>By the criterion <b>{escape(criterion.meaning)}</b>:</p>{_table(judged)}"
 
 
-def objective_section(found: Sequence[Results], put: Put) -> Iterator[str]:
+def objective_section(found: Sequence[WorldResults], put: Put) -> Iterator[str]:
     """Write it as HTML, piece by piece; nothing where nobody measured it."""
     each = {one.world.title: one.objective for one in found if one.objective is not None}
     if not each:
@@ -38,9 +42,9 @@ def objective_section(found: Sequence[Results], put: Put) -> Iterator[str]:
     yield "<h2>Objective value over iterations</h2>"
     yield put(
         "objective",
-        figures.objective(each),
+        figures.objective_figure(each),
         "Eq. 7 on one held-out query, after every iteration of Algorithm 2 as published and of this project's solver "
-        "(one point for each tolerance, with its own certificate), as in the paper's figures of the objective value. "
+        "(one point for each tolerance, with its own duality gap), as in the paper's figures of the objective value. "
         "Below: how far above the optimum, at most. The paper reports 9 and 12 iterations. An iteration of Algorithm 2 "
         "solves dense systems of all template frames, one of ours a small one of those that have a weight.",
     )
@@ -59,7 +63,7 @@ def objective_section(found: Sequence[Results], put: Put) -> Iterator[str]:
     yield html.table(head, rows, left=1)
 
 
-def _lengths(found: Results, put: Put) -> Iterator[str]:
+def _lengths(found: WorldResults, put: Put) -> Iterator[str]:
     name = found.world.title
     yield put(
         f"precision-recall-lengths-{name}",
@@ -77,7 +81,7 @@ def _lengths(found: Results, put: Put) -> Iterator[str]:
 def _criterion(world: WorldPlan) -> str:
     first = world.criteria[0]
     others = " and ".join(escape(one.meaning) for one in world.criteria[1:])
-    views = "; ".join(f"<b>{name}</b>: {escape(degradation_named(name).meaning)}" for name in world.recognized)
+    views = "; ".join(f"<b>{name}</b>: {escape(DEGRADATIONS[name].meaning)}" for name in world.recognized)
     return (
         "<p><b>One criterion for all methods:</b> an answer is right if the demonstrated frame that the method takes "
         f"the robot to be at was taken {escape(first.meaning)} of the robot's true pose"
@@ -102,7 +106,7 @@ def _figure_of_the_paper(world: str) -> str:
 def _table(found: Sequence[Recognized]) -> str:
     rows = [
         [
-            one.name,
+            one.recognizer.title,
             one.degradation,
             f"{one.curve.auc:.3f}",
             _interval(one.auc_95),

@@ -3,22 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from typing import Final
 
 from services.experiments import html
+from services.experiments.evaluation.drives import load_arrays
 from services.experiments.evaluation.plan import CONTROLLERS, ERRANDS
-from services.experiments.evaluation.report import search_figures as figures
-from services.experiments.evaluation.report.figure_style import Put
-from services.experiments.evaluation.report.summary import Results, Success
-from services.experiments.evaluation.results import ResultStore
-from services.experiments.evaluation.search_experiment import read_route, route_file
+from services.experiments.evaluation.report import figures
+from services.experiments.evaluation.report.recognition_section import Put
+from services.experiments.evaluation.report.summary import SOON_S, Success, WorldResults
+from services.experiments.evaluation.results import Results, file_of
 from smal.evaluation.success import wilson_interval
 
-#: Within which a kidnapped robot should know where it is.
-_SOON_S: Final = 3.0
 
-
-def search_section(found: Results, store: ResultStore, put: Put) -> Iterator[str]:
+def search_section(found: WorldResults, results: Results, put: Put) -> Iterator[str]:
     """Write it as HTML, piece by piece."""
     name = found.world.title
     yield "<h3>Finding the victim</h3>"
@@ -46,17 +42,17 @@ def search_section(found: Results, store: ResultStore, put: Put) -> Iterator[str
     yield from _table(found.successes)
     if found.errands:
         yield from _errands(found)
-    yield from _example(found, store, put)
+    yield from _example(found, results, put)
 
 
 def _table(found: Sequence[Success]) -> Iterator[str]:
     rows = []
     usual = [one for one in found if one.trial.condition == "as taught"]
-    special = sorted((one for one in found if one not in usual), key=lambda one: (one.trial.condition, one.name))
+    special = sorted((one for one in found if one not in usual), key=lambda one: (one.trial.condition, one.trial.title))
     for one in [*sorted(usual, key=lambda one: one.trial.drives), *special]:
-        soon = one.right_within(_SOON_S)
+        soon = one.right_soon
         rows.append([
-            one.trial.condition, str(one.trial.drives), one.name, f"{one.found} of {one.runs}",
+            one.trial.condition, str(one.trial.drives), one.trial.title, one.said,
             "{:.0%} to {:.0%}".format(*one.wilson_95), str(one.ended("collision")), str(one.ended("timeout")),
             str(one.ended("false_goal")), "-" if one.spl is None else f"{one.spl:.2f}", f"{one.aside_rms_m:.2f}",
             f"{one.aside_max_m:.2f}", "-" if one.interventions_per_km is None else f"{one.interventions_per_km:.1f}",
@@ -65,13 +61,13 @@ def _table(found: Sequence[Success]) -> Iterator[str]:
         ])  # fmt: skip
     yield html.table(
         ["condition", "drives", "driver", "found", "95 %", "collisions", "out of time", "false goals", "SPL",
-         "aside, RMS m", "max m", "interventions a km", "wrong and sure", f"right within {_SOON_S:g} s"],
+         "aside, RMS m", "max m", "interventions a km", "wrong and sure", f"right within {SOON_S:g} s"],
         rows, left=3,
     )  # fmt: skip
-    yield "<p>" + "; ".join(f"{name}: {how}" for name, how in CONTROLLERS.items()) + ".</p>"
+    yield "<p>" + "; ".join(f"{name}: {how}" for name, how in CONTROLLERS.values()) + ".</p>"
 
 
-def _errands(found: Results) -> Iterator[str]:
+def _errands(found: WorldResults) -> Iterator[str]:
     """Tell how errands went."""
     rows = []
     for name, one in found.errands.items():
@@ -86,24 +82,25 @@ def _errands(found: Results) -> Iterator[str]:
     yield html.table(["errand", "what", "right", "95 %", "driven m, mean", "taught drives, m"], rows, left=2)
 
 
-def _example(found: Results, store: ResultStore, put: Put) -> Iterator[str]:
+def _example(found: WorldResults, results: Results, put: Put) -> Iterator[str]:
     """Show the first search of SMAL after one drive that found the victim."""
     name = found.world.title
-    mine = next(
-        (one for one in found.successes
-         if (one.trial.controller, one.trial.drives, one.trial.condition) == ("smal", 1, "as taught")), None
-    )  # fmt: skip
-    seeds = () if mine is None else tuple(seed for seed, one in mine.findings.items() if one["outcome"] == "found")
+    files = {
+        unit["seed"]: file_of(results.work, unit)
+        for unit, one in results.findings.items()
+        if unit["world"] == found.world.world and unit.kind == "search" and one["file"] and one["outcome"] == "found"
+    }
     yield "<h3>An example</h3>"
-    if not seeds or not (store.work / route_file(found.world.world, seeds[0])).exists():
-        yield "<p>No search of SMAL found the victim, or its pictures were deleted: no example.</p>"
+    if not files:
+        yield "<p>No search of SMAL found the victim: no example.</p>"
         return
+    seed = min(files)
     degraded = next((one.trial.degradation for one in found.successes if one.trial.degradation != "clean"), None)
+    title = f"A search in the world {name}, seed {seed}"
     yield put(
         f"route-{name}",
-        figures.example_route(found.world.world, read_route(store.work / route_file(found.world.world, seeds[0])),
-                              seeds[0], degraded, f"A search in the world {name}, seed {seeds[0]}"),
+        figures.example_route(found.world.world, load_arrays(files[seed]), seed, degraded, title),
         "The way of a successful search from a start that was not taught (arrow) to the victim (star), and what the "
         "camera saw at the numbered places (the paper's figures of route and observations). The lower row shows the "
         "same views under the declared degradation.",
-    )  # fmt: skip
+    )

@@ -2,21 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from services.experiments.evaluation.plan import JUDGED_TICKS, Errand, Recognizer, Trial, WorldPlan
 from services.experiments.evaluation.results import Finding
-from services.experiments.evaluation.schedule import Settings, Unit, settings_of
+from services.experiments.evaluation.units import Unit, settings_of
 from smal.evaluation.ground_truth import Judgement
 from smal.evaluation.precision_recall import PrecisionRecall, block_length, bootstrap, intervals_of
 from smal.evaluation.success import wilson_interval
 
-Findings = Mapping[str, Finding]
+Findings = Mapping[Unit, Finding]
+#: Within which a kidnapped robot should know where it is.
+SOON_S: Final = 3.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,10 +48,23 @@ class Recognized:
     recall_95: tuple[float, float]
     areas: NDArray[np.float64]
 
-    @property
-    def name(self) -> str:
-        """For people."""
-        return recognizer_name(self.recognizer)
+    def as_json(self, criterion: str) -> dict[str, Any]:
+        """Return its numbers."""
+        return {
+            "method": self.recognizer.name,
+            "length": self.recognizer.length,
+            "degradation": self.degradation,
+            "criterion": criterion,
+            "queries": int(self.judgement.score.size),
+            "findable": int(self.judgement.findable.sum()),
+            "auc": self.curve.auc,
+            "auc_95": list(self.auc_95),
+            "auc_from_start": self.auc_from_start,
+            "recall_at_100_precision": self.curve.recall_at_100_precision,
+            "recall_at_100_precision_95": list(self.recall_95),
+            "recall": self.curve.recall.round(5).tolist(),
+            "precision": self.curve.precision.round(5).tolist(),
+        }
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,11 +73,6 @@ class Success:
 
     trial: Trial
     findings: Mapping[int, Finding]
-
-    @property
-    def name(self) -> str:
-        """Who drove, for people."""
-        return controller_name(self.trial.controller, self.trial.length)
 
     @property
     def found(self) -> int:
@@ -77,6 +87,11 @@ class Success:
     def runs(self) -> int:
         """Number of searches."""
         return len(self.findings)
+
+    @property
+    def said(self) -> str:
+        """For people."""
+        return f"{self.found} of {self.runs}"
 
     @property
     def rate(self) -> float:
@@ -127,14 +142,33 @@ class Success:
         shares, frames = ([one[name] for one in told] for name in ("wrong_share", "ticks"))
         return float(np.average(shares, weights=frames)) if told else None
 
-    def right_within(self, seconds: float) -> tuple[int, int] | None:
-        """Return in how many searches the belief was right so soon after being carried away, and of how many."""
+    @property
+    def right_soon(self) -> tuple[int, int] | None:
+        """In how many searches the belief was right `SOON_S` after being carried away, and of how many."""
         times = [one["right_after_s"] for one in self.findings.values() if "right_after_s" in one]
-        return (sum(time is not None and time <= seconds for time in times), len(times)) if times else None
+        return (sum(time is not None and time <= SOON_S for time in times), len(times)) if times else None
+
+    def as_json(self) -> dict[str, Any]:
+        """Return its numbers."""
+        return {
+            **dict(settings_of(self.trial)),
+            "condition": self.trial.condition,
+            "found": self.found,
+            "runs": self.runs,
+            "success_rate": self.rate,
+            "wilson_95": list(self.wilson_95),
+            "spl": self.spl,
+            "aside_rms_m": self.aside_rms_m,
+            "aside_max_m": self.aside_max_m,
+            "interventions_per_km": self.interventions_per_km,
+            "wrong_share": self.wrong_share,
+            "right_within_3_s": self.right_soon,
+            "outcomes": {str(seed): one["outcome"] for seed, one in self.findings.items()},
+        }
 
 
 @dataclass(frozen=True)
-class Results:
+class WorldResults:
     """What the report shows of one world: who recognized, by each criterion; who searched; errands; the objective."""
 
     world: WorldPlan
@@ -143,115 +177,73 @@ class Results:
     objective: Finding | None
     errands: Mapping[Errand, Finding]
 
-
-def recognizer_name(recognizer: Recognizer) -> str:
-    """Name a recognizer for people."""
-    if recognizer.name == "smal":
-        return "single image (l = 1)" if recognizer.length == 1 else f"Eq. 9, l = {recognizer.length}"
-    if recognizer.name == "seqslam":
-        return f"SeqSLAM, {recognizer.length} frames"
-    return "nearest frame" if recognizer.length == 1 else f"nearest {recognizer.length} frames"
-
-
-def controller_name(controller: str, length: int) -> str:
-    """Name who searches for people."""
-    if controller == "paper":
-        return f"the paper's scheme, l = {length}"
-    return {
-        "smal": "SMAL",
-        "teach-and-repeat": "teach and repeat",
-        "nearest-1": "imitating the nearest frame",
-        "nearest-5": "imitating the nearest 5 frames",
-        "seqslam": "continuing from where SeqSLAM says",
-    }[controller]
+    def as_json(self) -> dict[str, Any]:
+        """Return the numbers of all figures."""
+        pairs = zip(self.world.criteria, self.recognized, strict=True)
+        return {
+            "recognition": [one.as_json(criterion.meaning) for criterion, judged in pairs for one in judged],
+            "searches": [one.as_json() for one in self.successes],
+            "errands": {name: _timeless(one) for name, one in self.errands.items()},
+            "objective": self.objective and _timeless(self.objective),
+        }
 
 
-def results_of(world: WorldPlan, units: Sequence[Unit], findings: Findings) -> Results:
+def _timeless(found: Finding) -> dict[str, Any]:
+    return {name: value for name, value in found.items() if name != "cpu_s"}
+
+
+def results_of(world: WorldPlan, units: Sequence[Unit], findings: Findings) -> WorldResults:
     """Put together what was found out in a world."""
-    objective = [findings[unit.key] for unit in units if unit.kind == "objective" and unit.world == world.world]
-    judged = [recognized(world, units, findings, number) for number in range(len(world.criteria))]
-    errands = {
-        errand: findings[unit.key]
-        for errand in world.errands
-        for unit in units
-        if (unit.kind, unit.world) == ("errand", world.world) and unit["errand"] == errand
-    }
-    return Results(world, judged, successes(world, units, findings), objective[0] if objective else None, errands)
+    here = [unit for unit in units if unit["world"] == world.world]
+    objective = [findings[unit] for unit in here if unit.kind == "objective"]
+    errands = {unit["errand"]: findings[unit] for unit in here if unit.kind == "errand"}
+    judged = [list(_recognized(world, here, findings, number)) for number in range(len(world.criteria))]
+    return WorldResults(world, judged, _successes(world, here, findings), objective[0] if objective else None, errands)
 
 
-def recognized(world: WorldPlan, units: Sequence[Unit], findings: Findings, criterion: int = 0) -> list[Recognized]:
+def _recognized(world: WorldPlan, units: Sequence[Unit], findings: Findings, criterion: int) -> Iterator[Recognized]:
     """Judge every method of a world under every degradation, by one of the criteria."""
-    found = []
     for degradation in world.recognized:
         for recognizer in world.recognizers:
-            parts = [
-                findings[unit.key]
-                for unit in units
-                if unit.kind == "recognize"
-                and (unit.world, unit["method"], unit["length"], unit["degradation"])
-                == (world.world, recognizer.name, recognizer.length, degradation)
-            ]
+            asked = (recognizer.name, recognizer.length, degradation)
+            parts = [findings[unit] for unit in units if unit.kind == "recognize"
+                     and (unit["method"], unit["length"], unit["degradation"]) == asked]  # fmt: skip
             if parts:
-                found.append(_recognized(world, recognizer, degradation, parts, criterion))
-    return found
+                yield recognized(world, recognizer, degradation, parts, criterion)
 
 
-def _recognized(
-    world: WorldPlan, recognizer: Recognizer, degradation: str, parts: list[Finding], criterion: int
+def recognized(
+    world: WorldPlan, recognizer: Recognizer, degradation: str, parts: Sequence[Finding], criterion: int
 ) -> Recognized:
-    whole = _joined(parts, criterion)
-    late = np.concatenate([_ticks(len(part["score"])) >= world.first_judged_tick for part in parts])
-    judgement = _of(whole, late)
-    curve = PrecisionRecall.of(judgement)
-    draws = bootstrap(judgement, block_of(world, judgement))
+    """Judge one method by what was found out of each held-out drive."""
+    score, answered = (np.concatenate([part[name] for part in parts]) for name in ("score", "answered"))
+    right, findable = (np.concatenate([part[name][criterion] for part in parts]) for name in ("right", "findable"))
+    everything = np.ones(score.size, dtype=np.bool_)
+    whole = Judgement(score.astype(float), answered.astype(bool), right.astype(bool), everything, findable.astype(bool))
+    # A query is judged at this frame of its drive; from the first one on every method has a whole window.
+    ticks = np.concatenate([JUDGED_TICKS * (np.arange(len(part["score"])) + 1) - 1 for part in parts])
+    late = ticks >= world.first_judged_tick
+    judgement = Judgement(*(getattr(whole, each.name)[late] for each in fields(whole)))
+    # The same blocks for all methods, to pair them.
+    block = block_length(judgement.score.size, -(-(world.first_judged_tick + 1) // JUDGED_TICKS))
+    draws = bootstrap(judgement, block)
     intervals = intervals_of(draws)
     return Recognized(
-        recognizer,
-        degradation,
-        judgement,
-        curve,
-        intervals.auc,
-        PrecisionRecall.of(whole).auc,
-        intervals.recall_at_100_precision,
-        draws[:, 0],
-    )
+        recognizer, degradation, judgement, PrecisionRecall.of(judgement), intervals.auc, PrecisionRecall.of(whole).auc,
+        intervals.recall_at_100_precision, draws[:, 0],
+    )  # fmt: skip
 
 
-def _joined(parts: list[Finding], criterion: int) -> Judgement:
-    score = _all(parts, "score").astype(np.float64)
-    answered = _all(parts, "answered").astype(bool)
-    right, findable = (np.concatenate([np.array(part[name][criterion]) for part in parts]).astype(bool)
-                       for name in ("right", "findable"))  # fmt: skip
-    return Judgement(score, answered, right, np.ones(score.size, dtype=np.bool_), findable)
-
-
-def _ticks(queries: int) -> NDArray[np.int64]:
-    """Return at which frames of its drive the queries were judged."""
-    return JUDGED_TICKS * (np.arange(queries) + 1) - 1
-
-
-def _of(whole: Judgement, queries: NDArray[np.bool_]) -> Judgement:
-    return Judgement(*(getattr(whole, each.name)[queries] for each in fields(whole)))
-
-
-def _all(parts: list[Finding], name: str) -> NDArray[Any]:
-    return np.concatenate([np.array(part[name]) for part in parts])
-
-
-def block_of(world: WorldPlan, judgement: Judgement) -> int:
-    """Return how many successive queries the bootstrap keeps together: the same for all methods, to pair them."""
-    return block_length(judgement.score.size, -(-(world.first_judged_tick + 1) // JUDGED_TICKS))
-
-
-def successes(world: WorldPlan, units: Sequence[Unit], findings: Findings) -> list[Success]:
+def _successes(world: WorldPlan, units: Sequence[Unit], findings: Findings) -> list[Success]:
     """Put together the searches of a world, by trial and in the order of the plan."""
-    groups: dict[Settings, dict[int, Finding]] = {}
-    for unit in units:
-        if unit.kind == "search" and unit.world == world.world:
-            trial = tuple(one for one in unit.settings if one[0] not in {"camera", "patience", "seed"})
-            groups.setdefault(trial, {})[unit.number("seed")] = findings[unit.key]
-    each = ((trial, groups.get(settings_of(trial))) for trial in world.trials)
-    return [Success(trial, found) for trial, found in each if found]
+    found = []
+    for trial in world.trials:
+        settings = set(settings_of(trial))
+        own = {unit["seed"]: findings[unit] for unit in units
+               if unit.kind == "search" and settings.issubset(unit.settings)}  # fmt: skip
+        if own:
+            found.append(Success(trial, own))
+    return found
 
 
 def success_of(found: Iterable[Success], trial: Trial) -> Success | None:

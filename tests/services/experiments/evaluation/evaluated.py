@@ -8,11 +8,11 @@ from typing import Any
 import cv2
 import numpy as np
 
+from services.experiments.evaluation.drives import save_arrays
 from services.experiments.evaluation.plan import CONTROLLERS, JUDGED_TICKS, Criterion, Plan, Trial, WorldPlan
-from services.experiments.evaluation.results import ResultStore
-from services.experiments.evaluation.schedule import Unit, units
-from services.experiments.evaluation.search_experiment import route_file
-from services.experiments.evaluation.worker_cache import replace_file
+from services.experiments.evaluation.results import Results, file_of
+from services.experiments.evaluation.units import Unit, units
+from services.experiments.evaluation.work import is_example
 
 BOTH = ("clean", "occluded")
 SMALL = Plan(
@@ -44,31 +44,32 @@ QUERIES = 60
 
 def outcome(unit: Unit) -> str:
     """Say how a search ends: teach and repeat collides where frames are occluded, long sequences are slow."""
-    blind = unit.text("degradation") == "occluded" and unit.text("controller") == "teach-and-repeat"
-    slow = unit.text("controller") == "paper" and unit.number("length") == 20
+    blind = unit["degradation"] == "occluded" and unit["controller"] == "teach-and-repeat"
+    slow = unit["controller"] == "paper" and unit["length"] == 20
     return "collision" if blind else "timeout" if slow else "found"
 
 
 def finding(unit: Unit) -> dict[str, Any]:
     """Return what a unit found out, in the form that workers have it in."""
     if unit.kind == "teach":
-        return {"drives": 1, "frames": 50, "files": []}
+        return {"frames": 50}
     if unit.kind == "learn":
-        return {"frames": 250, "states": 40, "shared": 10, "files": []}
+        return {"states": 40} if unit["length"] else {}
     if unit.kind == "queries":
-        return {"frames": QUERIES, "files": []}
+        return {"frames": QUERIES}
     if unit.kind == "search":
-        ticks = 150 + unit.number("seed")
+        ticks = 150 + unit["seed"]
         found = {
-            "outcome": outcome(unit), "ticks": ticks, "decisions": 100, "unknown": 2, "way": [[0.0, 0.0], [1.0, 2.0]],
+            "outcome": outcome(unit), "ticks": ticks, "file": is_example(unit) and unit["seed"] == 1,
+            "way": [[0.0, 0.0], [1.0, 2.0]],
             "shortest_m": 80.0, "driven_m": 100.0, "aside_rms_m": 0.5, "aside_max_m": 1.5,
             "aside_m": [1.5, 1.0, 0.5, 0.25, 0.25],
         }  # fmt: skip
         if unit["controller"] == "smal":
             found["wrong_share"] = 0.02
-            if unit.number("kidnap_tick"):
+            if unit["kidnap_tick"]:
                 # One does not know where it is for 5 s, and one never does again.
-                found["right_after_s"] = {1: 5.0, 2: None}.get(unit.number("seed"), 0.5)
+                found["right_after_s"] = {1: 5.0, 2: None}.get(unit["seed"], 0.5)
         return found
     if unit.kind == "errand":
         right = "false_goal" if unit["errand"] == "nobody there" else "found"
@@ -85,31 +86,31 @@ def finding(unit: Unit) -> dict[str, Any]:
 def recognition(unit: Unit) -> dict[str, Any]:
     """Every third answer of a single image is wrong where frames are occluded; all others are right."""
     ticks = JUDGED_TICKS * (np.arange(QUERIES) + 1) - 1
-    answered = ticks >= unit.number("length") - 1
+    answered = ticks >= unit["length"] - 1
     wrong = np.zeros(QUERIES, dtype=bool)
-    if unit.number("length") == 1 and unit.text("degradation") == "occluded":
+    if unit["length"] == 1 and unit["degradation"] == "occluded":
         wrong[::3] = True
     right = answered & ~wrong
     score = np.where(answered, 1.0 - 0.5 * wrong - np.arange(QUERIES) / 1000, 0.0)
     return {
         "score": score.tolist(),
         "answered": answered.astype(int).tolist(),
-        "apart_m": np.where(answered, 0.1 + 5.0 * wrong, -1.0).tolist(),
         "right": [right.astype(int).tolist()] * 2,
         "findable": [[1] * QUERIES] * 2,
     }
 
 
-def finished(folder: Path) -> tuple[list[Unit], ResultStore]:
-    """Return a store in which all units of the small plan are done."""
-    planned = units(SMALL)
-    store = ResultStore(folder, SMALL)
-    for unit in planned:
-        store.add(unit, finding(unit), 0.5)
+def finished(folder: Path) -> Results:
+    """Return results in which all units of the small plan are done."""
+    results = Results(folder, units(SMALL))
     picture = np.random.default_rng(0).integers(0, 255, (48, 64, 3), dtype=np.uint8)
     _, data = cv2.imencode(".jpg", picture)
     ticks = np.arange(0, 151, 10)
     poses = np.column_stack([np.linspace(0, 10, 152), np.linspace(0, 5, 152), np.zeros(152)])
-    arrays = {"poses": poses, "ticks": ticks} | {f"picture_{tick}": data for tick in ticks}
-    replace_file(store.work / route_file("yard", 1), arrays.items())
-    return planned, store
+    for unit in units(SMALL):
+        found = finding(unit) | {"cpu_s": 0.5}
+        if found.get("file"):
+            pictures = {f"picture_{tick}": data for tick in ticks}
+            save_arrays(file_of(results.work, unit), poses=poses, ticks=ticks, **pictures)
+        results.add(unit, found)
+    return results

@@ -17,21 +17,11 @@ _ITERATIONS: Final = 40
 
 
 def objectives(model: Model, views: NDArray[np.float32], template_frames: int) -> dict[str, Any]:
-    """Solve Eq. 7 to ever smaller tolerances, and run Algorithm 2 beside it.
+    """Compare both on the window in the middle of a held-out drive, of whose views (f, m) are the raw features.
 
-    Parameters
-    ----------
-    model
-        Its first states are the templates: those of the first drives, which show the whole way.
-    views
-        (f, m) raw features of a held-out drive; the window in the middle of it is the query.
-    template_frames
-        At most so many; Algorithm 2 solves dense systems of them.
-
-    Returns
-    -------
-    dict
-        As `convergence`; and ``initial``, the objective of W = 0.
+    The model's first states are the templates, those of the first drives, which show the whole way: at most so many
+    frames, since Algorithm 2 solves dense systems of them. The answer is that of `convergence`, and ``initial``, the
+    objective of W = 0.
     """
     length = model.sequence_length
     end = min(len(views), len(views) // 2 + length)
@@ -52,20 +42,15 @@ def convergence(
     dict
         ``templates``, their number, and ``length``; ``ours``, a point for each tolerance with ``iterations``,
         ``objective`` and ``duality_gap``; ``algorithm2``, the objective after every iteration; ``lower_bound``, the
-        best that any certificate gives.
+        best that any duality gap proves.
     """
-    ours, bound = [], 0.0
-    for tolerance in _TOLERANCES:
-        found = solve(templates, query, length, *penalties, tolerance)
-        ours.append(
-            {"iterations": found.iterations, "objective": found.objective, "duality_gap": float(found.duality_gap)}
-        )
-        bound = max(bound, found.objective * (1.0 - found.duality_gap))
+    found = [solve(templates, query, length, *penalties, tolerance) for tolerance in _TOLERANCES]
     theirs = algorithm2(templates, query, length, *penalties, tolerance=1e-9, max_iterations=_ITERATIONS)
     return {
         "templates": templates.shape[1],
         "length": length,
-        "ours": ours,
+        "ours": [{"iterations": one.iterations, "objective": one.objective, "duality_gap": float(one.duality_gap)}
+                 for one in found],
         "algorithm2": list(theirs.objectives),
-        "lower_bound": bound,
-    }
+        "lower_bound": max(one.objective * (1.0 - one.duality_gap) for one in found),
+    }  # fmt: skip

@@ -10,14 +10,17 @@ import math
 from dataclasses import dataclass, replace
 from typing import Any, Final
 
-from services.experiments.evaluation.controllers import FilterController
-from services.experiments.evaluation.demonstrations import drive
+from schemas.rpc import ResetRequest
+from services.experiments.evaluation.drives import drive
 from services.experiments.evaluation.plan import TEACHING_SEED, Errand
+from services.experiments.evaluation.recognition import FEATURES
 from services.experiments.evaluation.search import search
-from services.experiments.evaluation.worker_cache import Workplace
+from services.simulator.opening import open_simulation
+from services.simulator.sensors.camera import CameraSettings
 from services.simulator.world.place import Pose
 from services.simulator.world.route import route_length_m
 from smal.mapping import learn
+from smal.robot import Robot
 
 _NORTHWARDS, _SOUTHWARDS = math.pi / 2.0, -math.pi / 2.0
 
@@ -62,7 +65,7 @@ TASKS: Final[dict[Errand, Task]] = {
 }
 
 
-def run_errand(workplace: Workplace, world: str, errand: Errand, seeds: range) -> dict[str, Any]:
+def run_errand(world: str, camera: CameraSettings, errand: Errand, seeds: range) -> dict[str, Any]:
     """Teach one errand, and do it with each seed.
 
     Returns
@@ -70,21 +73,21 @@ def run_errand(workplace: Workplace, world: str, errand: Errand, seeds: range) -
     How it ended with each seed, and the way driven, metres; of each taught drive its way.
     """
     task = TASKS[errand]
-    demonstrations, taught_m = [], []
-    for number, one in enumerate(task.taught):
-        simulation = workplace.task(world, one.start, one.victim)
-        made = drive(simulation, workplace.features, TEACHING_SEED + number, one.via)
-        if made is None:
-            raise ValueError(f"{errand}: the expert's drive {number} in {world} did not reach the victim")
-        taught_m.append(round(route_length_m(made.poses[:, :2]), 2))
-        demonstrations.append(replace(made.demonstration, name=f"{errand} {number}", goal=one.goal))
-    model = learn(demonstrations)
-    simulation, controller = workplace.task(world, task.start, task.victim), FilterController(model, task.goal)
-    patience = 3 * max(len(one.atoms) for one in demonstrations)
-    found = [search(simulation, controller, seed, max_ticks=patience) for seed in seeds]
+    made = [
+        drive(open_simulation(world, camera, task=(one.start, one.victim)), FEATURES, TEACHING_SEED + number, one.via)
+        for number, one in enumerate(task.taught)
+    ]
+    model = learn([
+        replace(each.demonstration, name=f"{errand} {number}", goal=one.goal)
+        for number, (each, one) in enumerate(zip(made, task.taught, strict=True))
+    ])  # fmt: skip
+    simulation = open_simulation(world, camera, task=(task.start, task.victim))
+    robot, patience = Robot(model, task.goal), 3 * max(len(one.poses) for one in made)
+    requests = [ResetRequest(seed=seed, purpose="run", max_ticks=patience) for seed in seeds]
+    found = [search(simulation, robot, request) for request in requests]
     return {
         "right": task.right,
         "outcomes": [one.outcome for one in found],
         "driven_m": [round(one.driven_m, 2) for one in found],
-        "taught_m": taught_m,
+        "taught_m": [round(route_length_m(one.poses[:, :2]), 2) for one in made],
     }

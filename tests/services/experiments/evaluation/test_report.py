@@ -1,0 +1,166 @@
+"""The page needs nothing beside it, and what it says follows the numbers."""
+
+from __future__ import annotations
+
+import json
+import re
+from html.parser import HTMLParser
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from services.experiments.evaluation.plan import Trial
+from services.experiments.evaluation.report.comparisons import compare_recognition, compare_searches, long_sequences
+from services.experiments.evaluation.report.page import write_page
+from services.experiments.evaluation.report.summary import Success, WorldResults, results_of, success_of
+from services.experiments.evaluation.results import Results
+from services.experiments.evaluation.units import settings_of, units
+from smal.evaluation.success import wilson_interval
+from tests.services.experiments.evaluation.evaluated import QUERIES, SMALL, finished
+
+FIGURES = {
+    "precision-recall-yard", "precision-recall-lengths-yard", "area-lengths-yard", "success-yard", "drives-yard",
+    "route-yard", "objective", "convergence-yard",
+}  # fmt: skip
+
+
+class Balanced(HTMLParser):
+    """Checks that every element that is opened is closed."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.open: list[str] = []
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        if tag not in {"meta", "img"}:
+            self.open.append(tag)
+
+    def handle_endtag(self, tag: str) -> None:
+        assert self.open.pop() == tag
+
+
+def is_balanced(text: str) -> bool:
+    parser = Balanced()
+    parser.feed(text)
+    return not parser.open
+
+
+@pytest.fixture(scope="module")
+def results(tmp_path_factory: pytest.TempPathFactory) -> Results:
+    return finished(tmp_path_factory.mktemp("evaluation"))
+
+
+@pytest.fixture(scope="module")
+def world(results: Results) -> WorldResults:
+    return results_of(SMALL.worlds[0], units(SMALL), results.findings)
+
+
+def test_the_page_is_whole_refers_to_nothing_outside_and_says_what_was_found(results: Results) -> None:
+    page = write_page(SMALL, results)
+    text = page.read_text(encoding="utf-8")
+    assert is_balanced(text)
+    sources = re.findall(r'(?:src|href)="([^"]{0,22})', text)
+    assert sources == ["data:image/png;base64,"] * len(FIGURES)
+    assert {path.stem for path in (page.parent / "figures").iterdir()} == FIGURES
+    assert "{" not in re.sub(r"<style>.*?</style>", "", text, flags=re.DOTALL), "a text that was not filled in"
+    for said in (
+        "within 1 m and 25°", "within 0.5 m and 15°", "nearly everything", "35% of the frames occluded",
+        "8 of 8 found by SMAL against 0 of 8 by teach and repeat, SMAL is ahead",
+        "<td>9 of 10</td>", "<td>190, 130</td>", "0% to 32%", "64x48 pixels",
+    ):  # fmt: skip
+        assert said in text, said
+    numbers = json.loads((page.parent / "results.json").read_text())
+    searches = numbers["worlds"]["yard"]["searches"]
+    assert {one["found"] for one in searches if one["controller"] == "paper" and one["length"] == 20} == {0}
+    assert numbers["machine_seconds"] == pytest.approx(0.5 * len(units(SMALL)), abs=0.1)
+
+
+@pytest.mark.parametrize("share", [0.0, 0.8])
+def test_a_page_of_what_is_done_so_far_shows_whole_series_only(share: float, results: Results, tmp_path: Path) -> None:
+    rng = np.random.default_rng(round(100 * share))
+    part = Results(tmp_path / "part", units(SMALL))
+    for unit, found in results.findings.items():
+        if unit.kind in {"teach", "learn", "queries"} or rng.random() < share:
+            part.add(unit, {**found, "file": False})
+    text = write_page(SMALL, part).read_text(encoding="utf-8")
+    assert is_balanced(text)
+    assert f"<b>Not all is done:</b> {len(part.findings)} of {len(units(SMALL))} units" in text
+    numbers = json.loads((part.folder / "results.json").read_text())
+    names = [name for name, _ in settings_of(SMALL.worlds[0].trials[0])]
+    shown = {tuple(one[name] for name in names) for one in numbers["worlds"]["yard"]["searches"]}
+    searches = [unit for unit in units(SMALL) if unit.kind == "search"]
+    torn = {tuple(one[name] for name in names) for one in searches if one not in part.findings}
+    assert shown == {tuple(one[name] for name in names) for one in searches} - torn
+
+
+def test_areas(world: WorldResults) -> None:
+    found = {(one.recognizer.name, one.recognizer.length, one.degradation): one for one in world.recognized[0]}
+    assert len(found) == 2 * 8
+    ours, single = found["smal", 5, "occluded"], found["smal", 1, "occluded"]
+    # All answers are right, and the first frame, which no window precedes, has none.
+    assert ours.curve.auc == pytest.approx(1.0)
+    assert ours.auc_from_start == pytest.approx(1 - 1 / QUERIES)
+    # All are judged on the same frames: 51, from the first whole window of the longest sequence (frame 39) on. The 34
+    # right answers are the surest ones.
+    assert {one.judgement.score.size for one in found.values()} == {51}
+    assert (single.curve.auc, single.curve.recall_at_100_precision) == pytest.approx((34 / 51, 34 / 51))
+    assert single.auc_95[0] < single.curve.auc < single.auc_95[1]
+    verdicts = {(one.text.split(":")[0], one.text.split(" of ")[2].split(",")[0]): one.verdict
+                for one in compare_recognition("yard", world.recognized[0])}  # fmt: skip
+    assert verdicts["recognition, occluded", "single image (l = 1)"] == "ahead"
+    # With a clear view nothing tells them apart.
+    assert verdicts["recognition, clean", "single image (l = 1)"] == "open"
+
+
+def test_counts_of_searches(world: WorldResults) -> None:
+    def of(*trial: object, **special: object) -> Success:
+        found = success_of(world.successes, Trial(*trial, 1, **special))  # type: ignore[arg-type]
+        assert found is not None
+        return found
+
+    blind = of("teach-and-repeat", 1, degradation="occluded")
+    assert (blind.found, blind.runs, blind.ended("collision"), blind.spl) == (0, 8, 8, 0.0)
+    # Eight searches of 100 m in which nothing was found.
+    assert blind.interventions_per_km == pytest.approx(10.0)
+    assert (blind.wrong_share, blind.right_soon) == (None, None)
+    ours = of("smal", 1)
+    assert (ours.found, ours.wilson_95, ours.interventions_per_km) == (8, wilson_interval(8, 8), 0.0)
+    assert (ours.spl, ours.aside_rms_m, ours.aside_max_m) == pytest.approx((0.8, 0.5, 1.5))
+    assert ours.wrong_share == pytest.approx(0.02)
+    carried = of("smal", 1, kidnap_tick=50)
+    assert (carried.right_soon, carried.spl) == ((6, 8), None)
+    said = {one.text: one.verdict for one in compare_searches("yard", world.successes)}
+    (against,) = [text for text in said if "occluded" in text]
+    assert said[against] == "ahead"
+    assert "8 of 8 found by SMAL against 0 of 8 by teach and repeat, SMAL is ahead (p = 0.0078)" in against
+    assert all(verdict == "open" for text, verdict in said.items() if "as taught" in text)
+
+
+def counted(controller: str, found: int, runs: int = 8, **trial: object) -> Success:
+    ends = {seed: {"outcome": "found" if seed < found else "timeout"} for seed in range(runs)}
+    return Success(Trial(controller, 2, runs, **trial), ends)  # type: ignore[arg-type]
+
+
+def test_a_few_wins_are_no_proof() -> None:
+    (close,) = compare_searches("yard", [counted("smal", 8), counted("nearest-1", 4)])
+    assert close.verdict == "open"
+    (lost,) = compare_searches("yard", [counted("smal", 1), counted("nearest-1", 8)])
+    assert lost.verdict == "behind"
+    assert "SMAL is behind" in lost.text
+
+
+@pytest.mark.parametrize(
+    ("found", "end"),
+    [
+        ({1: 0, 5: 0, 20: 0}, "no length finds the victim"),
+        ({1: 8, 5: 10, 20: 10, 40: 10}, "long sequences are as good as the best short one"),
+        ({5: 10, 20: 10, 40: 9}, "long sequences find it less often than l = 5, which may be chance"),
+        ({1: 9, 5: 10, 20: 2, 40: 0}, "l = 20, 40 lose against l = 5"),
+    ],
+)
+def test_long_sequences_are_compared_with_the_best_short_one(found: dict[int, int], end: str) -> None:
+    each = [counted("paper", count, 10, length=length, degradation="poor") for length, count in found.items()]
+    (said,) = long_sequences("yard", each)
+    assert said.text.endswith(f"; {end}")
+    assert said.verdict == "counts"

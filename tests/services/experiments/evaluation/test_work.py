@@ -1,0 +1,161 @@
+"""What units do: drives that teach, held-out ones, and searches of every driver, in a small world."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+
+from schemas.rpc import ResetRequest
+from services.experiments.evaluation import recognition, work
+from services.experiments.evaluation.errands import TASKS
+from services.experiments.evaluation.plan import CONTROLLERS, Criterion, Plan, Trial, WorldPlan
+from services.experiments.evaluation.recognition import recognize_nearest
+from services.experiments.evaluation.results import file_of
+from services.experiments.evaluation.search import finding, search
+from services.experiments.evaluation.units import Unit, units
+from services.simulator.sensors import Tilt
+from services.simulator.simulation import Simulation
+from services.simulator.world import load_world
+from services.simulator.world.collision import obstacles_of
+from services.simulator.world.place import Pose
+from smal.features import FeatureSettings
+from smal.movement import Atom
+from smal.robot import Place
+from tests.services.simulator.simulator_driving import StubCamera
+
+PLAN = Plan(
+    "small",
+    (
+        WorldPlan(
+            "yard", (Criterion(1.0, 25.0),), queries=1, lengths=(5,), recognized=("clean",),
+            template_frames=50,
+            trials=(*(Trial(name, 1, 1) for name in CONTROLLERS), Trial("smal", 1, 1, kidnap_tick=10),
+                    Trial("smal", 1, 1, degradation="occluded")),
+        ),
+    ),
+    patience=0.2,
+)  # fmt: skip
+
+
+class PlaceCamera(StubCamera):
+    """Sees a quarter of a smooth random panorama, which becomes another one within two metres."""
+
+    def render(self, pose: Pose, tilt: Tilt) -> np.ndarray:
+        number, share = divmod(100.0 + (pose.x + pose.y) / 2.0, 1.0)
+        around = (1.0 - share) * panorama(int(number)) + share * panorama(int(number) + 1)
+        start = -int(256 * pose.heading / (2.0 * np.pi)) % 256
+        return np.take(around, np.arange(start, start + 64), axis=1, mode="wrap").astype(np.uint8)
+
+
+@cache
+def panorama(number: int) -> np.ndarray:
+    coarse = np.random.default_rng(number).integers(0, 255, (6, 32, 3), dtype=np.uint8)
+    return cv2.resize(np.concatenate([coarse, coarse[:, :1]], axis=1), (264, 48))[:, :256].astype(float)
+
+
+@pytest.fixture(scope="module")
+def found(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Path, dict[Unit, dict[str, Any]]]]:
+    """Do all units of the plan, one after another."""
+    folder, patch = tmp_path_factory.mktemp("units"), pytest.MonkeyPatch()
+    simulation, usual = Simulation(load_world("yard"), PlaceCamera(1.0)), FeatureSettings(("color",), (1.0,))
+    patch.setattr(work, "simulation_in", lambda *_: simulation)
+    for module in (work, recognition):  # the usual ones take ten times as long to make views of
+        patch.setattr(module, "FEATURES", usual)
+    yield folder, {unit: work.do(unit, folder) for unit in units(PLAN)}
+    patch.undo()
+
+
+def test_whatever_is_found_is_numbers_and_files_are_where_it_says(
+    found: tuple[Path, dict[Unit, dict[str, Any]]],
+) -> None:
+    folder, every = found
+    for unit, one in every.items():
+        assert json.loads(json.dumps(one)) == one
+        assert file_of(folder, unit).exists() == bool(one.get("file"))
+        if unit.kind == "search":
+            assert one["outcome"] in {"found", "collision", "timeout"}
+            assert len(one["way"]) == -(-one["ticks"] // 5) + 1
+            assert 0.0 <= one["aside_rms_m"] <= one["aside_max_m"]
+            assert ("wrong_share" in one) == (unit["controller"] == "smal")
+            assert one["file"] == work.is_example(unit)
+        if unit.kind == "recognize":
+            assert len(one["score"]) == len(one["right"][0]) == len(one["findable"][0]) > 5
+            # A held-out drive of the same way: in a clear view nearly all is recognized.
+            clear = unit["degradation"] == "clean" and unit["method"] != "seqslam"
+            assert not clear or np.mean(one["right"][0]) > 0.5
+
+
+def test_being_carried_away_is_no_driving_and_its_recovery_is_timed(
+    found: tuple[Path, dict[Unit, dict[str, Any]]],
+) -> None:
+    (carried,) = [one for unit, one in found[1].items() if unit.kind == "search" and unit["kidnap_tick"]]
+    assert np.hypot(*np.diff(np.array(carried["way"]), axis=0).T).max() > 3.0
+    assert carried["driven_m"] < 0.2 * carried["ticks"] + 0.5  # at most 2 m/s
+    assert carried["right_after_s"] is None or 0.0 <= carried["right_after_s"] <= carried["ticks"] / 10
+
+
+class Says:
+    """Stands still, and says where it is: nowhere for two frames, then wrong for two, then right."""
+
+    done = False
+
+    def __init__(self, right: Pose) -> None:
+        self._right = Place(0, 0, 0.0, 0.0, right.heading, 1.0)
+
+    def reset(self) -> None:
+        self._tick = -1
+
+    def step(self, _image: np.ndarray, _odometry: object) -> Atom:
+        self._tick += 1
+        return Atom.STOP
+
+    @property
+    def lost(self) -> bool:
+        return self._tick < 2
+
+    @property
+    def where(self) -> Place:
+        return replace(self._right, ahead=50.0) if self._tick < 4 else self._right
+
+
+def test_a_belief_is_held_against_the_truth() -> None:
+    simulation = Simulation(load_world("yard"), PlaceCamera(1.0))
+    start = simulation.reset(5, "run")
+    made = search(simulation, Says(start), ResetRequest(seed=5, purpose="run", max_ticks=20))
+    taught = np.array([[start.x, start.y, 0.0]])
+    said = finding(made, taught, Criterion(1.0, 25.0))
+    assert said["wrong_share"] == pytest.approx(2 / 20)
+    assert (said["driven_m"], said["aside_max_m"]) == pytest.approx((0.0, 0.0), abs=0.01)
+    carried = finding(replace(made, kidnap_tick=1), taught, Criterion(1.0, 25.0))
+    assert carried["right_after_s"] == pytest.approx(0.3)
+
+
+def test_the_nearest_window_is_of_one_drive_and_counted_over_all() -> None:
+    frames = np.random.default_rng(1).standard_normal((13, 8)).astype(np.float32)
+    frames /= np.linalg.norm(frames, axis=1, keepdims=True)
+    matches = recognize_nearest([frames[:6], frames[6:8], frames[8:]], frames, 3)
+    # What the second drive shows is too short for a window, and none leads over the seams.
+    whole = [2, 3, 4, 5, 10, 11, 12]
+    assert matches.reference[whole].tolist() == whole
+    assert matches.score[whole] == pytest.approx(1.0)
+    assert matches.reference[:2].tolist() == [-1, -1]
+    assert set(matches.reference[2:].tolist()) == set(whole)
+
+
+@pytest.mark.parametrize("errand", TASKS)
+def test_errands_begin_and_end_where_it_is_free(errand: str) -> None:
+    terrace, task = load_world("terrace"), TASKS[errand]
+    obstacles = obstacles_of(terrace.place)
+    for start in (task.start, *(one.start for one in task.taught)):
+        assert obstacles.is_free(start.x, start.y, terrace.robot.radius_m + 1.0)
+    for victim in (task.victim, *(one.victim for one in task.taught)):
+        assert obstacles.is_free(victim.x, victim.y, 0.0)
+    assert task.goal in {one.goal for one in task.taught}
