@@ -34,9 +34,8 @@ def bench(
     benchmark's own; smal bench NAME -- --help explains them.
 
     recognition: matching over one product, against other solvers. bus: messages over those of plain Zenoh. latency:
-    from the capture of a frame to its command. faults: kills, freezes, outages, a full disk, a jumping clock, floods.
-    soak: memory and descriptors over an hour, or of the page. recorder: memory over a drive of hours. rendering: a
-    frame of each scene over a trivial one.
+    from the capture of a frame to its command. faults: kills, freezes, outages, a full disk, floods. soak: memory
+    and descriptors over an hour, or of the page.
 
     Example: smal bench recognition --json results.json --out pictures
     """

@@ -7,7 +7,7 @@ what they answer, never in what they are asked or how it is judged.
 import math
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, Protocol
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -43,27 +43,11 @@ class IntervalTruth:
         0 <= first <= last, or both -1 where the reference traverse does not show the place.
     judged : bool array (q,)
         See `Truth`.
-
-    Raises
-    ------
-    ValueError
-        The arrays do not fit each other, or an interval is none.
     """
 
     first: NDArray[np.int64]
     last: NDArray[np.int64]
     judged: NDArray[np.bool_]
-
-    def __post_init__(self) -> None:
-        if self.first.ndim != 1 or not self.first.shape == self.last.shape == self.judged.shape:
-            raise ValueError(
-                f"a truth needs one interval for each query: {self.first.shape}, {self.last.shape}, {self.judged.shape}"
-            )
-        empty = (self.first == -1) & (self.last == -1)
-        wrong = np.flatnonzero(~empty & ((self.first < 0) | (self.last < self.first)))
-        if wrong.size:
-            query = int(wrong[0])
-            raise ValueError(f"query {query}: {self.first[query]} to {self.last[query]} is no interval of references")
 
     @property
     def findable(self) -> NDArray[np.bool_]:
@@ -91,29 +75,12 @@ class PoseTruth:
         Right within this distance, 0 or more: 3 m outdoors and 0.35 m indoors are this project's.
     angle_deg : float
         And within this difference of headings, 0 to 180.
-
-    Raises
-    ------
-    ValueError
-        The poses are not of that shape or are infinite, or a limit is out of its range.
     """
 
     reference_poses: NDArray[np.float64]
     query_poses: NDArray[np.float64]
     distance_m: float
     angle_deg: float = 25.0
-
-    def __post_init__(self) -> None:
-        for name, poses in (("reference", self.reference_poses), ("query", self.query_poses)):
-            if poses.ndim != 2 or poses.shape[1] != 3:
-                raise ValueError(f"{name} poses must be x, y and heading, (n, 3), got the shape {poses.shape}")
-            if np.isinf(poses).any():
-                raise ValueError(f"{name} poses contain infinity")
-        if not 0.0 <= self.distance_m < math.inf or not 0.0 <= self.angle_deg <= 180.0:
-            raise ValueError(
-                f"right needs a distance of 0 m or more and an angle from 0 to 180 degrees, "
-                f"got {self.distance_m} m and {self.angle_deg} degrees"
-            )
 
     @property
     def judged(self) -> NDArray[np.bool_]:
@@ -151,12 +118,6 @@ class Judgement:
         Whether there is an answer, and whether it is right.
     judged, findable : bool arrays
         See `Truth`.
-
-    Raises
-    ------
-    ValueError
-        The arrays do not fit each other, a score is not finite, or an answer is right where there is none, or none can
-        be.
     """
 
     score: NDArray[np.float64]
@@ -164,15 +125,6 @@ class Judgement:
     right: NDArray[np.bool_]
     judged: NDArray[np.bool_]
     findable: NDArray[np.bool_]
-
-    def __post_init__(self) -> None:
-        arrays: tuple[NDArray[Any], ...] = (self.answered, self.right, self.judged, self.findable)
-        if self.score.ndim != 1 or any(array.shape != self.score.shape for array in arrays):
-            raise ValueError(f"a judgement needs arrays of one shape, got {[a.shape for a in (self.score, *arrays)]}")
-        if not np.isfinite(self.score[self.answered]).all():
-            raise ValueError("a score is not finite")
-        if (self.right & ~(self.answered & self.findable)).any() or (self.findable & ~self.judged).any():
-            raise ValueError("right are only answers to queries that are judged and have something to find")
 
 
 def judge(matches: Matches, truth: Truth) -> Judgement:

@@ -74,17 +74,6 @@ def test_the_order_of_queries_and_the_scale_of_scores_do_not_matter(judgement: J
         assert other.precision.tolist() == curve.precision.tolist()
 
 
-@given(judgements())
-@settings(deadline=None)
-def test_figures_stay_in_range(judgement: Judgement) -> None:
-    curve = PrecisionRecall.of(judgement)
-    assert 0.0 <= curve.recall_at_100_precision <= curve.auc + 1e-12
-    assert curve.auc <= curve.recall.max(initial=0.0) + 1e-12
-    assert curve.recall.max(initial=0.0) <= 1.0
-    assert (np.diff(curve.recall) >= 0.0).all()
-    assert (np.diff(curve.threshold) < 0.0).all()
-
-
 def test_known_values() -> None:
     """scikit-learn's example of average precision: right, wrong, right, wrong by falling score."""
     yes = np.ones(4, dtype=np.bool_)
@@ -109,15 +98,6 @@ def test_perfect_useless_and_silent_methods() -> None:
     no = np.zeros(3, dtype=np.bool_)
     silent = PrecisionRecall.of(Judgement(np.zeros(3), no, no, ~no, ~no))
     assert (silent.auc, silent.recall_at_100_precision, silent.recall.size) == (0.0, 0.0, 0)
-
-
-def test_answers_where_nothing_is_to_be_found_are_wrong() -> None:
-    yes, right = np.ones(4, dtype=np.bool_), np.array([True, False, True, True])
-    score = np.array([4.0, 3.0, 2.0, 1.0])
-    curve = PrecisionRecall.of(Judgement(score, yes, right, yes, right))
-    assert curve.recall_at_100_precision == pytest.approx(1 / 3)
-    not_judged = PrecisionRecall.of(Judgement(score, yes, right, right, right))
-    assert not_judged.recall_at_100_precision == 1.0
 
 
 def test_nothing_to_find_is_refused() -> None:
@@ -170,16 +150,6 @@ def test_intervals_hold_the_figures_and_shrink_with_more_queries() -> None:
     assert 3.0 < widths[0] / widths[1] < 5.0
 
 
-def test_the_same_seed_gives_the_same_draws() -> None:
-    rng = np.random.default_rng(6)
-    judgement = all_answered(rng.random(60), rng.random(60) < 0.5)
-    first, again, other = (bootstrap(judgement, 4, seed=seed) for seed in (2, 2, 3))
-    np.testing.assert_array_equal(first, again)
-    assert (first != other).any()
-    perfect = intervals_of(bootstrap(all_answered(rng.random(60), np.ones(60, dtype=np.bool_)), 4))
-    assert (perfect.auc, perfect.recall_at_100_precision) == ((1.0, 1.0), (1.0, 1.0))
-
-
 def coverage(count: int, together: int, block: int) -> float:
     """Return how often an interval holds the true area, where so many successive queries have one fate.
 
@@ -196,10 +166,6 @@ def coverage(count: int, together: int, block: int) -> float:
     return held / 200
 
 
-def test_95_of_100_intervals_hold_the_truth() -> None:
-    assert 0.90 <= coverage(count=300, together=1, block=1) <= 0.99
-
-
 def test_blocks_are_needed_where_successive_queries_share_their_fate() -> None:
     assert coverage(count=600, together=10, block=1) < 0.6
     assert coverage(count=600, together=10, block=30) >= 0.85
@@ -210,12 +176,7 @@ def test_the_length_of_blocks() -> None:
     assert block_length(10_000, 10) == 22
     assert block_length(100, 40) == 25
     assert [block_length(queries, 5) for queries in (1, 3, 8)] == [1, 1, 2]
-
-
-def test_bad_numbers_are_refused() -> None:
     judgement = all_answered(np.zeros(5), np.ones(5, dtype=np.bool_))
     for block in (0, 6):
         with pytest.raises(ValueError, match=f"a block needs 1 to 5 queries, got {block}"):
             bootstrap(judgement, block)
-    with pytest.raises(ValueError, match="at least 1 resample, got 0"):
-        bootstrap(judgement, 1, resamples=0)

@@ -10,9 +10,8 @@ from __future__ import annotations
 import os
 import re
 import sys
-from collections import deque
-from collections.abc import Callable, Iterator
-from concurrent.futures import Future, ThreadPoolExecutor
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -32,8 +31,6 @@ from smal.features import FeatureSettings, extract
 NAMED: Final = 10
 #: Each holds one decoded image, 300 MB of the largest that OpenCV is allowed to decode.
 _WORKERS: Final = min(4, os.cpu_count() or 1)
-#: Raw features; None for a frame that cannot be read.
-_Described = NDArray[np.float32] | None
 
 
 @dataclass(frozen=True)
@@ -73,20 +70,14 @@ class DescribedFrames:
     unreadable: tuple[str, ...]
 
 
-def natural_key(name: str) -> tuple[list[str | tuple[int, str]], str]:
+def natural_key(name: str) -> tuple[list[str | int], str]:
     """Return what file names are sorted by: numbers in them by their value, letters whatever their case.
 
     Names that differ only in case or in leading zeros follow in the order of their characters.
     """
     # split with a group alternates text and digits, so that keys compare text with text and number with number.
     parts = re.split(r"([0-9]+)", name.casefold())
-    return [_value(part) if place % 2 else part for place, part in enumerate(parts)], name
-
-
-def _value(digits: str) -> tuple[int, str]:
-    # Not int(): it takes 4300 digits at most.
-    significant = digits.lstrip("0")
-    return len(significant), significant
+    return [int(part) if place % 2 else part for place, part in enumerate(parts)], name
 
 
 def list_folder(path: Path, argument: str) -> ImageFolder:
@@ -106,7 +97,8 @@ def list_folder(path: Path, argument: str) -> ImageFolder:
         with os.scandir(path) as entries:
             # What is neither a file nor a folder could be a pipe, which nobody ever writes to; a link to nothing was
             # meant to be a frame.
-            names = [e.name for e in entries if not e.name.startswith(".") and (e.is_file() or _leads_nowhere(e))]
+            files = [e for e in entries if not e.name.startswith(".") and (e.is_file() or e.is_symlink())]
+            names = [e.name for e in files if not e.is_dir()]
     except NotADirectoryError:
         raise UsageError(f"{argument} {path}: is a file, not a folder of images") from None
     except OSError as error:
@@ -119,10 +111,6 @@ def list_folder(path: Path, argument: str) -> ImageFolder:
     if not frames:
         raise UsageError(f"{argument} {path}: no image in this folder (files: {len(others)})")
     return ImageFolder(path, frames, others)
-
-
-def _leads_nowhere(entry: os.DirEntry[str]) -> bool:
-    return entry.is_symlink() and not Path(entry.path).exists()
 
 
 def read_truth_of(path: Path, queries: ImageFolder, references: ImageFolder) -> IntervalTruth:
@@ -173,19 +161,15 @@ def describe_frames(
         raise JobError(f"{folder.path}: the features of {count} frames do not fit into memory") from None
     numbers: list[int] = []
     unreadable: list[str] = []
-    work = partial(_describe, folder, settings, depth)
-    with (
-        quiet_opencv(),
-        ThreadPoolExecutor(_WORKERS) as pool,
-        tqdm(total=count, desc=title, unit="image", dynamic_ncols=True, disable=None) as bar,
-    ):
-        for number, described in enumerate(_in_order(pool, work, count)):
-            if described is None:
+    with quiet_opencv(), ThreadPoolExecutor(_WORKERS) as pool:
+        described = pool.map(partial(_describe, folder, settings, depth), range(count))
+        bar = tqdm(described, desc=title, total=count, unit="image", dynamic_ncols=True, disable=None)
+        for number, one in enumerate(bar):
+            if one is None:
                 unreadable.append(folder.frames[number])
             else:
-                features[len(numbers)] = described
+                features[len(numbers)] = one
                 numbers.append(number)
-            bar.update()
     if not numbers:
         raise JobError(_nothing_readable(folder, depth, unreadable))
     return DescribedFrames(features[: len(numbers)], np.array(numbers, np.int64), tuple(unreadable))
@@ -196,10 +180,13 @@ def _nothing_readable(folder: ImageFolder, depth: ImageFolder | None, names: lis
     with quiet_opencv():
         if depth is not None and any(read_color(folder.path / name) is not None for name in names):
             return f"{depth.path}: none of {len(depth.frames)} images is depth: one channel of 16 bits"
-    return f"{folder.path}: no image can be read: {_named(tuple(names))}"
+    return f"{folder.path}: no image can be read: {_named(names)}"
 
 
-def _describe(folder: ImageFolder, settings: FeatureSettings, depth: ImageFolder | None, number: int) -> _Described:
+def _describe(
+    folder: ImageFolder, settings: FeatureSettings, depth: ImageFolder | None, number: int
+) -> NDArray[np.float32] | None:
+    """Return the raw features of a frame; None for one that cannot be read."""
     path = folder.path / folder.frames[number]
     image = read_color(path)
     depth_mm = None if depth is None else read_depth(depth.path / depth.frames[number])
@@ -211,31 +198,19 @@ def _describe(folder: ImageFolder, settings: FeatureSettings, depth: ImageFolder
         raise JobError(f"{path}: {error}") from None
 
 
-def _in_order(pool: ThreadPoolExecutor, work: Callable[[int], _Described], count: int) -> Iterator[_Described]:
-    """Yield work of each frame, a few of them under way at any time: results do not pile up."""
-    pending: deque[Future[_Described]] = deque()
-    for number in range(count):
-        pending.append(pool.submit(work, number))
-        if len(pending) >= 2 * _WORKERS:
-            yield pending.popleft().result()
-    while pending:
-        yield pending.popleft().result()
-
-
 def say_skipped(folder: ImageFolder, described: DescribedFrames) -> None:
     """Name on standard error what of a folder was skipped."""
-    if folder.others:
-        count = len(folder.others)
-        what = "1 file that is no image" if count == 1 else f"{count} files that are no images"
-        sys.stderr.write(f"smal: {folder.path}: skipped {what}: {_named(folder.others)}\n")
-    if described.unreadable:
-        count = len(described.unreadable)
-        what = "1 unreadable image" if count == 1 else f"{count} unreadable images"
-        named = _named(described.unreadable)
-        sys.stderr.write(f"smal: {folder.path}: skipped {what}, kept in the count of frames: {named}\n")
+    for names, one, many in (
+        (folder.others, "1 file that is no image", "files that are no images"),
+        (described.unreadable, "1 unreadable image, kept in the count of frames",
+         "unreadable images, kept in the count of frames"),
+    ):  # fmt: skip
+        if names:
+            what = one if len(names) == 1 else f"{len(names)} {many}"
+            sys.stderr.write(f"smal: {folder.path}: skipped {what}: {_named(names)}\n")
 
 
-def _named(names: tuple[str, ...]) -> str:
+def _named(names: Sequence[str]) -> str:
     more = f" and {len(names) - NAMED} more" if len(names) > NAMED else ""
     return ", ".join(map(printable, names[:NAMED])) + more
 

@@ -46,16 +46,7 @@ class Traverses:
 
 @dataclass(frozen=True, eq=False)
 class Quality:
-    """How good the matches are.
-
-    Parameters
-    ----------
-    curve : PrecisionRecall
-    intervals : Intervals
-        Of its figures, 95 %.
-    judged, to_find : int
-        Queries that something is known about; those of them that a reference shows.
-    """
+    """How good the matches are: the curve, its 95 % intervals, how many queries were judged, and were to be found."""
 
     curve: PrecisionRecall
     intervals: Intervals
@@ -73,12 +64,11 @@ class Result:
         The method.
     settings : MatchSettings
     tau : float, optional
-        Matches with at most this score were left out.
+        Matches with at most this score were left out, ``unsure`` of them.
     traverses : Traverses
     matches : Matches
         Numbered as the folders are.
     unsure : int
-        How many were left out.
     quality : Quality, optional
         With ``--truth``.
     seconds : dict

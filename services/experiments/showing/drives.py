@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -39,14 +40,12 @@ class TaughtDrives:
 
 def find_drives(model: Model | PaperModel, recordings: Iterable[Path]) -> TaughtDrives:
     """Find the drives of a model by their names, and make sure by what the model keeps of them that it is them."""
-    check: _MapCheck | _PaperCheck
     if isinstance(model, Model):
-        names, shortest, check = [name for parts in model.mapped.names for name in parts], 1, _MapCheck(model)
+        names, shortest, is_it = [name for parts in model.mapped.names for name in parts], 1, partial(_is_of_map, model)
     else:
-        names, shortest, check = list(model.names), model.sequence_length, _PaperCheck(model)
-    teacher = Teacher(
-        model.feature_settings, shortest, include_runs=True, episodes={episode_of(name) for name in names}
-    )
+        names, shortest, is_it = list(model.names), model.sequence_length, partial(_is_of_paper, model)
+    episodes = {episode_of(name) for name in names}
+    teacher = Teacher(model.feature_settings, shortest, include_runs=True, episodes=episodes)
     for path in recordings:
         teacher.read(path)
     named: dict[str, list[Demonstration]] = {}
@@ -55,7 +54,7 @@ def find_drives(model: Model | PaperModel, recordings: Iterable[Path]) -> Taught
     found: list[Demonstration | None] = []
     missing = []
     for number, name in enumerate(names):
-        same = [one for one in named.get(name, []) if check.taught(number, one)]
+        same = [one for one in named.get(name, []) if is_it(number, one)]
         found.append(same[0] if same else None)
         if name not in named:
             missing.append(f"{printable(name)}: not among the recordings")
@@ -66,48 +65,32 @@ def find_drives(model: Model | PaperModel, recordings: Iterable[Path]) -> Taught
     return TaughtDrives(tuple(found), tuple(missing), tuple(teacher.teaching.remarks))
 
 
-class _MapCheck:
+def _is_of_map(model: Model, number: int, one: Demonstration) -> bool:
     """Whether a demonstration is what a map was taught: its keyframes look as the map says."""
-
-    def __init__(self, model: Model) -> None:
-        self._model = model
-        self._begins: list[tuple[int, int] | None] = []
-        taught = model.mapped
-        for drive, parts in enumerate(taught.names):
-            # The map tells how long a drive is, and not its parts: of several the recordings are believed.
-            begin = (int(np.searchsorted(taught.drives, drive)), int(taught.frames[drive]))
-            self._begins += [begin] if len(parts) == 1 else [None] * len(parts)
-
-    def taught(self, number: int, one: Demonstration) -> bool:
-        begin, taught = self._begins[number], self._model.mapped
-        if begin is None:
-            return True
-        first, frames = begin
-        if len(one.atoms) != frames:
-            return False
-        keys = np.flatnonzero((taught.keyframes >= first) & (taught.keyframes < first + frames))
-        seen = self._model.centering.apply(one.features[taught.keyframes[keys] - first]) @ taught.basis
-        kept = taught.views[keys, 1, TURNS_DEG.size // 2]
-        # Computed anew, on another machine, they may differ by rounding; a view of another place does by ten times it.
-        return bool(np.abs(seen - kept).max() < 0.05)
+    taught = model.mapped
+    drive = [drive for drive, parts in enumerate(taught.names) for _ in parts][number]
+    # The map tells how long a drive is, and not its parts: of several the recordings are believed.
+    if len(taught.names[drive]) > 1:
+        return True
+    if len(one.atoms) != taught.frames[drive]:
+        return False
+    keys = np.flatnonzero(taught.drives[taught.keyframes] == drive)
+    frames = taught.keyframes[keys] - np.searchsorted(taught.drives, drive)
+    seen = model.centering.apply(one.features[frames]) @ taught.basis
+    # Computed anew, on another machine, they may differ by rounding; a view of another place does by ten times it.
+    return bool(np.abs(seen - taught.views[keys, 1, TURNS_DEG.size // 2]).max() < 0.05)
 
 
-class _PaperCheck:
+def _is_of_paper(model: PaperModel, number: int, one: Demonstration) -> bool:
     """Whether it is what the paper's model was taught: the same commands, and the very features of its states."""
-
-    def __init__(self, model: PaperModel) -> None:
-        self._model, self._new = model, first_seen(model)
-
-    def taught(self, number: int, one: Demonstration) -> bool:
-        model, new = self._model, self._new[number]
-        if not np.array_equal(one.atoms, model.atoms[number]):
-            return False
-        length = model.sequence_length
-        rows = [first + k for first in new.values() for k in range(length)]
-        columns = [state * length + k for state in new for k in range(length)]
-        centred = model.centering.apply(one.features[rows])
-        # Computed anew, on another machine, they may differ by rounding.
-        return bool(np.allclose(centred, model.templates[:, columns].T, atol=1e-3))
+    if not np.array_equal(one.atoms, model.atoms[number]):
+        return False
+    length, new = model.sequence_length, first_seen(model)[number]
+    rows = [first + k for first in new.values() for k in range(length)]
+    columns = [state * length + k for state in new for k in range(length)]
+    centred = model.centering.apply(one.features[rows])
+    # Computed anew, on another machine, they may differ by rounding.
+    return bool(np.allclose(centred, model.templates[:, columns].T, atol=1e-3))
 
 
 def first_seen(model: PaperModel) -> list[dict[int, int]]:

@@ -3,14 +3,59 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from itertools import pairwise
 
 from schemas.codec import printable
-from services.experiments.showing.states import state_graph
+from services.recordings.taught import episode_of
 from smal.features import FeatureSettings
 from smal.model import Model
 from smal.paper.model import Model as PaperModel
 from smal.planning import cost_to_go
+
+
+@dataclass(frozen=True)
+class StateGraph:
+    """What the drives say of the states.
+
+    Parameters
+    ----------
+    episodes : mapping of int to tuple of str
+        In which episodes each state was seen.
+    following : mapping of int to tuple of int
+        Which other states came after each, ascending.
+    """
+
+    episodes: Mapping[int, tuple[str, ...]]
+    following: Mapping[int, tuple[int, ...]]
+
+    @property
+    def shared(self) -> list[int]:
+        """States of at least two episodes."""
+        return [state for state, episodes in self.episodes.items() if len(episodes) > 1]
+
+    @property
+    def forks(self) -> list[int]:
+        """States that more than one other came after."""
+        return [state for state, following in self.following.items() if len(following) > 1]
+
+
+def state_graph(model: PaperModel) -> StateGraph:
+    """Read the graph of states off the drives."""
+    episodes: dict[int, dict[str, None]] = {state: {} for state in range(model.states)}
+    following: dict[int, set[int]] = {state: set() for state in range(model.states)}
+    for name, stream in zip(model.names, model.state_streams, strict=True):
+        states = stream.tolist()
+        for state in states:
+            episodes[state][episode_of(name)] = None
+        for state, then in pairwise(states):
+            if then != state:
+                following[state].add(then)
+    return StateGraph(
+        {state: tuple(names) for state, names in episodes.items()},
+        {state: tuple(sorted(states)) for state, states in following.items()},
+    )
 
 
 def lines(model: Model | PaperModel, file: str, size: int) -> Iterator[str]:

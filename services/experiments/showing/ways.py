@@ -1,16 +1,22 @@
-"""The taught ways as a graph: how they lie to each other, where they part and meet, and how to draw them."""
+"""The taught ways of a map: how they lie to each other, where they part and meet, what the filter believes on them."""
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Sequence
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
 from scipy.spatial import KDTree
 
-from smal.movement import placed, wrapped
+from smal.demonstration import Demonstration
+from smal.model import Model
+from smal.movement import placed, seen_from
+from smal.robot import Localizer
+from smal.stitches import in_common_axes
 from smal.visual_map import VisualMap
 
 
@@ -38,119 +44,75 @@ class Ways:
 
     Attributes
     ----------
-    poses : float64 array (f, 3)
-        Of every taught frame, in axes that all drives of a group have in common.
+    of : int array (k,)
+        Drive of each keyframe.
+    key_poses, poses : float64 arrays (k, 3), (f, 3)
+        Of every keyframe and taught frame, in axes that all drives of a group have in common.
     groups : int array (drives,)
         Drives that are joined, directly or by others, have the same number; from 0.
+    shared : bool array (k,)
+        Which keyframes show a place that another drive shows too.
     """
 
     def __init__(self, taught: VisualMap) -> None:
         self.map = taught
         self.of = taught.drives[taught.keyframes]
-        self.poses = taught.poses.copy()
-        self.groups = np.full(len(taught.goals), -1)
-        self._joints = self._joints_of_pairs()
-        self._nearest: dict[int, KDTree] = {}
-        for drive in range(len(taught.goals)):
-            if self.groups[drive] < 0:
-                self.groups[drive] = self.groups.max() + 1
-                self._place_all_joined_to(drive)
+        self.key_poses = in_common_axes(taught)
+        first = np.searchsorted(self.of, taught.drives)
+        self.poses = placed(seen_from(taught.poses, taught.key_poses[first]), self.key_poses[first])
+        one, other = self.of[taught.stitched].T
+        drives = len(taught.goals)
+        _, self.groups = connected_components(coo_array((np.ones(one.size), (one, other)), (drives, drives)), False)
+        self.shared = np.isin(np.arange(len(self.of)), taught.stitched)
 
-    def _joints_of_pairs(self) -> dict[tuple[int, int], NDArray[np.intp]]:
-        """Return which stitches lead from the one drive to the other, for each pair that has any."""
-        pairs = self.of[self.map.stitched]
-        return {
-            (int(one), int(other)): np.flatnonzero((pairs == (one, other)).all(axis=1))
-            for one, other in np.unique(pairs, axis=0)
-        }
-
-    def _place_all_joined_to(self, drive: int) -> None:
-        group = self.groups[drive]
-        placed_now = {drive}
-        while True:
-            # What is shared for longest tells best how axes lie to each other.
-            open_pairs = [
-                (stitches.size, one, other)
-                for (one, other), stitches in self._joints.items()
-                if other in placed_now and self.groups[one] < 0
-            ]
-            if not open_pairs:
-                return
-            _, one, other = max(open_pairs)
-            self._place(one, other)
-            self.groups[one] = group
-            placed_now.add(one)
-
-    def _place(self, one: int, other: int) -> None:
-        """Move the poses of a drive to where its stitches with another, which has its place, say on average."""
-        which = self._joints[one, other]
-        here, there = self.map.stitched[which].T
-        own = self.map.key_poses[here]
-        robot = placed(self.map.stitch_offsets[which], self.poses[self.map.keyframes[there]])
-        turns = robot[:, 2] - own[:, 2]
-        turn = turns[0] + float(np.mean(wrapped(turns - turns[0])))
-        # A rigid movement of its axes: turned, then shifted to where the stitches say on average.
-        turned = placed(own, np.array([0.0, 0.0, turn]))
-        shift = np.array([*np.mean(robot[:, :2] - turned[:, :2], axis=0), turn])
-        frames = self.map.drives == one
-        self.poses[frames] = placed(self.map.poses[frames], shift)
-
-    @cached_property
-    def key_poses(self) -> NDArray[np.float64]:
-        """Poses of the keyframes, in common axes."""
-        return self.poses[self.map.keyframes]
+    @property
+    def unit(self) -> str:
+        """Of lengths."""
+        return "m" if self.map.odometry else "atoms ahead"
 
     @cached_property
     def way(self) -> NDArray[np.float64]:
         """Way from the start of its drive to each frame, (f,)."""
-        starts = np.searchsorted(self.map.drives, self.map.drives)
-        way: NDArray[np.float64] = self.map.arc - self.map.arc[starts]
+        way: NDArray[np.float64] = self.map.arc - self.map.arc[np.searchsorted(self.map.drives, self.map.drives)]
         return way
-
-    @cached_property
-    def shared(self) -> NDArray[np.bool_]:
-        """Which keyframes show a place that another drive shows too, (k,)."""
-        return np.isin(np.arange(len(self.of)), self.map.stitched)
 
     @cached_property
     def partings(self) -> tuple[Parting, ...]:
         """Where shared ways part or meet; within a correlation length it is one place."""
         found: list[Parting] = []
-        for one, other in self._joints:
+        for one, other in np.unique(self.of[self.map.stitched], axis=0).tolist():
             for fork, keyframe in self._partings_of(one, other):
-                self._add(found, Parting(fork, keyframe, (one, other)))
+                new = Parting(fork, keyframe, (one, other))
+                known = next((each for each in found if self._is_same(each, new)), None)
+                if known is not None:
+                    found.remove(known)
+                    new = Parting(fork, min(keyframe, known.keyframe), (*known.drives, one, other))
+                found.append(Parting(fork, new.keyframe, tuple(sorted(set(new.drives)))))
         return tuple(sorted(found, key=lambda parting: parting.keyframe))
 
-    def _add(self, found: list[Parting], new: Parting) -> None:
-        here = self.key_poses[new.keyframe, :2]
-        for number, known in enumerate(found):
-            same = known.fork == new.fork and set(known.drives) & set(new.drives)
-            apart = float(np.hypot(*(self.key_poses[known.keyframe, :2] - here)))
-            if same and apart < self.map.correlation_length:
-                drives = tuple(sorted({*known.drives, *new.drives}))
-                found[number] = Parting(known.fork, min(known.keyframe, new.keyframe), drives)
-                return
-        found.append(Parting(new.fork, new.keyframe, tuple(sorted(new.drives))))
+    def _is_same(self, one: Parting, other: Parting) -> bool:
+        apart = self.key_poses[one.keyframe, :2] - self.key_poses[other.keyframe, :2]
+        near = bool(np.hypot(*apart) < self.map.correlation_length)
+        return near and one.fork == other.fork and bool(set(one.drives) & set(other.drives))
 
-    def _partings_of(self, one: int, other: int) -> list[tuple[bool, int]]:
-        """Return where a drive leaves another (True) or comes to it (False), and the keyframe there.
+    def _partings_of(self, one: int, other: int) -> Iterator[tuple[bool, int]]:
+        """Yield where a drive leaves another (True) or comes to it (False), and the keyframe there.
 
-        Where it is not stitched to the other but stays within a correlation length of it, it has not left it.
+        Where it is not stitched to the other but stays within a correlation length of it, it has not left it. Neither
+        has it where the other one ends.
         """
         here = np.flatnonzero(self.of == one)
-        partner = dict(self.map.stitched[self._joints[one, other]].tolist())
+        pairs = self.map.stitched[(self.of[self.map.stitched] == (one, other)).all(axis=1)]
+        partner = dict(pairs.tolist())
         far = self._apart(here, other) > self.map.correlation_length
-        joined = np.array([key in partner for key in here.tolist()])
-        # Stretches between joints, each with the last joint before and the first one after it.
-        joints = np.flatnonzero(joined)
-        found = []
-        for last, following in zip(joints, [*joints[1:], len(here)], strict=True):
-            if far[last + 1 : following].any() and self._goes_elsewhere(partner[int(here[last])], one, ahead=True):
-                found.append((True, int(here[last])))
-        for before, first in zip([-1, *joints[:-1]], joints, strict=True):
-            if far[before + 1 : first].any() and self._goes_elsewhere(partner[int(here[first])], one, ahead=False):
-                found.append((False, int(here[first])))
-        return found
+        joints = np.flatnonzero(np.isin(here, pairs[:, 0]))
+        for before, after in zip([-1, *joints], [*joints, len(here)], strict=True):
+            if not far[before + 1 : after].any():
+                continue
+            if before >= 0 and self._goes_elsewhere(partner[int(here[before])], one, ahead=True):
+                yield True, int(here[before])
+            if after < len(here) and self._goes_elsewhere(partner[int(here[after])], one, ahead=False):
+                yield False, int(here[after])
 
     def _goes_elsewhere(self, keyframe: int, other: int, *, ahead: bool) -> bool:
         """Whether the drive of a keyframe, on or back from it, is ever far from another: it does not end here."""
@@ -160,27 +122,46 @@ class Ways:
 
     def _apart(self, keyframes: NDArray[np.intp], drive: int) -> NDArray[np.float64]:
         """Return how far keyframes are from the way of a drive."""
-        if drive not in self._nearest:
-            self._nearest[drive] = KDTree(self.key_poses[self.of == drive, :2])
-        return np.asarray(self._nearest[drive].query(self.key_poses[keyframes, :2])[0])
+        way = KDTree(self.key_poses[self.of == drive, :2])
+        return np.asarray(way.query(self.key_poses[keyframes, :2])[0])
 
 
-def schematic(streams: Sequence[Sequence[tuple[Hashable, float]]]) -> dict[Hashable, tuple[float, float]]:
-    """Place the nodes of ways of which only the order is known: each way to the right, and a row below where it is new.
+@dataclass(frozen=True, eq=False)
+class Believed:
+    """Of each frame of a drive, where the belief was.
 
     Parameters
     ----------
-    streams
-        Of each way its nodes, with how far each is from the one before.
+    here : float64 array (f,)
+        Probability of being within a correlation length of where the robot was.
+    lost : float64 array (f,)
+        Of being nowhere near what was taught. What is left of 1 lay elsewhere on the taught ways.
+    spread : float64 array (f,)
+        Standard deviation of the place, given that the robot is on this drive or one that is joined to it.
     """
-    places: dict[Hashable, tuple[float, float]] = {}
-    row = 0.0
-    for stream in streams:
-        x, new = 0.0, False
-        for node, step in stream:
-            if node not in places:
-                places[node] = (x + step, row)
-                new = True
-            x = places[node][0]
-        row -= new
-    return places
+
+    here: NDArray[np.float64]
+    lost: NDArray[np.float64]
+    spread: NDArray[np.float64]
+
+    def wide(self) -> list[tuple[int, int]]:
+        """Return first and last frame of each stretch on which the robot was less likely here than not."""
+        edges = np.diff((self.here < 0.5).astype(int), prepend=0, append=0)
+        return list(zip(np.flatnonzero(edges > 0).tolist(), (np.flatnonzero(edges < 0) - 1).tolist(), strict=True))
+
+
+def believed(model: Model, ways: Ways, drive: int, one: Demonstration, advance: Callable[[int], object]) -> Believed:
+    """Let recognition follow a taught drive of the map from its beginning; advance is called with each frame."""
+    localizer, found = Localizer(model), []
+    first = int(np.searchsorted(ways.map.drives, drive))
+    for k, features in enumerate(one.features):
+        pose = None if one.odometry is None else one.odometry[k].tolist()
+        belief = localizer.observe(features, pose, [one.atoms[k - 1]] if k else [])
+        at = placed(belief.offsets, ways.key_poses[belief.keyframes])[:, :2]
+        weights = belief.weights * (ways.groups[ways.of[belief.keyframes]] == ways.groups[drive])
+        near = np.hypot(*(at - ways.poses[first + k, :2]).T) < ways.map.correlation_length
+        here = (1.0 - belief.lost) * float(weights @ near)
+        weights /= max(float(weights.sum()), 1e-12)
+        found.append((here, belief.lost, float(np.sqrt(weights @ np.square(at - weights @ at).sum(axis=1)))))
+        advance(k)
+    return Believed(*np.array(found).T)

@@ -45,7 +45,6 @@ def test_a_benchmark_runs_with_its_threads_fixed_where_the_user_is(
         (["recognition", "--json", "."], "--json .: is a folder; give the name of a file"),
         (["recognition", "--json", "no/where.json"], "--json no/where.json: no folder no"),
         (["recognition", "--out", "file"], "--out file: is a file, not a folder"),
-        (["recognition", "--recordings", "nowhere"], "nowhere: no such file or folder"),
         (["recognition", "--fast"], "unrecognized arguments: --fast"),
     ],
 )  # fmt: skip

@@ -238,11 +238,11 @@ def test_without_a_page_it_is_said_in_some_lines(
     assert all(said in out for said in (*expected, "color (weight 1)", "  to-left: "))
 
 
-def test_a_model_without_odometry_is_a_schematic(tmp_path: Path) -> None:
+def test_a_model_without_odometry_is_drawn_by_its_atoms(tmp_path: Path) -> None:
     file = tmp_path / "m.smal"
     corridor.model(odometry=False).save(file)
     text = write_page(tmp_path, Model.load(file), file, None).read_text()
-    assert "as a schematic, since they are without odometry" in text
+    assert "since they are without odometry" in text
 
 
 @pytest.mark.parametrize(
