@@ -11,7 +11,7 @@ from typer import Option
 
 from services.cli import options, outputs
 from services.cli.interrupts import interrupted_by_signals
-from services.experiments.evaluation.plan import PLANS, Plan, in_world
+from services.experiments.evaluation.plan import PLANS, in_world
 from services.experiments.evaluation.pool import do_all
 from services.experiments.evaluation.results import Results
 from services.experiments.evaluation.units import Unit, units

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final, Literal
@@ -306,6 +305,4 @@ def in_world(world: str, aside_m: float) -> Plan:
     best = ("smal", "teach-and-repeat")
     trials = [one for name in best for one in (Trial(name, 1, RUNS), *_conditions(name, RUNS))]
     criterion = Criterion(2.0 * aside_m, 25.0)
-    # Another map under the same name is another plan.
-    content = hashlib.sha256(Path(world).read_bytes()).hexdigest()[:12] if Path(world).is_file() else ""
-    return Plan(f"in {world} {content}".rstrip(), (WorldPlan(world, (criterion,), trials=tuple(trials)),))
+    return Plan(f"in {Path(world).stem}", (WorldPlan(world, (criterion,), trials=tuple(trials)),))

@@ -63,9 +63,8 @@ class Unit:
     @property
     def digest(self) -> str:
         """Name of its result's files: another setting, or another version of the code, is another result."""
-        return hashlib.sha256(f"{code_fingerprint()} {json.dumps([self.kind, self.settings])}".encode()).hexdigest()[
-            :24
-        ]
+        text = json.dumps([code_fingerprint(), self.kind, self.settings])
+        return hashlib.sha256(text.encode()).hexdigest()[:24]
 
     @property
     def series(self) -> tuple[Any, ...]:
@@ -111,7 +110,7 @@ def units(plan: Plan) -> list[Unit]:
 
 
 def _of_world(world: WorldPlan, plan: Plan) -> Iterator[Unit]:
-    at = (("world", world.world), ("camera", plan.camera))
+    at = _at(world, plan)
     yield from (search_unit(world, plan, trial, RUN_SEED + k) for trial in world.trials for k in range(trial.runs))
     queries = [query_unit(world, plan, QUERY_SEED + k) for k in range(world.queries)]
     for recognizer in world.recognizers if queries else ():
@@ -124,29 +123,34 @@ def _of_world(world: WorldPlan, plan: Plan) -> Iterator[Unit]:
         yield Unit("errand", (*at, ("errand", errand), ("runs", RUNS)))
 
 
+def _at(world: WorldPlan, plan: Plan) -> tuple[tuple[str, Any], ...]:
+    """Return where: another map in a file of the same name is another world."""
+    path = Path(world.world)
+    content = (("content", hashlib.sha256(path.read_bytes()).hexdigest()[:12]),) if path.is_file() else ()
+    return (("world", world.world), *content, ("camera", plan.camera))
+
+
 def _taught(world: WorldPlan, plan: Plan, drives: int) -> tuple[Unit, ...]:
-    at = (("world", world.world), ("camera", plan.camera))
-    return tuple(Unit("teach", (*at, ("seed", TEACHING_SEED + k))) for k in range(drives))
+    return tuple(Unit("teach", (*_at(world, plan), ("seed", TEACHING_SEED + k))) for k in range(drives))
 
 
 def _learned(world: WorldPlan, plan: Plan, drives: int, length: int) -> Unit:
     """Learn a map (length 0), or a model of the paper."""
-    settings = (("world", world.world), ("camera", plan.camera), ("drives", drives), ("length", length))
+    settings = (*_at(world, plan), ("drives", drives), ("length", length))
     return Unit("learn", settings, _taught(world, plan, drives))
 
 
 def query_unit(world: WorldPlan, plan: Plan, seed: int) -> Unit:
     """Drive a way that is not taught, and keep what is seen under every degradation; the objective's is clear."""
     degradations = tuple(dict.fromkeys(("clean", *world.recognized)))
-    at = (("world", world.world), ("camera", plan.camera))
-    return Unit("queries", (*at, ("degradations", degradations), ("seed", seed)))
+    return Unit("queries", (*_at(world, plan), ("degradations", degradations), ("seed", seed)))
 
 
 def recognize_unit(world: WorldPlan, plan: Plan, recognizer: Recognizer, degradation: str, query: Unit) -> Unit:
     """Have a method recognize the frames of a held-out drive."""
     criteria = tuple((one.distance_m, one.angle_deg) for one in world.criteria)
     settings = (
-        ("world", world.world), ("camera", plan.camera), ("drives", world.drives), ("method", recognizer.name),
+        *_at(world, plan), ("drives", world.drives), ("method", recognizer.name),
         ("length", recognizer.length), ("degradation", degradation), ("criteria", criteria), ("seed", query["seed"]),
     )  # fmt: skip
     smal = recognizer.name == "smal"
@@ -158,7 +162,7 @@ def search_unit(world: WorldPlan, plan: Plan, trial: Trial, seed: int) -> Unit:
     """Search once."""
     criterion = (world.criteria[0].distance_m, world.criteria[0].angle_deg)
     settings = (
-        ("world", world.world), ("camera", plan.camera), *settings_of(trial), ("patience", plan.patience),
+        *_at(world, plan), *settings_of(trial), ("patience", plan.patience),
         ("criterion", criterion), ("seed", seed),
     )  # fmt: skip
     length = {"smal": 0, "paper": trial.length}.get(trial.controller)

@@ -45,7 +45,7 @@ def test_all_have_the_same_drives_and_nobody_but_the_paper_learns_its_model() ->
     assert {unit.kind for unit in units(own)} == {"teach", "learn", "search"}
 
 
-def test_another_setting_or_another_code_is_another_result(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_another_setting_map_or_code_is_another_result(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def digests(one: Plan, kind: str) -> set[str]:
         return {unit.digest for unit in units(one) if unit.kind == kind}
 
@@ -60,6 +60,11 @@ def test_another_setting_or_another_code_is_another_result(monkeypatch: pytest.M
     named = {path.name for path in sources()}
     assert {"filter.py", "search.py", "work.py", "indoor.json"} <= named
     assert not {"page.py", "figures.py", "results.py"} & named
+    file = tmp_path / "town.json"
+    file.write_text("one map")
+    one_map = digests(in_world(str(file), 1.5), "search")
+    file.write_text("another one")
+    assert not digests(in_world(str(file), 1.5), "search") & one_map
     before = digests(SMALL, "search")
     monkeypatch.setattr(of_plan, "code_fingerprint", lambda: "other")
     assert not digests(SMALL, "search") & before
