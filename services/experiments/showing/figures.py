@@ -32,8 +32,8 @@ def _named(name: str, names: Sequence[str]) -> str | None:
 
 
 def _mark(axes: Axes, at: NDArray[np.float64], marker: str, size: float, label: str, **style: Any) -> None:  # noqa: ANN401
-    style = {"mec": BACK, "ls": "", "zorder": 5} | style
-    axes.plot(*at.T, marker, ms=size, label=label, **style)
+    usual: dict[str, Any] = {"mec": BACK, "ls": "", "zorder": 5}
+    axes.plot(*at.T, marker, ms=size, label=label, **usual | style)
 
 
 def _number(axes: Axes, number: int, at: NDArray[np.float64]) -> None:
