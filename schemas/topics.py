@@ -73,11 +73,6 @@ class Topic:
         return f"{ROOT}/{robot}/{self.name}"
 
     @property
-    def is_kept(self) -> bool:
-        """Whether its senders keep messages for who missed them; where that is asked for, nothing waits for a stop."""
-        return self.recorded and self.lane != "stop"
-
-    @property
     def kept(self) -> int:
         """How many messages of a recorded topic its sender keeps; of events as many as if they came at 10 Hz.
 

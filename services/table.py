@@ -96,7 +96,7 @@ SERVICES: Final = {
             "recorder",
             "writes recordings",
             tuple(topic for topic in TOPICS.values() if topic.recorded),
-            fetches=tuple(topic for topic in TOPICS.values() if topic.is_kept),
+            fetches=tuple(topic for topic in TOPICS.values() if topic.recorded),
             serves=("start", "flush", "stop"),
         ),
         Service("tracker", "measures the robot's pose from above", (topics.OVERHEAD,), (topics.TRACKED,)),

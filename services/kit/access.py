@@ -65,7 +65,7 @@ def _says(role: Role, robot: str) -> dict[str, set[str]]:
         "declare_queryable": serves | kept,
         "query": calls | replayed | administers,
         # What a sender kept is answered on the topic's own key.
-        "reply": serves | kept | {topic.key(robot) for topic in role.gives if topic.is_kept},
+        "reply": serves | kept | {topic.key(robot) for topic in role.gives if topic.recorded},
         "liveliness_token": kept,
         "declare_liveliness_subscriber": replayed,
         "liveliness_query": replayed,
@@ -96,7 +96,7 @@ def _keys(some: tuple[Topic, ...], robot: str) -> set[str]:
 
 
 def _kept_keys(some: tuple[Topic, ...], robot: str) -> set[str]:
-    return {f"{topic.key(robot)}/{KEPT_KEYS}" for topic in some if topic.is_kept}
+    return {f"{topic.key(robot)}/{KEPT_KEYS}" for topic in some if topic.recorded}
 
 
 def _services(role: Role, robot: str) -> tuple[set[str], set[str]]:

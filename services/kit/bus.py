@@ -97,7 +97,7 @@ class Bus:
     def publish(self, message: Message) -> None:
         """Send a message on its topic.
 
-        During an outage of the router it is lost, but for what is recorded, stops apart: that is kept for
+        During an outage of the router it is lost, but for the topics that are recorded: those are kept for
         ``topics.KEPT_S``, and subscribers with ``replay`` have them sent afterwards.
         """
         self._wire.publish(TOPICS[message.topic_name], encode(message))

@@ -205,13 +205,13 @@ class ZenohWire:
         return all(session.info.routers_zid() for session in self.sessions.values())
 
     def publish(self, topic: Topic, payload: bytes) -> None:
-        """Send the bytes of a message; in an outage what is not kept is lost."""
+        """Send the bytes of a message; in an outage what is not recorded is lost."""
         self._publisher(topic).put(payload)
 
     def has_listeners(self, topic: Topic) -> bool:
         """Whether anybody takes a topic, as far as the router has told yet."""
         publisher = self._publisher(topic)
-        assert isinstance(publisher, zenoh.Publisher)  # noqa: S101 - of topics that are not kept
+        assert isinstance(publisher, zenoh.Publisher)  # noqa: S101 - of topics that are not recorded
         # Zenoh's types say bool; it is an object, and as such always true.
         status: object = publisher.matching_status
         return cast("zenoh.MatchingStatus", status).matching
@@ -228,7 +228,7 @@ class ZenohWire:
         encoding = zenoh.Encoding(encoding_of(topic.message))
         how = quality(topic)
         congestion, priority = _CONGESTION[how.congestion_control], _PRIORITY[how.priority]
-        if not topic.is_kept:
+        if not topic.recorded:
             return session.declare_publisher(
                 key, encoding=encoding, congestion_control=congestion, priority=priority, express=how.express
             )

@@ -31,7 +31,7 @@ from tests.services.waiting import eventually
 VERBS: Final = ("put", "delete", "subscribe", "query", "serve", "token")
 TOPIC_KEYS: Final = {topic.key(ROBOT): topic for topic in TOPICS.values()}
 SERVED: Final = {rpc_key(ROBOT, *name.split("/")): name for role in roles().values() for name in role.serves}
-KEPT: Final = {f"{topic.key(ROBOT)}/@adv/pub/1/2/_": topic for topic in TOPICS.values() if topic.is_kept}
+KEPT: Final = {f"{topic.key(ROBOT)}/@adv/pub/1/2/_": topic for topic in TOPICS.values() if topic.recorded}
 #: What nobody may name: other robots, the administration of the router, and keys that stand for many.
 ADMINISTRATION: Final = "@/1/router/config/adminspace"
 FOREIGN: Final = (
