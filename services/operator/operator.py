@@ -213,7 +213,7 @@ class Operator:
         self._withdrawn = withdrawn = threading.Event()
 
         def gone() -> str:
-            return "it was cancelled" if withdrawn.is_set() else "" if there() else "who asked for it has left"
+            return "it was cancelled" if withdrawn.is_set() else "" if there() else "the person who asked has left"
 
         def ask() -> Callable[[], None]:
             prepare()

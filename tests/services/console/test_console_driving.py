@@ -342,7 +342,7 @@ def test_nothing_begins_for_who_has_left_before_it_could(
         page.answers = False
     eventually(lambda: not console.service.attended)
     goes_on.set()
-    eventually(lambda: "not begun: who asked for it has left" in other.news())
+    eventually(lambda: "not begun: the person who asked has left" in other.news())
     assert other.state["robot"]["episode"] is None
     assert robot.gate.emergency_stop, "it was not armed"
 

@@ -39,18 +39,24 @@ def opening(robot: Robot, monkeypatch: pytest.MonkeyPatch) -> Opening:
 
 
 @pytest.mark.parametrize("robot", [True, False], indirect=True, ids=["attended", "unattended"])
-def test_an_episode_ends_at_once_whose_person_has_left_while_another_world_was_opened(
-    recorder: RecorderService, console: Console, open_page: OpenPage, opening: Opening
+@pytest.mark.parametrize("how", ["leave", "withdraw"])
+def test_an_episode_ends_at_once_whose_person_has_left_or_cancelled_while_another_world_was_opened(
+    recorder: RecorderService, console: Console, open_page: OpenPage, opening: Opening, how: str
 ) -> None:
+    """Its body tells of no steps between which it could end."""
     asked, goes_on = opening
     page, other = open_page(), open_page()
     page.sit()
     page.insist(asked.is_set, do="drive", goal="dock")
-    page.say(do="leave")
-    eventually(lambda: not console.service.attended)
+    if how == "leave":
+        page.say(do="leave")
+        eventually(lambda: not console.service.attended)
+    else:
+        page.say(do="withdraw")
+        page.let_go()  # what was said before is heard
     goes_on.set()
-    eventually(lambda: "ended at once: who asked for it has left" in other.news())
-    eventually(lambda: other.state["robot"]["episode"] is None and not other.state["robot"].get("waiting"))
+    eventually(lambda: "the person who asked has left" in other.news() or "cancelled" in other.news())
+    eventually(lambda: other.robot(episode=None, waiting=False))
 
 
 def test_an_emergency_stop_while_another_world_is_opened_is_latched_when_it_is(
@@ -102,19 +108,3 @@ def test_the_opening_of_a_world_is_cancelled_and_the_next_drive_begins(
     eventually(lambda: "there is nothing to cancel: no episode is being begun" in page.news())
     monkeypatch.undo()
     page.insist(lambda: page.state["robot"]["episode"] is not None, do="drive", goal="dock")
-
-
-@unattended
-def test_a_drive_that_is_cancelled_too_late_for_the_robot_ends_at_once(
-    robot: Robot, recorder: RecorderService, open_page: OpenPage, opening: Opening
-) -> None:
-    """Its body tells of no steps between which it could end."""
-    asked, goes_on = opening
-    page = open_page()
-    page.sit()
-    page.insist(asked.is_set, do="drive", goal="dock")
-    page.say(do="withdraw")
-    page.let_go()  # what was said before is heard
-    goes_on.set()
-    eventually(lambda: "cancelled" in page.news())
-    eventually(lambda: page.robot(waiting=False, episode=None))

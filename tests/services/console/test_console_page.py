@@ -164,9 +164,18 @@ def recording(name: str) -> dict[str, object]:
 
 def test_who_is_in_the_list_of_recordings_stays_there_when_it_grows(page: Page, board: Board) -> None:
     tell_robot(board, world="yard", worlds="yard", variation="day", variations="day")
-    board.put("library", {"folder": "drives", "models": [], "recordings": [recording("b-s-2"), recording("a-s-1")]})
+    board.put(
+        "library",
+        {
+            "folder": "drives",
+            "models": [],
+            "recordings": [recording("b-s-2") | {"corrected": True}, recording("a-s-1")],
+        },
+    )
     boxes = page.locator("#recordings input")
     eventually(lambda: boxes.evaluate_all("all => all.map(({checked}) => checked)") == [True, True])
+    told = page.locator("#recordings small").all_inner_texts()
+    assert ["corrected by hand" in text for text in told] == [True, False]
     boxes.nth(1).uncheck()
     boxes.nth(1).focus()
     names = ["c-s-3", "a-s-1"]
@@ -203,10 +212,3 @@ def test_who_runs_a_model_is_warned_where_it_was_taught_in_another_world(page: P
     eventually(lambda: warned.inner_text() == said)
     tell_robot(board, world="campus", worlds="campus, yard", variation="day", variations="day")
     eventually(lambda: warned.inner_text() == "")
-
-
-def test_a_run_that_somebody_has_corrected_says_so(page: Page, board: Board) -> None:
-    runs = [recording(name) | {"purpose": "run", "corrected": name == "b-s-2"} for name in ("b-s-2", "a-s-1")]
-    board.put("library", {"folder": "drives", "models": [], "recordings": runs})
-    facts = page.locator("#recordings small")
-    eventually(lambda: ["corrected by hand" in text for text in facts.all_inner_texts()] == [True, False])
