@@ -1,19 +1,17 @@
-"""The robot's base: what moves when the wheels are driven. This one is kinematic; `physics` has the one with mass."""
+"""The robot's base: how its wheels are driven. This one is kinematic; `physics` has the one with mass."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final, Protocol
+import math
+from typing import Final, NamedTuple, Protocol
 
-from services.simulator.drive import Actuator, WheelSpeeds, move
+import numpy as np
+
+from schemas.base import Atom
+from services.robot.clock import TICK_S
+from services.simulator.robots import Drive
 from services.simulator.world.collision import obstacles_of
-
-if TYPE_CHECKING:
-    import numpy as np
-
-    from schemas.base import Atom
-    from services.simulator.robots import Drive
-    from services.simulator.world.place import Place, Pose
+from services.simulator.world.place import Place, Pose
 
 #: Longest step of time that a base is moved by, seconds; sensors are read once a step, and real time goes by it.
 STEP_S: Final = 0.02
@@ -21,23 +19,66 @@ STEP_S: Final = 0.02
 _HALVINGS: Final = 6
 
 
-@dataclass(frozen=True)
-class Motion:
-    """What a base did in one step.
+class WheelSpeeds(NamedTuple):
+    """Speeds of the wheels' rims over the ground, m/s."""
 
-    Attributes
-    ----------
-    pose
-        Where it is at the end of the step.
-    rolled_m
-        How far the left and the right wheel turned, as metres of the rim.
-    collided
-        Whether it touched anything in this step.
+    left: float
+    right: float
+
+
+def wheel_speeds(atom: Atom, drive: Drive, speed: float = 1.0) -> WheelSpeeds:
+    """Return the wheel speeds that an atom movement commands at a fraction `speed`, 0 to 1, of the nominal speed."""
+    forward = {"forward": drive.speed_m_s, "backward": -drive.speed_m_s}.get(atom, 0.0)
+    turn = {"left": drive.turn_rate_rad_s, "right": -drive.turn_rate_rad_s}.get(atom, 0.0)
+    half = turn * drive.track_m / 2
+    return WheelSpeeds(speed * (forward - half), speed * (forward + half))
+
+
+def move(pose: Pose, wheels: WheelSpeeds, track_m: float, duration_s: float) -> Pose:
+    """Return the pose after constant speeds of the wheels (m/s): an arc of a circle, or a straight line, exactly."""
+    half_turn = (wheels.right - wheels.left) / track_m * duration_s / 2
+    # The chord of an arc points half the turn away from the heading and is sin(half)/half of the arc long.
+    shrink = 1.0 - half_turn**2 / 6 if abs(half_turn) < 1e-4 else math.sin(half_turn) / half_turn
+    chord = (wheels.left + wheels.right) / 2 * duration_s * shrink
+    direction = pose.heading + half_turn
+    heading = math.remainder(pose.heading + 2 * half_turn, math.tau)
+    return Pose(pose.x + chord * math.cos(direction), pose.y + chord * math.sin(direction), heading)
+
+
+class Actuator:
+    """Wheels that do not quite obey, in the same way for the same seed.
+
+    The errors belong to ticks of simulated time, so that a movement does not depend on how finely it is stepped.
     """
 
+    def __init__(self, drive: Drive, rng: np.random.Generator) -> None:
+        self._drive = drive
+        self._rng = rng
+        self._radius = 1.0 + drive.radius_sigma * rng.standard_normal(2)
+        self._time_s = 0.0
+        self._tick = -1
+        self._error = self._radius
+
+    def wheels(self, atom: Atom, speed: float, duration_s: float) -> WheelSpeeds:
+        """Return the speeds that the wheels really have for the next `duration_s`, and let that time pass."""
+        tick = int(self._time_s / TICK_S + 1e-6)
+        while self._tick < tick:
+            self._tick += 1
+            self._error = self._radius * (1.0 + self._drive.tick_sigma * self._rng.standard_normal(2))
+        self._time_s += duration_s
+        wanted = wheel_speeds(atom, self._drive, speed)
+        return WheelSpeeds(wanted.left * float(self._error[0]), wanted.right * float(self._error[1]))
+
+
+class Motion(NamedTuple):
+    """What a base did in one step."""
+
     pose: Pose
+    """Where it is at the end of the step."""
     rolled_m: tuple[float, float]
+    """How far the left and the right wheel turned, as metres of the rim."""
     collided: bool
+    """Whether it touched anything in this step."""
 
 
 class Base(Protocol):
@@ -51,28 +92,13 @@ class Base(Protocol):
         """Stand still at a pose; `rng` is the source of this episode's wheel errors."""
 
     def step(self, atom: Atom, speed: float, duration_s: float) -> Motion:
-        """Drive for a moment.
-
-        Parameters
-        ----------
-        atom
-            The movement.
-        speed
-            Fraction of the nominal speed, 0 to 1.
-        duration_s
-            For how long, above 0 and at most `STEP_S`.
-        """
+        """Drive for a moment, above 0 and at most `STEP_S`, at a fraction `speed`, 0 to 1, of the nominal speed."""
 
 
 class KinematicBase:
     """A base without mass, that has the speed of its wheels at once and stops where it touches something.
 
-    Parameters
-    ----------
-    place
-        Where it drives, and with which robot.
-    drive
-        Other wheels than the robot's.
+    `drive` are other wheels than those of the place's robot.
     """
 
     def __init__(self, place: Place, drive: Drive | None = None) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from threading import Lock
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 from schemas.base import Atom
 from schemas.rpc import ResetRequest
@@ -16,9 +16,7 @@ from services.simulator.base import STEP_S
 from services.simulator.simulation import Simulation
 from services.simulator.variation import VARIATIONS
 from services.simulator.view import SimulatedView
-
-if TYPE_CHECKING:
-    from services.simulator.worlds import Worlds
+from services.simulator.worlds import Worlds
 
 #: Silence after which the simulated base stands by itself, as those of real robots do.
 WATCHDOG_S: Final = 0.2
@@ -32,19 +30,11 @@ class SimulatedBody:
 
     Like a real base it goes on with its last order until it has another one, or its watchdog bites; what passed
     meanwhile is made up for at the next order or look, so that a thread or a process that had no processor finds the
-    robot where it would be.
-
-    Parameters
-    ----------
-    simulation
-        World, robot and camera.
-    clock
-        The actuator's seconds.
-    wanted
-        Whether anybody listens to a topic; asked at every frame for those whose messages are costly.
-    worlds
-        Opens other worlds; without it the robot stays in the one that it is in.
+    robot where it would be. `wanted` says whether anybody listens to a topic, `worlds` opens other worlds; without it
+    the robot stays in the one that it is in.
     """
+
+    watchdog_s = WATCHDOG_S
 
     def __init__(
         self,
@@ -80,11 +70,6 @@ class SimulatedBody:
     def focal_px(self) -> float:
         """Focal length of the camera in pixels."""
         return self.simulation.focal_px
-
-    @property
-    def watchdog_s(self) -> float:
-        """Seconds without an order after which it stands."""
-        return WATCHDOG_S
 
     @property
     def braking_s(self) -> float:
@@ -163,8 +148,4 @@ class SimulatedBody:
         if self._worlds is None:
             return {}
         _, variation = self._worlds.here
-        return {
-            "variation": variation,
-            "variations": ", ".join(VARIATIONS),
-            "worlds": ", ".join(self._worlds.names()),
-        }
+        return {"variation": variation, "variations": ", ".join(VARIATIONS), "worlds": ", ".join(self._worlds.names())}

@@ -8,7 +8,7 @@ from pydantic import Field, field_validator
 
 from services.kit.root import RootSettings
 from services.robot.config import RobotSettings
-from services.simulator.opening import BaseKind
+from services.simulator.simulation import BaseKind
 from services.simulator.variation import variation_named
 
 

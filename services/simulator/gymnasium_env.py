@@ -18,10 +18,9 @@ from schemas.episode import Purpose
 from schemas.rpc import MAX_TICKS as NO_LIMIT
 from schemas.rpc import ResetRequest
 from services.robot.clock import TICK_S
+from services.simulator.camera import CameraSettings
 from services.simulator.lockstep import LockstepEpisode
-from services.simulator.opening import BaseKind, open_simulation
-from services.simulator.sensors.camera import CameraSettings
-from services.simulator.simulation import Simulation
+from services.simulator.simulation import BaseKind, Simulation, open_simulation
 
 #: Frames after which an episode is truncated: five minutes.
 MAX_TICKS: Final = 3000
@@ -33,31 +32,20 @@ Info = dict[str, Any]
 class SearchEnv(gymnasium.Env[NDArray[np.uint8], np.int64]):
     """Find the victim by the camera alone.
 
-    Observation: the camera image, (height, width, 3) uint8 RGB. Action: one of `schemas.base.ATOMS` (forward,
-    backward, left, right, stop), held for one frame of 0.1 s. Reward: 1 when the victim is found, -1 at a collision
-    (both end the episode), else 0.
+    Observation: the camera image, (height, width, 3) uint8 RGB. Action: one of `schemas.base.ATOMS` (forward, backward,
+    left, right, stop), held for one frame of 0.1 s. Reward: 1 when the victim is found, -1 at a collision (both end the
+    episode), else 0.
 
     Parameters
     ----------
-    world
-        Name of a world, or the path of a map; see `load_world`.
+    world, base, shake, variation
+        See `open_simulation`, and what it raises.
     width, height
         Size of the camera image, pixels.
-    base, shake, variation
-        How the robot moves, how much its camera shakes, and under which conditions; see `open_simulation`.
     render_mode
         `rgb_array`, or None.
     simulation
         A simulation made elsewhere, whose images have that size; all the above but `render_mode` is then left aside.
-
-    Raises
-    ------
-    WorldError
-        There is no such world.
-    RenderingUnavailableError, PhysicsUnavailableError
-        This machine lacks what is needed.
-    ValueError
-        The variation or the render mode is unknown.
     """
 
     metadata: dict[str, Any] = {"render_modes": ["rgb_array"], "render_fps": round(1 / TICK_S)}  # noqa: RUF012
@@ -85,20 +73,11 @@ class SearchEnv(gymnasium.Env[NDArray[np.uint8], np.int64]):
         self._episode: LockstepEpisode | None = None
 
     def reset(self, *, seed: int | None = None, options: Info | None = None) -> tuple[NDArray[np.uint8], Info]:
-        """Begin an episode.
+        """Begin an episode; the same seed gives the same, without one the environment's own chance decides.
 
-        Parameters
-        ----------
-        seed
-            The same seed gives the same episode; without one the environment's own chance decides.
-        options
-            `purpose`: where to start, "run" (the default), "drive" or "recovery"; see `starts.sample_start`.
-
-        Returns
-        -------
-        observation, info
-            `info` has `pose` (x, y in metres, heading in radians) and `route` ((k, 2) way points to the victim, for
-            experts that may know them).
+        `options` may have a `purpose`: where to start, "run" (the default), "drive" or "recovery"; see `sample_start`.
+        `info` has `pose` (x, y in metres, heading in radians) and `route`, the way points (k, 2) to the victim, for
+        experts that may know them.
         """
         super().reset(seed=seed)
         purpose = (options or {}).get("purpose", "run")
@@ -114,11 +93,8 @@ class SearchEnv(gymnasium.Env[NDArray[np.uint8], np.int64]):
     def step(self, action: np.int64) -> tuple[NDArray[np.uint8], float, bool, bool, Info]:
         """Hold a key for one frame.
 
-        Returns
-        -------
-        observation, reward, terminated, truncated, info
-            `info` has `pose` and, with the last step, `outcome`: "found" or "collision". `truncated` is always False
-            here: `gymnasium.make` adds the limit of `MAX_TICKS` steps.
+        `info` has `pose` and, with the last step, `outcome`: "found" or "collision". `truncated` is always False here:
+        `gymnasium.make` adds the limit of `MAX_TICKS` steps.
         """
         if not self.action_space.contains(action):
             raise ValueError(f"action {action!r}: expected a whole number from 0 to {len(ATOMS) - 1}")

@@ -27,13 +27,6 @@ class LockstepEpisode(Episode[SimulatedView]):
     """An episode in this process, without messages, for whoever acts on its views.
 
     What the services add changes nothing in lockstep: the same seed gives the same poses.
-
-    Parameters
-    ----------
-    simulation
-        World, robot and camera.
-    request
-        Which episode.
     """
 
     def __init__(self, simulation: Simulation, request: ResetRequest) -> None:
@@ -48,15 +41,7 @@ class LockstepEpisode(Episode[SimulatedView]):
 
 
 class Lockstep:
-    """The pace of a simulated robot whose world waits for commands.
-
-    Parameters
-    ----------
-    body
-        What moves.
-    clock
-        The actuator's seconds, for what was not answered.
-    """
+    """The pace of a simulated robot whose world waits for commands; `clock` times what was not answered."""
 
     def __init__(self, body: SimulatedBody, clock: Callable[[], float] = now_s) -> None:
         self._body = body

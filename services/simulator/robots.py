@@ -3,85 +3,55 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Final
-
-__all__ = ["RESCUEBOT", "TURTLEBOT", "CameraMount", "Drive", "RobotModel", "Tag"]
+from typing import Final, NamedTuple
 
 
 @dataclass(frozen=True)
 class Drive:
-    """The robot's wheels and how well they obey.
-
-    Attributes
-    ----------
-    speed_m_s
-        Speed of `forward` and `backward`.
-    turn_rate_rad_s
-        Turning speed of `left` and `right`, on the spot.
-    track_m
-        Distance between the wheels.
-    wheel_radius_m
-        Nominal radius of both wheels.
-    tick_sigma
-        Standard deviation of each wheel's relative speed error, drawn anew every tick of 0.1 s.
-    radius_sigma
-        Standard deviation of each wheel's relative radius error, drawn once an episode.
-    """
+    """The robot's wheels and how well they obey."""
 
     speed_m_s: float = 2.0
+    """Speed of `forward` and `backward`."""
     turn_rate_rad_s: float = 0.785
+    """Turning speed of `left` and `right`, on the spot."""
     track_m: float = 0.6
+    """Distance between the wheels."""
     wheel_radius_m: float = 0.2
     tick_sigma: float = 0.03
+    """Standard deviation of each wheel's relative speed error, drawn anew every tick of 0.1 s."""
     radius_sigma: float = 0.01
+    """Standard deviation of each wheel's relative radius error, drawn once an episode."""
 
 
-@dataclass(frozen=True)
-class CameraMount:
+class CameraMount(NamedTuple):
     """Where the camera is: metres ahead of the wheels' axis and above the ground; it looks straight ahead."""
 
     ahead_m: float
     height_m: float
 
 
-@dataclass(frozen=True)
-class Tag:
-    """A square ArUco marker lying on the robot, its upper edge towards the front, seen from above.
-
-    Attributes
-    ----------
-    number
-        Which marker of OpenCV's dictionary `DICT_4X4_50`.
-    side_m
-        Length of the black square's side.
-    height_m
-        Height above the ground.
-    """
+class Tag(NamedTuple):
+    """A square ArUco marker lying on the robot, its upper edge towards the front, seen from above."""
 
     number: int
+    """Which marker of OpenCV's dictionary `DICT_4X4_50`."""
     side_m: float
+    """Length of the black square's side."""
     height_m: float
+    """Above the ground."""
 
 
 @dataclass(frozen=True)
 class RobotModel:
-    """A robot with two driven wheels on one axis, and casters.
-
-    Attributes
-    ----------
-    radius_m
-        Of the smallest circle about the middle of the axis that holds the whole robot; planning keeps this free.
-    height_m
-        Of the body (without the camera's mast).
-    mass_kg
-        Of everything.
-    """
+    """A robot with two driven wheels on one axis, and casters."""
 
     name: str
     drive: Drive
     camera: CameraMount
     radius_m: float
+    """Of the smallest circle about the middle of the axis that holds the whole robot; planning keeps this free."""
     height_m: float
+    """Of the body (without the camera's mast)."""
     mass_kg: float
     tag: Tag | None = None
 
@@ -95,6 +65,7 @@ class RobotModel:
 RESCUEBOT: Final = RobotModel(
     "rescuebot", Drive(), CameraMount(ahead_m=0.35, height_m=1.0), radius_m=0.4, height_m=0.45, mass_kg=25.0
 )
+
 #: After the TurtleBot II of the paper's indoor experiment: Kobuki's track and wheels, a marker on the top plate.
 TURTLEBOT: Final = RobotModel(
     "turtlebot",

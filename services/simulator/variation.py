@@ -15,35 +15,24 @@ Colour = tuple[float, float, float]
 
 @dataclass(frozen=True)
 class Daylight:
-    """Sun and sky.
-
-    Attributes
-    ----------
-    elevation_deg, azimuth_deg
-        Where the sun stands: above the horizon, and clockwise from north.
-    sun
-        Colour and strength of the direct light, linear; black where clouds hide the sun.
-    sky
-        Of the light that comes from everywhere.
-    fill
-        Of the brighter part of the sky opposite the sun.
-    zenith, horizon
-        Colours of the sky's picture, 0 to 255.
-    clouds
-        How much of the sky clouds cover, relative to a fair day.
-    lamps
-        Strength and colour of what lights a room: lamps, and daylight through windows.
-    """
+    """Sun and sky."""
 
     elevation_deg: float = 40.98
     azimuth_deg: float = 221.58
+    """Where the sun stands: above the horizon, and clockwise from north."""
     sun: Colour = (2.6, 2.45, 2.2)
+    """Colour and strength of the direct light, linear; black where clouds hide the sun."""
     sky: Colour = (0.42, 0.45, 0.5)
+    """Of the light that comes from everywhere."""
     fill: Colour = (0.35, 0.38, 0.45)
+    """Of the brighter part of the sky opposite the sun."""
     zenith: Colour = (84.0, 132.0, 200.0)
     horizon: Colour = (206.0, 218.0, 228.0)
+    """Colours of the sky's picture, 0 to 255."""
     clouds: float = 1.0
+    """How much of the sky clouds cover, relative to a fair day."""
     lamps: Colour = (1.0, 1.0, 1.0)
+    """Strength and colour of what lights a room: lamps, and daylight through windows."""
 
     @property
     def direction(self) -> tuple[float, float, float]:
@@ -59,33 +48,19 @@ class Daylight:
 
 @dataclass(frozen=True)
 class Variation:
-    """One set of conditions.
-
-    Attributes
-    ----------
-    name
-        As given to ``--variation``.
-    meaning
-        One line for people.
-    light
-        Sun and sky.
-    visibility_m
-        Distance at which 5 % of an object's contrast is left (meteorologists' visibility); None for clear air.
-    exposure_ev
-        By how many stops the camera exposes too much.
-    facade_seed
-        Façades are painted anew for every number but 0.
-    clutter_seed
-        Movable things (furniture, trees) stand elsewhere for every number but 0.
-    """
+    """One set of conditions: its name, as given to ``--variation``, and what it means, for people."""
 
     name: str
     meaning: str
     light: Daylight = Daylight()
     visibility_m: float | None = None
+    """Distance at which 5 % of an object's contrast is left (meteorologists' visibility); None for clear air."""
     exposure_ev: float = 0.0
+    """By how many stops the camera exposes too much."""
     facade_seed: int = 0
+    """Façades are painted anew for every number but 0."""
     clutter_seed: int = 0
+    """Movable things (furniture, trees) stand elsewhere for every number but 0."""
 
 
 DAY: Final = Variation("day", "A fair afternoon, as in teaching unless said otherwise.")
@@ -127,13 +102,7 @@ VARIATIONS: Final[dict[str, Variation]] = {
 
 
 def variation_named(name: str) -> Variation:
-    """Return a variation.
-
-    Raises
-    ------
-    ValueError
-        There is none of that name.
-    """
+    """Return a variation; a `ValueError` names those that there are."""
     if name not in VARIATIONS:
         raise ValueError(f"unknown variation {name!r}; known are {', '.join(VARIATIONS)}")
     return VARIATIONS[name]

@@ -6,25 +6,19 @@ import math
 from collections.abc import Callable, Collection, Iterator
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, Final
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
 
 from schemas.base import Message
 from schemas.pose import Pose as PoseMessage
 from schemas.topics import DEPTH, OVERHEAD, Topic
-from services.simulator.scene.atmosphere import exposed, hazy
-from services.simulator.sensors.blur import blur
-from services.simulator.sensors.messages import depth_message, overhead_message
-
-if TYPE_CHECKING:
-    import numpy as np
-    from numpy.typing import NDArray
-
-    from services.robot.body import ImuReading, OdometryReading
-    from services.simulator.sensors import Tilt
-    from services.simulator.sensors.camera import Camera
-    from services.simulator.sensors.shake import TiltRate
-    from services.simulator.variation import Variation
-    from services.simulator.world.place import Pose, World
+from services.robot.body import ImuReading, OdometryReading
+from services.simulator.camera import Camera, blur, depth_message, exposed, hazy, overhead_message
+from services.simulator.sensors import Tilt, TiltRate
+from services.simulator.variation import Variation
+from services.simulator.world.place import Pose, World
 
 #: Fraction of the image that the victim must fill to be seen.
 VISIBLE_FRACTION: Final = 0.0005
@@ -42,35 +36,23 @@ class Eye:
 
 @dataclass(frozen=True, eq=False)
 class SimulatedView:
-    """One moment of the simulated robot, as `services.robot.body.View` asks for it.
-
-    Attributes
-    ----------
-    eye
-        What its pictures are made with.
-    pose
-        Where the robot truly is.
-    tilt, tilt_rate
-        How the camera shakes.
-    contact
-        Whether the robot has touched anything since the reset.
-    odometry, imu
-        What its sensors say.
-    captured_s
-        When, by the actuator's clock.
-    wanted
-        Whether anybody listens to a topic whose messages are costly.
-    """
+    """One moment of the simulated robot, as `services.robot.body.View` asks for it."""
 
     eye: Eye
+    """What its pictures are made with."""
     pose: Pose
+    """Where the robot truly is."""
     tilt: Tilt
     tilt_rate: TiltRate
+    """How the camera shakes."""
     contact: bool
+    """Whether the robot has touched anything since the reset."""
     odometry: OdometryReading
     imu: tuple[ImuReading, ...]
     captured_s: float = 0.0
+    """When, by the actuator's clock."""
     wanted: Callable[[Topic], bool] = lambda _topic: False
+    """Whether anybody listens to a topic whose messages are costly."""
 
     @cached_property
     def image(self) -> NDArray[np.uint8]:
@@ -89,13 +71,7 @@ class SimulatedView:
 
     @cached_property
     def overhead(self) -> NDArray[np.uint8]:
-        """What the camera above the scene sees, (height, width, 3) uint8 RGB.
-
-        Raises
-        ------
-        LookupError
-            There is none.
-        """
+        """What the camera above the scene sees, (height, width, 3) RGB; a `LookupError` where there is none."""
         return self.eye.camera.overhead(self.pose)
 
     @cached_property

@@ -3,35 +3,26 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 from pydantic import TypeAdapter, ValidationError
 
 from schemas.rpc import WorldName
 from services.kit.node import ServiceError
 from services.kit.root import WORLDS, OutsideError, below
-from services.simulator.opening import open_simulation
+from services.simulator.camera import CameraSettings
+from services.simulator.config import SimulatorSettings
 from services.simulator.physics.engine import PhysicsUnavailableError
 from services.simulator.scene.vulkan import RenderingUnavailableError
-from services.simulator.sensors.camera import CameraSettings
+from services.simulator.simulation import Simulation, open_simulation
 from services.simulator.variation import VARIATIONS
 from services.simulator.world import WorldError, known_worlds
-
-if TYPE_CHECKING:
-    from services.simulator.config import SimulatorSettings
-    from services.simulator.simulation import Simulation
 
 _NAME: Final[TypeAdapter[str]] = TypeAdapter(WorldName)
 
 
 class Worlds:
-    """Opens worlds: those of the project, those in ``worlds/`` below the root, and the one that the settings name.
-
-    Parameters
-    ----------
-    settings
-        Of the simulator: root, first world and variation, camera, base, shake.
-    """
+    """Opens worlds: those of the project, those in ``worlds/`` below the root, and the one that the settings name."""
 
     def __init__(self, settings: SimulatorSettings) -> None:
         self._settings = settings
@@ -45,18 +36,7 @@ class Worlds:
         return sorted({*known_worlds(), *filter(_may_be_asked_for, [self._first, *own])})
 
     def open(self, world: str | None = None, variation: str | None = None) -> Simulation:
-        """Open a world.
-
-        Parameters
-        ----------
-        world, variation
-            Which, and under which conditions; as they were if not given.
-
-        Raises
-        ------
-        ServiceError
-            There is no such world or variation, or it cannot be used.
-        """
+        """Open a world under some conditions, both as they were if not given; a `ServiceError` where that cannot be."""
         world, variation = world or self.here[0], variation or self.here[1]
         if variation not in VARIATIONS:
             raise ServiceError(f"no variation {variation!r}; known are {', '.join(VARIATIONS)}")

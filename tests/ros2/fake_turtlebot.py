@@ -22,8 +22,8 @@ import zenoh
 import zenoh.ext
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-from services.simulator.drive import WheelSpeeds, move
-from services.simulator.sensors.camera import CameraSettings
+from services.simulator.base import WheelSpeeds, move
+from services.simulator.camera import CameraSettings
 from services.simulator.world import load_world
 from services.simulator.world.collision import obstacles_of
 from services.simulator.world.place import Pose

@@ -31,7 +31,7 @@ from services.simulator.view import VISIBLE_FRACTION
 from services.simulator.world import load_world
 from services.simulator.world.place import Pose
 from services.simulator.world.route import plan_route
-from services.simulator.world.starts import sample_start
+from services.simulator.world.task import sample_start
 from services.table import stack_services
 from tests.ros2.truth import Truth
 

@@ -15,8 +15,8 @@ from services.experiments.evaluation.drives import drive
 from services.experiments.evaluation.plan import TEACHING_SEED, Errand
 from services.experiments.evaluation.recognition import FEATURES
 from services.experiments.evaluation.search import search
-from services.simulator.opening import open_simulation
-from services.simulator.sensors.camera import CameraSettings
+from services.simulator.camera import CameraSettings
+from services.simulator.simulation import open_simulation
 from services.simulator.world.place import Pose
 from services.simulator.world.route import route_length_m
 from smal.mapping import learn

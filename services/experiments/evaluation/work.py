@@ -22,9 +22,8 @@ from services.experiments.evaluation.results import file_of
 from services.experiments.evaluation.search import PICTURE_TICKS, Driver, finding, search
 from services.experiments.evaluation.units import Unit
 from services.kit.jpeg import encode_jpeg
-from services.simulator.opening import open_simulation
-from services.simulator.sensors.camera import CameraSettings
-from services.simulator.simulation import Simulation
+from services.simulator.camera import CameraSettings
+from services.simulator.simulation import Simulation, open_simulation
 from smal.evaluation.baselines.nearest_neighbour_imitation import NearestNeighbourImitation
 from smal.evaluation.baselines.seqslam_localization import SeqSlamImitation
 from smal.evaluation.baselines.teach_and_repeat import TeachAndRepeat

@@ -3,22 +3,18 @@
 from __future__ import annotations
 
 import zlib
-from dataclasses import astuple, dataclass, replace
+from collections.abc import Iterable
+from dataclasses import astuple
 from functools import lru_cache
-from typing import TYPE_CHECKING, Final
+from typing import Final, NamedTuple
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
-from services.simulator.scene.noise import as_picture, coloured, layered
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable
-
-    from numpy.typing import NDArray
-
-    from services.simulator.world.place import Rgb
-    from services.simulator.world.terrain import Facade, FacadeStyle
+from services.simulator.scene.textures import Picture, as_picture, coloured, layered
+from services.simulator.world.place import Rgb
+from services.simulator.world.terrain import Facade, FacadeStyle
 
 #: A picture shows this many bays side by side and, of the upper storeys, this many one above the other.
 BAYS: Final = 4
@@ -26,6 +22,8 @@ STOREYS: Final = 4
 BAY_M: Final = 3.2
 STOREY_M: Final = 3.0
 
+#: The parts of a façade, by number: upper storeys, the ground floor, a wall without windows.
+UPPER, GROUND, BARE = range(3)
 #: Most façades that are painted for one world; one takes 7 MB.
 MOST_LOOKS: Final = 64
 
@@ -43,8 +41,7 @@ _WALL_COLOURS: Final[dict[FacadeStyle, tuple[Rgb, ...]]] = {
 }
 
 
-@dataclass(frozen=True)
-class _Plan:
+class _Plan(NamedTuple):
     """How the windows of one façade look: sizes as fractions of a bay and a storey."""
 
     wall: Rgb
@@ -63,16 +60,17 @@ def alike(facades: Iterable[Facade]) -> dict[Facade, Facade]:
     """
     wanted = dict.fromkeys(facades)
     for colours, variants in _ROUNDINGS:
-        found = {facade: _rounded(facade, colours, variants) for facade in wanted}
+        found = {
+            facade: Facade(
+                facade.style,
+                facade.colour and in_steps(facade.colour, colours),
+                facade.variant % variants if variants else facade.variant,
+            )
+            for facade in wanted
+        }
         if len(set(found.values())) <= MOST_LOOKS:
             return found
     raise AssertionError("the coarsest rounding leaves fewer looks than the limit")
-
-
-def _rounded(facade: Facade, colours: int, variants: int) -> Facade:
-    """Round a colour to the middle of a step of `colours` levels; 0 variants leave them."""
-    colour = facade.colour and in_steps(facade.colour, colours)
-    return replace(facade, colour=colour, variant=facade.variant % variants if variants else facade.variant)
 
 
 def in_steps(colour: Rgb, step: int) -> Rgb:
@@ -81,22 +79,16 @@ def in_steps(colour: Rgb, step: int) -> Rgb:
     return red, green, blue
 
 
-def paint_bare(facade: Facade) -> NDArray[np.uint8]:
-    """Paint the wall of a façade without windows, (256, 1024, 3) uint8 RGB: for gables and low bands."""
-    rng = np.random.default_rng(zlib.crc32(repr(astuple(facade)).encode()))
-    return _wall(facade.style, _plan(facade, rng).wall, 1, rng)
+@lru_cache(maxsize=1)
+def paint_facade(facade: Facade) -> tuple[Picture, Picture, Picture]:
+    """Paint the parts of a façade, uint8 RGB, seamless to the sides; equal façades give equal pictures.
 
-
-def paint_facade(facade: Facade) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
-    """Paint a façade.
-
-    Returns
-    -------
-    upper, ground
-        (1024, 1024, 3) of 4 by 4 windows and (256, 1024, 3) of 4 bays with a door in one, uint8 RGB, seamless to
-        the sides. Equal façades give equal pictures.
+    `UPPER` has 4 by 4 windows (1024, 1024, 3), `GROUND` 4 bays with a door in one (256, 1024, 3), and `BARE`, for
+    gables and low bands, has no windows (256, 1024, 3).
     """
-    rng = np.random.default_rng(zlib.crc32(repr(astuple(facade)).encode()))
+    seed = zlib.crc32(repr(astuple(facade)).encode())
+    again, rng = np.random.default_rng(seed), np.random.default_rng(seed)
+    bare = _wall(facade.style, _plan(facade, again).wall, 1, again)
     plan = _plan(facade, rng)
     upper = _wall(facade.style, plan.wall, STOREYS, rng)
     ground = _wall(facade.style, plan.wall, 1, rng)
@@ -108,7 +100,7 @@ def paint_facade(facade: Facade) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
             _door(ground, plan, bay, rng)
         else:
             _window(ground, plan, bay, 0, rng)
-    return upper, ground
+    return upper, ground, bare
 
 
 def _plan(facade: Facade, rng: np.random.Generator) -> _Plan:
@@ -125,7 +117,7 @@ def _plan(facade: Facade, rng: np.random.Generator) -> _Plan:
     return _Plan(wall, frame, float(width), float(height), panes, facade.style in {"brick", "plaster", "wood"})
 
 
-def _wall(style: FacadeStyle, colour: Rgb, storeys: int, rng: np.random.Generator) -> NDArray[np.uint8]:
+def _wall(style: FacadeStyle, colour: Rgb, storeys: int, rng: np.random.Generator) -> Picture:
     shape = (storeys * _CELL_PX, BAYS * _CELL_PX)
     shade = _weathered(shape, rng)
     if style == "brick":
@@ -161,7 +153,7 @@ def _courses(shape: tuple[int, int], rng: np.random.Generator, course_px: int, b
     return np.asarray(np.where(joint, 1.18, tones[course, shifted // brick_px]), dtype=np.float64)
 
 
-def _window(picture: NDArray[np.uint8], plan: _Plan, bay: int, storey: int, rng: np.random.Generator) -> None:
+def _window(picture: Picture, plan: _Plan, bay: int, storey: int, rng: np.random.Generator) -> None:
     width, height = int(plan.width * _CELL_PX), int(plan.height * _CELL_PX)
     left = bay * _CELL_PX + (_CELL_PX - width) // 2
     top = storey * _CELL_PX + int((_CELL_PX - height) * 0.42)
@@ -177,7 +169,7 @@ def _window(picture: NDArray[np.uint8], plan: _Plan, bay: int, storey: int, rng:
         _fill(picture, (left, top + line * height // down - 3, width, 6), plan.frame)
 
 
-def _glaze(picture: NDArray[np.uint8], box: tuple[int, int, int, int], rng: np.random.Generator) -> None:
+def _glaze(picture: Picture, box: tuple[int, int, int, int], rng: np.random.Generator) -> None:
     """Paint a pane that mirrors a pale sky above and dark trees below, perhaps with a blind half down."""
     left, top, width, height = box
     fade = np.linspace(1.0, 0.0, height)[:, None, None]
@@ -190,7 +182,7 @@ def _glaze(picture: NDArray[np.uint8], box: tuple[int, int, int, int], rng: np.r
     picture[top : top + height, left : left + width] = as_picture(pane)
 
 
-def _door(picture: NDArray[np.uint8], plan: _Plan, bay: int, rng: np.random.Generator) -> None:
+def _door(picture: Picture, plan: _Plan, bay: int, rng: np.random.Generator) -> None:
     width, height = 104, 186
     left, top = bay * _CELL_PX + (_CELL_PX - width) // 2, _CELL_PX - height
     paints = np.array([(92, 54, 38), (50, 72, 62), (66, 70, 92), (120, 40, 36)])
@@ -202,12 +194,12 @@ def _door(picture: NDArray[np.uint8], plan: _Plan, bay: int, rng: np.random.Gene
     _fill(picture, (left - 26, top - 28, width + 52, 14), tuple(int(0.6 * c) for c in plan.wall))
 
 
-def _soil_the_foot(picture: NDArray[np.uint8]) -> None:
+def _soil_the_foot(picture: Picture) -> None:
     """Paint a plinth along the ground, which grounds the building visually."""
     plinth = picture[-26:].astype(np.float64)
     picture[-26:] = as_picture(plinth * 0.45 + 52)
 
 
-def _fill(picture: NDArray[np.uint8], box: tuple[int, int, int, int], colour: tuple[int, ...]) -> None:
+def _fill(picture: Picture, box: tuple[int, int, int, int], colour: tuple[int, ...]) -> None:
     left, top, width, height = box
     cv2.rectangle(picture, (left, top), (left + width - 1, top + height - 1), colour, -1)

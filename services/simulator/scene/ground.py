@@ -8,27 +8,22 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections import defaultdict
-from typing import TYPE_CHECKING, Final
+from collections.abc import Iterator
+from typing import Final
 
 import numpy as np
 import shapely
+from numpy.typing import NDArray
 from shapely import MultiPolygon, Polygon, affinity
+from shapely.geometry.base import BaseGeometry
 from shapely.ops import substring
 
 from services.kit.going_on import each
-from services.simulator.scene.culling import CELL_M
-from services.simulator.scene.meshes import Mesh, merge
-from services.simulator.scene.shapes import UP, flat
+from services.simulator.scene.meshes import UP, flat
+from services.simulator.scene.surfaces import Finish, Piece
+from services.simulator.scene.textures import Material
+from services.simulator.world.place import Bounds
 from services.simulator.world.terrain import AreaKind, Road, Terrain
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
-
-    from numpy.typing import NDArray
-    from shapely.geometry.base import BaseGeometry
-
-    from services.simulator.scene.textures import Material
 
 _KERB_M: Final = 0.15
 _SIDEWALK_M: Final = 2.0
@@ -42,56 +37,43 @@ _ROUND: Final = 4
 # How far the edge of a shade may be from where it belongs; fewer corners draw faster.
 _SHADE_M: Final = 0.1
 _TEXTURE_M: Final = 4.0
+# Cutting layers out of each other costs more than the square of their corners.
+_TILE_M: Final = 250.0
 _AREA_MATERIAL: Final[dict[AreaKind, Material]] = {"water": "water", "paved": "paved", "grass": "lawn"}
 
 
-def ground(terrain: Terrain, shade: BaseGeometry) -> dict[Material, Mesh]:
-    """Return the ground of a terrain, and of some land around it.
+def ground(terrain: Terrain, shade: BaseGeometry) -> Iterator[Piece]:
+    """Yield the ground of a terrain, and of some land around it.
 
-    Parameters
-    ----------
-    terrain
-        The world.
-    shade
-        Where no sun comes, as an area; empty for a world without shadows. Those parts get a normal that points away
-        from the sun, so that shade costs nothing while rendering.
+    Where no sun comes, in the area `shade`, the ground has a normal that points away from the sun, so that shade costs
+    nothing while rendering.
     """
     claims = _claims(terrain)
     shapely.prepare([claim for _, claim in claims])
     shapely.prepare(shade)
-    parts: dict[Material, list[Mesh]] = defaultdict(list)
-    for tile in each(tiles(shapely.box(*terrain.bounds).buffer(_BEYOND_M, join_style="mitre").bounds)):
+    for tile in each(_tiles(shapely.box(*terrain.bounds).buffer(_BEYOND_M, join_style="mitre").bounds)):
         for material, layer in _layers(claims, tile).items():
-            sunny, shady = layer.difference(shade), layer.intersection(shade)
-            parts[material] += _areas(sunny, shady, 0.0)
+            yield from _laid(material, layer, shade, 0.0)
     marks = shapely.union_all(_dashes([road for road in terrain.roads if road.kind == "street"]))
-    parts["marking"] += _areas(marks.difference(shade), marks.intersection(shade), _PAINT_M)
-    return {material: merge(meshes) for material, meshes in parts.items() if meshes}
+    yield from _laid("marking", marks, shade, _PAINT_M)
 
 
-def _areas(sunny: BaseGeometry, shady: BaseGeometry, z: float) -> list[Mesh]:
-    parts = [flat(part, z, _TEXTURE_M) for part in _polygons(sunny)]
-    return parts + [flat(part, z, _TEXTURE_M, -UP) for part in _polygons(shady)]
+def _laid(material: Material, area: BaseGeometry, shade: BaseGeometry, z: float) -> Iterator[Piece]:
+    for parts, normal in ((area.difference(shade), UP), (area.intersection(shade), -UP)):
+        yield from ((Finish(material), flat(part, z, _TEXTURE_M, normal)) for part in _polygons(parts))
 
 
-def tiles(bounds: tuple[float, float, float, float]) -> list[Polygon]:
-    """Return squares along the lines of a grid of `CELL_M` that cover bounds, the outer ones cut to fit."""
-    x_min, y_min, x_max, y_max = bounds
-    columns, rows = _cuts(x_min, x_max), _cuts(y_min, y_max)
-    return [shapely.box(*low, *high) for low, high in _corners(columns, rows)]
-
-
-def _cuts(low: float, high: float) -> NDArray[np.float64]:
-    inner = CELL_M * np.arange(math.floor(low / CELL_M) + 1, math.ceil(high / CELL_M))
-    return np.concatenate([[low], inner, [high]])
-
-
-def _corners(
-    columns: NDArray[np.float64], rows: NDArray[np.float64]
-) -> Iterator[tuple[tuple[float, float], tuple[float, float]]]:
-    for left, right in itertools.pairwise(columns):
-        for bottom, top in itertools.pairwise(rows):
-            yield (float(left), float(bottom)), (float(right), float(top))
+def _tiles(bounds: Bounds) -> list[Polygon]:
+    """Return squares along the lines of a grid of `_TILE_M` that cover bounds, the outer ones cut to fit."""
+    columns, rows = (
+        [low, *(_TILE_M * np.arange(math.floor(low / _TILE_M) + 1, math.ceil(high / _TILE_M))).tolist(), high]
+        for low, high in (bounds[::2], bounds[1::2])
+    )
+    return [
+        shapely.box(left, bottom, right, top)
+        for left, right in itertools.pairwise(columns)
+        for bottom, top in itertools.pairwise(rows)
+    ]
 
 
 def _claims(terrain: Terrain) -> list[tuple[Material, BaseGeometry]]:
@@ -106,7 +88,7 @@ def _claims(terrain: Terrain) -> list[tuple[Material, BaseGeometry]]:
         ("path", shapely.union_all([_widened(road) for road in paths])),
     ]
     for kind, material in _AREA_MATERIAL.items():
-        claims.append((material, shapely.union_all([area.polygon for area in terrain.areas if area.kind == kind])))
+        claims.append((material, shapely.union_all([area.footprint for area in terrain.areas if area.kind == kind])))
     frame = shapely.box(*terrain.bounds)
     return [(material, claim.intersection(frame)) for material, claim in claims]
 
@@ -153,14 +135,8 @@ def cast_shade(
 ) -> BaseGeometry:
     """Return where the ground lies in the shade of buildings, barriers and tree crowns.
 
-    Parameters
-    ----------
-    terrain
-        The world.
-    sun
-        Direction of the sunlight, pointing down.
-    crowns
-        Of each tree crown the outline from above, and the heights of its lower and upper end in metres.
+    `sun` is the direction of the sunlight, pointing down; of each crown there is the outline from above, and the
+    heights of its lower and upper end in metres.
     """
     step = np.array(sun[:2]) / -sun[2]
     solids = [

@@ -1,33 +1,30 @@
-"""Triangle meshes with texture coordinates, in metres with z up."""
+"""Triangle meshes with texture coordinates, in metres with z up, and the few shapes that a world is made of."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import Final
 
 import numpy as np
+import shapely
+from numpy.typing import ArrayLike, NDArray
 
-if TYPE_CHECKING:
-    from collections.abc import Iterable
+from services.simulator.world.furniture import Box, Furniture
+from services.simulator.world.place import Pose
 
-    from numpy.typing import ArrayLike, NDArray
-
-    from services.simulator.world.place import Pose
+UP: Final = np.array([0.0, 0.0, 1.0])
+#: A material's picture repeats after so much of furniture.
+TEXTURE_M: Final = 0.6
 
 
 @dataclass(frozen=True, eq=False)
 class Mesh:
-    """Triangles of one texture.
+    """Triangles of one texture: vertices and normals (n, 3), uvs (n, 2), and triangles (m, 3), rows of vertices.
 
-    Attributes
-    ----------
-    vertices, normals
-        (n, 3) float32.
-    uvs
-        (n, 2) float32; 1 is one repetition of the texture, v grows downwards in the picture.
-    triangles
-        (m, 3) uint32 rows of `vertices`, anticlockwise seen from outside.
+    A uv of 1 is one repetition of the texture, v grows downwards in the picture; triangles are anticlockwise seen from
+    outside.
     """
 
     vertices: NDArray[np.float32]
@@ -91,3 +88,165 @@ def grid(vertices: NDArray[np.float64], normals: NDArray[np.float64], uvs: NDArr
     a_b_c = points[triangles]
     solid = np.linalg.norm(np.cross(a_b_c[:, 1] - a_b_c[:, 0], a_b_c[:, 2] - a_b_c[:, 0]), axis=1) > 1e-12
     return make(points, normals.reshape(-1, 3), uvs.reshape(-1, 2), triangles[solid])
+
+
+def outline(polygon: shapely.Polygon) -> list[NDArray[np.float64]]:
+    """Return the rings (k, 2), each closed, with the solid on their left: the outside of a wall is to the right."""
+    turned = shapely.orient_polygons(polygon)
+    return [shapely.get_coordinates(ring) for ring in (turned.exterior, *turned.interiors)]
+
+
+def sides(ring: NDArray[np.float64], low: float, high: float) -> NDArray[np.float64]:
+    """Return the upright rectangles (k - 1, 4, 3) along a closed ring (k, 2), from one height to another.
+
+    Each from its foot on, anticlockwise seen from the right of the ring.
+    """
+    begin, end = ring[:-1], ring[1:]
+    foot, top = np.full((len(begin), 1), low), np.full((len(begin), 1), high)
+    return np.stack(
+        [np.hstack([begin, foot]), np.hstack([end, foot]), np.hstack([end, top]), np.hstack([begin, top])], axis=1
+    )
+
+
+def walls(
+    ring: NDArray[np.float64],
+    low: float,
+    high: float,
+    u: NDArray[np.float64],
+    v: tuple[float, float],
+    which: NDArray[np.bool_] | None = None,
+) -> Mesh:
+    """Return upright walls along a closed ring (k, 2) with the solid on its left, from one height to another.
+
+    `u` (k - 1, 2) is the texture coordinate at the beginning and end of each wall, `v` that at the foot and at the top;
+    `which` (k - 1,) chooses the sides, None for all.
+    """
+    chosen = np.ones(len(u), dtype=bool) if which is None else which
+    corners, u = sides(ring, low, high)[chosen], u[chosen]
+    low_v, high_v = (np.full(len(corners), value) for value in v)
+    coordinates = [(u[:, 0], low_v), (u[:, 1], low_v), (u[:, 1], high_v), (u[:, 0], high_v)]
+    return quads(corners, np.stack([np.stack(pair, axis=1) for pair in coordinates], axis=1))
+
+
+def band(polygon: shapely.Polygon, low: float, high: float, metres: float) -> Mesh:
+    """Return plain walls around a polygon whose texture repeats every `metres`."""
+    return merge(
+        walls(ring, low, high, running(ring) / metres, (high / metres, low / metres)) for ring in outline(polygon)
+    )
+
+
+def flat(polygon: shapely.Polygon, z: float, metres: float, normal: NDArray[np.float64] = UP) -> Mesh:
+    """Return a level area seen from above whose texture repeats every `metres`."""
+    triangles = shapely.get_parts(shapely.constrained_delaunay_triangles(polygon))
+    points = shapely.get_coordinates(shapely.orient_polygons(triangles)).reshape(-1, 4, 2)[:, :3].reshape(-1, 2)
+    vertices = np.column_stack([points, np.full(len(points), z)])
+    order = np.arange(len(points)).reshape(-1, 3)
+    return make(vertices, np.broadcast_to(normal, vertices.shape), points / metres, order)
+
+
+def ridged(
+    corners: NDArray[np.float64], z: float, rise: float, run: float
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return the triangles of a roof over a rectangle (4, 2), anticlockwise, with a ridge along its first side.
+
+    `z` and `rise` are the heights of the eaves and of the ridge above them; the ridge ends `run` before the short
+    sides, and 0 makes upright ends. Slopes are (4, 3, 3) of the long sides, ends (2, 3, 3), anticlockwise seen from
+    outside.
+    """
+    a, b, c, d = (np.append(corner, z) for corner in corners)
+    along = (corners[1] - corners[0]) / np.linalg.norm(corners[1] - corners[0])
+    first, last = (
+        np.append((corners[0] + corners[3]) / 2 + run * along, z + rise),
+        np.append((corners[1] + corners[2]) / 2 - run * along, z + rise),
+    )
+    slopes = np.array([[a, b, last], [a, last, first], [c, d, first], [c, first, last]])
+    return slopes, np.array([[b, c, last], [d, a, first]])
+
+
+def faces(triangles: NDArray[np.float64], metres: tuple[float, float]) -> Mesh:
+    """Return flat triangles (n, 3, 3), anticlockwise seen from outside, that wear a texture upright.
+
+    The texture repeats every `metres` along the level and up the slope. A triangle without area is left out.
+    """
+    across = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
+    twice_area = np.linalg.norm(across, axis=1)
+    solid = twice_area > 1e-9
+    corners, normal = triangles[solid], across[solid] / twice_area[solid, None]
+    level = np.stack([-normal[:, 1], normal[:, 0], np.zeros(len(normal))], axis=1)
+    tilt = np.linalg.norm(level, axis=1, keepdims=True)
+    level = np.where(tilt > 1e-6, level / np.maximum(tilt, 1e-6), (1.0, 0.0, 0.0))
+    up = np.cross(normal, level)
+    uvs = np.stack([np.einsum("nij,nj->ni", corners, level), -np.einsum("nij,nj->ni", corners, up)], axis=-1)
+    order = np.arange(3 * len(corners)).reshape(-1, 3)
+    return make(corners.reshape(-1, 3), np.repeat(normal, 3, axis=0), uvs.reshape(-1, 2) / metres, order)
+
+
+def ball(centre: ArrayLike, radii: ArrayLike, detail: int, bumps: NDArray[np.float64] | None = None) -> Mesh:
+    """Return an ellipsoid of `detail` rings and twice as many sectors; `bumps` (detail + 1, 2 detail + 1) scale it."""
+    polar, around = np.meshgrid(
+        np.linspace(0, np.pi, detail + 1), np.linspace(0, 2 * np.pi, 2 * detail + 1), indexing="ij"
+    )
+    unit = np.stack([np.sin(polar) * np.cos(around), np.sin(polar) * np.sin(around), np.cos(polar)], axis=-1)
+    scaled = unit if bumps is None else unit * bumps[..., None]
+    vertices = np.asarray(centre) + scaled * np.asarray(radii)
+    normals = unit / np.asarray(radii)
+    normals /= np.linalg.norm(normals, axis=-1, keepdims=True)
+    uvs = np.stack([around / np.pi, polar / np.pi], axis=-1)
+    return grid(vertices, normals, uvs)
+
+
+def tube(start: ArrayLike, end: ArrayLike, radii: tuple[float, float], sectors: int = 8) -> Mesh:
+    """Return an open tube between two points (3,), with a radius at either end; radius 0 makes a cone."""
+    begin, finish = np.asarray(start, dtype=np.float64), np.asarray(end, dtype=np.float64)
+    axis = finish - begin
+    length = float(np.linalg.norm(axis))
+    axis /= length
+    side = np.cross(axis, UP if abs(axis[2]) < 0.9 else (1.0, 0.0, 0.0))
+    side /= np.linalg.norm(side)
+    around = np.linspace(0, 2 * np.pi, sectors + 1)
+    spokes = np.cos(around)[:, None] * side + np.sin(around)[:, None] * np.cross(axis, side)
+    vertices = np.stack([finish + radii[1] * spokes, begin + radii[0] * spokes])
+    slanted = spokes + axis * (radii[0] - radii[1]) / length
+    normals = np.broadcast_to(slanted / np.linalg.norm(slanted, axis=1, keepdims=True), vertices.shape)
+    u = around / np.pi
+    uvs = np.stack([np.column_stack([u, np.zeros_like(u)]), np.column_stack([u, np.full_like(u, length)])])
+    return grid(vertices, normals, uvs)
+
+
+def running(ring: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the distance along the ring at each wall's beginning and end, (k - 1, 2)."""
+    lengths = np.linalg.norm(np.diff(ring, axis=0), axis=1)
+    ends = np.cumsum(lengths)
+    return np.stack([ends - lengths, ends], axis=1)
+
+
+def block(box: Box, low: float, high: float) -> Mesh:
+    """Return a box with a repeating texture: sides, top, and an underside if it is off the floor."""
+    outline = shapely.box(*box)
+    sides = [band(outline, low, high, TEXTURE_M), flat(outline, high, TEXTURE_M)]
+    return merge(sides if low <= 0.0 else [*sides, flat(outline, low, TEXTURE_M).flipped()])
+
+
+def panel(left: tuple[float, float], right: tuple[float, float], low: float, high: float) -> Mesh:
+    """Return an upright rectangle that wears a whole picture, given its ends (x, y) seen from outside."""
+    corners = [(*left, low), (*right, low), (*right, high), (*left, high)]
+    edge = 0.003
+    return quads([corners], [[(edge, 1 - edge), (1 - edge, 1 - edge), (1 - edge, edge), (edge, edge)]])
+
+
+def cased(box: Box, low: float, high: float) -> Mesh:
+    """Return the four sides of a box, each with the whole picture."""
+    x_min, y_min, x_max, y_max = box
+    corners = [(x_min, y_min), (x_max, y_min), (x_max, y_max), (x_min, y_max)]
+    return merge(panel(corners[side], corners[(side + 1) % 4], low, high) for side in range(4))
+
+
+def box_of(piece: Furniture) -> Box:
+    """Return what a piece of furniture covers, in its own frame."""
+    return -piece.depth_m / 2, -piece.width_m / 2, piece.depth_m / 2, piece.width_m / 2
+
+
+def front(box: Box, low: float, high: float, ahead_m: float = 0.0) -> Mesh:
+    """Return the front of a box with the whole picture, perhaps a little before it."""
+    _, y_min, x_max, y_max = box
+    return panel((x_max + ahead_m, y_min), (x_max + ahead_m, y_max), low, high)

@@ -3,21 +3,16 @@
 from __future__ import annotations
 
 import zlib
-from collections import defaultdict
-from typing import TYPE_CHECKING, Final
+from collections.abc import Iterable, Iterator
+from typing import Final
 
 import numpy as np
 from shapely import Point, Polygon
 
-from services.simulator.scene.noise import noise
-from services.simulator.scene.shapes import ball, tube
+from services.simulator.scene.meshes import Mesh, ball, tube
+from services.simulator.scene.surfaces import Finish, Piece
+from services.simulator.scene.textures import Material, noise
 from services.simulator.world.terrain import Tree, TreeKind
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable
-
-    from services.simulator.scene.meshes import Mesh
-    from services.simulator.scene.textures import Material
 
 #: Of each kind: radius of the crown and height of its lower end, as fractions of the tree's height.
 _CROWN: Final[dict[TreeKind, tuple[float, float]]] = {
@@ -25,24 +20,21 @@ _CROWN: Final[dict[TreeKind, tuple[float, float]]] = {
     "tall": (0.2, 0.22),
     "conifer": (0.22, 0.12),
 }
+_LEAVES: Final[dict[TreeKind, Material]] = {"round": "leaves", "tall": "dark_leaves", "conifer": "needles"}
 # Leaves hide how few faces a crown has; a town has thousands of trees.
 _DETAIL: Final = 5
 _SMALL_DETAIL: Final = 3
 _TIERS: Final = 4
 
 
-def trees(items: Iterable[Tree]) -> dict[Material, list[Mesh]]:
-    """Return trunks and crowns, by material."""
-    meshes: dict[Material, list[Mesh]] = defaultdict(list)
+def trees(items: Iterable[Tree]) -> Iterator[Piece]:
+    """Yield trunks and crowns."""
     for tree in items:
         rng = np.random.default_rng(zlib.crc32(f"{tree.x:.1f} {tree.y:.1f}".encode()))
         base, neck = (tree.x, tree.y, 0.0), (tree.x, tree.y, tree.height_m * 0.6)
-        meshes["bark"].append(tube(base, neck, (tree.trunk_radius_m, tree.trunk_radius_m * 0.6), 6))
-        if tree.kind == "conifer":
-            meshes["needles"] += _tiers(tree)
-        else:
-            meshes["leaves" if tree.kind == "round" else "dark_leaves"] += _crown(tree, rng)
-    return meshes
+        yield Finish("bark"), tube(base, neck, (tree.trunk_radius_m, tree.trunk_radius_m * 0.6), 6)
+        crown = _tiers(tree) if tree.kind == "conifer" else _crown(tree, rng)
+        yield from ((Finish(_LEAVES[tree.kind]), mesh) for mesh in crown)
 
 
 def crowns(items: Iterable[Tree]) -> list[tuple[Polygon, float, float]]:

@@ -1,6 +1,7 @@
 """Render one tiny frame and say with what: ``python -m services.simulator.scene.probe``.
 
-A process of its own, because a broken graphics driver takes its process with it.
+A process of its own, because a broken graphics driver takes its process with it. It prints one JSON object: driver,
+software, seconds; or error.
 """
 
 from __future__ import annotations
@@ -14,19 +15,8 @@ from services.simulator.scene import vulkan
 _SOFTWARE_DRIVERS = ("llvmpipe", "lavapipe", "swiftshader")
 
 
-def render_red_box() -> tuple[str, tuple[int, int, int]]:
-    """Render a red box seen from three metres.
-
-    Returns
-    -------
-    driver, colour
-        Name of the graphics device, and red, green, blue (0 to 255) of the pixel in the middle.
-
-    Raises
-    ------
-    RenderingUnavailableError
-        The renderer, the Vulkan loader or a driver is missing or does not work.
-    """
+def render_red_box() -> tuple[str, list[int]]:
+    """Return the name of the graphics device, and the pixel (0 to 255) in the middle of a red box seen from 3 m."""
     sapien = vulkan.load_sapien()
     try:
         sapien.render.set_log_level("error")
@@ -41,31 +31,25 @@ def render_red_box() -> tuple[str, tuple[int, int, int]]:
         camera.set_local_pose(sapien.Pose([-3.0, 0.0, 0.0]))
         scene.update_render()
         camera.take_picture()
-        red, green, blue = (round(255 * float(c)) for c in camera.get_picture("Color")[24, 32, :3])
+        middle = [round(255 * float(level)) for level in camera.get_picture("Color")[24, 32, :3]]
     except RuntimeError as error:
-        raise vulkan.RenderingUnavailableError(
-            f"the Vulkan driver cannot render ({error}); {vulkan.INSTALL}"
-        ) from error
-    return scene.render_system.device.name, (red, green, blue)
+        raise vulkan.cannot_render(error) from error
+    return scene.render_system.device.name, middle
 
 
-def main() -> int:
-    """Print one JSON object: driver, software, seconds; or error."""
+def _probed() -> dict[str, str | bool | float]:
     begin_s = time.monotonic()
     try:
         driver, (red, green, blue) = render_red_box()
     except vulkan.RenderingUnavailableError as error:
-        return _answer(1, {"error": " ".join(str(error).split())})
+        return {"error": " ".join(str(error).split())}
     if not red > 2 * max(green, blue):
-        return _answer(1, {"error": f"{driver} renders a red box as ({red}, {green}, {blue}); {vulkan.INSTALL}"})
+        return {"error": f"{driver} renders a red box as ({red}, {green}, {blue}); {vulkan.INSTALL}"}
     software = any(name in driver.lower() for name in _SOFTWARE_DRIVERS)
-    return _answer(0, {"driver": driver, "software": software, "seconds": round(time.monotonic() - begin_s, 1)})
-
-
-def _answer(status: int, answer: dict[str, str | bool | float]) -> int:
-    sys.stdout.write(f"\n{json.dumps(answer)}\n")
-    return status
+    return {"driver": driver, "software": software, "seconds": round(time.monotonic() - begin_s, 1)}
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    answer = _probed()
+    sys.stdout.write(f"\n{json.dumps(answer)}\n")
+    sys.exit("error" in answer)

@@ -3,28 +3,29 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Any, Final
+from collections.abc import Iterable
+from functools import lru_cache
+from pathlib import Path
+from typing import Any, Final
 
 import cv2
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.spatial.transform import Rotation
 
 from services.kit.going_on import each
+from services.simulator.camera import CameraSettings
 from services.simulator.scene import vulkan
 from services.simulator.scene.build import build_scene
-from services.simulator.scene.culling import in_cells
-from services.simulator.scene.occlusion import Occluders, looking
-from services.simulator.scene.stage import Stage, load_renderer
-from services.simulator.sensors.shake import LEVEL, Tilt
+from services.simulator.scene.surfaces import Lights, Scene, Surface, Vector
+from services.simulator.sensors import LEVEL, Tilt
+from services.simulator.world.place import OverheadMount, Pose, World
 
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from numpy.typing import NDArray
-
-    from services.simulator.scene.surfaces import Scene, Vector
-    from services.simulator.sensors.camera import CameraSettings
-    from services.simulator.world.place import OverheadMount, Pose, World
-
+_MOST_PICTURES: Final = 2048
+_SHADER: Final = Path(__file__).parent / "shader"
+# As many as the shader has; the rest of them are dark.
+_LIGHTS: Final = 3
+_DARK: Final = ((0.0, 0.0, -1.0), (0.0, 0.0, 0.0))
 _NEAR_M: Final = 0.1
 _FAR_M: Final = 2000.0
 #: What a pixel shows, told by the picture's alpha, 0 to 255; our shader takes it from the material. Colours are blended
@@ -36,15 +37,21 @@ VICTIM: Final = 253
 ROBOT: Final = 252
 
 
+@lru_cache(maxsize=1)
+def load_renderer() -> Any:
+    """Import and set up SAPIEN once a process: its settings hold only before anything is made with them."""
+    sapien = vulkan.load_sapien()
+    render = sapien.render
+    render.set_log_level("error")
+    render.set_global_config(max_num_materials=_MOST_PICTURES, max_num_textures=_MOST_PICTURES)
+    # A third of the time of SAPIEN's quickest one on software drivers; shade is part of the ground, see `ground`.
+    render.set_camera_shader_dir(str(_SHADER))
+    render.set_picture_format("Color", "r8g8b8a8unorm")
+    return sapien
+
+
 class SceneCamera:
     """A camera on the robot's mast, in a world built for it.
-
-    Parameters
-    ----------
-    world
-        What there is to see.
-    settings
-        Image size, field of view, shadows.
 
     Raises
     ------
@@ -53,18 +60,22 @@ class SceneCamera:
     """
 
     def __init__(self, world: World, settings: CameraSettings) -> None:
-        load_renderer()
+        sapien = load_renderer()
+        self._render, self._pose = sapien.render, sapien.Pose
+        self._entity_class = sapien.Entity
         self._settings = settings
         self._mount = world.robot.camera
-        self._overhead = world.place.overhead
+        self._seen_from: tuple[Pose, Tilt] | None = None
+        self._materials: dict[tuple[int, int], Any] = {}
         scene = build_scene(world, settings.light, shadows=settings.shadows)
         try:
-            self._fill(scene, settings)
+            self._scene = sapien.Scene([sapien.render.RenderSystem()])
+            self._fill(scene)
+            self._camera = self._lens(settings.width, settings.height, self.focal_px)
+            self._mast = self._add(self._camera)
+            self._above = None if world.place.overhead is None else self._look_down(world.place.overhead)
         except RuntimeError as error:
-            raise vulkan.RenderingUnavailableError(
-                f"the Vulkan driver cannot render ({error}); {vulkan.INSTALL}"
-            ) from error
-        self._seen_from: tuple[Pose, Tilt] | None = None
+            raise vulkan.cannot_render(error) from error
 
     @property
     def focal_px(self) -> float:
@@ -74,66 +85,47 @@ class SceneCamera:
     def render(self, pose: Pose, tilt: Tilt = LEVEL) -> NDArray[np.uint8]:
         """Return the image seen by a robot at `pose` whose camera is tilted, (height, width, 3) uint8 RGB."""
         self._look_from(pose, tilt)
-        return _colour(self._camera, self._settings.supersample)
+        return _colour(self._camera)
 
     def depth_m(self, pose: Pose, tilt: Tilt = LEVEL) -> NDArray[np.float32]:
-        """Return how far along the optical axis each pixel's surface is, metres; `inf` for the sky and for nothing.
+        """Return how far along the optical axis each pixel's surface is; `inf` for the sky and for nothing.
 
-        Returns
-        -------
-        (height, width) float32, exact to a millimetre up to 40 m; with supersampling, of one of the rendered pixels
-        each.
+        It is (height, width) float32, metres, exact to a millimetre up to 40 m.
         """
-        every = self._settings.supersample
-        one = np.s_[every // 2 :: every, every // 2 :: every]
-        shown = self._labels(pose, tilt)[one]
+        shown = self._labels(pose, tilt)
         # The depth buffer holds 0 at the near plane and 1 at the far one, and is linear in the inverse of the depth.
-        buffer = self._camera.get_picture("GbufferDepth")[one].astype(np.float64)
+        buffer = self._camera.get_picture("GbufferDepth").astype(np.float64)
         depth = _NEAR_M * _FAR_M / (_FAR_M - buffer * (_FAR_M - _NEAR_M))
         return np.where((shown == NOTHING) | (shown == SKY), np.inf, depth).astype(np.float32)
-
-    def overhead(self, pose: Pose) -> NDArray[np.uint8]:
-        """Return what the camera above the scene sees of a robot at `pose`, (height, width, 3) uint8 RGB.
-
-        Raises
-        ------
-        LookupError
-            The place has no such camera.
-        """
-        if self._above is None:
-            raise LookupError("this place has no overhead camera")
-        every_cell = range(len(self._cells.surfaces))
-        if self._seen_from is None or pose != self._seen_from[0] or not set(every_cell) <= set(self._stage.shown):
-            self._robot.set_pose(self._pose((pose.x, pose.y, 0.0), _turn(pose.heading)))
-            self._show(every_cell)
-            self._stage.scene.update_render()
-            # The scene is no longer the one in the robot's own picture.
-            self._seen_from = None
-        self._above.take_picture()
-        return _colour(self._above)
-
-    def look(self, eye: Vector, at: Vector) -> NDArray[np.uint8]:
-        """Return what the camera would see off its mast, from one place to another, (height, width, 3) uint8 RGB.
-
-        Parameters
-        ----------
-        eye, at
-            x, y and height in metres, not one above the other; the horizon is level.
-        """
-        ahead = np.subtract(at, eye) / np.linalg.norm(np.subtract(at, eye))
-        left = np.cross((0.0, 0.0, 1.0), ahead)
-        left /= np.linalg.norm(left)
-        frame = np.eye(4)
-        frame[:3] = np.column_stack([ahead, left, np.cross(ahead, left), eye])
-        self._take(self._pose(frame))
-        self._seen_from = None
-        return _colour(self._camera, self._settings.supersample)
 
     def victim_pixels(self, pose: Pose, tilt: Tilt = LEVEL) -> float:
         """Return the fraction of the image, 0 to 1, that the victim fills, seen by a robot at `pose`."""
         return float(np.mean(self._labels(pose, tilt) == VICTIM))
 
-    def _labels(self, pose: Pose, tilt: Tilt = LEVEL) -> NDArray[np.uint8]:
+    def overhead(self, pose: Pose) -> NDArray[np.uint8]:
+        """Return what the camera above the scene sees of a robot at `pose`; a `LookupError` where there is none."""
+        if self._above is None:
+            raise LookupError("this place has no overhead camera")
+        self._put_robot(pose)
+        self._scene.update_render()
+        self._above.take_picture()
+        # The scene is no longer the one in the robot's own picture.
+        self._seen_from = None
+        return _colour(self._above)
+
+    def look(self, eye: Vector, at: Vector) -> NDArray[np.uint8]:
+        """Return what the camera would see off its mast, from one place to another, (height, width, 3) uint8 RGB.
+
+        Places are x, y and height in metres, not one above the other; the horizon is level.
+        """
+        ahead = np.subtract(at, eye) / np.linalg.norm(np.subtract(at, eye))
+        left = np.cross((0.0, 0.0, 1.0), ahead)
+        left /= np.linalg.norm(left)
+        self._take(self._framed([ahead, left, np.cross(ahead, left)], eye))
+        self._seen_from = None
+        return _colour(self._camera)
+
+    def _labels(self, pose: Pose, tilt: Tilt) -> NDArray[np.uint8]:
         """Return what each rendered pixel shows: `NOTHING`, `SKY`, `STILL`, `VICTIM` or `ROBOT`."""
         self._look_from(pose, tilt)
         return np.asarray(self._camera.get_picture("Color")[..., 3])
@@ -141,84 +133,96 @@ class SceneCamera:
     def _look_from(self, pose: Pose, tilt: Tilt) -> None:
         if (pose, tilt) == self._seen_from:
             return
-        cos, sin = math.cos(pose.heading), math.sin(pose.heading)
         ahead_m = self._mount.ahead_m
-        eye = (pose.x + ahead_m * cos, pose.y + ahead_m * sin, self._mount.height_m)
-        self._robot.set_pose(self._pose((pose.x, pose.y, 0.0), _turn(pose.heading)))
-        self._take(self._pose(eye, _turn(pose.heading, tilt)))
+        x, y = pose.x + ahead_m * math.cos(pose.heading), pose.y + ahead_m * math.sin(pose.heading)
+        self._put_robot(pose)
+        self._take(self._pose((x, y, self._mount.height_m), _turn(pose.heading, tilt)))
         self._seen_from = pose, tilt
 
-    def _take(self, mast: Any) -> None:  # noqa: ANN401 - sapien has no types
+    def _put_robot(self, pose: Pose) -> None:
+        self._robot.set_pose(self._pose((pose.x, pose.y, 0.0), _turn(pose.heading)))
+
+    def _take(self, mast: Any) -> None:
         """Take a picture from where SAPIEN's pose `mast` is."""
         self._mast.set_pose(mast)
         if self._sky is not None:
             self._sky.set_pose(self._pose(mast.p))
-        frame = mast.to_transformation_matrix()
-        self._show(self._seen(np.asarray(mast.p, dtype=np.float64), frame[:3, :3].T))
-        self._stage.scene.update_render()
+        self._scene.update_render()
         self._camera.take_picture()
 
-    def _seen(self, eye: NDArray[np.float64], axes: NDArray[np.float64]) -> list[int]:
-        """Return the cells to draw for an eye (3,) and the axes (3, 3) of its camera, the nearest first."""
-        in_view = self._cells.seen(eye, axes, self._tangents, self._horizon_m)
-        hidden = self._occluders.hidden(looking(eye, axes, self._tangents), self._cells.boxes[in_view])
-        return [cell for cell, is_hidden in zip(in_view, hidden, strict=True) if not is_hidden]
+    def _fill(self, scene: Scene) -> None:
+        """Add everything in the order of drawing: what is drawn first hides the others, the sky is last."""
+        self._light(scene.lights)
+        self._add(self._body(scene.victim, VICTIM))
+        self._robot = self._add(self._body(scene.robot, ROBOT))
+        self._add(self._body(scene.still, STILL))
+        # It goes with the camera.
+        self._sky = None if scene.sky is None else self._add(self._body([scene.sky], SKY))
 
-    def _fill(self, scene: Scene, settings: CameraSettings) -> None:
-        self._stage = Stage(scene.lights)
-        self._pose = self._stage.sapien.Pose
-        self._stage.add(scene.victim, VICTIM)
-        self._robot = self._stage.add(scene.robot, ROBOT)
-        self._cells = in_cells(scene.still)
-        self._occluders = Occluders(scene.blocks)
-        for cell in each(self._cells.surfaces):
-            self._stage.hang(self._stage.add(cell, STILL))
-        self._sky = None if scene.sky is None else self._stage.add([scene.sky], SKY)
-        self._behind = [] if self._sky is None else [self._stage.hang(self._sky)]
-        # The dome hides what is further away.
-        self._horizon_m = _FAR_M if scene.sky is None else float(np.linalg.norm(scene.sky.mesh.vertices, axis=1).max())
-        self._tangents = settings.width / 2 / self.focal_px, settings.height / 2 / self.focal_px
-        self._camera = self._lens(settings.width, settings.height, self.focal_px, settings.supersample)
-        self._mast = self._stage.entity(self._camera)
-        self._above = None if self._overhead is None else self._look_down(self._overhead)
+    def _light(self, lights: Lights) -> None:
+        self._scene.set_ambient_light(lights.ambient)
+        for direction, colour in (*lights.directional, *[_DARK] * (_LIGHTS - len(lights.directional))):
+            self._scene.add_directional_light(direction, colour, shadow=False)
 
-    def _look_down(self, mount: OverheadMount) -> Any:  # noqa: ANN401 - sapien has no types
-        """Add a camera that looks straight down; a camera's axes are ahead, left and up."""
-        camera = self._lens(mount.width, mount.height, mount.focal_px)
-        cos, sin = math.cos(mount.up), math.sin(mount.up)
+    def _body(self, surfaces: Iterable[Surface], label: int) -> Any:
+        """Return a body of all the surfaces, whose pixels carry `label`."""
+        body = self._render.RenderBodyComponent()
+        for surface in each(list(surfaces)):
+            mesh, key = surface.mesh, (id(surface.picture), label)
+            if key not in self._materials:
+                self._materials[key] = _material(self._render, surface, label)
+            shape = self._render.RenderShapeTriangleMesh(
+                mesh.vertices, mesh.triangles, mesh.normals, mesh.uvs, self._materials[key]
+            )
+            body.attach(shape)
+        return body
+
+    def _add(self, component: Any) -> Any:
+        """Add an entity of one component."""
+        entity = self._entity_class()
+        entity.add_component(component)
+        self._scene.add_entity(entity)
+        return entity
+
+    def _look_down(self, mount: OverheadMount) -> Any:
+        """Add a camera that looks straight down."""
+        camera = self._lens(mount.width_px, mount.height_px, mount.focal_px)
+        cos, sin = math.cos(math.radians(mount.up_deg)), math.sin(math.radians(mount.up_deg))
+        axes = [(0.0, 0.0, -1.0), (-sin, cos, 0.0), (cos, sin, 0.0)]
+        self._add(camera).set_pose(self._framed(axes, (mount.x_m, mount.y_m, mount.height_m)))
+        return camera
+
+    def _lens(self, width: int, height: int, focal_px: float) -> Any:
+        camera = self._render.RenderCameraComponent(width, height)
+        camera.set_perspective_parameters(_NEAR_M, _FAR_M, focal_px, focal_px, width / 2, height / 2, 0.0)
+        return camera
+
+    def _framed(self, axes: ArrayLike, eye: Vector) -> Any:
+        """Return SAPIEN's pose of a camera at a place, its axes ahead, to the left and up in rows."""
         frame = np.eye(4)
-        frame[:3] = [[0.0, -sin, cos, mount.x], [0.0, cos, sin, mount.y], [-1.0, 0.0, 0.0, mount.height_m]]
-        self._stage.entity(camera).set_pose(self._pose(frame))
-        return camera
-
-    def _lens(self, width: int, height: int, focal_px: float, supersample: int = 1) -> Any:  # noqa: ANN401 - see above
-        width, height, focal = width * supersample, height * supersample, focal_px * supersample
-        camera = self._stage.sapien.render.RenderCameraComponent(width, height)
-        camera.set_perspective_parameters(_NEAR_M, _FAR_M, focal, focal, width / 2, height / 2, 0.0)
-        return camera
-
-    def _show(self, cells: Sequence[int]) -> None:
-        """Have these cells drawn, in this order, and the sky behind them."""
-        self._stage.show([*cells, *self._behind])
+        frame[:3, :3], frame[:3, 3] = np.transpose(axes), eye
+        return self._pose(frame)
 
 
-def _turn(heading: float, tilt: Tilt = LEVEL) -> tuple[float, float, float, float]:
+def _material(render: Any, surface: Surface, label: int) -> Any:
+    height, width, _ = surface.picture.shape
+    opaque = np.dstack([surface.picture, np.full((height, width), 255, dtype=np.uint8)])
+    levels = int(math.log2(max(height, width))) + 1
+    texture = render.RenderTexture2D(opaque, "R8G8B8A8Unorm", levels, "linear", "repeat", srgb=False)
+    material = render.RenderMaterial(base_color=[0.0, 0.0, 0.0, 1.0], specular=0.0, roughness=label / 255, metallic=0.0)
+    if surface.glows:
+        material.set_emission_texture(texture)
+    else:
+        material.set_base_color_texture(texture)
+    return material
+
+
+def _turn(heading: float, tilt: Tilt = LEVEL) -> NDArray[np.float64]:
     """Return a heading, and a tilt on top of it, as a unit quaternion (w, x, y, z)."""
-    roll, pitch, yaw = tilt.roll_rad / 2, tilt.pitch_rad / 2, (heading + tilt.yaw_rad) / 2
-    cr, sr, cp, sp = math.cos(roll), math.sin(roll), math.cos(pitch), math.sin(pitch)
-    cy, sy = math.cos(yaw), math.sin(yaw)
-    return (
-        cy * cp * cr + sy * sp * sr,
-        cy * cp * sr - sy * sp * cr,
-        cy * sp * cr + sy * cp * sr,
-        sy * cp * cr - cy * sp * sr,
-    )
+    turn = Rotation.from_euler("ZYX", [heading + tilt.yaw_rad, tilt.pitch_rad, tilt.roll_rad])
+    return np.asarray(turn.as_quat(scalar_first=True))
 
 
-def _colour(camera: Any, supersample: int = 1) -> NDArray[np.uint8]:  # noqa: ANN401 - sapien has no types
-    """Return the picture that a camera took, (height, width, 3), averaged where it was rendered larger."""
-    large = np.asarray(cv2.cvtColor(camera.get_picture("Color"), cv2.COLOR_RGBA2RGB), dtype=np.uint8)
-    if supersample == 1:
-        return large
-    size = (large.shape[1] // supersample, large.shape[0] // supersample)
-    return np.asarray(cv2.resize(large, size, interpolation=cv2.INTER_AREA), dtype=np.uint8)
+def _colour(camera: Any) -> NDArray[np.uint8]:
+    """Return the picture that a camera took, (height, width, 3)."""
+    return np.asarray(cv2.cvtColor(camera.get_picture("Color"), cv2.COLOR_RGBA2RGB), dtype=np.uint8)

@@ -1,20 +1,19 @@
-"""What a scene is made of: surfaces and lights."""
+"""What a scene is made of: lights, and surfaces that wear a material or the picture of a face."""
 
 from __future__ import annotations
 
+from collections import defaultdict
+from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import NamedTuple, cast, get_args
 
+from services.kit.going_on import each
+from services.simulator.scene.facades import paint_facade
+from services.simulator.scene.faces import Face, paint_face
 from services.simulator.scene.meshes import Mesh, merge
-from services.simulator.scene.textures import paint
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping
-
-    import numpy as np
-    from numpy.typing import NDArray
-
-    from services.simulator.scene.textures import Material
+from services.simulator.scene.textures import Material, Picture, paint, tinted
+from services.simulator.world.place import Rgb
+from services.simulator.world.terrain import Facade
 
 Vector = tuple[float, float, float]
 
@@ -24,62 +23,58 @@ class Surface:
     """A mesh and the picture that it wears, (h, w, 3) uint8 RGB; `glows` for what needs no light."""
 
     mesh: Mesh
-    picture: NDArray[np.uint8]
+    picture: Picture
     glows: bool = False
 
 
-@dataclass(frozen=True, eq=False)
-class Block:
-    """Something upright on the ground that nobody can see through, for leaving out what is behind it.
-
-    Attributes
-    ----------
-    outline
-        (k, 2) corners, anticlockwise, the first one repeated at the end, metres.
-    height_m
-        Of the walls that stand on the whole outline.
-    """
-
-    outline: NDArray[np.float64]
-    height_m: float
-
-
-@dataclass(frozen=True)
-class Lights:
+class Lights(NamedTuple):
     """Light from everywhere, and light from far away: (direction that it goes, colour) of each."""
 
     ambient: Vector
     directional: tuple[tuple[Vector, Vector], ...]
 
 
-@dataclass(frozen=True, eq=False)
-class Scene:
-    """Everything to be drawn.
-
-    Attributes
-    ----------
-    lights
-        What lights it.
-    still
-        What never moves.
-    victim
-        The victim, in its place.
-    robot
-        The robot, about its own origin, x forward.
-    sky
-        The dome that goes with the camera; None under a ceiling.
-    blocks
-        Parts of what never moves that hide what is behind them.
-    """
+class Scene(NamedTuple):
+    """Everything to be drawn."""
 
     lights: Lights
     still: tuple[Surface, ...]
+    """What never moves."""
     victim: tuple[Surface, ...]
-    robot: tuple[Surface, ...]
+    """The victim, in its place."""
+    robot: tuple[Surface, ...] = ()
+    """The robot, about its own origin, x forward; nothing where no camera sees it."""
     sky: Surface | None = None
-    blocks: tuple[Block, ...] = ()
+    """The dome that goes with the camera; None under a ceiling."""
 
 
-def painted(pieces: Mapping[Material, Iterable[Mesh]]) -> tuple[Surface, ...]:
-    """Return one surface for each material."""
-    return tuple(Surface(merge(meshes), paint(material)) for material, meshes in pieces.items())
+class Finish(NamedTuple):
+    """What a mesh wears: a material, or the picture of a face or of a façade, perhaps in another colour.
+
+    `variant` is that of a face's picture, or the part of a façade.
+    """
+
+    wears: Material | Face | Facade
+    colour: Rgb | None = None
+    variant: int = 0
+
+    def picture(self) -> Picture:
+        """Return it painted."""
+        if isinstance(self.wears, Facade):
+            return paint_facade(self.wears)[self.variant]
+        if self.wears in get_args(Face):
+            return paint_face(cast("Face", self.wears), self.variant, self.colour)
+        plain = paint(cast("Material", self.wears))
+        return plain if self.colour is None else tinted(plain, self.colour)
+
+
+Piece = tuple[Finish, Mesh]
+
+
+def surfaces(pieces: Iterable[Piece], *, glows: bool = False) -> tuple[Surface, ...]:
+    """Return one surface for each finish; those of a façade follow each other."""
+    meshes: dict[Finish, list[Mesh]] = defaultdict(list)
+    for finish, mesh in pieces:
+        meshes[finish].append(mesh)
+    made = [Surface(merge(group), finish.picture(), glows) for finish, group in each(list(meshes.items()))]
+    return tuple(made)

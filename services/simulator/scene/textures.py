@@ -1,35 +1,81 @@
-"""Pictures for everything but façades and the sky: (h, w, 3) uint8 RGB, seamless, always the same."""
+"""Pictures of materials and of the sky, (h, w, 3) uint8 RGB: seamless, the same in every run."""
 
 from __future__ import annotations
 
 import zlib
-from typing import TYPE_CHECKING, Final, Literal
+from collections.abc import Callable
+from typing import Final, Literal
 
 import cv2
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
-from services.simulator.scene.noise import as_picture, coloured, layered, noise
+from services.simulator.variation import Daylight
 
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from numpy.typing import NDArray
-
-    Painter = Callable[[np.random.Generator], NDArray[np.uint8]]
-
+Picture = NDArray[np.uint8]
+Painter = Callable[[np.random.Generator], Picture]
 Material = Literal[
     "grass", "lawn", "asphalt", "kerb", "sidewalk", "path", "paved", "marking", "water", "gravel", "tiles", "slate",
     "trim", "leaves", "dark_leaves", "needles", "bark", "hedge", "stone_wall", "fence",
-    "skin", "jacket", "trousers", "robot", "tyre",
+    "skin", "jacket", "trousers", "tyre",
     "aluminium", "black_plastic", "blue_plastic", "board", "cardboard", "dark_plastic", "fabric", "foliage", "lacquer",
     "nao_grey", "orange_plastic", "pot", "soil", "white_plastic", "wood",
 ]  # fmt: skip
-
 _SHAPE: Final = (512, 512)
 _PLAIN_SHAPE: Final = (64, 64)
+_SKY_SHAPE: Final = (1024, 4096)
+#: Elevation in degrees at the top and at the bottom of the picture.
+TOP_DEG: Final = 90.0
+BOTTOM_DEG: Final = -10.0
+_FAIR_HORIZON: Final = np.array([206.0, 218.0, 228.0])
+_CLOUDS: Final = np.array([246.0, 246.0, 244.0])
+_HILLS: Final = np.array([122.0, 134.0, 138.0])
+_TREES: Final = np.array([86.0, 104.0, 78.0])
 
 
-def paint(material: Material) -> NDArray[np.uint8]:
+def noise(
+    rng: np.random.Generator, shape: tuple[int, int], grain_px: float | tuple[float, float]
+) -> NDArray[np.float64]:
+    """Return smooth noise of a shape that repeats without a seam, mean 0 and standard deviation 1.
+
+    `grain_px` is the size of the blobs in pixels: one number, or one for each axis.
+    """
+    down, across = grain_px if isinstance(grain_px, tuple) else (grain_px, grain_px)
+    frequency_down, frequency_across = np.fft.fftfreq(shape[0])[:, None], np.fft.rfftfreq(shape[1])[None, :]
+    keep = np.exp(-2.0 * ((frequency_down * down) ** 2 + (frequency_across * across) ** 2))
+    # Filtering by a product of spectra is a circular convolution, which is what makes the edges meet.
+    smooth = np.fft.irfft2(np.fft.rfft2(rng.standard_normal(shape)) * keep, shape)
+    smooth -= smooth.mean()
+    return np.asarray(smooth / max(float(smooth.std()), 1e-9), dtype=np.float64)
+
+
+def layered(rng: np.random.Generator, shape: tuple[int, int], grains_px: ArrayLike) -> NDArray[np.float64]:
+    """Return the sum of noises of several grains, coarse ones weighing more; standard deviation about 1."""
+    grains = np.atleast_1d(np.asarray(grains_px, dtype=np.float64))
+    weights = np.sqrt(grains / grains.sum())
+    return np.asarray(
+        sum(weight * noise(rng, shape, float(grain)) for weight, grain in zip(weights, grains, strict=True)),
+        dtype=np.float64,
+    )
+
+
+def coloured(colour: ArrayLike, shade: NDArray[np.float64]) -> Picture:
+    """Return a picture (h, w, 3) of one RGB colour, made lighter or darker by the factors `shade` (h, w)."""
+    return as_picture(np.asarray(colour, dtype=np.float64) * shade[..., None])
+
+
+def tinted(picture: Picture, colour: ArrayLike) -> Picture:
+    """Return a picture (h, w, 3) in another colour: its mean becomes that RGB colour, its light and shade stay."""
+    grey = picture.astype(np.float64).mean(axis=2)
+    return coloured(colour, grey / max(float(grey.mean()), 1.0))
+
+
+def as_picture(values: NDArray[np.float64]) -> Picture:
+    """Return values as a picture, cut to 0 to 255."""
+    return np.clip(values, 0, 255).astype(np.uint8)
+
+
+def paint(material: Material) -> Picture:
     """Return the picture of a material, (h, w, 3) uint8 RGB with h and w powers of two."""
     # A seed of its own, so that adding a material changes no other.
     return _PAINTERS[material](np.random.default_rng(zlib.crc32(material.encode())))
@@ -40,7 +86,7 @@ def _speckled(*colour: int, grains: tuple[float, ...] = (2.0, 40.0), contrast: f
     return lambda rng: coloured(colour, 1.0 + contrast * layered(rng, _SHAPE, grains))
 
 
-def _asphalt(rng: np.random.Generator) -> NDArray[np.uint8]:
+def _asphalt(rng: np.random.Generator) -> Picture:
     """Paint grit with a few cracks that somebody has filled with tar."""
     picture = coloured((96, 96, 99), 1.0 + 0.10 * noise(rng, _SHAPE, 2.0) + 0.025 * noise(rng, _SHAPE, 60.0))
     for _ in range(3):
@@ -56,7 +102,7 @@ def _plain(*colour: int) -> Painter:
 def _grass(*colour: int) -> Painter:
     """Return a painter of blades: fine upright streaks over patches of dryer and fresher green."""
 
-    def painter(rng: np.random.Generator) -> NDArray[np.uint8]:
+    def painter(rng: np.random.Generator) -> Picture:
         shade = 1.0 + 0.16 * noise(rng, _SHAPE, (5.0, 1.5)) + 0.10 * noise(rng, _SHAPE, 24.0)
         dry = np.clip(0.5 + 0.35 * noise(rng, _SHAPE, 70.0), 0, 1)[..., None]
         return as_picture((np.array(colour) * (1 - 0.25 * dry) + np.array([60, 48, 12]) * 0.5 * dry) * shade[..., None])
@@ -67,7 +113,7 @@ def _grass(*colour: int) -> Painter:
 def _paving(*colour: int, rows: int, columns: int, joint_px: int, running: bool = False) -> Painter:
     """Return a painter of slabs, each a little different, with dark joints; `running` shifts every other row."""
 
-    def painter(rng: np.random.Generator) -> NDArray[np.uint8]:
+    def painter(rng: np.random.Generator) -> Picture:
         height, width = _SHAPE[0] // rows, _SHAPE[1] // columns
         tone = np.kron(1.0 + 0.07 * rng.standard_normal((rows, columns)), np.ones((height, width)))
         within = np.ones((height, width))
@@ -85,7 +131,7 @@ def _paving(*colour: int, rows: int, columns: int, joint_px: int, running: bool 
 def _leaves(*colour: int) -> Painter:
     """Return a painter of overlapping leaves, lit from above, with dark gaps between them."""
 
-    def painter(rng: np.random.Generator) -> NDArray[np.uint8]:
+    def painter(rng: np.random.Generator) -> Picture:
         picture = np.full((*_SHAPE, 3), np.array(colour) * 0.35)
         for depth in np.linspace(0.5, 1.25, 1400):
             centre = rng.integers(0, _SHAPE[0], 2)
@@ -100,21 +146,21 @@ def _leaves(*colour: int) -> Painter:
 
 
 def _stones(*colour: int) -> Painter:
-    def painter(rng: np.random.Generator) -> NDArray[np.uint8]:
+    def painter(rng: np.random.Generator) -> Picture:
         rough = 1.0 + 0.10 * layered(rng, _SHAPE, (2.0, 20.0))
         return as_picture(_paving(*colour, rows=8, columns=4, joint_px=5, running=True)(rng) * rough[..., None])
 
     return painter
 
 
-def _bark(rng: np.random.Generator) -> NDArray[np.uint8]:
+def _bark(rng: np.random.Generator) -> Picture:
     return coloured((96, 76, 58), 1.0 + 0.25 * noise(rng, _SHAPE, (40.0, 5.0)))
 
 
 def _grain(*colour: int) -> Painter:
     """Return a painter of sawn wood, its grain along the picture's width."""
 
-    def painter(rng: np.random.Generator) -> NDArray[np.uint8]:
+    def painter(rng: np.random.Generator) -> Picture:
         fine, broad = noise(rng, _SHAPE, (1.5, 90.0)), noise(rng, _SHAPE, (14.0, 160.0))
         return coloured(colour, 1.0 + 0.05 * fine + 0.07 * broad)
 
@@ -124,7 +170,7 @@ def _grain(*colour: int) -> Painter:
 def _weave(*colour: int) -> Painter:
     """Return a painter of coarse cloth: threads over and under each other, a little uneven."""
 
-    def painter(rng: np.random.Generator) -> NDArray[np.uint8]:
+    def painter(rng: np.random.Generator) -> Picture:
         down, across = np.indices(_SHAPE)
         threads = 0.05 * np.where((down // 4 + across // 4) % 2 == 0, 1.0, -1.0)
         return coloured(colour, 1.0 + threads + 0.06 * noise(rng, _SHAPE, 1.5) + 0.015 * noise(rng, _SHAPE, 40.0))
@@ -132,10 +178,40 @@ def _weave(*colour: int) -> Painter:
     return painter
 
 
-def _boards(rng: np.random.Generator) -> NDArray[np.uint8]:
+def _boards(rng: np.random.Generator) -> Picture:
     return cv2.rotate(_paving(134, 110, 84, rows=8, columns=1, joint_px=14)(rng), cv2.ROTATE_90_CLOCKWISE).astype(
         np.uint8
     )
+
+
+def paint_sky(seed: int, light: Daylight) -> Picture:
+    """Return the whole horizon (1024, 4096, 3), seamless to the sides, from 90 degrees up to 10 below."""
+    rng = np.random.default_rng(seed)
+    elevation = np.linspace(TOP_DEG, BOTTOM_DEG, _SKY_SHAPE[0])[:, None]
+    up = np.clip(elevation / 90.0, 0, 1)[..., None]
+    horizon, zenith = np.array(light.horizon), np.array(light.zenith)
+    sky = horizon + (zenith - horizon) * up**0.55
+    cloud = np.clip(light.clouds * _clouds(rng, elevation), 0, 1)[..., None]
+    # Clouds and far land are lit by the same light: as bright as the horizon, and of its colour.
+    tint = horizon / _FAIR_HORIZON
+    picture = sky * (1 - cloud) + _CLOUDS * tint * cloud
+    picture = np.where(elevation[..., None] < _skyline(rng, 3.2, 1.1, 90.0), _HILLS * tint, picture)
+    trees = _TREES * tint * (1.0 + 0.10 * noise(rng, _SKY_SHAPE, 5.0))[..., None]
+    picture = np.where(elevation[..., None] < _skyline(rng, 1.2, 0.45, 12.0), trees, picture)
+    return as_picture(picture)
+
+
+def _clouds(rng: np.random.Generator, elevation: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return how much cloud covers each place, 0 to 1; clouds are flat and crowd towards the horizon."""
+    billows = 0.7 * noise(rng, _SKY_SHAPE, (60.0, 200.0)) + 0.45 * layered(rng, _SKY_SHAPE, (14.0, 40.0))
+    amount = np.clip((billows - 0.35) * 0.9, 0, 1)
+    return np.asarray(amount * np.clip(elevation / 12.0, 0, 1) * 0.9, dtype=np.float64)
+
+
+def _skyline(rng: np.random.Generator, mean_deg: float, spread_deg: float, grain_px: float) -> NDArray[np.float64]:
+    """Return the elevation in degrees of a rugged line around the horizon, (1, width, 1)."""
+    line = noise(rng, (1, _SKY_SHAPE[1]), (1.0, grain_px)) + 0.3 * noise(rng, (1, _SKY_SHAPE[1]), (1.0, 4.0))
+    return np.asarray(mean_deg + spread_deg * line[..., None], dtype=np.float64)
 
 
 _PAINTERS: Final[dict[Material, Painter]] = {
@@ -162,7 +238,6 @@ _PAINTERS: Final[dict[Material, Painter]] = {
     "skin": _plain(214, 164, 136),
     "jacket": _plain(240, 108, 20),
     "trousers": _plain(46, 66, 128),
-    "robot": _plain(190, 190, 60),
     "tyre": _plain(30, 30, 32),
     "aluminium": _speckled(186, 188, 192, grains=(1.0, 60.0), contrast=0.03),
     "black_plastic": _speckled(44, 45, 48, grains=(1.0, 50.0), contrast=0.05),

@@ -4,19 +4,13 @@ from __future__ import annotations
 
 import ctypes.util
 import os
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
-if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
-
-DRIVER_FOLDERS: Final = (
-    Path("/etc/vulkan/icd.d"),
-    Path("/usr/local/share/vulkan/icd.d"),
-    Path("/usr/share/vulkan/icd.d"),
+DRIVER_FOLDERS: Final = tuple(
+    Path(folder) / "vulkan" / "icd.d" for folder in ("/etc", "/usr/local/share", "/usr/share")
 )
-_GPU_DEVICES: Final = (Path("/dev/nvidiactl"), Path("/dev/dri"))
-_SOFTWARE_PATTERN: Final = "lvp_icd*.json"
 INSTALL: Final = "install Mesa 24.3 or newer: apt-get install mesa-vulkan-drivers (Debian 12: from bookworm-backports)"
 
 
@@ -24,22 +18,23 @@ class RenderingUnavailableError(Exception):
     """No image can be made on this machine; the message is one line that says what to install."""
 
 
-def prepare() -> None:
-    """Choose the Vulkan driver for this process; call before the first import of sapien.
+def cannot_render(error: RuntimeError) -> RenderingUnavailableError:
+    """Return the error of a driver that is there and fails."""
+    return RenderingUnavailableError(f"the Vulkan driver cannot render ({error}); {INSTALL}")
 
-    Raises
-    ------
-    RenderingUnavailableError
-        There is no Vulkan loader or no driver.
-    """
+
+def prepare() -> None:
+    """Choose the Vulkan driver for this process; call before the first import of sapien."""
     if ctypes.util.find_library("vulkan") is None:
         raise RenderingUnavailableError(f"no Vulkan loader (libvulkan.so.1); {INSTALL} and libvulkan1")
-    driver = choose_driver(os.environ, DRIVER_FOLDERS, has_gpu())
+    # Without a graphics device a GPU's driver is of no use.
+    gpu = Path("/dev/nvidiactl").exists() or any(Path("/dev/dri").glob("renderD*"))
+    driver = choose_driver(os.environ, DRIVER_FOLDERS, gpu)
     if driver is not None:
         os.environ["VK_ICD_FILENAMES"] = str(driver)
 
 
-def load_sapien() -> Any:  # noqa: ANN401 - sapien has no types
+def load_sapien() -> Any:
     """Return the SAPIEN module with its renderer, the driver chosen before.
 
     Raises
@@ -58,22 +53,11 @@ def load_sapien() -> Any:  # noqa: ANN401 - sapien has no types
     return sapien
 
 
-def has_gpu() -> bool:
-    """Return whether the machine has a graphics device; without one a GPU's driver is of no use."""
-    nvidia, dri = _GPU_DEVICES
-    return nvidia.exists() or any(dri.glob("renderD*"))
-
-
 def choose_driver(environment: Mapping[str, str], folders: Sequence[Path], gpu: bool) -> Path | None:
     """Return the driver file to set, or None to leave the choice to the loader.
 
     The loader tries every installed driver. Without a graphics device that only costs time and warnings, so the
     software driver is named; with one, or with a choice made by the user, nothing is changed.
-
-    Raises
-    ------
-    RenderingUnavailableError
-        No driver is installed, or the user's choice names a file that does not exist.
     """
     chosen = environment.get("VK_DRIVER_FILES") or environment.get("VK_ICD_FILENAMES")
     if chosen:
@@ -84,9 +68,9 @@ def choose_driver(environment: Mapping[str, str], folders: Sequence[Path], gpu: 
             )
         return None
     installed = [path for folder in folders for path in sorted(folder.glob("*.json"))]
-    software = [path for path in installed if path.match(_SOFTWARE_PATTERN)]
     if gpu and installed:
         return None
+    software = [path for path in installed if path.match("lvp_icd*.json")]
     if not software:
         raise RenderingUnavailableError(f"no Vulkan driver found; {INSTALL}")
     return software[0]

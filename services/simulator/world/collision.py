@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 from functools import lru_cache
-from typing import TYPE_CHECKING
 
 import numpy as np
 import shapely
+from numpy.typing import NDArray
 from shapely import Point, STRtree
 
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from services.simulator.world.place import Place
+from services.simulator.world.place import Place
 
 
 class Obstacles:

@@ -3,17 +3,16 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+import re
 from functools import cached_property
-from typing import TYPE_CHECKING, Final, Literal
+from typing import Annotated, Final, Literal
 
 import shapely
-from shapely import affinity
+from pydantic import BeforeValidator, Field
+from pydantic.dataclasses import dataclass
+from shapely import Polygon, affinity
 
-from services.simulator.world.place import Rgb, Solid
-
-if TYPE_CHECKING:
-    from shapely import Polygon
+from services.simulator.world.place import STRICT, Rgb, Solid
 
 FurnitureKind = Literal["cabinet", "chair", "crate", "desk", "partition", "plant", "shelf", "sofa", "table"]
 #: Kinds whose footprint is a circle, `width_m` across.
@@ -30,44 +29,80 @@ SEAT_FRACTION: Final = 0.55
 ARM_FRACTION: Final = 0.75
 SOFA_BACK_M: Final = 0.22
 SOFA_ARM_M: Final = 0.18
-#: Sides of the polygon that stands for a circle.
+# Smallest width and depth of kinds that consist of parts.
+_SMALLEST_M: Final[dict[FurnitureKind, tuple[float, float]]] = {
+    "desk": (0.8, 0.4), "shelf": (0.3, 0.15), "sofa": (0.8, 0.5), "table": (0.3, 0.3)
+}  # fmt: skip
+# Segments of a quarter of the polygon that stands for a circle.
 _QUADRANT_SEGMENTS: Final = 8
+
+
+def _rgb(colour: object) -> object:
+    if not isinstance(colour, str):
+        return colour
+    if not re.fullmatch("#[0-9a-fA-F]{6}", colour):
+        raise ValueError("expected a colour like #7a8fa6")
+    return tuple(bytes.fromhex(colour[1:]))
+
+
+Metres = Annotated[float, Field(ge=0, le=50)]
+Size = Annotated[float, Field(ge=0.02, le=50)]
+Degrees = Annotated[float, Field(ge=-360, le=360)]
+Colour = Annotated[Rgb, BeforeValidator(_rgb)]
 
 Box = tuple[float, float, float, float]
 """An upright box seen from above in the furniture's own frame: x_min, y_min, x_max, y_max, x towards the front."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True, config=STRICT)
 class Furniture:
-    """A piece of furniture.
+    """A piece of furniture, as it is in a room's file.
 
-    Attributes
-    ----------
-    x, y
-        Middle of its footprint, metres.
-    heading
-        Direction that its front faces, radians from east, anticlockwise.
-    width_m, depth_m, height_m
-        Seen from its front: from side to side, from front to back, and up.
-    colour
-        None for the usual one of its kind.
+    Tables and desks are open below; chairs and plants are round; the others are boxes.
     """
 
     kind: FurnitureKind
-    x: float
-    y: float
-    heading: float
-    width_m: float
-    depth_m: float
-    height_m: float
-    colour: Rgb | None = None
+    x_m: Metres
+    """Middle of its footprint, from the west wall."""
+    y_m: Metres
+    """Middle of its footprint, from the south wall."""
+    facing_deg: Degrees = 0.0
+    """Where its front looks; a shelf's front is the side with the books, a desk's the side where one sits."""
+    width_m: Size
+    """From its left to its right side, seen from the front; the diameter of what is round."""
+    depth_m: Metres = 0.0
+    """From its front to its back; left out for what is round."""
+    height_m: Size
+    """From the floor to its top."""
+    colour: Colour | None = None
+    """Of its main surface, for instance "#7a8fa6"; left out, the usual one of its kind."""
+
+    def __post_init__(self) -> None:
+        """Refuse what no such piece can be."""
+        if self.kind in ROUND and self.depth_m:
+            raise ValueError(f"depth_m: a {self.kind} is round and has a width_m only")
+        if self.kind not in ROUND and self.depth_m < 0.02:
+            raise ValueError(f"depth_m: a {self.kind} needs one, of 0.02 m or more")
+        width_m, depth_m = _SMALLEST_M.get(self.kind, (0.0, 0.0))
+        if self.width_m < width_m or self.depth_m < depth_m:
+            raise ValueError(f"width_m, depth_m: a {self.kind} is at least {width_m:g} m wide and {depth_m:g} m deep")
+
+    @property
+    def heading(self) -> float:
+        """Direction that its front faces, radians from east, anticlockwise."""
+        return math.radians(self.facing_deg)
 
     @property
     def outline(self) -> Polygon:
         """What it covers in its own frame, x towards the front."""
         if self.kind in ROUND:
             return shapely.Point(0.0, 0.0).buffer(self.width_m / 2, quad_segs=_QUADRANT_SEGMENTS)
-        return shapely.box(-self.depth_m / 2, -self.width_m / 2, self.depth_m / 2, self.width_m / 2)
+        return shapely.box(*self.box)
+
+    @property
+    def box(self) -> Box:
+        """What it covers in its own frame, if it is not round."""
+        return -self.depth_m / 2, -self.width_m / 2, self.depth_m / 2, self.width_m / 2
 
     @cached_property
     def footprint(self) -> Polygon:
@@ -84,39 +119,31 @@ class Furniture:
 
     def _placed(self, shape: Polygon) -> Polygon:
         cos, sin = math.cos(self.heading), math.sin(self.heading)
-        return affinity.affine_transform(shape, [cos, -sin, sin, cos, self.x, self.y])
+        return affinity.affine_transform(shape, [cos, -sin, sin, cos, self.x_m, self.y_m])
 
     def _parts(self) -> list[tuple[Polygon, float, float]]:
         """Return shape in the own frame, lower and upper height of every part."""
         under = self.height_m - BOARD_M
         match self.kind:
-            case "table":
-                legs = [(shapely.box(*leg), 0.0, under) for leg in legs_of(self)]
-                return [*legs, (self.outline, under, self.height_m)]
-            case "desk":
-                panels = [(shapely.box(*panel), 0.0, under) for panel in panels_of(self)]
-                return [*panels, (self.outline, under, self.height_m)]
+            case "table" | "desk":
+                below = self.legs if self.kind == "table" else self.panels
+                return [*((shapely.box(*box), 0.0, under) for box in below), (self.outline, under, self.height_m)]
             case "sofa":
-                back = shapely.box(
-                    -self.depth_m / 2, -self.width_m / 2, SOFA_BACK_M - self.depth_m / 2, self.width_m / 2
-                )
+                x_min, y_min, _, y_max = self.box
+                back = shapely.box(x_min, y_min, x_min + SOFA_BACK_M, y_max)
                 return [(back, 0.0, self.height_m), (self.outline, 0.0, self.height_m * ARM_FRACTION)]
             case _:
                 return [(self.outline, 0.0, self.height_m)]
 
+    @property
+    def legs(self) -> list[Box]:
+        """The four legs of a table."""
+        ahead, aside = (((half - LEG_M, half), (-half, LEG_M - half)) for half in (self.depth_m / 2, self.width_m / 2))
+        return [(x_min, y_min, x_max, y_max) for x_min, x_max in ahead for y_min, y_max in aside]
 
-def legs_of(table: Furniture) -> list[Box]:
-    """Return the four legs of a table."""
-    x, y = table.depth_m / 2, table.width_m / 2
-    return [
-        (min(front, front - ahead * LEG_M), min(side, side - left * LEG_M),
-         max(front, front - ahead * LEG_M), max(side, side - left * LEG_M))
-        for ahead, front in ((1, x), (-1, -x)) for left, side in ((1, y), (-1, -y))
-    ]  # fmt: skip
-
-
-def panels_of(desk: Furniture) -> tuple[Box, Box, Box]:
-    """Return a desk's drawers under its left end, the panel under its right end, and the panel along its back."""
-    x, y = desk.depth_m / 2, desk.width_m / 2
-    drawers = min(DRAWERS_M, desk.width_m / 2)
-    return (-x, y - drawers, x, y), (-x, -y, x, PANEL_M - y), (-x, PANEL_M - y, PANEL_M - x, y - drawers)
+    @property
+    def panels(self) -> tuple[Box, Box, Box]:
+        """A desk's drawers under its left end, the panel under its right end, and the panel along its back."""
+        x, y = self.depth_m / 2, self.width_m / 2
+        drawers = min(DRAWERS_M, self.width_m / 2)
+        return (-x, y - drawers, x, y), (-x, -y, x, PANEL_M - y), (-x, PANEL_M - y, PANEL_M - x, y - drawers)

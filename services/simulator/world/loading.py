@@ -6,54 +6,50 @@ import math
 import re
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import Annotated, Final
 
 import numpy as np
+from pydantic import Field, TypeAdapter, ValidationError
 from scipy.sparse.csgraph import connected_components
 from shapely import LineString, STRtree, points
 from shapely.errors import GEOSException
 
-from schemas.codec import printable
+from schemas.codec import describe, printable
 from services.simulator.world.collision import obstacles_of
-from services.simulator.world.json_file import read_json
-from services.simulator.world.osm import Surroundings, read_osm
+from services.simulator.world.osm import Extract, Surroundings, metres_per_degree, read_osm
 from services.simulator.world.place import Pose, World, WorldError
-from services.simulator.world.roles import choose_roles
-from services.simulator.world.room_file import read_room
+from services.simulator.world.room import RoomFile
 from services.simulator.world.route import lane_graph, plan_route
-from services.simulator.world.tagging import terrain_from
-from services.simulator.world.terrain import Terrain
-from services.simulator.world.terrain_file import read_terrain
-from services.simulator.world.terrain_format import FORMAT
-
-if TYPE_CHECKING:
-    from services.simulator.world.osm import OsmExtract
+from services.simulator.world.survey import terrain_from
+from services.simulator.world.task import choose_roles
+from services.simulator.world.terrain import Terrain, TerrainFile, terrain_text
 
 WORLDS_FOLDER: Final = Path(__file__).parents[1] / "known_worlds"
-_ROOM_FORMAT: Final = "smal.room/1"
 _SUFFIXES: Final = (".osm", ".json")
+#: Bytes of a world file; a map of 5 MB becomes a world of about 1 MB.
+LARGEST_FILE: Final = 32 * 1024 * 1024
+# Counted before parsing: an empty list takes three bytes of the file and sixty of memory.
+_MOST_OF: Final = {b"[": 1_500_000, b"{": 500_000, b",": 5_000_000}
+_FILE: Final[TypeAdapter[RoomFile | TerrainFile]] = TypeAdapter(
+    Annotated[RoomFile | TerrainFile, Field(discriminator="format")]
+)
 # A route leaves out points that are this close to it.
 _ON_ROUTE_M: Final = 0.03
+# Beyond start and victim, so that there is something to see behind them.
+_MARGIN_M: Final = 20.0
 
 
 @dataclass(frozen=True)
 class Wishes:
-    """What a person asks of the task in a map, and of how much of it to take.
-
-    Attributes
-    ----------
-    start, victim
-        By hand, in the metres of the world; None for what the map says, else by rule.
-    seed
-        Another one gives another task by rule.
-    around
-        The part of the map to take; None for all of it.
-    """
+    """What a person asks of the task in a map, and of how much of it to take."""
 
     start: Pose | None = None
     victim: Pose | None = None
+    """By hand, in the metres of the world; None for what the map says, else by rule."""
     seed: int = 0
+    """Another one gives another task by rule."""
     around: Surroundings | None = None
+    """The part of the map to take; None for all of it."""
 
 
 def known_worlds() -> list[str]:
@@ -70,7 +66,7 @@ def load_world(name_or_path: str | Path) -> World:
         The name of a world that comes with the project, or the path of an OpenStreetMap XML file or of a world file
         (its name ends in .json). In a map, a node tagged `smal:role=start` (with `direction=` in degrees clockwise from
         north) and one tagged `smal:role=victim` set the task; a plain extract has none, and gets one by rule (see
-        `roles.choose_roles`).
+        `task.choose_roles`).
 
     Raises
     ------
@@ -78,55 +74,71 @@ def load_world(name_or_path: str | Path) -> World:
         The world is unknown, unreadable, of no known format, empty, or its victim cannot be reached.
     """
     path = _find(name_or_path)
-    return _world_of_file(path) if path.suffix == ".json" else world_of_map(path)
+    if path.suffix != ".json":
+        return world_of_map(path)
+    try:
+        return world_of_text(_read(path), path)
+    except OSError as error:
+        raise WorldError(f"{path}: {error.strerror}") from error
 
 
 def world_of_map(path: Path, wishes: Wishes | None = None) -> World:
-    """Turn an OpenStreetMap XML file into a world.
-
-    Raises
-    ------
-    WorldError
-        The file is unreadable or too large, has no buildings or roads, or the victim cannot be reached.
-    """
+    """Turn an OpenStreetMap XML file into a world; see `load_world`."""
     wishes = wishes or Wishes()
     extract = read_osm(path, wishes.around)
     try:
         terrain = terrain_from(extract, path.stem, path.name)
+        _check_content(terrain)
+        start = wishes.start or _role(extract, "start")
+        victim = wishes.victim or _role(extract, "victim")
+        world = World(terrain, *choose_roles(terrain, start, victim, wishes.seed))
+        _check_task(world)
     except GEOSException as error:
         raise WorldError(f"{path}: its outlines cannot be cut to size ({printable(str(error))})") from error
-    _check_content(terrain, path)
-    start = wishes.start or _role(extract, "start", path)
-    victim = wishes.victim or _role(extract, "victim", path)
-    try:
-        roles = choose_roles(terrain, start, victim, wishes.seed)
+    except ValidationError as error:
+        raise WorldError(f"{path}: {describe(error)}") from None
     except WorldError as error:
         raise WorldError(f"{path}: {error}") from None
-    world = World(terrain, *roles)
-    check_task(world, path)
     return world
 
 
-def check_task(world: World, path: Path) -> None:
-    """Refuse a world whose task cannot be done.
+def import_map(osm_map: Path, out: Path, wishes: Wishes, radius_m: float | None = None) -> tuple[World, str]:
+    """Turn a map into the world that whoever reads the file `out` will have, and the text for that file.
+
+    `radius_m` takes only so much of the map on each side of the middle between start and victim.
 
     Raises
     ------
     WorldError
-        Start or victim are in an obstacle, or no way leads from one to the other.
+        The map cannot be used, or there is no way from start to victim.
     """
-    for name, pose, radius_m in (("start", world.start, world.robot.radius_m), ("victim", world.victim, 0.0)):
-        if not obstacles_of(world.place).is_free(pose.x, pose.y, radius_m):
-            raise WorldError(
-                f"{path}: the {name} at ({pose.x:.1f}, {pose.y:.1f}) m stands in an obstacle or outside the world"
-            )
-    try:
-        plan_route(world, (world.start.x, world.start.y))
-    except WorldError as error:
-        raise WorldError(f"{path}: {error}") from None
+    world = world_of_map(osm_map, wishes)
+    if radius_m is not None:
+        world = world_of_map(osm_map, _about_the_task(world, wishes, radius_m, osm_map))
+    text = terrain_text(_connected(world))
+    return world_of_text(text.encode(), out), text
 
 
-def connected(world: World) -> World:
+def _about_the_task(world: World, wishes: Wishes, radius_m: float, path: Path) -> Wishes:
+    """Return the wish for the very same task with less of the map about it."""
+    start, victim = world.start, world.victim
+    least_m = max(abs(start.x - victim.x), abs(start.y - victim.y)) / 2 + _MARGIN_M
+    if radius_m < least_m:
+        needs = f"does not hold start and victim, which need {math.ceil(least_m)} m"
+        raise WorldError(f"{path}: a radius of {radius_m:.0f} m {needs}")
+    terrain = world.place
+    if not isinstance(terrain, Terrain) or terrain.source is None:
+        raise TypeError("only a map's terrain can be cut")
+    x, y = (start.x + victim.x) / 2, (start.y + victim.y) / 2
+    east, north = metres_per_degree(terrain.source.latitude_deg)
+    around = Surroundings(
+        terrain.source.latitude_deg + y / float(north), terrain.source.longitude_deg + x / float(east), radius_m
+    )
+    moved = [Pose(pose.x - x, pose.y - y, pose.heading) for pose in (start, victim)]
+    return replace(wishes, start=moved[0], victim=moved[1], around=around)
+
+
+def _connected(world: World) -> World:
     """Return a world in whose terrain only those roads are drivable that the way to the victim is connected to."""
     terrain = world.place
     if not isinstance(terrain, Terrain):
@@ -143,27 +155,6 @@ def connected(world: World) -> World:
     return replace(world, place=replace(terrain, roads=roads))
 
 
-def _world_of_file(path: Path) -> World:
-    content = read_json(path)
-    named = content.get("format")
-    if named == _ROOM_FORMAT:
-        return read_room(content, path)
-    if named == FORMAT:
-        world = read_terrain(content, path)
-        if isinstance(world.place, Terrain):
-            _check_content(world.place, path)
-        check_task(world, path)
-        return world
-    found = f"is {printable(str(named))!r}" if "format" in content else "is missing"
-    raise WorldError(f"{path}: its format {found}; known are {FORMAT} and {_ROOM_FORMAT}")
-
-
-def _check_content(terrain: Terrain, path: Path) -> None:
-    if not terrain.buildings or not terrain.roads:
-        missing = "buildings" if not terrain.buildings else "roads"
-        raise WorldError(f"{path}: the map has no {missing}; a world needs both buildings and roads")
-
-
 def _find(name_or_path: str | Path) -> Path:
     path = Path(name_or_path)
     if path.suffix or len(path.parts) != 1 or path.is_file():
@@ -177,14 +168,55 @@ def _find(name_or_path: str | Path) -> Path:
     raise WorldError(f"unknown world '{path}'; known are {', '.join(known_worlds()) or 'none'}, or give a path")
 
 
-def _role(extract: OsmExtract, role: str, path: Path) -> Pose | None:
+def _read(path: Path) -> bytes:
+    """Return the content of a world file, within bounds of bytes and of how many things it holds."""
+    size = path.stat().st_size
+    if size > LARGEST_FILE:
+        raise WorldError(f"{path}: {size / 1e6:.0f} MB; a world has at most {LARGEST_FILE / 1e6:.0f} MB")
+    data = path.read_bytes()
+    for mark, most in _MOST_OF.items():
+        if data.count(mark) > most:
+            raise WorldError(f"{path}: more than {most:,} of '{mark.decode()}'; no world has so much in it")
+    return data
+
+
+def world_of_text(data: bytes, path: Path) -> World:
+    """Return the world that a file of that content and name describes."""
+    try:
+        world = _FILE.validate_json(data).world(path.stem)
+        if isinstance(world.place, Terrain):
+            _check_content(world.place)
+            _check_task(world)
+    except ValidationError as error:
+        # What is wrong in a file is placed below the name of its format.
+        raise WorldError(f"{path}: {re.sub(r'^(smal[.][a-z]+/1[.:] ?|message: )', '', describe(error))}") from None
+    except WorldError as error:
+        raise WorldError(f"{path}: {error}") from None
+    return world
+
+
+def _check_content(terrain: Terrain) -> None:
+    if not terrain.buildings or not terrain.roads:
+        missing = "buildings" if not terrain.buildings else "roads"
+        raise WorldError(f"the map has no {missing}; a world needs both buildings and roads")
+
+
+def _check_task(world: World) -> None:
+    """Refuse a start or a victim in an obstacle, and a victim without a way."""
+    for name, pose, radius_m in (("start", world.start, world.robot.radius_m), ("victim", world.victim, 0.0)):
+        if not obstacles_of(world.place).is_free(pose.x, pose.y, radius_m):
+            raise WorldError(f"the {name} at ({pose.x:.1f}, {pose.y:.1f}) m stands in an obstacle or outside the world")
+    plan_route(world, (world.start.x, world.start.y))
+
+
+def _role(extract: Extract, role: str) -> Pose | None:
     nodes = [node for node in extract.nodes if node.tags.get("smal:role") == role]
     if len(nodes) > 1:
-        raise WorldError(f"{path}: {len(nodes)} nodes are tagged smal:role={role}; one is allowed")
+        raise WorldError(f"{len(nodes)} nodes are tagged smal:role={role}; one is allowed")
     if not nodes:
         return None
     direction = nodes[0].tags.get("direction", "0")
     if not re.fullmatch(r"-?\d+(\.\d+)?", direction):
-        raise WorldError(f"{path}: direction={direction} of smal:role={role} is not a number of degrees")
+        raise WorldError(f"direction={direction} of smal:role={role} is not a number of degrees")
     heading = math.remainder(math.pi / 2 - math.radians(float(direction)), math.tau)
     return Pose(float(nodes[0].xy[0]), float(nodes[0].xy[1]), heading)

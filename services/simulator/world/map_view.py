@@ -3,23 +3,18 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import shapely
+from matplotlib.axes import Axes
 from matplotlib.collections import PatchCollection
 from matplotlib.patches import Circle, PathPatch
 from matplotlib.path import Path
 
 from services.simulator.world.furniture import FurnitureKind
-from services.simulator.world.room import Room
-from services.simulator.world.terrain import Terrain
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-
-    from services.simulator.world.place import World
-    from services.simulator.world.room import Fitting, FittingKind
-    from services.simulator.world.terrain import AreaKind, BarrierKind, RoadKind
+from services.simulator.world.place import World
+from services.simulator.world.room import Fitting, FittingKind, Room
+from services.simulator.world.terrain import AreaKind, BarrierKind, RoadKind, Terrain
 
 _GROUND: Final = "#e7ecdd"
 _AREA: Final[dict[AreaKind, str]] = {"grass": "#cfe3b8", "water": "#b5d3e8", "paved": "#dcdad5"}
@@ -38,12 +33,7 @@ _CROWN_OF_HEIGHT: Final = 0.28
 def draw_map(world: World, ax: Axes) -> None:
     """Draw what stands in a world, its start (arrow), its victim (star) and the camera above, if there is one.
 
-    Parameters
-    ----------
-    world
-        The world to draw.
-    ax
-        Where to draw; its axes become metres east and north with equal scale. Routes drawn later lie on top.
+    The axes become metres east and north with equal scale; routes drawn later lie on top.
     """
     x_min, y_min, x_max, y_max = world.place.bounds
     ax.set(xlim=(x_min, x_max), ylim=(y_min, y_max), aspect="equal", xlabel="east (m)", ylabel="north (m)")
@@ -60,7 +50,7 @@ def draw_map(world: World, ax: Axes) -> None:
 def _draw_terrain(terrain: Terrain, ax: Axes) -> None:
     ax.set_facecolor(_GROUND)
     for area in terrain.areas:
-        _fill(ax, area.polygon, _AREA[area.kind], order=0.5)
+        _fill(ax, area.footprint, _AREA[area.kind], order=0.5)
     for road in sorted(terrain.roads, key=lambda road: road.kind):
         _fill(ax, road.line.buffer(road.width_m / 2), _ROAD[road.kind], edge="#c9c4ba", order=1.0)
     for building in terrain.buildings:
@@ -78,7 +68,9 @@ def _draw_room(room: Room, ax: Axes) -> None:
     for fitting in room.fittings:
         ax.plot(*_on_the_wall(fitting, room), color=_FITTING[fitting.kind], linewidth=4, zorder=1.6)
     if room.overhead is not None:
-        ax.plot(room.overhead.x, room.overhead.y, "x", color="#444444", markersize=7, label="camera above", zorder=3)
+        ax.plot(
+            room.overhead.x_m, room.overhead.y_m, "x", color="#444444", markersize=7, label="camera above", zorder=3
+        )
 
 
 def _on_the_wall(fitting: Fitting, room: Room) -> tuple[tuple[float, float], tuple[float, float]]:

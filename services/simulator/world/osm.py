@@ -3,28 +3,35 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Final, NamedTuple
 
 import numpy as np
 import osmium
 import shapely
+from numpy.typing import NDArray
 from shapely import LineString
+from shapely.geometry.base import BaseGeometry
 
 from schemas.codec import printable
-from services.simulator.world import osm_limits
-from services.simulator.world.osm_limits import LARGEST_M, LONGEST_TAG, MOST_WAY_M
 from services.simulator.world.outlines import OutlineError, area_of_rings
-from services.simulator.world.place import WorldError
+from services.simulator.world.place import Bounds, WorldError
 
-if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping
-    from pathlib import Path
+Tags = Mapping[str, str]
 
-    from numpy.typing import NDArray
-    from shapely.geometry.base import BaseGeometry
-
-    from services.simulator.world.kinds import Tags
+#: Bytes; a town of several thousand buildings has a third of it.
+LARGEST_FILE: Final = 64 * 1024 * 1024
+#: Points of all ways and relations together, and tagged nodes, ways and relations.
+MOST_POINTS: Final = 1_000_000
+MOST_ELEMENTS: Final = 200_000
+#: OpenStreetMap's own limits; only a file made by hand has longer ones.
+MOST_POINTS_OF_A_WAY: Final = 2_000
+LONGEST_TAG: Final = 255
+#: A larger world would take more memory than a machine has: roads become points a couple of metres apart.
+LARGEST_M: Final = 10_000.0
+#: Of roads, barriers and waterways.
+MOST_WAY_M: Final = 500_000.0
 
 # WGS84: semi-major axis in metres and first eccentricity squared.
 _SEMI_MAJOR_M: Final = 6_378_137.0
@@ -34,12 +41,12 @@ _LINEAR_KEYS: Final = frozenset({"highway", "barrier", "waterway", "natural"})
 _SMALLEST_M: Final = 1.0
 # About the outermost thing of a map without bounds.
 _BEYOND_M: Final = 10.0
-# Tags that say nothing of what an area is.
+# Tags that say nothing of what an area is, and tags that say what kind of thing it is.
 _FORMAL_KEYS: Final = frozenset({"type", "source", "created_by", "note", "fixme", "FIXME"})
+_KIND_KEYS: Final = frozenset({"building", "building:part", "natural", "landuse", "leisure", "waterway", "amenity"})
 
 
-@dataclass(frozen=True)
-class Surroundings:
+class Surroundings(NamedTuple):
     """The part of a file to read: a square about a place on the earth."""
 
     latitude_deg: float
@@ -47,8 +54,7 @@ class Surroundings:
     radius_m: float
 
 
-@dataclass(frozen=True)
-class OsmNode:
+class Node(NamedTuple):
     """A tagged point; `xy` is (2,) in metres."""
 
     id: int
@@ -56,8 +62,7 @@ class OsmNode:
     tags: Tags
 
 
-@dataclass(frozen=True)
-class OsmWay:
+class Way(NamedTuple):
     """A tagged line; `points` is (n, 2) in metres, n at least 2."""
 
     id: int
@@ -65,114 +70,40 @@ class OsmWay:
     tags: Tags
 
 
-@dataclass(frozen=True)
-class OsmArea:
-    """A tagged multipolygon relation; `area` is valid, in metres, with holes."""
+class Relation(NamedTuple):
+    """A tagged multipolygon; `area` is valid, in metres, with holes."""
 
     id: int
     area: BaseGeometry
     tags: Tags
 
 
-@dataclass(frozen=True)
-class Unread:
-    """An element that became none of the above, what its tags say, and why in a few words."""
+class Unread(NamedTuple):
+    """An element that became none of the above, and why in a few words."""
 
     tags: Tags
     reason: str
 
 
-@dataclass(frozen=True)
-class OsmExtract:
-    """The tagged content of a file, centred on the middle of its bounds.
+class Extract(NamedTuple):
+    """The tagged content of a file in metres, centred on the middle of its bounds, at a latitude and a longitude."""
 
-    Attributes
-    ----------
-    bounds
-        (x_min, y_min, x_max, y_max) in metres.
-    nodes, ways, areas
-        What could be read.
-    broken
-        Ways and relations that could not.
-    repeated
-        Ways that are drawn as part of a relation.
-    latitude_deg, longitude_deg
-        Where x and y are 0.
-    """
-
-    bounds: tuple[float, float, float, float]
-    nodes: tuple[OsmNode, ...]
-    ways: tuple[OsmWay, ...]
-    areas: tuple[OsmArea, ...]
-    broken: tuple[Unread, ...]
-    repeated: tuple[Unread, ...]
+    bounds: Bounds
     latitude_deg: float
     longitude_deg: float
+    nodes: list[Node]
+    ways: list[Way]
+    relations: list[Relation]
+    broken: list[Unread]
+    """Ways and relations that could not be read."""
+    repeated: list[Unread]
+    """Ways that are drawn as part of a relation."""
 
 
-class _Collector:
-    """Gather elements in degrees while the file streams by."""
+def read_osm(path: Path, around: Surroundings | None = None) -> Extract:
+    """Read an OpenStreetMap XML file as exported by openstreetmap.org, or only a part `around` the new origin.
 
-    def __init__(self) -> None:
-        self.nodes: list[tuple[int, tuple[float, float], dict[str, str]]] = []
-        self.ways: dict[int, tuple[NDArray[np.float64], dict[str, str]]] = {}
-        self.relations: list[tuple[int, list[tuple[int, str]], dict[str, str]]] = []
-        self.broken: list[Unread] = []
-        self.broken_ways: set[int] = set()
-        self._points = 0
-
-    def node(self, node: osmium.osm.Node) -> None:
-        if len(node.tags) and node.location.valid():
-            self.nodes.append((node.id, (node.location.lon, node.location.lat), _tags(node)))
-            self._count(0)
-
-    def way(self, way: osmium.osm.Way) -> None:
-        tags, size = _tags(way), len(way.nodes)
-        self._count(size)
-        reason = None
-        if size > osm_limits.MOST_POINTS_OF_A_WAY:
-            reason = f"it has more than {osm_limits.MOST_POINTS_OF_A_WAY} points"
-        else:
-            places = [(ref.location.lon, ref.location.lat) for ref in way.nodes if ref.location.valid()]
-            # A way that lost a corner would be drawn as another shape, so it is left out and counted.
-            if len(places) < max(2, size):
-                reason = "a point of it is missing" if len(places) < size else "it has fewer than two points"
-            elif way.id not in self.ways:
-                self.ways[way.id] = np.array(places), tags
-        if reason is not None:
-            self.broken_ways.add(way.id)
-            if tags:
-                self.broken.append(Unread(tags, reason))
-
-    def relation(self, relation: osmium.osm.Relation) -> None:
-        tags = _tags(relation)
-        if tags.get("type") == "multipolygon":
-            members = [(member.ref, member.role) for member in relation.members if member.type == "w"]
-            self.relations.append((relation.id, members, tags))
-            self._count(len(members))
-
-    def _count(self, points: int) -> None:
-        self._points += points
-        if self._points > osm_limits.MOST_POINTS:
-            raise _TooLargeError(f"more than {osm_limits.MOST_POINTS:,} points; cut it smaller")
-        if len(self.nodes) + len(self.ways) + len(self.relations) > osm_limits.MOST_ELEMENTS:
-            raise _TooLargeError(f"more than {osm_limits.MOST_ELEMENTS:,} nodes and ways; cut it smaller")
-
-
-class _TooLargeError(Exception):
-    """There is more in a file than a world can have."""
-
-
-def read_osm(path: Path, around: Surroundings | None = None) -> OsmExtract:
-    """Read an OpenStreetMap XML file.
-
-    Parameters
-    ----------
-    path
-        A file as exported by openstreetmap.org. Its `<bounds>` set the origin; without them, the extent of
-        what is tagged does.
-    around
-        Read only this part of it, whose middle is the origin.
+    Its `<bounds>` set the origin; without them, the extent of what is tagged does.
 
     Raises
     ------
@@ -180,150 +111,177 @@ def read_osm(path: Path, around: Surroundings | None = None) -> OsmExtract:
         The file cannot be read, is not OpenStreetMap XML, defines entities, is cut short, holds no located element,
         or is too large.
     """
-    collector = _Collector()
+    found = _Collector()
     try:
-        osm_limits.check_file(path)
-        processor = osmium.FileProcessor(osmium.io.File(str(path), "osm")).with_locations()
-        for element in processor:
-            if isinstance(element, osmium.osm.Node):
-                collector.node(element)
-            elif isinstance(element, osmium.osm.Way):
-                collector.way(element)
-            elif isinstance(element, osmium.osm.Relation):
-                collector.relation(element)
-        box = processor.header.box()
-    except _TooLargeError as error:
+        _check_file(path)
+        box = found.read(path)
+        degrees = found.bounds(box) if around is None else _square(around)
+        extract = found.extract(degrees)
+        _check_size(extract)
+    except WorldError as error:
         raise WorldError(f"{path}: {error}") from None
     except (RuntimeError, OSError, ValueError, osmium.InvalidLocationError) as error:
         raise WorldError(f"{path}: not a readable OpenStreetMap XML file ({printable(str(error))})") from error
-    degrees = _square(around) if around is not None else _degree_bounds(collector, box)
-    if degrees is None:
-        raise WorldError(f"{path}: the file holds no located nodes or ways")
-    extract = _to_metres(collector, degrees)
-    _check_size(extract, path)
     return extract
 
 
-def _tags(element: osmium.osm.Node | osmium.osm.Way | osmium.osm.Relation) -> dict[str, str]:
-    return dict(element.tags)
+class _Collector:
+    """Gather elements in degrees while the file streams by."""
+
+    def __init__(self) -> None:
+        self._nodes: list[Node] = []
+        self._ways: dict[int, Way] = {}
+        self._relations: list[tuple[int, dict[int, str], Tags]] = []
+        self._broken: list[Unread] = []
+        self._broken_ways: set[int] = set()
+        self._points = 0
+
+    def read(self, path: Path) -> osmium.osm.Box:
+        """Read a file; return the bounds that it states."""
+        processor = osmium.FileProcessor(osmium.io.File(str(path), "osm")).with_locations()
+        for element in processor:
+            tags = dict(element.tags) if len(element.tags) else {}
+            if isinstance(element, osmium.osm.Node):
+                if tags and element.location.valid():
+                    self._nodes.append(Node(element.id, np.array([element.location.lon, element.location.lat]), tags))
+            elif isinstance(element, osmium.osm.Way):
+                self._way(element, tags)
+            elif isinstance(element, osmium.osm.Relation) and tags.get("type") == "multipolygon":
+                roles = {member.ref: member.role for member in element.members if member.type == "w"}
+                self._relations.append((element.id, roles, tags))
+                self._points += len(element.members)
+            if self._points > MOST_POINTS:
+                raise WorldError(f"more than {MOST_POINTS:,} points; cut it smaller")
+            if len(self._nodes) + len(self._ways) + len(self._relations) > MOST_ELEMENTS:
+                raise WorldError(f"more than {MOST_ELEMENTS:,} nodes and ways; cut it smaller")
+        return processor.header.box()
+
+    def _way(self, way: osmium.osm.Way, tags: Tags) -> None:
+        size, reason = len(way.nodes), ""
+        self._points += size
+        if size > MOST_POINTS_OF_A_WAY:
+            reason = f"it has more than {MOST_POINTS_OF_A_WAY} points"
+        else:
+            places = [(ref.location.lon, ref.location.lat) for ref in way.nodes if ref.location.valid()]
+            # A way that lost a corner would be drawn as another shape, so it is left out and counted.
+            if len(places) < size:
+                reason = "a point of it is missing"
+            elif size < 2:
+                reason = "it has fewer than two points"
+            else:
+                self._ways.setdefault(way.id, Way(way.id, np.array(places), tags))
+        if reason:
+            self._broken_ways.add(way.id)
+            if tags:
+                self._broken.append(Unread(tags, reason))
+
+    def bounds(self, box: osmium.osm.Box) -> NDArray[np.float64]:
+        """Return [[lon_min, lat_min], [lon_max, lat_max]], from the header where it has them."""
+        if box.valid():
+            return np.array([[corner.lon, corner.lat] for corner in (box.bottom_left, box.top_right)])
+        places = [node.xy[None] for node in self._nodes] + [way.points for way in self._ways.values() if way.tags]
+        if not places:
+            raise WorldError("the file holds no located nodes or ways")
+        every = np.concatenate(places)
+        low, high = every.min(axis=0), every.max(axis=0)
+        # The robot cannot go beyond the bounds, so that a road along them could not be driven.
+        margin = _BEYOND_M / metres_per_degree(float((low + high)[1]) / 2)
+        return np.array([low - margin, high + margin])
+
+    def extract(self, degrees: NDArray[np.float64]) -> Extract:
+        """Return everything in metres about the middle of some bounds, relations put together."""
+        origin = degrees.mean(axis=0)
+        scale = metres_per_degree(float(origin[1]))
+        x_min, y_min, x_max, y_max = ((degrees - origin) * scale).ravel().tolist()
+        ways = {way.id: way._replace(points=(way.points - origin) * scale) for way in self._ways.values()}
+        relations, broken, drawn = self._put_together(ways)
+        return Extract(
+            bounds=(x_min, y_min, x_max, y_max),
+            latitude_deg=float(origin[1]),
+            longitude_deg=float(origin[0]),
+            nodes=[node._replace(xy=(node.xy - origin) * scale) for node in self._nodes],
+            ways=[way for way in ways.values() if way.tags and way.id not in drawn],
+            relations=relations,
+            broken=self._broken + broken,
+            repeated=[Unread(ways[number].tags, "drawn with its relation") for number in sorted(drawn)],
+        )
+
+    def _put_together(self, ways: Mapping[int, Way]) -> tuple[list[Relation], list[Unread], set[int]]:
+        """Return the relations that have an area, those that have none, and the ways that the former draw already."""
+        found: list[Relation] = []
+        broken: list[Unread] = []
+        drawn: set[int] = set()
+        points = 0
+        for number, roles, own_tags in self._relations:
+            known = [ways[ref] for ref in roles if ref in ways]
+            outer = [way for way in known if roles[way.id] != "inner"]
+            tags = _meaning(own_tags, outer)
+            points += sum(len(way.points) for way in known)
+            try:
+                if not self._broken_ways.isdisjoint(roles):
+                    raise OutlineError("a member of it is broken")
+                if len(known) < len(roles):
+                    raise OutlineError("a member of it is not in the file")
+                if points > MOST_POINTS:
+                    raise OutlineError("the file's relations have too many points")
+                lines = [[LineString(way.points) for way in known if (roles[way.id] == "inner") == hole]
+                         for hole in (False, True)]  # fmt: skip
+                found.append(Relation(number, area_of_rings(*lines), tags))
+            except OutlineError as error:
+                broken.append(Unread(tags, str(error)))
+            else:
+                drawn.update(way.id for way in outer if _says_the_same(way.tags, tags))
+        return found, broken, drawn
 
 
-def _check_size(extract: OsmExtract, path: Path) -> None:
+def _meaning(tags: Tags, outer: list[Way]) -> Tags:
+    """Return a relation's tags; those of its outer ways where it has none, as maps had it until 2017."""
+    if tags.keys() - _FORMAL_KEYS:
+        return tags
+    return next((way.tags for way in outer if way.tags.keys() - _FORMAL_KEYS), tags)
+
+
+def _says_the_same(way_tags: Tags, area_tags: Tags) -> bool:
+    """Return whether an outer way is another drawing of its relation: of the same kind of thing, or of nothing else."""
+    return bool(way_tags) and (way_tags == area_tags or bool(_KIND_KEYS & way_tags.keys() & area_tags.keys()))
+
+
+def _check_file(path: Path) -> None:
+    """Refuse a file that is too large, or that defines entities, before a parser sees it."""
+    size = path.stat().st_size
+    if size > LARGEST_FILE:
+        raise WorldError(f"{size / 1e6:.0f} MB; a map has at most {LARGEST_FILE / 1e6:.0f} MB, cut it smaller")
+    data = path.read_bytes()
+    # Text in UTF-16 or UTF-32, where the words below would not be found, is full of zero bytes.
+    if b"\0" in data:
+        raise WorldError("not a readable OpenStreetMap XML file (holds zero bytes; it must be UTF-8)")
+    for word in (b"<!DOCTYPE", b"<!ENTITY"):
+        if word in data:
+            raise WorldError(f"holds {word.decode()}; a map defines no document type and no entities")
+
+
+def _check_size(extract: Extract) -> None:
     x_min, y_min, x_max, y_max = extract.bounds
     if min(x_max - x_min, y_max - y_min) < _SMALLEST_M:
-        raise WorldError(f"{path}: the map's bounds enclose nothing")
+        raise WorldError("the map's bounds enclose nothing")
     extent_m = max(x_max - x_min, y_max - y_min)
     if extent_m > LARGEST_M:
-        raise WorldError(
-            f"{path}: spans {extent_m / 1000:.0f} km; a world spans at most {LARGEST_M / 1000:.0f} km, "
-            "import a part of it with --around"
-        )
+        most = f"at most {LARGEST_M / 1000:.0f} km, import a part of it with --around"
+        raise WorldError(f"spans {extent_m / 1000:.0f} km; a world spans {most}")
     lines = [LineString(way.points) for way in extract.ways if not _LINEAR_KEYS.isdisjoint(way.tags)]
     length_m = sum(shapely.clip_by_rect(line, *extract.bounds).length for line in lines)
     if length_m > MOST_WAY_M:
-        raise WorldError(
-            f"{path}: {length_m / 1000:.0f} km of roads, barriers and waterways, "
-            f"a world has at most {MOST_WAY_M / 1000:.0f} km"
-        )
-    tags = [node.tags for node in extract.nodes] + [way.tags for way in extract.ways]
-    tags += [area.tags for area in extract.areas]
+        most = f"a world has at most {MOST_WAY_M / 1000:.0f} km"
+        raise WorldError(f"{length_m / 1000:.0f} km of roads, barriers and waterways, {most}")
+    tags = [element.tags for elements in (extract.nodes, extract.ways, extract.relations) for element in elements]
     if any(len(value) > LONGEST_TAG for some in tags for value in some.values()):
-        raise WorldError(f"{path}: a tag is longer than the {LONGEST_TAG} characters that OpenStreetMap allows")
+        raise WorldError(f"a tag is longer than the {LONGEST_TAG} characters that OpenStreetMap allows")
 
 
 def _square(around: Surroundings) -> NDArray[np.float64]:
     middle = np.array([around.longitude_deg, around.latitude_deg])
     reach = around.radius_m / metres_per_degree(around.latitude_deg)
     return np.array([middle - reach, middle + reach])
-
-
-def _degree_bounds(collector: _Collector, box: osmium.osm.Box) -> NDArray[np.float64] | None:
-    """Return [[lon_min, lat_min], [lon_max, lat_max]], from the header where it has them."""
-    if box.valid():
-        corners = box.bottom_left, box.top_right
-        return np.array([[corner.lon, corner.lat] for corner in corners])
-    places = [np.array([place]) for _, place, _ in collector.nodes]
-    places += [points for points, tags in collector.ways.values() if tags]
-    if not places:
-        return None
-    every = np.concatenate(places)
-    low, high = every.min(axis=0), every.max(axis=0)
-    # The robot cannot go beyond the bounds, so that a road along them could not be driven.
-    margin = _BEYOND_M / metres_per_degree(float((low + high)[1]) / 2)
-    return np.array([low - margin, high + margin])
-
-
-def _to_metres(collector: _Collector, degrees: NDArray[np.float64]) -> OsmExtract:
-    origin = degrees.mean(axis=0)
-    scale = metres_per_degree(float(origin[1]))
-    low, high = (degrees - origin) * scale
-    lines = {way_id: ((points - origin) * scale, tags) for way_id, (points, tags) in collector.ways.items()}
-    broken = list(collector.broken)
-    assembled = _Relations(lines, collector.broken_ways)
-    areas = [found for relation in collector.relations if (found := assembled.area_of(*relation, broken)) is not None]
-    return OsmExtract(
-        bounds=(float(low[0]), float(low[1]), float(high[0]), float(high[1])),
-        nodes=tuple(OsmNode(i, (np.array(place) - origin) * scale, tags) for i, place, tags in collector.nodes),
-        ways=tuple(_tagged_ways(lines, assembled.drawn)),
-        areas=tuple(areas),
-        broken=tuple(broken),
-        repeated=tuple(Unread(lines[way_id][1], "drawn with its relation") for way_id in sorted(assembled.drawn)),
-        latitude_deg=float(origin[1]),
-        longitude_deg=float(origin[0]),
-    )
-
-
-def _tagged_ways(lines: Mapping[int, tuple[NDArray[np.float64], dict[str, str]]], drawn: set[int]) -> Iterator[OsmWay]:
-    for way_id, (points, tags) in lines.items():
-        if tags and way_id not in drawn:
-            yield OsmWay(way_id, points, tags)
-
-
-class _Relations:
-    """Put the areas of relations together; `drawn` are the tagged ways that such an area draws already."""
-
-    def __init__(self, lines: Mapping[int, tuple[NDArray[np.float64], dict[str, str]]], broken_ways: set[int]) -> None:
-        self._lines = lines
-        self._broken = broken_ways
-        self._points = 0
-        self.drawn: set[int] = set()
-
-    def area_of(
-        self, relation_id: int, members: list[tuple[int, str]], tags: dict[str, str], broken: list[Unread]
-    ) -> OsmArea | None:
-        """Return a relation's area, or None and note why it has none."""
-        roles = dict(members)
-        known = {ref: role for ref, role in roles.items() if ref in self._lines}
-        outer = [ref for ref, role in known.items() if role != "inner"]
-        tags = self._meaning(tags, outer)
-        try:
-            if any(ref in self._broken for ref in roles):
-                raise OutlineError("a member of it is broken")
-            if len(known) < len(roles):
-                raise OutlineError("a member of it is not in the file")
-            self._points += sum(len(self._lines[ref][0]) for ref in known)
-            if self._points > osm_limits.MOST_POINTS:
-                raise OutlineError("the file's relations have too many points")
-            lines = {ref: LineString(self._lines[ref][0]) for ref in known}
-            inner = [lines[ref] for ref, role in known.items() if role == "inner"]
-            area = area_of_rings([lines[ref] for ref in outer], inner)
-        except OutlineError as error:
-            broken.append(Unread(tags, str(error)))
-            return None
-        self.drawn.update(ref for ref in outer if _says_the_same(self._lines[ref][1], tags))
-        return OsmArea(relation_id, area, tags)
-
-    def _meaning(self, tags: dict[str, str], outer: list[int]) -> dict[str, str]:
-        """Return a relation's tags; those of its outer ways where it has none, as maps had it until 2017."""
-        if tags.keys() - _FORMAL_KEYS:
-            return tags
-        return next((self._lines[ref][1] for ref in outer if self._lines[ref][1].keys() - _FORMAL_KEYS), tags)
-
-
-def _says_the_same(way_tags: Tags, area_tags: Tags) -> bool:
-    """Return whether an outer way is another drawing of its relation: of the same kind of thing, or of nothing else."""
-    kinds = ("building", "building:part", "natural", "landuse", "leisure", "waterway", "amenity")
-    return any(key in way_tags and key in area_tags for key in kinds) or way_tags == area_tags
 
 
 def metres_per_degree(latitude_deg: float) -> NDArray[np.float64]:

@@ -2,17 +2,22 @@
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
-from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from dataclasses import dataclass, fields
+from typing import Annotated, Any, Final, NamedTuple, Protocol, TypeVar
 
-if TYPE_CHECKING:
-    from shapely import LineString
-    from shapely.geometry.base import BaseGeometry
+from pydantic import ConfigDict, Field
+from pydantic.dataclasses import dataclass as checked
+from shapely import LineString
+from shapely.geometry.base import BaseGeometry
 
-    from services.simulator.robots import RobotModel
+from services.simulator.robots import RobotModel
 
 Rgb = tuple[int, int, int]
+Bounds = tuple[float, float, float, float]
+"""x_min, y_min, x_max, y_max in metres."""
+
+#: Of what a world file holds: every field known, of its very type, and finite.
+STRICT: Final = ConfigDict(strict=True, extra="forbid", allow_inf_nan=False, arbitrary_types_allowed=True)
 
 
 class WorldError(Exception):
@@ -28,130 +33,94 @@ class Pose:
     heading: float
 
 
-@dataclass(frozen=True)
-class Solid:
-    """Something that stands in the way, from one height to another.
-
-    Attributes
-    ----------
-    shape
-        What it covers, seen from above, in metres: an area, or a line for something thin.
-    low_m, high_m
-        Heights of its lower and upper end.
-    opaque
-        Whether it hides what is behind it from a robot; trees and hedges are not counted on.
-    """
+class Solid(NamedTuple):
+    """Something that stands in the way, from one height to another."""
 
     shape: BaseGeometry
+    """What it covers, seen from above, in metres: an area, or a line for something thin."""
     low_m: float
     high_m: float
     opaque: bool
+    """Whether it hides what is behind it from a robot; trees and hedges are not counted on."""
 
 
 @dataclass(frozen=True)
 class Scale:
-    """How far is far and how close is close in a place: metres.
-
-    Attributes
-    ----------
-    spacing_m
-        Between points of the graph that routes are planned on.
-    clearance_m
-        That a route keeps from everything solid; more than the robot's radius.
-    room_m
-        From solid things where a lane is not tight; tight ones are avoided.
-    leg_room_m, leg_end_m
-        The same off the lanes, where nothing keeps a driver in the middle, except this close to an end.
-    longest_leg_m
-        Off the lanes, in one straight leg.
-    start_m, start_room_m
-        How far starts scatter east-west and north-south, and how much room each has.
-    aside_m, last_m
-        How far beside the route recovery drives begin, and how long before its end none does.
-    found_m
-        From the victim where the robot has found it, if it also sees it.
-    """
+    """How far is far and how close is close in a place: metres."""
 
     spacing_m: float = 2.0
+    """Between points of the graph that routes are planned on."""
     clearance_m: float = 0.7
+    """That a route keeps from everything solid; more than the robot's radius."""
     room_m: float = 1.3
+    """From solid things where a lane is not tight; tight ones are avoided."""
     leg_room_m: float = 1.8
+    """The same off the lanes, where nothing keeps a driver in the middle."""
     leg_end_m: float = 2.5
+    """So close to the end of a leg, `leg_room_m` is not asked for."""
     longest_leg_m: float = 40.0
+    """Off the lanes, in one straight leg."""
     start_m: float = 1.0
+    """How far starts scatter east-west and north-south."""
     start_room_m: float = 0.5
+    """How much room each start has."""
     aside_m: float = 1.5
+    """How far beside the route recovery drives begin."""
     last_m: float = 3.0
+    """So long before the route's end no recovery drive begins."""
     found_m: float = 5.0
+    """From the victim where the robot has found it, if it also sees it."""
 
 
-@dataclass(frozen=True)
+@checked(frozen=True, config=STRICT)
 class OverheadMount:
-    """A pinhole camera that hangs above the scene and looks straight down.
+    """A pinhole camera that hangs above the scene and looks straight down; its axis meets the image in its middle."""
 
-    Attributes
-    ----------
-    x, y, height_m
-        Where it hangs, metres.
-    up
-        Direction on the floor that points up in its image, radians from east, anticlockwise.
-    width, height
-        Size of its image, pixels.
-    focal_px
-        Focal length, pixels; the optical axis meets the image in its middle.
-    """
-
-    x: float
-    y: float
-    height_m: float
-    up: float
-    width: int
-    height: int
-    focal_px: float
+    x_m: Annotated[float, Field(ge=0, le=50)]
+    y_m: Annotated[float, Field(ge=0, le=50)]
+    height_m: Annotated[float, Field(ge=1, le=100)]
+    width_px: Annotated[int, Field(ge=64, le=4096)]
+    height_px: Annotated[int, Field(ge=64, le=4096)]
+    focal_px: Annotated[float, Field(ge=16, le=10_000)]
+    up_deg: Annotated[float, Field(ge=-360, le=360)] = 90.0
+    """Direction on the floor that points up in its image, from east, anticlockwise."""
 
 
-@dataclass(frozen=True, eq=False)
-class Place(ABC):
-    """A place without a task.
+class Place(Protocol):
+    """A place without a task; two are equal only if they are one."""
 
-    Attributes
-    ----------
-    name
-        For messages and results.
-    bounds
-        (x_min, y_min, x_max, y_max) in metres; the robot stays inside.
-    """
-
-    name: str
-    bounds: tuple[float, float, float, float]
+    def __hash__(self) -> int:
+        """Its identity."""
 
     @property
-    @abstractmethod
+    def name(self) -> str:
+        """For messages and results."""
+
+    @property
+    def bounds(self) -> Bounds:
+        """The robot stays inside."""
+
+    @property
     def robot(self) -> RobotModel:
         """The robot that drives here."""
 
     @property
-    @abstractmethod
     def scale(self) -> Scale:
         """How far is far here."""
 
     @property
     def shake(self) -> float:
         """How much a robot's camera usually shakes when it drives here; 1 on a floor that is not quite even."""
-        return 0.0
 
     @property
     def overhead(self) -> OverheadMount | None:
         """The camera above the scene, where there is one."""
-        return None
 
     @property
-    @abstractmethod
     def solids(self) -> tuple[Solid, ...]:
         """Everything that stands in the robot's way, or hides the victim."""
 
     @property
-    @abstractmethod
     def lanes(self) -> tuple[LineString, ...]:
         """Where routes lead; lanes meet where they share a point."""
 
@@ -178,3 +147,12 @@ class World:
     def scale(self) -> Scale:
         """How far is far here."""
         return self.place.scale
+
+
+Kind = TypeVar("Kind")
+
+
+def part_of(file: object, kind: type[Kind], **others: object) -> Kind:
+    """Return those fields of a world file that make a `kind`, a dataclass that the file's class extends."""
+    taken: dict[str, Any] = {field.name: getattr(file, field.name) for field in fields(kind)}  # type: ignore[arg-type]
+    return kind(**taken | others)

@@ -4,23 +4,16 @@ from __future__ import annotations
 
 import math
 import zlib
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final
+from collections.abc import Iterable, Sequence
+from typing import Final, NamedTuple
 
 import numpy as np
 import shapely
-from shapely import STRtree
+from numpy.typing import NDArray
+from shapely import LineString, Polygon, STRtree
+from shapely.geometry.base import BaseGeometry
 
-from services.simulator.world.terrain import Tree, TreeKind
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
-
-    from numpy.typing import NDArray
-    from shapely import LineString, Polygon
-    from shapely.geometry.base import BaseGeometry
-
-    from services.simulator.world.terrain import Area, Barrier, Building, Road
+from services.simulator.world.terrain import Area, Barrier, Building, Road, Tree, TreeKind
 
 _ROW_M: Final = 8.0
 _SPACING_M: Final = 7.5
@@ -36,31 +29,21 @@ BROAD: Final[tuple[TreeKind, TreeKind]] = ("round", "tall")
 USUAL_HEIGHT_M: Final[dict[TreeKind, float]] = {"round": 7.0, "tall": 11.0, "conifer": 10.0}
 
 
-@dataclass(frozen=True, eq=False)
-class Wood:
-    """Ground on which trees stand.
+class Wood(NamedTuple):
+    """Ground on which trees stand; the number of the map's element seeds where."""
 
-    Attributes
-    ----------
-    id
-        Of the map's element; it seeds where the trees stand.
-    height_m
-        Of a tree; None for what is usual for its kind.
-    leaf_type
-        As OpenStreetMap has it: "broadleaved", "needleleaved", else mixed.
-    """
-
-    id: int
+    number: int
     polygon: Polygon
     height_m: float | None
+    """Of a tree; None for what is usual for its kind."""
     leaf_type: str
+    """As OpenStreetMap has it: "broadleaved", "needleleaved", else mixed."""
 
 
-@dataclass(frozen=True, eq=False)
-class Row:
+class Row(NamedTuple):
     """A line of trees."""
 
-    id: int
+    number: int
     line: LineString
     leaf_type: str
 
@@ -73,7 +56,7 @@ class Sites:
     ) -> None:
         taken: list[BaseGeometry] = [road.line.buffer(road.width_m / 2 + _FROM_ROAD_M) for road in roads]
         taken += [building.footprint.buffer(_FROM_WALL_M) for building in buildings]
-        taken += [area.polygon for area in areas if area.kind != "grass"]
+        taken += [area.footprint for area in areas if area.kind != "grass"]
         taken += [barrier.line.buffer(_FROM_ROAD_M) for barrier in barriers]
         self._taken = STRtree(taken)
 
@@ -91,7 +74,7 @@ def scattered(woods: Sequence[Wood], sites: Sites) -> list[Tree]:
     spacing_m = max(_SPACING_M, math.sqrt(total_m2 / _MOST_SCATTERED), math.sqrt(boxes_m2 / _MOST_TRIED))
     trees: list[Tree] = []
     for wood in woods:
-        rng = np.random.default_rng(zlib.crc32(f"wood {wood.id}".encode()))
+        rng = np.random.default_rng(zlib.crc32(f"wood {wood.number}".encode()))
         points = _jittered_grid(wood.polygon, spacing_m, rng)
         points = points[sites.free(points)]
         trees += _trees(points, wood.leaf_type, wood.height_m, rng)
@@ -102,7 +85,7 @@ def in_rows(rows: Sequence[Row], sites: Sites) -> list[Tree]:
     """Return trees every 8 m along all rows."""
     trees: list[Tree] = []
     for row in rows:
-        rng = np.random.default_rng(zlib.crc32(f"row {row.id}".encode()))
+        rng = np.random.default_rng(zlib.crc32(f"row {row.number}".encode()))
         places = np.arange(0.0, row.line.length + 1e-6, _ROW_M)
         points = shapely.get_coordinates(shapely.line_interpolate_point(row.line, places))
         trees += _trees(points[sites.free(points)], row.leaf_type, None, rng)

@@ -1,24 +1,30 @@
-"""An indoor place: a rectangular room with furniture, in local metres from its south-west corner."""
+"""An indoor place: a rectangular room with furniture, and its world file, `smal.room/1`.
+
+Metres are measured from the room's south-west corner, x to the east and y to the north. Angles are anticlockwise from
+east: 0 looks east, 90 north, 180 west, 270 south.
+"""
 
 from __future__ import annotations
 
+import itertools
 import math
-from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, Final, Literal
+from typing import Annotated, ClassVar, Final, Literal
 
 import numpy as np
 import shapely
+from numpy.typing import NDArray
+from pydantic import Field
+from pydantic.dataclasses import dataclass
 from scipy.spatial import cKDTree
 from shapely import LineString, Polygon
+from shapely.geometry.base import BaseGeometry
 
 from services.simulator.robots import TURTLEBOT, RobotModel
-from services.simulator.world.furniture import ROUND, Furniture
-from services.simulator.world.place import OverheadMount, Place, Rgb, Scale, Solid
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-    from shapely.geometry.base import BaseGeometry
+from services.simulator.world.collision import obstacles_of
+from services.simulator.world.furniture import HIDING_M, ROUND, Colour, Degrees, Furniture, Metres, Size
+from services.simulator.world.place import STRICT, Bounds, OverheadMount, Pose, Scale, Solid, World, WorldError, part_of
+from services.simulator.world.route import plan_route
 
 FloorKind = Literal["planks", "lino", "carpet"]
 FittingKind = Literal["door", "poster", "whiteboard", "window"]
@@ -36,40 +42,35 @@ _SCALE: Final = Scale(
     last_m=0.8,
     found_m=1.2,
 )
+# Room that a standing victim takes, from its middle.
+_VICTIM_RADIUS_M: Final = 0.16
 # Lanes keep a little more than the distance that is asked for, so that rounding to centimetres takes none of it.
 _MARGIN_M: Final = 0.02
-#: How far ends of lanes are apart along straight edges and on open floor, and how long a lane is.
+# How far ends of lanes are apart along straight edges and on open floor, and how long a lane is.
 _APART_M: Final = 1.5
 _LONGEST_LANE_M: Final = 4.5
+_TOLERANCE_M: Final = 1e-6
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True, config=STRICT)
 class Fitting:
-    """Something flat on a wall.
-
-    Attributes
-    ----------
-    along_m
-        From the wall's left end to the middle of it, seen from inside.
-    foot_m
-        From the floor to its lower edge.
-    variant
-        Which of many pictures; equal ones look the same.
-    colour
-        None for what its kind and variant choose.
-    """
+    """Something flat on a wall; the robot cannot touch it."""
 
     kind: FittingKind
     wall: Wall
-    along_m: float
-    foot_m: float
-    width_m: float
-    height_m: float
-    variant: int
-    colour: Rgb | None = None
+    along_m: Metres
+    """From the wall's left end to the middle of it, seen from inside the room."""
+    foot_m: Metres
+    """From the floor to its lower edge."""
+    width_m: Size
+    height_m: Size
+    variant: Annotated[int, Field(ge=0, lt=2**32)] = 0
+    """Which of many pictures it wears; two of a kind with the same variant and colour look the same."""
+    colour: Colour | None = None
+    """Of a poster's paper or a door's leaf; left out, the variant chooses."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, config=STRICT)
 class WallFrame:
     """A wall seen from inside: where its left end is, which way is right, and how long it is."""
 
@@ -82,62 +83,38 @@ class WallFrame:
         return self.left[0] + along_m * self.right[0], self.left[1] + along_m * self.right[1]
 
 
-@dataclass(frozen=True)
-class Look:
-    """How the room itself looks."""
+@dataclass(frozen=True, eq=False, kw_only=True, config=STRICT)
+class Room:
+    """A rectangular room."""
 
-    floor: FloorKind
-    walls: Rgb
+    name: str = ""
+    east_west_m: Annotated[float, Field(ge=1.5, le=50)]
+    """From the west to the east wall."""
+    north_south_m: Annotated[float, Field(ge=1.5, le=50)]
+    """From the south to the north wall."""
+    walls_m: Annotated[float, Field(ge=1, le=10)] = 2.8
+    """From the floor to the ceiling."""
+    floor: FloorKind = "lino"
+    wall_colour: Colour = (230, 226, 216)
+    furniture: Annotated[tuple[Furniture, ...], Field(max_length=200)]
+    fittings: Annotated[tuple[Fitting, ...], Field(max_length=200)] = ()
+    overhead: OverheadMount | None = None
+    """The camera above, if there is one; it sees through the ceiling."""
 
-
-@dataclass(frozen=True, eq=False)
-class Room(Place):
-    """A rectangular room.
-
-    Attributes
-    ----------
-    furniture
-        What stands in it.
-    fittings
-        What hangs on its walls.
-    look
-        Floor and walls.
-    wall_height_m
-        From the floor to the ceiling.
-    mount
-        The camera above, where there is one; it may hang above the ceiling, which it sees through.
-    """
-
-    furniture: tuple[Furniture, ...]
-    fittings: tuple[Fitting, ...]
-    look: Look
-    wall_height_m: float
-    mount: OverheadMount | None
+    #: The robot of the paper's laboratory, metres between furniture, and the paper's TurtleBot often shook.
+    robot: ClassVar[RobotModel] = TURTLEBOT
+    scale: ClassVar[Scale] = _SCALE
+    shake: ClassVar[float] = 1.0
 
     @property
-    def robot(self) -> RobotModel:
-        """The robot of the paper's laboratory."""
-        return TURTLEBOT
-
-    @property
-    def scale(self) -> Scale:
-        """Metres between furniture."""
-        return _SCALE
-
-    @property
-    def shake(self) -> float:
-        """How much a robot's camera usually shakes when it drives here: the paper's TurtleBot often did."""
-        return 1.0
-
-    @property
-    def overhead(self) -> OverheadMount | None:
-        """The camera above the room."""
-        return self.mount
+    def bounds(self) -> Bounds:
+        """From the south-west to the north-east corner."""
+        return 0.0, 0.0, self.east_west_m, self.north_south_m
 
     @cached_property
     def solids(self) -> tuple[Solid, ...]:
         """The furniture's solid parts, and the walls."""
-        walls = Solid(shapely.box(*self.bounds).exterior, 0.0, self.wall_height_m, opaque=True)
+        walls = Solid(shapely.box(*self.bounds).exterior, 0.0, self.walls_m, opaque=True)
         return (*(solid for piece in self.furniture for solid in piece.solids), walls)
 
     @cached_property
@@ -153,44 +130,131 @@ class Room(Place):
         nodes = self._nodes()
         pairs = cKDTree(nodes).query_pairs(_LONGEST_LANE_M, output_type="ndarray")
         lines = np.asarray(shapely.linestrings(nodes[pairs]))
-        allowed = self.floor_off_things(self.scale.clearance_m)
+        allowed = self._floor_off_things(self.scale.clearance_m)
         shapely.prepare(allowed)
         return tuple(lines[shapely.contains_properly(allowed, lines)])
 
     def _nodes(self) -> NDArray[np.float64]:
         """Return the ends (n, 2) of lanes, metres, to the centimetre."""
         free, roomy = (
-            self.floor_off_things(distance_m + _MARGIN_M) for distance_m in (self.scale.clearance_m, self.scale.room_m)
+            self._floor_off_things(distance_m + _MARGIN_M) for distance_m in (self.scale.clearance_m, self.scale.room_m)
         )
         edges = shapely.get_coordinates(shapely.segmentize(free, _APART_M))
-        x_min, y_min, x_max, y_max = self.bounds
-        grid = np.meshgrid(np.arange(x_min, x_max, _APART_M), np.arange(y_min, y_max, _APART_M))
+        grid = np.meshgrid(np.arange(0.0, self.east_west_m, _APART_M), np.arange(0.0, self.north_south_m, _APART_M))
         open_floor = np.stack(grid, axis=-1).reshape(-1, 2)
         open_floor = open_floor[shapely.intersects_xy(roomy, open_floor)]
         return np.unique(np.round(np.concatenate([edges, shapely.get_coordinates(roomy), open_floor]), 2), axis=0)
 
-    def wall_frame(self, wall: Wall) -> WallFrame:
-        """Return a wall as seen from inside."""
-        x_min, y_min, x_max, y_max = self.bounds
-        match wall:
-            case "south":
-                return WallFrame((x_max, y_min), (-1.0, 0.0), x_max - x_min)
-            case "north":
-                return WallFrame((x_min, y_max), (1.0, 0.0), x_max - x_min)
-            case "east":
-                return WallFrame((x_max, y_max), (0.0, -1.0), y_max - y_min)
-            case "west":
-                return WallFrame((x_min, y_min), (0.0, 1.0), y_max - y_min)
-
-    def floor_off_things(self, distance_m: float) -> BaseGeometry:
+    def _floor_off_things(self, distance_m: float) -> BaseGeometry:
         """Return the floor that is at least `distance_m` from every footprint and wall, with corners for arcs."""
         floor = shapely.box(*self.bounds).buffer(-distance_m)
         return floor.difference(shapely.union_all([_grown(piece, distance_m) for piece in self.furniture]))
+
+    def wall_frame(self, wall: Wall) -> WallFrame:
+        """Return a wall as seen from inside."""
+        x, y = self.east_west_m, self.north_south_m
+        return {
+            "south": WallFrame((x, 0.0), (-1.0, 0.0), x),
+            "north": WallFrame((0.0, y), (1.0, 0.0), x),
+            "east": WallFrame((x, y), (0.0, -1.0), y),
+            "west": WallFrame((0.0, 0.0), (0.0, 1.0), y),
+        }[wall]
 
 
 def _grown(piece: Furniture, distance_m: float) -> Polygon:
     """Return what is nearer to a footprint than a distance, with corners for arcs: an octagon about a circle."""
     if piece.kind in ROUND:
         radius_m = (piece.width_m / 2 + distance_m) / math.cos(math.pi / 8)
-        return shapely.Point(piece.x, piece.y).buffer(radius_m, quad_segs=2)
+        return shapely.Point(piece.x_m, piece.y_m).buffer(radius_m, quad_segs=2)
     return piece.footprint.buffer(distance_m, join_style="mitre")
+
+
+@dataclass(frozen=True, config=STRICT)
+class Spot:
+    """Where somebody stands, and where they look."""
+
+    x_m: Metres
+    y_m: Metres
+    facing_deg: Degrees
+
+    @property
+    def pose(self) -> Pose:
+        """The same in radians."""
+        return Pose(self.x_m, self.y_m, math.remainder(math.radians(self.facing_deg), math.tau))
+
+
+@dataclass(frozen=True, eq=False, kw_only=True, config=STRICT)
+class RoomFile(Room):
+    """A room with a task, as it is in a file."""
+
+    format: Literal["smal.room/1"]
+    note: Annotated[str, Field(max_length=2000)] = ""
+    """For people; nothing reads it."""
+    start: Spot
+    """Where the robot starts, up to 0.15 m east-west and north-south and 15 degrees off."""
+    victim: Spot
+    hidden: bool = True
+    """Whether the victim must be out of sight from every start; false allows a victim that is seen at once."""
+
+    def __post_init__(self) -> None:
+        """Refuse things that reach out of the room."""
+        floor = shapely.box(*self.bounds).buffer(_TOLERANCE_M)
+        for number, piece in enumerate(self.furniture):
+            if piece.height_m > self.walls_m:
+                what = f"{piece.height_m:g} m does not fit under a ceiling at {self.walls_m:g} m"
+                raise ValueError(f"furniture.{number}.height_m: {what}")
+            if not floor.covers(piece.footprint):
+                what = f"at ({piece.x_m:g}, {piece.y_m:g}) m it reaches out of the room"
+                raise ValueError(f"furniture.{number} ({piece.kind}): {what}")
+        for number, fitting in enumerate(self.fittings):
+            low, high = fitting.width_m / 2, self.wall_frame(fitting.wall).length_m - fitting.width_m / 2
+            if not low - _TOLERANCE_M <= fitting.along_m <= high + _TOLERANCE_M:
+                what = f"the {fitting.kind} reaches past an end of the {fitting.wall} wall"
+                raise ValueError(f"fittings.{number}.along_m: {what}")
+            if fitting.foot_m + fitting.height_m > self.walls_m + _TOLERANCE_M:
+                raise ValueError(f"fittings.{number}.foot_m: the {fitting.kind} reaches above the wall")
+        above = self.overhead
+        if above is not None and not (above.x_m <= self.east_west_m and above.y_m <= self.north_south_m):
+            raise ValueError(f"overhead: at ({above.x_m:g}, {above.y_m:g}) m it hangs outside the room")
+
+    def world(self, name: str) -> World:
+        """Return the world that the file describes.
+
+        A `WorldError` says that start or victim have no room, that the victim cannot be reached, or that it can be seen
+        from a start although the file does not say "hidden": false.
+        """
+        world = World(part_of(self, Room, name=name), self.start.pose, self.victim.pose)
+        self._check_room_for("start", world.start, _SCALE.start_room_m)
+        self._check_room_for("victim", world.victim, _VICTIM_RADIUS_M)
+        try:
+            plan_route(world, (world.start.x, world.start.y))
+        except WorldError:
+            raise WorldError(
+                f"victim: no way leads there from the start that keeps {_SCALE.clearance_m:g} m from everything"
+            ) from None
+        seen = sights(world)[obstacles_of(world.place).in_sight(sights(world))]
+        if self.hidden and len(seen):
+            x, y = seen[0, 0]
+            raise WorldError(
+                f"victim: can be seen from a start, ({x:.2f}, {y:.2f}) m; put something of {HIDING_M:g} m between, "
+                'or say "hidden": false'
+            )
+        return world
+
+    def _check_room_for(self, role: str, pose: Pose, least_m: float) -> None:
+        here, place = shapely.Point(pose.x, pose.y), f"{role}: ({pose.x:g}, {pose.y:g}) m"
+        if not shapely.box(*self.bounds).buffer(-least_m).covers(here):
+            raise WorldError(f"{place} is not inside the room, {least_m:g} m from its walls")
+        for number, piece in enumerate(self.furniture):
+            if piece.footprint.distance(here) < least_m:
+                raise WorldError(f"{place} is less than {least_m:g} m from furniture.{number} ({piece.kind})")
+
+
+def sights(world: World) -> NDArray[np.float64]:
+    """Return lines of sight (n, 2, 2) from starts, on a grid of 3 by 3, to the victim's middle and its sides."""
+    offsets = (-world.scale.start_m, 0.0, world.scale.start_m)
+    starts = np.array([(world.start.x + x, world.start.y + y) for x, y in itertools.product(offsets, repeat=2)])
+    victim = np.array([world.victim.x, world.victim.y])
+    across = np.stack([victim[1] - starts[:, 1], starts[:, 0] - victim[0]], axis=1)
+    across *= _VICTIM_RADIUS_M / np.maximum(np.linalg.norm(across, axis=1, keepdims=True), _TOLERANCE_M)
+    return np.concatenate([np.stack([starts, victim + side * across], axis=1) for side in (-1.0, 0.0, 1.0)])

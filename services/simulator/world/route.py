@@ -3,19 +3,16 @@
 from __future__ import annotations
 
 from functools import lru_cache
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
 import shapely
-from scipy.sparse import coo_array
+from numpy.typing import ArrayLike, NDArray
+from scipy.sparse import coo_array, csr_array
 from scipy.sparse.csgraph import dijkstra
 
 from services.simulator.world.collision import obstacles_of
 from services.simulator.world.place import Place, World, WorldError
-
-if TYPE_CHECKING:
-    from numpy.typing import ArrayLike, NDArray
-    from scipy.sparse import csr_array
 
 # Metres of lane that a metre close to a wall, or a metre off the lanes, is worth.
 _TIGHT_COST: Final = 3.0
@@ -23,14 +20,9 @@ _OFF_LANE_COST: Final = 1.5
 
 
 class LaneGraph:
-    """A place's lanes as points not far apart, joined where nothing is in the way.
+    """A place's lanes as points (n, 2) not far apart, joined where nothing is in the way.
 
-    Attributes
-    ----------
-    points
-        (n, 2), metres.
-    costs
-        (n, n) symmetric sparse matrix: metres of an edge, more where it is tight.
+    `costs` (n, n) is a symmetric sparse matrix: metres of an edge, more where it is tight.
     """
 
     def __init__(self, place: Place) -> None:
@@ -122,21 +114,10 @@ def _routes_to_victim(world: World) -> RoutesTo:
 
 
 def plan_route(world: World, start_xy: ArrayLike) -> NDArray[np.float64]:
-    """Plan the way from anywhere to the victim.
+    """Plan the way from anywhere to the victim, (k, 2) corners in metres, k at least 2.
 
-    The way goes back to the lanes, along lanes, and leaves them for the victim, at least `Scale.clearance_m` off
-    everything solid (the robot's radius on a first leg that begins closer).
-
-    Parameters
-    ----------
-    world
-        The world to drive in.
-    start_xy
-        (2,), metres.
-
-    Returns
-    -------
-    (k, 2) corners in metres, from `start_xy` to the victim's place, k at least 2.
+    It goes back to the lanes, along lanes, and leaves them for the victim, at least `Scale.clearance_m` off everything
+    solid (the robot's radius on a first leg that begins closer).
 
     Raises
     ------

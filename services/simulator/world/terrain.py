@@ -1,33 +1,41 @@
-"""An outdoor place: plain frozen records of what a map shows, in local metres (x east, y north)."""
+"""An outdoor place in local metres (x east, y north), and its world file, `smal.terrain/1`.
+
+The classes say what is in the file. Headings are in degrees from east, anticlockwise. A person may edit a file: to move
+the victim, change its x and y.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import itertools
+import json
+import math
+from collections.abc import Iterator
+from dataclasses import asdict, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Final, Literal
+from typing import Annotated, Any, ClassVar, Final, Literal, TypeVar
 
 import numpy as np
 import shapely
-from shapely import Polygon
+from numpy.typing import NDArray
+from pydantic import Field, GetPydanticSchema
+from pydantic.dataclasses import dataclass
+from pydantic_core import core_schema
+from shapely import LineString, Polygon
+from shapely.geometry.base import BaseGeometry
 
 from services.kit.going_on import each
 from services.simulator.robots import RESCUEBOT, RobotModel
-from services.simulator.world.place import Place, Rgb, Scale, Solid
+from services.simulator.world.osm import LARGEST_M, MOST_WAY_M
+from services.simulator.world.place import STRICT, OverheadMount, Pose, Scale, Solid, World, part_of
 
-if TYPE_CHECKING:
-    from collections.abc import Mapping
-
-    from numpy.typing import NDArray
-    from shapely import LineString
-    from shapely.geometry.base import BaseGeometry
-
+FORMAT: Final = "smal.terrain/1"
 FacadeStyle = Literal["brick", "plaster", "concrete", "glass", "wood"]
 RoofShape = Literal["flat", "gabled", "hipped"]
 RoadKind = Literal["street", "path"]
 AreaKind = Literal["grass", "water", "paved"]
 BarrierKind = Literal["hedge", "wall", "fence"]
 TreeKind = Literal["round", "tall", "conifer"]
-_SCALE: Final = Scale()
+
 #: Water and the edge of the world stop the robot like a wall of this height.
 _BANK_M: Final = 0.5
 #: Radius of the posts of a canopy.
@@ -36,40 +44,93 @@ POST_M: Final = 0.1
 _HEADROOM_M: Final = 1.5
 _CANOPY_M2: Final = 400.0
 _POST_INSET_M: Final = 0.2
+_MOST: Final = 50_000
+_DECIMALS: Final = 3
 
 
-@dataclass(frozen=True)
+def _line(_source: object, handler: Any) -> Any:  # noqa: ANN401 - pydantic's
+    """Return pydantic's schema of a line: points in a file, else a `LineString`."""
+    to_line = core_schema.no_info_plain_validator_function(_line_through)
+    return core_schema.json_or_python_schema(
+        json_schema=core_schema.chain_schema([handler.generate_schema(_Points), to_line]),
+        python_schema=core_schema.is_instance_schema(LineString),
+    )
+
+
+def _line_through(points: list[tuple[float, float]]) -> LineString:
+    line = LineString(points)
+    if line.length == 0:
+        raise ValueError("it has no length")
+    return line
+
+
+Coordinate = Annotated[float, Field(ge=-LARGEST_M, le=LARGEST_M)]
+Point = tuple[Coordinate, Coordinate]
+_Points = Annotated[list[Point], Field(min_length=2, max_length=100_000)]
+Line = Annotated[LineString, GetPydanticSchema(_line)]
+Thing = TypeVar("Thing")
+Many = Annotated[tuple[Thing, ...], Field(max_length=_MOST, fail_fast=True)]
+Ring = Annotated[tuple[Point, ...], Field(min_length=4, max_length=100_000)]
+Byte = Annotated[int, Field(ge=0, le=255)]
+Text = Annotated[str, Field(max_length=255)]
+Counts = Annotated[dict[Text, Annotated[int, Field(ge=0, le=10**9)]], Field(max_length=1000)]
+
+
+@dataclass(frozen=True, config=STRICT)
 class Facade:
     """The look of a building's walls; equal facades are painted with the very same picture."""
 
     style: FacadeStyle
-    colour: Rgb | None
-    variant: int
+    colour: tuple[Byte, Byte, Byte] | None = None
+    variant: Annotated[int, Field(ge=0, lt=2**32)] = 0
 
 
-@dataclass(frozen=True, eq=False)
-class Building:
-    """A footprint, possibly with courtyards, pulled up from one height to another, and a roof above.
+@dataclass(frozen=True, eq=False, config=STRICT)
+class Plan:
+    """What something covers, seen from above: an outline and courtyards, rings that end where they begin."""
 
-    Attributes
-    ----------
-    height_m
-        Of the eaves, above the ground.
-    min_height_m
-        Where the walls begin; above 0 for what stands on posts or bridges a passage.
-    roof_height_m
-        Of the ridge above the eaves; 0 for a flat roof.
-    roof_colour
-        None where nobody has said.
-    """
+    outline: Ring
+    holes: tuple[Ring, ...] = ()
 
-    footprint: Polygon
-    height_m: float
+    def __post_init__(self) -> None:
+        """Refuse rings that make no area."""
+        if any(ring[0] != ring[-1] for ring in (self.outline, *self.holes)):
+            raise ValueError("a ring does not end where it begins")
+        if not self.footprint.is_valid or self.footprint.area == 0:
+            raise ValueError("its outline crosses itself or encloses nothing")
+
+    @cached_property
+    def footprint(self) -> Polygon:
+        """What it covers, as one polygon."""
+        return Polygon(self.outline, self.holes)
+
+
+def plan(polygon: Polygon) -> dict[str, Any]:
+    """Return the fields of the plan that covers a polygon."""
+    outline, *holes = (tuple(ring.coords) for ring in (polygon.exterior, *polygon.interiors))
+    return {"outline": outline, "holes": tuple(holes)}
+
+
+@dataclass(frozen=True, eq=False, kw_only=True, config=STRICT)
+class Building(Plan):
+    """A plan pulled up from one height to another, and a roof above."""
+
+    height_m: Annotated[float, Field(gt=0, le=500)]
+    """Of the eaves, above the ground."""
+    min_height_m: Annotated[float, Field(ge=0, le=500)] = 0.0
+    """Where the walls begin; above 0 for what stands on posts or bridges a passage."""
+    roof: RoofShape = "flat"
+    roof_height_m: Annotated[float, Field(ge=0, le=100)] = 0.0
+    """Of the ridge above the eaves; 0 for a flat roof."""
+    roof_colour: tuple[Byte, Byte, Byte] | None = None
+    """None where nobody has said."""
     facade: Facade
-    roof: RoofShape
-    min_height_m: float = 0.0
-    roof_height_m: float = 0.0
-    roof_colour: Rgb | None = None
+
+    def __post_init__(self) -> None:
+        """Refuse what ends below where it begins."""
+        super().__post_init__()
+        if self.min_height_m >= self.height_m:
+            raise ValueError(f"min_height_m: {self.min_height_m} is not below height_m {self.height_m}")
 
     @property
     def posts(self) -> NDArray[np.float64]:
@@ -80,133 +141,106 @@ class Building:
         return shapely.get_coordinates(inset.exterior)[:-1] if isinstance(inset, Polygon) else np.empty((0, 2))
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, config=STRICT)
 class Road:
-    """A centre line with a width.
+    """A centre line with a width."""
 
-    Attributes
-    ----------
-    drivable
-        Whether the robot may plan along it.
-    marked
-        Whether a dashed line runs along its middle.
-    sidewalks
-        Whether there are sidewalks on both sides.
-    """
-
-    line: LineString
-    width_m: float
+    line: Line
+    width_m: Annotated[float, Field(gt=0, le=40)]
     kind: RoadKind
     drivable: bool
-    marked: bool
+    """Whether the robot may plan along it."""
+    marked: bool = False
+    """Whether a dashed line runs along its middle."""
     sidewalks: bool = False
+    """Whether there are sidewalks on both sides."""
 
 
-@dataclass(frozen=True, eq=False)
-class Area:
+@dataclass(frozen=True, eq=False, kw_only=True, config=STRICT)
+class Area(Plan):
     """A patch of ground."""
 
-    polygon: Polygon
     kind: AreaKind
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, config=STRICT)
 class Tree:
     """A trunk with a crown; only the trunk is in the robot's way."""
 
-    x: float
-    y: float
-    height_m: float
+    x: Coordinate
+    y: Coordinate
+    height_m: Annotated[float, Field(gt=0, le=100)]
     kind: TreeKind
-    trunk_radius_m: float = 0.2
+    trunk_radius_m: Annotated[float, Field(gt=0, le=5)] = 0.2
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, config=STRICT)
 class Barrier:
     """A hedge, wall or fence along a line."""
 
-    line: LineString
-    height_m: float
+    line: Line
+    height_m: Annotated[float, Field(gt=0, le=50)]
     kind: BarrierKind
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, config=STRICT)
 class Source:
-    """Where a terrain comes from, and what became of the elements of its map.
+    """Where a terrain comes from, and what became of the elements of its map."""
 
-    Attributes
-    ----------
-    file
-        Name of the map's file.
-    attribution
-        Whom the map's licence asks to name.
-    latitude_deg, longitude_deg
-        Of the point where x and y are 0.
-    used
-        How many elements of the map became things, by kind ("building", "building relation", "road", ...).
-    skipped
-        How many could not be used, by kind and reason ("building: its outline is not closed").
-    left_out
-        How many are as they should be but show nothing here, by kind and reason ("road: under the ground").
-    """
-
-    file: str
-    attribution: str
-    latitude_deg: float
-    longitude_deg: float
-    used: Mapping[str, int]
-    skipped: Mapping[str, int]
-    left_out: Mapping[str, int]
+    file: Text
+    attribution: Text
+    """Whom the map's licence asks to name."""
+    latitude_deg: Annotated[float, Field(ge=-90, le=90)]
+    longitude_deg: Annotated[float, Field(ge=-180, le=180)]
+    """Of the point where x and y are 0."""
+    used: Counts
+    """How many elements of the map became things, by kind ("building", "building relation", "road", ...)."""
+    skipped: Counts
+    """How many could not be used, by kind and reason ("building: its outline is not closed")."""
+    left_out: Counts
+    """How many are as they should be but show nothing here, by kind and reason ("road: under the ground")."""
 
 
-@dataclass(frozen=True, eq=False)
-class Terrain(Place):
-    """An outdoor place: everything that stands or lies on the ground.
+@dataclass(frozen=True, eq=False, kw_only=True, config=STRICT)
+class Terrain:
+    """An outdoor place: everything that stands or lies on the ground."""
 
-    Attributes
-    ----------
-    skipped
-        Number of elements of the file that could not be used (broken, empty or without position).
-    source
-        Where it comes from; None for one made otherwise than from a map.
-    """
-
-    buildings: tuple[Building, ...]
-    roads: tuple[Road, ...]
-    areas: tuple[Area, ...]
-    trees: tuple[Tree, ...]
-    barriers: tuple[Barrier, ...]
-    skipped: int
+    name: str = ""
     source: Source | None = None
+    """None for one made otherwise than from a map."""
+    bounds: tuple[Coordinate, Coordinate, Coordinate, Coordinate]
+    buildings: Many[Building]
+    roads: Many[Road]
+    areas: Many[Area] = ()
+    trees: Many[Tree] = ()
+    barriers: Many[Barrier] = ()
+
+    #: The robot of the paper's campus, metres of streets, no shaking floor, nothing above.
+    robot: ClassVar[RobotModel] = RESCUEBOT
+    scale: ClassVar[Scale] = Scale()
+    shake: ClassVar[float] = 0.0
+    overhead: ClassVar[OverheadMount | None] = None
 
     @property
-    def robot(self) -> RobotModel:
-        """The robot of the paper's campus."""
-        return RESCUEBOT
-
-    @property
-    def scale(self) -> Scale:
-        """Metres of streets."""
-        return _SCALE
+    def skipped(self) -> int:
+        """Number of elements of the map that could not be used (broken, empty or without position)."""
+        return 0 if self.source is None else sum(self.source.skipped.values())
 
     @cached_property
     def solids(self) -> tuple[Solid, ...]:
         """Buildings, the posts of canopies, trunks, barriers, water, and the edge of the world."""
-        trunks = [
-            Solid(shapely.Point(tree.x, tree.y).buffer(tree.trunk_radius_m), 0.0, tree.height_m, opaque=False)
-            for tree in self.trees
-        ]
-        water = [Solid(area.polygon, 0.0, _BANK_M, opaque=False) for area in self.areas if area.kind == "water"]
-        barriers = [Solid(barrier.line, 0.0, barrier.height_m, opaque=False) for barrier in self.barriers]
-        walls = [
-            Solid(building.footprint, building.min_height_m, building.height_m, opaque=True)
-            for building in self.buildings
-        ]
+        walls = [Solid(one.footprint, one.min_height_m, one.height_m, opaque=True) for one in self.buildings]
         posts = [
             Solid(shapely.Point(place).buffer(POST_M), 0.0, building.min_height_m, opaque=False)
             for building in each(self.buildings)
             for place in building.posts
         ]
+        trunks = [
+            Solid(shapely.Point(tree.x, tree.y).buffer(tree.trunk_radius_m), 0.0, tree.height_m, opaque=False)
+            for tree in self.trees
+        ]
+        water = [Solid(area.footprint, 0.0, _BANK_M, opaque=False) for area in self.areas if area.kind == "water"]
+        barriers = [Solid(barrier.line, 0.0, barrier.height_m, opaque=False) for barrier in self.barriers]
         edge = Solid(shapely.box(*self.bounds).exterior, 0.0, _BANK_M, opaque=False)
         return (*walls, *posts, *trunks, *water, *barriers, edge)
 
@@ -214,3 +248,110 @@ class Terrain(Place):
     def lanes(self) -> tuple[LineString, ...]:
         """The middles of the roads that a robot may drive on."""
         return tuple(road.line for road in self.roads if road.drivable)
+
+
+@dataclass(frozen=True, config=STRICT)
+class Spot:
+    """Where something is and where it looks."""
+
+    x: Coordinate
+    y: Coordinate
+    heading_deg: Annotated[float, Field(ge=-360, le=360)] = 0.0
+
+
+@dataclass(frozen=True, eq=False, kw_only=True, config=STRICT)
+class TerrainFile(Terrain):
+    """A terrain with a task, as it is in a file."""
+
+    format: Literal["smal.terrain/1"]
+    start: Spot
+    victim: Spot
+
+    def __post_init__(self) -> None:
+        """Refuse a world that is empty, or larger than a machine can hold."""
+        x_min, y_min, x_max, y_max = self.bounds
+        if not (x_min < x_max and y_min < y_max):
+            raise ValueError("bounds: expected x_min, y_min, x_max, y_max in this order")
+        if max(x_max - x_min, y_max - y_min) > LARGEST_M:
+            raise ValueError(f"bounds: a world spans at most {LARGEST_M / 1000:.0f} km")
+        length_m = sum(road.line.length for road in self.roads)
+        if length_m > MOST_WAY_M:
+            raise ValueError(f"roads: {length_m / 1000:.0f} km; a world has at most {MOST_WAY_M / 1000:.0f} km")
+
+    def world(self, name: str) -> World:
+        """Return the world that the file describes."""
+        start, victim = (
+            Pose(spot.x, spot.y, math.remainder(math.radians(spot.heading_deg), math.tau))
+            for spot in (self.start, self.victim)
+        )
+        return World(part_of(self, Terrain, name=name), start, victim)
+
+
+def terrain_text(world: World) -> str:
+    """Return the content of the file of a world whose place is a terrain, a thing a line.
+
+    Reading it gives the world again, with lengths rounded to the millimetre and headings to a thousandth of a degree.
+    """
+    terrain = world.place
+    if not isinstance(terrain, Terrain):
+        raise TypeError(f"a {type(terrain).__name__} is not written as {FORMAT}")
+    start, victim = (
+        {"x": spot.x, "y": spot.y, "heading_deg": math.degrees(spot.heading)} for spot in (world.start, world.victim)
+    )
+    things = asdict(_on_grid(terrain))
+    head = {"format": FORMAT, "source": things.pop("source"), "bounds": things.pop("bounds")}
+    del things["name"]
+    lines = []
+    for key, value in {**head, "start": start, "victim": victim, **things}.items():
+        if isinstance(value, tuple) and value and isinstance(value[0], dict):
+            text = "[\n  " + ",\n  ".join(map(_json, value)) + "\n ]"
+        else:
+            text = _json(value)
+        lines.append(f'"{key}": {text}')
+    return "{\n " + ",\n ".join(lines) + "\n}\n"
+
+
+def _json(value: object) -> str:
+    return json.dumps(_rounded(value), ensure_ascii=False, allow_nan=False)
+
+
+def _rounded(value: object) -> object:
+    match value:
+        case float():
+            return round(value, _DECIMALS) + 0.0  # adding zero turns -0.0 into 0.0
+        case dict():
+            return {key: _rounded(item) for key, item in value.items()}
+        case list() | tuple():
+            return [_rounded(item) for item in value]
+        case LineString():
+            return _rounded(list(value.coords))
+    return value
+
+
+def _on_grid(terrain: Terrain) -> Terrain:
+    """Return a terrain with its shapes on a grid of millimetres; slivers vanish, and what touches itself is cut."""
+
+    def lines(line: LineString) -> Iterator[LineString]:
+        points = _to_grid(shapely.get_coordinates(line)).tolist()
+        kept = points[:1] + [point for before, point in itertools.pairwise(points) if point != before]
+        if len(kept) > 1:
+            yield LineString(kept)
+
+    def plans(polygon: Polygon) -> Iterator[dict[str, Any]]:
+        rounded = shapely.transform(polygon, _to_grid)
+        if not rounded.is_valid:
+            rounded = shapely.set_precision(polygon, 10.0**-_DECIMALS)
+        parts = shapely.get_parts(rounded)
+        yield from (plan(part) for part in parts if isinstance(part, Polygon) and part.area > 0)
+
+    return replace(
+        terrain,
+        buildings=tuple(replace(one, **some) for one in terrain.buildings for some in plans(one.footprint)),
+        areas=tuple(replace(one, **some) for one in terrain.areas for some in plans(one.footprint)),
+        roads=tuple(replace(one, line=line) for one in terrain.roads for line in lines(one.line)),
+        barriers=tuple(replace(one, line=line) for one in terrain.barriers for line in lines(one.line)),
+    )
+
+
+def _to_grid(points: NDArray[np.float64]) -> NDArray[np.float64]:
+    return np.asarray(np.round(points, _DECIMALS) + 0.0, dtype=np.float64)

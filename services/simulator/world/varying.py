@@ -5,10 +5,11 @@ from __future__ import annotations
 import math
 import zlib
 from dataclasses import replace
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
 import shapely
+from shapely.geometry.base import BaseGeometry
 
 from services.simulator.world.furniture import Furniture, FurnitureKind
 from services.simulator.world.place import Place, World
@@ -16,12 +17,9 @@ from services.simulator.world.room import Room
 from services.simulator.world.route import plan_route
 from services.simulator.world.terrain import Terrain, Tree
 
-if TYPE_CHECKING:
-    from shapely.geometry.base import BaseGeometry
-
 _TREE_MOVES_M: Final = 3.0
 _FURNITURE_MOVES_M: Final = 0.3
-_FURNITURE_TURNS_RAD: Final = math.radians(20)
+_FURNITURE_TURNS_DEG: Final = 20.0
 #: What people push about; cabinets and partitions stay.
 _MOVABLE: Final[frozenset[FurnitureKind]] = frozenset({"chair", "crate", "plant", "table"})
 _TRIES: Final = 20
@@ -30,16 +28,9 @@ _TRIES: Final = 20
 def vary(world: World, *, facade_seed: int = 0, clutter_seed: int = 0) -> World:
     """Return the world with its looks or its movable things changed; start, victim and ways stay.
 
-    Parameters
-    ----------
-    world
-        The world as it was.
-    facade_seed
-        Other than 0: every façade and everything on a room's walls looks different, but those that were alike stay
-        alike.
-    clutter_seed
-        Other than 0: trees stand up to 3 m elsewhere, boxes, chairs, plants and tables up to 0.3 m. None comes nearer
-        to the way from start to victim than `Scale.room_m`; what finds no such place stays.
+    With a facade seed other than 0 every façade and everything on a room's walls looks different, but those that were
+    alike stay alike. With a clutter seed other than 0 trees stand up to 3 m elsewhere, boxes, chairs, plants and tables
+    up to 0.3 m. None comes nearer to the way from start to victim than `Scale.room_m`; what finds no such place stays.
     """
     place = world.place
     if facade_seed:
@@ -93,7 +84,7 @@ def _replanted(terrain: Terrain, kept_free: BaseGeometry, rng: np.random.Generat
     solid = shapely.union_all(
         [building.footprint for building in terrain.buildings]
         + [road.line.buffer(road.width_m / 2) for road in terrain.roads]
-        + [area.polygon for area in terrain.areas if area.kind == "water"]
+        + [area.footprint for area in terrain.areas if area.kind == "water"]
     )
     shapely.prepare(solid)
     shapely.prepare(kept_free)
@@ -113,12 +104,15 @@ def _pushed_about(room: Room, kept_free: BaseGeometry, rng: np.random.Generator)
     found = list(room.furniture)
     for number, piece in enumerate(found):
         # Drawn for every piece, so that what happens to one does not depend on the others.
-        shifts = rng.uniform(-1.0, 1.0, (_TRIES, 3)) * (_FURNITURE_MOVES_M, _FURNITURE_MOVES_M, _FURNITURE_TURNS_RAD)
+        shifts = rng.uniform(-1.0, 1.0, (_TRIES, 3)) * (_FURNITURE_MOVES_M, _FURNITURE_MOVES_M, _FURNITURE_TURNS_DEG)
         if piece.kind not in _MOVABLE:
             continue
         others = shapely.union_all([other.footprint for other in found if other is not piece] + [kept_free])
         for x, y, turn in shifts.tolist():
-            moved = replace(piece, x=piece.x + x, y=piece.y + y, heading=piece.heading + turn)
+            x_m, y_m, facing_deg = piece.x_m + x, piece.y_m + y, math.remainder(piece.facing_deg + turn, 360.0)
+            if not floor.contains(shapely.Point(x_m, y_m)):
+                continue
+            moved = replace(piece, x_m=x_m, y_m=y_m, facing_deg=facing_deg)
             if floor.covers(moved.footprint) and not moved.footprint.intersects(others):
                 found[number] = moved
                 break

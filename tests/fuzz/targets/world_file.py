@@ -5,8 +5,7 @@ from __future__ import annotations
 import random
 from functools import cache
 
-from services.simulator.world.importing import import_map
-from services.simulator.world.loading import WORLDS_FOLDER, Wishes
+from services.simulator.world.loading import WORLDS_FOLDER, Wishes, import_map
 from tests.fuzz import trees
 from tests.fuzz.targets import scratch
 from tests.fuzz.targets.world import loads

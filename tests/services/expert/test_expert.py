@@ -18,7 +18,7 @@ from schemas.rpc import ResetReply
 from services.expert.driver import RouteDriver
 from services.expert.service import ExpertService
 from services.robot.clock import TICK_S
-from services.simulator.drive import move, wheel_speeds
+from services.simulator.base import move, wheel_speeds
 from services.simulator.robots import RESCUEBOT
 from services.simulator.world.place import Pose as PlanarPose
 

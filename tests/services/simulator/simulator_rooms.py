@@ -7,18 +7,22 @@ import json
 from pathlib import Path
 from typing import Any
 
-from services.simulator.world.loading import WORLDS_FOLDER
+from services.simulator.world.loading import WORLDS_FOLDER, world_of_text
 from services.simulator.world.place import World
 from services.simulator.world.room import Room
-from services.simulator.world.room_file import read_room
 
 PATH = WORLDS_FOLDER / "indoor.json"
 CONTENT: dict[str, Any] = json.loads(PATH.read_text())
 
 
+def read(content: object, path: Path = PATH) -> World:
+    """Return the world that a file of that content and name describes."""
+    return world_of_text(json.dumps(content).encode(), path)
+
+
 def indoor() -> World:
     """Return the world `indoor`, read anew."""
-    return read_room(CONTENT, PATH)
+    return read(CONTENT)
 
 
 def room_of(world: World) -> Room:
@@ -45,4 +49,4 @@ def empty_room(furniture: list[dict[str, object]], **others: object) -> World:
         "start": {"x_m": 0.5, "y_m": 0.5, "facing_deg": 45}, "victim": {"x_m": 5.5, "y_m": 4.5, "facing_deg": 180},
         "hidden": False, **others,
     }  # fmt: skip
-    return read_room(content, Path("made.json"))
+    return read(content, Path("made.json"))

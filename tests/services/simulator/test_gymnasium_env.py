@@ -81,16 +81,3 @@ def test_following_the_route_is_rewarded_at_the_victim() -> None:
         steps += 1
         assert steps < 1000
     assert (reward, info["outcome"]) == (FOUND_REWARD, "found")
-
-
-def test_misuse_is_told() -> None:
-    env = blind()
-    with pytest.raises(gymnasium.error.ResetNeeded):
-        env.step(np.int64(0))
-    with pytest.raises(ValueError, match="purpose 'play'"):
-        env.reset(options={"purpose": "play"})
-    env.reset(seed=0)
-    with pytest.raises(ValueError, match="expected a whole number from 0 to 4"):
-        env.step(np.int64(5))
-    with pytest.raises(ValueError, match="render_mode 'human'"):
-        SearchEnv(render_mode="human")

@@ -16,8 +16,8 @@ from schemas.topics import DEPTH, OVERHEAD, Topic
 from services.robot.loop import PERIOD_S
 from services.simulator.base import KinematicBase
 from services.simulator.body import WATCHDOG_S, SimulatedBody
+from services.simulator.camera import depth_message
 from services.simulator.robots import Drive
-from services.simulator.sensors.messages import depth_message
 from services.simulator.simulation import Simulation
 from services.simulator.world import load_world
 from services.simulator.world.place import Pose as WorldPose
@@ -103,14 +103,6 @@ def test_it_begins_anywhere_and_is_carried_away_where_that_is_asked_for() -> Non
     assert carried.look(3).pose == moved, "once"
 
 
-def test_where_it_begins_is_told_with_the_way_to_the_victim() -> None:
-    body = SimulatedBody(Simulation(YARD, StubCamera()), Clock())
-    beginning = body.begin(ResetRequest(seed=1))
-    assert beginning.found_m == body.simulation.found_m
-    assert beginning.route[0] == pytest.approx(start_of(body))
-    assert beginning.route[-1] == pytest.approx((YARD.victim.x, YARD.victim.y))
-
-
 @pytest.mark.parametrize("listened", [set(), {DEPTH}, {OVERHEAD}, {DEPTH, OVERHEAD}], ids=len)
 def test_costly_pictures_are_made_for_who_listens(listened: set[Topic]) -> None:
     body = SimulatedBody(Simulation(INDOOR, CameraAbove()), Clock(), listened.__contains__)
@@ -123,7 +115,12 @@ def test_costly_pictures_are_made_for_who_listens(listened: set[Topic]) -> None:
         mount = INDOOR.place.overhead
         assert mount is not None
         told = image.calibration
-        assert (told.focal_px, told.x_m, told.y_m, told.height_m) == (mount.focal_px, mount.x, mount.y, mount.height_m)
+        assert (told.focal_px, told.x_m, told.y_m, told.height_m) == (
+            mount.focal_px,
+            mount.x_m,
+            mount.y_m,
+            mount.height_m,
+        )
 
 
 def test_depth_is_told_in_millimetres_of_some_pixels_and_what_is_out_of_range_as_zero() -> None:

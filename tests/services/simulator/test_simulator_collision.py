@@ -21,7 +21,7 @@ def brute_force(x: float, y: float) -> float:
         return 0.0
     distances = [here.distance(building.footprint) for building in CAMPUS.buildings]
     distances += [here.distance(barrier.line) for barrier in CAMPUS.barriers]
-    distances += [here.distance(area.polygon) for area in CAMPUS.areas if area.kind == "water"]
+    distances += [here.distance(area.footprint) for area in CAMPUS.areas if area.kind == "water"]
     distances += [max(0.0, here.distance(shapely.Point(tree.x, tree.y)) - tree.trunk_radius_m) for tree in CAMPUS.trees]
     x_min, y_min, x_max, y_max = CAMPUS.bounds
     return min([*distances, x - x_min, x_max - x, y - y_min, y_max - y])

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from schemas.base import ATOMS, Atom
-from services.simulator.drive import Actuator, move, wheel_speeds
+from services.simulator.base import Actuator, move, wheel_speeds
 from services.simulator.robots import Drive
 from services.simulator.world.place import Pose
 
@@ -31,7 +31,3 @@ def test_errors_belong_to_ticks_and_not_to_steps(seed: int, atoms: list[Atom]) -
     for atom in atoms:
         whole = coarse.wheels(atom, 1.0, 0.1)
         assert [fine.wheels(atom, 1.0, 0.02) for _ in range(5)] == [whole] * 5
-
-
-def test_a_stopped_robot_stands_still_whatever_its_wheels_are_like() -> None:
-    assert Actuator(Drive(), np.random.default_rng(1)).wheels("stop", 1.0, 0.1) == (0.0, 0.0)

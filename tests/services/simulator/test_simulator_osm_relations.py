@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import itertools
 import random
-import re
 from collections.abc import Callable
 from pathlib import Path
 
@@ -13,13 +12,11 @@ import pytest
 import shapely
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from shapely import Polygon, box
+from shapely import Polygon
 
 from services.simulator.world import World, load_world
-from services.simulator.world.building_tags import Outline, compose
 from services.simulator.world.collision import obstacles_of
 from services.simulator.world.outlines import OutlineError, area_of_rings
-from services.simulator.world.route import lane_graph
 from services.simulator.world.terrain import Building, Terrain
 from tests.services.simulator.map_text import MapText, block_of_houses, corners
 
@@ -62,15 +59,6 @@ def test_a_relation_is_a_building_with_a_courtyard_drawn_once(tmp_path: Path) ->
     # The member way has a building tag of its own but is open: drawn with its relation, it is not broken either.
     assert terrain.skipped == 0
     assert source.left_out == {"building: drawn with its relation": 1}
-
-
-def test_a_relation_without_tags_means_what_its_outer_way_says(tmp_path: Path) -> None:
-    made = block_of_houses()
-    outer, inner = made.box(0, 0, 30, 20, building="yes", height="20"), made.box(0, 0, 10, 10)
-    made.multipolygon([outer], [inner])
-    terrain = terrain_of(made, tmp_path)
-    assert at(terrain, 0, 0) == []
-    assert [building.height_m for building in at(terrain, 12, 0)] == [20]
 
 
 @pytest.mark.parametrize(
@@ -120,12 +108,6 @@ def test_a_scribble_is_no_road_and_no_river(tag: str, value: str, kind: str, tmp
     assert source is not None
     reasons = ("it crosses itself too often", "it has no length", "it has more than 2000 points")
     assert source.skipped == {f"{kind}: {reason}": 1 for reason in reasons}
-
-
-def test_a_map_without_bounds_reaches_a_little_beyond_its_roads(tmp_path: Path) -> None:
-    path = tmp_path / "map.osm"
-    path.write_text(re.sub("<bounds[^>]*>", "", block_of_houses().text()))
-    assert load_world(path).place.bounds == pytest.approx((-70, -70, 70, 70), abs=0.1)
 
 
 @settings(max_examples=60, deadline=None)
@@ -201,18 +183,6 @@ def test_roads_bridge_water_and_open_walls_and_gates(tmp_path: Path) -> None:
     assert not can_drive(world, (0, 10), (0, 33)), "the wall beside it"
 
 
-def test_a_square_is_crossed_between_the_roads_that_reach_it(tmp_path: Path) -> None:
-    made = block_of_houses()
-    made.way([(-10, -10), (10, -10), (10, 10), (-10, 10), (-10, -10)], highway="pedestrian", area="yes")
-    made.way([(-60, -60), (-10, -10)], highway="footway")
-    made.way([(10, 10), (60, 60)], highway="footway")
-    terrain = terrain_of(made, tmp_path)
-    assert [area.kind for area in terrain.areas] == ["paved"]
-    graph = lane_graph(terrain)
-    inside = (np.abs(graph.points) < 9).all(axis=1)
-    assert inside.sum() >= 9, "points 2 m apart on the 28 m from corner to corner"
-
-
 def test_woods_and_rows_grow_trees_that_stand_in_nobodys_way(tmp_path: Path) -> None:
     made = block_of_houses()
     made.box(0, 0, 100, 60, natural="wood", leaf_type="needleleaved")
@@ -229,56 +199,3 @@ def test_woods_and_rows_grow_trees_that_stand_in_nobodys_way(tmp_path: Path) -> 
         assert roads.distance(shapely.Point(tree.x, tree.y)) > 1.3 + tree.trunk_radius_m - 0.1
         assert walls.distance(shapely.Point(tree.x, tree.y)) > 1
     assert terrain_of(made, tmp_path).trees == terrain.trees
-
-
-@pytest.mark.parametrize(
-    ("tags", "eaves_m", "begins_m", "roof", "rise_m"),
-    [
-        ({"building": "yes", "height": "12"}, 12, 0, "flat", 0),
-        ({"building": "yes", "height": "12", "roof:shape": "gabled", "roof:height": "4"}, 8, 0, "gabled", 4),
-        ({"building": "yes", "height": "12", "roof:shape": "mansard", "roof:levels": "1"}, 9.5, 0, "hipped", 2.5),
-        ({"building": "yes", "building:levels": "3", "building:min_level": "1"}, 9, 3, "flat", 0),
-        ({"building": "yes", "height": "20", "min_height": "6.5"}, 20, 6.5, "flat", 0),
-        ({"building": "yes", "height": "5", "min_height": "30"}, 5, 4.6, "flat", 0),
-        ({"building": "yes", "roof:shape": "gabled", "roof:angle": "45"}, 9, 0, "gabled", 6.4),
-        ({"building": "house"}, 6, 0, "gabled", 3.84),
-        ({"building": "yes"}, 9, 0, "flat", 0),
-    ],
-)
-def test_heights_and_roofs_are_what_the_tags_say(
-    tags: dict[str, str], eaves_m: float, begins_m: float, roof: str, rise_m: float
-) -> None:
-    (building,) = compose([Outline(1, (box(0, 0, 20, 12),), tags)], []).buildings
-    assert building.height_m == pytest.approx(eaves_m)
-    assert building.min_height_m == pytest.approx(begins_m)
-    assert building.roof == roof
-    assert building.roof_height_m == pytest.approx(rise_m)
-
-
-@pytest.mark.parametrize(
-    ("tags", "width_m", "marked", "sidewalks"),
-    [
-        ({"highway": "residential"}, 7, True, True),
-        ({"highway": "service", "sidewalk": "left"}, 4.5, False, True),
-        ({"highway": "primary", "lanes": "4"}, 12.8, True, True),
-        ({"highway": "primary", "lanes": "1", "sidewalk": "separate"}, 3.2, False, False),
-        ({"highway": "secondary", "width": "11 m", "lane_markings": "no"}, 11, False, True),
-        ({"highway": "footway"}, 2.4, False, False),
-    ],
-)
-def test_roads_are_as_wide_and_as_marked_as_the_tags_say(
-    tags: dict[str, str], width_m: float, marked: bool, sidewalks: bool, tmp_path: Path
-) -> None:
-    made = block_of_houses()
-    made.way([(-90, 90), (90, 90)], **{key.replace(":", "__"): value for key, value in tags.items()})
-    road = terrain_of(made, tmp_path).roads[-1]
-    assert (road.width_m, road.marked, road.sidewalks) == (pytest.approx(width_m), marked, sidewalks)
-    assert road.drivable
-
-
-def test_steps_and_motorways_are_drawn_and_not_driven(tmp_path: Path) -> None:
-    made = block_of_houses()
-    made.way([(-90, 90), (90, 90)], highway="steps")
-    made.way([(-90, 80), (90, 80)], highway="motorway_link")
-    made.way([(-90, 85), (90, 85)], highway="footway", tunnel="yes")
-    assert [road.drivable for road in terrain_of(made, tmp_path).roads] == [True, False, False]

@@ -7,6 +7,7 @@ import os
 import subprocess
 import sys
 from dataclasses import dataclass, replace
+from typing import ClassVar
 
 import numpy as np
 import pytest
@@ -18,41 +19,29 @@ from schemas.base import ATOMS, Atom
 from services.robot.clock import TICK_S
 from services.robot.gate import MAX_AGE_S
 from services.simulator.base import STEP_S, Base, KinematicBase, Motion
-from services.simulator.physics import engine
-from services.simulator.physics.engine import PhysicsUnavailableError
-from services.simulator.physics.physical_base import PhysicalBase
+from services.simulator.physics.base import PhysicalBase
 from services.simulator.robots import RESCUEBOT, TURTLEBOT, Drive, RobotModel
-from services.simulator.world.place import Place, Pose, Scale, Solid
+from services.simulator.world.place import Bounds, OverheadMount, Pose, Scale, Solid
 
 robots = pytest.mark.parametrize("robot", [RESCUEBOT, TURTLEBOT], ids=lambda robot: robot.name)
 
 
 @dataclass(frozen=True, eq=False)
-class Hall(Place):
+class Hall:
     """A floor with a few things on it."""
 
-    model: RobotModel = RESCUEBOT
-    things: tuple[Solid, ...] = ()
-
-    @property
-    def robot(self) -> RobotModel:
-        return self.model
-
-    @property
-    def scale(self) -> Scale:
-        return Scale()
-
-    @property
-    def solids(self) -> tuple[Solid, ...]:
-        return self.things
-
-    @property
-    def lanes(self) -> tuple[shapely.LineString, ...]:
-        return ()
+    robot: RobotModel = RESCUEBOT
+    solids: tuple[Solid, ...] = ()
+    name: str = "hall"
+    bounds: Bounds = (-200.0, -200.0, 200.0, 200.0)
+    scale: ClassVar[Scale] = Scale()
+    shake: float = 0.0
+    overhead: OverheadMount | None = None
+    lanes: tuple[shapely.LineString, ...] = ()
 
 
 def hall(*things: Solid, model: RobotModel = RESCUEBOT) -> Hall:
-    return Hall("hall", (-200.0, -200.0, 200.0, 200.0), model, things)
+    return Hall(model, things)
 
 
 def perfect(robot: RobotModel) -> Drive:
@@ -169,29 +158,10 @@ def test_what_hangs_is_driven_under_if_the_mast_fits(low_m: float, hit: bool) ->
     assert (motions[-1].pose.x > 5.0) == (not hit)
 
 
-def test_a_robot_that_topples_has_collided() -> None:
-    pole = replace(
-        RESCUEBOT, radius_m=0.1, height_m=2.5, drive=replace(RESCUEBOT.drive, track_m=0.1, wheel_radius_m=0.05)
-    )
-    base = standing(PhysicalBase(hall(model=pole)))
-    assert not any(motion.collided for motion in drive(base, "stop", 1.0))
-    motions = drive(base, "forward", 1.0) + drive(base, "stop", 2.0)
-    assert motions[-1].collided
-
-
-def test_a_missing_engine_is_one_clear_line(monkeypatch: pytest.MonkeyPatch) -> None:
-    engine.load.cache_clear()
-    monkeypatch.setitem(sys.modules, "sapien", None)
-    with pytest.raises(PhysicsUnavailableError, match=r"cannot be loaded .*pip install -e '.\[simulator\]'") as caught:
-        PhysicalBase(hall())
-    assert "\n" not in str(caught.value)
-    assert engine.load.cache_info().currsize == 0, "a failure is not remembered"
-
-
 def test_it_drives_without_a_vulkan_driver() -> None:
     script = (
         "import numpy as np; from services.simulator.world import load_world;"
-        "from services.simulator.physics.physical_base import PhysicalBase;"
+        "from services.simulator.physics.base import PhysicalBase;"
         "world = load_world('yard'); base = PhysicalBase(world.place);"
         "base.put(world.start, np.random.default_rng(0));"
         "print(sum(base.step('forward', 1.0, 0.02).rolled_m[0] for _ in range(25)))"

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 
@@ -14,9 +13,6 @@ from schemas.codec import decode
 from schemas.command import Command, CommandApplied
 from schemas.episode import Episode
 from schemas.image import Image
-from schemas.imu import Imu
-from schemas.odometry import Odometry
-from schemas.pose import Pose
 from schemas.rpc import ArmRequest, EndRequest, Nothing, ResetReply, ResetRequest, ResumeRequest
 from services.kit.bus import Bus, RpcError, Take
 from tests.services.chain import process
@@ -109,24 +105,3 @@ def test_realtime_episode_stands_in_silence_and_times_out(client: Bus, heard: He
     moved = [a.tick for a in heard.applied if a.atom == "forward"]
     assert max(moved) - max(answered) <= 5
     assert heard.applied[-1].reason == "silence"
-
-
-def test_what_the_sensors_say_is_what_the_robot_does(client: Bus, heard: Heard) -> None:
-    odometry, imu, true = list[Odometry](), list[Imu](), dict[int, Pose]()
-    client.subscribe(
-        topics.POSE, lambda payload, encoding, _: true.update({(p := decode(Pose, payload, encoding)).tick: p})
-    )
-    client.subscribe(topics.ODOMETRY, lambda payload, encoding, _: odometry.append(decode(Odometry, payload, encoding)))
-    client.subscribe(topics.IMU, lambda payload, encoding, _: imu.append(decode(Imu, payload, encoding)))
-    reply = reset(client)
-    for tick in range(6):
-        eventually(lambda tick=tick: heard.images and heard.images[-1].tick == tick)  # type: ignore[misc]
-        client.publish(command(reply.episode, tick))
-    eventually(lambda: odometry and imu and odometry[-1].tick == imu[-1].tick == 6 and {0, 6} <= set(true))
-    assert odometry[-1].speed_m_s == pytest.approx(2.0, rel=0.15), "after half a second it drives at full speed"
-    way_m = math.hypot(true[6].x_m - true[0].x_m, true[6].y_m - true[0].y_m)
-    assert 0.5 < way_m < 1.2, "it has mass"
-    assert math.hypot(odometry[-1].x_m, odometry[-1].y_m) == pytest.approx(way_m, rel=0.1)
-    assert [len(message.samples) for message in imu if message.tick] == [5] * len([m for m in imu if m.tick])
-    assert [sample.after_s for sample in imu[-1].samples] == pytest.approx([0.52, 0.54, 0.56, 0.58, 0.6])
-    assert all(8 < sample.acceleration_m_s2[2] < 12 for sample in imu[-1].samples)

@@ -9,9 +9,9 @@ import pytest
 import shapely
 from numpy.typing import NDArray
 
+from services.simulator.camera import CameraSettings
 from services.simulator.scene.rendering import SceneCamera
 from services.simulator.sensors import LEVEL, ShakeSettings, Tilt
-from services.simulator.sensors.camera import CameraSettings
 from services.simulator.simulation import Simulation
 from services.simulator.world import load_world
 from services.simulator.world.place import Pose
@@ -93,10 +93,3 @@ def test_a_robot_that_drives_sees_a_shaken_picture_and_one_that_stands_does_not(
 
 
 # -- overhead ---------------------------------------------------------------------------------------------------------
-
-
-def test_a_place_without_an_overhead_camera_says_so(camera: SceneCamera) -> None:
-    simulation = Simulation(YARD, camera)
-    assert simulation.world.place.overhead is None
-    with pytest.raises(LookupError, match="no overhead camera"):
-        assert simulation.look().overhead.size

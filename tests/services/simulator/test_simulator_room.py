@@ -14,12 +14,11 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from shapely.geometry.base import BaseGeometry
 
-from services.simulator.world.collision import Obstacles, obstacles_of
+from services.simulator.world.collision import Obstacles
 from services.simulator.world.place import World, WorldError
-from services.simulator.world.room_file import read_room
 from services.simulator.world.route import plan_route
-from services.simulator.world.starts import sample_start
-from tests.services.simulator.simulator_rooms import CONTENT, PATH, changed, empty_room, indoor, room_of
+from services.simulator.world.task import sample_start
+from tests.services.simulator.simulator_rooms import CONTENT, changed, empty_room, indoor, read, room_of
 
 INDOOR = indoor()
 ROOM = room_of(INDOOR)
@@ -63,29 +62,6 @@ def test_the_lanes_reach_all_free_floor_and_touch_nothing(x: float, y: float) ->
     assert all(shapely.LineString(leg).distance(things) > 0.24 for leg in pairwise(route))
 
 
-box = st.fixed_dictionaries({
-    "kind": st.just("crate"), "x_m": st.floats(1.0, 5.0), "y_m": st.floats(1.0, 4.0),
-    "facing_deg": st.integers(-90, 90).map(float), "width_m": st.floats(0.1, 1.2), "depth_m": st.floats(0.1, 1.2),
-    "height_m": st.just(0.5),
-})  # fmt: skip
-plant = st.fixed_dictionaries({
-    "kind": st.just("plant"), "x_m": st.floats(1.0, 5.0), "y_m": st.floats(1.0, 4.0),
-    "width_m": st.floats(0.1, 0.9), "height_m": st.just(1.0),
-})  # fmt: skip
-
-
-def made(furniture: list[dict[str, object]]) -> World:
-    """Return a room, or discard the example where furniture bars the way or stands at its ends, and is said to."""
-    try:
-        return empty_room(furniture)
-    except WorldError as error:
-        barred = error
-    if not any(reason in str(barred) for reason in ("no way leads there", " m is less than ")):
-        raise barred
-    assume(False)
-    raise AssertionError
-
-
 def test_a_table_is_driven_under_between_its_legs_but_no_lane_leads_there() -> None:
     table = {"kind": "table", "x_m": 3.0, "y_m": 2.5, "width_m": 1.6, "depth_m": 1.0, "height_m": 0.7}
     room = room_of(empty_room([table]))
@@ -98,13 +74,6 @@ def test_a_table_is_driven_under_between_its_legs_but_no_lane_leads_there() -> N
     assert obstacles.in_sight(np.array([[(3.0, 0.5), (3.0, 4.5)]]))[0]
 
 
-def test_only_what_is_higher_than_the_victim_hides_it() -> None:
-    for height_m, hides in ((0.5, False), (0.7, True)):
-        crate = {"kind": "crate", "x_m": 3.0, "y_m": 2.5, "width_m": 1.0, "depth_m": 1.0, "height_m": height_m}
-        obstacles = obstacles_of(empty_room([crate]).place)
-        assert obstacles.in_sight(np.array([[(3.0, 0.5), (3.0, 4.5)]]))[0] == (not hides)
-
-
 def without(field: str) -> dict[str, Any]:
     return {name: value for name, value in CONTENT.items() if name != field}
 
@@ -112,16 +81,17 @@ def without(field: str) -> dict[str, Any]:
 @pytest.mark.parametrize(
     ("content", "complaint"),
     [
-        ({}, r"format: Field required"),
+        ({}, r"Unable to extract tag using discriminator 'format'"),
         (without("victim"), r"victim: Field required"),
-        (changed("carpet", "red"), r"carpet: Extra inputs are not permitted"),
+        (changed("carpet", "red"), r"carpet: Unexpected keyword argument"),
         (changed("furniture.2.kind", "piano"), r"furniture\.2\.kind: Input should be 'cabinet'"),
         (changed("furniture.0.width_m", math.nan), r"furniture\.0\.width_m: Input should be a finite number"),
-        (changed("furniture.0.depth_m", None), r"furniture\.0\.depth_m: a partition needs one"),
-        (changed("furniture.11.depth_m", 0.5), r"furniture\.11\.depth_m: a plant is round and has a width_m only"),
+        (changed("furniture.0.depth_m", None), r"furniture\.0\.depth_m: Input should be a valid number"),
+        (changed("furniture.0.depth_m", 0.0), r"furniture\.0: depth_m: a partition needs one"),
+        (changed("furniture.11.depth_m", 0.5), r"furniture\.11: depth_m: a plant is round and has a width_m only"),
         (changed("furniture.0.x_m", 0.02), r"furniture\.0 \(partition\): at \(0\.02, 1\.6\) m it reaches out of"),
         (changed("furniture.0.height_m", 3.0), r"furniture\.0\.height_m: 3 m does not fit under a ceiling at 2\.8 m"),
-        (changed("furniture.4.width_m", 0.5), r"furniture\.4 \(sofa\): is at least 0\.8 m wide and 0\.5 m deep"),
+        (changed("furniture.4.width_m", 0.5), r"furniture\.4: .* a sofa is at least 0\.8 m wide and 0\.5 m deep"),
         (changed("fittings.0.along_m", 5.9), r"fittings\.0\.along_m: the door reaches past an end of the west wall"),
         (changed("fittings.1.foot_m", 2.0), r"fittings\.1\.foot_m: the poster reaches above the wall"),
         (changed("start.x_m", 2.3), r"start: \(2\.3, 0\.82\) m is less than 0\.24 m from furniture\.0 \(partition\)"),
@@ -139,25 +109,6 @@ def test_a_room_that_nobody_can_use_gives_one_line_that_names_file_and_field(
     content: dict[str, object], complaint: str
 ) -> None:
     with pytest.raises(WorldError, match=complaint) as caught:
-        read_room(content, Path("rooms/bad.json"))
+        read(content, Path("rooms/bad.json"))
     assert str(caught.value).startswith("rooms/bad.json: ")
     assert "\n" not in str(caught.value)
-
-
-def test_a_victim_in_sight_is_allowed_where_the_file_says_so() -> None:
-    seen = changed("victim", {"x_m": 1.0, "y_m": 3.0, "facing_deg": 0}) | {"hidden": False}
-    assert read_room(seen, PATH).victim.y == 3.0
-
-
-def test_degrees_and_metres_are_read_as_documented() -> None:
-    overhead = {
-        "x_m": 2.0, "y_m": 1.0, "height_m": 4.0, "up_deg": 180.0, "width_px": 320, "height_px": 240, "focal_px": 150.0
-    }  # fmt: skip
-    world = empty_room([], overhead=overhead)
-    mount = world.place.overhead
-    assert mount is not None
-    assert (mount.x, mount.y, mount.height_m, mount.width, mount.height) == (2.0, 1.0, 4.0, 320, 240)
-    assert (mount.focal_px, mount.up) == pytest.approx((150.0, math.pi))
-    assert world.start.heading == pytest.approx(math.pi / 4)
-    assert empty_room([]).place.overhead is None
-    assert world.name == "made"

@@ -2,19 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
-import pytest
 import shapely
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from services.simulator.world import load_world
 from services.simulator.world.collision import obstacles_of
-from services.simulator.world.place import Pose, World, WorldError
-from services.simulator.world.route import plan_route, route_length_m
-from services.simulator.world.starts import sample_start
+from services.simulator.world.place import World, WorldError
+from services.simulator.world.route import plan_route
+from services.simulator.world.task import sample_start
 
 WORLDS = {name: load_world(name) for name in ("campus", "yard")}
 
@@ -56,18 +53,3 @@ def test_from_anywhere_the_way_is_free_or_missing_but_never_through_a_wall(x: fl
         assert not seen.any()
     else:
         assert not shapely.LineString(route).intersects(SOLID["campus"])
-
-
-def test_the_route_is_the_shorter_way_round() -> None:
-    world = WORLDS["campus"]
-    east = plan_route(world, (40.0, 20.0))
-    assert route_length_m(east) < 70
-    assert np.all(east[:, 0] > 0), "from the east there is no reason to go round by the west"
-
-
-def test_a_victim_walled_in_cannot_be_reached() -> None:
-    world = WORLDS["campus"]
-    inside = world.place.buildings[0].footprint.representative_point()
-    walled = replace(world, victim=Pose(inside.x, inside.y, 0.0))
-    with pytest.raises(WorldError, match="no way from"):
-        plan_route(walled, (world.start.x, world.start.y))

@@ -10,10 +10,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
+from services.simulator.camera import blur
 from services.simulator.robots import TURTLEBOT
-from services.simulator.sensors.blur import blur
-from services.simulator.sensors.shake import LEVEL, STILL, Shake, ShakeSettings, TiltRate
-from services.simulator.sensors.step import Step
+from services.simulator.sensors import Shake, ShakeSettings, Step, TiltRate
 from services.simulator.world.place import Pose
 
 DRIVE = TURTLEBOT.drive
@@ -37,19 +36,6 @@ def swings(steps: list[Step], seed: int = 0, settings: ShakeSettings | None = No
 
 
 LONG = swings([step(1.0)] * 60_000)
-
-
-def test_a_robot_that_stands_does_not_shake() -> None:
-    assert not swings([step(0.0)] * 100).any()
-    shake = Shake(ShakeSettings(), DRIVE, np.random.default_rng(0))
-    assert (shake.tilt, shake.rate) == (LEVEL, STILL)
-
-
-def test_the_shaking_dies_away_when_the_robot_stops() -> None:
-    tilt = np.abs(swings([step(1.0)] * 50 + [step(0.0)] * 100)[:, 0]).max(axis=1)
-    assert tilt[30:50].max() > math.radians(0.5)
-    assert tilt[100] < math.radians(0.01)
-    assert tilt[149] < 1e-10
 
 
 def test_at_the_nominal_speed_each_angle_varies_as_set() -> None:
@@ -102,9 +88,3 @@ def test_a_point_becomes_a_line_as_long_as_its_way(yaw: float, pitch: float) -> 
     assert xx - xx0 == pytest.approx(a**2 / 12, abs=tolerance)
     assert yy - yy0 == pytest.approx(b**2 / 12, abs=tolerance)
     assert xy == pytest.approx(a * b / 12, abs=tolerance)
-
-
-@pytest.mark.parametrize(("rate", "exposure_s"), [(STILL, 0.02), (TiltRate(3.0, 3.0, 3.0), 0.0)])
-def test_a_picture_in_which_nothing_moves_is_left_alone(rate: TiltRate, exposure_s: float) -> None:
-    image = dot()
-    assert blur(image, rate, exposure_s, FOCAL_PX) is image

@@ -39,12 +39,6 @@ def test_the_same_seed_gives_the_same_episode_however_it_is_stepped(seed: int, p
     assert (one.odometry, one.imu) == (other.odometry, other.imu)
 
 
-def test_seeds_and_purposes_differ() -> None:
-    simulation = Simulation(YARD, StubCamera())
-    poses = {simulation.reset(seed, purpose) for seed in range(5) for purpose in ("drive", "run", "recovery")}  # type: ignore[arg-type]
-    assert len(poses) == 15
-
-
 def test_a_run_that_begins_anywhere_begins_beside_the_way_and_repeats() -> None:
     simulation, again = Simulation(YARD, StubCamera()), Simulation(YARD, StubCamera())
     simulation.reset(0, "drive")

@@ -16,8 +16,8 @@ from services.simulator.world import load_world
 from services.simulator.world.collision import obstacles_of
 from services.simulator.world.place import Pose, WorldError
 from services.simulator.world.route import plan_route
-from services.simulator.world.starts import sample_start
-from services.simulator.world.terrain import Building, Facade, Terrain
+from services.simulator.world.task import sample_start
+from services.simulator.world.terrain import Building, Facade, Terrain, plan
 
 WORLDS = {name: load_world(name) for name in ("campus", "yard")}
 worlds = st.sampled_from(sorted(WORLDS))
@@ -54,7 +54,8 @@ def test_a_recovery_starts_beside_the_route(name: str, seed: int) -> None:
 def test_a_start_without_room_is_an_error_and_not_an_endless_search() -> None:
     world = WORLDS["campus"]
     terrain = cast("Terrain", world.place)
-    block = Building(shapely.Point(world.start.x, world.start.y).buffer(3), 5.0, Facade("brick", None, 0), "flat")
+    around = shapely.Point(world.start.x, world.start.y).buffer(3)
+    block = Building(**plan(around), height_m=5.0, facade=Facade("brick"))
     blocked = replace(world, place=replace(terrain, buildings=(*terrain.buildings, block)))
     with pytest.raises(WorldError, match="no free start pose"):
         sample_start(blocked, np.random.default_rng(0), "run")

@@ -14,7 +14,6 @@ import pytest
 from services.simulator.world import WorldError, load_world
 from services.simulator.world.collision import obstacles_of
 from services.simulator.world.loading import WORLDS_FOLDER
-from services.simulator.world.osm import read_osm
 from services.simulator.world.route import plan_route, route_length_m
 from services.simulator.world.terrain import Terrain
 
@@ -29,20 +28,6 @@ STRANGE_FILE = (
     '<!DOCTYPE osm [<!ENTITY file SYSTEM "file:///etc/hostname">]><osm version="0.6">'
     '<node id="1" version="1" lat="1" lon="1"><tag k="natural" v="&file;"/></node></osm>'
 )
-
-
-@pytest.mark.parametrize(("latitude", "east_m", "north_m"), [(0.0, 111.320, 110.574), (45.0, 78.847, 111.132)])
-def test_metres_are_metres(tmp_path: Path, latitude: float, east_m: float, north_m: float) -> None:
-    """A thousandth of a degree on the WGS 84 ellipsoid, from published tables."""
-    low, high = latitude - 0.0005, latitude + 0.0005
-    path = tmp_path / "empty.osm"
-    path.write_text(
-        f'<osm version="0.6"><bounds minlat="{low}" minlon="7.0000" maxlat="{high}" maxlon="7.0010"/>'
-        f'<node id="1" version="1" lat="{high}" lon="7.0010"><tag k="natural" v="tree"/></node></osm>'
-    )
-    extract = read_osm(path)
-    np.testing.assert_allclose(extract.bounds, [-east_m / 2, -north_m / 2, east_m / 2, north_m / 2], atol=2e-3)
-    np.testing.assert_allclose(extract.nodes[0].xy, [east_m / 2, north_m / 2], atol=2e-2)
 
 
 @pytest.mark.skipif(not BROWN.exists(), reason=f"the real extract is not on this machine: {BROWN}")
@@ -117,18 +102,3 @@ def test_every_building_of_a_real_extract_is_accounted_for() -> None:
     assert place.source.used["building relation"] == tagged["relation"]
     (hall,) = [building for building in place.buildings if building.footprint.interiors]
     assert hall.footprint.interiors
-
-
-def test_an_unknown_world_names_those_that_are_known() -> None:
-    with pytest.raises(WorldError, match=r"unknown world 'moon'; known are campus, .*yard"):
-        load_world("moon")
-    with pytest.raises(WorldError, match=r"moon\.osm: no such file"):
-        load_world("somewhere/moon.osm")
-
-
-def test_a_world_without_roles_gets_them_by_rule(tmp_path: Path) -> None:
-    path = tmp_path / "plain.osm"
-    path.write_text(CAMPUS.replace('"smal:role"', '"note"'))
-    world = load_world(path)
-    assert obstacles_of(world.place).is_free(world.start.x, world.start.y)
-    assert 50 <= route_length_m(plan_route(world, (world.start.x, world.start.y))) <= 150

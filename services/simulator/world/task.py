@@ -1,24 +1,21 @@
-"""Where the task of a terrain without one is: a hidden place for the victim and a start far from it."""
+"""Where the task is: a hidden place for the victim and a start far from it, and where episodes begin."""
 
 from __future__ import annotations
 
 import itertools
 import math
-from typing import TYPE_CHECKING, Final
+from collections.abc import Iterator
+from typing import Final
 
 import numpy as np
 import shapely
+from numpy.typing import NDArray
 
+from schemas.episode import Purpose
 from services.simulator.world.collision import obstacles_of
-from services.simulator.world.place import Pose, WorldError
-from services.simulator.world.route import LaneGraph, RoutesTo, lane_graph
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
-
-    from numpy.typing import NDArray
-
-    from services.simulator.world.terrain import Terrain
+from services.simulator.world.place import Pose, World, WorldError
+from services.simulator.world.route import LaneGraph, RoutesTo, lane_graph, plan_route
+from services.simulator.world.terrain import Terrain
 
 _FROM_WALL_M: Final = 1.2
 _VICTIM_ROOM_M: Final = 0.9
@@ -29,19 +26,17 @@ _ROUTES_M: Final = ((60.0, 150.0, 100.0), (35.0, 250.0, 60.0), (20.0, 400.0, 35.
 _JITTER_M: Final = 1.1
 _MOST_CANDIDATES: Final = 400
 _MOST_STARTS_TRIED: Final = 400
+_JITTER_RAD: Final = math.radians(15)
+_ASIDE_RAD: Final = math.radians(40)
+_TRIES: Final = 1000
 
 
 def choose_roles(terrain: Terrain, start: Pose | None, victim: Pose | None, seed: int = 0) -> tuple[Pose, Pose]:
-    """Return a start and a victim, keeping those that are given.
+    """Return a start and a victim, keeping those that are given; a `WorldError` where no pair of places fits.
 
     The rule is deterministic: the first place beside a wall, counted from the building nearest to the middle (with a
     seed other than 0, to a point drawn with it), that a road point reaches and that some road point 60 to 150 m of way
     off does not see. Where no place has such a start, shorter and longer ways do.
-
-    Raises
-    ------
-    WorldError
-        No pair of places fits.
     """
     if start is not None and victim is not None:
         return start, victim
@@ -61,19 +56,13 @@ def choose_roles(terrain: Terrain, start: Pose | None, victim: Pose | None, seed
 
 def _advice(start: Pose | None, victim: Pose | None) -> str:
     if victim is not None:
-        return (
-            f"found no start that sees nothing of the victim at ({victim.x:.1f}, {victim.y:.1f}) m and "
-            "reaches it by road; give another place, or the start as well"
-        )
+        what = f"start that sees nothing of the victim at ({victim.x:.1f}, {victim.y:.1f}) m and reaches it by road"
+        return f"found no {what}; give another place, or the start as well"
     if start is not None:
-        return (
-            f"found no hidden place for the victim that the start at ({start.x:.1f}, {start.y:.1f}) m "
-            "reaches by road; give another start, or the victim as well"
-        )
-    return (
-        f"found no hidden place for the victim with a start at least {_ROUTES_M[-1][0]:.0f} m of road "
-        "away; tag two nodes smal:role=start (with direction=*) and smal:role=victim"
-    )
+        what = f"hidden place for the victim that the start at ({start.x:.1f}, {start.y:.1f}) m reaches by road"
+        return f"found no {what}; give another start, or the victim as well"
+    what = f"hidden place for the victim with a start at least {_ROUTES_M[-1][0]:.0f} m of road away"
+    return f"found no {what}; tag two nodes smal:role=start (with direction=*) and smal:role=victim"
 
 
 def _middle(terrain: Terrain, seed: int) -> shapely.Point:
@@ -136,3 +125,49 @@ def _are_hidden(terrain: Terrain, starts: NDArray[np.float64], victim: NDArray[n
     sights = np.stack([corners, np.broadcast_to(victim, corners.shape)], axis=1)
     seen = obstacles_of(terrain).in_sight(sights).reshape(-1, len(around))
     return np.asarray(~seen.any(axis=1))
+
+
+def sample_start(world: World, rng: np.random.Generator, purpose: Purpose) -> Pose:
+    """Draw a free start pose; the same chance gives the same pose.
+
+    For the purposes `drive` and `run` it is up to `Scale.start_m` (outdoors 1 m) east-west and north-south and 15
+    degrees off the world's start; for `recovery` beside a point of the route, uniform along it except for the last
+    `Scale.last_m` (3 m), up to `Scale.aside_m` (1.5 m) aside and 40 degrees turned away.
+
+    Raises
+    ------
+    WorldError
+        No free pose was found in 1000 draws.
+    """
+    draw = _beside_route if purpose == "recovery" else _about_start
+    for _ in range(_TRIES):
+        pose = draw(world, rng)
+        if pose is not None:
+            return pose
+    raise WorldError(f"{world.name}: no free start pose for purpose '{purpose}' in {_TRIES} draws")
+
+
+def _about_start(world: World, rng: np.random.Generator) -> Pose | None:
+    x, y, heading = (rng.uniform(-1.0, 1.0, 3) * (world.scale.start_m, world.scale.start_m, _JITTER_RAD)).tolist()
+    start = world.start
+    pose = Pose(start.x + x, start.y + y, math.remainder(start.heading + heading, math.tau))
+    return pose if _reaches(world, pose, np.array([start.x, start.y])) else None
+
+
+def _beside_route(world: World, rng: np.random.Generator) -> Pose | None:
+    route = shapely.LineString(plan_route(world, (world.start.x, world.start.y)))
+    along = rng.uniform(0.0, max(route.length - world.scale.last_m, 0.0))
+    aside, turned = rng.uniform(-1.0, 1.0, 2) * (world.scale.aside_m, _ASIDE_RAD)
+    here = shapely.get_coordinates(route.interpolate(along))[0]
+    ahead = shapely.get_coordinates(route.interpolate(min(along + 0.1, route.length)))[0] - here
+    direction = math.atan2(ahead[1], ahead[0])
+    x, y = here + aside * np.array([-math.sin(direction), math.cos(direction)])
+    pose = Pose(float(x), float(y), math.remainder(direction + turned, math.tau))
+    return pose if _reaches(world, pose, here) else None
+
+
+def _reaches(world: World, pose: Pose, anchor: NDArray[np.float64]) -> bool:
+    """Return whether the pose is free and nothing stands between it and the place that it was drawn about."""
+    leg = np.array([[(pose.x, pose.y), anchor]])
+    # With room to turn, so that an episode does not begin with a collision.
+    return bool(obstacles_of(world.place).are_clear(leg, world.scale.start_room_m)[0])

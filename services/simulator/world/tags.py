@@ -1,24 +1,19 @@
-"""What OpenStreetMap's tags stand for: the tables, and which kind of thing an element is."""
+"""What OpenStreetMap's tags stand for: which kind of thing an element is, how long, how wide and of which colour."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import re
 from typing import Final, Literal, NamedTuple
 
+from services.simulator.world.osm import Tags
+from services.simulator.world.place import Rgb
 from services.simulator.world.terrain import AreaKind, BarrierKind
 
-Tags = Mapping[str, str]
 Kind = Literal["building", "building part", "road", "square", "area", "wood", "waterway", "barrier", "row", "tree"]
 
 
 class Cover(NamedTuple):
-    """What covers an area of the ground, and whether trees stand on it.
-
-    Attributes
-    ----------
-    tree_m
-        Their height; 0 for what is usual, None for no trees.
-    """
+    """What covers an area of the ground, and whether trees stand on it."""
 
     kind: AreaKind
     tree_m: float | None = None
@@ -65,6 +60,13 @@ _COVERS: Final[dict[str, dict[str, Cover]]] = {
     "place": {"square": Cover("paved")},
     "public_transport": {"platform": Cover("paved")},
     "railway": {"platform": Cover("paved")},
+}  # fmt: skip
+_COLOURS: Final[dict[str, Rgb]] = {
+    "white": (232, 230, 224), "grey": (150, 150, 148), "gray": (150, 150, 148), "black": (60, 60, 62),
+    "red": (168, 72, 58), "maroon": (120, 52, 46), "brown": (126, 92, 66), "beige": (216, 200, 168),
+    "yellow": (222, 192, 110), "orange": (206, 134, 78), "green": (122, 146, 110), "olive": (128, 128, 84),
+    "silver": (182, 184, 186), "tan": (196, 168, 130), "sandybrown": (214, 170, 118), "darkred": (120, 52, 46),
+    "blue": (112, 138, 172), "teal": (96, 140, 140), "pink": (214, 168, 160), "cream": (234, 222, 192),
 }  # fmt: skip
 _HARD: Final = frozenset({"asphalt", "concrete", "paving_stones", "paved", "sett", "concrete:plates", "bricks"})
 _BELOW_GROUND: Final = frozenset({"underground", "multi-storey", "rooftop"})
@@ -120,3 +122,28 @@ def is_hidden(tags: Tags) -> bool:
         return False
     below = tags.get("layer", "0").startswith("-") or tags.get("location") == "underground"
     return below or tags.get("tunnel", "no") != "no" or tags.get("indoor", "no") != "no"
+
+
+def metres(text: str | None) -> float | None:
+    """Read an OpenStreetMap length: "12", "12.5 m", "12,5" or "40'" (feet); None where there is none to read."""
+    found = re.fullmatch(r"\s*(\d+(?:[.,]\d+)?)\s*(m|ft|')?\s*", text or "")
+    if found is None:
+        return None
+    value = float(found[1].replace(",", "."))
+    return value * 0.3048 if found[2] in {"ft", "'"} else value
+
+
+def colour(text: str | None) -> Rgb | None:
+    """Read an OpenStreetMap colour: "#rgb", "#rrggbb" or a name, perhaps "light" or "dark"; else None."""
+    text = text or ""
+    if re.fullmatch(r"#[0-9a-fA-F]{3}", text):
+        text = "#" + "".join(2 * digit for digit in text[1:])
+    if re.fullmatch(r"#[0-9a-fA-F]{6}", text):
+        return int(text[1:3], 16), int(text[3:5], 16), int(text[5:7], 16)
+    name = text.lower().replace("_", "").replace(" ", "")
+    shade = next((shade for shade in ("light", "dark") if name.startswith(shade)), "")
+    plain = _COLOURS.get(name.removeprefix(shade))
+    if name in _COLOURS or plain is None:
+        return _COLOURS.get(name)
+    red, green, blue = ((value + 255) // 2 if shade == "light" else value * 2 // 3 for value in plain)
+    return red, green, blue

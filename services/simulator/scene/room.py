@@ -1,22 +1,43 @@
-"""Pictures of a room's own surfaces: floor with the soft shade that things cast on it, walls, ceiling."""
+"""A room as a scene: floor, walls and ceiling, furniture, what hangs on the walls, and lamps."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Final
+from typing import Final, get_args
 
 import cv2
 import numpy as np
 import shapely
+from numpy.typing import NDArray
+from shapely import Polygon
 
-from services.simulator.scene.noise import as_picture, coloured, layered, noise
+from services.simulator.scene import bodies
+from services.simulator.scene.furniture import furnish
+from services.simulator.scene.meshes import Mesh, flat, panel, quads
+from services.simulator.scene.surfaces import Finish, Lights, Piece, Scene, Surface, Vector, surfaces
+from services.simulator.scene.textures import as_picture, coloured, layered, noise
+from services.simulator.variation import Daylight
+from services.simulator.world.place import Pose, Rgb
+from services.simulator.world.room import Fitting, FittingKind, Room, Wall, WallFrame
 
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-    from shapely import Polygon
-
-    from services.simulator.world.place import Rgb
-    from services.simulator.world.room import Room
-
+# Lamps above light level things most; the windows' light, from the north, keeps upright things apart from each other.
+_LIGHTS: Final = Lights(
+    (0.5, 0.5, 0.49),
+    (
+        ((0.12, 0.18, -0.97), (1.15, 1.13, 1.08)),
+        ((0.25, -0.9, -0.35), (0.62, 0.66, 0.72)),
+        ((-0.85, 0.35, -0.3), (0.34, 0.33, 0.3)),
+    ),
+)
+_FEET_M: Final = 0.08
+#: The ceiling's picture is four tiles of 0.6 m wide.
+_CEILING_M: Final = 2.4
+#: How far each kind stands off the wall.
+_THICK_M: Final[dict[FittingKind, float]] = {"door": 0.03, "poster": 0.004, "whiteboard": 0.025, "window": 0.02}
+_SKIRTING_M: Final = (0.08, 0.014)
+_RIM: Final[dict[FittingKind, Finish]] = {
+    "door": Finish("lacquer", (206, 206, 200)), "poster": Finish("white_plastic"),
+    "whiteboard": Finish("aluminium"), "window": Finish("white_plastic"),
+}  # fmt: skip
 _PIXELS_PER_M: Final = 256
 _SHADE_PIXELS_PER_M: Final = 48
 _LARGEST_PX: Final = 4096
@@ -26,23 +47,117 @@ _SHEET_M: Final = 2.0
 _CONTACT: Final = (0.5, 0.07)
 _AROUND: Final = (0.42, 0.22)
 _SEED: Final = 11
+# A picture upright on a rectangle, from its lower left corner on.
+_UPRIGHT: Final = [(0.0, 1.0), (1.0, 1.0), (1.0, 0.0), (0.0, 0.0)]
+
+
+def build(room: Room, victim: Pose, light: Daylight, *, shadows: bool) -> Scene:
+    """Make the meshes and pictures of a room with a victim standing in it."""
+    pieces: list[Piece] = skirting(room)
+    shining: list[Piece] = []
+    for furniture in room.furniture:
+        pieces += furnish(furniture)
+    for fitting in room.fittings:
+        face, rim = hang(fitting, room)
+        (shining if fitting.kind == "window" else pieces).append(face)
+        pieces.append(rim)
+    x, y = room.east_west_m, room.north_south_m
+    floor, corners = shapely.box(*room.bounds), [(0.0, 0.0), (x, 0.0), (x, y), (0.0, y)]
+    feet = shapely.Point(victim.x, victim.y).buffer(_FEET_M)
+    picture = paint_floor(room, feet, shadows=shadows)
+    tag = room.robot.tag
+    return Scene(
+        lights=_lights(light),
+        # What is in front comes first, so that what is behind it need not be drawn there.
+        still=(
+            *surfaces(pieces),
+            *surfaces(shining, glows=True),
+            *walls(room),
+            # Outsides only are drawn, so a camera above the ceiling looks through.
+            Surface(flat(floor, room.walls_m, _CEILING_M).flipped(), paint_ceiling(), glows=True),
+            Surface(quads([[(*corner, 0.0) for corner in corners]], [_UPRIGHT]), picture),
+        ),
+        victim=surfaces((finish, mesh.placed(victim)) for finish, mesh in bodies.nao()),
+        robot=(*surfaces(bodies.turtlebot(room.robot)), *(() if tag is None else (bodies.tag(tag),))),
+    )
+
+
+def _lights(light: Daylight) -> Lights:
+    """Return the room's lights, as bright and in the colour that the time of day gives them."""
+
+    def lit(colour: Vector) -> Vector:
+        red, green, blue = np.multiply(colour, light.lamps).tolist()
+        return red, green, blue
+
+    return Lights(lit(_LIGHTS.ambient), tuple((direction, lit(colour)) for direction, colour in _LIGHTS.directional))
+
+
+def walls(room: Room) -> list[Surface]:
+    """Return the four painted walls."""
+    made = []
+    for number, wall in enumerate(get_args(Wall)):
+        frame = room.wall_frame(wall)
+        picture = paint_wall(room.wall_colour, frame.length_m, room.walls_m, number)
+        made.append(Surface(panel(frame.at(0.0), frame.at(frame.length_m), 0.0, room.walls_m), picture))
+    return made
+
+
+def skirting(room: Room) -> list[Piece]:
+    """Return the skirting boards, with a gap where a door reaches the floor."""
+    high, thick = _SKIRTING_M
+    made: list[Piece] = []
+    for wall in get_args(Wall):
+        frame = room.wall_frame(wall)
+        doors = sorted(
+            (fitting.along_m - fitting.width_m / 2, fitting.along_m + fitting.width_m / 2)
+            for fitting in room.fittings
+            if fitting.wall == wall and fitting.foot_m < high
+        )
+        ends = np.array([0.0, *(end for door in doors for end in door), frame.length_m]).reshape(-1, 2)
+        made += [
+            (Finish("lacquer", (226, 223, 214)), _slab(frame, left, right, 0.0, high, thick))
+            for left, right in ends.tolist()
+            if right > left
+        ]
+    return made
+
+
+def hang(fitting: Fitting, room: Room) -> tuple[Piece, Piece]:
+    """Return a fitting's face and the rim about it."""
+    frame = room.wall_frame(fitting.wall)
+    left, right = fitting.along_m - fitting.width_m / 2, fitting.along_m + fitting.width_m / 2
+    low, high, thick = fitting.foot_m, fitting.foot_m + fitting.height_m, _THICK_M[fitting.kind]
+    face = panel(_off(frame, left, thick), _off(frame, right, thick), low, high)
+    rim = _slab(frame, left, right, low, high, thick - 0.001)
+    return (Finish(fitting.kind, fitting.colour, fitting.variant), face), (_RIM[fitting.kind], rim)
+
+
+def _off(frame: WallFrame, along_m: float, off_m: float) -> tuple[float, float]:
+    """Return a point in front of a wall, (x, y); to the left of its direction is outside."""
+    x, y = frame.at(along_m)
+    return x + off_m * frame.right[1], y - off_m * frame.right[0]
+
+
+def _slab(frame: WallFrame, left: float, right: float, low: float, high: float, thick: float) -> Mesh:
+    """Return a board on a wall: front, top, underside and ends."""
+    back_left, back_right = frame.at(left), frame.at(right)
+    front_left, front_right = _off(frame, left, thick), _off(frame, right, thick)
+    upright = [(front_left, front_right), (back_left, front_left), (front_right, back_right)]
+    faces = [[(*a, low), (*b, low), (*b, high), (*a, high)] for a, b in upright]
+    faces.append([(*front_left, high), (*front_right, high), (*back_right, high), (*back_left, high)])
+    faces.append([(*back_left, low), (*back_right, low), (*front_right, low), (*front_left, low)])
+    uvs = np.broadcast_to(_UPRIGHT, (len(faces), 4, 2))
+    return quads(faces, uvs)
 
 
 def paint_floor(room: Room, standing: Polygon, *, shadows: bool) -> NDArray[np.uint8]:
     """Return the picture of the whole floor, its upper edge in the north, with the shade that lies on it.
 
-    Parameters
-    ----------
-    room
-        Whose floor.
-    standing
-        What else stands on it, seen from above, metres.
-    shadows
-        Whether there is any shade.
+    `standing` is what stands on it besides the furniture, seen from above, metres.
     """
     x_min, y_min, x_max, y_max = room.bounds
     shape = _pixels(y_max - y_min), _pixels(x_max - x_min)
-    plain = _PATTERNS[room.look.floor](shape, (y_max - y_min, x_max - x_min))
+    plain = _PATTERNS[room.floor](shape, (y_max - y_min, x_max - x_min))
     if not shadows:
         return plain
     shade = cv2.resize(floor_light(room, standing), (shape[1], shape[0]), interpolation=cv2.INTER_LINEAR)

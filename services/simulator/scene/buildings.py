@@ -1,0 +1,167 @@
+"""Buildings and barriers as meshes with what they wear; every roof is closed underneath."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Sequence
+from typing import Final
+
+import numpy as np
+import shapely
+from numpy.typing import NDArray
+from shapely import Polygon
+
+from services.kit.going_on import each
+from services.simulator.scene.facades import BARE, BAY_M, BAYS, GROUND, STOREY_M, STOREYS, UPPER, alike, in_steps
+from services.simulator.scene.meshes import Mesh, band, faces, flat, outline, ridged, running, tube, walls
+from services.simulator.scene.surfaces import Finish, Piece
+from services.simulator.scene.textures import Material
+from services.simulator.world.terrain import POST_M, Barrier, BarrierKind, Building, Facade
+
+_OVERHANG_M: Final = 0.4
+_FASCIA_M: Final = 0.15
+_CORNICE_M: Final = 0.18
+# Rise over run of a pitched roof whose height nobody has said.
+_SLOPE: Final = 0.6
+# A footprint that fills less of the rectangle around it has no ridge along that rectangle.
+_OBLONG: Final = 0.85
+# Part of the widest place of a footprint without a ridge that its slopes cover; the rest is level.
+_SLOPED: Final = 0.7
+_METRES: Final = (4.0, 4.0)
+_WALL_METRES: Final = (BAYS * BAY_M, STOREY_M)
+# Colours of roofs are rounded: each one is a picture of its own.
+_COLOUR_STEP: Final = 32
+# Walls lower than this have no room for a window, and a wall too short for a window is bare.
+_LOW_M: Final = 1.5
+_PIER_M: Final = 1.2
+# Not quite the whole height of the picture, or filtering would mix its foot into its top.
+_GROUND_ROWS: Final = (0.99, 0.01)
+_TRIM: Final = Finish("trim")
+_BARRIER: Final[dict[BarrierKind, tuple[Material, float]]] = {
+    "hedge": ("hedge", 0.7), "wall": ("stone_wall", 0.3), "fence": ("fence", 0.08)
+}  # fmt: skip
+
+
+def buildings(items: Sequence[Building]) -> Iterator[Piece]:
+    """Yield walls and roofs of all buildings, posts under canopies, and what is seen of them from below."""
+    looks = alike(building.facade for building in items)
+    for building in each(items):
+        facade, low = looks[building.facade], building.min_height_m
+        for ring in outline(building.footprint):
+            yield from _walls(ring, building, facade)
+        yield from _flat(building) if building.roof == "flat" else _pitched(building, facade)
+        if low > 0.0:
+            yield _TRIM, flat(building.footprint, low, 4.0).flipped()
+            yield from ((_TRIM, tube((x, y, 0.0), (x, y, low), (POST_M, POST_M), 6)) for x, y in building.posts)
+
+
+def barriers(items: Iterable[Barrier]) -> Iterator[Piece]:
+    """Yield hedges, walls and fences with their own thickness."""
+    for barrier in items:
+        material, thickness = _BARRIER[barrier.kind]
+        body = barrier.line.buffer(thickness / 2, cap_style="flat")
+        yield Finish(material), band(body, 0.0, barrier.height_m, 2.0)
+        yield Finish(material), flat(body, barrier.height_m, 2.0)
+
+
+def _walls(ring: NDArray[np.float64], building: Building, facade: Facade) -> Iterator[Piece]:
+    """Yield the walls along a ring: upper storeys, the ground floor, and bare ones."""
+    low, top = building.min_height_m, building.height_m
+    wide = np.linalg.norm(np.diff(ring, axis=0), axis=1) >= _PIER_M
+    if top - low < _LOW_M:
+        wide[:] = False
+    if not wide.all():
+        rows = (-low / STOREY_M, -top / STOREY_M)
+        yield Finish(facade, None, BARE), walls(ring, low, top, running(ring) / (BAYS * BAY_M), rows, ~wide)
+    if not wide.any():
+        return
+    storeys = max(1, round((top - low) / STOREY_M))
+    first = low
+    if low == 0.0:
+        first = top / storeys
+        yield Finish(facade, None, GROUND), walls(ring, 0.0, first, _bays(ring), _GROUND_ROWS, wide)
+        storeys -= 1
+    if storeys:
+        yield Finish(facade, None, UPPER), walls(ring, first, top, _bays(ring), (storeys / STOREYS, 0.0), wide)
+
+
+def _bays(ring: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the texture coordinate (k - 1, 2) at both ends of each wall: whole bays, none cut by a corner."""
+    lengths = np.linalg.norm(np.diff(ring, axis=0), axis=1)
+    bays = np.maximum(1, np.round(lengths / BAY_M))
+    first = np.arange(len(lengths)) % BAYS
+    return np.stack([first, first + bays], axis=1) / BAYS
+
+
+def _flat(building: Building) -> Iterator[Piece]:
+    """Yield a level roof behind a cornice; courtyards stay open."""
+    top = building.height_m
+    edge = building.footprint.buffer(_CORNICE_M, join_style="mitre")
+    yield _cover("gravel", building), flat(building.footprint, top + 0.05, 4.0)
+    yield _TRIM, flat(edge, top - 0.3, 4.0).flipped()
+    yield _TRIM, band(edge, top - 0.3, top + 0.35, 4.0)
+
+
+def _pitched(building: Building, facade: Facade) -> Iterator[Piece]:
+    """Yield a roof over eaves that stick out, and its upright ends, where it has such."""
+    top = building.height_m
+    corners = _corners(building.footprint)
+    cover = _cover("slate" if building.facade.variant % 2 else "tiles", building)
+    below = building.footprint if corners is None else Polygon(corners)
+    eaves = below.buffer(_OVERHANG_M, join_style="mitre")
+    yield _TRIM, flat(eaves, top - _FASCIA_M, 4.0).flipped()
+    yield _TRIM, band(eaves, top - _FASCIA_M, top, 4.0)
+    if corners is None:
+        around, level = _around(eaves, top, building.roof_height_m)
+        yield cover, around
+        yield from ((Finish("gravel"), part) for part in level)
+        return
+    edge = _moved_out(corners)
+    long, across = (float(np.linalg.norm(edge[k + 1] - edge[k])) for k in range(2))
+    rise = building.roof_height_m or _SLOPE * across / 2
+    run = min(across, long) / 2 if building.roof == "hipped" else 0.0
+    slopes, ends = ridged(edge, top, rise, run)
+    if building.roof == "hipped":
+        yield cover, faces(np.concatenate([slopes, ends]), _METRES)
+    else:
+        yield cover, faces(slopes, _METRES)
+        yield Finish(facade, None, BARE), faces(ends, _WALL_METRES)
+
+
+def _corners(footprint: Polygon) -> NDArray[np.float64] | None:
+    """Return the corners (4, 2) of the rectangle around a footprint that nearly fills it, the first side a long one.
+
+    Anticlockwise; None for a footprint with courtyards or of another shape.
+    """
+    around = footprint.minimum_rotated_rectangle
+    if not isinstance(around, Polygon) or footprint.interiors or footprint.area < _OBLONG * around.area:
+        return None
+    corners = outline(around)[0][:4]
+    sides = np.linalg.norm(np.roll(corners, -1, axis=0) - corners, axis=1)
+    return np.roll(corners, -1, axis=0) if sides[0] < sides[1] else corners
+
+
+def _moved_out(corners: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return corners (4, 2) of a rectangle moved outwards by the overhang, in the same order."""
+    ahead = (corners[1] - corners[0]) / np.linalg.norm(corners[1] - corners[0])
+    left = np.array([-ahead[1], ahead[0]])
+    signs = np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)])
+    return np.asarray(corners + _OVERHANG_M * (signs[:, :1] * ahead + signs[:, 1:] * left), dtype=np.float64)
+
+
+def _around(eaves: Polygon, z: float, rise_m: float) -> tuple[Mesh, list[Mesh]]:
+    """Return slopes along all the edges of any footprint, and the level parts in the middle of it."""
+    run = _SLOPED * shapely.maximum_inscribed_circle(eaves, tolerance=0.1).length
+    inner = eaves.buffer(-run, join_style="mitre", mitre_limit=2.0)
+    rise = rise_m or _SLOPE * run
+    triangles = shapely.get_parts(shapely.constrained_delaunay_triangles(eaves.difference(inner)))
+    points = shapely.get_coordinates(shapely.orient_polygons(triangles)).reshape(-1, 4, 2)[:, :3]
+    edge = shapely.union_all([eaves.exterior, *eaves.interiors])
+    high = shapely.distance(shapely.points(points), edge) > run / 2
+    corners = np.concatenate([points, np.where(high, z + rise, z)[..., None]], axis=-1)
+    level = [flat(part, z + rise, 4.0) for part in shapely.get_parts(inner) if not part.is_empty]
+    return faces(corners, _METRES), level
+
+
+def _cover(material: Material, building: Building) -> Finish:
+    colour = building.roof_colour
+    return Finish(material, colour and in_steps(colour, _COLOUR_STEP))

@@ -1,0 +1,156 @@
+"""From the tags of a highway to a road, and what opens where a road meets something solid."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import replace
+from typing import Final
+
+import numpy as np
+import shapely
+from shapely import LineString, Polygon, STRtree
+from shapely.geometry.base import BaseGeometry
+
+from services.simulator.world.osm import Tags
+from services.simulator.world.tags import PATH_WIDTH_M, STREET_WIDTH_M, metres
+from services.simulator.world.terrain import Area, Barrier, Building, Road, plan
+
+_NOT_FOR_A_ROBOT: Final = frozenset({"motorway", "motorway_link", "trunk", "trunk_link", "steps"})
+_MARKED: Final = frozenset({"primary", "secondary", "tertiary", "residential"})
+_LANE_M: Final = 3.2
+_NARROWEST_M: Final = 1.0
+_WIDEST_M: Final = 40.0
+_MOST_LANES: Final = 10
+# A way across a square is a line to plan along on ground that is paved already.
+_ACROSS_M: Final = 0.2
+_MOST_ENTRIES: Final = 12
+
+
+# Beside a road on either side, so that a robot in its middle keeps its clearance from what was cut.
+_MARGIN_M: Final = 0.8
+_NARROWEST_GAP_M: Final = 2.0
+_GATE_M: Final = 1.6
+#: Under a building over a passage there is room for a car.
+PASSAGE_M: Final = 3.2
+_THINNEST_STOREY_M: Final = 0.8
+# Slivers that cutting leaves behind are not worth drawing.
+_SMALLEST_M2: Final = 0.5
+_SHORTEST_M: Final = 0.3
+
+
+def road(line: LineString, tags: Tags) -> Road:
+    """Return the road of a line with a known `highway`: as wide as stated, else as its lanes or its class suggest."""
+    highway, lanes = tags["highway"], _lanes(tags)
+    width_m = metres(tags.get("width")) or metres(tags.get("est_width"))
+    if width_m is None and highway in STREET_WIDTH_M and lanes:
+        width_m = lanes * _LANE_M
+    width_m = width_m or STREET_WIDTH_M.get(highway) or PATH_WIDTH_M[highway]
+    return Road(
+        line=line,
+        width_m=min(max(width_m, _NARROWEST_M), _WIDEST_M),
+        kind="street" if highway in STREET_WIDTH_M else "path",
+        drivable=highway not in _NOT_FOR_A_ROBOT,
+        marked=highway in _MARKED and tags.get("lane_markings") != "no" and lanes != 1,
+        sidewalks=_has_sidewalks(tags),
+    )
+
+
+def _lanes(tags: Tags) -> int:
+    text = tags.get("lanes", "")
+    return min(int(text), _MOST_LANES) if text.isdecimal() and text.isascii() and len(text) < 4 else 0
+
+
+def _has_sidewalks(tags: Tags) -> bool:
+    """Return whether there is a sidewalk on a side; one that the map draws by itself is none of the road's."""
+    sides = [tags[key] for key in ("sidewalk:both", "sidewalk:left", "sidewalk:right") if key in tags]
+    if "sidewalk" in tags:
+        return tags["sidewalk"] in {"both", "left", "right", "yes"}
+    return "yes" in sides if sides else tags["highway"] in _MARKED
+
+
+def across_squares(squares: Iterable[Polygon], roads: Iterable[Road]) -> Iterator[Road]:
+    """Yield ways straight across paved squares, between the points where drivable roads reach their outlines."""
+    drivable = [shapely.get_coordinates(road.line) for road in roads if road.drivable]
+    points = np.unique(np.round(np.concatenate(drivable), 2), axis=0) if drivable else np.empty((0, 2))
+    reached = shapely.STRtree(np.asarray(shapely.points(points)))
+    for square in squares:
+        near = reached.query(square.exterior, "dwithin", 0.02)
+        entries = points[np.sort(near)][:_MOST_ENTRIES]
+        inside = square.buffer(0.05)
+        for first, second in itertools.combinations(entries, 2):
+            line = LineString([first, second])
+            if line.length > 0 and inside.contains(line):
+                yield Road(line, _ACROSS_M, "path", drivable=True, marked=False)
+
+
+def open_passages(buildings: Sequence[Building], passages: Sequence[Road]) -> Iterator[Building]:
+    """Yield the buildings, with those that a passage leads through opened up to 3.2 m above it."""
+    if not passages:
+        yield from buildings
+        return
+    ways = [_strip(road) for road in passages]
+    tree = STRtree(ways)
+    for building in buildings:
+        hits = tree.query(building.footprint, "intersects")
+        if len(hits) == 0 or building.min_height_m >= PASSAGE_M:
+            yield building
+        else:
+            yield from _opened(building, shapely.union_all([ways[hit] for hit in hits]))
+
+
+def bridge_water(areas: Sequence[Area], roads: Sequence[Road]) -> Iterator[Area]:
+    """Yield the areas, with water cut out under roads: they are bridges, or fords, and the robot crosses on them."""
+    strips = [_strip(road) for road in roads]
+    tree = STRtree(strips)
+    for area in areas:
+        hits = tree.query(area.footprint, "intersects") if area.kind == "water" else ()
+        if len(hits) == 0:
+            yield area
+            continue
+        rest = area.footprint.difference(shapely.union_all([strips[hit] for hit in hits]))
+        yield from (replace(area, **plan(part)) for part in _polygons(rest))
+
+
+def open_barriers(
+    barriers: Sequence[Barrier], roads: Sequence[Road], gates: Sequence[shapely.Point]
+) -> Iterator[Barrier]:
+    """Yield the barriers, with gaps where roads cross them and at gates."""
+    tree = STRtree([road.line for road in roads])
+    gate_tree = STRtree(list(gates))
+    for barrier in barriers:
+        gaps = [gates[hit].buffer(_GATE_M) for hit in gate_tree.query(barrier.line, "dwithin", 0.1)]
+        for hit in tree.query(barrier.line, "intersects"):
+            crossing = barrier.line.intersection(roads[hit].line)
+            gaps.append(crossing.buffer(_half_width_m(roads[hit])))
+        if not gaps:
+            yield barrier
+            continue
+        rest = barrier.line.difference(shapely.union_all(gaps))
+        parts = shapely.get_parts(rest)
+        yield from (replace(barrier, line=part) for part in parts if part.length > _SHORTEST_M)
+
+
+def _opened(building: Building, passage: BaseGeometry) -> Iterator[Building]:
+    beside = _polygons(building.footprint.difference(passage))
+    above = _polygons(building.footprint.intersection(passage))
+    if not above:
+        yield building
+        return
+    # A pitched roof over a part of its building would be another roof.
+    flat = replace(building, roof="flat", roof_height_m=0.0)
+    yield from (replace(flat, **plan(part)) for part in beside)
+    if building.height_m >= PASSAGE_M + _THINNEST_STOREY_M:
+        yield from (replace(flat, **plan(part), min_height_m=PASSAGE_M) for part in above)
+
+
+def _strip(road: Road) -> BaseGeometry:
+    return road.line.buffer(_half_width_m(road), cap_style="square")
+
+
+def _half_width_m(road: Road) -> float:
+    return max(road.width_m, _NARROWEST_GAP_M) / 2 + _MARGIN_M
+
+
+def _polygons(area: BaseGeometry) -> list[Polygon]:
+    return [part for part in shapely.get_parts(area) if isinstance(part, Polygon) and part.area > _SMALLEST_M2]
