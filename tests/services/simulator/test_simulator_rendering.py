@@ -12,6 +12,7 @@ import shapely
 
 from services.simulator.camera import CameraSettings
 from services.simulator.scene.rendering import ROBOT, SceneCamera
+from services.simulator.sensors import LEVEL
 from services.simulator.simulation import Simulation
 from services.simulator.world import load_world
 from services.simulator.world.place import Pose
@@ -51,7 +52,7 @@ def test_an_image_has_the_size_asked_for_and_something_in_it_and_repeats_to_the_
         assert (image.shape, image.dtype) == ((120, 160, 3), np.uint8)
         assert image.std() > 5
         assert name == "yard" or image.max(axis=2).min() > 8
-        assert not (camera._labels(pose) == ROBOT).any(), "the robot does not see itself"
+        assert not (camera._labels(pose, LEVEL) == ROBOT).any(), "the robot does not see itself"
         np.testing.assert_array_equal(image, other.render(pose))
 
 
