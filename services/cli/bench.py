@@ -35,7 +35,7 @@ def bench(
 
     recognition: matching over one product, against other solvers. bus: messages over those of plain Zenoh. latency:
     from the capture of a frame to its command. faults: kills, freezes, outages, a full disk, floods. soak: memory
-    and descriptors over an hour, or of the page.
+    and descriptors over an hour, or of the page. route: a decision on a way of one kilometre.
 
     Example: smal bench recognition --json results.json --out pictures
     """

@@ -71,10 +71,8 @@ class PoseTruth:
     reference_poses, query_poses : float64 arrays (n, 3), (q, 3)
         x and y in metres, heading in radians. Where a pose is not known (NaN) the query is not judged, and the
         reference is right for none.
-    distance_m : float
-        Right within this distance, 0 or more: 3 m outdoors and 0.35 m indoors are this project's.
-    angle_deg : float
-        And within this difference of headings, 0 to 180.
+    distance_m, angle_deg : float
+        Right within both: 3 m outdoors and 0.35 m indoors are this project's.
     """
 
     reference_poses: NDArray[np.float64]
@@ -108,16 +106,9 @@ class PoseTruth:
 
 @dataclass(frozen=True, eq=False)
 class Judgement:
-    """What became of every query, in order. All arrays have the shape (q,).
+    """What became of every query, in order, arrays (q,): its answer's score, whether it has one, and a right one.
 
-    Parameters
-    ----------
-    score : float64 array
-        Of the answer; means nothing where there is none.
-    answered, right : bool arrays
-        Whether there is an answer, and whether it is right.
-    judged, findable : bool arrays
-        See `Truth`.
+    For ``judged`` and ``findable`` see `Truth`.
     """
 
     score: NDArray[np.float64]

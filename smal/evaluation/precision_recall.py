@@ -21,17 +21,10 @@ _FEWEST_BLOCKS = 4
 
 @dataclass(frozen=True, eq=False)
 class PrecisionRecall:
-    """A curve of precision over recall. All arrays have the shape (k,).
+    """A curve of precision over recall, arrays (k,): answers with a score of at least the threshold are given.
 
-    Parameters
-    ----------
-    recall : float64 array
-        In [0, 1], not falling.
-    precision : float64 array
-        In [0, 1].
-    threshold : float64 array
-        Falling: at point i, answers with a score of at least threshold[i] are given. One point for each different
-        score, so that the order of queries with equal scores does not matter. No point if nothing is answered.
+    One point for each different score, so that the order of queries with equal scores does not matter; no point if
+    nothing is answered. Thresholds fall.
     """
 
     recall: NDArray[np.float64]
@@ -111,21 +104,13 @@ def bootstrap(judgement: Judgement, block: int, *, resamples: int = 1000, seed: 
         Its queries in the order of the traverse.
     block : int
         Queries that are kept together, 1 to all judged: see `block_length`.
-    resamples : int
-        At least 1.
-    seed : int
-        The same seed, block and judged queries give the same draws, so that the differences of two methods' figures
-        are paired.
+    resamples, seed : int
+        The same seed, block and judged queries give the same draws: differences of two methods' figures are paired.
 
     Returns
     -------
     float64 array (resamples, 2)
         Area and recall at 100 % precision; NaN where a draw has no query with anything to find.
-
-    Raises
-    ------
-    ValueError
-        No query has anything to find, or the block is out of its range.
     """
     ranking = _Ranking(judgement)
     if not 1 <= block <= ranking.findable.size:
@@ -135,15 +120,7 @@ def bootstrap(judgement: Judgement, block: int, *, resamples: int = 1000, seed: 
 
 
 class _Ranking:
-    """The judged queries of a method, those with an answer ordered by its score.
-
-    Attributes
-    ----------
-    findable : bool array (j,)
-        Of the judged queries in the order of the traverse.
-    threshold : float64 array (k,)
-        The different scores, falling.
-    """
+    """The judged queries of a method, those with an answer ordered by its score: `threshold` (k,), falling."""
 
     def __init__(self, judgement: Judgement) -> None:
         judged = judgement.judged

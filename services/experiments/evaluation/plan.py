@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Final, Literal
 
 from schemas.rpc import Start
-from services.experiments.evaluation.degradation import DEGRADATIONS
-from services.simulator.variation import VARIATIONS as KNOWN_VARIATIONS
 from smal.paper.learning import LearningSettings
 
 #: Sequences have this length by default; the filter has none.
@@ -74,24 +72,7 @@ PEER_RECOGNIZERS: Final = (
 class Trial:
     """Searches that differ in their seed alone.
 
-    Attributes
-    ----------
-    controller
-        Who drives, of `CONTROLLERS`.
-    drives
-        That are taught; no recoveries.
-    runs
-        How many searches.
-    length
-        l, for the paper's scheme.
-    degradation
-        Of what the robot sees.
-    variation
-        Light and season in which it searches.
-    start
-        Where it begins: about the world's start, or anywhere beside the way.
-    kidnap_tick
-        Frame at which it is carried to another place beside the way; 0 for never.
+    The length l is for the paper's scheme; at ``kidnap_tick`` the robot is carried to another place (0: never).
     """
 
     controller: str
@@ -102,13 +83,6 @@ class Trial:
     variation: str = "day"
     start: Start = "start"
     kidnap_tick: int = 0
-
-    def __post_init__(self) -> None:
-        for name, known in (
-            (self.controller, CONTROLLERS), (self.degradation, DEGRADATIONS), (self.variation, KNOWN_VARIATIONS),
-        ):  # fmt: skip
-            if name not in known:
-                raise ValueError(f"unknown {name!r}; known are {', '.join(known)}")
 
     @property
     def title(self) -> str:
@@ -146,24 +120,14 @@ class WorldPlan:
 
     Attributes
     ----------
-    world
-        Its name.
     criteria
         Of right recognition, and of a right belief; the first one is that of the figures.
-    drives
-        That recognition is learned from.
-    queries
-        Held-out drives whose frames are to be recognized, every `JUDGED_TICKS`.
-    lengths
-        l for precision and recall.
-    recognized
-        Degradations of the queries.
-    trials
-        Searches.
-    errands
-        What several drives together make possible, each `RUNS` times.
+    drives, queries
+        That recognition is learned from, and held-out ones whose frames are to be recognized, every `JUDGED_TICKS`.
+    lengths, recognized
+        l for precision and recall, and degradations of the queries.
     template_frames
-        At most so many template frames for Algorithm 2, whose time grows with their cube.
+        At most so many for Algorithm 2, whose time grows with their cube.
     """
 
     world: str
@@ -175,10 +139,6 @@ class WorldPlan:
     trials: tuple[Trial, ...] = ()
     errands: tuple[Errand, ...] = ()
     template_frames: int = 1000
-
-    def __post_init__(self) -> None:
-        if len({replace(trial, runs=1) for trial in self.trials}) < len(self.trials):
-            raise ValueError(f"{self.world}: a trial stands in the plan twice")
 
     @property
     def title(self) -> str:
@@ -198,20 +158,9 @@ class WorldPlan:
 
 @dataclass(frozen=True)
 class Plan:
-    """An evaluation.
+    """An evaluation; `omitted` is what it leaves out of the full one, for the report.
 
-    Attributes
-    ----------
-    name
-        "quick" or "full".
-    worlds
-        What is done in each.
-    patience
-        A search times out after so many times the frames of the longest drive that was taught.
-    camera
-        Size of the image, pixels.
-    omitted
-        What it leaves out of the full one, for the report.
+    A search times out after ``patience`` times the frames of the longest drive that was taught.
     """
 
     name: str

@@ -31,8 +31,6 @@ def do_all(
     ----------
     units
         What is to be done; each after those that it needs.
-    finished
-        Units that need not be done.
     folder
         Where units leave files for each other.
     workers

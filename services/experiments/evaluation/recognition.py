@@ -38,21 +38,10 @@ FEATURES: Final = FeatureSettings()
 
 
 def query_drive(simulation: Simulation, seed: int, views: Mapping[str, Degradation]) -> dict[str, NDArray[Any]]:
-    """Have the expert drive, and keep what the robot sees under every degradation.
+    """Have the expert drive a way that is not learned from, and keep what the robot sees under every degradation.
 
-    Parameters
-    ----------
-    simulation
-        Opened with the shake of the degradations.
-    seed
-        Of the drive, one that was not learned from.
-    views
-        Degradations by name.
-
-    Returns
-    -------
-    dict
-        ``poses`` (f, 3), and for every view NAME ``features_NAME`` (f, m) and ``seqslam_NAME``, what SeqSLAM looks at.
+    The simulation is opened with their shake. Returns ``poses`` (f, 3), and for every view NAME ``features_NAME``
+    (f, m) and ``seqslam_NAME``, what SeqSLAM looks at.
     """
     degraders = {name: Degrader(how, seed) for name, how in views.items()}
     poses: list[tuple[float, float, float]] = []

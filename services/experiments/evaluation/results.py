@@ -25,16 +25,7 @@ def file_of(folder: Path, unit: Unit) -> Path:
 
 
 class Results:
-    """The results of some units in a folder.
-
-    Attributes
-    ----------
-    folder
-        Where the page is written.
-    work
-        Where the units' files are.
-    findings
-        What was found out, by unit.
+    """The results of some units: ``findings``, and in the folder ``work`` their files.
 
     Raises
     ------

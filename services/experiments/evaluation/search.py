@@ -55,7 +55,7 @@ class Search:
     Attributes
     ----------
     outcome
-        How it ended: "found", "collision", "timeout", or "false_goal": the robot said that it was there, and was not.
+        "false_goal": the robot said that it was there, and was not.
     poses
         (ticks + 1, 3) float64: x, y in metres, heading in radians.
     atoms
@@ -66,8 +66,6 @@ class Search:
         Where the robot believed to be at every frame, None where it was lost; empty for one that does not say it.
     pictures
         What the robot saw at chosen ticks, (height, width, 3) uint8 RGB.
-    kidnap_tick
-        Frame at which it was carried away; 0 for never.
     """
 
     outcome: RunOutcome
@@ -99,9 +97,7 @@ def search(
     Parameters
     ----------
     simulation
-        Its world and camera; where a degradation shakes the camera, opened with that shake.
-    driver
-        Reset before the first frame.
+        Where a degradation shakes the camera, opened with that shake.
     request
         Seed, start, kidnapping, and after how many frames the search times out.
     degrader

@@ -35,16 +35,7 @@ _WORKERS: Final = min(4, os.cpu_count() or 1)
 
 @dataclass(frozen=True)
 class ImageFolder:
-    """The frames of a folder.
-
-    Parameters
-    ----------
-    path : Path
-    frames : tuple of str
-        File names in natural order; the number of a frame is its place among them.
-    others : tuple of str
-        Names of files that are no images and have no number.
-    """
+    """The frames of a folder in natural order, a frame's number is its place; and files that are no images."""
 
     path: Path
     frames: tuple[str, ...]
@@ -62,7 +53,7 @@ class DescribedFrames:
     numbers : int64 array (n,)
         Which frame of the folder each row describes, ascending.
     unreadable : tuple of str
-        Names of the frames that could not be read.
+        Names of the others.
     """
 
     features: NDArray[np.float32]
@@ -81,12 +72,7 @@ def natural_key(name: str) -> tuple[list[str | int], str]:
 
 
 def list_folder(path: Path, argument: str) -> ImageFolder:
-    """Find the frames of a folder.
-
-    Parameters
-    ----------
-    path, argument
-        The folder, and what of the command line names it.
+    """Find the frames of a folder, which the argument of the command line names.
 
     Raises
     ------
@@ -136,18 +122,9 @@ def describe_frames(
     depth: ImageFolder | None,
     title: str,
 ) -> DescribedFrames:
-    """Compute the features of the frames, with a progress bar.
+    """Compute the features of the frames, with a progress bar of this title.
 
-    Parameters
-    ----------
-    folder
-        Colour images.
-    settings
-        The features.
-    depth
-        As many depth images, in the same order, if the features need them.
-    title
-        What the progress bar says.
+    Where the features need them, there are as many depth images in the same order.
 
     Raises
     ------

@@ -56,23 +56,9 @@ class Quality:
 
 @dataclass(frozen=True, eq=False)
 class Result:
-    """What was asked for, and what came out.
+    """What was asked for, and what came out: matches numbered as the folders are.
 
-    Parameters
-    ----------
-    name : str
-        The method.
-    settings : MatchSettings
-    tau : float, optional
-        Matches with at most this score were left out, ``unsure`` of them.
-    traverses : Traverses
-    matches : Matches
-        Numbered as the folders are.
-    unsure : int
-    quality : Quality, optional
-        With ``--truth``.
-    seconds : dict
-        Time of each stage.
+    ``unsure`` matches with a score of at most ``tau`` were left out; ``seconds`` is the time of each stage.
     """
 
     name: str
@@ -157,14 +143,13 @@ def _windows(settings: MatchSettings) -> str:
 
 def _why_not_all(result: Result) -> str:
     """Explain the frames without a match."""
-    unreadable = len(result.traverses.query_frames.unreadable)
-    early = result.settings.length - 1
+    unreadable, early = len(result.traverses.query_frames.unreadable), result.settings.length - 1
     nothing = result.matches.matched.size - int(result.matches.matched.sum()) - unreadable - early - result.unsure
     reasons = {
         "before the first window": early,
         "unreadable": unreadable,
         "like no reference": nothing,
-        "not above tau" if result.tau is None else f"not above tau {result.tau:g}": result.unsure,
+        f"not above tau {result.tau or 0.0:g}": result.unsure,
     }
     said = ", ".join(f"{count} {reason}" for reason, count in reasons.items() if count)
     return f" ({said})" if said else ""
@@ -195,12 +180,10 @@ def _some_matches(result: Result) -> Iterator[str]:
     shown = np.unique(np.linspace(0, count - 1, min(count, _SHOWN)).astype(int)).tolist()
     rows = [["query", "", "reference", "", "score"]]
     for query in shown:
-        reference = int(matches.reference[query])
-        found = (
-            ["-", "", "-"]
-            if reference == NONE
-            else [str(reference), printable(folders.references.frames[reference]), f"{matches.score[query]:.3f}"]
-        )
+        found = ["-", "", "-"]
+        if (reference := int(matches.reference[query])) != NONE:
+            name = printable(folders.references.frames[reference])
+            found = [str(reference), name, f"{matches.score[query]:.3f}"]
         rows.append([str(query), printable(folders.queries.frames[query]), *found])
     yield from table(rows, left=4)
     if len(shown) < count:

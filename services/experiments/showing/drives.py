@@ -23,14 +23,8 @@ from smal.virtual_views import TURNS_DEG
 class TaughtDrives:
     """What recordings hold of what a model was taught.
 
-    Parameters
-    ----------
-    demonstrations : tuple
-        One for each of the model, None for one that was not found.
-    missing : tuple of str
-        One line for each that was not found, or has no images: which, and why.
-    remarks : tuple of str
-        What reading the recordings said.
+    A demonstration for each of the model, None for one that was not found; a line for each of those and for each
+    without images, and what reading the recordings said.
     """
 
     demonstrations: tuple[Demonstration | None, ...]

@@ -56,23 +56,9 @@ def write_page(
     found: TaughtDrives | None,
     advance: Advance = lambda _what, _done, _total: None,
 ) -> Path:
-    """Write ``index.html`` and its images into a folder.
+    """Write ``index.html`` and its images into a folder that is there, and return its path.
 
-    Parameters
-    ----------
-    folder
-        Is there already.
-    model, file
-        And where it is.
-    found
-        What recordings hold of its drives; None where none are given.
-    advance
-        See `Advance`.
-
-    Returns
-    -------
-    Path
-        Of the page.
+    ``file`` is the model's, and ``found`` what recordings hold of its drives; None where none are given.
 
     Raises
     ------

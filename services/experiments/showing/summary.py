@@ -17,15 +17,7 @@ from smal.planning import cost_to_go
 
 @dataclass(frozen=True)
 class StateGraph:
-    """What the drives say of the states.
-
-    Parameters
-    ----------
-    episodes : mapping of int to tuple of str
-        In which episodes each state was seen.
-    following : mapping of int to tuple of int
-        Which other states came after each, ascending.
-    """
+    """In which episodes each state was seen, and which other states came after it, ascending."""
 
     episodes: Mapping[int, tuple[str, ...]]
     following: Mapping[int, tuple[int, ...]]

@@ -22,17 +22,7 @@ from smal.visual_map import VisualMap
 
 @dataclass(frozen=True)
 class Parting:
-    """Where ways that are shared part, or meet.
-
-    Parameters
-    ----------
-    fork : bool
-        Whether they part, in the direction of driving.
-    keyframe : int
-        On one of them, the last or first one that is shared.
-    drives : tuple of int
-        All that part or meet here.
-    """
+    """Where ways that are shared part (a fork), or meet, and the last or first keyframe of one that is shared."""
 
     fork: bool
     keyframe: int
@@ -128,16 +118,11 @@ class Ways:
 
 @dataclass(frozen=True, eq=False)
 class Believed:
-    """Of each frame of a drive, where the belief was.
+    """Of each frame of a drive, where the belief was, float64 arrays (f,).
 
-    Parameters
-    ----------
-    here : float64 array (f,)
-        Probability of being within a correlation length of where the robot was.
-    lost : float64 array (f,)
-        Of being nowhere near what was taught. What is left of 1 lay elsewhere on the taught ways.
-    spread : float64 array (f,)
-        Standard deviation of the place, given that the robot is on this drive or one that is joined to it.
+    ``here`` is the probability of being within a correlation length of where the robot was, ``lost`` of being nowhere
+    near what was taught; the rest lay elsewhere on the taught ways. ``spread`` is the standard deviation of the place,
+    given that the robot is on this drive or one that is joined to it.
     """
 
     here: NDArray[np.float64]

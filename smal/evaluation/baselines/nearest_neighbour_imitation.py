@@ -23,19 +23,7 @@ class NearestNeighbourImitation:
     over the last f frames, or as many as there are in the episode so far. Windows never span two demonstrations. The
     atom that was executed after the frame of the least distance is executed; of equal ones the earliest counts.
 
-    Parameters
-    ----------
-    demonstrations : sequence of Demonstration
-        At least one.
-    settings : FeatureSettings
-        Of their features.
-    frames : int
-        f, at least 1.
-
-    Raises
-    ------
-    ValueError
-        There is no demonstration, features that do not fit the settings, or frames out of range.
+    All demonstrations have features by the settings; f is ``frames``.
     """
 
     def __init__(self, demonstrations: Sequence[Demonstration], settings: FeatureSettings, frames: int = 1) -> None:

@@ -37,22 +37,17 @@ class SeqSlamLocalizer:
     """Finds the demonstrated frame at which the last d_s frames end.
 
     There is no novelty test: SeqSLAM's uniqueness asks whether a second place matches as well, and with many
-    demonstrations of one route the second best is the same place in another of them. So it always answers, once there
-    are d_s frames.
+    demonstrations of one route the second best is the same place in another of them. So it always answers.
 
     Parameters
     ----------
     drives : sequence of float32 arrays (f, m)
-        Patch-normalized thumbnails (the modality `thumbnail`) of every demonstration.
+        Patch-normalized thumbnails (the modality `thumbnail`) of every demonstration, one at least long enough for a
+        trajectory.
     settings : SeqSlamSettings
     shorten : bool
         Whether it answers from the first frame on, by as many frames as there are: a robot that waits for d_s frames
         stands still meanwhile, which is no trajectory that is tried.
-
-    Raises
-    ------
-    ValueError
-        No demonstration is long enough for a trajectory.
     """
 
     def __init__(self, drives: Sequence[NDArray[np.float32]], settings: SeqSlamSettings, shorten: bool = False) -> None:

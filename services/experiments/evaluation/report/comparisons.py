@@ -1,37 +1,29 @@
-"""What the report says in words: SMAL against every other method, long sequences against short ones."""
+"""What the report says in words: SMAL against every other method."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Final, Literal
+from typing import Final
 
 import numpy as np
 from scipy.stats import binomtest
 
-from services.experiments.evaluation.plan import CONTROLLERS, DEFAULT_LENGTH, Trial
+from services.experiments.evaluation.plan import CONTROLLERS, DEFAULT_LENGTH
 from services.experiments.evaluation.report.summary import Recognized, Success, WorldResults, success_of
 
 _CERTAIN: Final = 0.05
-#: Frames from which on a sequence is a long one.
-_LONG: Final = 20
 
 
 @dataclass(frozen=True)
 class Comparison:
-    """What the report says in words: mostly SMAL against a peer.
+    """A sentence with its numbers, mostly of SMAL against a peer.
 
-    Attributes
-    ----------
-    verdict
-        "ahead" or "behind" where the difference is more than chance (95 %), otherwise "open"; "counts" where nothing is
-        tested.
-    text
-        One sentence with its numbers.
+    The verdict is "ahead" or "behind" where the difference is more than chance (95 %), otherwise "open".
     """
 
     world: str
-    verdict: Literal["ahead", "behind", "open", "counts"]
+    verdict: str
     text: str
 
 
@@ -41,7 +33,6 @@ def comparisons(found: WorldResults) -> list[Comparison]:
     return [
         *compare_recognition(name, found.recognized[0]),
         *compare_searches(name, found.successes),
-        *long_sequences(name, found.successes),
     ]
 
 
@@ -55,7 +46,7 @@ def compare_recognition(world: str, found: Sequence[Recognized]) -> list[Compari
             if peer.degradation != ours.degradation or (peer.recognizer.name == "smal" and peer.recognizer.length != 1):
                 continue
             low, high = np.nanpercentile(ours.areas - peer.areas, [2.5, 97.5])
-            verdict: Literal["ahead", "behind", "open"] = "ahead" if low > 0.0 else "behind" if high < 0.0 else "open"
+            verdict = "ahead" if low > 0.0 else "behind" if high < 0.0 else "open"
             text = (
                 f"recognition, {ours.degradation}: area {ours.curve.auc:.3f} of {ours.recognizer.title} against "
                 f"{peer.curve.auc:.3f} of {peer.recognizer.title}, {_said('Eq. 9', verdict)} "
@@ -85,7 +76,7 @@ def compare_searches(world: str, found: Sequence[Success]) -> list[Comparison]:
     return compared
 
 
-def _sign_test(ours: Success, peer: Success) -> tuple[Literal["ahead", "behind", "open"], float]:
+def _sign_test(ours: Success, peer: Success) -> tuple[str, float]:
     seeds = ours.findings.keys() & peer.findings.keys()
     pairs = [tuple(one.findings[seed]["outcome"] == "found" for one in (ours, peer)) for seed in seeds]
     wins, losses = pairs.count((True, False)), pairs.count((False, True))
@@ -99,33 +90,3 @@ def _sign_test(ours: Success, peer: Success) -> tuple[Literal["ahead", "behind",
 
 def _said(ours: str, verdict: str) -> str:
     return "the difference may be chance" if verdict == "open" else f"{ours} is {verdict}"
-
-
-def long_sequences(world: str, found: Sequence[Success]) -> list[Comparison]:
-    """Compare, for every degradation, the longest sequences of the paper's scheme with the best of the short ones."""
-    said = []
-    paper = [one for one in found if one.trial.controller == "paper"]
-    groups: dict[Trial, list[Success]] = {}
-    for one in paper:
-        groups.setdefault(replace(one.trial, length=1, runs=1), []).append(one)
-    for trial, group in groups.items():
-        each = sorted(group, key=lambda one: one.trial.length)
-        short, long = ([one for one in each if (one.trial.length >= _LONG) == is_long] for is_long in (False, True))
-        if not short or not long:
-            continue
-        best = max(short, key=lambda one: one.rate)
-        counts = ", ".join(f"{one.said} at l = {one.trial.length}" for one in each)
-        text = f"lengths of the paper's scheme, {trial.condition}: {counts}; {_long_against_short(long, best)}"
-        said.append(Comparison(world, "counts", text))
-    return said
-
-
-def _long_against_short(long: Sequence[Success], best: Success) -> str:
-    if not any(one.found for one in (*long, best)):
-        return "no length finds the victim"
-    losing = [one.trial.length for one in long if _sign_test(one, best)[0] == "behind"]
-    if losing:
-        return f"l = {', '.join(map(str, losing))} lose against l = {best.trial.length}"
-    if all(one.rate >= best.rate for one in long):
-        return "long sequences are as good as the best short one"
-    return f"long sequences find it less often than l = {best.trial.length}, which may be chance"

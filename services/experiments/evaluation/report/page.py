@@ -24,7 +24,7 @@ from services.experiments.evaluation.units import code_fingerprint, units, whole
 from services.kit.version import program_version
 
 _DPI: Final = 130
-_VERDICT: Final = {"ahead": "yes", "behind": "no", "open": "not shown", "counts": "-"}
+_VERDICT: Final = {"ahead": "yes", "behind": "no", "open": "not shown"}
 
 
 def write_page(plan: Plan, results: Results) -> Path:

@@ -25,18 +25,8 @@ SOON_S: Final = 3.0
 class Recognized:
     """How well one method recognizes in one world, by one criterion.
 
-    Attributes
-    ----------
-    recognizer, degradation
-        Who, and what it saw.
-    judgement
-        Of all held-out drives, one after another, from the frame on at which every method has a whole window.
-    curve, auc_95, recall_95
-        Precision over recall; 95 % intervals of its area and of its recall at 100 % precision.
-    auc_from_start
-        The area over all judged frames, with those before the first whole window.
-    areas
-        The areas of the bootstrap's draws, which are paired between methods.
+    The judgement is of all held-out drives from the frame on at which every method has a whole window;
+    ``auc_from_start`` is of all frames. ``areas`` are those of the bootstrap's draws, paired between methods.
     """
 
     recognizer: Recognizer
@@ -150,18 +140,21 @@ class Success:
 
     def as_json(self) -> dict[str, Any]:
         """Return its numbers."""
+        names = (
+            "found",
+            "runs",
+            "wilson_95",
+            "spl",
+            "aside_rms_m",
+            "aside_max_m",
+            "interventions_per_km",
+            "wrong_share",
+        )
         return {
             **dict(settings_of(self.trial)),
             "condition": self.trial.condition,
-            "found": self.found,
-            "runs": self.runs,
             "success_rate": self.rate,
-            "wilson_95": list(self.wilson_95),
-            "spl": self.spl,
-            "aside_rms_m": self.aside_rms_m,
-            "aside_max_m": self.aside_max_m,
-            "interventions_per_km": self.interventions_per_km,
-            "wrong_share": self.wrong_share,
+            **{name: getattr(self, name) for name in names},
             "right_within_3_s": self.right_soon,
             "outcomes": {str(seed): one["outcome"] for seed, one in self.findings.items()},
         }

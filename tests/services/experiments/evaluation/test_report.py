@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from services.experiments.evaluation.plan import Trial
-from services.experiments.evaluation.report.comparisons import compare_recognition, compare_searches, long_sequences
+from services.experiments.evaluation.report.comparisons import compare_recognition, compare_searches
 from services.experiments.evaluation.report.page import write_page
 from services.experiments.evaluation.report.summary import Success, WorldResults, results_of, success_of
 from services.experiments.evaluation.results import Results
@@ -137,9 +137,10 @@ def test_counts_of_searches(world: WorldResults) -> None:
     assert all(verdict == "open" for text, verdict in said.items() if "as taught" in text)
 
 
-def counted(controller: str, found: int, runs: int = 8, **trial: object) -> Success:
-    ends = {seed: {"outcome": "found" if seed < found else "timeout"} for seed in range(runs)}
-    return Success(Trial(controller, 2, runs, **trial), ends)  # type: ignore[arg-type]
+def counted(controller: str, found: int) -> Success:
+    return Success(
+        Trial(controller, 2, 8), {seed: {"outcome": "found" if seed < found else "timeout"} for seed in range(8)}
+    )
 
 
 def test_a_few_wins_are_no_proof() -> None:
@@ -148,19 +149,3 @@ def test_a_few_wins_are_no_proof() -> None:
     (lost,) = compare_searches("yard", [counted("smal", 1), counted("nearest-1", 8)])
     assert lost.verdict == "behind"
     assert "SMAL is behind" in lost.text
-
-
-@pytest.mark.parametrize(
-    ("found", "end"),
-    [
-        ({1: 0, 5: 0, 20: 0}, "no length finds the victim"),
-        ({1: 8, 5: 10, 20: 10, 40: 10}, "long sequences are as good as the best short one"),
-        ({5: 10, 20: 10, 40: 9}, "long sequences find it less often than l = 5, which may be chance"),
-        ({1: 9, 5: 10, 20: 2, 40: 0}, "l = 20, 40 lose against l = 5"),
-    ],
-)
-def test_long_sequences_are_compared_with_the_best_short_one(found: dict[int, int], end: str) -> None:
-    each = [counted("paper", count, 10, length=length, degradation="poor") for length, count in found.items()]
-    (said,) = long_sequences("yard", each)
-    assert said.text.endswith(f"; {end}")
-    assert said.verdict == "counts"

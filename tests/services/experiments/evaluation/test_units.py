@@ -13,7 +13,7 @@ import pytest
 
 from services.experiments.evaluation import pool
 from services.experiments.evaluation import units as of_plan
-from services.experiments.evaluation.plan import FULL, PLANS, QUICK, Criterion, Plan, Trial, WorldPlan, in_world
+from services.experiments.evaluation.plan import FULL, PLANS, QUICK, Criterion, Plan, in_world
 from services.experiments.evaluation.results import Results, file_of
 from services.experiments.evaluation.units import Unit, sources, units, whole_series
 from services.kit.errors import JobError
@@ -68,20 +68,6 @@ def test_another_setting_map_or_code_is_another_result(tmp_path: Path, monkeypat
     before = digests(SMALL, "search")
     monkeypatch.setattr(of_plan, "code_fingerprint", lambda: "other")
     assert not digests(SMALL, "search") & before
-
-
-@pytest.mark.parametrize(
-    "make",
-    [
-        lambda: Trial("smal", 1, 1, variation="night"),
-        lambda: Trial("smal", 1, 1, degradation="foggy"),
-        lambda: Trial("best", 1, 1),
-        lambda: WorldPlan("yard", (Criterion(1.0, 25.0),), trials=(Trial("smal", 1, 2), Trial("smal", 1, 3))),
-    ],
-)
-def test_plans_that_cannot_be(make: Any) -> None:
-    with pytest.raises(ValueError, match=r"unknown|stands in the plan twice"):
-        make()
 
 
 def test_what_was_found_out_is_there_again_with_the_file_that_it_left(tmp_path: Path) -> None:

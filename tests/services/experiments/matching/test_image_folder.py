@@ -93,15 +93,12 @@ def test_grey_alpha_and_16_bits(tmp_path: Path) -> None:
     np.testing.assert_array_equal(read, image)
 
 
-@pytest.mark.parametrize("size", [(1, 1), (1, 50), (40, 1), (23, 32), (24, 31), (24, 32), (25, 33)])
+@pytest.mark.parametrize("size", [(1, 1), (40, 1), (24, 31), (25, 33)])
 def test_small_images_are_enlarged_until_they_can_be_described(size: tuple[int, int], tmp_path: Path) -> None:
-    image = picture(3, *size)
-    read = read_color(write(tmp_path / "small.png", image))
+    read = read_color(write(tmp_path / "small.png", picture(3, *size)))
     assert read is not None
     assert read.shape == (max(size[0], LEAST_ROWS), max(size[1], LEAST_COLUMNS), 3)
-    assert extract(read, FeatureSettings.of(["color", "hog"])).shape == (FeatureSettings.of(["color", "hog"]).size,)
-    if read.shape == image.shape:
-        np.testing.assert_array_equal(read, image)
+    assert extract(read, FEATURES).shape == (FEATURES.size,)
 
 
 def test_depth_is_16_bit_and_of_one_channel(tmp_path: Path) -> None:
@@ -162,24 +159,6 @@ def test_a_frame_without_readable_depth_is_skipped(tmp_path: Path) -> None:
     np.testing.assert_array_equal(described.features[1], extract(picture(2), settings, depths[2]))
 
 
-def test_more_pixels_than_allowed_are_refused(tmp_path: Path) -> None:
-    for number, size in enumerate([(60, 80), (600, 800), (60, 80)]):
-        write(tmp_path / f"{number}.png", picture(number, *size))
-    program = (
-        "import sys; from pathlib import Path; from smal.features import FeatureSettings;"
-        "from services.experiments.matching.image_folder import describe_frames, list_folder;"
-        "folder = list_folder(Path(sys.argv[1]), 'QUERY_DIR');"
-        "print(describe_frames(folder, FeatureSettings.of(['color']), None, 'reading').unreadable)"
-    )
-    # OpenCV reads its limit once, when it is loaded.
-    environment = {**os.environ, "OPENCV_IO_MAX_IMAGE_PIXELS": "100000"}
-    done = subprocess.run(
-        [sys.executable, "-c", program, str(tmp_path)],
-        cwd=Path(__file__).parents[4], env=environment, capture_output=True, text=True, check=True,
-    )  # fmt: skip
-    assert (done.stdout, done.stderr) == ("('1.png',)\n", "")
-
-
 def test_the_command_limits_pixels_before_opencv_is_loaded() -> None:
     environment = {name: value for name, value in os.environ.items() if name != "OPENCV_IO_MAX_IMAGE_PIXELS"}
     done = subprocess.run(
@@ -201,10 +180,6 @@ def test_folders_that_are_none(tmp_path: Path) -> None:
     ):
         with pytest.raises(UsageError, match=f"^REFERENCE_DIR {tmp_path / name}: {problem}"):
             list_folder(tmp_path / name, "REFERENCE_DIR")
-
-
-def test_a_folder_of_damaged_images_is_one_line(tmp_path: Path) -> None:
-    (tmp_path / "a.jpg").write_bytes(encoded(picture(), ".jpg")[:-30])
-    (tmp_path / "b.png").touch()
-    with pytest.raises(JobError, match=r"no image can be read: a\.jpg, b\.png"):
-        describe_frames(list_folder(tmp_path, "QUERY_DIR"), FEATURES, None, "reading")
+    (tmp_path / "notes" / "b.jpg").write_bytes(encoded(picture(), ".jpg")[:-30])
+    with pytest.raises(JobError, match=r"no image can be read: b\.jpg"):
+        describe_frames(list_folder(tmp_path / "notes", "QUERY_DIR"), FEATURES, None, "reading")

@@ -1,0 +1,83 @@
+"""Route: how long a decision takes on a way of one kilometre, the filter and the planner alone.
+
+The map is made up: keyframes every 0.4 m, each with all its virtual views in 400 components, that change smoothly along
+the way. A robot follows it by its wheels and by noisy views; features of an image and transport are apart.
+"""
+
+from __future__ import annotations
+
+import time
+from typing import Any, Final
+
+import numpy as np
+
+from smal.features import Centering, FeatureSettings
+from smal.model import Model
+from smal.planning import Planner
+from smal.robot import Localizer
+from smal.settings import SETTINGS
+from smal.visual_map import VisualMap
+from tests.benchmarks.reporting import Parser, say, table, verdict
+
+SPACING_M, FRAME_M, LIMIT_MS = 0.4, 0.2, 20.0
+_FEATURES: Final = FeatureSettings()
+
+
+def map_of(metres: float, components: int) -> Model:
+    """Make up a straight way."""
+    rng = np.random.default_rng(1)
+    count, turns = round(metres / SPACING_M) + 1, len(SETTINGS.turns_deg)
+    scene, views = rng.standard_normal(components), np.empty((count, 3, turns, components), np.float32)
+    for place in range(count):
+        scene = 0.9 * scene + np.sqrt(1.0 - 0.9**2) * rng.standard_normal(components)
+        views[place] = scene + 0.5 * rng.standard_normal((3, turns, components), dtype=np.float32)
+    views /= np.linalg.norm(views, axis=-1, keepdims=True)
+    frames = round(metres / FRAME_M) + 1
+    step, turn = FRAME_M, 0.08
+    mapped = VisualMap(
+        poses=np.column_stack([FRAME_M * np.arange(frames), np.zeros((frames, 2))]),
+        drives=np.zeros(frames, np.int32),
+        keyframes=(np.arange(count) * round(SPACING_M / FRAME_M)).astype(np.int32),
+        basis=np.linalg.qr(rng.standard_normal((_FEATURES.size, components)))[0].astype(np.float32),
+        views=views,
+        aside=0.4,
+        correlation_length=2.0,
+        correlation_rad=0.2,
+        kappa=10.0,
+        outlier_cosine=0.3,
+        alike_cosine=0.5,
+        movements=np.array([(0.0, 0.0), (step, 0.0), (-step, 0.0), (0.0, turn), (0.0, -turn)]),
+        tick_s=0.1,
+        odometry=True,
+        scene=np.ones(3),
+        goals=("victim",),
+        names=(("made up",),),
+    )
+    return Model(Centering(np.zeros(_FEATURES.size, np.float32), _FEATURES), mapped)
+
+
+def benchmark(metres: float, components: int, frames: int) -> dict[str, Any]:
+    """Follow the way from its beginning; return what the JSON file holds."""
+    model, rng, times, lost = map_of(metres, components), np.random.default_rng(2), [], 0.0
+    localizer, planner, middle = Localizer(model), Planner(model.mapped), len(SETTINGS.turns_deg) // 2
+    for frame in range(frames):
+        view = model.mapped.views[round(frame * FRAME_M / SPACING_M), 1, middle]
+        raw = model.mapped.basis @ view + 0.01 * rng.standard_normal(_FEATURES.size).astype(np.float32)
+        began_s = time.perf_counter()
+        belief = localizer.observe(raw, (frame * FRAME_M, 0.0, 0.0))
+        planner.decide(belief.summary())
+        times.append(1e3 * (time.perf_counter() - began_s))
+        lost = belief.lost
+    p50, p95 = np.percentile(times[frames // 10 :], [50, 95])
+    case = {"metres": metres, "keyframes": len(model.mapped.keyframes), "map_mb": model.mapped.views.nbytes / 1e6,
+            "p50_ms": float(p50), "p95_ms": float(p95), "lost": lost}  # fmt: skip
+    return {"benchmark": "route", "cases": [case], "targets": [verdict("a decision, ms", float(p50), LIMIT_MS)]}
+
+
+def main(arguments: list[str]) -> None:
+    """Read the flags, measure, print and write."""
+    parser = Parser("route", __doc__)
+    parser.add_argument("--metres", type=float, default=1000.0, metavar="M", help="how long the way is")
+    flags = parser.parse(arguments)
+    results = benchmark(flags.metres, SETTINGS.most_components, 60 if flags.quick else 300)
+    say(flags, results, table("A decision", results["cases"]) + table("Targets", results["targets"]))
