@@ -9,7 +9,7 @@ import subprocess
 import sys
 import threading
 from collections import deque
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import IO, Final
@@ -70,13 +70,13 @@ class _Work:
         self.process = process
         self.ended: tuple[str, str] | None = None
 
-    def lines(self, patience_s: float) -> Iterator[str]:
-        """Give what it says until it ends; it is ended where it says nothing for so long."""
-        why = f"it said nothing for {patience_s / 60:.0f} min, and was ended"
+    def lines(self) -> Iterator[str]:
+        """Give what it says until it ends; it is ended where it says nothing for too long."""
+        why = f"it said nothing for {PATIENCE_S / 60:.0f} min, and was ended"
         assert self.process.stdout is not None  # noqa: S101 - it is a pipe
         line = " "
         while line:
-            silence = _later(patience_s, self.end, "failed", why)
+            silence = _later(PATIENCE_S, self.end, "failed", why)
             line = self.process.stdout.readline()
             silence.cancel()
             yield line.strip()
@@ -91,19 +91,11 @@ class _Work:
 class Jobs:
     """One job at a time; of one thread, but for ``show``.
 
-    ``show`` is called with the job as the page draws it, whenever that changes, on the job's thread. ``command`` is run
-    with a job's arguments, and may say nothing for ``patience_s``.
+    ``show`` is called with the job as the page draws it, whenever that changes, on the job's thread.
     """
 
-    def __init__(
-        self,
-        show: Callable[[dict[str, object]], None],
-        command: Sequence[str] = _COMMAND,
-        patience_s: float = PATIENCE_S,
-    ) -> None:
+    def __init__(self, show: Callable[[dict[str, object]], None]) -> None:
         self._show = show
-        self._command = command
-        self._patience_s = patience_s
         self._work: _Work | None = None
 
     @property
@@ -125,7 +117,7 @@ class Jobs:
             raise ServiceError(f"there is a {job.kind} {job.name} already; choose another name")
         job.out.parent.mkdir(exist_ok=True)
         process = subprocess.Popen(  # noqa: S603 - our own command; the paths are of listed files
-            [*self._command, *job.arguments, "--out", str(job.out)],
+            [*_COMMAND, *job.arguments, "--out", str(job.out)],
             stdin=subprocess.DEVNULL,
             stdout=subprocess.PIPE,
             stderr=subprocess.STDOUT,
@@ -148,7 +140,7 @@ class Jobs:
         said: deque[str] = deque(maxlen=_LINES)
         try:
             self._show({**shown, "stage": "", "share": None})
-            for line in work.lines(self._patience_s):
+            for line in work.lines():
                 if (progress := _progress(line)) is not None:
                     self._show({**shown, **progress})
                 elif line:

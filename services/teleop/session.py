@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import secrets
 import time
-from collections.abc import Callable
 from typing import Final
 
 from schemas.base import ATOMS
@@ -49,37 +48,18 @@ def run(settings: TeleopSettings) -> None:
 
 
 class TeleopSession:
-    """Wires keys and status line to an operator; everything happens on the node's thread.
+    """Wires keys and status line of a terminal to an operator; everything happens on the node's thread."""
 
-    Parameters
-    ----------
-    node
-        Where to publish.
-    terminal
-        Where the operator sits.
-    settings
-        Seed and timing of keys.
-    clock
-        Monotonic seconds.
-    """
-
-    def __init__(
-        self,
-        node: Node,
-        terminal: Terminal,
-        settings: TeleopSettings,
-        clock: Callable[[], float] = time.monotonic,
-    ) -> None:
+    def __init__(self, node: Node, terminal: Terminal, settings: TeleopSettings) -> None:
         self._node = node
         self._terminal = terminal
-        self._clock = clock
         self._parser = KeyParser()
-        keys = KeyHold(clock, settings.first_hold_s, settings.repeat_hold_s)
-        self._operator = Operator(node, keys, lambda text: terminal.say(printable(text)), clock=clock)
+        keys = KeyHold(time.monotonic, settings.first_hold_s, settings.repeat_hold_s)
+        self._operator = Operator(node, keys, lambda text: terminal.say(printable(text)))
         self._seed = secrets.randbelow(2**31) if settings.seed is None else settings.seed
         self._goal = settings.goal
         self._first_hold_s = settings.first_hold_s
-        self._tells_by_s: float | None = clock() + TELLS_S
+        self._tells_by_s: float | None = time.monotonic() + TELLS_S
         self._leaving = False
         self._disk: str | None = None
         node.apart(DISK_S, self._tell_of_disk)
@@ -93,10 +73,10 @@ class TeleopSession:
         for event in self._parser.feed(typed or b""):
             self._take(event)
         self._operator.poll()
-        if self._tells_by_s is not None and self._clock() > self._tells_by_s:
+        if self._tells_by_s is not None and time.monotonic() > self._tells_by_s:
             self._tells_by_s = None
             self._terminal.say(NO_RELEASES.format(self._first_hold_s))
-        self._terminal.show(status_line(self._operator.report, self._operator.commands.held, self._clock()))
+        self._terminal.show(status_line(self._operator.report, self._operator.commands.held, time.monotonic()))
 
     def finish(self) -> None:
         """Stop the robot, end the episode that was begun here, so that its recording is complete, and say good-bye."""
@@ -111,8 +91,8 @@ class TeleopSession:
 
     def _wait(self, timeout_s: float) -> None:
         """Wait for an answer. The operator is still there: they are not missed, and an emergency stop is heard."""
-        until_s = self._clock() + timeout_s
-        while self._operator.asking and self._clock() < until_s:
+        until_s = time.monotonic() + timeout_s
+        while self._operator.asking and time.monotonic() < until_s:
             self._node.drain()
             self.poll()
             time.sleep(POLL_S)

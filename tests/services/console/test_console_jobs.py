@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 import tempfile
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -13,6 +14,7 @@ from services.console.jobs import Job, Jobs
 from services.kit.node import ServiceError
 from tests.services.waiting import eventually
 
+JobsOf = Callable[[str], tuple[Jobs, list[dict[str, object]]]]
 SCRIPT = """
 import signal, sys, time
 STAGE = '{"stage": "deaf", "done": 1, "total": 1}'
@@ -21,9 +23,16 @@ print("a line for people", flush=True)
 """
 
 
-def jobs_of(script: str, patience_s: float = 60.0) -> tuple[Jobs, list[dict[str, object]]]:
-    shown: list[dict[str, object]] = []
-    return Jobs(shown.append, (sys.executable, "-c", SCRIPT + script), patience_s), shown
+@pytest.fixture
+def jobs_of(monkeypatch: pytest.MonkeyPatch) -> JobsOf:
+    """Give what runs a script as a job's command, and what is shown of it."""
+
+    def of(script: str) -> tuple[Jobs, list[dict[str, object]]]:
+        monkeypatch.setattr("services.console.jobs._COMMAND", (sys.executable, "-c", SCRIPT + script))
+        shown: list[dict[str, object]] = []
+        return Jobs(shown.append), shown
+
+    return of
 
 
 def learning(out: Path) -> Job:
@@ -44,7 +53,9 @@ def ended(shown: list[dict[str, object]]) -> dict[str, object]:
         ("sys.exit(1)", "failed", "a line for people"),
     ],
 )
-def test_a_job_tells_how_far_it_is_and_how_it_ended(tmp_path: Path, script: str, outcome: str, why: str) -> None:
+def test_a_job_tells_how_far_it_is_and_how_it_ended(
+    jobs_of: JobsOf, tmp_path: Path, script: str, outcome: str, why: str
+) -> None:
     jobs, shown = jobs_of(script)
     jobs.begin(learning(tmp_path / "models" / "way.smal"))
     end = ended(shown)
@@ -54,7 +65,7 @@ def test_a_job_tells_how_far_it_is_and_how_it_ended(tmp_path: Path, script: str,
     assert not jobs.running
 
 
-def test_a_job_reads_an_open_file_that_has_no_name(tmp_path: Path) -> None:
+def test_a_job_reads_an_open_file_that_has_no_name(jobs_of: JobsOf, tmp_path: Path) -> None:
     jobs, shown = jobs_of("sys.stderr.write(f'smal: {sys.argv[2]}: {open(sys.argv[2]).read()}')")
     with tempfile.TemporaryFile() as file:
         file.write(b"<osm/>")
@@ -65,7 +76,7 @@ def test_a_job_reads_an_open_file_that_has_no_name(tmp_path: Path) -> None:
     assert ended(shown)["remarks"] == ["town.osm: <osm/>"]
 
 
-def test_a_job_is_cancelled_and_one_runs_at_a_time(tmp_path: Path) -> None:
+def test_a_job_is_cancelled_and_one_runs_at_a_time(jobs_of: JobsOf, tmp_path: Path) -> None:
     jobs, shown = jobs_of("time.sleep(60)")
     jobs.begin(learning(tmp_path / "way.smal"))
     with pytest.raises(ServiceError, match="something else is being made"):
@@ -86,10 +97,11 @@ DEAF = "signal.signal(signal.SIGTERM, signal.SIG_IGN); print(STAGE, flush=True);
     ("patience_s", "outcome", "why"), [(60.0, "cancelled", ""), (3.0, "failed", "it said nothing")]
 )
 def test_a_job_that_does_not_hear_is_ended(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, patience_s: float, outcome: str, why: str
+    jobs_of: JobsOf, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, patience_s: float, outcome: str, why: str
 ) -> None:
     monkeypatch.setattr("services.console.jobs._ENDING_S", 0.1)
-    jobs, shown = jobs_of(DEAF, patience_s)
+    monkeypatch.setattr("services.console.jobs.PATIENCE_S", patience_s)
+    jobs, shown = jobs_of(DEAF)
     jobs.begin(learning(tmp_path / "way.smal"))
     eventually(lambda: any(one.get("stage") == "deaf" for one in shown))
     if outcome == "cancelled":
@@ -99,7 +111,7 @@ def test_a_job_that_does_not_hear_is_ended(
     assert not jobs.running
 
 
-def test_another_job_begins_where_the_last_one_could_not_be_shown(tmp_path: Path) -> None:
+def test_another_job_begins_where_the_last_one_could_not_be_shown(jobs_of: JobsOf, tmp_path: Path) -> None:
     jobs, shown = jobs_of("")
     show = jobs._show
 

@@ -176,19 +176,6 @@ def test_an_emergency_stop_that_is_pressed_while_the_robot_is_armed_survives(
     assert robot.arms[-1] == 2
 
 
-def test_an_emergency_stop_without_an_episode_is_sent_and_repeated(console: Console, robot: FakeRobot) -> None:
-    robot.gate.arm(1, "")
-    console.wait_for("robot: armed")
-    robot.lost_stops = 1
-    console.type(b"e")
-    console.wait_for("EMERGENCY STOP, until somebody arms the robot")
-    eventually(lambda: robot.gate.stop_cause == "emergency_stop")
-    # A release is for one stop: it has to be told first.
-    eventually(lambda: (console.type(b"n"), robot.resets)[1])
-    console.wait_for(r"frame \d+  \|  robot: stop \(nobody drives\)")
-    eventually(lambda: (console.type(b"w"), robot.atoms()[-1:] == ["forward"])[1])
-
-
 def test_a_robot_that_was_started_again_is_armed_by_its_new_number(console: Console, robot: FakeRobot) -> None:
     begin(console, robot)
     robot.restart()
