@@ -22,10 +22,9 @@ from pydantic import ValidationError
 from schemas import topics
 from schemas.base import Message, Strict
 from schemas.command import Command
-from schemas.rpc import Nothing, Status
 from services.cli import options
-from services.cli.stack.processes import free_endpoint
-from services.kit.bus import Bus, BusError, Router, RpcError, check_credentials, host_and_port
+from services.cli.stack.processes import answers, free_endpoint
+from services.kit.bus import Bus, BusError, Router, check_credentials, host_and_port
 from services.kit.credentials import how_secure
 from services.kit.process import EXIT_FAILED
 from services.kit.settings import ServiceSettings
@@ -153,21 +152,13 @@ def check_port(settings: ServiceSettings) -> Check:
     )
     try:
         with closing(settings.open_bus("watcher", patience_s=1.0)) as bus:
-            running = [service for service in stack_services() if _runs(bus, service)]
+            running = [service for service in stack_services() if answers(bus, service) is not None]
     except BusError as error:
         return Check("port", False, f"{error}; {elsewhere}")
     if not running:
         return Check("port", False, f"{endpoint} is used by a Zenoh router without services of {robot}; {elsewhere}")
     who = how_secure(credentials)
     return Check("port", True, f"{endpoint} is used by the running stack of {robot}, {who}: {', '.join(running)}")
-
-
-def _runs(bus: Bus, service: str) -> bool:
-    try:
-        bus.call(service, "status", Nothing(), Status, timeout_s=2.0)
-    except RpcError:
-        return False
-    return True
 
 
 def check_disk() -> Check:

@@ -29,7 +29,7 @@ _COMMAND: Final = (sys.executable, "-P", "-m", "services.importers.run")
 
 def import_recordings(
     format_: Annotated[str, Argument(metavar="FORMAT", help=f"One of {', '.join(FORMATS)}.")],
-    path: Annotated[Path, Argument(help="The source: a folder, or of a bag the file.")],
+    path: Annotated[Path, Argument(metavar="PATH", help="The source: a folder, or of a bag the file.")],
     out: Annotated[Path, Option(help="Folder for the recordings, one MCAP file a drive.")] = Path("recordings"),
     goal: options.GoalOfDrives = "victim",
     failed: Annotated[bool | None, Option("--failed/--succeeded", help="Whether the drives reached the goal.")] = None,
@@ -37,11 +37,11 @@ def import_recordings(
     velocity: Annotated[str | None, Option(help="Which velocities; see above.")] = None,
     episode: Annotated[list[str] | None, Option(help="Only this drive, by the source's name; may be repeated.")] = None,
     from_s: Annotated[float, Option("--from", min=0, metavar="S", help="Leave out each drive's first seconds.")] = 0.0,
-    to_s: Annotated[float | None, Option("--to", min=0, metavar="S", help="Leave out what comes after.")] = None,
-    rate: Annotated[float | None, Option(min=0.1, max=1000, metavar="HZ", help="Where times are wrong.")] = None,
+    to_s: Annotated[float | None, Option("--to", min=0, metavar="S", help="Leave out what comes later.")] = None,
+    rate: Annotated[float | None, Option(min=0.1, max=1000, metavar="HZ", help="Frames a second; see above.")] = None,
     speed: Annotated[float | None, Option(metavar="M_S", help="What a speed of 1 stands for.")] = None,
     turn_rate: Annotated[float | None, Option(metavar="RAD_S", help="What a turn rate of 1 stands for.")] = None,
-    quantile: Annotated[float, Option(help="So many moving samples are at most as fast as nominal.")] = QUANTILE,
+    quantile: Annotated[float, Option(help="Share of moving samples that nominal speed exceeds.")] = QUANTILE,
     still: Annotated[float, Option(help="Below this fraction of nominal the robot stands.")] = STILL,
     turning: Annotated[float, Option(help="From this fraction of the nominal turn rate on it turns.")] = TURNING,
     field_of_view: Annotated[
@@ -54,17 +54,17 @@ def import_recordings(
     """Make recordings that `smal learn` takes out of what somebody recorded with other software.
 
     rosbag2: a bag of ROS 2 (MCAP or SQLite) with images and Twist, TwistStamped or Odometry; a bag is one drive, and
-    several go into one OUT, each by an import of its own. lerobot: a LeRobotDataset
-    (v2.0, v2.1, v3.0) of a base. donkeycar: a tub of version 2. folder: images and a drive.csv with the columns image,
-    time_s, linear_m_s, angular_rad_s (and episode, success, x_m, y_m, heading_rad).
+    several go into one OUT, each by an import of its own. lerobot: a LeRobotDataset (v2.0, v2.1, v3.0) of a base.
+    donkeycar: a tub of version 2. folder: images and a drive.csv with the columns image, time_s, linear_m_s,
+    angular_rad_s (and episode, success, x_m, y_m, heading_rad).
 
     Unless the source or --failed says otherwise, drives reached the goal. --velocity is a bag's topic, or
     LINEAR,ANGULAR of a LeRobot action. A speed of 1 is 1 m/s (of donkeycar unknown), a turn rate of 1 is 1 rad/s (of
     x.vel and theta.vel a degree a second). --rate is for a source whose times are wrong.
 
     Whatever rate the source has, a recording has 10 frames a second. Velocities become the atoms forward, backward,
-    left, right and stop by --still and --turning, fractions of the robot's own nominal speed and turn rate. What does
-    not fit is counted and said. Images that are JPEG stay as they are. No file outside of PATH is read.
+    left, right and stop by --still and --turning, fractions of the robot's own nominal speed and turn rate.
+    What does not fit is named, with its count. JPEG images stay as they are. No file outside of PATH is read.
 
     Example: smal import donkeycar tub --rate 20 --to 25 --out drives
     """

@@ -100,24 +100,27 @@ def main() -> None:
         status = app(prog_name="smal", standalone_mode=False)
         if status == _EXIT_INTERRUPTED:
             raise KeyboardInterrupt
-    except typer.TyperException as error:
-        status = _say(error.format_message(), error.exit_code)
-    except UsageError as error:
-        status = _say(str(error), _EXIT_USAGE)
-    except JobError as error:
-        status = _say(str(error), _EXIT_FAILED)
-    except OSError as error:
-        status = _say(describe_os_error(error), _EXIT_FAILED)
-    except (KeyboardInterrupt, typer.Abort):
-        status = _say("interrupted", _EXIT_INTERRUPTED)
-    except Exception as error:  # noqa: BLE001 - what is none of these is raised again
-        status = _say(*_known(error))
+    except (Exception, KeyboardInterrupt) as error:  # noqa: BLE001 - what nobody expects is raised again
+        message, status = _told(error)
+        # Called without arguments, a group of commands answers with its help.
+        sys.stderr.write(f"{message}\n" if message.startswith("Usage: ") else f"smal: {message}\n")
     sys.exit(status if isinstance(status, int) else 0)
 
 
-def _known(error: Exception) -> tuple[str, int]:
-    """Return what a service, the bus or a message says is wrong, and the exit status; raise anything else again."""
-    # Loaded only here: until then nothing of it may be needed.
+def _told(error: BaseException) -> tuple[str, int]:
+    """Return what is told of an error in one line, and the exit status; raise one again that no user can cause."""
+    match error:
+        case typer.TyperException():
+            return error.format_message(), error.exit_code
+        case UsageError():
+            return str(error), _EXIT_USAGE
+        case JobError():
+            return str(error), _EXIT_FAILED
+        case OSError():
+            return describe_os_error(error), _EXIT_FAILED
+        case KeyboardInterrupt() | typer.Abort():
+            return "interrupted", _EXIT_INTERRUPTED
+    # Loaded only here: what is above needs nothing of it.
     from pydantic import ValidationError  # noqa: PLC0415
 
     from schemas.codec import describe  # noqa: PLC0415
@@ -130,9 +133,3 @@ def _known(error: Exception) -> tuple[str, int]:
         case ServiceError() | BusError() | RpcError():
             return str(error), _EXIT_FAILED
     raise error
-
-
-def _say(message: str, status: int) -> int:
-    # Called without arguments, a group of commands answers with its help.
-    sys.stderr.write(f"{message}\n" if message.startswith("Usage: ") else f"smal: {message}\n")
-    return status

@@ -35,8 +35,8 @@ _METHODS: Final = "; ".join(
 
 
 def match(
-    reference_dir: Annotated[Path, Argument(help="Folder with the images of the traverse that is known.")],
-    query_dir: Annotated[Path, Argument(help="Folder with the images of the traverse to be recognized.")],
+    reference_dir: Annotated[Path, Argument(metavar="REFERENCE_DIR", help="Images of the traverse that is known.")],
+    query_dir: Annotated[Path, Argument(metavar="QUERY_DIR", help="Images of the traverse to be recognized.")],
     name: Annotated[str, Option("--method", help=f"How places are recognized. {_METHODS}.")] = "smal",
     length: Annotated[int | None, Option(min=1, help="Frames of a window, l. [default: the method's]")] = None,
     modalities: options.Modalities = None,

@@ -88,7 +88,9 @@ World = Annotated[
 Seed = Annotated[int, Option(min=0, help="Seed of the first episode; episode k uses SEED + k.")]
 CameraSize = Annotated[
     Camera | None,
-    Option("--camera", parser=Camera.parse, metavar="WxH", help="Image. [default: 1024x768; of `smal up` 640x480]"),
+    Option(
+        "--camera", parser=Camera.parse, metavar="WxH", help="Camera image. [default: 1024x768; of `smal up` 640x480]"
+    ),
 ]
 Goal = Annotated[str | None, Option(parser=_goal, metavar="NAME", help="Where to go, in a model with several goals.")]
 GoalOfDrives = Annotated[
@@ -131,11 +133,13 @@ class Simulator:
     """How a simulator is started; None leaves a setting at its default."""
 
     camera: CameraSize = None
-    shake: Annotated[float | None, Option(min=0, max=10, help="Of the camera. [default: 1 indoors, 0 outdoors]")] = None
-    base: Annotated[BaseKind | None, Option(help="Driven wheels, or exact arcs. [default: physics]")] = None
+    shake: Annotated[
+        float | None, Option(min=0, max=10, help="Shake of the camera. [default: 1 indoors, 0 outdoors]")
+    ] = None
+    base: Annotated[BaseKind | None, Option(help="Driven wheels (physics), or exact arcs. [default: physics]")] = None
     variation: Annotated[
         str | None,
-        Option(parser=checked(_variation), metavar="NAME", help=f"Of {', '.join(VARIATIONS)}. [default: day]"),
+        Option(parser=checked(_variation), metavar="NAME", help=f"Conditions: {', '.join(VARIATIONS)}. [default: day]"),
     ] = None
 
     def flags(self, world: str, usual: Camera = USUAL_CAMERA) -> tuple[str, ...]:
@@ -182,7 +186,9 @@ class Use:
     """How a model is used."""
 
     scheme: Annotated[Scheme | None, Option(help="Refuse a model that was learned for another scheme.")] = None
-    stride: Annotated[int | None, Option(min=1, help="Paper: frames a decision. [default: the model's l]")] = None
+    stride: Annotated[
+        int | None, Option(min=1, help="Paper: frames from one decision to the next. [default: the model's l]")
+    ] = None
     goal: Goal = None
 
 

@@ -164,8 +164,8 @@ class Stack:
 
     def _wait_ready(self, bus: Bus) -> None:
         patience = Patience(self._last_line)
-        waiting = self.plan.services
-        while waiting := tuple(service for service in waiting if not _ready(bus, service)):
+        waiting = list(self.plan.services)
+        while waiting := [service for service in waiting if not _ready(bus, service)]:
             self.check()
             patience.wait({service: self._children[service].pid for service in waiting})
 
@@ -186,11 +186,17 @@ class Stack:
         return lines[-1].split(f" {service}: ", 1)[-1] if lines else ""
 
 
-def _ready(bus: Bus, service: str) -> bool:
+def answers(bus: Bus, service: str) -> Status | None:
+    """Ask a service for its status; None where it does not answer."""
     try:
-        return bus.call(service, "status", Nothing(), Status, timeout_s=1.0).state == "ready"
+        return bus.call(service, "status", Nothing(), Status, timeout_s=1.0)
     except RpcError:
-        return False
+        return None
+
+
+def _ready(bus: Bus, service: str) -> bool:
+    status = answers(bus, service)
+    return status is not None and status.state == "ready"
 
 
 def _end(child: subprocess.Popen[bytes], deadline: float) -> None:

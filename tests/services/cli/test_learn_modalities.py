@@ -54,16 +54,6 @@ def test_any_of_the_recorded_modalities_can_be_learned_from(with_depth: Path, na
         np.testing.assert_array_equal(one.features, expected)
 
 
-def test_the_model_of_a_subset_is_that_of_a_recording_without_the_rest(with_depth: Path, tmp_path: Path) -> None:
-    plain = tmp_path / "plain"
-    plain.mkdir()
-    for number in range(2):
-        record(plain, drive(f"drive-{number}"))
-    learn([plain], tmp_path / "plain.smal")
-    learn([with_depth], tmp_path / "subset.smal", modalities=FeatureSettings())
-    assert PaperModel.load(tmp_path / "subset.smal").checksum == PaperModel.load(tmp_path / "plain.smal").checksum
-
-
 def test_weights_go_with_the_modalities_in_their_order(
     with_depth: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

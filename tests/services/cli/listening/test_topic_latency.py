@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
+from itertools import count
 from typing import Any
 
 import pytest
@@ -26,50 +27,32 @@ Measured = Callable[..., tuple[int, str, str]]
 CHAIN: tuple[type[Message], ...] = (Pose, Image, Observation, State, Action, Command, CommandApplied)
 
 
-class Robot:
-    """Talks like a stack that the policy drives: every call is one message further."""
-
-    def __init__(self, client: Bus, chain: Sequence[type[Message]]) -> None:
-        self._client = client
-        self._chain = chain
-        self._calls = 0
-
-    def __call__(self) -> None:
-        tick, step = divmod(self._calls, len(self._chain))
-        self._calls += 1
-        cls = self._chain[step]
-        changes: dict[str, Any] = {"tick": tick}
-        if cls is Command:
-            changes |= {"source": "policy"}
-        if cls is CommandApplied:
-            changes |= {"source": "policy", "answered_tick": tick, "latency_ns": 12_000_000}
-        self._client.publish(EXAMPLES[cls].model_copy(update=changes))
-
-
 @pytest.fixture
 def measured(smal: Smal, client: Bus, router_endpoint: str, monkeypatch: pytest.MonkeyPatch) -> Iterator[Measured]:
-    """Run the command while the robot drives, until it must have heard several ticks."""
+    """Run the command while a stack that the policy drives talks, a message a call, until several ticks were heard."""
     witness = Bus("rescuebot", router_endpoint)
 
-    def run(*arguments: str) -> tuple[int, str, str]:
-        robot = Robot(client, CHAIN)
+    def wait(_what: str, _seconds: float) -> None:
+        # The router passes subscriptions on in the background, this later one after those of the command.
+        heard: list[bytes] = []
+        witness.subscribe(APPLIED, lambda payload, *_: heard.append(payload))
+        chain = ((tick, cls) for tick in count() for cls in CHAIN)
 
-        def wait(_what: str, _seconds: float) -> None:
-            # The router passes subscriptions on in the background, this later one after those of the command.
-            heard: list[bytes] = []
-            witness.subscribe(APPLIED, lambda payload, *_: heard.append(payload))
+        def enough() -> bool:
+            tick, cls = next(chain)
+            changes: dict[str, Any] = {"tick": tick}
+            if cls in (Command, CommandApplied):
+                changes |= {"source": "policy"}
+            if cls is CommandApplied:
+                changes |= {"answered_tick": tick, "latency_ns": 12_000_000}
+            client.publish(EXAMPLES[cls].model_copy(update=changes))
+            send_as_stranger(client, COMMANDS["teleop"], b"\xc1")
+            return len(heard) >= 20
 
-            def enough() -> bool:
-                robot()
-                send_as_stranger(client, COMMANDS["teleop"], b"\xc1")
-                return len(heard) >= 20
+        eventually(enough, timeout_s=20.0)
 
-            eventually(enough, timeout_s=20.0)
-
-        monkeypatch.setattr(commands, "wait", wait)
-        return smal("topic", "latency", *arguments, "--router", router_endpoint)
-
-    yield run
+    monkeypatch.setattr(commands, "wait", wait)
+    yield lambda *arguments: smal("topic", "latency", *arguments, "--router", router_endpoint)
     witness.close()
 
 
