@@ -118,8 +118,10 @@ def test_a_world_that_is_none_is_named_beside_those_that_are(mistake: Mistake) -
 @pytest.mark.system
 def test_no_vulkan_driver(tmp_path: Path) -> None:
     result = run_smal("demonstrate", "--world", "yard", "--out", tmp_path, VK_ICD_FILENAMES="/nonexistent.json")
-    (line,) = result.stderr.splitlines()
+    # On a busy machine it says before that it waits.
+    line = result.stderr.splitlines()[-1]
     assert result.returncode == EXIT_FAILED
+    assert "Traceback" not in result.stderr
     assert "nonexistent.json" in line
     assert "mesa" in line
 
