@@ -8,10 +8,10 @@ from dataclasses import astuple
 from functools import lru_cache
 from typing import Final, NamedTuple
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from services.simulator.scene.faces import fill
 from services.simulator.scene.textures import Picture, as_picture, coloured, layered
 from services.simulator.world.place import Rgb
 from services.simulator.world.terrain import Facade, FacadeStyle
@@ -92,7 +92,8 @@ def paint_facade(facade: Facade) -> tuple[Picture, Picture, Picture]:
     plan = _plan(facade, rng)
     upper = _wall(facade.style, plan.wall, STOREYS, rng)
     ground = _wall(facade.style, plan.wall, 1, rng)
-    _soil_the_foot(ground)
+    # A plinth along the ground grounds the building visually.
+    ground[-26:] = as_picture(ground[-26:].astype(np.float64) * 0.45 + 52)
     for bay in range(BAYS):
         for storey in range(STOREYS):
             _window(upper, plan, bay, storey, rng)
@@ -158,15 +159,15 @@ def _window(picture: Picture, plan: _Plan, bay: int, storey: int, rng: np.random
     left = bay * _CELL_PX + (_CELL_PX - width) // 2
     top = storey * _CELL_PX + int((_CELL_PX - height) * 0.42)
     if plan.surround:
-        _fill(picture, (left - 10, top - 16, width + 20, 12), tuple(int(0.5 * c + 110) for c in plan.wall))
-        _fill(picture, (left - 12, top + height + 5, width + 24, 9), (198, 194, 184))
-    _fill(picture, (left - 5, top - 5, width + 10, height + 10), plan.frame)
+        fill(picture, (left - 10, top - 16, width + 20, 12), tuple(int(0.5 * c + 110) for c in plan.wall))
+        fill(picture, (left - 12, top + height + 5, width + 24, 9), (198, 194, 184))
+    fill(picture, (left - 5, top - 5, width + 10, height + 10), plan.frame)
     _glaze(picture, (left, top, width, height), rng)
     across, down = plan.panes
     for line in range(1, across):
-        _fill(picture, (left + line * width // across - 3, top, 6, height), plan.frame)
+        fill(picture, (left + line * width // across - 3, top, 6, height), plan.frame)
     for line in range(1, down):
-        _fill(picture, (left, top + line * height // down - 3, width, 6), plan.frame)
+        fill(picture, (left, top + line * height // down - 3, width, 6), plan.frame)
 
 
 def _glaze(picture: Picture, box: tuple[int, int, int, int], rng: np.random.Generator) -> None:
@@ -187,19 +188,8 @@ def _door(picture: Picture, plan: _Plan, bay: int, rng: np.random.Generator) -> 
     left, top = bay * _CELL_PX + (_CELL_PX - width) // 2, _CELL_PX - height
     paints = np.array([(92, 54, 38), (50, 72, 62), (66, 70, 92), (120, 40, 36)])
     leaf = tuple(int(value) for value in rng.choice(paints))
-    _fill(picture, (left - 10, top - 10, width + 20, height + 10), plan.frame)
-    _fill(picture, (left, top, width, height), leaf)
+    fill(picture, (left - 10, top - 10, width + 20, height + 10), plan.frame)
+    fill(picture, (left, top, width, height), leaf)
     _glaze(picture, (left + 12, top + 14, width - 24, 62), rng)
-    _fill(picture, (left + width // 2 - 2, top, 4, height), tuple(value // 2 for value in leaf))
-    _fill(picture, (left - 26, top - 28, width + 52, 14), tuple(int(0.6 * c) for c in plan.wall))
-
-
-def _soil_the_foot(picture: Picture) -> None:
-    """Paint a plinth along the ground, which grounds the building visually."""
-    plinth = picture[-26:].astype(np.float64)
-    picture[-26:] = as_picture(plinth * 0.45 + 52)
-
-
-def _fill(picture: Picture, box: tuple[int, int, int, int], colour: tuple[int, ...]) -> None:
-    left, top, width, height = box
-    cv2.rectangle(picture, (left, top), (left + width - 1, top + height - 1), colour, -1)
+    fill(picture, (left + width // 2 - 2, top, 4, height), tuple(value // 2 for value in leaf))
+    fill(picture, (left - 26, top - 28, width + 52, 14), tuple(int(0.6 * c) for c in plan.wall))

@@ -36,7 +36,7 @@ def pick(rng: np.random.Generator) -> Rgb:
     return STRONG[int(rng.integers(len(STRONG)))]
 
 
-def fill(picture: Picture, box: tuple[int, int, int, int], colour: Rgb) -> None:
+def fill(picture: Picture, box: tuple[int, int, int, int], colour: tuple[int, ...]) -> None:
     """Fill a rectangle, given its left, top, width and height."""
     left, top, width, height = box
     cv2.rectangle(picture, (left, top), (left + width - 1, top + height - 1), colour, -1)

@@ -22,7 +22,7 @@ from services.simulator.world.furniture import (
     Furniture,
     FurnitureKind,
 )
-from services.simulator.world.place import Pose, Rgb
+from services.simulator.world.place import Pose
 
 _CRATE_M: Final = 0.36
 _CRATE_TURN_RAD: Final = 0.09
@@ -168,7 +168,8 @@ def sofa(piece: Furniture) -> list[Piece]:
     """Return a sofa: plinth, back, arms with round tops, and a cushion a seat."""
     x_min, y_min, x_max, y_max = piece.box
     cloth = Finish("fabric", piece.colour or (156, 79, 67))
-    light = Finish("fabric", _lighter(piece.colour or (156, 79, 67)))
+    red, green, blue = (min(255, round(1.12 * value + 8)) for value in piece.colour or (156, 79, 67))
+    light = Finish("fabric", (red, green, blue))
     seat, arms, top = SEAT_FRACTION * piece.height_m, ARM_FRACTION * piece.height_m, piece.height_m
     back = x_min + SOFA_BACK_M
     roll = 0.05
@@ -254,11 +255,6 @@ def _leaf(tip: NDArray[np.float64], pot: float, rng: np.random.Generator) -> lis
     uvs = np.broadcast_to([(0.0, 0.2), (0.2, 0.2), (0.2, 0.0), (0.0, 0.0)], (len(corners), 4, 2))
     sheet = quads(corners, uvs)
     return [sheet, sheet.flipped()]
-
-
-def _lighter(colour: Rgb) -> Rgb:
-    red, green, blue = (min(255, round(1.12 * value + 8)) for value in colour)
-    return red, green, blue
 
 
 _MAKERS: Final[dict[FurnitureKind, Callable[[Furniture], list[Piece]]]] = {

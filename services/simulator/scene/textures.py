@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import zlib
 from collections.abc import Callable
+from functools import partial
 from typing import Final, Literal
 
 import cv2
@@ -11,9 +12,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from services.simulator.variation import Daylight
+from services.simulator.world.place import Rgb
 
 Picture = NDArray[np.uint8]
-Painter = Callable[[np.random.Generator], Picture]
+Painter = Callable[[np.random.Generator, Rgb], Picture]
 Material = Literal[
     "grass", "lawn", "asphalt", "kerb", "sidewalk", "path", "paved", "marking", "water", "gravel", "tiles", "slate",
     "trim", "leaves", "dark_leaves", "needles", "bark", "hedge", "stone_wall", "fence",
@@ -77,111 +79,90 @@ def as_picture(values: NDArray[np.float64]) -> Picture:
 
 def paint(material: Material) -> Picture:
     """Return the picture of a material, (h, w, 3) uint8 RGB with h and w powers of two."""
+    painter, colour = _PAINTERS[material]
     # A seed of its own, so that adding a material changes no other.
-    return _PAINTERS[material](np.random.default_rng(zlib.crc32(material.encode())))
+    return painter(np.random.default_rng(zlib.crc32(material.encode())), colour)
 
 
-def _speckled(*colour: int, grains: tuple[float, ...] = (2.0, 40.0), contrast: float = 0.08) -> Painter:
-    """Return a painter of one colour with irregular shade."""
-    return lambda rng: coloured(colour, 1.0 + contrast * layered(rng, _SHAPE, grains))
+def _speckled(
+    rng: np.random.Generator, colour: Rgb, grains: tuple[float, ...] = (2.0, 40.0), contrast: float = 0.08
+) -> Picture:
+    return coloured(colour, 1.0 + contrast * layered(rng, _SHAPE, grains))
 
 
-def _asphalt(rng: np.random.Generator) -> Picture:
+def _plain(_rng: np.random.Generator, colour: Rgb) -> Picture:
+    return np.full((*_PLAIN_SHAPE, 3), colour, dtype=np.uint8)
+
+
+def _asphalt(rng: np.random.Generator, colour: Rgb) -> Picture:
     """Paint grit with a few cracks that somebody has filled with tar."""
-    picture = coloured((96, 96, 99), 1.0 + 0.10 * noise(rng, _SHAPE, 2.0) + 0.025 * noise(rng, _SHAPE, 60.0))
+    picture = coloured(colour, 1.0 + 0.10 * noise(rng, _SHAPE, 2.0) + 0.025 * noise(rng, _SHAPE, 60.0))
     for _ in range(3):
         steps = rng.normal((0.0, 9.0), (2.5, 3.0), (24, 2)).cumsum(axis=0) + rng.integers(60, 300, 2)
         cv2.polylines(picture, [steps.astype(np.int32)], False, (66, 66, 70), 3, cv2.LINE_AA)
     return picture
 
 
-def _plain(*colour: int) -> Painter:
-    return lambda _: np.full((*_PLAIN_SHAPE, 3), colour, dtype=np.uint8)
+def _grass(rng: np.random.Generator, colour: Rgb) -> Picture:
+    """Paint blades: fine upright streaks over patches of dryer and fresher green."""
+    shade = 1.0 + 0.16 * noise(rng, _SHAPE, (5.0, 1.5)) + 0.10 * noise(rng, _SHAPE, 24.0)
+    dry = np.clip(0.5 + 0.35 * noise(rng, _SHAPE, 70.0), 0, 1)[..., None]
+    return as_picture((np.array(colour) * (1 - 0.25 * dry) + np.array([60, 48, 12]) * 0.5 * dry) * shade[..., None])
 
 
-def _grass(*colour: int) -> Painter:
-    """Return a painter of blades: fine upright streaks over patches of dryer and fresher green."""
-
-    def painter(rng: np.random.Generator) -> Picture:
-        shade = 1.0 + 0.16 * noise(rng, _SHAPE, (5.0, 1.5)) + 0.10 * noise(rng, _SHAPE, 24.0)
-        dry = np.clip(0.5 + 0.35 * noise(rng, _SHAPE, 70.0), 0, 1)[..., None]
-        return as_picture((np.array(colour) * (1 - 0.25 * dry) + np.array([60, 48, 12]) * 0.5 * dry) * shade[..., None])
-
-    return painter
-
-
-def _paving(*colour: int, rows: int, columns: int, joint_px: int, running: bool = False) -> Painter:
-    """Return a painter of slabs, each a little different, with dark joints; `running` shifts every other row."""
-
-    def painter(rng: np.random.Generator) -> Picture:
-        height, width = _SHAPE[0] // rows, _SHAPE[1] // columns
-        tone = np.kron(1.0 + 0.07 * rng.standard_normal((rows, columns)), np.ones((height, width)))
-        within = np.ones((height, width))
-        within[:joint_px], within[:, :joint_px] = 0.66, 0.66
-        picture = tone * np.tile(within, (rows, columns))
-        if running:
-            for row in range(1, rows, 2):
-                band = slice(row * height, (row + 1) * height)
-                picture[band] = np.roll(picture[band], width // 2, axis=1)
-        return coloured(colour, picture * (1.0 + 0.05 * layered(rng, _SHAPE, (1.5, 30.0))))
-
-    return painter
+def _paving(
+    rng: np.random.Generator, colour: Rgb, rows: int, columns: int, joint_px: int, running: bool = True
+) -> Picture:
+    """Paint slabs, each a little different, with dark joints; `running` shifts every other row."""
+    height, width = _SHAPE[0] // rows, _SHAPE[1] // columns
+    tone = np.kron(1.0 + 0.07 * rng.standard_normal((rows, columns)), np.ones((height, width)))
+    within = np.ones((height, width))
+    within[:joint_px], within[:, :joint_px] = 0.66, 0.66
+    picture = tone * np.tile(within, (rows, columns))
+    for row in range(1, rows, 2) if running else ():
+        band = slice(row * height, (row + 1) * height)
+        picture[band] = np.roll(picture[band], width // 2, axis=1)
+    return coloured(colour, picture * (1.0 + 0.05 * layered(rng, _SHAPE, (1.5, 30.0))))
 
 
-def _leaves(*colour: int) -> Painter:
-    """Return a painter of overlapping leaves, lit from above, with dark gaps between them."""
-
-    def painter(rng: np.random.Generator) -> Picture:
-        picture = np.full((*_SHAPE, 3), np.array(colour) * 0.35)
-        for depth in np.linspace(0.5, 1.25, 1400):
-            centre = rng.integers(0, _SHAPE[0], 2)
-            tint = np.array(colour) * depth * rng.uniform(0.8, 1.15) + rng.uniform(-8, 8, 3)
-            angle = float(rng.uniform(0, 180))
-            for wrap in np.array([[0, 0], [512, 0], [0, 512], [-512, 0], [0, -512]]):
-                place = (int(centre[0] + wrap[0]), int(centre[1] + wrap[1]))
-                cv2.ellipse(picture, place, (13, 7), angle, 0, 360, tint.tolist(), -1)
-        return as_picture(picture)
-
-    return painter
+def _stones(rng: np.random.Generator, colour: Rgb) -> Picture:
+    rough = 1.0 + 0.10 * layered(rng, _SHAPE, (2.0, 20.0))
+    return as_picture(_paving(rng, colour, rows=8, columns=4, joint_px=5) * rough[..., None])
 
 
-def _stones(*colour: int) -> Painter:
-    def painter(rng: np.random.Generator) -> Picture:
-        rough = 1.0 + 0.10 * layered(rng, _SHAPE, (2.0, 20.0))
-        return as_picture(_paving(*colour, rows=8, columns=4, joint_px=5, running=True)(rng) * rough[..., None])
-
-    return painter
+def _boards(rng: np.random.Generator, colour: Rgb) -> Picture:
+    level = _paving(rng, colour, rows=8, columns=1, joint_px=14, running=False)
+    return np.asarray(cv2.rotate(level, cv2.ROTATE_90_CLOCKWISE), dtype=np.uint8)
 
 
-def _bark(rng: np.random.Generator) -> Picture:
-    return coloured((96, 76, 58), 1.0 + 0.25 * noise(rng, _SHAPE, (40.0, 5.0)))
+def _leaves(rng: np.random.Generator, colour: Rgb) -> Picture:
+    """Paint overlapping leaves, lit from above, with dark gaps between them."""
+    picture = np.full((*_SHAPE, 3), np.array(colour) * 0.35)
+    for depth in np.linspace(0.5, 1.25, 1400):
+        centre = rng.integers(0, _SHAPE[0], 2)
+        tint = np.array(colour) * depth * rng.uniform(0.8, 1.15) + rng.uniform(-8, 8, 3)
+        angle = float(rng.uniform(0, 180))
+        for wrap in np.array([[0, 0], [512, 0], [0, 512], [-512, 0], [0, -512]]):
+            place = (int(centre[0] + wrap[0]), int(centre[1] + wrap[1]))
+            cv2.ellipse(picture, place, (13, 7), angle, 0, 360, tint.tolist(), -1)
+    return as_picture(picture)
 
 
-def _grain(*colour: int) -> Painter:
-    """Return a painter of sawn wood, its grain along the picture's width."""
-
-    def painter(rng: np.random.Generator) -> Picture:
-        fine, broad = noise(rng, _SHAPE, (1.5, 90.0)), noise(rng, _SHAPE, (14.0, 160.0))
-        return coloured(colour, 1.0 + 0.05 * fine + 0.07 * broad)
-
-    return painter
+def _bark(rng: np.random.Generator, colour: Rgb) -> Picture:
+    return coloured(colour, 1.0 + 0.25 * noise(rng, _SHAPE, (40.0, 5.0)))
 
 
-def _weave(*colour: int) -> Painter:
-    """Return a painter of coarse cloth: threads over and under each other, a little uneven."""
-
-    def painter(rng: np.random.Generator) -> Picture:
-        down, across = np.indices(_SHAPE)
-        threads = 0.05 * np.where((down // 4 + across // 4) % 2 == 0, 1.0, -1.0)
-        return coloured(colour, 1.0 + threads + 0.06 * noise(rng, _SHAPE, 1.5) + 0.015 * noise(rng, _SHAPE, 40.0))
-
-    return painter
+def _grain(rng: np.random.Generator, colour: Rgb) -> Picture:
+    """Paint sawn wood, its grain along the picture's width."""
+    fine, broad = noise(rng, _SHAPE, (1.5, 90.0)), noise(rng, _SHAPE, (14.0, 160.0))
+    return coloured(colour, 1.0 + 0.05 * fine + 0.07 * broad)
 
 
-def _boards(rng: np.random.Generator) -> Picture:
-    return cv2.rotate(_paving(134, 110, 84, rows=8, columns=1, joint_px=14)(rng), cv2.ROTATE_90_CLOCKWISE).astype(
-        np.uint8
-    )
+def _weave(rng: np.random.Generator, colour: Rgb) -> Picture:
+    """Paint coarse cloth: threads over and under each other, a little uneven."""
+    down, across = np.indices(_SHAPE)
+    threads = 0.05 * np.where((down // 4 + across // 4) % 2 == 0, 1.0, -1.0)
+    return coloured(colour, 1.0 + threads + 0.06 * noise(rng, _SHAPE, 1.5) + 0.015 * noise(rng, _SHAPE, 40.0))
 
 
 def paint_sky(seed: int, light: Daylight) -> Picture:
@@ -214,44 +195,44 @@ def _skyline(rng: np.random.Generator, mean_deg: float, spread_deg: float, grain
     return np.asarray(mean_deg + spread_deg * line[..., None], dtype=np.float64)
 
 
-_PAINTERS: Final[dict[Material, Painter]] = {
-    "grass": _grass(98, 116, 58),
-    "lawn": _grass(80, 122, 52),
-    "asphalt": _asphalt,
-    "kerb": _speckled(168, 166, 160),
-    "sidewalk": _paving(172, 166, 156, rows=4, columns=4, joint_px=4),
-    "path": _paving(176, 150, 122, rows=16, columns=8, joint_px=3, running=True),
-    "paved": _speckled(116, 114, 112, grains=(2.0, 90.0)),
-    "marking": _speckled(226, 224, 214, contrast=0.05),
-    "water": _speckled(84, 116, 138, grains=(12.0, 80.0), contrast=0.10),
-    "gravel": _speckled(128, 122, 114, grains=(2.0, 4.0), contrast=0.15),
-    "tiles": _paving(158, 84, 60, rows=16, columns=16, joint_px=5, running=True),
-    "slate": _paving(92, 94, 102, rows=16, columns=8, joint_px=4, running=True),
-    "trim": _speckled(206, 202, 192, contrast=0.03),
-    "leaves": _leaves(92, 128, 52),
-    "dark_leaves": _leaves(66, 104, 50),
-    "needles": _leaves(48, 82, 56),
-    "bark": _bark,
-    "hedge": _leaves(62, 98, 44),
-    "stone_wall": _stones(150, 140, 126),
-    "fence": _boards,
-    "skin": _plain(214, 164, 136),
-    "jacket": _plain(240, 108, 20),
-    "trousers": _plain(46, 66, 128),
-    "tyre": _plain(30, 30, 32),
-    "aluminium": _speckled(186, 188, 192, grains=(1.0, 60.0), contrast=0.03),
-    "black_plastic": _speckled(44, 45, 48, grains=(1.0, 50.0), contrast=0.05),
-    "board": _grain(214, 190, 150),
-    "cardboard": _speckled(188, 148, 102, grains=(1.5, 60.0), contrast=0.03),
-    "dark_plastic": _plain(72, 75, 80),
-    "fabric": _weave(111, 135, 153),
-    "foliage": _leaves(70, 122, 62),
-    "lacquer": _speckled(190, 192, 192, grains=(1.0, 4.0), contrast=0.012),
-    "nao_grey": _plain(128, 132, 138),
-    "orange_plastic": _plain(232, 104, 28),
-    "pot": _speckled(168, 100, 74, grains=(2.0, 60.0), contrast=0.06),
-    "blue_plastic": _plain(60, 132, 214),
-    "soil": _speckled(66, 50, 38, grains=(2.0, 6.0), contrast=0.25),
-    "white_plastic": _plain(236, 236, 232),
-    "wood": _grain(156, 116, 78),
+_PAINTERS: Final[dict[Material, tuple[Painter, Rgb]]] = {
+    "grass": (_grass, (98, 116, 58)),
+    "lawn": (_grass, (80, 122, 52)),
+    "asphalt": (_asphalt, (96, 96, 99)),
+    "kerb": (_speckled, (168, 166, 160)),
+    "sidewalk": (partial(_paving, rows=4, columns=4, joint_px=4, running=False), (172, 166, 156)),
+    "path": (partial(_paving, rows=16, columns=8, joint_px=3), (176, 150, 122)),
+    "paved": (partial(_speckled, grains=(2.0, 90.0)), (116, 114, 112)),
+    "marking": (partial(_speckled, contrast=0.05), (226, 224, 214)),
+    "water": (partial(_speckled, grains=(12.0, 80.0), contrast=0.10), (84, 116, 138)),
+    "gravel": (partial(_speckled, grains=(2.0, 4.0), contrast=0.15), (128, 122, 114)),
+    "tiles": (partial(_paving, rows=16, columns=16, joint_px=5), (158, 84, 60)),
+    "slate": (partial(_paving, rows=16, columns=8, joint_px=4), (92, 94, 102)),
+    "trim": (partial(_speckled, contrast=0.03), (206, 202, 192)),
+    "leaves": (_leaves, (92, 128, 52)),
+    "dark_leaves": (_leaves, (66, 104, 50)),
+    "needles": (_leaves, (48, 82, 56)),
+    "bark": (_bark, (96, 76, 58)),
+    "hedge": (_leaves, (62, 98, 44)),
+    "stone_wall": (_stones, (150, 140, 126)),
+    "fence": (_boards, (134, 110, 84)),
+    "skin": (_plain, (214, 164, 136)),
+    "jacket": (_plain, (240, 108, 20)),
+    "trousers": (_plain, (46, 66, 128)),
+    "tyre": (_plain, (30, 30, 32)),
+    "aluminium": (partial(_speckled, grains=(1.0, 60.0), contrast=0.03), (186, 188, 192)),
+    "black_plastic": (partial(_speckled, grains=(1.0, 50.0), contrast=0.05), (44, 45, 48)),
+    "board": (_grain, (214, 190, 150)),
+    "cardboard": (partial(_speckled, grains=(1.5, 60.0), contrast=0.03), (188, 148, 102)),
+    "dark_plastic": (_plain, (72, 75, 80)),
+    "fabric": (_weave, (111, 135, 153)),
+    "foliage": (_leaves, (70, 122, 62)),
+    "lacquer": (partial(_speckled, grains=(1.0, 4.0), contrast=0.012), (190, 192, 192)),
+    "nao_grey": (_plain, (128, 132, 138)),
+    "orange_plastic": (_plain, (232, 104, 28)),
+    "pot": (partial(_speckled, grains=(2.0, 60.0), contrast=0.06), (168, 100, 74)),
+    "blue_plastic": (_plain, (60, 132, 214)),
+    "soil": (partial(_speckled, grains=(2.0, 6.0), contrast=0.25), (66, 50, 38)),
+    "white_plastic": (_plain, (236, 236, 232)),
+    "wood": (_grain, (156, 116, 78)),
 }

@@ -115,7 +115,12 @@ def read_osm(path: Path, around: Surroundings | None = None) -> Extract:
     try:
         _check_file(path)
         box = found.read(path)
-        degrees = found.bounds(box) if around is None else _square(around)
+        if around is None:
+            degrees = found.bounds(box)
+        else:
+            middle = np.array([around.longitude_deg, around.latitude_deg])
+            reach = around.radius_m / metres_per_degree(around.latitude_deg)
+            degrees = np.array([middle - reach, middle + reach])
         extract = found.extract(degrees)
         _check_size(extract)
     except WorldError as error:
@@ -276,12 +281,6 @@ def _check_size(extract: Extract) -> None:
     tags = [element.tags for elements in (extract.nodes, extract.ways, extract.relations) for element in elements]
     if any(len(value) > LONGEST_TAG for some in tags for value in some.values()):
         raise WorldError(f"a tag is longer than the {LONGEST_TAG} characters that OpenStreetMap allows")
-
-
-def _square(around: Surroundings) -> NDArray[np.float64]:
-    middle = np.array([around.longitude_deg, around.latitude_deg])
-    reach = around.radius_m / metres_per_degree(around.latitude_deg)
-    return np.array([middle - reach, middle + reach])
 
 
 def metres_per_degree(latitude_deg: float) -> NDArray[np.float64]:

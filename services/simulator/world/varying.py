@@ -12,7 +12,7 @@ import shapely
 from shapely.geometry.base import BaseGeometry
 
 from services.simulator.world.furniture import Furniture, FurnitureKind
-from services.simulator.world.place import Place, World
+from services.simulator.world.place import World
 from services.simulator.world.room import Room
 from services.simulator.world.route import plan_route
 from services.simulator.world.terrain import Terrain, Tree
@@ -34,27 +34,27 @@ def vary(world: World, *, facade_seed: int = 0, clutter_seed: int = 0) -> World:
     """
     place = world.place
     if facade_seed:
-        place = _repainted(place, facade_seed)
+        match place:
+            case Terrain():
+                facades = [
+                    replace(one.facade, colour=None, variant=_mixed(one.facade, facade_seed)) for one in place.buildings
+                ]
+                pairs = zip(place.buildings, facades, strict=True)
+                place = replace(place, buildings=tuple(replace(one, facade=facade) for one, facade in pairs))
+            case Room():
+                fittings = [
+                    replace(one, colour=None, variant=_mixed((one.kind, one.variant), facade_seed))
+                    for one in place.fittings
+                ]
+                place = replace(place, fittings=tuple(fittings))
     if clutter_seed:
-        place = _rearranged(place, _kept_free(world), np.random.default_rng(clutter_seed))
+        kept_free, rng = _kept_free(world), np.random.default_rng(clutter_seed)
+        match place:
+            case Terrain():
+                place = replace(place, trees=_replanted(place, kept_free, rng))
+            case Room():
+                place = replace(place, furniture=_pushed_about(place, kept_free, rng))
     return replace(world, place=place)
-
-
-def _repainted(place: Place, seed: int) -> Place:
-    match place:
-        case Terrain():
-            buildings = [
-                replace(building, facade=replace(building.facade, colour=None, variant=_mixed(building.facade, seed)))
-                for building in place.buildings
-            ]
-            return replace(place, buildings=tuple(buildings))
-        case Room():
-            fittings = [
-                replace(one, colour=None, variant=_mixed((one.kind, one.variant), seed)) for one in place.fittings
-            ]
-            return replace(place, fittings=tuple(fittings))
-        case _:
-            return place
 
 
 def _mixed(facade: object, seed: int) -> int:
@@ -67,16 +67,6 @@ def _kept_free(world: World) -> BaseGeometry:
     scale = world.scale
     start = shapely.Point(world.start.x, world.start.y).buffer(2 * scale.start_m + scale.start_room_m)
     return shapely.union_all([route.buffer(scale.room_m), start])
-
-
-def _rearranged(place: Place, kept_free: BaseGeometry, rng: np.random.Generator) -> Place:
-    match place:
-        case Terrain():
-            return replace(place, trees=_replanted(place, kept_free, rng))
-        case Room():
-            return replace(place, furniture=_pushed_about(place, kept_free, rng))
-        case _:
-            return place
 
 
 def _replanted(terrain: Terrain, kept_free: BaseGeometry, rng: np.random.Generator) -> tuple[Tree, ...]:

@@ -6,7 +6,6 @@ import gymnasium
 import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env
-from gymnasium.utils.env_match import check_environments_match
 from numpy.typing import NDArray
 
 from schemas.base import ATOMS
@@ -50,10 +49,6 @@ def test_the_module_may_be_named_with_the_environment() -> None:
         assert not truncated
         *_, truncated, _ = env.step(np.int64(ATOMS.index("stop")))
     assert truncated, "who stands still for five minutes has lost"
-
-
-def test_the_same_seed_gives_the_same_episode() -> None:
-    check_environments_match(blind(), blind(), num_steps=50, seed=3)
 
 
 def test_a_wall_ends_the_episode_with_a_penalty() -> None:

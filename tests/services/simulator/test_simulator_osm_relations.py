@@ -95,21 +95,6 @@ def test_what_is_broken_is_left_out_and_counted_by_reason(
     assert len(terrain.buildings) == 6
 
 
-@pytest.mark.parametrize(("tag", "value", "kind"), [
-    ("highway", "service", "road"), ("waterway", "river", "waterway"), ("barrier", "wall", "barrier"),
-])  # fmt: skip
-def test_a_scribble_is_no_road_and_no_river(tag: str, value: str, kind: str, tmp_path: Path) -> None:
-    made = block_of_houses()
-    made.way(SCRIBBLE, **{tag: value})
-    made.way([(3, 3), (3, 3)], **{tag: value})
-    points = '<nd ref="2"/>' * 2001
-    made.raw(f'<way id="9999" version="1">{points}<tag k="{tag}" v="{value}"/></way>')
-    source = terrain_of(made, tmp_path).source
-    assert source is not None
-    reasons = ("it crosses itself too often", "it has no length", "it has more than 2000 points")
-    assert source.skipped == {f"{kind}: {reason}": 1 for reason in reasons}
-
-
 @settings(max_examples=60, deadline=None)
 @given(
     cuts=st.lists(st.integers(1, 39), min_size=1, max_size=6, unique=True),

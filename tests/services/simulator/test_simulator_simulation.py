@@ -90,21 +90,6 @@ def test_the_robot_never_enters_anything(seed: int, atoms: list[Atom]) -> None:
         assert obstacles_of(YARD.place).clearance(simulation.pose.x, simulation.pose.y) > YARD.robot.radius_m - 1e-9
 
 
-def test_a_wall_stops_the_robot_where_they_touch_and_lets_it_back_away() -> None:
-    simulation = Simulation(YARD, StubCamera(), KinematicBase(YARD.place, PERFECT))
-    simulation.reset(0, "run")
-    for _ in range(40):
-        simulation.advance("right", 1.0, 0.05)
-    for _ in range(30):
-        simulation.advance("forward", 1.0, 0.1)
-    assert simulation.collided
-    touching = simulation.pose
-    assert obstacles_of(YARD.place).clearance(touching.x, touching.y) == pytest.approx(YARD.robot.radius_m, abs=1e-3)
-    simulation.advance("backward", 1.0, 0.5)
-    assert math.hypot(simulation.pose.x - touching.x, simulation.pose.y - touching.y) == pytest.approx(1.0)
-    assert simulation.collided, "a collision stays on record until the reset"
-
-
 @pytest.mark.parametrize("name", ["yard", "campus"])
 def test_following_the_route_leads_to_the_victim_without_a_collision(name: str) -> None:
     camera = StubCamera(fraction=0.01)

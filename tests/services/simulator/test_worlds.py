@@ -149,17 +149,6 @@ def test_another_world_and_another_light_are_seen(made: Path) -> None:
     assert dark.mean() < 0.7 * fair.mean()
 
 
-@pytest.mark.parametrize("name", ["map (1)", "e\u0301", "𠀀" * 50])
-def test_what_may_be_asked_for_is_listed(made: Path, opened: list[tuple[str, str]], name: str) -> None:
-    """Names of more than ASCII among them, and as a browser calls a second map."""
-    shutil.copy(made / "worlds" / "my town.json", made / "worlds" / f"{name}.json")
-    worlds = worlds_of(made, world="yard")
-    assert name in worlds.names()
-    body = SimulatedBody(worlds.open(), worlds=worlds)
-    begin(body, world=name)
-    assert body.name == name
-
-
 class EnoughError(Exception):
     """What ends the opening of a world."""
 
