@@ -12,8 +12,7 @@ from tqdm import tqdm
 from typer import Argument, Option
 
 from services.cli import outputs
-from services.exporters.drives import Drive, ExportFailure, read
-from services.exporters.job import FORMATS, write
+from services.exporters.drives import FORMATS, Drive, ExportFailure, read, write
 from services.importers.drive import Tally
 from services.importers.job import Format, check_format
 from services.kit.errors import JobError

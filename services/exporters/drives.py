@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import importlib
 import math
-from collections.abc import Collection, Iterable, Iterator
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final, NamedTuple, cast
@@ -17,6 +18,7 @@ from schemas.imu import Imu
 from schemas.odometry import Odometry
 from schemas.topics import CAMERA_INFO, IMU, ODOMETRY
 from services.importers.drive import Tally
+from services.importers.job import Format
 from services.importers.ticks import TICK_S
 from services.kit.jpeg import is_jpeg
 from services.recordings.encoding import stamped_jpeg
@@ -27,6 +29,13 @@ from smal.movement import Movement
 
 #: Of velocities: a micrometre and a microradian a second.
 _DIGITS: Final = 6
+#: Where each format is written: ``write(drives, folder, tally, advance)``.
+_WRITERS: Final[dict[Format, str]] = {
+    "rosbag2": "services.exporters.rosbag2",
+    "lerobot": "services.exporters.lerobot",
+    "folder": "services.exporters.csv_folder",
+}
+FORMATS: Final = tuple(_WRITERS)
 
 
 class ExportFailure(Exception):  # noqa: N818 - as ImportFailure
@@ -55,20 +64,10 @@ class Nominal(NamedTuple):
 
 
 class Moment(NamedTuple):
-    """What a drive has at one tick.
+    """What a drive has at one tick; None where that is missing, damaged or not known.
 
-    Attributes
-    ----------
-    tick, stamp_ns
-        Its number, and when, nanoseconds since 1970.
-    jpeg
-        The image as it was recorded; None where it is missing or damaged.
-    velocity
-        What was done from then on; None where that is not known.
-    pose
-        By the wheels.
-    imu
-        What the inertial unit felt since the tick before.
+    The image is as it was recorded; the velocity is what was done from then on, the pose by the wheels, and the
+    inertial unit felt this since the tick before.
     """
 
     tick: int
@@ -81,17 +80,7 @@ class Moment(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Drive:
-    """One episode, to be exported.
-
-    Attributes
-    ----------
-    name
-        A file's name, other than that of every other drive.
-    episode
-        As it was recorded.
-    nominal
-        What its atoms are in metres and radians a second.
-    """
+    """One episode, to be exported; its name is that of a file, other than that of every other drive."""
 
     name: str
     episode: RecordedEpisode
@@ -155,14 +144,8 @@ class Drive:
 def read(files: Iterable[Path], speed: float | None, turn_rate: float | None, tally: Tally) -> list[Drive]:
     """Read recordings.
 
-    Parameters
-    ----------
-    files
-        Recordings.
-    speed, turn_rate
-        Of full-speed atoms, metres and radians a second; measured on the odometry of each robot if not given.
-    tally
-        Is told of everything that is left out.
+    Speed and turn rate are those of full-speed atoms, metres and radians a second; measured on the odometry of each
+    robot if not given.
 
     Raises
     ------
@@ -184,6 +167,21 @@ def read(files: Iterable[Path], speed: float | None, turn_rate: float | None, ta
         Drive(name if names.count(name) == 1 else f"{episode.robot}-{name}", episode, nominal[episode.robot])
         for name, episode in zip(names, episodes, strict=True)
     ]
+
+
+def write(
+    form: Format, drives: Sequence[Drive], folder: Path, tally: Tally, advance: Callable[[], None] = lambda: None
+) -> None:
+    """Write drives into a folder that is empty; ``advance`` is called for each of their ticks.
+
+    Raises
+    ------
+    ExportFailure
+        When the format has no room for them.
+    OSError
+        When it cannot be written.
+    """
+    importlib.import_module(_WRITERS[form]).write(drives, folder, tally, advance)
 
 
 def say_view(drives: Iterable[Drive], tally: Tally) -> None:

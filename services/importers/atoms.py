@@ -53,14 +53,7 @@ def nominal(velocities: Array, quantile: float = QUANTILE) -> Nominal:
 def atoms_of(
     velocities: Array, usual: Nominal, still: float = STILL, turning: float = TURNING
 ) -> tuple[NDArray[np.int8], Array]:
-    """Return what was done in each tick.
-
-    Parameters
-    ----------
-    velocities
-        (n, 2) linear and angular.
-    usual, still, turning
-        What they are measured by.
+    """Return what was done in each tick, by its velocities (n, 2), linear and angular.
 
     Returns
     -------

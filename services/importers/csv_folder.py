@@ -14,7 +14,7 @@ from typing import Annotated, Final
 from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationError
 
 from services.importers.drive import MOST_SAMPLES, Drive, ImportFailure, Tally
-from services.importers.image_files import Row, drive_of
+from services.importers.images import Row, drive_of
 from services.importers.inside import Inside
 from services.importers.job import Job
 

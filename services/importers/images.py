@@ -1,18 +1,19 @@
-"""Images and videos of other people's files as JPEG: what is JPEG already stays as it is, to the byte."""
+"""Images, files of images and videos of other people's as JPEG: what is JPEG already stays as it is, to the byte."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import closing
 from functools import partial
-from typing import IO, Any, Final
+from typing import IO, Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from schemas.compressed_image import CompressedImage
-from services.importers.drive import Array, Image, ImportFailure, NotAnImage
+from services.importers.drive import Array, Drive, Image, ImportFailure, NotAnImage, Tally, motion_of, track_of
+from services.importers.inside import Inside
 from services.kit.jpeg import MOST_PIXELS, decode_image_file, decode_jpeg, encode_jpeg
 
 #: Most bytes of an image file.
@@ -20,6 +21,9 @@ MOST_BYTES: Final = CompressedImage.max_bytes - 2**16
 #: Columns and rows that a recording's image can have, and that features need.
 _MOST: Final = (4096, 3072)
 _LEAST: Final = (32, 24)
+#: No camera of a robot is faster; then the times are those of copying the data set.
+_FASTEST_HZ: Final = 120.0
+_UNREAD: Final = "images cannot be read"
 _JPEG: Final = b"\xff\xd8"
 _PNG: Final = b"\x89PNG\r\n\x1a\n"
 
@@ -68,6 +72,59 @@ def _decoded_png(data: bytes) -> NDArray[np.uint8]:
     if pixels is None:
         raise NotAnImage("images are damaged")
     return pixels
+
+
+class Row(NamedTuple):
+    """A frame: its file, when it was taken, speed ahead and turn rate, and where the wheels say that the robot was."""
+
+    image: str
+    time_s: float
+    velocity: tuple[float, float]
+    pose: tuple[float, float, float] | None = None
+
+
+def drive_of(
+    inside: Inside, name: str, rows: Sequence[Row], tally: Tally, *, success: bool | None = None, metric: bool = True
+) -> Drive:
+    """Make a drive of its frames.
+
+    Raises
+    ------
+    ImportFailure
+        When no camera's frames have such times: the ticks would show nothing of how the robot drove.
+    """
+    times_s = np.array([row.time_s for row in rows])
+    _check_rate(times_s, inside)
+    return Drive(
+        name,
+        times_s,
+        lambda: (partial(_image, inside, row.image, tally) for row in rows),
+        motion_of([(row.time_s, *row.velocity) for row in rows], tally),
+        track_of([(row.time_s, *row.pose) for row in rows if row.pose is not None], tally),
+        success=success,
+        metric=metric,
+    )
+
+
+def _check_rate(times_s: Array, inside: Inside) -> None:
+    gaps_s = np.diff(times_s)
+    usual_s = float(np.median(gaps_s)) if gaps_s.size else 1.0
+    if usual_s * _FASTEST_HZ < 1.0:
+        said = f"{1.0 / usual_s:.0f} frames a second" if usual_s > 0.0 else "all frames at once"
+        raise ImportFailure(
+            f"{inside.path}: its times say {said}, as those of a copied data set do; say how many there were with "
+            f"--rate, for example --rate 20"
+        )
+
+
+def _image(inside: Inside, name: str, tally: Tally) -> bytes:
+    try:
+        return as_jpeg(inside.read(name, MOST_BYTES))
+    except ImportFailure as error:
+        # The first one tells why.
+        if not tally.counts[_UNREAD]:
+            tally.say(str(error))
+        raise NotAnImage(_UNREAD) from None
 
 
 def frames_at(file: IO[bytes], called: str, times_s: Array, tolerance_s: float) -> Iterator[Image]:

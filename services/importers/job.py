@@ -23,67 +23,46 @@ _Rate = Annotated[float, Field(gt=0.0, le=1000.0)]
 
 
 class Job(Strict):
-    """What is asked for."""
+    """What is asked for; `smal import --help` says what each wish is.
+
+    Recordings of a robot on its way to a goal are written into a folder. Names of cameras, velocities and episodes are
+    the source's own; speed and turn rate are what the number 1 of the source stands for, in metres and radians a
+    second; success and focal length go before what the source says.
+    """
 
     format: Format
-    """Which reader."""
     path: str
-    """The source."""
     folder: str
-    """Where to write."""
     robot: RobotId
-    """Name of the robot."""
     goal: GoalName = "victim"
-    """Where the drives lead."""
     success: bool | None = None
-    """Whether they got there, whatever the source says; None to take its word, or else that they did."""
     reckon: bool = True
-    """Whether to reckon a way from velocities."""
     from_s: Annotated[float, Field(ge=0.0, le=1e9)] = 0.0
-    """Leave out what was before, of each drive."""
     to_s: Annotated[float, Field(gt=0.0, le=1e9)] = 1e9
-    """Leave out what was after, of each drive."""
     focal: Annotated[float, Field(ge=LEAST_FOCAL, le=MOST_FOCAL)] | None = None
-    """Focal length over the image's width, which goes before the source's own."""
     quantile: _Fraction = QUANTILE
-    """Which of the moving samples is the nominal speed, see `services.importers.atoms`."""
     still: _Fraction = STILL
-    """Fraction of it below which the robot stands."""
     turning: _Fraction = TURNING
-    """Fraction of the nominal turn rate from which on it turns."""
     camera: str | None = None
-    """Which camera, by the source's own name: a topic, or a feature."""
     velocity: str | None = None
-    """Which velocities, by the source's own names."""
     rate_hz: _Rate | None = None
-    """Frames a second, for a source whose times are wrong or missing."""
     speed: _Rate | None = None
-    """Metres a second that the number 1 of the source stands for."""
     turn_rate: _Rate | None = None
-    """Radians a second that the number 1 of the source stands for."""
     episodes: tuple[str, ...] = ()
-    """Which drives, by the source's own names; all if empty."""
 
 
 class Report(Strict):
-    """What came of it."""
+    """What came of it: recordings, their ticks and atoms, how many drives reached the goal, nominal velocities."""
 
     files: tuple[str, ...]
-    """Recordings."""
     ticks: int
-    """In all of them."""
     successes: int
-    """Drives that reached the goal."""
     odometry: Literal["of the source", "reckoned from velocities", "none"]
-    """What teaches how far the robot went."""
     speed: float
-    """Nominal speed, in the source's units."""
     turn_rate: float
-    """Nominal turn rate, in the source's units."""
     metric: bool
-    """Whether these units are metres and radians a second."""
+    """Whether these are metres and radians a second, and not in units of the source's own."""
     atoms: dict[str, int]
-    """How many of each."""
 
 
 def missing_packages(form: Format) -> list[str]:

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from functools import partial
 from typing import Annotated, Any, Final, Literal, NamedTuple
 
@@ -16,6 +16,7 @@ from pydantic import BaseModel, BeforeValidator, Field, JsonValue, NonNegativeIn
 
 from schemas.codec import printable
 from services.importers.drive import (
+    MOST_SAMPLES,
     Array,
     Drive,
     Image,
@@ -28,7 +29,6 @@ from services.importers.drive import (
 from services.importers.images import as_jpeg, frames_at
 from services.importers.inside import Inside
 from services.importers.job import Job
-from services.importers.parquet import EPISODE, batches, numbers
 
 #: Metres and radians a second; and a pose by the wheels, as only our own data sets have it.
 VELOCITIES: Final = ("linear_velocity", "angular_velocity")
@@ -55,8 +55,11 @@ INFO: Final = "meta/info.json"
 EPISODES: Final = "meta/episodes"
 DATA: Final = "data/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet"
 VIDEO: Final = "videos/{video_key}/chunk-{chunk_index:03d}/file-{file_index:03d}.mp4"
-#: Rows of images that are read at a time.
-_IMAGES: Final = 16
+_EPISODE: Final = "episode_index"
+#: Rows of numbers, and of images, that are read at a time.
+_ROWS, _IMAGES = 4096, 16
+#: Most bytes, and entries, of a Parquet file's own description; that of ten million rows has a hundred thousand.
+_LIMITS: Final = {"thrift_string_size_limit": 64 * 2**20, "thrift_container_size_limit": 10_000_000}
 
 
 def _names(names: object) -> list[str]:
@@ -98,7 +101,7 @@ class _Episode(NamedTuple):
     number: int
     length: int
     data: str
-    video: str | None
+    video: str = ""
     begin_s: float = 0.0
 
 
@@ -113,9 +116,18 @@ class _Velocity(NamedTuple):
     radians: float
 
 
-class _DataSet:
-    """A data set; each of its episodes is a drive."""
+def read(inside: Inside, job: Job, tally: Tally) -> list[Drive]:
+    """Read a data set; each of its episodes is a drive."""
+    dataset = _DataSet(inside, job, tally)
+    asked = (one for one in dataset.episodes() if not job.episodes or str(one.number) in job.episodes)
+    drives = [dataset.drive(episode) for episode in asked]
+    announced = dataset.info.total_episodes
+    if not job.episodes and announced != len(drives):
+        tally.say(f"{INFO} announces {printable(str(announced))} episodes, there are {len(drives)}")
+    return drives
 
+
+class _DataSet:
     def __init__(self, inside: Inside, job: Job, tally: Tally) -> None:
         self._inside, self._tally = inside, tally
         self.info = inside.parsed(_Info, inside.read(INFO), INFO)
@@ -133,25 +145,23 @@ class _DataSet:
         for line in self._inside.lines(_LINES):
             told = self._inside.parsed(_Line, line, _LINES)
             at = told.episode_index // self.info.chunks_size, told.episode_index, self._camera
-            video = _VIDEO_V2.format(*at) if self._filmed else None
+            video = _VIDEO_V2.format(*at) if self._filmed else ""
             yield _Episode(told.episode_index, told.length, _DATA_V2.format(*at), video)
 
     def _of_tables(self) -> Iterator[_Episode]:
-        columns = ["length", "data/chunk_index", "data/file_index"]
+        columns = [_EPISODE, "length", "data/chunk_index", "data/file_index"]
         if self._filmed:
             columns += [f"videos/{self._camera}/{name}" for name in ("chunk_index", "file_index", "from_timestamp")]
         chunks = [f"{EPISODES}/{chunk}" for chunk in self._inside.names(EPISODES)]
         files = [f"{chunk}/{name}" for chunk in chunks for name in self._inside.names(chunk)]
-        tables = [name for name in files if name.endswith(".parquet")]
-        if not tables:
+        if not files:
             raise ImportFailure(f"{self._inside.called(EPISODES)}: has no chunk-000/file-000.parquet")
-        for name in tables:
-            each = numbers(self._inside, name, [EPISODE, *columns])
+        for name in files:
+            each = _numbers(self._inside, name, columns)
             if not all(column.ndim == 1 and (column >= 0.0).all() and (column < np.inf).all() for column in each):
                 raise ImportFailure(f"{self._inside.called(name)}: not numbers from 0 on")
             for number, length, chunk, file, *film in zip(*(column.tolist() for column in each), strict=True):
-                data = DATA.format(chunk_index=int(chunk), file_index=int(file))
-                episode = _Episode(int(number), int(length), data, None)
+                episode = _Episode(int(number), int(length), DATA.format(chunk_index=int(chunk), file_index=int(file)))
                 if film:
                     at = {"chunk_index": int(film[0]), "file_index": int(film[1])}
                     episode = episode._replace(video=VIDEO.format(video_key=self._camera, **at), begin_s=film[2])
@@ -159,60 +169,45 @@ class _DataSet:
 
     def drive(self, episode: _Episode) -> Drive:
         """Read an episode, all but its images."""
-        where = self._velocity
-        columns = ["timestamp", where.feature]
-        columns += [SUCCESS] if SUCCESS in self.info.features else []
-        columns += [STATE] if self._pose and STATE not in columns else []
-        read = numbers(self._inside, episode.data, columns, episode.number)
-        found = dict(zip(columns, read, strict=True))
+        where, name = self._velocity, str(episode.number)
+        columns = dict.fromkeys(["timestamp", where.feature])
+        columns |= dict.fromkeys([STATE] if self._pose else []) | dict.fromkeys({SUCCESS} & self.info.features.keys())
+        found = dict(zip(columns, _numbers(self._inside, episode.data, [*columns], episode.number), strict=True))
         times_s = found["timestamp"].ravel()
-        name = str(episode.number)
         if times_s.size != episode.length:
             self._tally.say(f"episode {name}: announces {episode.length} frames, has {times_s.size}")
-        moved = self._columns(episode, found, where.feature, [where.linear, where.angular])
-        if where.sideways is not None:
-            aside = np.abs(self._columns(episode, found, where.feature, [where.sideways])) > _LEAST_SIDEWAYS
-            self._tally.count("frames go sideways, for which there is no atom", int(aside.sum()))
-        rows = np.column_stack([times_s, moved * (where.metres, where.radians)])
-        poses = self._columns(episode, found, STATE, self._pose) if self._pose else np.zeros((0, len(POSE)))
+        sideways = [] if where.sideways is None else [where.sideways]
+        moved = self._part(episode, found[where.feature], where.feature, [where.linear, where.angular, *sideways])
+        aside = np.abs(moved[:, 2:]) > _LEAST_SIDEWAYS
+        self._tally.count("frames go sideways, for which there is no atom", int(aside.sum()))
+        poses = self._part(episode, found[STATE], STATE, self._pose) if self._pose else np.zeros((0, len(POSE)))
         return Drive(
             name,
             times_s,
             partial(self._video if episode.video else self._embedded, episode, times_s),
-            motion_of(rows, self._tally),
+            motion_of(np.column_stack([times_s, moved[:, :2] * (where.metres, where.radians)]), self._tally),
             track_of(np.column_stack([times_s[: len(poses)], poses]), self._tally),
             success=bool(found[SUCCESS].any()) if SUCCESS in found else None,
         )
 
-    def _columns(self, episode: _Episode, found: dict[str, Array], feature: str, at: list[int]) -> Array:
-        """Return some numbers of a feature, (n, m)."""
-        rows = found[feature]
-        if rows.size and (rows.ndim != 2 or rows.shape[1] <= max(at)):
+    def _part(self, episode: _Episode, rows: Array, feature: str, at: list[int]) -> Array:
+        """Return some numbers of the rows of a feature, (n, m)."""
+        if not rows.size:
+            return np.zeros((0, len(at)))
+        if rows.ndim != 2 or rows.shape[1] <= max(at):
             called = self._inside.called(episode.data)
             raise ImportFailure(f"{called}: {feature} has fewer numbers than {INFO} names")
-        return rows[:, at] if rows.size else np.zeros((0, len(at)))
+        return rows[:, at]
 
     def _video(self, episode: _Episode, times_s: Array) -> Iterator[Image]:
-        name = episode.video or ""
         if times_s.size:
-            with self._inside.open(name) as file:
-                times_s = episode.begin_s + times_s
-                yield from frames_at(file, self._inside.called(name), times_s, 0.5 / self.info.fps)
+            with self._inside.open(episode.video) as file:
+                called, tolerance_s = self._inside.called(episode.video), 0.5 / self.info.fps
+                yield from frames_at(file, called, episode.begin_s + times_s, tolerance_s)
 
     def _embedded(self, episode: _Episode, _times_s: Array) -> Iterator[Image]:
-        for batch in batches(self._inside, episode.data, [self._camera], episode.number, _IMAGES):
+        for batch in _batches(self._inside, episode.data, [self._camera], episode.number, _IMAGES):
             yield from (partial(_cell, cell) for cell in batch.column(self._camera))
-
-
-def read(inside: Inside, job: Job, tally: Tally) -> list[Drive]:
-    """Read a data set."""
-    dataset = _DataSet(inside, job, tally)
-    asked = (one for one in dataset.episodes() if not job.episodes or str(one.number) in job.episodes)
-    drives = [dataset.drive(episode) for episode in asked]
-    announced = dataset.info.total_episodes
-    if not job.episodes and announced != len(drives):
-        tally.say(f"{INFO} announces {printable(str(announced))} episodes, there are {len(drives)}")
-    return drives
 
 
 def _camera(info: _Info, job: Job, called: str) -> str:
@@ -226,7 +221,7 @@ def _camera(info: _Info, job: Job, called: str) -> str:
 
 
 def _velocity(info: _Info, job: Job, called: str) -> _Velocity:
-    known: dict[tuple[str, ...], float] = dict(_NAMES)
+    known = _NAMES
     if job.velocity is not None:
         asked = tuple(map(_plain, job.velocity.split(",")))
         known = {asked: known.get(asked, 1.0)} if len(asked) == 2 else {}
@@ -257,3 +252,41 @@ def _cell(cell: Any) -> bytes:  # noqa: ANN401 - of a package without types
     if not isinstance(data, bytes):
         raise NotAnImage("images are not in the Parquet file")
     return as_jpeg(data)
+
+
+def _batches(
+    inside: Inside, name: str, columns: Sequence[str], episode: int | None = None, rows: int = _ROWS
+) -> Iterator[Any]:
+    """Yield record batches of columns of a Parquet file, of one episode or of all."""
+    import pyarrow as pa  # noqa: PLC0415 - of the extra `formats`
+    import pyarrow.compute as pc  # noqa: PLC0415
+    import pyarrow.parquet as pq  # noqa: PLC0415
+
+    called, wanted = inside.called(name), list(dict.fromkeys([_EPISODE, *columns]))
+    try:
+        with inside.open(name) as file:
+            table = pq.ParquetFile(file, **_LIMITS)
+            if table.metadata.num_rows > MOST_SAMPLES:
+                raise ImportFailure(f"{called}: announces more than {MOST_SAMPLES} rows")
+            if missing := [column for column in wanted if column not in table.schema_arrow.names]:
+                raise ImportFailure(f"{called}: lacks the column {printable(missing[0])}")
+            for batch in table.iter_batches(batch_size=rows, columns=wanted, use_threads=False):
+                yield batch if episode is None else batch.filter(pc.equal(batch.column(_EPISODE), episode))
+    except (pa.ArrowException, OSError, ValueError, MemoryError) as error:
+        raise ImportFailure(f"{called}: not a Parquet file that can be read: {printable(str(error))}") from None
+
+
+def _numbers(inside: Inside, name: str, columns: Sequence[str], episode: int | None = None) -> list[Array]:
+    """Return columns of numbers: (n,), or of lists of as many numbers each, (n, width)."""
+    parts: list[list[Array]] = [[] for _ in columns]
+    for batch in _batches(inside, name, columns, episode):
+        for column, found in zip(columns, parts, strict=True):
+            try:
+                if batch.num_rows:
+                    found.append(np.array(batch.column(column).to_pylist(), dtype=np.float64))
+                if found and found[-1].shape[1:] != found[0].shape[1:]:
+                    raise ValueError
+            except (ValueError, TypeError, OverflowError):
+                wrong = f"{printable(column)} is not a column of numbers, or its rows are not equally long"
+                raise ImportFailure(f"{inside.called(name)}: {wrong}") from None
+    return [np.concatenate(found) if found else np.zeros(0) for found in parts]

@@ -51,23 +51,7 @@ class _Done(NamedTuple):
 
 
 def write(drive: Drive, job: Job, usual: Nominal, tally: Tally, advance: Callable[[], None]) -> Written | None:
-    """Write the recording of a drive.
-
-    Parameters
-    ----------
-    drive, job
-        What, and as what.
-    usual
-        How fast the robot is.
-    tally
-        Is told what cannot be used.
-    advance
-        Called for each frame.
-
-    Returns
-    -------
-    Written or None
-        None where nothing of the drive can be used.
+    """Write the recording of a drive; None where nothing of it can be used. ``advance`` is called for each frame.
 
     Raises
     ------

@@ -29,16 +29,9 @@ _FURTHEST_M: Final = 1e6
 
 
 class Ticks(NamedTuple):
-    """The ticks of a drive that have a frame.
+    """The ticks of a drive that have a frame: their numbers, (n,) from 0, and which frame each shows, (n,) ascending.
 
-    Attributes
-    ----------
-    numbers
-        (n,) from 0, ten a second; those without a frame are missing.
-    frames
-        (n,) which of the drive's frames each shows, ascending.
-    start_s
-        When tick 0 was.
+    Tick 0 was at `start_s`; ticks without a frame are missing.
     """
 
     numbers: NDArray[np.intp]
@@ -52,35 +45,21 @@ class Ticks(NamedTuple):
 
 
 def ticks(times_s: Array, from_s: float, to_s: float, tally: Tally) -> Ticks:
-    """Give the ticks of a drive, and count what becomes of its frames.
+    """Give the ticks of a drive by the times of its frames, and count what becomes of these.
 
-    Parameters
-    ----------
-    times_s
-        (n,) of the frames.
-    from_s, to_s
-        Which part of the drive, in seconds from its first frame; tick 0 is at its first frame within.
-    tally
-        Gets how many frames were between two ticks, stand for more than one, and how many ticks have none.
-
-    Raises
-    ------
-    ImportFailure
-        When these are no times in seconds.
+    It is cut to a part, in seconds from its first frame; tick 0 is at the first frame within. Times that are not in
+    seconds are an `ImportFailure`.
     """
     numbers = np.where(np.isfinite(times_s), times_s, -np.inf)
     before = np.maximum.accumulate(np.concatenate([[-np.inf], numbers]))[:-1]
     later = np.flatnonzero(numbers > before)
     tally.count("frames are not later than the one before", times_s.size - later.size)
-    none = np.zeros(0, np.intp)
-    if not later.size:
-        return Ticks(none, none, 0.0)
-    if np.abs(times_s[later]).max() > LATEST_S:
+    if (np.abs(times_s[later]) > LATEST_S).any():
         raise ImportFailure("times beyond all calendars: they are not in seconds")
-    passed_s = times_s[later] - times_s[later[0]]
+    passed_s = times_s[later] - times_s[later[:1]]
     chosen = later[(from_s <= passed_s) & (passed_s <= to_s)]
     if not chosen.size:
-        return Ticks(none, none, 0.0)
+        return Ticks(chosen, chosen, 0.0)
     there_s = times_s[chosen]
     count = math.ceil((there_s[-1] + TICK_S / 2.0 - there_s[0] - _ROUNDING_S) / TICK_S)
     if count > MAX_TICK:
@@ -96,13 +75,7 @@ def ticks(times_s: Array, from_s: float, to_s: float, tally: Tally) -> Ticks:
 
 
 class Moves:
-    """How far the robot goes, from its velocities.
-
-    Parameters
-    ----------
-    motion
-        As of `Drive`; a sample holds until the next, at most `HOLD_S`.
-    """
+    """How far the robot goes, from the motion of its drive: a sample holds until the next, at most `HOLD_S`."""
 
     def __init__(self, motion: Array) -> None:
         begins, velocities = motion[:, 0], motion[:, 1:]
@@ -147,26 +120,10 @@ class Moves:
 
 
 def odometry(drive: Drive, times_s: Array, moves: Moves | None) -> tuple[Array, NDArray[np.bool_]] | None:
-    """Give the pose at each tick, as seen from the first one.
+    """Give the pose at the times of ticks, (n, 3), as seen from the first one, and whether it is known, (n,).
 
-    Parameters
-    ----------
-    drive
-        Its track is taken where it has one.
-    times_s
-        Of the ticks, (n,).
-    moves
-        What to reckon from where it has none; None where that is not wanted.
-
-    Returns
-    -------
-    (poses, known) or None
-        (n, 3) and (n,): a tick further than `HOLD_S` from the samples of the track has none.
-
-    Raises
-    ------
-    ImportFailure
-        When it jumps, or leads nowhere.
+    It is by the drive's track, and not known further than `HOLD_S` from its samples; where there is none it is reckoned
+    from the moves, if there are some. A track that jumps, or leads nowhere, is an `ImportFailure`.
     """
     if drive.track.size:
         poses, known = _tracked(drive.track, times_s)

@@ -50,9 +50,8 @@ class Ros2View:
     odometry: OdometryReading | None
     imu: tuple[ImuReading, ...] | None
 
-    def more(self, _header: Message, made: Collection[str] = ()) -> Iterator[Message]:
+    def more(self, _header: Message, _made: Collection[str] = ()) -> Iterator[Message]:
         """Make nothing more: it has no other sensors that we know."""
-        del made
         yield from ()
 
 
@@ -75,7 +74,10 @@ class Ros2Body:
     """
 
     def __init__(self, config: Ros2Config, senses: Senses, link: Link, clock: Callable[[], float] = now_s) -> None:
+        self.name, self.speed_m_s = config.name, config.speed_m_s
+        self.watchdog_s, self.braking_s = config.watchdog_s, config.braking_s
         self._config = config
+        self._camera = config.full(config.camera.topic)
         self._senses = senses
         self._link = link
         self._clock = clock
@@ -89,29 +91,9 @@ class Ros2Body:
         self._asked: Atom = "stop"
 
     @property
-    def name(self) -> str:
-        """As the configuration has it."""
-        return self._config.name
-
-    @property
-    def speed_m_s(self) -> float:
-        """As the configuration has it."""
-        return self._config.speed_m_s
-
-    @property
     def focal_px(self) -> float | None:
         """As the camera has told it, for the last frame's size."""
         return self._senses.focal_px(self._image.shape[1])
-
-    @property
-    def watchdog_s(self) -> float:
-        """As the configuration has it."""
-        return self._config.watchdog_s
-
-    @property
-    def braking_s(self) -> float:
-        """As the configuration has it."""
-        return self._config.braking_s
 
     def drive(self, atom: Atom, speed: float) -> None:
         """Go on with a movement; stand where somebody who must be heard is silent.
@@ -156,27 +138,24 @@ class Ros2Body:
             raise ServiceError(f"{self.name} is real: it cannot be carried away at a frame; carry it by hand")
         if request.world is not None or request.variation is not None:
             raise ServiceError(f"{self.name} is real: no world and no variation can be chosen for it")
-        frame = self._senses.frame()
-        topic = self._config.full(self._config.camera.topic)
+        fit = "dialect, domain, namespace, distribution and the topics' names (ros2 topic list)"
+        hint = f"does {self._config.router} reach it, and do {fit} fit?"
+        frame = self._senses.frame
         if frame is None:
-            raise ServiceError(f"{self.name}: no picture has come from {topic}; {self._hint()}")
+            raise ServiceError(f"{self.name}: no picture has come from {self._camera}; {hint}")
         age_s = self._clock() - frame.captured_s
         if age_s > MAX_AGE_S:
-            raise ServiceError(f"{self.name}: the last picture of {topic} is {age_s:.1f} s old")
+            raise ServiceError(f"{self.name}: the last picture of {self._camera} is {age_s:.1f} s old")
         lacks = self._lacks()
         if lacks is not None:
-            hint = "" if lacks == self._senses.learning() else f"; {self._hint()}"
-            raise ServiceError(f"{self.name}: {lacks}{hint}")
+            said = lacks if lacks == self._senses.learning() else f"{lacks}; {hint}"
+            raise ServiceError(f"{self.name}: {said}")
         self._begun_s = self._felt_s = self._clock()
         self._senses.touched = False
         self._senses.imu_since_last()
         self._frame = None
         self._since = self._last = self._senses.wheels_at(frame.captured_s)
         return Beginning()
-
-    def _hint(self) -> str:
-        fit = "dialect, domain, namespace, distribution and the topics' names (ros2 topic list)"
-        return f"does {self._config.router} reach it, and do {fit} fit?"
 
     def look(self, tick: int) -> Ros2View:
         """Return the newest frame, and what belongs to its moment.
@@ -188,11 +167,10 @@ class Ros2Body:
         self._take_newest()
         assert self._frame is not None  # noqa: S101 - begin has seen one, and _take_newest would have raised
         captured_s = self._frame.captured_s
+        odometry = self._odometry(captured_s)
         if self._senses.silent() is not None:
             captured_s = min(captured_s, self._clock() - MAX_AGE_S)
-        return Ros2View(
-            self._image, captured_s, self._senses.touched, self._odometry(self._frame.captured_s), self._imu()
-        )
+        return Ros2View(self._image, captured_s, self._senses.touched, odometry, self._imu())
 
     def _tell_lack(self) -> None:
         """Log once why the robot stands, and when it need not any more."""
@@ -204,16 +182,15 @@ class Ros2Body:
         self._lacked = lacks is not None
 
     def _take_newest(self) -> None:
-        frame = self._senses.frame()
+        frame = self._senses.frame
         if frame is None or frame is self._frame:
             return
         try:
             self._image, self._frame = pixels(frame.message), frame
         except MessageError as error:
-            topic = self._config.full(self._config.camera.topic)
-            self._senses.refuse(topic, str(error))
+            self._senses.refuse(self._camera, str(error))
             if self._frame is None:
-                raise ServiceError(f"{self.name}: {topic}: {error}") from None
+                raise ServiceError(f"{self.name}: {self._camera}: {error}") from None
 
     def _odometry(self, at_s: float) -> OdometryReading | None:
         now = self._senses.wheels_at(at_s)
@@ -233,19 +210,15 @@ class Ros2Body:
                 new.append(one._replace(after_s=one.after_s - self._begun_s))
         return tuple(new)
 
-    def _ahead_s(self, offset_s: float) -> float:
-        """Return how much later it is on the robot's clock than on this machine's, as `date` would show."""
-        return round(self._clock() - offset_s - time.time(), 3)
-
     def detail(self) -> Detail:
-        """Tell how the base is heard, and how its clock stands."""
-        clock = self._senses.camera_clock
-        frame = self._senses.frame()
+        """Tell how the base is heard, and how its clock stands: ahead of what `date` would show on this machine."""
+        clock, frame, now = self._senses.camera_clock, self._senses.frame, self._clock()
+        offset_s = clock.offset_s
         return {
             "lacks": self._lacks(),
-            "camera_age_s": None if frame is None else round(self._clock() - frame.captured_s, 3),
+            "camera_age_s": None if frame is None else round(now - frame.captured_s, 3),
             "camera_delay_s": round(clock.delay_s, 3),
-            "robot_clock_ahead_s": None if clock.offset_s is None else self._ahead_s(clock.offset_s),
+            "robot_clock_ahead_s": None if offset_s is None else round(now - offset_s - time.time(), 3),
             "camera_clock_leaps": clock.leaps,
             "odometry_leaps": self._senses.track.leaps,
             **{f"refused {topic}": count for topic, count in list(self._senses.refused.items())},

@@ -23,6 +23,10 @@ PRESETS: Final = Path(__file__).parent / "presets"
 _LARGEST: Final = 65536
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 Seconds = Annotated[float, Field(ge=0, le=10, allow_inf_nan=False)]
+#: Without a message for so long the robot is not moved.
+Silence = Annotated[float, Field(gt=0, le=10, allow_inf_nan=False)]
+Angle = Annotated[float, Field(gt=0, lt=3.15)]
+#: A name; relative to the namespace unless it begins with a slash.
 Topic = Annotated[str, Field(pattern=r"^/?[A-Za-z_][A-Za-z0-9_]*(/[A-Za-z_][A-Za-z0-9_]*)*$")]
 
 
@@ -31,50 +35,43 @@ class ConfigError(Exception):
 
 
 class _Part(BaseModel):
-    model_config = ConfigDict(frozen=True, strict=True, extra="forbid", use_attribute_docstrings=True)
+    model_config = ConfigDict(frozen=True, strict=True, extra="forbid")
 
 
 class Camera(_Part):
-    """Where pictures come from."""
+    """Where pictures come from: JPEG, or pixels (rgb8, bgr8, mono8, yuv422); and where the calibration does."""
 
     topic: Topic
-    """Of the pictures."""
     type: Literal["sensor_msgs/msg/CompressedImage", "sensor_msgs/msg/Image"] = messages.COMPRESSED_IMAGE
-    """What comes there: JPEG, or pixels (rgb8, bgr8, mono8, yuv422)."""
     info: Topic | None = None
-    """Of its calibration (CameraInfo), if it tells one."""
+    #: From the light on the sensor to the stamp of a picture.
     latency_s: Seconds = 0.0
-    """Seconds from the light on the sensor to the stamp of a picture."""
 
 
 class Input(_Part):
     """A topic that is listened to."""
 
     topic: Topic
-    """Its name; relative to the namespace unless it begins with a slash."""
-    silence_s: Annotated[float, Field(gt=0, le=10, allow_inf_nan=False)] = 0.25
-    """Seconds without a message after which the robot is not moved."""
+    silence_s: Silence = 0.25
 
 
 class Scan(Input):
-    """A laser scanner, or whatever tells distances as one."""
+    """A laser scanner, or whatever tells distances as one; scanners turn 5 to 10 times a second."""
 
-    silence_s: Annotated[float, Field(gt=0, le=10, allow_inf_nan=False)] = 0.5
-    """Seconds without a message after which the robot is not moved; scanners turn 5 to 10 times a second."""
+    silence_s: Silence = 0.5
+    #: Nearer than this, from the scanner, nothing may be where the robot goes.
     stop_m: Positive
-    """Nearer than this, from the scanner, nothing may be where the robot goes."""
+    #: Where ahead is in the scanner's own angles, counter-clockwise; and how far to both sides of the way is looked.
     ahead_rad: Annotated[float, Field(gt=-3.15, lt=3.15)] = 0.0
-    """Where ahead is in the scanner's own angles, counter-clockwise."""
-    half_angle_rad: Annotated[float, Field(gt=0, lt=3.15)] = 0.6
-    """How far to both sides of the way ahead, and back, is looked."""
+    half_angle_rad: Angle = 0.6
+    #: Nearer than this are parts of the robot.
     blind_m: Seconds = 0.0
-    """Nearer than this are parts of the robot."""
-    gap_rad: Annotated[float, Field(gt=0, lt=3.15)] = 0.2
-    """The widest angle of a way of which the scanner may say nothing; at 0.3 m a table's leg, 6 cm, is as wide."""
+    #: The widest angle of a way of which the scanner may say nothing; at 0.3 m a table's leg, 6 cm, is as wide.
+    gap_rad: Angle = 0.2
+    #: Whether a range of 0 says that nothing is within reach; a scanner that is covered or broken says the same.
     zero_is_free: bool = False
-    """Whether a range of 0 says that nothing is within reach; a scanner that is covered or broken says the same."""
+    #: Whether the way back must be seen to be free as well; false for a scanner that only looks ahead.
     behind: bool = True
-    """Whether the way back must be seen to be free as well; false for a scanner that only looks ahead."""
 
     @model_validator(mode="after")
     def _check(self) -> Self:
@@ -86,65 +83,46 @@ class Scan(Input):
 
 
 class Stop(_Part):
-    """A topic that says when the robot must not go on: a bumper, a cliff, a button."""
+    """A topic that says when the robot must not go on: a bumper, a cliff, a button; of a Bool, True means that."""
 
     topic: Topic
-    """Its name."""
     type: Literal[
         "irobot_create_msgs/msg/HazardDetectionVector", "turtlebot3_msgs/msg/SensorState", "std_msgs/msg/Bool"
     ]
-    """What comes there; of a Bool, True means: do not move."""
-    silence_s: Annotated[float, Field(gt=0, le=10, allow_inf_nan=False)] | None = 0.5
-    """Seconds without a message after which the robot is not moved; null for a topic that speaks only of changes: it
-    must have spoken once since its publisher, and we, were there."""
+    #: None for one that speaks only of changes: it must have spoken once since its publisher, and we, were there.
+    silence_s: Silence | None = 0.5
 
 
 class Velocity(_Part):
-    """How the base is told to move."""
+    """How the base is told to move; auto is what it says that it subscribes to."""
 
     topic: Topic = "cmd_vel"
-    """Of its commands."""
     type: Literal["auto", "geometry_msgs/msg/Twist", "geometry_msgs/msg/TwistStamped"] = "auto"
-    """What it takes; auto: what it says that it subscribes to."""
 
 
 class Ros2Config(_Part):
-    """A base with a camera."""
+    """A base with a camera; services/ros2/README.md says what each setting is."""
 
     preset: str | None = None
-    """The preset that this began with."""
     name: Annotated[str, Field(pattern=r"^[a-z0-9][a-z0-9_-]{0,31}$")]
-    """What the robot is called; recordings and models are of it."""
     router: str = "tcp/127.0.0.1:7447"
-    """Address of the robot's Zenoh router (rmw_zenohd), or of its bridge."""
     dialect: DialectName = "rmw_zenoh"
-    """How ROS 2 speaks over Zenoh there."""
     distribution: Distribution = "jazzy"
-    """Its ROS 2 distribution."""
     domain: Annotated[int, Field(ge=0, le=232)] = 0
-    """Its ROS_DOMAIN_ID."""
     namespace: Annotated[str, Field(pattern=r"^(/[A-Za-z_][A-Za-z0-9_]*)*$")] = ""
-    """Namespace of its topics, for example /robot1."""
     speed_m_s: Positive
-    """Speed of forward and backward."""
     turn_rate_rad_s: Positive
-    """Rate of left and right."""
+    #: From that speed to standing.
     braking_s: Seconds
-    """From that speed to standing."""
+    #: Without a command for so long the base stands by itself; a base that has no watchdog must not be driven.
     watchdog_s: Positive
-    """Seconds without a command after which the base stands by itself; a base that has none must not be driven."""
     velocity: Velocity = Velocity()
-    """How it is told to move."""
     camera: Camera
-    """Its camera."""
+    #: The wheels; their silence is the base's.
     odometry: Input | None = None
-    """Its wheels (Odometry); their silence is the base's."""
     imu: Input | None = None
-    """Its inertial unit."""
     scan: Scan | None = None
-    """Its scanner."""
     stops: tuple[Stop, ...] = ()
-    """What else stops it."""
 
     @model_validator(mode="after")
     def _check(self) -> Self:
@@ -165,12 +143,7 @@ def known_presets() -> list[str]:
 
 
 def read_config(path: Path) -> Ros2Config:
-    """Read a configuration.
-
-    Parameters
-    ----------
-    path
-        A YAML file; with `preset: NAME` it says only what differs from that one.
+    """Read a configuration, a YAML file; with `preset: NAME` it says only what differs from that one.
 
     Raises
     ------
@@ -199,21 +172,16 @@ def read_config(path: Path) -> Ros2Config:
 
 def _explained(error: ValidationError) -> str:
     errors = error.errors(include_url=False)
-    missing = [one["loc"] for one in errors if one["type"] == "missing"]
-    if ("watchdog_s",) in missing:
+    missing = [".".join(map(str, one["loc"])) for one in errors if one["type"] == "missing"]
+    if "watchdog_s" in missing:
         return (
             "watchdog_s: say after how many seconds without a command the base stands by itself; one that does not "
             "must not be driven (services/ros2/README.md says how it can)"
         )
-    if missing == [one["loc"] for one in errors] and len(missing) > 1:
-        names = ", ".join(".".join(map(str, where)) for where in missing)
-        return f"lacks {names}; a preset has what is usual: {', '.join(known_presets())}"
-    first = errors[0]
-    if first["type"] == "value_error":
-        return str(first["ctx"]["error"])
-    if first["type"] == "extra_forbidden" and len(first["loc"]) == 1:
-        known = ", ".join(sorted(Ros2Config.model_fields))
-        return f"{printable(str(first['loc'][0]))}: no such setting; known are {known}"
+    if len(missing) == len(errors) > 1:
+        return f"lacks {', '.join(missing)}; a preset has what is usual: {', '.join(known_presets())}"
+    if errors[0]["type"] == "value_error":  # one of our own, which says where
+        return str(errors[0]["ctx"]["error"])
     return describe(error)
 
 

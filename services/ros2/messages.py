@@ -7,6 +7,8 @@ from typing import Any, Final, Literal, TypeAlias
 
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
+from services.kit.ros_message import ros_message
+
 Distribution = Literal["humble", "iron", "jazzy", "kilted", "lyrical"]
 #: A message, or a part of one: its class is made of its definition when that is read.
 RosMessage: TypeAlias = Any
@@ -49,13 +51,7 @@ def _store(distribution: Distribution) -> RosMessage:
 
 
 class Messages:
-    """Writes and reads the messages of a distribution.
-
-    Parameters
-    ----------
-    distribution
-        Name of the ROS 2 distribution that the robot runs.
-    """
+    """Writes and reads the messages of a ROS 2 distribution."""
 
     def __init__(self, distribution: Distribution) -> None:
         self._store = _store(distribution)
@@ -64,40 +60,26 @@ class Messages:
         """Return the hash of a type's definition, ``RIHS01_…``."""
         return str(self._store.hash_rihs01(type_name))
 
-    def write(self, type_name: str, message: object) -> bytes:
-        """Return the bytes of a message."""
-        return bytes(self._store.serialize_cdr(message, type_name))
+    def write(self, type_name: str, fields: dict[str, Any]) -> bytes:
+        """Return the bytes of a message with these fields, see `ros_message`."""
+        return bytes(self._store.serialize_cdr(ros_message(self._store, type_name, fields), type_name))
 
     def read(self, type_name: str, payload: bytes) -> RosMessage:
-        """Return the message in some bytes.
-
-        Raises
-        ------
-        MessageError
-            There is none in them.
-        """
+        """Return the message in some bytes; where there is none, that is a `MessageError`."""
         try:
             return self._store.deserialize_cdr(payload, type_name)
         except Exception as error:  # noqa: BLE001 - the package does not say which ones; these are bytes of a stranger
             raise MessageError(f"not a {type_name}: {type(error).__name__}") from None
 
     def velocity(self, ahead_m_s: float, turn_rad_s: float, stamp_ns: int | None) -> bytes:
-        """Return a Twist or, with a stamp, a TwistStamped.
+        """Return a Twist or, with a stamp, a TwistStamped: speed ahead, and counter-clockwise.
 
-        Parameters
-        ----------
-        ahead_m_s, turn_rad_s
-            Speed ahead, and counter-clockwise.
-        stamp_ns
-            By the robot's clock, nanoseconds since 1970; 0 where it is not known. Of a clock beyond what a stamp can
-            hold it is the nearest that one can.
+        The stamp is by the robot's clock, nanoseconds since 1970, 0 where that is not known; of a clock beyond what a
+        stamp can hold it is the nearest that one can.
         """
-        types = self._store.types
-        vector = types["geometry_msgs/msg/Vector3"]
-        twist = types[TWIST](vector(ahead_m_s, 0.0, 0.0), vector(0.0, 0.0, turn_rad_s))
+        twist = {"linear": {"x": ahead_m_s}, "angular": {"z": turn_rad_s}}
         if stamp_ns is None:
             return self.write(TWIST, twist)
         seconds, rest_ns = divmod(min(max(0, stamp_ns), _LAST_NS), 1_000_000_000)
-        stamp = types["builtin_interfaces/msg/Time"](seconds, rest_ns)
-        header = types["std_msgs/msg/Header"](stamp, "base_link")
-        return self.write(TWIST_STAMPED, types[TWIST_STAMPED](header, twist))
+        header = {"stamp": {"sec": seconds, "nanosec": rest_ns}, "frame_id": "base_link"}
+        return self.write(TWIST_STAMPED, {"header": header, "twist": twist})

@@ -20,12 +20,9 @@ class Way(NamedTuple):
     Attributes
     ----------
     nearest_m
-        How far the nearest thing is, where that is nearer than the scanner's `Scan.stop_m`; else infinity. What is too
-        near to be measured is at 0.
-    unseen_rad
-        The widest angle in which no beam tells anything.
-    seen
-        Whether that is narrow enough for the way to be free.
+        How far the nearest thing is that is nearer than `Scan.stop_m`; else infinity. Too near to be measured is 0.
+    unseen_rad, seen
+        The widest angle in which no beam tells anything; whether that is narrow enough for the way to be free.
     """
 
     nearest_m: float

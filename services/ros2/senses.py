@@ -7,6 +7,7 @@ import math
 from collections import Counter, deque
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from threading import Lock
 from typing import Final, NamedTuple
 
@@ -23,7 +24,7 @@ from services.robot.body import ImuReading, Triple
 from services.robot.clock import now_s
 from services.ros2 import messages
 from services.ros2.clock import LEARN_S, StampedClock
-from services.ros2.config import Ros2Config
+from services.ros2.config import Ros2Config, Scan
 from services.ros2.messages import MessageError, Messages, RosMessage
 from services.ros2.scanner import ways
 from services.ros2.wheels import Track, Wheels
@@ -40,8 +41,10 @@ _MOST_BYTES: Final = {
 }  # fmt: skip
 _MOST_OTHER_BYTES: Final = 1 << 16
 _MOVING: Final = frozenset(ATOMS) - {"stop"}
-# Of irobot_create_msgs/msg/HazardDetection, by number: what it forbids, and its name.
-_HAZARDS: Final[dict[int, tuple[str, frozenset[Atom]]]] = {
+#: Why movements are forbidden, and which.
+Ban = tuple[str, frozenset[Atom]]
+# Of irobot_create_msgs/msg/HazardDetection, by number.
+_HAZARDS: Final[dict[int, Ban]] = {
     0: ("it may not back further", frozenset({"backward"})),
     1: ("its bumper is pressed", _MOVING - {"backward"}),
     2: ("it stands before a cliff", _MOVING - {"backward"}),
@@ -49,6 +52,7 @@ _HAZARDS: Final[dict[int, tuple[str, frozenset[Atom]]]] = {
     4: ("a wheel hangs in the air", _MOVING),
     5: ("something is near its front", frozenset({"forward"})),
 }
+_UNKNOWN_HAZARD: Final[Ban] = ("an unknown hazard is near", _MOVING)
 _BUMP: Final = 1
 # Of turtlebot3_msgs/msg/SensorState.
 _BUMPER_FORWARD, _BUMPER_BACKWARD = 1, 2
@@ -57,15 +61,7 @@ _log = logging.getLogger("ros2")
 
 @dataclass(frozen=True, eq=False)
 class Frame:
-    """A picture, still as it came.
-
-    Attributes
-    ----------
-    message
-        CompressedImage or Image.
-    captured_s
-        When the light fell in, by our clock.
-    """
+    """A picture, still as it came (CompressedImage or Image), and when the light fell in by our clock."""
 
     message: RosMessage
     captured_s: float
@@ -82,11 +78,14 @@ class Heard(NamedTuple):
         Takes a message, and when it was made by our clock.
     clock
         That of its stamps; None where messages count from their arrival.
+    silence_s
+        After so much silence the robot is not moved: infinity for who speaks only of changes, None for who need not.
     """
 
     type_name: str
     take: Callable[[RosMessage, float], None]
     clock: StampedClock | None = None
+    silence_s: float | None = None
 
 
 class Senses:
@@ -101,49 +100,48 @@ class Senses:
     """
 
     def __init__(self, config: Ros2Config, clock: Callable[[], float] = now_s) -> None:
-        self.config = config
+        self._config = config
         self._messages = Messages(config.distribution)
         self._clock = clock
         self._lock = Lock()
         self._heard_s: dict[str, float] = {}
-        self._silences: dict[str, float] = {}
-        self._frame: Frame | None = None
         self._wheels: deque[Wheels] = deque(maxlen=_KEPT)
         self._imu: deque[ImuReading] = deque(maxlen=MAX_SAMPLES)
+        self._focal: tuple[float, int] | None = None
+        self._forbidden: dict[str, tuple[Ban, ...]] = {}
+        self._unseen: dict[Atom, str] = {}
+        self._complaints = Throttle()
+        #: The newest one.
+        self.frame: Frame | None = None
         silence_s = 0.0 if config.odometry is None else config.odometry.silence_s
         self.track = Track(config.speed_m_s, config.turn_rate_rad_s, silence_s)
-        self._focal: tuple[float, int] | None = None
-        self._forbidden: dict[str, tuple[tuple[str, frozenset[Atom]], ...]] = {}
-        self._unseen: dict[Atom, str] = {}
         #: Whether the bumper was pressed since this was last set.
         self.touched = False
         #: Messages that were none, or not newer than the one before, by topic.
         self.refused: Counter[str] = Counter()
-        self._complaints = Throttle()
         self.camera_clock = StampedClock()
-        self.inputs = self._plan()
+        self.inputs = self._plan(config)
 
-    def _plan(self) -> dict[str, Heard]:
-        config = self.config
-        camera = config.full(config.camera.topic)
-        inputs = {camera: Heard(str(config.camera.type), self._see, self.camera_clock)}
+    def _plan(self, config: Ros2Config) -> dict[str, Heard]:
+        full = config.full
+        inputs = {full(config.camera.topic): Heard(str(config.camera.type), self._see, self.camera_clock)}
         if config.camera.info is not None:
-            inputs[config.full(config.camera.info)] = Heard(messages.CAMERA_INFO, self._calibrate)
-        if config.odometry is not None:
-            inputs[config.full(config.odometry.topic)] = Heard(messages.ODOMETRY, self._roll, StampedClock())
-            self._silences[config.full(config.odometry.topic)] = config.odometry.silence_s
+            inputs[full(config.camera.info)] = Heard(messages.CAMERA_INFO, self._calibrate)
         if config.imu is not None:
-            inputs[config.full(config.imu.topic)] = Heard(messages.IMU, self._feel, StampedClock())
+            inputs[full(config.imu.topic)] = Heard(messages.IMU, self._feel, StampedClock())
+        if config.odometry is not None:
+            wheels = Heard(messages.ODOMETRY, self._roll, StampedClock(), config.odometry.silence_s)
+            inputs[full(config.odometry.topic)] = wheels
         if config.scan is not None:
-            inputs[config.full(config.scan.topic)] = Heard(messages.LASER_SCAN, self._scan, StampedClock())
-            self._silences[config.full(config.scan.topic)] = config.scan.silence_s
+            topic = full(config.scan.topic)
+            take = partial(self._scan, topic, config.scan)
+            inputs[topic] = Heard(messages.LASER_SCAN, take, StampedClock(), config.scan.silence_s)
         for stop in config.stops:
-            topic = config.full(stop.topic)
             # What speaks of changes only is as old as it is; and a Bool has no stamp.
             stamped = stop.silence_s is not None and stop.type != messages.BOOL
-            take = self._stopper(topic, str(stop.type))
-            inputs[topic] = Heard(str(stop.type), take, StampedClock() if stamped else None)
-            self._silences[topic] = math.inf if stop.silence_s is None else stop.silence_s
+            take, clock = partial(self._stop, full(stop.topic), str(stop.type)), StampedClock() if stamped else None
+            silence_s = math.inf if stop.silence_s is None else stop.silence_s
+            inputs[full(stop.topic)] = Heard(str(stop.type), take, clock, silence_s)
         return inputs
 
     # -- what comes -----------------------------------------------------------------------------------------------
@@ -166,7 +164,7 @@ class Senses:
 
     def changes(self) -> list[str]:
         """Return the topics that speak only of changes."""
-        return [topic for topic, silence_s in self._silences.items() if silence_s == math.inf]
+        return [topic for topic, heard in self.inputs.items() if heard.silence_s == math.inf]
 
     def forget(self, topic: str) -> None:
         """Forget that a topic has spoken; what it forbade stays forbidden until it speaks again."""
@@ -179,7 +177,7 @@ class Senses:
             _log.warning("%s: message refused (%d so far): %s", topic, self.refused[topic], why)
 
     def _see(self, message: RosMessage, made_s: float) -> None:
-        self._frame = Frame(message, made_s - self.config.camera.latency_s)
+        self.frame = Frame(message, made_s - self._config.camera.latency_s)
 
     def _calibrate(self, message: RosMessage, _at_s: float) -> None:
         focal_px, width = float(message.k[0]), int(message.width)
@@ -200,9 +198,7 @@ class Senses:
         _check_finite("acceleration", push, _MOST_M_S2)
         self._imu.append(ImuReading(made_s, turn, push))
 
-    def _scan(self, message: RosMessage, _at_s: float) -> None:
-        assert self.config.scan is not None  # noqa: S101 - it is listened to
-        topic, scan = self.config.full(self.config.scan.topic), self.config.scan
+    def _scan(self, topic: str, scan: Scan, message: RosMessage, _at_s: float) -> None:
         places: tuple[tuple[Atom, str, bool], ...] = (("forward", "ahead", True), ("backward", "behind", scan.behind))
         try:
             told = ways(message, scan)
@@ -211,7 +207,7 @@ class Senses:
             self._unseen = {atom: f"{topic}: {error}" for atom, _, must in places if must}
             raise
         unclear = "" if scan.zero_is_free or np.all(message.ranges) else "; is its 0 a free way? see zero_is_free"
-        forbidden: list[tuple[str, frozenset[Atom]]] = []
+        forbidden: list[Ban] = []
         unseen: dict[Atom, str] = {}
         for (atom, where, must), way in zip(places, told, strict=True):
             if way.nearest_m < math.inf:
@@ -220,15 +216,9 @@ class Senses:
                 unseen[atom] = f"{topic} says nothing of {math.degrees(way.unseen_rad):.0f} degrees {where}{unclear}"
         self._forbidden[topic], self._unseen = tuple(forbidden), unseen
 
-    def _stopper(self, topic: str, type_name: str) -> Callable[[RosMessage, float], None]:
-        read = {messages.HAZARDS: _hazards, messages.SENSOR_STATE: _bumpers, messages.BOOL: _button}[type_name]
-
-        def take(message: RosMessage, _at_s: float) -> None:
-            touched, forbidden = read(message)
-            self.touched |= touched
-            self._forbidden[topic] = forbidden
-
-        return take
+    def _stop(self, topic: str, type_name: str, message: RosMessage, _at_s: float) -> None:
+        touched, self._forbidden[topic] = _STOPS[type_name](message)
+        self.touched |= touched
 
     # -- what is known --------------------------------------------------------------------------------------------
 
@@ -241,33 +231,28 @@ class Senses:
         return None
 
     def silent(self, atom: Atom = "stop") -> str | None:
-        """Say who must be heard for the base to be moved, and is not; None where everybody is.
+        """Say who must be heard for a movement to be made, and is not; None where everybody is.
 
-        Parameters
-        ----------
-        atom
-            The movement: the scanner must have seen that its way is free.
+        The scanner must have seen that its way is free.
         """
         now = self._clock()
-        for topic, silence_s in self._silences.items():
+        for topic, heard in self.inputs.items():
+            if heard.silence_s is None:
+                continue
             heard_s = self._heard_s.get(topic)
             if heard_s is None:
                 return f"nothing has come from {topic}"
-            if now - heard_s > silence_s:
+            if now - heard_s > heard.silence_s:
                 return f"nothing has come from {topic} for {now - heard_s:.1f} s"
         return self.learning() or self._unseen.get(atom)
 
     def learning(self) -> str | None:
-        """Say whose clock is not known yet, of those who must be heard; None where all are."""
-        for topic in (self.config.full(self.config.camera.topic), *self._silences):
-            clock = self.inputs[topic].clock
-            if clock is not None and not clock.known:
+        """Say whose clock is not known yet, of the camera and those who must be heard; None where all are."""
+        for topic, heard in self.inputs.items():
+            must = heard.clock is self.camera_clock or heard.silence_s is not None
+            if must and heard.clock is not None and not heard.clock.known:
                 return f"how the clock of {topic} stands is learned; that takes {LEARN_S:g} s"
         return None
-
-    def frame(self) -> Frame | None:
-        """Return the newest frame."""
-        return self._frame
 
     def focal_px(self, width: int) -> float | None:
         """Return the focal length in an image of so many columns, if the camera has told one that can be."""
@@ -289,29 +274,32 @@ class Senses:
         return readings
 
 
-Forbidden = tuple[bool, tuple[tuple[str, frozenset[Atom]], ...]]
+#: What a stop's message says: whether something was touched, and what is forbidden.
+Said = tuple[bool, tuple[Ban, ...]]
 
 
-def _hazards(message: RosMessage) -> Forbidden:
-    numbers = {int(one.type) for one in message.detections}
-    unknown = ("an unknown hazard is near", _MOVING)
-    return _BUMP in numbers, tuple(_HAZARDS.get(number, unknown) for number in sorted(numbers))
+def _hazards(message: RosMessage) -> Said:
+    numbers = sorted({int(one.type) for one in message.detections})
+    return _BUMP in numbers, tuple(_HAZARDS.get(number, _UNKNOWN_HAZARD) for number in numbers)
 
 
-def _bumpers(message: RosMessage) -> Forbidden:
-    ahead, behind = bool(message.bumper & _BUMPER_FORWARD), bool(message.bumper & ~_BUMPER_FORWARD)
-    forbidden: list[tuple[str, frozenset[Atom]]] = []
-    if ahead:
-        forbidden.append((_HAZARDS[_BUMP][0], _MOVING - {"backward"}))
-    if behind:
-        known = message.bumper & ~_BUMPER_FORWARD == _BUMPER_BACKWARD
-        why = "its rear bumper is pressed" if known else "a bumper that is not known is pressed"
-        forbidden.append((why, _MOVING - {"forward"} if known else _MOVING))
-    return ahead or behind, tuple(forbidden)
+def _bumpers(message: RosMessage) -> Said:
+    ahead, others = message.bumper & _BUMPER_FORWARD, message.bumper & ~_BUMPER_FORWARD
+    forbidden = [_HAZARDS[_BUMP]] if ahead else []
+    if others == _BUMPER_BACKWARD:
+        forbidden.append(("its rear bumper is pressed", _MOVING - {"forward"}))
+    elif others:
+        forbidden.append(("a bumper that is not known is pressed", _MOVING))
+    return bool(message.bumper), tuple(forbidden)
 
 
-def _button(message: RosMessage) -> Forbidden:
+def _button(message: RosMessage) -> Said:
     return False, (("it is told not to move", _MOVING),) if message.data else ()
+
+
+_STOPS: Final[dict[str, Callable[[RosMessage], Said]]] = {
+    messages.HAZARDS: _hazards, messages.SENSOR_STATE: _bumpers, messages.BOOL: _button
+}  # fmt: skip
 
 
 def _made_s(clock: StampedClock, message: RosMessage, arrived_s: float) -> float:

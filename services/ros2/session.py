@@ -19,17 +19,7 @@ from services.ros2 import messages
 from services.ros2.config import Ros2Config
 from services.ros2.messages import Messages
 from services.ros2.senses import Senses
-from services.ros2.wire import (
-    Bridge,
-    Dialect,
-    Endpoint,
-    Kind,
-    Qos,
-    RmwZenoh,
-    gid_of,
-    read_attachment,
-    velocity_type,
-)
+from services.ros2.wire import Bridge, Endpoint, Kind, Qos, RmwZenoh, gid_of, read_attachment
 
 #: How long the robot's router is waited for at the start; after an outage the connection is made again by itself.
 PATIENCE_MS: Final = 5000
@@ -39,14 +29,6 @@ _VELOCITIES: Final = (messages.TWIST, messages.TWIST_STAMPED)
 _SENSOR, _COMMAND = Qos(reliable=False, depth=5), Qos(reliable=True, depth=10)
 _CHANGES = Qos(reliable=True, depth=1, latched=True)
 _log = logging.getLogger("ros2")
-
-
-def dialect_of(config: Ros2Config) -> Dialect:
-    """Return how a base is spoken to."""
-    if config.dialect == "zenoh-bridge-ros2dds":
-        return Bridge()
-    own = Messages(config.distribution)
-    return RmwZenoh(own, config.domain, config.namespace, hashed=config.distribution != "humble")
 
 
 def _settings(config: Ros2Config) -> zenoh.Config:
@@ -89,14 +71,17 @@ class Ros2Session:
         self._config = config
         self._senses = senses
         self._messages = Messages(config.distribution)
-        self._dialect = dialect_of(config)
+        hashed = config.distribution != "humble"
+        rmw = RmwZenoh(self._messages, config.domain, config.namespace, hashed=hashed)
+        self._dialect = rmw if config.dialect == "rmw_zenoh" else Bridge()
         self._topic = config.full(config.velocity.topic)
         self._lock = Lock()
         self._closed = False
         self._tokens: dict[str, Endpoint] = {}
         self._heard: dict[str, tuple[bytes, int]] = {}
         self._changes: dict[str, zenoh.ext.AdvancedSubscriber[None]] = {}
-        self._type: str | None = None if config.velocity.type == "auto" else str(config.velocity.type)
+        self._auto = config.velocity.type == "auto"
+        self._type: str | None = None if self._auto else str(config.velocity.type)
         try:
             self._session = zenoh.open(_settings(config))
         except zenoh.ZError:
@@ -108,10 +93,8 @@ class Ros2Session:
         self._declared: list[Any] = []
         self._publishers: dict[str, tuple[zenoh.Publisher, bytes]] = {}
         self._sequence = 0
-        token = self._dialect.node_token(self._zid)
-        if token is not None:
-            self._declared.append(self._session.liveliness().declare_token(token))
         self._number = 0
+        self._declare(self._dialect.node_token(self._zid))
         changes = senses.changes()
         for topic, heard in senses.inputs.items():
             if topic in changes:
@@ -124,14 +107,16 @@ class Ros2Session:
             self._session.liveliness().declare_subscriber(self._dialect.tokens, _called(self._on_token), history=True)
         )
 
+    def _declare(self, token: str | None) -> None:
+        if token is not None:
+            self._declared.append(self._session.liveliness().declare_token(token))
+
     def _announce(self, kind: Kind, topic: str, type_name: str, qos: Qos) -> str:
         self._number += 1
         endpoint = Endpoint(kind, topic, type_name, self._dialect.type_hash(type_name))
         token = self._dialect.endpoint_token(self._zid, self._number, endpoint, qos)
-        if token is None:
-            return ""
-        self._declared.append(self._session.liveliness().declare_token(token))
-        return token
+        self._declare(token)
+        return token or ""
 
     # -- what is heard --------------------------------------------------------------------------------------------
 
@@ -199,11 +184,13 @@ class Ros2Session:
         return [one for one in list(self._tokens.values()) if (one.kind, one.topic) == (kind, topic)]
 
     def _choose(self, endpoints: list[Endpoint]) -> None:
-        wanted = velocity_type(endpoints, self._topic, _VELOCITIES)
+        """Take note of which velocities the robot subscribes to."""
+        types = {one.type_name for one in endpoints}
+        wanted = next((name for name in _VELOCITIES if name in types), None)
         if wanted is None:
-            if endpoints:
-                types = ", ".join(sorted({printable(one.type_name) for one in endpoints}))
-                _log.error("%s takes %s; known are Twist and TwistStamped", self._topic, types)
+            if types:
+                named = ", ".join(sorted(map(printable, types)))
+                _log.error("%s takes %s; known are Twist and TwistStamped", self._topic, named)
             return
         hashes = {one.type_hash for one in endpoints if one.type_name == wanted}
         own = self._dialect.type_hash(wanted)
@@ -212,13 +199,11 @@ class Ros2Session:
                 "%s: the robot's %s is %s, that of %s is %s: set distribution to the robot's",
                 self._topic, wanted, printable(min(hashes)), self._config.distribution, own,
             )  # fmt: skip
-        if self._config.velocity.type != "auto":
-            if wanted != self._config.velocity.type:
-                _log.error("%s takes %s, and velocity.type is %s: it will not move", self._topic, wanted, self._type)
-            return
-        if wanted != self._type:
+        if wanted != self._type and self._auto:
             self._type = wanted
             _log.info("%s takes %s: that is what is sent", self._topic, wanted)
+        elif wanted != self._type:
+            _log.error("%s takes %s, and velocity.type is %s: it will not move", self._topic, wanted, self._type)
 
     # -- what is sent ---------------------------------------------------------------------------------------------
 
@@ -229,7 +214,7 @@ class Ros2Session:
         for topic in self._changes:
             if not self._there("MP", topic):
                 return f"nobody publishes {topic}"
-        if self._type is None or (self._config.velocity.type == "auto" and not self._there("MS", self._topic)):
+        if self._type is None or (self._auto and not self._there("MS", self._topic)):
             return f"nobody subscribes to {self._topic}"
         return None
 

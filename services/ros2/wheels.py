@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from typing import NamedTuple
 
 from services.robot.body import OdometryReading
 
@@ -13,24 +13,18 @@ _LEAP_M, _LEAP_RAD = 0.3, 0.3
 _MOST_M, _MOST_RAD_S, _MOST_M_S = 1e6, 100.0, 100.0
 
 
-@dataclass(frozen=True)
-class Wheels:
-    """Where the wheels say that the base is, since we listen.
+class Wheels(NamedTuple):
+    """Where the wheels say that the base is since we listen, how far it went (backwards less), and how far it turned.
 
-    Attributes
-    ----------
-    read_s
-        When, by our clock.
-    ahead_m
-        The way so far, backwards less.
+    It was read at `read_s` by our clock.
     """
 
     read_s: float
-    x_m: float
-    y_m: float
-    heading_rad: float
-    ahead_m: float
-    turned_rad: float
+    x_m: float = 0.0
+    y_m: float = 0.0
+    heading_rad: float = 0.0
+    ahead_m: float = 0.0
+    turned_rad: float = 0.0
 
 
 class Track:
@@ -49,7 +43,7 @@ class Track:
         self._speed_m_s = speed_m_s
         self._turn_rate_rad_s = turn_rate_rad_s
         self._raw: tuple[float, float, float] | None = None
-        self._now = Wheels(0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+        self._now = Wheels(0.0)
         #: How many times it leapt.
         self.leaps = 0
 
@@ -58,7 +52,7 @@ class Track:
         now, raw = self._now, self._raw
         self._raw = x_m, y_m, heading_rad
         if raw is None:
-            self._now = Wheels(read_s, 0.0, 0.0, 0.0, 0.0, 0.0)
+            self._now = Wheels(read_s)
             return self._now
         turned = math.remainder(heading_rad - raw[2], math.tau)
         dx, dy = x_m - raw[0], y_m - raw[1]

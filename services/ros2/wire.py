@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Final, Literal, NamedTuple, Protocol
+import struct
+from typing import Final, Literal, NamedTuple
 
 import xxhash
 
@@ -18,7 +17,6 @@ NO_TYPE_HASH: Final = "TypeHashNotSupported"
 _GID_BYTES: Final = 16
 # Names that releases before Jazzy 0.2.4 and Humble 0.1.2 write before the values, as strings with their length.
 _OLD_NAMES: Final = tuple(bytes([len(n)]) + n for n in (b"sequence_number", b"source_timestamp", b"source_gid"))
-_INT64_BYTES: Final = 8
 
 
 class Endpoint(NamedTuple):
@@ -52,30 +50,23 @@ class Attachment(NamedTuple):
 
     def write(self) -> bytes:
         """Return its 33 bytes."""
-        numbers = b"".join(n.to_bytes(_INT64_BYTES, "little", signed=True) for n in (self.sequence, self.stamp_ns))
-        return numbers + bytes([len(self.gid)]) + self.gid
+        return struct.pack("<qqB16s", self.sequence, self.stamp_ns, _GID_BYTES, self.gid)
 
 
 def read_attachment(data: bytes) -> Attachment | None:
     """Return the attachment in some bytes, of today's releases or of older ones; None where there is none."""
     for names in ((b"", b"", b""), _OLD_NAMES):
-        at, values = 0, []
-        for name, size in zip(names, (_INT64_BYTES, _INT64_BYTES, 1 + _GID_BYTES), strict=True):
-            if data[at : at + len(name)] != name:
-                break
-            at += len(name) + size
-            values.append(data[at - size : at])
-        if len(values) == 3 and at == len(data) and values[2][0] == _GID_BYTES:
-            sequence, stamp_ns = (int.from_bytes(value, "little", signed=True) for value in values[:2])
-            return Attachment(sequence, stamp_ns, values[2][1:])
+        form = struct.Struct("<{}sq{}sq{}sB16s".format(*map(len, names)))
+        if len(data) == form.size:
+            *said, size, gid = form.unpack(data)
+            if tuple(said[::2]) == names and size == _GID_BYTES:
+                return Attachment(said[1], said[3], gid)
     return None
 
 
 def gid_of(token: str) -> bytes:
     """Return the id of an endpoint, which is made of its token."""
-    digest = xxhash.xxh3_128_intdigest(token.encode())
-    low, high = digest & (2**64 - 1), digest >> 64
-    return low.to_bytes(8, "little") + high.to_bytes(8, "little")
+    return xxhash.xxh3_128_digest(token.encode())[::-1]
 
 
 def dds_type(type_name: str) -> str:
@@ -95,41 +86,50 @@ def qualified(topic: str, namespace: str) -> str:
     return topic if topic.startswith("/") else f"{namespace.rstrip('/')}/{topic}"
 
 
-class Dialect(Protocol):
-    """What differs between the two ways that ROS 2 speaks over Zenoh."""
+class Bridge:
+    """A robot with another middleware, and zenoh-bridge-ros2dds beside it: plain keys, nothing attached.
 
-    @property
-    def tokens(self) -> str:
-        """Key expression of the tokens by which endpoints tell that they are there."""
+    The robot's own bridge speaks for us: there are no tokens of ours.
+    """
 
-    def key(self, topic: str, type_name: str) -> str:
+    #: Key expression of the tokens by which endpoints tell that they are there.
+    tokens = "@/*/@ros2_lv/**"
+    #: Whether a message without an attachment is none.
+    attached = False
+
+    def type_hash(self, _type_name: str) -> str:
+        """Return the hash of a type as it stands in keys; here none does."""
+        return ""
+
+    def key(self, topic: str, _type_name: str) -> str:
         """Return the key of a topic's messages."""
+        return topic.strip("/")
 
     def read_token(self, token: str) -> Endpoint | None:
-        """Return the endpoint that a token tells of; None for anything else."""
+        """Return the endpoint that a token tells of: the bridge's zid, the kind, the key, the type; else None."""
+        match = re.fullmatch(r"@/[^/]+/@ros2_lv/(MP|MS)/([^/]+)/([^/]+)/[^/]*", token)
+        if match is None:
+            return None
+        kind: Kind = "MP" if match[1] == "MP" else "MS"
+        return Endpoint(kind, "/" + match[2].replace("§", "/"), match[3].replace("§", "/"), "")
 
-    def node_token(self, session: str) -> str | None:
-        """Return the token by which we are a node; None where no such thing is declared."""
+    def node_token(self, _session: str) -> str | None:
+        """Return the token by which we are a node, if there is one."""
+        return None
 
-    def endpoint_token(self, session: str, number: int, endpoint: Endpoint, qos: Qos) -> str | None:
-        """Return the token of an endpoint of ours."""
+    def endpoint_token(self, _session: str, _number: int, _endpoint: Endpoint, _qos: Qos) -> str | None:
+        """Return the token of an endpoint of ours, if there is one."""
+        return None
 
-    def attachment(self, sequence: int, stamp_ns: int, gid: bytes) -> bytes | None:
-        """Return what goes with a message."""
-
-    def type_hash(self, type_name: str) -> str:
-        """Return the hash of a type as it stands in keys; empty where none does."""
-
-    @property
-    def attached(self) -> bool:
-        """Whether a message without an attachment is none."""
+    def attachment(self, _sequence: int, _stamp_ns: int, _gid: bytes) -> bytes | None:
+        """Return what goes with a message, if anything does."""
+        return None
 
 
-@dataclass(frozen=True)
-class RmwZenoh:
+class RmwZenoh(Bridge):
     """The middleware of ROS 2 itself, rmw_zenoh_cpp.
 
-    Attributes
+    Parameters
     ----------
     messages
         Of the robot's distribution.
@@ -141,25 +141,23 @@ class RmwZenoh:
         Whether keys hold the hashes of types; Humble has none.
     """
 
-    messages: Messages
-    domain: int
-    namespace: str
-    node: str = "smal"
-    hashed: bool = True
-    attached: bool = True
+    attached = True
 
-    @property
-    def tokens(self) -> str:
-        """All of the domain; a wildcard never matches the first part."""
-        return f"@ros2_lv/{self.domain}/**"
+    def __init__(
+        self, messages: Messages, domain: int, namespace: str, node: str = "smal", *, hashed: bool = True
+    ) -> None:
+        self._messages, self._domain, self._hashed = messages, domain, hashed
+        self._us = f"%/{_mangled(namespace)}/{node}"
+        #: A wildcard never matches the first part.
+        self.tokens = f"@ros2_lv/{domain}/**"
 
     def type_hash(self, type_name: str) -> str:
         """Return the hash, or Humble's word for having none."""
-        return self.messages.type_hash(type_name) if self.hashed else NO_TYPE_HASH
+        return self._messages.type_hash(type_name) if self._hashed else NO_TYPE_HASH
 
     def key(self, topic: str, type_name: str) -> str:
         """Return domain, topic, type and hash."""
-        return f"{self.domain}/{topic.strip('/')}/{dds_type(type_name)}/{self.type_hash(type_name)}"
+        return f"{self._domain}/{topic.strip('/')}/{dds_type(type_name)}/{self.type_hash(type_name)}"
 
     def read_token(self, token: str) -> Endpoint | None:
         """Read what `endpoint_token` writes, and more of it than we say."""
@@ -170,61 +168,19 @@ class RmwZenoh:
         kind: Kind = "MP" if parts[5] == "MP" else "MS"
         return None if type_name is None else Endpoint(kind, parts[9].replace("%", "/"), type_name, parts[11])
 
-    def _us(self) -> str:
-        return f"%/{_mangled(self.namespace)}/{self.node}"
-
     def node_token(self, session: str) -> str:
         """Return the token by which `ros2 node list` shows us."""
-        return f"@ros2_lv/{self.domain}/{session}/0/0/NN/{self._us()}"
+        return f"@ros2_lv/{self._domain}/{session}/0/0/NN/{self._us}"
 
     def endpoint_token(self, session: str, number: int, endpoint: Endpoint, qos: Qos) -> str:
         """Return the token by which `ros2 topic info` shows us."""
         what = f"{_mangled(endpoint.topic)}/{dds_type(endpoint.type_name)}/{endpoint.type_hash}/{qos.text()}"
-        return f"@ros2_lv/{self.domain}/{session}/0/{number}/{endpoint.kind}/{self._us()}/{what}"
+        return f"@ros2_lv/{self._domain}/{session}/0/{number}/{endpoint.kind}/{self._us}/{what}"
 
     def attachment(self, sequence: int, stamp_ns: int, gid: bytes) -> bytes:
         """Return the 33 bytes."""
         return Attachment(sequence, stamp_ns, gid).write()
 
 
-@dataclass(frozen=True)
-class Bridge:
-    """A robot with another middleware, and zenoh-bridge-ros2dds beside it: plain keys, nothing attached."""
-
-    tokens: str = "@/*/@ros2_lv/**"
-    attached: bool = False
-
-    def type_hash(self, _type_name: str) -> str:
-        """Return nothing: no key holds a hash."""
-        return ""
-
-    def key(self, topic: str, _type_name: str) -> str:
-        """Return the topic, which holds the namespace."""
-        return topic.strip("/")
-
-    def read_token(self, token: str) -> Endpoint | None:
-        """Read what the bridge tells of its robot's endpoints: its zid, the kind, the key, the type."""
-        match = re.fullmatch(r"@/[^/]+/@ros2_lv/(MP|MS)/([^/]+)/([^/]+)/[^/]*", token)
-        if match is None:
-            return None
-        kind: Kind = "MP" if match[1] == "MP" else "MS"
-        return Endpoint(kind, "/" + match[2].replace("§", "/"), match[3].replace("§", "/"), "")
-
-    def node_token(self, _session: str) -> None:
-        """Return nothing: the robot's own bridge speaks for us."""
-
-    def endpoint_token(self, _session: str, _number: int, _endpoint: Endpoint, _qos: Qos) -> None:
-        """Return nothing, as `node_token`."""
-
-    def attachment(self, _sequence: int, _stamp_ns: int, _gid: bytes) -> None:
-        """Return nothing."""
-
-
 def _mangled(name: str) -> str:
     return name.replace("/", "%") or "%"
-
-
-def velocity_type(endpoints: Sequence[Endpoint], topic: str, known: Sequence[str]) -> str | None:
-    """Return which of the known types a robot subscribes to on a topic; None where it does not."""
-    types = {one.type_name for one in endpoints if one.kind == "MS" and one.topic == topic}
-    return next((name for name in known if name in types), None)

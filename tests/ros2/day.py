@@ -10,7 +10,6 @@ import signal
 from collections import Counter
 from pathlib import Path
 
-from schemas.rpc import Nothing, Status
 from tests.command import run_smal
 from tests.ros2.field import Robot, day_with
 
@@ -30,7 +29,7 @@ def main() -> None:
     options = parser.parse_args()
     robot = Robot(options.folder, options.world, options.dialect, options.size, ("--rate", options.rate, *options.more))
     outcomes: Counter[str] = Counter()
-    with day_with(robot) as (place, _, person):
+    with day_with(robot) as (place, person):
         model = options.model or options.folder / "model.smal"
         if options.model is None:
             drive = person.demonstrate(options.seed, options.folder / "drives")
@@ -43,9 +42,8 @@ def main() -> None:
         for k in range(options.runs):
             record = person.run(options.seed + k, max_ticks=3000)
             outcomes[record.outcome] += 1
-            detail = person.client.node.bus.call("robot", "status", Nothing(), Status).detail
             told = {
-                name: value for name, value in detail.items() if name.startswith(("camera", "refused", "robot_clock"))
+                key: value for key, value in person.detail.items() if key.startswith(("camera", "refused", "robot"))
             }
             print(k, record.outcome, record.ticks, "frames", json.dumps(told), flush=True)
             if options.until_found and record.outcome == "found":

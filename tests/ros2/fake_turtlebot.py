@@ -1,15 +1,15 @@
 """A robot that speaks ROS 2 over Zenoh, and shares no code with services/ros2: wheels, camera, router, each a process.
 
 ``python -m tests.ros2.fake_turtlebot {router,base,camera} …``. It moves and sees in a world of the simulator. Its
-wheels have a watchdog, and their odometry drifts; its clock may be off, its messages late or lost.
+wheels have a watchdog, and their odometry drifts; its clock may be off.
 """
 
 from __future__ import annotations
 
 import argparse
+import itertools
 import json
 import math
-import random
 import struct
 import time
 from pathlib import Path
@@ -22,6 +22,7 @@ import zenoh
 import zenoh.ext
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
+from services.kit.ros_message import ros_message
 from services.simulator.base import WheelSpeeds, move
 from services.simulator.camera import CameraSettings
 from services.simulator.world import load_world
@@ -58,14 +59,12 @@ class Ros:
     def __init__(self, node: str, options: argparse.Namespace) -> None:
         self.session = opened("client", options.endpoint)
         self.options = options
-        self.random = random.Random(options.seed)  # noqa: S311
         self.types = get_typestore(Stores.ROS2_HUMBLE if options.humble else Stores.ROS2_JAZZY)
-        detection = get_types_from_msg("std_msgs/Header header\nuint8 type", "irobot_create_msgs/msg/HazardDetection")
-        vector = get_types_from_msg(
-            "std_msgs/Header header\nirobot_create_msgs/HazardDetection[] detections",
-            "irobot_create_msgs/msg/HazardDetectionVector",
-        )
-        self.types.register({**detection, **vector})
+        for name, text in (
+            ("HazardDetection", "std_msgs/Header header\nuint8 type"),
+            ("HazardDetectionVector", "std_msgs/Header header\nirobot_create_msgs/HazardDetection[] detections"),
+        ):
+            self.types.register(get_types_from_msg(text, f"irobot_create_msgs/msg/{name}"))
         self.node = node
         self.count = 0
         self.kept: list[Any] = []
@@ -91,12 +90,9 @@ class Ros:
             f"@ros2_lv/0/{zid}/0/{self.count}/{kind}/%/%/{self.node}/{mangled}/{kept}/::,10:,:,:,,",
         )
 
-    def stamp(self) -> Any:
+    def header(self, frame: str) -> dict[str, Any]:
         at = time.time() + self.options.clock_offset
-        return self.types.types["builtin_interfaces/msg/Time"](int(at), int(at % 1 * 1e9))
-
-    def header(self, frame: str) -> Any:
-        return self.types.types["std_msgs/msg/Header"](self.stamp(), frame)
+        return {"stamp": {"sec": int(at), "nanosec": int(at % 1 * 1e9)}, "frame_id": frame}
 
     def publisher(self, topic: str, type_name: str, *, latched: bool = False) -> Any:
         """Return what publishes messages; latched (transient local), who comes later has the last one as well."""
@@ -109,19 +105,14 @@ class Ros:
         self._alive(token)
         digest = xxhash.xxh3_128(token.encode()).intdigest()
         gid = struct.pack("<QQ", digest % 2**64, digest >> 64)
-        sent = 0
+        numbers = itertools.count(1)
 
-        def publish(message: Any) -> None:
-            nonlocal sent
-            sent += 1
+        def publish(**fields: Any) -> None:
             attachment = None
             if self.options.dialect == "rmw_zenoh":
-                values = (zenoh.ext.Int64(sent), zenoh.ext.Int64(time.time_ns()), gid)
+                values = (zenoh.ext.Int64(next(numbers)), zenoh.ext.Int64(time.time_ns()), gid)
                 attachment = zenoh.ext.z_serialize(values)
-            if self.random.random() < self.options.loss:
-                return
-            if self.options.jitter:
-                time.sleep(self.random.random() * self.options.jitter)
+            message = ros_message(self.types, type_name, fields)
             publisher.put(bytes(self.types.serialize_cdr(message, type_name)), attachment=attachment)
 
         return publish
@@ -192,46 +183,29 @@ class Base:
         truth["t_s"] = self.due_s
 
     def run(self, ros: Ros) -> None:
-        types = ros.types.types
         ros.subscribe("cmd_vel", f"geometry_msgs/msg/{self.options.twist}", self.take)
         roll = ros.publisher("odom", "nav_msgs/msg/Odometry")
         feel = ros.publisher("imu", "sensor_msgs/msg/Imu")
         warn = ros.publisher("hazard_detection", "irobot_create_msgs/msg/HazardDetectionVector")
-        vector, quaternion = types["geometry_msgs/msg/Vector3"], types["geometry_msgs/msg/Quaternion"]
-        hazard, hazards = (types[f"irobot_create_msgs/msg/HazardDetection{end}"] for end in ("", "Vector"))
-        nothing, number = np.zeros(36), 0
         with Path(self.options.log).open("a", buffering=1) as log:
-            while True:
+            for number in itertools.count():
                 time.sleep(max(0.0, self.due_s - now_s()))
                 while self.due_s <= now_s():
                     self.step()
                     log.write(json.dumps([self.due_s, self.pose.x, self.pose.y, *self.moves, self.order[2]]) + "\n")
                     self.due_s += STEP_S
-                number += 1
                 ahead, turn = self.moves
                 half = self.odometry.heading / 2
-                turned = quaternion(0.0, 0.0, math.sin(half), math.cos(half))
-                where = types["geometry_msgs/msg/Pose"](
-                    types["geometry_msgs/msg/Point"](self.odometry.x, self.odometry.y, 0.0), turned
-                )
-                speeds = types["geometry_msgs/msg/Twist"](vector(ahead, 0.0, 0.0), vector(0.0, 0.0, turn))
-                roll(
-                    types["nav_msgs/msg/Odometry"](
-                        ros.header("odom"),
-                        "base_link",
-                        types["geometry_msgs/msg/PoseWithCovariance"](where, nothing),
-                        types["geometry_msgs/msg/TwistWithCovariance"](speeds, nothing),
-                    )
-                )
-                nine = np.zeros(9)
-                feel(
-                    types["sensor_msgs/msg/Imu"](
-                        ros.header("imu_link"), turned, nine, vector(0.0, 0.0, turn), nine, vector(0.0, 0.0, 9.81), nine
-                    )
-                )
+                where = {
+                    "position": {"x": self.odometry.x, "y": self.odometry.y},
+                    "orientation": {"z": math.sin(half), "w": math.cos(half)},
+                }
+                speeds = {"linear": {"x": ahead}, "angular": {"z": turn}}
+                roll(header=ros.header("odom"), pose={"pose": where}, twist={"twist": speeds})
+                feel(header=ros.header("imu_link"), angular_velocity={"z": turn}, linear_acceleration={"z": 9.81})
                 if number % 2 == 0:
-                    found = [hazard(ros.header("bump"), 1)] if self.truth["collided"] else []
-                    warn(hazards(ros.header("base_link"), found))
+                    found = [{"header": ros.header("bump"), "type": 1}] if self.truth["collided"] else []
+                    warn(header=ros.header("base_link"), detections=found)
 
 
 def see(options: argparse.Namespace, ros: Ros) -> None:
@@ -242,15 +216,14 @@ def see(options: argparse.Namespace, ros: Ros) -> None:
     world = load_world(options.world)
     camera = SceneCamera(world, CameraSettings(width, height))
     truth = Truth(Path(options.truth))
-    types = ros.types.types
     raw = options.encoding != "jpeg"
     show = ros.publisher(
         "camera/image_raw" if raw else "camera/image_raw/compressed",
         "sensor_msgs/msg/Image" if raw else "sensor_msgs/msg/CompressedImage",
     )
     tell = ros.publisher("camera/camera_info", "sensor_msgs/msg/CameraInfo")
-    focal, number, due_s = camera.focal_px, 0, now_s()
-    while True:
+    focal, due_s = camera.focal_px, now_s()
+    for number in itertools.count():
         time.sleep(max(0.0, due_s - now_s()))
         due_s = max(due_s + 1.0 / options.rate, now_s())
         header = ros.header("camera")
@@ -258,23 +231,16 @@ def see(options: argparse.Namespace, ros: Ros) -> None:
         image = camera.render(pose)
         near = math.hypot(world.victim.x - pose.x, world.victim.y - pose.y) <= world.scale.found_m
         truth["victim"] = camera.victim_pixels(pose) if near else 0.0
+        size = {"height": height, "width": width}
         if raw:
             rows, step = encoded(image, options.encoding)
-            show(types["sensor_msgs/msg/Image"](header, height, width, options.encoding, 0, step, rows))
+            show(header=header, **size, encoding=options.encoding, step=step, data=rows)
         else:
             _, jpeg = cv2.imencode(".jpg", cv2.cvtColor(image, cv2.COLOR_RGB2BGR), [cv2.IMWRITE_JPEG_QUALITY, 85])
-            show(types["sensor_msgs/msg/CompressedImage"](header, "rgb8; jpeg compressed bgr8", jpeg.ravel()))
+            show(header=header, format="rgb8; jpeg compressed bgr8", data=jpeg.ravel())
         truth["frames"] += 1
         if number % options.rate == 0:
-            k = np.array([focal, 0, width / 2, 0, focal, height / 2, 0, 0, 1.0])
-            region = types["sensor_msgs/msg/RegionOfInterest"](0, 0, 0, 0, False)
-            p = np.zeros(12)
-            tell(
-                types["sensor_msgs/msg/CameraInfo"](
-                    header, height, width, "plumb_bob", np.zeros(5), k, np.eye(3).ravel(), p, 0, 0, region
-                )
-            )
-        number += 1
+            tell(header=header, **size, k=[focal, 0.0, width / 2, 0.0, focal, height / 2, 0.0, 0.0, 1.0])
 
 
 def encoded(image: np.ndarray, encoding: str) -> tuple[np.ndarray, int]:
@@ -304,8 +270,6 @@ def main() -> None:
     parser.add_argument("--rate", type=int, default=15)
     parser.add_argument("--encoding", default="jpeg")
     parser.add_argument("--clock-offset", type=float, default=0.0)
-    parser.add_argument("--loss", type=float, default=0.0)
-    parser.add_argument("--jitter", type=float, default=0.0)
     parser.add_argument("--seed", type=int, default=1)
     options = parser.parse_args()
     if options.part == "router":

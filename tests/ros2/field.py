@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import math
-import os
 import signal
 import subprocess
 import sys
@@ -16,6 +15,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pytest
 
 from schemas import topics
 from schemas.base import Message
@@ -27,6 +27,7 @@ from services.cli.episodes.files import name_for, recording
 from services.cli.stack.processes import Stack, StackPlan, flags, free_endpoint
 from services.expert.service import ExpertService
 from services.kit.bus import RpcError
+from services.kit.node import Detail
 from services.simulator.view import VISIBLE_FRACTION
 from services.simulator.world import load_world
 from services.simulator.world.place import Pose
@@ -83,24 +84,14 @@ class Field:
         """Write what the service is told of this robot."""
         robot, drive = self.robot, self.world.robot.drive
         raw = robot.encoding != "jpeg"
+        camera = ("camera/image_raw", "Image") if raw else ("camera/image_raw/compressed", "CompressedImage")
         told: dict[str, Any] = {
-            "preset": "generic",
-            "name": "fake",
-            "router": self.endpoint,
-            "dialect": robot.dialect,
-            "distribution": "humble" if robot.humble else "jazzy",
-            "speed_m_s": drive.speed_m_s,
-            "turn_rate_rad_s": drive.turn_rate_rad_s,
-            "braking_s": 0.0,
-            "watchdog_s": 0.2,
-            "camera": {
-                "topic": "camera/image_raw" if raw else "camera/image_raw/compressed",
-                "type": "sensor_msgs/msg/Image" if raw else "sensor_msgs/msg/CompressedImage",
-                "latency_s": 0.0,
-            },
-            "imu": {"topic": "imu"},
+            "preset": "generic", "name": "fake", "router": self.endpoint, "dialect": robot.dialect,
+            "distribution": "humble" if robot.humble else "jazzy", "speed_m_s": drive.speed_m_s,
+            "turn_rate_rad_s": drive.turn_rate_rad_s, "braking_s": 0.0, "watchdog_s": 0.2, "imu": {"topic": "imu"},
+            "camera": {"topic": camera[0], "type": f"sensor_msgs/msg/{camera[1]}", "latency_s": 0.0},
             "stops": [{"topic": "hazard_detection", "type": "irobot_create_msgs/msg/HazardDetectionVector"}],
-        }
+        }  # fmt: skip
         path = robot.folder / "fake.yaml"
         path.write_text(json.dumps(told))  # JSON is YAML
         return path
@@ -157,31 +148,6 @@ def robot_for(robot: Robot) -> Iterator[Field]:
         place.stop()
 
 
-@contextmanager
-def stack_with(place: Field, *, link: str | None = None) -> Iterator[Stack]:
-    """Have a stack with that robot; ``link`` is the address by which its robot's router is reached."""
-    config = place.config()
-    if link is not None:
-        config.write_text(config.read_text().replace(place.endpoint, link))
-    services = stack_services()
-    plan = StackPlan(
-        services,
-        "fake",
-        free_endpoint(),
-        # What another day has learned lies beside this one.
-        {"robot": flags(ros2_config=config), "console": flags(console="127.0.0.1:0")}
-        | {name: flags(root=place.robot.folder.parent.resolve()) for name in ("recorder", "recognition", "policy")},
-        logs=place.robot.folder / "logs",
-        modules={"robot": "services.ros2"},
-    )
-    os.environ["SMAL_ATTENDED"] = "false"  # nobody sits at a console in a test
-    try:
-        with Stack(plan) as stack:
-            yield stack
-    finally:
-        del os.environ["SMAL_ATTENDED"]
-
-
 @dataclass
 class Person:
     """Who carries the robot, drives it by the map, and says when it has found the victim."""
@@ -189,7 +155,6 @@ class Person:
     place: Field
     client: EpisodeClient
     expert: ExpertService = field(default_factory=ExpertService)
-    _said: bool = False
 
     def __post_init__(self) -> None:
         self.client.watch_poses()
@@ -202,31 +167,16 @@ class Person:
         self.expert.see(pose)
         return self.expert.handle(observation)
 
-    def _say(self, holds: Callable[[], bool]) -> Callable[[], bool]:
-        def look() -> bool:
-            if holds() and not self._said:
-                self._said = True
-                bus, episode = self.client.node.bus, self._episode
-                bus.call(
-                    "robot", "end", EndRequest(episode=episode, found=True, session=self.client.node.session), Nothing
-                )
-            return False
-
-        return look
-
     def demonstrate(self, seed: int, folder: Path) -> EpisodeRecord:
         """Drive to the victim once, and have that recorded."""
         start = self.place.begin_at(seed, "drive")
-        route = plan_route(self.place.world, (start.x, start.y))
-
-        def begin(reply: ResetReply) -> None:
-            self._episode, self._said = reply.episode, False
-            way = tuple((float(x), float(y)) for x, y in route)
-            self.expert.begin(reply.model_copy(update={"route": way, "found_m": self.place.world.scale.found_m}))
-
+        route = tuple((float(x), float(y)) for x, y in plan_route(self.place.world, (start.x, start.y)))
+        seen = {"route": route, "found_m": self.place.world.scale.found_m}
         request = ResetRequest(seed=seed, purpose="drive", driver="expert", mode="realtime", max_ticks=20000)
         with recording(self.client.node.bus, folder, "--folder"):
-            return self._run(request, begin, self._say(lambda: self.expert.arrived))
+            return self._run(
+                request, lambda reply: self.expert.begin(reply.model_copy(update=seen)), lambda: self.expert.arrived
+            )
 
     def load(self, model: Path) -> None:
         """Have recognition and policy work with a model."""
@@ -238,60 +188,59 @@ class Person:
     def run(self, seed: int, max_ticks: int) -> EpisodeRecord:
         """Let it search by itself."""
         self.place.begin_at(seed, "run")
-
-        def begin(reply: ResetReply) -> None:
-            self._episode, self._said = reply.episode, False
-
         request = ResetRequest(seed=seed, driver="policy", mode="realtime", max_ticks=max_ticks)
-        return self._run(request, begin, self._say(self.place.found))
+        return self._run(request, lambda _reply: None, self.place.found)
 
     def _run(
-        self, request: ResetRequest, begin: Callable[[ResetReply], None], done: Callable[[], bool]
+        self, request: ResetRequest, begin: Callable[[ResetReply], None], there: Callable[[], bool]
     ) -> EpisodeRecord:
-        """Run an episode as soon as the robot lacks nothing: on a busy machine it learns its camera's clock again."""
+        """Run an episode as soon as the robot lacks nothing: on a busy machine it learns its camera's clock again.
+
+        Once it is there, the person says so.
+        """
+        bus, said = self.client.node.bus, [""]
+
+        def on_begin(reply: ResetReply) -> None:
+            said[0] = reply.episode
+            begin(reply)
+
+        def done() -> bool:
+            if said[0] and there():
+                end = EndRequest(episode=said[0], found=True, session=self.client.node.session)
+                said[0] = ""
+                bus.call("robot", "end", end, Nothing)
+            return False
+
         while True:
-            self.arm()
+            until(lambda: self.detail["lacks"] is None)
+            if stop := int(str(self.detail["emergency_stop"] or 0)):
+                bus.call("robot", "arm", ArmRequest(stop=stop), Nothing)
             try:
-                return self.client.run(request, on_begin=begin, done=done)
+                return self.client.run(request, on_begin=on_begin, done=done)
             except RpcError:
-                if self._lacks() is None:
+                if self.detail["lacks"] is None:
                     raise
 
-    def _lacks(self) -> object:
-        return self.client.node.bus.call("robot", "status", Nothing(), Status).detail["lacks"]
-
-    def arm(self) -> None:
-        """Arm the robot where it stands for something, and wait until it is heard again."""
-        bus = self.client.node.bus
-        until(lambda: self._lacks() is None)
-        detail = bus.call("robot", "status", Nothing(), Status).detail
-        if detail["emergency_stop"]:
-            bus.call("robot", "arm", ArmRequest(stop=int(detail["emergency_stop"] or 0)), Nothing)
-
-    def begins(self, **fields: object) -> ResetReply:
-        """Begin an episode as soon as the robot is ready for it."""
-        request = ResetRequest.model_validate(
-            {"seed": 1, "mode": "realtime", "session": self.client.node.session} | fields
-        )
-        replies: list[ResetReply] = []
-
-        def asked() -> bool:
-            try:
-                replies.append(self.client.node.bus.call("robot", "reset", request, ResetReply, timeout_s=5.0))
-            except RpcError:
-                return False
-            return True
-
-        until(asked)
-        return replies[0]
+    @property
+    def detail(self) -> Detail:
+        """What the robot tells of itself."""
+        return self.client.node.bus.call("robot", "status", Nothing(), Status).detail
 
 
 @contextmanager
-def day_with(robot: Robot) -> Iterator[tuple[Field, Stack, Person]]:
-    """Have a robot, a stack and a person."""
+def day_with(robot: Robot) -> Iterator[tuple[Field, Person]]:
+    """Have a robot, a stack that drives it, and a person."""
+    folder = robot.folder
     with ExitStack() as stacked:
+        # Nobody sits at a console in a test.
+        stacked.enter_context(pytest.MonkeyPatch.context()).setenv("SMAL_ATTENDED", "false")
         place = stacked.enter_context(robot_for(robot))
-        stack = stacked.enter_context(stack_with(place))
+        settings = {"robot": flags(ros2_config=place.config()), "console": flags(console="127.0.0.1:0")}
+        # What another day has learned lies beside this one.
+        settings |= {name: flags(root=folder.parent.resolve()) for name in ("recorder", "recognition", "policy")}
+        modules = {"robot": "services.ros2"}
+        plan = StackPlan(stack_services(), "fake", free_endpoint(), settings, logs=folder / "logs", modules=modules)
+        stack = stacked.enter_context(Stack(plan))
         client = EpisodeClient("person", stack.settings)
         stacked.callback(client.close)
-        yield place, stack, Person(place, client)
+        yield place, Person(place, client)

@@ -3,18 +3,16 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from schemas.rpc import ResetRequest
 from services.kit.node import ServiceError
 from services.robot.gate import MAX_AGE_S
 from services.ros2.clock import DRIFT, LEARN_S, StampedClock
-from tests.ros2.rig import AHEAD_S, Rig
+from tests.ros2.rig import AHEAD_S, BEGIN, Rig
 
 #: From frame to frame.
 FRAME_S = 0.1
@@ -23,6 +21,10 @@ FRAME_S = 0.1
 @pytest.fixture
 def rig(tmp_path: Path) -> Rig:
     return Rig(tmp_path).begun()
+
+
+def fresh(rig: Rig) -> bool:
+    return rig.clock.now_s - rig.body.look(1).captured_s < MAX_AGE_S
 
 
 @given(st.floats(-1e6, 1e6), st.lists(st.floats(0.001, 0.2), min_size=2, max_size=50))
@@ -75,15 +77,10 @@ def test_a_robot_whose_clock_is_set_stands_until_it_is_known_again(rig: Rig, by_
     assert rig.may_go("forward")
     begun_s, ahead_s = rig.clock.now_s, []
     while not ahead_s or rig.clock.now_s < begun_s + 4.0:
-        rig.clock.now_s += 0.05
-        set_s = rig.clock.now_s + by_s
-        rig.picture(set_s)
-        rig.wheels(at_s=set_s)
-        rig.scans([5.0] * 360, at_s=set_s)
-        rig.hazards(at_s=set_s)
-        fresh = rig.clock.now_s - rig.body.look(1).captured_s < MAX_AGE_S
+        rig.passes(0.05, at_s=rig.clock.now_s + 0.05 + by_s)
+        is_fresh = fresh(rig)
         if rig.may_go("forward"):
-            assert fresh
+            assert is_fresh
             ahead_s.append(rig.clock.now_s - begun_s)
     assert LEARN_S <= ahead_s[0] <= LEARN_S + 0.2
     assert rig.air.robot_s == pytest.approx(rig.clock.now_s + by_s + AHEAD_S, abs=0.01)
@@ -94,39 +91,26 @@ def test_a_frame_that_comes_late_after_the_clock_was_set_back_is_not_new(rig: Ri
     """What came 3 s late was taken for new, where the robot's clock had been set back by 1.3 s."""
     rig.clock.now_s += 3.0
     for number in range(2):
-        rig.wheels()
-        rig.scan()
-        rig.hazards()
+        rig.passes(0.0, "picture")
         rig.picture(rig.clock.now_s - 3.0 - 1.3 + 0.1 * number)
-        assert rig.clock.now_s - rig.body.look(1).captured_s >= MAX_AGE_S
+        assert not fresh(rig)
         assert not rig.may_go("forward")
         rig.clock.now_s += 0.1
     with pytest.raises(ServiceError, match=r"^base: how the clock of /camera\S+ stands is learned; that takes 2 s$"):
-        rig.body.begin(ResetRequest(seed=1, mode="realtime"))
+        rig.body.begin(BEGIN)
 
 
 @pytest.mark.parametrize("name", ["picture", "wheels", "scan", "hazards"])
 def test_whose_stamps_are_frozen_is_not_heard(rig: Rig, name: str) -> None:
-    takes: dict[str, Callable[..., None]] = {
-        "picture": rig.picture,
-        "wheels": rig.wheels,
-        "scan": lambda at_s=None: rig.scans([5.0] * 360, at_s),
-        "hazards": rig.hazards,
-    }
     frozen_s = rig.clock.now_s
     for _ in range(12):
-        rig.clock.now_s += 0.05
-        for other, take in takes.items():
-            take(at_s=frozen_s if other == name else None)
-    new = rig.clock.now_s - rig.body.look(1).captured_s < MAX_AGE_S
-    assert not (new and rig.may_go("forward"))
+        rig.passes(0.05, name)
+        getattr(rig, name)(at_s=frozen_s)
+    assert not (fresh(rig) and rig.may_go("forward"))
 
 
 def test_two_who_send_on_one_topic_by_different_clocks_are_never_believed(rig: Rig) -> None:
     for number in range(100):
-        rig.clock.now_s += 0.05
-        rig.wheels()
-        rig.scan()
-        rig.hazards()
+        rig.passes(0.05, "picture")
         rig.picture(rig.clock.now_s - 50.0 * (number % 2))
         assert number < 2 or not rig.may_go("forward")

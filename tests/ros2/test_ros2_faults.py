@@ -13,10 +13,9 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import ExitStack, closing, suppress
 from dataclasses import dataclass
-from pathlib import Path
 
 import pytest
 
@@ -37,10 +36,20 @@ pytestmark = [pytest.mark.rendering, pytest.mark.zenoh, pytest.mark.system]
 FAULT_S = 3.0
 #: By how much the robot's clock is ahead of ours.
 AHEAD_S = 3600.0
-#: What is harmed, and how, in every dialect; and what is the same in all of them, so that one is enough.
-HARMS = [("robot", "kill"), ("router", "freeze"), ("camera", "freeze")]
-#: A link that is down is a black hole, as one that is frozen.
-SAME_HARMS = [("robot", "freeze"), ("router", "kill"), ("camera", "kill"), ("link", "freeze")]
+DIALECTS = ("rmw_zenoh", "zenoh-bridge-ros2dds", "humble, stamped")
+#: What is harmed, and how: in every dialect; and what is the same in all of them, so that one is enough. A link that is
+#: down is a black hole, as one that is frozen.
+HARMS = [
+    *(
+        (dialect, *harm)
+        for dialect in DIALECTS
+        for harm in (("robot", "kill"), ("router", "freeze"), ("camera", "freeze"))
+    ),
+    *(
+        ("rmw_zenoh", *harm)
+        for harm in (("robot", "freeze"), ("router", "kill"), ("camera", "kill"), ("link", "freeze"))
+    ),
+]
 
 
 @dataclass
@@ -91,7 +100,7 @@ class Driven:
         return self.place.moving
 
 
-@pytest.fixture(scope="module", params=["rmw_zenoh", "zenoh-bridge-ros2dds", "humble, stamped"])
+@pytest.fixture(scope="module", params=DIALECTS)
 def driven(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Driven]:
     """Have a robot that turns on the spot."""
     folder, humble = tmp_path_factory.mktemp("ros2"), "humble" in request.param
@@ -120,30 +129,12 @@ def driven(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFact
             one.robot.wait()
 
 
-def pid_of(part: str) -> Callable[[Driven], int]:
-    """Return how to find a process."""
-    if part == "robot":
-        return lambda driven: driven.robot.pid if driven.robot else 0
-    if part == "link":
-        return lambda driven: driven.link_pid
-    return lambda driven: driven.place.children[part].pid
-
-
-@pytest.mark.parametrize(("part", "harm"), HARMS)
+@pytest.mark.parametrize(("driven", "part", "harm"), HARMS, indirect=["driven"], scope="module")
 def test_the_base_stands_in_time_and_drives_again(driven: Driven, part: str, harm: str) -> None:
-    stands_and_drives_again(driven, part, harm)
-
-
-@pytest.mark.parametrize("driven", ["rmw_zenoh"], indirect=True, scope="module")
-@pytest.mark.parametrize(("part", "harm"), SAME_HARMS)
-def test_the_base_stands_in_time_whatever_is_harmed(driven: Driven, part: str, harm: str) -> None:
-    stands_and_drives_again(driven, part, harm)
-
-
-def stands_and_drives_again(driven: Driven, part: str, harm: str) -> None:
-    """Harm a part of what drives it."""
     until(driven.moves)
-    pid = pid_of(part)(driven)
+    assert driven.robot is not None
+    pids = {"robot": driven.robot.pid, "link": driven.link_pid}
+    pid = pids.get(part) or driven.place.children[part].pid
     began_s = now_s()
     os.kill(pid, signal.SIGKILL if harm == "kill" else signal.SIGSTOP)
     time.sleep(FAULT_S)  # the fault lasts; that the wheels stand until its end is what is to be seen
@@ -152,7 +143,6 @@ def stands_and_drives_again(driven: Driven, part: str, harm: str) -> None:
     if harm == "freeze":
         os.kill(pid, signal.SIGCONT)
     elif part == "robot":
-        assert driven.robot is not None
         driven.robot.wait()
         driven.start()
     else:
@@ -199,11 +189,6 @@ def test_a_driver_that_is_silent_is_noticed(driven: Driven) -> None:
     until(driven.moves)
 
 
-def test_lockstep_is_refused_in_one_line(driven: Driven) -> None:
-    with pytest.raises(RpcError, match="fake cannot wait for commands; ask for real time"):
-        driven.bus.call("robot", "reset", ResetRequest(seed=1, mode="lockstep"), ResetReply)
-
-
 def test_the_log_and_the_status_say_what_the_base_takes_and_how_its_clock_stands(driven: Driven) -> None:
     detail = driven.detail
     wanted = "TwistStamped" if driven.place.robot.humble else "Twist"
@@ -212,31 +197,3 @@ def test_the_log_and_the_status_say_what_the_base_takes_and_how_its_clock_stands
     assert f"/cmd_vel takes geometry_msgs/msg/{wanted}: that is what is sent" in log
     assert abs(float(str(detail["robot_clock_ahead_s"])) - AHEAD_S) < 0.5
     assert detail["lacks"] is None
-
-
-def test_no_robot_there_is_one_line(tmp_path: Path, driven: Driven) -> None:
-    place = driven.place
-    config = tmp_path / "none.yaml"
-    text = (place.robot.folder / "fake.yaml").read_text()
-    nowhere = free_endpoint()
-    address = text[text.index("tcp/") :].split('"')[0]
-    config.write_text(text.replace(address, nowhere))
-    done = subprocess.run(
-        [
-            sys.executable,
-            "-m",
-            "services.ros2",
-            "--router",
-            driven.endpoint,
-            "--robot",
-            "o",
-            "--ros2-config",
-            config,
-        ],
-        capture_output=True,
-        text=True,
-        timeout=60,
-        check=False,
-    )
-    assert done.returncode == 1
-    assert f"fake: no Zenoh router at {nowhere}; on the robot start rmw_zenohd" in done.stderr.splitlines()[-1]

@@ -14,6 +14,7 @@ import pytest
 import zenoh
 
 from services.cli.stack.processes import free_endpoint
+from services.kit.node import ServiceError
 from services.kit.wire import LARGEST_BYTES
 from services.ros2.config import read_config
 from services.ros2.messages import BOOL
@@ -43,24 +44,29 @@ class Place:
 
     def start_robot(self) -> Callable[[bool], None]:
         """Start the robot's process; return what says whether its button is pressed."""
-        options = {"humble": False, "seed": 1, "loss": 0.0, "jitter": 0.0, "clock_offset": 0.0}
+        options = {"humble": False, "clock_offset": 0.0}
         robot = Ros("robot", Namespace(endpoint=self.endpoint, dialect=self.dialect, **options))
         say = robot.publisher("button", BOOL, latched=self.latched)
         self.robot = robot
-        return lambda pressed: say(robot.types.types[BOOL](pressed))
+        return lambda pressed: say(data=pressed)
 
     def listen(self, stack: ExitStack) -> Senses:
         """Start the service's side, for which the button is all that must be heard."""
-        path = self.folder / "robot.yaml"
-        path.write_text(
-            f"preset: generic\nwatchdog_s: 0.2\nrouter: {self.endpoint}\ndialect: {self.dialect}\nodometry: null\n"
-            "velocity: {type: geometry_msgs/msg/Twist}\n"
-            f"stops: [{{topic: button, type: {BOOL}, silence_s: null}}]\n"
-        )
-        config = read_config(path)
+        config = read_config(self.config(self.folder, self.endpoint, self.dialect))
         senses = Senses(config)
         self.session = stack.enter_context(closing(Ros2Session(config, senses)))
         return senses
+
+    @staticmethod
+    def config(folder: Path, endpoint: str, dialect: str) -> Path:
+        """Write what the service is told of this robot."""
+        path = folder / "robot.yaml"
+        path.write_text(
+            f"preset: generic\nwatchdog_s: 0.2\nrouter: {endpoint}\ndialect: {dialect}\nodometry: null\n"
+            "velocity: {type: geometry_msgs/msg/Twist}\n"
+            f"stops: [{{topic: button, type: {BOOL}, silence_s: null}}]\n"
+        )
+        return path
 
     def close(self) -> None:
         if self.robot is not None:
@@ -68,15 +74,16 @@ class Place:
         self.router.close()
 
 
-@pytest.fixture(params=["rmw_zenoh", "zenoh-bridge-ros2dds"])
-def dialect(request: pytest.FixtureRequest) -> str:
-    return str(request.param)
-
-
 @pytest.fixture
 def stack() -> Iterator[ExitStack]:
     with ExitStack() as stacked:
         yield stacked
+
+
+@pytest.fixture(params=["rmw_zenoh", "zenoh-bridge-ros2dds"])
+def make(request: pytest.FixtureRequest, tmp_path: Path, stack: ExitStack) -> Callable[[bool], Place]:
+    """Return what makes a place, whose button's last word is kept or not."""
+    return lambda latched: stack.enter_context(closing(Place(tmp_path, request.param, latched)))
 
 
 def unheard(senses: Senses) -> bool:
@@ -91,8 +98,8 @@ def released(senses: Senses) -> bool:
     return not unheard(senses) and senses.forbids("left") is None
 
 
-def test_a_button_that_was_pressed_before_we_came_is_seen(tmp_path: Path, dialect: str, stack: ExitStack) -> None:
-    place = stack.enter_context(closing(Place(tmp_path, dialect, latched=True)))
+def test_a_button_that_was_pressed_before_we_came_is_seen(make: Callable[[bool], Place], stack: ExitStack) -> None:
+    place = make(True)
     say = place.start_robot()
     say(True)
     senses = place.listen(stack)
@@ -102,9 +109,9 @@ def test_a_button_that_was_pressed_before_we_came_is_seen(tmp_path: Path, dialec
 
 
 def test_a_button_that_never_spoke_forbids_and_so_does_one_that_went(
-    tmp_path: Path, dialect: str, stack: ExitStack
+    make: Callable[[bool], Place], stack: ExitStack
 ) -> None:
-    place = stack.enter_context(closing(Place(tmp_path, dialect, latched=False)))
+    place = make(False)
     say = place.start_robot()
     say(True)  # nobody keeps it
     senses = place.listen(stack)
@@ -122,9 +129,9 @@ def test_a_button_that_never_spoke_forbids_and_so_does_one_that_went(
 
 @pytest.mark.parametrize("latched", [True, False])
 def test_what_a_button_said_during_an_outage_is_asked_for(
-    tmp_path: Path, dialect: str, stack: ExitStack, *, latched: bool
+    make: Callable[[bool], Place], stack: ExitStack, *, latched: bool
 ) -> None:
-    place = stack.enter_context(closing(Place(tmp_path, dialect, latched=latched)))
+    place = make(latched)
     say = place.start_robot()
     senses = place.listen(stack)
     eventually(lambda: (say(False), released(senses))[1])
@@ -143,9 +150,9 @@ def test_what_a_button_said_during_an_outage_is_asked_for(
 
 
 def test_a_message_that_is_larger_than_any_may_be_is_dropped_while_it_comes(
-    tmp_path: Path, dialect: str, stack: ExitStack
+    make: Callable[[bool], Place], stack: ExitStack
 ) -> None:
-    place = stack.enter_context(closing(Place(tmp_path, dialect, latched=False)))
+    place = make(False)
     say: Any = place.start_robot()
     senses = place.listen(stack)
     eventually(lambda: (say(False), released(senses))[1])
@@ -157,3 +164,9 @@ def test_a_message_that_is_larger_than_any_may_be_is_dropped_while_it_comes(
     assert not senses.refused
     place.robot.session.put(key, bytes(100_000), congestion_control=block)
     eventually(lambda: senses.refused[BUTTON])
+
+
+def test_no_robot_there_is_one_line(tmp_path: Path) -> None:
+    config = read_config(Place.config(tmp_path, nowhere := free_endpoint(), "rmw_zenoh"))
+    with pytest.raises(ServiceError, match=rf"^base: no Zenoh router at {nowhere}; on the robot start rmw_zenohd"):
+        Ros2Session(config, Senses(config))

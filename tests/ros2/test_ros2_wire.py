@@ -23,7 +23,6 @@ from services.ros2.wire import (
     qualified,
     read_attachment,
     ros_type,
-    velocity_type,
 )
 
 # Of a ROS 2 Humble node, rmw_zenoh_cpp 0.1.8, `ros2 topic pub /chatter`: the token of its publisher, and what was
@@ -131,17 +130,6 @@ def test_the_bridge_has_plain_keys_and_tells_what_its_robot_takes() -> None:
     said = "@/9ca0f8fa/@ros2_lv/MS/robot1§cmd_vel/geometry_msgs§msg§TwistStamped/:::"
     assert bridge.read_token(said) == Endpoint("MS", "/robot1/cmd_vel", messages.TWIST_STAMPED, "")
     assert bridge.attachment(1, 2, bytes(16)) is None
-
-
-def test_a_robot_takes_the_type_that_it_subscribes_to() -> None:
-    known = (messages.TWIST, messages.TWIST_STAMPED)
-    there = [
-        Endpoint("MP", "/cmd_vel", messages.TWIST, ""),  # somebody else's teleop
-        Endpoint("MS", "/other", messages.TWIST, ""),
-        Endpoint("MS", "/cmd_vel", messages.TWIST_STAMPED, ""),
-    ]
-    assert velocity_type(there, "/cmd_vel", known) == messages.TWIST_STAMPED
-    assert velocity_type(there[:2], "/cmd_vel", known) is None
 
 
 def test_a_topic_is_of_the_namespace_unless_it_is_absolute() -> None:

@@ -13,8 +13,7 @@ import numpy as np
 import pytest
 
 from schemas.base import DIRECTIONS
-from services.exporters.drives import ExportFailure, Nominal, read
-from services.exporters.job import FORMATS, write
+from services.exporters.drives import FORMATS, ExportFailure, Nominal, read, write
 from services.importers.drive import ImportFailure, Tally
 from services.kit.jpeg import decode_jpeg, encode_jpeg
 from services.recordings.encoding import stamped_jpeg
