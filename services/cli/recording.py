@@ -21,8 +21,8 @@ from services.kit.process import EXIT_FAILED
 from services.kit.tables import number, table
 from services.recordings.contents import Contents, EpisodeContents, contents_of, named_topics, verify
 from services.recordings.dataset import find_recordings
-from services.recordings.reader import RecordingError
 from services.recordings.repair import RepairError, repair, usual_name
+from services.recordings.stream import RecordingError
 
 app = typer.Typer(
     help="Tell what is in recordings; check and repair them.\n\nExample: smal recording info drives", **STYLE

@@ -19,8 +19,8 @@ from services.cli import options
 from services.cli.interrupts import interrupted_by_signals
 from services.kit.errors import JobError, UsageError
 from services.kit.node import Detail, Node
-from services.recordings.reader import RecordingError
 from services.recordings.replay import REPLAYABLE, Tick, Track, end_of, tracks_of
+from services.recordings.stream import RecordingError
 from services.robot.service import ROBOT, check_alone
 
 #: How long to wait for somebody who takes the images; what is told before would be lost.

@@ -13,8 +13,9 @@ from schemas.state import State
 from schemas.topics import CAMERA, JPEG, POSE
 from services.kit.model_service import identity_of
 from services.recordings.encoding import stamped_jpeg
-from services.recordings.reader import RecordingError, read_recording
+from services.recordings.reader import read_recording
 from services.recordings.recorded import RecordedEpisode
+from services.recordings.stream import RecordingError
 from services.recordings.taught import episode_of, ticks_of
 from smal.model import Model
 from smal.movement import placed

@@ -19,8 +19,9 @@ from schemas.topics import APPLIED, CAMERA, JPEG
 from services.kit.jpeg import encode_jpeg, shrunk
 from services.recordings.dataset import unusable
 from services.recordings.encoding import decode_image
-from services.recordings.reader import RecordingError, read_recording
+from services.recordings.reader import read_recording
 from services.recordings.recorded import RecordedEpisode
+from services.recordings.stream import RecordingError
 from services.robot.clock import TICK_S
 
 #: Pictures along a drive, and their width; six of them fill a row of the list.

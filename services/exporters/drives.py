@@ -7,24 +7,24 @@ import math
 from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Final, NamedTuple, cast
+from typing import Final, NamedTuple
 
 import numpy as np
 
 from schemas.base import DIRECTIONS, Atom
-from schemas.camera_info import CameraInfo
 from schemas.command import CommandApplied
 from schemas.imu import Imu
 from schemas.odometry import Odometry
-from schemas.topics import CAMERA_INFO, IMU, ODOMETRY
+from schemas.topics import IMU
 from services.importers.drive import Tally
 from services.importers.job import Format
 from services.importers.ticks import TICK_S
 from services.kit.jpeg import is_jpeg
 from services.recordings.encoding import stamped_jpeg
-from services.recordings.reader import RecordingError, read_recording
+from services.recordings.reader import USUAL, read_recording
 from services.recordings.recorded import RecordedEpisode
 from services.recordings.records import Allowance
+from services.recordings.stream import RecordingError
 from smal.movement import Movement
 
 #: Of velocities: a micrometre and a microradian a second.
@@ -94,19 +94,11 @@ class Drive:
     @property
     def ticks(self) -> list[int]:
         """Those that anything is known of."""
-        poses = self.episode.kept.get(ODOMETRY.name, {})
-        return sorted(self.episode.images.keys() | poses.keys() | self.episode.applied.keys())
-
-    @property
-    def camera(self) -> CameraInfo | None:
-        """How its camera sees, where that was recorded."""
-        found = self.episode.kept.get(CAMERA_INFO.name, {})
-        return cast("CameraInfo", found[min(found)]) if found else None
+        return sorted(self.episode.images.keys() | self.episode.odometry.keys() | self.episode.applied.keys())
 
     def moments(self, tally: Tally) -> Iterator[Moment]:
         """Yield what there is at each tick, and count what cannot be used."""
-        poses = cast("dict[int, Odometry]", self.episode.kept.get(ODOMETRY.name, {}))
-        imus = cast("dict[int, Imu]", self.episode.kept.get(IMU.name, {}))
+        poses, imus = self.episode.odometry, self.episode.imu
         last_ns = -1
         for tick in self.ticks:
             stamp_ns, jpeg = self._image(tick, tally)
@@ -186,7 +178,7 @@ def write(
 
 def say_view(drives: Iterable[Drive], tally: Tally) -> None:
     """Say how the cameras see, for a format that has no place for it."""
-    for camera in (drive.camera for drive in drives):
+    for camera in (drive.episode.camera for drive in drives):
         if camera is not None:
             angle = math.degrees(2.0 * math.atan(0.5 * camera.width / camera.focal_px))
             tally.say(f"the camera's field of view has no place in it; import it with --field-of-view {angle:.4g}")
@@ -197,7 +189,7 @@ def _episodes(files: Iterable[Path], tally: Tally) -> Iterator[RecordedEpisode]:
     seen: dict[tuple[str, str], Path] = {}
     for path in files:
         try:
-            recording = read_recording(path, None, allowance, keep=(ODOMETRY, IMU, CAMERA_INFO))
+            recording = read_recording(path, None, allowance, topics=(*USUAL, IMU))
         except RecordingError as error:
             tally.say(str(error))
             continue
@@ -225,7 +217,7 @@ def _rate(episodes: Collection[RecordedEpisode], given: float | None, option: st
                 continue
             made.append((episode, applied))
             if applied.speed > 0.0 and tick in episode.odometry and tick + 1 in episode.odometry:
-                moved = Movement.between(episode.odometry[tick], episode.odometry[tick + 1])
+                moved = Movement.between(episode.wheels(tick), episode.wheels(tick + 1))
                 steps.append(abs(moved.ahead if "forward" in atoms else moved.turn_rad) / applied.speed)
     rate = round(float(np.median(steps)) / TICK_S, _DIGITS) if steps else 0.0
     if rate > 0.0 or not made:

@@ -74,8 +74,8 @@ def _said(drive: Drive, tally: Tally, advance: Callable[[], None]) -> Iterator[t
             header, data = _header(stamp_ns, _CAMERA), np.frombuffer(moment.jpeg, np.uint8)
             image = {"header": header, "format": "jpeg", "data": data}
             yield "/camera/image_raw/compressed", names.COMPRESSED, stamp_ns, image
-            if drive.camera is not None:
-                yield "/camera/camera_info", names.INFO, stamp_ns, {"header": header, **_sees(drive.camera)}
+            if drive.episode.camera is not None:
+                yield "/camera/camera_info", names.INFO, stamp_ns, {"header": header, **_sees(drive.episode.camera)}
         if moment.velocity is not None:
             command = {"header": _header(stamp_ns, _BASE), "twist": _twist(*moment.velocity)}
             yield "/cmd_vel", names.STAMPED, stamp_ns, command

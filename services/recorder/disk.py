@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import math
 import shutil
 from collections import deque
 from collections.abc import Callable
@@ -22,17 +23,6 @@ _CLOSE_S: Final = 10.0
 LEAST_BYTES: Final = 64 * 2**20
 
 
-def free_bytes(folder: Path) -> int:
-    """Return how many bytes the disk of a folder still takes.
-
-    Raises
-    ------
-    OSError
-        When there is no such folder.
-    """
-    return shutil.disk_usage(folder).free
-
-
 class Disk:
     """Watches the room on a disk.
 
@@ -49,7 +39,9 @@ class Disk:
         What whoever drives has to know, in one line; None while there is room enough.
     """
 
-    def __init__(self, clock: Callable[[], float], free: Callable[[Path], int] = free_bytes) -> None:
+    def __init__(
+        self, clock: Callable[[], float], free: Callable[[Path], int] = lambda folder: shutil.disk_usage(folder).free
+    ) -> None:
         self._clock = clock
         self._free = free
         #: When how many bytes had been written.
@@ -57,36 +49,15 @@ class Disk:
         self.warning: str | None = None
 
     def check_room(self, folder: Path) -> None:
-        """Begin to watch the disk of a folder.
-
-        Raises
-        ------
-        OSError
-            When there is no room to record.
-        """
+        """Begin to watch the disk of a folder; raises OSError when there is no room to record, or no such folder."""
         self._written.clear()
         if not self._told(self._free(folder), 0.0):
             raise OSError(errno.ENOSPC, self.warning)
 
     def look(self, folder: Path, written: int) -> bool:
-        """Look at the disk.
+        """Return whether the disk of a folder has room to go on, with so many bytes recorded so far.
 
-        Parameters
-        ----------
-        folder
-            Where is recorded.
-        written
-            Bytes that were recorded so far.
-
-        Returns
-        -------
-        bool
-            Whether there is room to go on.
-
-        Raises
-        ------
-        OSError
-            When the folder is gone.
+        Raises OSError when the folder is gone.
         """
         now_s = self._clock()
         self._written.append((now_s, written))
@@ -98,7 +69,7 @@ class Disk:
 
     def _told(self, free: int, rate: float) -> bool:
         room = free - LEAST_BYTES
-        left_s = room / rate if rate > 0.0 else float("inf")
+        left_s = room / rate if rate > 0.0 else math.inf
         self.warning = None
         if room <= 0 or left_s <= _CLOSE_S:
             self.warning = f"the disk is full ({free / 1e6:.0f} MB are free): no more is recorded"

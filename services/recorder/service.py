@@ -2,22 +2,24 @@
 
 from __future__ import annotations
 
+import math
 import time
-from collections import Counter, deque
+from collections import Counter
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Final, NamedTuple
+from typing import Final
 
 from schemas.base import Message
-from schemas.codec import encode, printable
+from schemas.codec import printable
 from schemas.episode import Episode
 from schemas.rpc import Nothing, RecordReply, RecordRequest
 from schemas.topics import TOPICS
 from services.kit.node import Detail, Node, ServiceError
 from services.kit.root import below
 from services.recorder.disk import LOOK_S, Disk
+from services.recorder.early import EARLY_S, Early
 from services.recordings.leftover import LeftoverError, Sealed, seal_leftover
 from services.recordings.sink import leftovers
 from services.recordings.writer import EpisodeWriter
@@ -31,12 +33,6 @@ GRACE_S: Final = 1.0
 #: How long `flush` and `stop` wait for that.
 _SETTLE_S: Final = 10.0
 SEAL_PERIOD_S: Final = 0.05
-#: Messages kept of episodes whose beginning has not arrived yet, and for how long: order holds within a topic, not
-#: between topics, and less so in a replay.
-EARLY_QUEUE: Final = 4096
-EARLY_S: Final = 5.0
-#: And how many bytes of them: frames as JPEG of half a megabyte, at 10 Hz, are 25 MB in that time.
-EARLY_BYTES: Final = 64 << 20
 
 
 @dataclass
@@ -47,30 +43,17 @@ class _Recording:
     touched_s: float
     closing: bool = False
     #: When it is finished whatever still comes: nobody told that the episode ended.
-    deadline_s: float | None = None
+    deadline_s: float = math.inf
 
     def complete(self, now_s: float) -> bool:
         """Whether nothing more is to be expected."""
         quiet_s = now_s - self.touched_s
-        if self.deadline_s is not None and now_s >= self.deadline_s:
-            return True
-        return self.closing and quiet_s >= (QUIET_S if self._whole() else GRACE_S)
+        return now_s >= self.deadline_s or (self.closing and quiet_s >= (QUIET_S if self._whole() else GRACE_S))
 
     def _whole(self) -> bool:
         """Whether every tick is there, up to the episode's end."""
-        return (
-            self.writer is not None
-            and self.writer.end_tick is not None
-            and self.writer.ledger.whole(self.writer.end_tick)
-        )
-
-
-class _Early(NamedTuple):
-    """A message of an episode whose beginning has not arrived."""
-
-    arrived_s: float
-    message: Message
-    size: int
+        writer = self.writer
+        return writer is not None and writer.end_tick is not None and writer.ledger.whole(writer.end_tick)
 
 
 class RecorderService:
@@ -109,14 +92,11 @@ class RecorderService:
         self._disk = disk or Disk(clock)
         self._folder: Path | None = None
         self._open: dict[str, _Recording] = {}
-        self._early: deque[_Early] = deque()
-        self._early_bytes = 0
+        self._early = Early()
         self._files: list[Path] = []
-        #: Episodes of which a killed recorder left the beginning.
+        #: Episodes of which a killed recorder left the beginning. The rest is sent again, soon after this time.
         self._cut: set[str] = set()
-        #: Those of them whose end may be sent again, for so long after this.
-        self._awaited: set[str] = set()
-        self._cut_s = 0.0
+        self._began_s = 0.0
         #: What it left that cannot be sealed.
         self._given_up: set[Path] = set()
         self._sealed: Counter[str] = Counter()
@@ -135,7 +115,7 @@ class RecorderService:
         node.serve("flush", Nothing, self.flush)
         node.serve("stop", Nothing, self.stop)
         node.every(SEAL_PERIOD_S, self.seal_complete)
-        node.every(LOOK_S, self.look_at_disk)
+        node.every(LOOK_S, self.look_after_files)
         node.detail = self.detail
 
     # -- calls ----------------------------------------------------------------------------------------------------
@@ -147,23 +127,18 @@ class RecorderService:
         except OSError as error:
             self._node.log.warning("cannot record in %r: %s", request.folder, error)
             # Why not would tell whoever asks what else there is.
-            raise ServiceError(
-                f"cannot record in {printable(request.folder)!r} below the root of the recorder"
-            ) from None
+            named = printable(request.folder)
+            raise ServiceError(f"cannot record in {named!r} below the root of the recorder") from None
 
     def flush(self, _request: Nothing) -> RecordReply:
         """Finish the files of the episodes that have ended, and name all files since ``start``."""
-        self._settle()
-        self._seal_leftovers(self._folder)
-        return self._reply()
+        return self._settled(self._folder)
 
     def stop(self, _request: Nothing) -> RecordReply:
         """Finish every file, also of an episode that still runs, and record no more."""
-        folder, self._folder, self._awaited = self._folder, None, set()
+        folder, self._folder, self._cut = self._folder, None, set()
         self._close_all()
-        self._settle()
-        self._seal_leftovers(folder)
-        return self._reply()
+        return self._settled(folder)
 
     def close(self) -> None:
         """Finish every file at once; the process ends."""
@@ -175,16 +150,16 @@ class RecorderService:
         folder.mkdir(parents=True, exist_ok=True)
         # Of such an episode what is still sent is a recording of its own.
         self._cut = {one.episode for one in self._seal_leftovers(folder) if not one.ended}
-        self._awaited, self._cut_s = set(self._cut), self._clock()
+        self._began_s = self._clock()
         self._folder = folder.resolve()
         self._files, self._lost = [], 0
         self._dropped_before = self._dropped_by_node()
         self._node.log.info("recording in %s", self._folder)
 
-    def _seal_leftovers(self, folder: Path | None) -> list[Sealed]:
+    def _seal_leftovers(self, folder: Path) -> list[Sealed]:
         """Seal what a recorder left that was killed, and what there was no room to seal."""
         done = []
-        for partial in set() if folder is None else set(leftovers(folder)) - self._given_up:
+        for partial in leftovers(folder) - self._given_up:
             try:
                 one = seal_leftover(partial)
             except LeftoverError as error:
@@ -195,22 +170,25 @@ class RecorderService:
             except OSError as error:
                 self._complain(f"cannot seal {partial}: {error.strerror or error}; tried again with the next episode")
             else:
-                self._node.log.info("sealed %s, which was left behind", one.path)
-                self._files = [one.path if path == partial else path for path in self._files]
+                self._node.log.info(
+                    "%s, which was left behind", f"sealed {one.path}" if one.path else f"removed {partial}"
+                )
+                made = [] if one.path is None else [one.path]
+                self._files = [file for path in self._files for file in (made if path == partial else [path])]
                 done.append(one)
         return done
 
-    def _settle(self) -> None:
+    def _settled(self, folder: Path | None) -> RecordReply:
         """Go on recording until the grace of every ended episode is over, and what a kill cut off is sent again."""
         self._node.spin(until=self._is_settled, timeout_s=_SETTLE_S)
-
-    def _is_settled(self) -> bool:
-        replayed = not self._awaited or self._clock() - self._cut_s > EARLY_S
-        return replayed and not any(recording.closing for recording in self._open.values())
-
-    def _reply(self) -> RecordReply:
+        if folder is not None:
+            self._seal_leftovers(folder)
         dropped = self._lost + self._dropped_by_node() - self._dropped_before
         return RecordReply(files=tuple(path.name for path in self._files), dropped=dropped)
+
+    def _is_settled(self) -> bool:
+        replayed = not self._cut or self._clock() - self._began_s > EARLY_S
+        return replayed and not any(recording.closing for recording in self._open.values())
 
     def _dropped_by_node(self) -> int:
         return sum(count for name, count in self._node.status().dropped.items() if name in TOPICS)
@@ -219,56 +197,30 @@ class RecorderService:
 
     def handle(self, message: Message) -> None:
         """Record one message."""
-        if isinstance(message, Episode) and message.event == "started" and self._folder is not None:
+        event = message.event if isinstance(message, Episode) else None
+        if isinstance(message, Episode) and event == "started" and self._folder is not None:
             self._begin(message, self._folder)
         recording = self._open.get(message.episode)
         if recording is not None:
             self._write(recording, message)
-            if isinstance(message, Episode) and message.event == "started":
-                self._write_early(recording, message.episode)
-            recording.closing |= isinstance(message, Episode) and message.event == "ended"
+            for early in self._early.of(message.episode) if event == "started" else ():
+                self._write(recording, early)
+            recording.closing |= event == "ended"
         elif self._folder is not None and not self._is_recorded(message.episode, self._folder):
-            self._hold(_Early(self._clock(), message, len(encode(message))))
-            while len(self._early) > EARLY_QUEUE or self._early_bytes > EARLY_BYTES:
-                self._forget()
-                self._lost += 1
+            self._lost += self._early.hold(message, self._clock())
 
     def seal_complete(self) -> None:
         """Finish the files of episodes of which nothing more is to be expected."""
         now_s = self._clock()
         for episode in [episode for episode, recording in self._open.items() if recording.complete(now_s)]:
             self._seal(episode)
-        while self._early and now_s - self._early[0].arrived_s > EARLY_S:
-            self._forget()
+        self._early.forget(now_s)
 
-    def _hold(self, early: _Early) -> None:
-        self._early.append(early)
-        self._early_bytes += early.size
-
-    def _forget(self) -> None:
-        self._early_bytes -= self._early.popleft().size
-
-    def _is_recorded(self, episode: str, folder: Path) -> bool:
-        """Whether there is a recording of a whole episode: what is replayed of it is in that."""
-        return episode not in self._cut and (folder / f"{episode}.mcap").exists()
-
-    def _begin(self, started: Episode, folder: Path) -> None:
-        if started.episode in self._open or self._is_recorded(started.episode, folder):
-            return
-        # A robot runs one episode at a time: a new one means that the end of the last did not reach us.
-        self._close_all()
-        self._seal_leftovers(folder)
-        self._cut.discard(started.episode)
-        writer = None
-        try:
-            self._disk.check_room(folder)
-            writer = EpisodeWriter.begin(folder, started)
-        except OSError as error:
-            self._complain(f"cannot record episode {started.episode}: {error.strerror or error}")
-        self._open[started.episode] = _Recording(writer, self._clock())
-
-    def look_at_disk(self) -> None:
-        """Seal what is being recorded while there is room for that."""
+    def look_after_files(self) -> None:
+        """Write what waits, and seal what is being recorded while there is room for that."""
+        for recording in self._open.values():
+            if recording.writer is not None:
+                self._try(recording, recording.writer.flush)
         writing = any(recording.writer is not None for recording in self._open.values())
         if self._open and not writing and self._disk.warning is not None:
             return  # who drives has to know it for as long as nothing is recorded
@@ -280,25 +232,38 @@ class RecorderService:
                     self._complain(f"{self._disk.warning}; what was before is sealed")
                     self._finish(recording)
 
-    def _write_early(self, recording: _Recording, episode: str) -> None:
-        held, self._early, self._early_bytes = self._early, deque(), 0
-        for early in held:
-            if early.message.episode == episode:
-                self._write(recording, early.message)
-            else:
-                self._hold(early)
+    def _is_recorded(self, episode: str, folder: Path) -> bool:
+        """Whether there is a recording of a whole episode: what is replayed of it is in that."""
+        return episode not in self._cut and (folder / f"{episode}.mcap").exists()
+
+    def _begin(self, started: Episode, folder: Path) -> None:
+        if started.episode in self._open or self._is_recorded(started.episode, folder):
+            return
+        # A robot runs one episode at a time: a new one means that the end of the last did not reach us.
+        self._close_all()
+        self._seal_leftovers(folder)
+        writer = None
+        try:
+            self._disk.check_room(folder)
+            writer = EpisodeWriter.begin(folder, started)
+        except OSError as error:
+            self._complain(f"cannot record episode {started.episode}: {error.strerror or error}")
+        self._open[started.episode] = _Recording(writer, self._clock())
 
     def _write(self, recording: _Recording, message: Message) -> None:
         recording.touched_s = self._clock()
-        if recording.writer is None:
+        writer = recording.writer
+        if writer is None:
             self._lost += 1
-            return
+        else:
+            self._try(recording, lambda: writer.write(message))
+
+    def _try(self, recording: _Recording, write: Callable[[], None]) -> None:
+        """Write to a recording; finish it where that fails."""
         try:
-            recording.writer.write(message)
+            write()
         except OSError as error:
-            self._lost += 1
             self._disk.warning = f"{error.strerror or error}: no more is recorded"
-            self._complain(f"cannot go on recording {recording.writer.path}: {error.strerror or error}")
             self._finish(recording)
 
     def _close_all(self) -> None:
@@ -308,7 +273,7 @@ class RecorderService:
 
     def _seal(self, episode: str) -> None:
         self._finish(self._open.pop(episode))
-        self._awaited.discard(episode)
+        self._cut.discard(episode)
 
     def _finish(self, recording: _Recording) -> None:
         writer, recording.writer = recording.writer, None
@@ -317,6 +282,7 @@ class RecorderService:
         path = writer.seal()
         if path != writer.path:
             self._complain(f"cannot seal {path}: {writer.problem}; tried again with the next episode")
+        self._lost += writer.waiting
         self._files.append(path)
         self._sealed = self._sealed + _figures(writer)  # another one: `detail` may be adding up this one
         gaps = "; ".join(f"{topic} lacks frames {ticks}" for topic, ticks in writer.ledger.gaps().items())
@@ -353,5 +319,5 @@ class RecorderService:
 
 def _figures(writer: EpisodeWriter) -> Counter[str]:
     """Return the figures of one recording, to be added up."""
-    ledger = writer.ledger
-    return Counter(messages=writer.messages, size=writer.size, duplicates=ledger.duplicates, gap_ticks=ledger.gap_ticks)
+    ledger, messages = writer.ledger, writer.messages - writer.waiting
+    return Counter(messages=messages, size=writer.size, duplicates=ledger.duplicates, gap_ticks=ledger.gap_ticks)

@@ -2,31 +2,28 @@
 
 from __future__ import annotations
 
-from collections import defaultdict
-from collections.abc import Iterator
+from collections import Counter, defaultdict
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Final
 
-from google.protobuf.message import DecodeError as ProtobufDecodeError
-from mcap.records import Channel, Metadata
-from mcap.records import Message as StoredMessage
-from pydantic import ValidationError
+from mcap.records import McapRecord, Metadata
 
 from schemas.base import Message
 from schemas.camera_info import CameraInfo
-from schemas.codec import describe, printable
+from schemas.codec import printable
 from schemas.command import CommandApplied
+from schemas.compressed_image import CompressedImage
 from schemas.episode import Episode
 from schemas.observation import Observation
 from schemas.odometry import Odometry
-from schemas.topics import TOPICS, Topic, topic_of
-from services.recordings.encoding import decode_image, size_of_image
-from services.recordings.ledger import Ledger, Order, order_of
-from services.recordings.reader import IMAGES, RecordingError, being_recorded, open_recording
+from schemas.topics import TOPICS, Topic
+from services.recordings.ledger import Ledger
 from services.recordings.records import MemoryLimitError
 from services.recordings.sink import PARTIAL_SUFFIX
-from services.recordings.survey import Summary, summary_of, surveyed
+from services.recordings.stream import IMAGES, RecordingError, Stored, being_recorded, messages, open_recording
+from services.recordings.survey import summary_of, surveyed
 from services.recordings.views import is_view
 from services.recordings.writer import EPISODE_METADATA
 
@@ -40,15 +37,15 @@ class Counted:
 
     messages: int = 0
     size: int = 0
-    first_ns: int = 0
+    first_ns: int = 2**64
     last_ns: int = 0
 
-    def add(self, stamp_ns: int, size: int) -> None:
+    def add(self, stored: Stored) -> None:
         """Count one."""
-        self.first_ns = min(self.first_ns, stamp_ns) if self.messages else stamp_ns
-        self.last_ns = max(self.last_ns, stamp_ns)
+        self.first_ns = min(self.first_ns, stored.stamp_ns)
+        self.last_ns = max(self.last_ns, stored.stamp_ns)
         self.messages += 1
-        self.size += size
+        self.size += len(stored.payload)
 
     @property
     def rate_hz(self) -> float | None:
@@ -59,40 +56,24 @@ class Counted:
 
 @dataclass
 class EpisodeContents:
-    """One episode.
-
-    Attributes
-    ----------
-    robot, episode
-        Their ids.
-    said
-        World, seed, purpose, goal and driver, as its events or the file's metadata tell.
-    outcome, judge
-        How it ended, and who says so; None where its end was not recorded.
-    drove
-        Ticks by whose command moved the robot last in them.
-    topics
-        What was recorded, by topic.
-    width, height, focal_px
-        Of the camera; None where that was not recorded.
-    modalities
-        Of the features.
-    odometry_m
-        Way by the wheels; None without odometry.
-    """
+    """One episode; None stands for what was not recorded."""
 
     robot: str
     episode: str
     said: dict[str, str | int] = field(default_factory=dict)
+    """World, seed, purpose, goal and driver, as its events tell."""
     outcome: str | None = None
     judge: str | None = None
+    """Who says so."""
     drove: dict[str, int] = field(default_factory=dict)
+    """Ticks by whose command moved the robot last in them."""
     topics: defaultdict[str, Counted] = field(default_factory=lambda: defaultdict(Counted))
     width: int | None = None
     height: int | None = None
     focal_px: float | None = None
     modalities: tuple[str, ...] = ()
     odometry_m: float | None = None
+    """Way by the wheels."""
 
     @property
     def frames(self) -> int:
@@ -102,46 +83,30 @@ class EpisodeContents:
     @property
     def seconds(self) -> float:
         """From the first message to the last."""
-        if not self.topics:
-            return 0.0
-        first_ns = min(one.first_ns for one in self.topics.values())
-        return (max(one.last_ns for one in self.topics.values()) - first_ns) / 1e9
+        counted = self.topics.values()
+        return (max(one.last_ns for one in counted) - min(one.first_ns for one in counted)) / 1e9 if counted else 0.0
 
 
 @dataclass
 class Contents:
-    """One recording.
-
-    Attributes
-    ----------
-    path
-        The file.
-    state
-        ``sealed``, ``not sealed``, or ``being recorded``.
-    size
-        Bytes.
-    about
-        What the recorder wrote of itself: software, when.
-    episodes
-        In the order in which they begin in the file.
-    views, views_size
-        What is there for viewers, derived from the rest: messages, and their bytes.
-    others
-        Messages of topics that are not ours.
-    damage, lacks
-        What is wrong in the file, and what never came into it; a line each.
-    """
+    """One recording; sizes are in bytes."""
 
     path: Path
     state: str
+    """``sealed``, ``not sealed``, or ``being recorded``."""
     size: int
     about: dict[str, str] = field(default_factory=dict)
+    """What the recorder wrote of itself: software, when."""
     episodes: list[EpisodeContents] = field(default_factory=list)
     views: int = 0
+    """Messages that are there for viewers, derived from the rest."""
     views_size: int = 0
     others: int = 0
+    """Messages of topics that are not ours."""
     damage: list[str] = field(default_factory=list)
+    """What is wrong in the file, a line each."""
     lacks: list[str] = field(default_factory=list)
+    """What never came into it."""
 
     @property
     def findings(self) -> list[str]:
@@ -149,7 +114,12 @@ class Contents:
         return [*self.damage, *self.lacks]
 
 
-def contents_of(path: Path) -> Contents:
+def verify(path: Path) -> Contents:
+    """Read all of a recording: every checksum, every message, every tick; raises as `contents_of`."""
+    return contents_of(path, thorough=True)
+
+
+def contents_of(path: Path, *, thorough: bool = False) -> Contents:
     """Tell what is in a recording; what of it does not decode is counted only.
 
     Raises
@@ -157,104 +127,45 @@ def contents_of(path: Path) -> Contents:
     RecordingError
         When it is no recording at all, or unpacks to too much.
     """
-    return _Survey(path, thorough=False).contents
+    recorded = being_recorded(path)
+    data = open_recording(path, living=True)
+    left = path.suffix == PARTIAL_SUFFIX
+    sealed = not left and summary_of(data) is not None
+    contents = Contents(path, "being recorded" if recorded else "sealed" if sealed else "not sealed", len(data))
+    if not sealed:
+        why = "left behind" if left else "its end, with the index, is missing or damaged"
+        contents.damage.append(f"{contents.state}: {why}")
+    found: dict[tuple[str, str], _Reading] = {}
+    try:
+        for stored in messages(_noting(contents, surveyed(data, contents.damage.append))):
+            if is_view(stored.key):
+                contents.views += 1
+                contents.views_size += len(stored.payload)
+            elif stored.topic is None:
+                contents.others += 1
+            else:
+                ids = stored.robot, stored.episode
+                reading = found.get(ids) or found.setdefault(ids, _Reading(EpisodeContents(*ids), thorough))
+                reading.take(stored.topic, stored)
+    except MemoryLimitError as error:
+        raise RecordingError(f"{path}: {error}; unpack it first (mcap decompress)") from None
+    contents.episodes = [reading.told() for reading in found.values()]
+    if thorough:
+        for reading in found.values():
+            reading.conclude(contents)
+        if not found:
+            contents.lacks.append("holds no episode")
+    return contents
 
 
-def verify(path: Path) -> Contents:
-    """Read all of a recording: every checksum, every message, every tick.
-
-    Raises
-    ------
-    RecordingError
-        As of `contents_of`.
-    """
-    return _Survey(path, thorough=True).contents
+def _noting(contents: Contents, records: Iterable[McapRecord]) -> Iterator[McapRecord]:
+    for record in records:
+        if isinstance(record, Metadata) and record.name == EPISODE_METADATA:
+            contents.about |= record.metadata
+        yield record
 
 
-def decoded(topic: Topic, robot: str, episode: str, payload: bytes) -> Message:
-    """Return the message of a topic, which has no images, in an episode.
-
-    Raises
-    ------
-    ValueError
-        When it is none.
-    """
-    message = topic.message.model_validate_json(payload)
-    if (message.robot, message.episode, message.topic_name) != (robot, episode, topic.name):
-        raise ValueError("of another robot, episode or topic than its channel")
-    return message
-
-
-class _Survey:
-    """Reads one recording."""
-
-    def __init__(self, path: Path, *, thorough: bool) -> None:
-        recorded = being_recorded(path)
-        data = open_recording(path)
-        summary = summary_of(data)
-        sealed = path.suffix != PARTIAL_SUFFIX and summary is not None
-        state = "being recorded" if recorded else "sealed" if sealed else "not sealed"
-        self.contents = Contents(path, state, len(data))
-        self._thorough = thorough
-        self._found: dict[tuple[str, str], _EpisodeSurvey] = {}
-        if not sealed:
-            left = path.suffix == PARTIAL_SUFFIX
-            self._tell(f"{state}: {'left behind' if left else 'its end, with the index, is missing or damaged'}")
-        try:
-            self._read(data, summary)
-        except MemoryLimitError as error:
-            raise RecordingError(f"{path}: {error}; unpack it first (mcap decompress)") from None
-        for survey in self._found.values():
-            if survey.episode.topics:
-                self.contents.episodes.append(survey.episode)
-        if thorough:
-            for survey in self._found.values():
-                self.contents.damage += survey.damage()
-                self.contents.lacks += survey.lacks()
-            if not self.contents.episodes:
-                self.contents.lacks.append("holds no episode")
-
-    def _tell(self, line: str) -> None:
-        self.contents.damage.append(line)
-
-    def _read(self, data: memoryview, summary: Summary | None) -> None:
-        known = () if summary is None else summary.records
-        channels = {one.id: one for one in known if isinstance(one, Channel)}
-        count = unknown = 0
-        for record in surveyed(data, self._tell):
-            match record:
-                case Channel():
-                    channels[record.id] = record
-                case Metadata(name=name) if name == EPISODE_METADATA:
-                    self.contents.about |= record.metadata
-                case StoredMessage():
-                    count += 1
-                    channel = channels.get(record.channel_id)
-                    unknown += channel is None
-                    if channel is not None:
-                        self._take(channel, record)
-        if unknown:
-            self._tell(f"{unknown} messages are of a channel that is lost")
-        if summary is not None and summary.messages not in (None, count):
-            self._tell(f"its index tells of {summary.messages} messages, and there are {count}")
-
-    def _take(self, channel: Channel, stored: StoredMessage) -> None:
-        topic = topic_of(channel.topic)
-        robot, episode = channel.metadata.get("robot"), channel.metadata.get("episode")
-        if is_view(channel.topic):
-            self.contents.views += 1
-            self.contents.views_size += len(stored.data)
-            return
-        if topic is None or robot is None or episode is None:
-            self.contents.others += 1
-            return
-        key = printable(robot), printable(episode)
-        if key not in self._found:
-            self._found[key] = _EpisodeSurvey(EpisodeContents(*key), self._thorough)
-        self._found[key].take(topic, stored)
-
-
-class _EpisodeSurvey:
+class _Reading:
     """Reads one episode."""
 
     def __init__(self, episode: EpisodeContents, thorough: bool) -> None:
@@ -263,43 +174,31 @@ class _EpisodeSurvey:
         self._ledger = Ledger()
         self._bad: dict[str, list[str]] = defaultdict(list)
         self._twice: dict[str, list[int]] = defaultdict(list)
-        self._last_applied: dict[int, CommandApplied] = {}
-        self._pose: tuple[float, float] | None = None
+        self._drivers: dict[int, tuple[int, str]] = {}
+        self._pose: Odometry | None = None
         self._began = False
         self._end: int | None = None
 
-    def take(self, topic: Topic, stored: StoredMessage) -> None:
+    def take(self, topic: Topic, stored: Stored) -> None:
         """Take one message."""
-        self.episode.topics[topic.name].add(stored.log_time, len(stored.data))
-        payload = bytes(stored.data)
-        try:
-            order = self._take_image(payload, stored) if topic in IMAGES else self._take_message(topic, payload, stored)
-        except ValidationError as error:
-            self._bad[topic.name].append(f"tick {stored.sequence}: {describe(error)}")
-        except (ValueError, ProtobufDecodeError) as error:
-            self._bad[topic.name].append(f"tick {stored.sequence}: {printable(str(error))}")
-        else:
-            if order is not None and not self._ledger.admit(topic.name, order):
-                self._twice[topic.name].append(stored.sequence)
-
-    def _take_image(self, payload: bytes, stored: StoredMessage) -> Order:
-        if self._thorough:
-            decode_image(payload)
-        if self.episode.width is None:
-            self.episode.width, self.episode.height = size_of_image(payload)
-        return stored.sequence, 0
-
-    def _take_message(self, topic: Topic, payload: bytes, stored: StoredMessage) -> Order | None:
+        self.episode.topics[topic.name].add(stored)
         if not self._thorough and not self._tells(topic):
-            return None
-        message = decoded(topic, self.episode.robot, self.episode.episode, payload)
-        if (message.tick, message.stamp_ns) != (stored.sequence, stored.log_time):
-            raise ValueError("its tick or time is another than its record's")
-        self._note(message)
-        return order_of(message)
+            return
+        try:
+            message = stored.message(pixels=self._thorough)
+            if (message.tick, message.stamp_ns) != (stored.tick, stored.stamp_ns):
+                raise ValueError("its tick or time is another than its record's")
+        except ValueError as error:
+            self._bad[topic.name].append(f"tick {stored.tick}: {printable(str(error))}")
+        else:
+            self._note(message)
+            if not self._ledger.admit(message):
+                self._twice[topic.name].append(stored.tick)
 
     def _tells(self, topic: Topic) -> bool:
         """Whether a message says something about the episode as a whole; of large ones the first is enough."""
+        if topic in IMAGES:
+            return self.episode.width is None
         if topic.message is Observation:
             return not self.episode.modalities
         return issubclass(topic.message, Episode | CommandApplied | CameraInfo | Odometry)
@@ -313,49 +212,42 @@ class _EpisodeSurvey:
                 if message.event == "ended":
                     episode.outcome, episode.judge, self._end = message.outcome, message.judge, message.tick
             case CommandApplied():
-                last = self._last_applied.get(message.tick)
-                if last is None or message.sequence > last.sequence:
-                    self._count_driver(last, -1)
-                    self._count_driver(message, 1)
-                    self._last_applied[message.tick] = message
+                last = self._drivers.get(message.tick)
+                if last is None or message.sequence > last[0]:
+                    self._drivers[message.tick] = message.sequence, message.source or "nobody"
+            case CompressedImage() if episode.width is None:
+                episode.width, episode.height = message.width, message.height
             case CameraInfo():
                 episode.width, episode.height, episode.focal_px = message.width, message.height, message.focal_px
             case Observation():
                 episode.modalities = message.modalities
             case Odometry():
-                here = message.x_m, message.y_m
-                x_m, y_m = self._pose or here
-                step_m = ((here[0] - x_m) ** 2 + (here[1] - y_m) ** 2) ** 0.5
-                episode.odometry_m, self._pose = (episode.odometry_m or 0.0) + step_m, here
+                last_pose, self._pose = self._pose or message, message
+                step_m = ((message.x_m - last_pose.x_m) ** 2 + (message.y_m - last_pose.y_m) ** 2) ** 0.5
+                episode.odometry_m = (episode.odometry_m or 0.0) + step_m
             case _:
                 pass
 
-    def _count_driver(self, applied: CommandApplied | None, by: int) -> None:
-        if applied is not None:
-            name = applied.source or "nobody"
-            self.episode.drove[name] = self.episode.drove.get(name, 0) + by
+    def told(self) -> EpisodeContents:
+        """Return what was read."""
+        self.episode.drove = dict(Counter(driver for _, driver in self._drivers.values()))
+        return self.episode
 
-    @property
-    def _name(self) -> str:
-        return f"episode {self.episode.episode}"
-
-    def damage(self) -> Iterator[str]:
-        """Yield what is wrong with what is there, a line each."""
-        for name, bad in self._bad.items():
-            yield f"{self._name}: {name}: {len(bad)} of {self.episode.topics[name].messages} do not decode: {bad[0]}"
-        for name, twice in self._twice.items():
-            yield f"{self._name}: {name}: {len(twice)} are there twice, the first of tick {twice[0]}"
-
-    def lacks(self) -> Iterator[str]:
-        """Yield what is not there, a line each."""
+    def conclude(self, contents: Contents) -> None:
+        """Tell what is wrong with what is there, and what is not there."""
+        name = f"episode {self.episode.episode}"
+        for topic, bad in self._bad.items():
+            count = self.episode.topics[topic].messages
+            contents.damage.append(f"{name}: {topic}: {len(bad)} of {count} do not decode: {bad[0]}")
+        for topic, twice in self._twice.items():
+            contents.damage.append(f"{name}: {topic}: {len(twice)} are there twice, the first of tick {twice[0]}")
         if not self._began:
-            yield f"{self._name}: its beginning was not recorded"
+            contents.lacks.append(f"{name}: its beginning was not recorded")
         if self._end is None:
-            yield f"{self._name}: its end was not recorded"
+            contents.lacks.append(f"{name}: its end was not recorded")
         else:
             self._ledger.close(self._end)
-        for topic, ticks in self._ledger.gaps().items():
-            yield f"{self._name}: {topic} lacks {ticks}"
+        contents.lacks += [f"{name}: {topic} lacks {ticks}" for topic, ticks in self._ledger.gaps().items()]
 
 
 def named_topics(episode: EpisodeContents) -> Iterator[tuple[str, Counted]]:

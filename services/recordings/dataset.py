@@ -18,12 +18,14 @@ from numpy.typing import NDArray
 
 from schemas.base import ATOMS
 from services.kit.errors import UsageError
-from services.recordings.encoding import decode_image, is_image
-from services.recordings.reader import RecordingError, read_recording
+from services.kit.jpeg import is_jpeg
+from services.recordings.encoding import decode_image, stamped_jpeg
+from services.recordings.reader import read_recording
 from services.recordings.recorded import Piece, RecordedEpisode
 from services.recordings.recorded_features import features_in
 from services.recordings.records import Allowance
 from services.recordings.sink import first_of
+from services.recordings.stream import RecordingError
 from services.recordings.taught import episode_of
 from smal.demonstration import Demonstration
 from smal.features import FeatureSettings, extract, select
@@ -90,7 +92,9 @@ class Teacher:
 
     def read(self, path: Path) -> None:
         """Take what a file teaches; what it lacks becomes a remark, never an exception."""
-        held = recorded_with(path, self._features)
+        # Vectors of more modalities than the wanted ones hold these.
+        holding = [held for held in features_in(path) if set(self._features.modalities) <= set(held.modalities)]
+        held = min(holding, key=lambda held: held.size, default=self._features)
         free, taught = self._allowance.left, len(self.teaching.demonstrations)
         try:
             recording = read_recording(path, held.fingerprint, self._allowance)
@@ -102,47 +106,57 @@ class Teacher:
         self.teaching.remarks.extend(recording.remarks())
         for episode in recording.episodes:
             if self._episodes is None or episode.episode in self._episodes:
-                take_out(episode, held, self._features)
+                whole = {tick: one for tick, one in episode.features.items() if one.shape == (held.size,)}
+                episode.features = {tick: select(one, held, self._features) for tick, one in whole.items()}
                 self._take(path, episode)
         if len(self.teaching.demonstrations) == taught:
             self._allowance.left = free  # nothing of it is kept
 
     def _take(self, path: Path, episode: RecordedEpisode) -> None:
-        other = self._seen.setdefault((episode.robot, episode.episode), path)
-        reason = unusable(episode, include_runs=self._include_runs)
-        if other != path:
-            reason = f"it is in {other} too"
-            if path == first_of(other) or other == first_of(path):
-                reason += f"; {_joined(*sorted((other, path), key=lambda one: len(one.name)))}"
+        here = f"{path}: episode {episode.episode}"
+        reason = self._unusable(path, episode)
         if reason is not None:
-            self._remark(f"{path}: episode {episode.episode} is left out: {reason}")
+            self._remark(f"{here} is left out: {reason}")
             return
-        damaged = forget_damaged(episode)
+        damaged = [tick for tick, payload in episode.images.items() if not _is_image(payload)]
+        for tick in damaged:
+            del episode.images[tick]
         if damaged:
-            self._remark(f"{path}: episode {episode.episode}: {damaged} damaged images are left out")
+            self._remark(f"{here}: {len(damaged)} damaged images are left out")
         if not episode.features and "depth" in self._features.needs:
             lack = f"it lacks the features {','.join(self._features.modalities)}, and no image has the depth for them"
-            self._remark(f"{path}: episode {episode.episode} is left out: {lack}")
+            self._remark(f"{here} is left out: {lack}")
             return
-        computed = complete(episode, self._features)
+        computed = _complete(episode, self._features)
         if computed:
             self._remark(f"{path}: the features of {computed} frames were computed from their images")
         pieces = [piece for piece in episode.pieces() if piece.ticks.size >= self._shortest]
         if not pieces:
-            self._remark(f"{path}: episode {episode.episode} is left out: no {self._shortest} successive frames")
+            self._remark(f"{here} is left out: no {self._shortest} successive frames")
             return
-        lost = frames_left_out(episode, pieces)
+        # The very last frame is not counted: unless the victim was found, nothing was done after it.
+        recorded = episode.features.keys() | episode.images.keys()
+        lost = recorded - {tick for piece in pieces for tick in piece.ticks.tolist()} - {max(recorded)}
         if lost:
-            self._remark(f"{path}: episode {episode.episode}: {lost} frames beside gaps are left out")
+            self._remark(f"{here}: {len(lost)} frames beside gaps are left out")
         self.teaching.episodes += 1
         self.teaching.demonstrations.extend(_demonstration(episode, piece, len(pieces) == 1) for piece in pieces)
+
+    def _unusable(self, path: Path, episode: RecordedEpisode) -> str | None:
+        other = self._seen.setdefault((episode.robot, episode.episode), path)
+        if other == path:
+            return unusable(episode, include_runs=self._include_runs)
+        joined = ""
+        if path == first_of(other) or other == first_of(path):
+            joined = f"; {_joined(*sorted((other, path), key=lambda one: len(one.name)))}"
+        return f"it is in {other} too{joined}"
 
     def _remark(self, text: str) -> None:
         self.teaching.remarks.append(text)
 
 
 def _joined(first: Path, second: Path) -> str:
-    """Say how two recordings of one episode, as a recorder leaves that was killed meanwhile, become one."""
+    """Say how two recordings of one episode become one, as a recorder leaves them that was killed meanwhile."""
     return f"smal recording repair {first} {second} --out FILE joins them"
 
 
@@ -162,35 +176,20 @@ def unusable(episode: RecordedEpisode, *, include_runs: bool) -> str | None:
     return None
 
 
-def recorded_with(path: Path, wanted: FeatureSettings) -> FeatureSettings:
-    """Return with which features a recording is to be read: the wanted ones, or else some that hold them."""
-    holding = [held for held in features_in(path) if set(wanted.modalities) <= set(held.modalities)]
-    return min(holding, key=lambda held: held.size, default=wanted)
+def _is_image(payload: memoryview) -> bool:
+    """Whether a recorded image begins as one; costs much less than to decode it."""
+    try:
+        return is_jpeg(stamped_jpeg(bytes(payload))[1])
+    except ValueError:
+        return False
 
 
-def take_out(episode: RecordedEpisode, held: FeatureSettings, wanted: FeatureSettings) -> None:
-    """Keep of the recorded features the wanted ones; vectors of another size than they say are forgotten."""
-    whole = {tick: vector for tick, vector in episode.features.items() if vector.shape == (held.size,)}
-    episode.features = {tick: select(vector, held, wanted) for tick, vector in whole.items()}
+def _complete(episode: RecordedEpisode, settings: FeatureSettings) -> int:
+    """Compute the features that were not recorded from the images; return how many.
 
-
-def forget_damaged(episode: RecordedEpisode) -> int:
-    """Forget images that are none; return how many."""
-    damaged = [tick for tick, payload in episode.images.items() if not is_image(bytes(payload))]
-    for tick in damaged:
-        del episode.images[tick]
-    return len(damaged)
-
-
-def complete(episode: RecordedEpisode, settings: FeatureSettings) -> int:
-    """Compute the features that were not recorded, or were recorded by another version, from the images.
-
-    Returns
-    -------
-    int
-        How many were computed. A frame whose image is damaged stays without, and so does one that needs depth.
+    A frame whose image is damaged stays without, and so does one that needs depth.
     """
-    if not episode.images or "depth" in settings.needs:
+    if "depth" in settings.needs:
         return 0
 
     def compute(tick: int) -> NDArray[np.float32] | None:
@@ -206,16 +205,6 @@ def complete(episode: RecordedEpisode, settings: FeatureSettings) -> int:
     computed = {tick: vector for tick, vector in vectors.items() if vector is not None}
     episode.features.update(computed)
     return len(computed)
-
-
-def frames_left_out(episode: RecordedEpisode, pieces: Iterable[Piece]) -> int:
-    """Count the recorded frames that are in none of the pieces.
-
-    The very last frame is not counted: unless the victim was found, nothing was done after it.
-    """
-    recorded = episode.features.keys() | episode.images.keys()
-    kept = {tick for piece in pieces for tick in piece.ticks.tolist()}
-    return len(recorded - kept - {max(recorded)})
 
 
 def states_shared_by_episodes(model: Model) -> int:

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from schemas.base import Message
 from schemas.compressed_image import CompressedImage
-from services.kit.jpeg import decode_jpeg, is_jpeg, jpeg_size
+from services.kit.jpeg import decode_jpeg
 
 #: Frame of the camera, for viewers: x to the right in the image, y down, z into it.
 CAMERA_FRAME: Final = "camera"
@@ -30,17 +30,7 @@ CAMERA_FRAME: Final = "camera"
 
 @dataclass(frozen=True)
 class ChannelFormat:
-    """How the messages of one class are written.
-
-    Attributes
-    ----------
-    schema_name
-        Name of the schema, for viewers.
-    schema_encoding, message_encoding
-        Well-known names of the MCAP registry.
-    schema
-        The schema itself.
-    """
+    """How the messages of one class are written; encodings are well-known names of the MCAP registry."""
 
     schema_name: str
     schema_encoding: str
@@ -59,12 +49,10 @@ def format_of(message: type[Message]) -> ChannelFormat:
 
 def payload_of(message: Message) -> bytes:
     """Return the bytes that stand in the file for a message."""
-    return _wrap(message) if isinstance(message, CompressedImage) else message.model_dump_json().encode()
-
-
-def _wrap(image: CompressedImage) -> bytes:
+    if not isinstance(message, CompressedImage):
+        return message.model_dump_json().encode()
     packed = foxglove.CompressedImage(
-        timestamp=timestamp(image.stamp_ns), frame_id=CAMERA_FRAME, data=image.data, format=image.format
+        timestamp=timestamp(message.stamp_ns), frame_id=CAMERA_FRAME, data=message.data, format=message.format
     )
     return packed.SerializeToString()
 
@@ -75,46 +63,12 @@ def timestamp(stamp_ns: int) -> Timestamp:
 
 
 def decode_image(payload: bytes) -> NDArray[np.uint8]:
-    """Return the (height, width, 3) RGB pixels of a recorded image.
-
-    Raises
-    ------
-    ValueError
-        When the payload is no image.
-    """
+    """Return the (height, width, 3) RGB pixels of a recorded image; raises ValueError when the payload is no image."""
     return decode_jpeg(stamped_jpeg(payload)[1])
 
 
-def is_image(payload: bytes) -> bool:
-    """Whether a recorded image begins as one; costs much less than to decode it."""
-    try:
-        return is_jpeg(stamped_jpeg(payload)[1])
-    except ValueError:
-        return False
-
-
-def size_of_image(payload: bytes) -> tuple[int, int]:
-    """Return width and height of a recorded image, by its header alone.
-
-    Raises
-    ------
-    ValueError
-        When the payload is no image.
-    """
-    size = jpeg_size(stamped_jpeg(payload)[1])
-    if size is None:
-        raise ValueError("not a JPEG image")
-    return size
-
-
 def stamped_jpeg(payload: bytes) -> tuple[int, bytes]:
-    """Return when a recorded image was captured, nanoseconds since 1970, and its JPEG.
-
-    Raises
-    ------
-    ValueError
-        When the payload is no such image.
-    """
+    """Return when an image was captured, nanoseconds since 1970, and its JPEG; raises ValueError if it is none."""
     try:
         image = foxglove.CompressedImage.FromString(payload)
     except ProtobufDecodeError:

@@ -23,15 +23,11 @@ _EVENTS: Final = get_args(EventName)
 #: half a kilobyte here.
 _MOST_PLACES: Final = 10_000
 
-#: Tick, and place among the messages of the same topic and tick.
-Order = tuple[int, int]
-
-
-def order_of(message: Message) -> Order:
-    """Return where a message stands among those of its topic and episode; no two have the same place."""
+def place_of(message: Message) -> int:
+    """Return the place of a message among those of its topic and tick; no two have the same."""
     if isinstance(message, Episode):
-        return message.tick, _EVENTS.index(message.event)
-    return message.tick, message.sequence if isinstance(message, Command | CommandApplied) else 0
+        return _EVENTS.index(message.event)
+    return message.sequence if isinstance(message, Command | CommandApplied) else 0
 
 
 class Spans:
@@ -76,8 +72,8 @@ class Spans:
 class Ledger:
     """Keeps account of the messages of one episode.
 
-    A message may come again: in lockstep a frame is repeated until it is answered, and what was kept for a recorder
-    that was away may have come before. It may also come late, after others of its topic.
+    A message may come again: in lockstep a frame is repeated until it is answered, and a recorder that was away is sent
+    what it may have already. It may also come late, after others of its topic.
     """
 
     def __init__(self) -> None:
@@ -86,10 +82,10 @@ class Ledger:
         self._last: dict[str, int] = dict.fromkeys(EVERY_TICK, -1)
         self.duplicates = 0
 
-    def admit(self, topic: str, order: Order) -> bool:
+    def admit(self, message: Message) -> bool:
         """Whether a message is new."""
-        tick, place = order
-        if not self._seen[topic, min(place, _MOST_PLACES)].add(tick):
+        topic, tick = message.topic_name, message.tick
+        if not self._seen[topic, min(place_of(message), _MOST_PLACES)].add(tick):
             self.duplicates += 1
             return False
         if topic in self._ticks:

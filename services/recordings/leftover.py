@@ -2,67 +2,53 @@
 
 from __future__ import annotations
 
-import mmap
 import os
 import struct
 from collections import Counter
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Final
+from typing import Final, NamedTuple, cast
 
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
-from mcap.records import Channel, ChunkIndex, McapRecord, Message, Metadata, MetadataIndex, Schema
+from mcap.records import Channel, Chunk, Message, Metadata, Schema
 
 from schemas.topics import EPISODE, topic_of
-from services.recordings.growing import GrowingFile, Index, OpenChunk
-from services.recordings.records import (
-    CHUNK_HEAD,
-    HEAD,
-    KEPT_FREE,
-    MAGIC,
-    UNREADABLE,
-    Allowance,
-    Fair,
-    inside_of,
-    mapped,
-    record_of,
-    walk,
-)
+from services.recordings.chunks import INDEX_ENTRY, Index
+from services.recordings.records import MAGIC, UNREADABLE, Bounds, chunk_of, heads, inside, mapped, record_of
 from services.recordings.sink import Sink, claim, finished, publish
 from services.recordings.survey import ChunkSearch
 from services.recordings.writer import EPISODE_METADATA, GAPS_METADATA
 
 #: What an index of messages begins with: its channel, and the bytes that its entries take.
 _MESSAGE_INDEX: Final = struct.Struct("<HI")
-_ENTRY: Final = 16
+#: So much at its end may not have reached the disk when the power failed: there chunks are checked by their checksums.
+_UNSURE: Final = 16 * 2**20
 
 
 class LeftoverError(Exception):
     """What was left cannot be sealed, and stays as it is; the text says why in one line."""
 
 
-@dataclass(frozen=True)
-class Sealed:
-    """A leftover that is a recording now.
+class Sealed(NamedTuple):
+    """What became of a leftover.
 
     Attributes
     ----------
     path
-        Its name.
+        The recording; None where no message was in it, and it is removed.
     episode
-        Id of its episode.
+        Id of its episode; empty where it does not tell.
     ended
-        Whether all of it is there, its end included.
+        Whether the end of the episode is in it.
     """
 
-    path: Path
+    path: Path | None
     episode: str
     ended: bool
 
 
 def seal_leftover(partial: Path) -> Sealed:
-    """Seal what a dead recorder left.
+    """Seal what a dead recorder left; what was cut off at its end is lost.
 
     Raises
     ------
@@ -73,48 +59,35 @@ def seal_leftover(partial: Path) -> Sealed:
     """
     descriptor = claim(partial)
     try:
-        found = _look_at(partial)
+        found = _Look(mapped(partial))
+        if not found.index.chunks:
+            partial.unlink()
         sink = Sink(descriptor, found.size)
     except BaseException:
         os.close(descriptor)
         raise
     try:
-        GrowingFile(sink, found.index, found.chunk, checksum=None).finish()
+        if not found.index.chunks:
+            return Sealed(None, found.episode, ended=False)
+        # The checksum of all of it would take to read all of it.
+        sink.write(found.index.end(found.size, checksum=0))
+        sink.sync()
         path = finished(partial)
         publish(partial, path)
+        return Sealed(path, found.episode, found.ended)
     finally:
         sink.close()
-    return Sealed(path, found.episode, found.ended)
-
-
-def _look_at(partial: Path) -> _Look:
-    data = mapped(partial)
-    if MAGIC.startswith(bytes(data[: len(MAGIC) + 1])):
-        partial.unlink()
-        raise LeftoverError("it was empty and is removed")
-    found = _Look(data)
-    try:
-        whole = found.look()
-    except UNREADABLE:
-        whole = False
-    if not found.episode:
-        raise LeftoverError("it is not the recording of an episode")
-    if not whole:
-        raise LeftoverError(f"it is damaged at byte {found.size}; see smal recording repair")
-    return found
 
 
 class _Look:
-    """Goes from chunk to chunk; what is in them is looked at only where a channel is new, and at the end.
+    """Goes from chunk to chunk; what is in them is looked at only where a channel is new, for events, and at the end.
 
     Attributes
     ----------
     index
-        Of the chunks.
-    chunk
-        What is written behind the last of them.
+        Of what is whole.
     size
-        Bytes that are whole, without what the end of a file has.
+        Bytes of that.
     episode
         Id of the episode; empty where the file tells none.
     ended
@@ -123,131 +96,81 @@ class _Look:
 
     def __init__(self, data: memoryview) -> None:
         self._data = data
+        self._events: set[int] = set()
         self.index = Index()
-        self.chunk: OpenChunk | None = None
         self.size = len(MAGIC)
         self.episode = ""
         self.ended = False
+        if MAGIC.startswith(bytes(data[: self.size + 1])):
+            return
+        try:
+            whole = data[: self.size] == MAGIC and self._take_all()
+        except UNREADABLE:
+            whole = False
+        if not self.episode:
+            raise LeftoverError("it is not the recording of an episode")
+        if not whole and not self._is_cut():
+            raise LeftoverError(f"it is damaged at byte {self.size}; see smal recording repair")
 
-    def look(self) -> bool:
-        """Look at all of it; return whether there is nothing more behind what is whole.
+    def _is_cut(self) -> bool:
+        """Whether what is not whole is a chunk at the end, or zeros; what is damaged before hides what is whole."""
+        head = next(heads(self._data, self.size), None)
+        is_last = head is None or head.end > len(self._data) or head.opcode in (0, Opcode.CHUNK)
+        return is_last and ChunkSearch(self._data).next(self.size + 1, len(self._data)) == len(self._data)
 
-        What is cut off at the end was never whole; what is damaged before the end hides what is.
+    def _take_all(self) -> bool:
+        """Take record after record; return whether their end was reached."""
+        while (head := next(heads(self._data, self.size), None)) is not None and head.end <= len(self._data):
+            body = self._data[head.begin : head.end]
+            match head.opcode:
+                case Opcode.HEADER:
+                    self.size = head.end
+                case Opcode.METADATA:
+                    self._take_metadata(cast("Metadata", record_of(Opcode.METADATA, body)), head.end)
+                case Opcode.CHUNK:
+                    self._take_chunk(chunk_of(body), head.end)
+                case other:
+                    return other == Opcode.DATA_END
+        return self.size == len(self._data)
 
-        Raises
-        ------
-        McapError, ValueError, struct.error
-            When it is damaged.
-        """
-        if self._data[: self.size] != MAGIC:
-            raise McapError("does not begin as an MCAP file")
-        while self._take(self.size):
-            pass
-        ends = self.opcode_at(self.size) == Opcode.DATA_END
-        return ends or ChunkSearch(self._data).next(self.size, len(self._data)) == len(self._data)
-
-    def opcode_at(self, at: int) -> int | None:
-        """Return what the record is that stands here, which is whole, or a chunk; None where there is none."""
-        if at + HEAD.size > len(self._data):
-            return None
-        opcode = self._data[at]
-        return opcode if opcode == Opcode.CHUNK or self._end(at) <= len(self._data) else None
-
-    def _end(self, at: int) -> int:
-        return at + HEAD.size + int(HEAD.unpack_from(self._data, at)[1])
-
-    def _take(self, at: int) -> bool:
-        """Take the record that stands here; return whether to go on behind it."""
-        match self.opcode_at(at):
-            case Opcode.HEADER:
-                self.size = self._end(at)
-                return True
-            case Opcode.METADATA:
-                self._take_metadata(at)
-                return True
-            case Opcode.CHUNK:
-                return self._take_chunk(at)
-            case opcode if opcode == KEPT_FREE:
-                self._take_open(at, len(self._data))
-        return False
-
-    def _take_metadata(self, at: int) -> None:
-        end = self.size = self._end(at)
-        record = record_of(Opcode.METADATA, self._data[at + HEAD.size : end])
-        assert isinstance(record, Metadata)  # noqa: S101 - by its kind
-        self.index.metadata.append(MetadataIndex(offset=at, length=end - at, name=record.name))
+    def _take_metadata(self, record: Metadata, end: int) -> None:
+        self.index.add_metadata(record.name, self.size, end - self.size)
+        self.size = end
         if record.name == EPISODE_METADATA:
             self.episode = record.metadata.get("episode", "")
         # It is the first thing that is written when an episode is over.
         self.ended |= record.name == GAPS_METADATA
 
-    def _take_chunk(self, at: int) -> bool:
-        begin = inside_of(self._data, at)
-        if begin is None:
-            raise McapError("a chunk that is packed, or without its head")
-        end = after = self._end(at)
-        if end > len(self._data):
-            self._take_open(at, len(self._data))
-            return False
-        offsets, counts = {}, Counter[int]()
-        while self.opcode_at(after) == Opcode.MESSAGE_INDEX:
-            channel, size = _MESSAGE_INDEX.unpack_from(self._data, after + HEAD.size)
-            offsets[channel], counts[channel] = after, size // _ENTRY
-            after = self._end(after)
-        if not offsets:
-            self._take_open(at, end)
-            return False
-        if offsets.keys() - self.index.channels.keys():
-            for record in walk(self._data[begin:end], 0, Fair(0, Allowance())):
-                self._note(record)
-        _, _, first_ns, last_ns, size, *_ = CHUNK_HEAD.unpack_from(self._data, at)
-        self.index.add(
-            ChunkIndex(
-                chunk_length=end - at,
-                chunk_start_offset=at,
-                compression="",
-                compressed_size=size,
-                message_end_time=last_ns,
-                message_index_length=after - end,
-                message_index_offsets=offsets,
-                message_start_time=first_ns,
-                uncompressed_size=size,
-            ),
-            counts,
-        )
-        self.size = after
-        return True
+    def _take_chunk(self, chunk: Chunk, end: int) -> None:
+        """Take a chunk and the indexes of its messages; raises McapError where these are not whole."""
+        counts, behind = {}, end
+        for opcode, begin, after in heads(self._data, end):
+            if opcode != Opcode.MESSAGE_INDEX or after > len(self._data):
+                break
+            channel, size = _MESSAGE_INDEX.unpack_from(self._data, begin)
+            if size % INDEX_ENTRY or after - begin != _MESSAGE_INDEX.size + size:
+                raise McapError("an index of another size than its entries")
+            counts[channel], behind = size // INDEX_ENTRY, after
+        known = counts.keys() <= self.index.channels.keys() - self._events
+        if (not known or behind > len(self._data) - _UNSURE) and self._counted_inside(chunk) != counts:
+            raise McapError("a chunk without its indexes")
+        if chunk.compression or len(chunk.data) != chunk.uncompressed_size:
+            raise McapError("a chunk of another size than its records")
+        self.index.add_chunk(chunk, self.size, end - self.size, counts)
+        self.size = behind
 
-    def _take_open(self, at: int, end: int) -> None:
-        """Take what stands behind the head of a chunk, or the place that is kept free for one."""
-        begin = here = at + CHUNK_HEAD.size
-        # After a power failure zeros may stand in place of the end of the last record.
-        end = min(end, _end_without_zeros(self._data))
-        chunk = OpenChunk(at)
-        while self.opcode_at(here) in (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE) and self._end(here) <= end:
-            record = record_of(self._data[here], self._data[here + HEAD.size : self._end(here)])
-            self._note(record)
-            if isinstance(record, Message):
-                chunk.note(record.channel_id, record.log_time, here - begin)
-                channel = self.index.channels.get(record.channel_id)
-                told = channel is not None and topic_of(channel.topic) is EPISODE
+    def _counted_inside(self, chunk: Chunk) -> Counter[int]:
+        """Take note of what is in a chunk; return its messages by channel."""
+        counts = Counter[int]()
+        for record in inside(chunk, Bounds(len(self._data)), checked=True):
+            if isinstance(record, Schema):
+                self.index.schemas[record.id] = record
+            elif isinstance(record, Channel):
+                self.index.channels[record.id] = record
+                if topic_of(record.topic) is EPISODE:
+                    self._events.add(record.id)
+            elif isinstance(record, Message):
+                counts[record.channel_id] += 1
+                told = record.channel_id in self._events
                 self.ended |= told and b'"event":"ended"' in bytes(record.data)
-            here = self._end(here)
-        if chunk.entries:
-            chunk.content += self._data[begin:here]
-            self.chunk, self.size = chunk, here
-
-    def _note(self, record: McapRecord | None) -> None:
-        if isinstance(record, Schema):
-            self.index.schemas[record.id] = record
-        elif isinstance(record, Channel):
-            self.index.channels[record.id] = record
-
-
-def _end_without_zeros(data: memoryview) -> int:
-    """Return where the zeros begin with which it ends."""
-    end = len(data)
-    while end > 0 and not data[end - 1]:
-        tail = bytes(data[max(0, end - mmap.PAGESIZE) : end])
-        end -= len(tail) - len(tail.rstrip(b"\0"))
-    return end
+        return counts

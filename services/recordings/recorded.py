@@ -8,9 +8,12 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from schemas.base import ATOMS, Message, Source
+from schemas.base import ATOMS, Source
+from schemas.camera_info import CameraInfo
 from schemas.command import CommandApplied
 from schemas.episode import Outcome, Purpose
+from schemas.imu import Imu
+from schemas.odometry import Odometry
 from schemas.pose import Pose
 
 _STOP: Final = ATOMS.index("stop")
@@ -61,16 +64,14 @@ class RecordedEpisode:
         Raw feature vectors that were recorded with the wanted fingerprint.
     images
         Recorded images (for ``encoding.decode_image``).
-    odometry
-        Pose by the wheels: x, y in metres and heading in radians.
+    odometry, imu
+        What the wheels counted, and what the inertial unit felt.
     applied
         What the actuator did from this tick to the next.
-    focal
-        Focal length of the camera over the width of its image; None if it was not recorded.
+    camera
+        How it sees; None if that was not recorded.
     poses
         True poses, for plots; learning must not use them.
-    kept
-        Messages of the topics that were to be kept, by topic: of each tick the first.
     """
 
     robot: str
@@ -84,11 +85,16 @@ class RecordedEpisode:
     end_tick: int | None = None
     features: dict[int, NDArray[np.float32]] = field(default_factory=dict)
     images: dict[int, memoryview] = field(default_factory=dict)
-    odometry: dict[int, tuple[float, float, float]] = field(default_factory=dict)
+    odometry: dict[int, Odometry] = field(default_factory=dict)
+    imu: dict[int, Imu] = field(default_factory=dict)
     applied: dict[int, CommandApplied] = field(default_factory=dict)
-    focal: float | None = None
+    camera: CameraInfo | None = None
     poses: dict[int, Pose] = field(default_factory=dict)
-    kept: dict[str, dict[int, Message]] = field(default_factory=dict)
+
+    @property
+    def focal(self) -> float | None:
+        """Focal length of the camera over the width of its image; None if it was not recorded."""
+        return None if self.camera is None else self.camera.focal_px / self.camera.width
 
     @property
     def frames(self) -> int:
@@ -113,22 +119,24 @@ class RecordedEpisode:
         return [self._piece(run) for run in np.split(ticks, breaks) if run.size]
 
     def _piece(self, ticks: NDArray[np.int64]) -> Piece:
-        features = np.stack([self.features[tick] for tick in ticks.tolist()])
-        atoms = np.array([self._atom(tick) for tick in ticks.tolist()], dtype=np.int8)
-        made = [self.applied.get(tick) for tick in ticks.tolist()]
-        ahead = np.array([0.0 if one is None else one.ahead for one in made], dtype=np.float32)
-        held = [self.images.get(tick) for tick in ticks.tolist()]
-        images = tuple(image for image in held if image is not None)
-        way = [self.odometry[tick] for tick in ticks.tolist() if tick in self.odometry]
+        known = ticks.tolist()
+        made = [self.applied.get(tick) for tick in known]
+        images = tuple(self.images[tick] for tick in known if tick in self.images)
+        way = [self.wheels(tick) for tick in known if tick in self.odometry]
         return Piece(
             ticks,
-            features,
-            atoms,
-            ahead,
-            images if len(images) == ticks.size else None,
-            np.array(way) if len(way) == ticks.size else None,
-            at_goal=self._is_goal(int(ticks[-1])),
+            np.stack([self.features[tick] for tick in known]),
+            np.array([self._atom(tick) for tick in known], dtype=np.int8),
+            np.array([0.0 if one is None else one.ahead for one in made], dtype=np.float32),
+            images if len(images) == len(known) else None,
+            np.array(way) if len(way) == len(known) else None,
+            at_goal=self._is_goal(known[-1]),
         )
+
+    def wheels(self, tick: int) -> tuple[float, float, float]:
+        """Return x, y in metres and heading in radians by the wheels; KeyError where it was not recorded."""
+        pose = self.odometry[tick]
+        return pose.x_m, pose.y_m, pose.heading_rad
 
     def _is_goal(self, tick: int) -> bool:
         """Whether this is the frame that shows the goal.

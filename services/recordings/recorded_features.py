@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
-import struct
 from collections.abc import Iterable, Iterator
+from contextlib import suppress
 from pathlib import Path
-
-from mcap.exceptions import McapError
-from mcap.records import Channel, Message
-from pydantic import ValidationError
+from typing import cast
 
 from schemas.observation import Observation
-from schemas.topics import OBSERVATION, topic_of
+from schemas.topics import OBSERVATION
 from services.kit.errors import UsageError
-from services.recordings.records import mapped, records
+from services.recordings.records import UNREADABLE, mapped, records
+from services.recordings.stream import messages
 from smal.features import FeatureSettings
 
 
@@ -42,7 +40,7 @@ def features_in(path: Path) -> tuple[FeatureSettings, ...]:
     """
     try:
         found = dict.fromkeys(_settings(observation) for observation in _observations(mapped(path)))
-    except (OSError, McapError, ValueError, struct.error):
+    except (OSError, *UNREADABLE):
         return ()
     return tuple(features for features in found if features is not None)
 
@@ -60,16 +58,11 @@ def _settings(observation: Observation) -> FeatureSettings | None:
 
 
 def _observations(data: memoryview) -> Iterator[Observation]:
-    """Yield the first readable observation of every channel: one an episode."""
-    waiting: set[int] = set()
-    for record in records(data):
-        if isinstance(record, Channel):
-            if topic_of(record.topic) is OBSERVATION:
-                waiting.add(record.id)
-        elif isinstance(record, Message) and record.channel_id in waiting:
-            try:
-                observation = Observation.model_validate_json(bytes(record.data))
-            except ValidationError:
-                continue
-            waiting.remove(record.channel_id)
-            yield observation
+    """Yield the first readable observation of every episode."""
+    known: set[tuple[str, str]] = set()
+    for stored in messages(records(data)):
+        ids = stored.robot, stored.episode
+        if stored.topic is OBSERVATION and ids not in known:
+            with suppress(ValueError):
+                yield cast("Observation", stored.message())
+                known.add(ids)

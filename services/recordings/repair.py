@@ -6,20 +6,12 @@ import os
 import tempfile
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager, suppress
-from dataclasses import replace as changed
-from itertools import chain
 from pathlib import Path
 
-from mcap.records import Channel, Schema
-from mcap.records import Message as StoredMessage
-
-from schemas.base import Message
-from schemas.topics import topic_of
-from services.recordings.contents import Contents, decoded, verify
-from services.recordings.encoding import ChannelFormat, decode_image, format_of
-from services.recordings.reader import IMAGES, open_recording
+from services.recordings.contents import Contents, verify
 from services.recordings.sink import PARTIAL_SUFFIX, claim, finished, free_path, publish
-from services.recordings.survey import summary_of, surveyed
+from services.recordings.stream import messages, open_recording
+from services.recordings.survey import surveyed
 from services.recordings.writer import EpisodeWriter
 
 
@@ -109,7 +101,7 @@ def _written(before: Sequence[Contents], out: Path) -> Path:
     writer = EpisodeWriter(out.with_name(f"{out.name}{PARTIAL_SUFFIX}"), out, metadata)
     try:
         for one in before:
-            _copy(open_recording(one.path), writer)
+            _copy(open_recording(one.path, living=True), writer)
     finally:
         sealed = writer.seal()
     if sealed != out:
@@ -119,47 +111,7 @@ def _written(before: Sequence[Contents], out: Path) -> Path:
 
 def _copy(data: memoryview, writer: EpisodeWriter) -> None:
     """Write what is whole in a recording; `verify` has told of all else."""
-    schemas: dict[int, Schema] = {}
-    channels: dict[int, Channel] = {}
-    summary = summary_of(data)
-    for record in chain(() if summary is None else summary.records, surveyed(data, lambda _line: None)):
-        match record:
-            case Schema():
-                schemas[record.id] = record
-            case Channel(metadata={"robot": _, "episode": _}):
-                channels[record.id] = record
-            case StoredMessage(channel_id=number) if number in channels:
-                channel = channels[number]
-                # A message that does not decode is left out.
-                with suppress(ValueError):
-                    writer.copy(channel.topic, _form(channel, schemas), *_checked(channel, record))
-            case _:
-                pass
-
-
-def _checked(channel: Channel, stored: StoredMessage) -> tuple[StoredMessage, Message | None]:
-    """Return a message with the tick and the time that it tells itself, and what it says unless it is an image.
-
-    Raises
-    ------
-    ValueError
-        When it is none of ours.
-    """
-    topic, payload = topic_of(channel.topic), bytes(stored.data)
-    if topic is None:
-        raise ValueError(channel.topic)
-    if topic in IMAGES:
-        decode_image(payload)
-        return stored, None
-    message = decoded(topic, channel.metadata["robot"], channel.metadata["episode"], payload)
-    return changed(stored, sequence=message.tick, log_time=message.stamp_ns), message
-
-
-def _form(channel: Channel, schemas: dict[int, Schema]) -> ChannelFormat:
-    """Return how the messages of a channel are written; as today where its schema is lost."""
-    schema, topic = schemas.get(channel.schema_id), topic_of(channel.topic)
-    if schema is not None:
-        return ChannelFormat(schema.name, schema.encoding, channel.message_encoding, bytes(schema.data))
-    if topic is None:
-        raise ValueError(channel.topic)
-    return format_of(topic.message)
+    for stored in messages(surveyed(data, lambda _line: None)):
+        # A message that does not decode is left out.
+        with suppress(ValueError):
+            writer.write(stored.message(pixels=True))

@@ -1,4 +1,4 @@
-"""The file of a recording: written at once, on the disk within a second, and one recorder's at a time.
+"""The file of a recording: its names, who owns it, and writing it so that it is soon on the disk.
 
 A recording is ``NAME.mcap.partial`` until it is sealed. Whoever has locked it owns it.
 """
@@ -50,15 +50,15 @@ def is_being_recorded(path: Path) -> bool:
 
 def free_path(folder: Path, stem: str) -> Path:
     """Return ``<stem>.mcap`` in a folder, or ``<stem>-2.mcap`` and so on: no recording is ever overwritten."""
-    for number in range(1, 1_000_000):
-        path = folder / (f"{stem}.mcap" if number == 1 else f"{stem}-{number}.mcap")
-        if not path.exists() and not partial_of(path).exists():
-            return path
-    raise FileExistsError(f"{folder} is full of recordings named {stem}")
+    number, path = 1, folder / f"{stem}.mcap"
+    while path.exists() or partial_of(path).exists():
+        number += 1
+        path = folder / f"{stem}-{number}.mcap"
+    return path
 
 
 def first_of(path: Path) -> Path | None:
-    """Return the recording of the same name without ``-2`` or so on behind it, where that is there."""
+    """Return the recording of the same name without ``-2`` or so on behind it, if it exists."""
     stem, dash, number = path.name.partition(".")[0].rpartition("-")
     first = path.with_name(f"{stem}.mcap")
     return first if dash and number.isdecimal() and first.exists() else None
@@ -75,9 +75,9 @@ def finished(partial: Path) -> Path:
     return free_path(path.parent, path.stem) if path.exists() else path
 
 
-def leftovers(folder: Path) -> list[Path]:
+def leftovers(folder: Path) -> set[Path]:
     """Return the recordings in a folder that are not sealed, those of living recorders too; never a link."""
-    return sorted(part for part in folder.glob(f"*.mcap{PARTIAL_SUFFIX}") if not part.is_symlink())
+    return {part for part in folder.glob(f"*.mcap{PARTIAL_SUFFIX}") if not part.is_symlink()}
 
 
 def publish(partial: Path, path: Path) -> None:
@@ -91,16 +91,14 @@ def publish(partial: Path, path: Path) -> None:
 
 
 class Sink:
-    """An unbuffered file being recorded.
-
-    A killed process loses nothing that was written, and a machine without power at most the last second.
+    """An unbuffered file being recorded, whose content a thread puts on the disk every second.
 
     Parameters
     ----------
     descriptor
         Of the file, from `claim`; closed with this.
     size
-        Bytes that it goes on after; what stands behind them is cut off.
+        Bytes that it goes on after; the rest is cut off.
     """
 
     def __init__(self, descriptor: int, size: int = 0) -> None:
@@ -124,9 +122,8 @@ class Sink:
             rest = rest[os.write(self._descriptor, rest) :]
         self._size += len(data)
 
-    def overwrite(self, at: int, data: bytes) -> None:
-        """Put ``data`` in the place of what was written there, which needs no room on the disk."""
-        os.pwrite(self._descriptor, data, at)
+    def flush(self) -> None:
+        """Do nothing: nothing waits."""
 
     def tell(self) -> int:
         """Return how many bytes were written."""

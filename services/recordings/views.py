@@ -10,7 +10,8 @@ one tree. Where the camera is mounted no message says; it is drawn at the robot'
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
+from functools import singledispatchmethod
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -50,7 +51,7 @@ _PART: Final = "/view/"
 #: Poses by the wheels that wait for the belief of their frame, which comes a few frames later at most.
 _KEPT: Final = 100
 #: The arrow of the belief is half a metre long, about as a robot.
-_ARROW_M: Final = 0.5
+_ARROW: Final = {"shaft_length": 0.35, "shaft_diameter": 0.075, "head_length": 0.15, "head_diameter": 0.15}
 #: The driven way has a point for so much of it, a tick at walking pace; for more of it where there would be too many.
 _STEP_M: Final = 0.1
 #: Most points of a way: more than a screen can tell apart.
@@ -83,17 +84,6 @@ class Views:
     """Derives the views of one episode, message after message."""
 
     def __init__(self) -> None:
-        self._of: dict[type[Message], Callable[[Message], Iterator[View]]] = {
-            Odometry: self._odometry,
-            Pose: self._pose,
-            TrackedPose: self._tracked,
-            CameraInfo: self._camera,
-            TaughtMap: self._map,
-            State: self._state,
-            Action: self._action,
-            CommandApplied: self._applied,
-            Episode: self._event,
-        }
         self._wheels: dict[int, Array] = {}
         self._true: dict[int, Array] = {}
         self._with_world = False
@@ -103,14 +93,10 @@ class Views:
         self._step_m = _STEP_M
         self._began: Message | None = None
 
-    def derives_from(self, message: type[Message]) -> bool:
-        """Whether anything is drawn of the messages of a class."""
-        return message in self._of
-
-    def of(self, message: Message) -> Iterator[View]:
+    @singledispatchmethod
+    def of(self, _message: Message) -> Iterator[View]:
         """Yield what is drawn of a message."""
-        derive = self._of.get(type(message))
-        return iter(()) if derive is None else derive(message)
+        yield from ()
 
     def way(self) -> Iterator[tuple[Message, View]]:
         """Yield the driven way as a whole, and the message with whose time it is written: the first by the wheels.
@@ -124,8 +110,8 @@ class Views:
 
     # -- where the robot is ---------------------------------------------------------------------------------------
 
-    def _odometry(self, odometry: Message) -> Iterator[View]:
-        assert isinstance(odometry, Odometry)  # noqa: S101 - by its class
+    @of.register
+    def _odometry(self, odometry: Odometry) -> Iterator[View]:
         here = np.array([odometry.x_m, odometry.y_m, odometry.heading_rad])
         yield View("odometry", _transform(odometry, "odom", "base_link", here))
         _keep(self._wheels, odometry.tick, here)
@@ -136,8 +122,8 @@ class Views:
         if len(self._way) > _MOST_POINTS:
             self._way, self._step_m = self._way[::2], 2.0 * self._step_m
 
-    def _pose(self, pose: Message) -> Iterator[View]:
-        assert isinstance(pose, Pose)  # noqa: S101 - by its class
+    @of.register
+    def _pose(self, pose: Pose) -> Iterator[View]:
         here = np.array([pose.x_m, pose.y_m, pose.heading_rad])
         yield View("pose", PoseInFrame(timestamp=timestamp(pose.stamp_ns), frame_id="world", pose=_pose(here)))
         _keep(self._true, pose.tick, here)
@@ -150,51 +136,37 @@ class Views:
             self._with_world = True
             yield View("world", _transform(message, "world", "odom", _origin_of(true, wheels)))
 
-    def _tracked(self, pose: Message) -> Iterator[View]:
-        assert isinstance(pose, TrackedPose)  # noqa: S101 - by its class
+    @of.register
+    def _tracked(self, pose: TrackedPose) -> Iterator[View]:
         if pose.x_m is not None and pose.y_m is not None and pose.heading_rad is not None:
             here = _pose(np.array([pose.x_m, pose.y_m, pose.heading_rad]))
             yield View("tracked", PoseInFrame(timestamp=timestamp(pose.stamp_ns), frame_id="world", pose=here))
 
-    def _camera(self, info: Message) -> Iterator[View]:
-        assert isinstance(info, CameraInfo)  # noqa: S101 - by its class
-        focal, x, y = info.focal_px, info.centre_x_px, info.centre_y_px
-        yield View(
-            "calibration",
-            CameraCalibration(
-                timestamp=timestamp(info.stamp_ns),
-                frame_id=CAMERA_FRAME,
-                width=info.width,
-                height=info.height,
-                K=[focal, 0, x, 0, focal, y, 0, 0, 1],
-                R=[1, 0, 0, 0, 1, 0, 0, 0, 1],
-                P=[focal, 0, x, 0, 0, focal, y, 0, 0, 0, 1, 0],
-            ),
-        )
+    @of.register
+    def _camera(self, info: CameraInfo) -> Iterator[View]:
+        focal, x, y, stamp = info.focal_px, info.centre_x_px, info.centre_y_px, timestamp(info.stamp_ns)
+        calibration = CameraCalibration(timestamp=stamp, frame_id=CAMERA_FRAME, width=info.width, height=info.height)
+        calibration.K.extend([focal, 0, x, 0, focal, y, 0, 0, 1])
+        calibration.R.extend([1, 0, 0, 0, 1, 0, 0, 0, 1])
+        calibration.P.extend([focal, 0, x, 0, 0, focal, y, 0, 0, 0, 1, 0])
+        yield View("calibration", calibration)
         # Looks ahead: its z is the robot's x, its x the robot's right.
-        yield View(
-            "camera",
-            FrameTransform(
-                timestamp=timestamp(info.stamp_ns),
-                parent_frame_id="base_link",
-                child_frame_id=CAMERA_FRAME,
-                translation=Vector3(),
-                rotation=Quaternion(x=-0.5, y=0.5, z=-0.5, w=0.5),
-            ),
-        )
+        camera = _transform(info, "base_link", CAMERA_FRAME, _ORIGIN)
+        camera.rotation.CopyFrom(Quaternion(x=-0.5, y=0.5, z=-0.5, w=0.5))
+        yield View("camera", camera)
 
     # -- where it believes to be ----------------------------------------------------------------------------------
 
-    def _map(self, taught: Message) -> Iterator[View]:
-        assert isinstance(taught, TaughtMap)  # noqa: S101 - by its class
+    @of.register
+    def _map(self, taught: TaughtMap) -> Iterator[View]:
         self._keyframes = taught.keyframes.to_numpy().astype(np.float64)
         flat = self._keyframes * (1.0, 1.0, 0.0)
         every = 1 + len(flat) // _MOST_POINTS
         ways = [way[::every] for way in np.split(flat, taught.begins[1:])]
         yield from _line(taught, "map", "taught", ways, _TAUGHT)
 
-    def _state(self, state: Message) -> Iterator[View]:
-        assert isinstance(state, State)  # noqa: S101 - by its class
+    @of.register
+    def _state(self, state: State) -> Iterator[View]:
         yield from self._changed(state, "recognition", state.status, warns=state.status == "unknown")
         if self._keyframes is None or not state.places or state.places[0].keyframe >= len(self._keyframes):
             return
@@ -207,14 +179,8 @@ class Views:
             yield View("map", _transform(state, "odom", "map", _origin_of(wheels, poses[0])))
         elif not self._wheels:
             yield View("map", _transform(state, "map", "base_link", poses[0]))
-        arrow = ArrowPrimitive(
-            pose=_pose(poses[0]),
-            shaft_length=0.7 * _ARROW_M,
-            shaft_diameter=0.15 * _ARROW_M,
-            head_length=0.3 * _ARROW_M,
-            head_diameter=0.3 * _ARROW_M,
-            color=Color(r=state.lost, g=1.0 - state.lost, b=0.0, a=1.0),
-        )
+        color = Color(r=state.lost, g=1.0 - state.lost, b=0.0, a=1.0)
+        arrow = ArrowPrimitive(pose=_pose(poses[0]), color=color, **_ARROW)
         yield View("belief", _scene(state, "map", "belief", SceneEntity(arrows=[arrow])))
         # All places, each as high as it is likely.
         points = np.column_stack([poses[:, :2], [place.weight for place in known]])
@@ -222,21 +188,21 @@ class Views:
 
     # -- what happens ---------------------------------------------------------------------------------------------
 
-    def _action(self, action: Message) -> Iterator[View]:
-        assert isinstance(action, Action)  # noqa: S101 - by its class
+    @of.register
+    def _action(self, action: Action) -> Iterator[View]:
         kind = action.kind.replace("_", " ")
         yield from self._changed(action, "policy", kind, warns=action.kind in ("dead_end", "look_around", "guess"))
 
-    def _applied(self, applied: Message) -> Iterator[View]:
-        assert isinstance(applied, CommandApplied)  # noqa: S101 - by its class
+    @of.register
+    def _applied(self, applied: CommandApplied) -> Iterator[View]:
         if applied.source is not None and applied.reason == "command":
             yield from self._changed(applied, "robot", f"driven by {applied.source}")
         else:
             cause = f" ({applied.stop_cause})" if applied.stop_cause else ""
             yield from self._changed(applied, "robot", f"stands: {applied.reason}{cause}", warns=True)
 
-    def _event(self, event: Message) -> Iterator[View]:
-        assert isinstance(event, Episode)  # noqa: S101 - by its class
+    @of.register
+    def _event(self, event: Episode) -> Iterator[View]:
         if event.event == "started":
             text = f"{event.purpose} to {event.goal} in {event.world}, seed {event.seed}, driver {event.driver}"
         else:

@@ -7,15 +7,13 @@ import time
 from pathlib import Path
 from typing import Final, Self
 
-from mcap.records import Message as StoredMessage
-
 from schemas.base import Message
 from schemas.episode import Episode
-from schemas.topics import key_of, topic_of
+from schemas.topics import key_of
 from services.kit.version import program_version
+from services.recordings.chunks import ChunkedFile
 from services.recordings.encoding import ChannelFormat, format_of, payload_of, protobuf_format
-from services.recordings.growing import GrowingFile
-from services.recordings.ledger import Ledger, order_of
+from services.recordings.ledger import Ledger
 from services.recordings.sink import Sink, claim, free_path, partial_of, publish
 from services.recordings.views import View, Views, view_key
 
@@ -27,8 +25,8 @@ GAPS_METADATA: Final = "smal.gaps"
 class EpisodeWriter:
     """Writes the messages of one episode.
 
-    The file is called ``<episode>.mcap.partial`` until it is sealed. Every message is whole in it when ``write``
-    returns, see `services.recordings.growing`: nothing is lost in a crash, and viewers have an index to seek by.
+    The file is called ``<episode>.mcap.partial`` until it is sealed. It grows by a chunk for each second of messages,
+    and when `flush` is called: a process that is killed loses what came since.
 
     Parameters
     ----------
@@ -39,6 +37,15 @@ class EpisodeWriter:
     metadata
         What the episode is, its robot and id included.
 
+    Attributes
+    ----------
+    messages
+        How many it has taken.
+    end_tick
+        When the episode ended; None before.
+    problem
+        Why it takes no more; None while it does.
+
     Raises
     ------
     OSError
@@ -48,18 +55,17 @@ class EpisodeWriter:
     def __init__(self, part: Path, path: Path, metadata: dict[str, str]) -> None:
         self.path = path
         self.ledger = Ledger()
-        self.messages = 0
+        self.messages = self._written = 0
         self.end_tick: int | None = None
         self.problem: str | None = None
         self._part = part
-        self._metadata = metadata
+        self._ids = {name: metadata[name] for name in ("robot", "episode")}
         self._views = Views()
         self._channels: dict[tuple[str, ChannelFormat], int] = {}
         self._schemas: dict[ChannelFormat, int] = {}
         self._sink = Sink(claim(part, os.O_RDWR | os.O_CREAT | os.O_EXCL))
-        self._file = GrowingFile(self._sink)
         try:
-            self._file.begin(f"smal {program_version()}")
+            self._file = ChunkedFile(self._sink, f"smal {program_version()}")
             self._file.add_metadata(EPISODE_METADATA, metadata)
         except OSError:
             self._sink.close()
@@ -68,13 +74,7 @@ class EpisodeWriter:
 
     @classmethod
     def begin(cls, folder: Path, started: Episode) -> Self:
-        """Make the file of an episode that begins with this event.
-
-        Raises
-        ------
-        OSError
-            When the file cannot be made.
-        """
+        """Make the file of an episode that begins with this event; raises OSError when the file cannot be made."""
         path = free_path(folder, started.episode)
         return cls(partial_of(path), path, _description(started))
 
@@ -83,17 +83,38 @@ class EpisodeWriter:
         """Bytes written."""
         return self._sink.tell()
 
+    @property
+    def waiting(self) -> int:
+        """Messages that are not in the file yet."""
+        return self.messages - self._written
+
     def write(self, message: Message) -> None:
-        """Write a message, if it is new.
+        """Take a message, if it is new.
 
         Raises
         ------
         OSError
             When it cannot be written, for example because the disk is full; the file then takes no more.
         """
-        if self.problem is None and self.ledger.admit(message.topic_name, order_of(message)):
-            key, form = key_of(message), format_of(type(message))
-            self._append(key, form, message.stamp_ns, message.tick, payload_of(message), message)
+        if self.problem is not None or not self.ledger.admit(message):
+            return
+        self._add(key_of(message), format_of(type(message)), message, payload_of(message))
+        for view in self._views.of(message):
+            self._draw(view, message)
+        self.messages += 1
+        if isinstance(message, Episode) and message.event == "ended":
+            self.end_tick = message.tick
+        if self._file.is_full:
+            self.flush()
+
+    def flush(self) -> None:
+        """Write what waits; raises as `write`."""
+        try:
+            self._file.flush()
+        except OSError as error:
+            self.problem = error.strerror or str(error)
+            raise
+        self._written = self.messages
 
     def seal(self) -> Path:
         """Finish the recording, and give it its name.
@@ -114,63 +135,28 @@ class EpisodeWriter:
             self._sink.close()
         return self._part
 
-    def copy(self, key: str, form: ChannelFormat, stored: StoredMessage, message: Message | None) -> None:
-        """Write a message of another recording, if it is new; of an image, which is the same in all, no message.
-
-        Raises
-        ------
-        OSError
-            As of `write`.
-        """
-        topic = topic_of(key)
-        if topic is None:
-            raise ValueError(key)
-        order = (stored.sequence, 0) if message is None else order_of(message)
-        if self.problem is None and self.ledger.admit(topic.name, order):
-            self._append(key, form, stored.log_time, stored.sequence, bytes(stored.data), message)
-
-    def _append(
-        self, key: str, form: ChannelFormat, stamp_ns: int, tick: int, payload: bytes, message: Message | None
-    ) -> None:
-        self._file.add_message(self._channel(key, form), stamp_ns, tick, payload)
-        for view in () if message is None else self._views.of(message):
-            self._add_view(view, stamp_ns, tick)
-        try:
-            self._file.write()
-        except OSError as error:
-            self.problem = error.strerror or str(error)
-            raise
-        self.messages += 1
-        if isinstance(message, Episode) and message.event == "ended":
-            self.end_tick = message.tick
-
-    def _add_view(self, view: View, stamp_ns: int, tick: int) -> None:
-        form = protobuf_format(type(view.message))  # type: ignore[arg-type]  # a class is hashable
-        channel = self._channel(view_key(self._metadata["robot"], view.name), form)
-        self._file.add_message(channel, stamp_ns, tick, view.message.SerializeToString())
-
     def _finish(self) -> None:
+        self.flush()
         if self.end_tick is not None:
             self.ledger.close(self.end_tick)
-        notes = {"duplicates": str(self.ledger.duplicates)} | self.ledger.gaps()
-        self._file.add_metadata(GAPS_METADATA, notes)
+        self._file.add_metadata(GAPS_METADATA, {"duplicates": str(self.ledger.duplicates)} | self.ledger.gaps())
         # Behind it, in a chunk of its own: it has the time of the beginning.
-        way = list(self._views.way())
-        for cause, view in way:
-            self._add_view(view, cause.stamp_ns, cause.tick)
-        if way:
-            self._file.write()
+        for cause, view in self._views.way():
+            self._draw(view, cause)
         self._file.finish()
 
-    def _channel(self, key: str, form: ChannelFormat) -> int:
+    def _draw(self, view: View, cause: Message) -> None:
+        form = protobuf_format(type(view.message))  # type: ignore[arg-type]  # a class is hashable
+        self._add(view_key(cause.robot, view.name), form, cause, view.message.SerializeToString())
+
+    def _add(self, key: str, form: ChannelFormat, cause: Message, payload: bytes) -> None:
         channel = self._channels.get((key, form))
         if channel is None:
             if form not in self._schemas:
                 self._schemas[form] = self._file.add_schema(form.schema_name, form.schema_encoding, form.schema)
-            ids = {name: self._metadata[name] for name in ("robot", "episode")}
-            channel = self._file.add_channel(key, form.message_encoding, self._schemas[form], ids)
+            channel = self._file.add_channel(key, form.message_encoding, self._schemas[form], self._ids)
             self._channels[key, form] = channel
-        return channel
+        self._file.add_message(channel, cause.stamp_ns, cause.tick, payload)
 
 
 def _description(started: Episode) -> dict[str, str]:

@@ -6,7 +6,8 @@ import random
 
 from mcap.writer import CompressionType
 
-from services.recordings.reader import RecordingError, read_recording
+from services.recordings.reader import read_recording
+from services.recordings.stream import RecordingError
 from tests.fuzz.targets import check_line, mcap_bytes, scratch
 from tests.services.recordings.recorded_messages import FEATURES, FINGERPRINT
 

@@ -9,9 +9,10 @@ from mcap.reader import make_reader
 
 from schemas.base import Message
 from services.recordings.leftover import LeftoverError, seal_leftover
-from services.recordings.reader import RecordingError, read_recording
+from services.recordings.reader import read_recording
 from services.recordings.records import MAGIC
 from services.recordings.sink import partial_of
+from services.recordings.stream import RecordingError
 from services.recordings.writer import EpisodeWriter
 from tests.fuzz.targets import check_line, mcap_bytes, scratch
 from tests.services.recordings.recorded_messages import applied, event, observation

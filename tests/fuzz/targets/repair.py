@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import random
 
-from services.recordings.reader import RecordingError
 from services.recordings.repair import RepairError, repair
+from services.recordings.stream import RecordingError
 from tests.fuzz.targets import check_line, recovery, scratch
 
 

@@ -23,12 +23,15 @@ from schemas.episode import Purpose
 from schemas.topics import key_of
 from services.recordings.contents import contents_of
 from services.recordings.encoding import payload_of
-from services.recordings.reader import RecordingError, read_recording
-from services.recordings.records import CHUNK_HEAD, MAGIC, MOST_UNPACKED, Allowance
+from services.recordings.reader import read_recording
+from services.recordings.records import MAGIC, MOST_UNPACKED, Allowance
 from services.recordings.replay import tracks_of
+from services.recordings.stream import RecordingError
 from tests.services.recordings.recorded_messages import FINGERPRINT, applied, episode, event, frame
 
 MIB = 2**20
+#: Head of a chunk that is not packed.
+CHUNK_HEAD = struct.Struct("<BQQQQIIQ")
 ALLOWED = 256 * MIB
 #: What reading may take beside what is allowed: the largest chunk while it is unpacked and checked, and the reader.
 BESIDE = 160 * MIB

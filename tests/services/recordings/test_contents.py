@@ -12,9 +12,9 @@ from mcap.reader import make_reader
 from schemas.base import Message
 from services.recordings.contents import contents_of, verify
 from services.recordings.leftover import seal_leftover
-from services.recordings.reader import RecordingError
 from services.recordings.repair import RepairError, repair, usual_name
 from services.recordings.sink import partial_of
+from services.recordings.stream import RecordingError
 from services.recordings.views import is_view
 from services.recordings.writer import EpisodeWriter
 from tests.command import run_smal
@@ -67,12 +67,8 @@ def test_the_command_tells_it(tmp_path: Path) -> None:
     assert second["episodes"][0]["topics"]["odometry"]["messages"] == 30
 
 
-def test_a_recording_that_is_whole_has_no_findings(tmp_path: Path) -> None:
-    assert verify(record(tmp_path, list(episode("e")))).findings == []
-    assert run_smal("recording", "verify", tmp_path).returncode == 0
-
-
 def test_each_kind_of_fault_is_one_line(tmp_path: Path) -> None:
+    assert verify(record(tmp_path, list(episode("e")))).findings == []
     sent = [message for message in episode("e", frames=6) if (message.topic_name, message.tick) != ("camera/jpeg", 2)]
     writer = EpisodeWriter.begin(tmp_path, sent[0])
     for message in sent[:-1]:
@@ -84,7 +80,7 @@ def test_each_kind_of_fault_is_one_line(tmp_path: Path) -> None:
     done = run_smal("recording", "verify", one)
     assert done.returncode == 1
     assert done.stdout.splitlines() == [
-        f"{one}: episode e: camera/jpeg: 1 of 6 do not decode: tick 9: not a JPEG image of a size that a camera has",
+        f"{one}: episode e: camera/jpeg: 1 of 6 do not decode: tick 9: not a JPEG image",
         f"{one}: episode e: pose/truth: 1 are there twice, the first of tick 3",
         f"{one}: episode e: its end was not recorded",
         f"{one}: episode e: camera/jpeg lacks 2",
@@ -116,52 +112,36 @@ def seconds_of(path: Path) -> list[tuple[int, int, int]]:
     return found
 
 
-def test_any_byte_that_changes_is_noticed_and_costs_the_second_around_it_alone(tmp_path: Path) -> None:
-    path = record(tmp_path, list(episode("e", frames=13)))
-    whole, content = read_all(path), bytearray(path.read_bytes())
-    seconds = seconds_of(path)
-    bad, out = tmp_path / "bad.mcap", tmp_path / "out.mcap"
-    for at in range(8, len(content), 4001):
-        for value in (content[at] ^ 0x10, 0):
-            if value == content[at]:
-                continue
-            bad.write_bytes(content[:at] + bytes([value]) + content[at + 1 :])
-            assert verify(bad).damage, f"byte {at} of {len(content)}"
-            saved = read_all(mended(bad, out))
-            assert set(saved) <= set(whole)
-            assert len(saved) >= len(whole) - sum(count for begin, end, count in seconds if begin <= at < end)
-            out.unlink()
-
-
-def test_a_hole_costs_the_seconds_that_it_is_in(tmp_path: Path) -> None:
+@pytest.mark.parametrize("hole", [1, 4096])
+def test_any_damage_is_noticed_and_costs_the_seconds_that_it_is_in_alone(tmp_path: Path, hole: int) -> None:
     path = record(tmp_path, list(episode("e", frames=35)))
     content, whole, seconds = path.read_bytes(), read_all(path), seconds_of(path)
-    size = 4096
     bad, out = tmp_path / "bad.mcap", tmp_path / "out.mcap"
-    for at in range(1000, len(content) - size, 14_001):
-        bad.write_bytes(content[:at] + bytes(size) + content[at + size :])
-        assert verify(bad).damage
+    for at in range(8, len(content) - hole, 14_001):
+        instead = bytes([content[at] ^ 0x10]) if hole == 1 else bytes(hole)
+        bad.write_bytes(content[:at] + instead + content[at + hole :])
+        assert verify(bad).damage, f"byte {at} of {len(content)}"
         saved = read_all(mended(bad, out))
-        assert len(saved) >= len(whole) - sum(n for begin, end, n in seconds if begin < at + size and at < end)
+        assert set(saved) <= set(whole)
+        assert len(saved) >= len(whole) - sum(n for begin, end, n in seconds if begin < at + hole and at < end)
         out.unlink()
 
 
-def test_a_recording_cut_anywhere_becomes_a_sealed_one_of_its_whole_messages(tmp_path: Path) -> None:
-    sent = list(episode("e", frames=3))
-    path = record(tmp_path, sent)
+def test_a_recording_cut_anywhere_becomes_a_sealed_one_of_its_whole_seconds(tmp_path: Path) -> None:
+    path = record(tmp_path, list(episode("e", frames=35)))
     content, whole = path.read_bytes(), read_all(path)
+    (_, first, _), *_ = seconds_of(path)
     cut, out = tmp_path / "cut.mcap", tmp_path / "out.mcap"
     counts = []
-    for size in range(9000, len(content), 1009):
+    for size in range(first, len(content), 20_011):
         cut.write_bytes(content[:size])
-        found = verify(cut)
-        assert found.state == "not sealed"
+        assert verify(cut).state == "not sealed"
         saved = read_all(mended(cut, out))
-        assert saved == [message for message in whole if message in saved]
+        assert saved == whole[: len(saved)]
         counts.append(len(saved))
         out.unlink()
     assert counts == sorted(counts)
-    assert counts[-1] == len(sent)
+    assert len(set(counts)) >= 3
 
 
 def left_behind(folder: Path) -> tuple[Path, list[Message]]:
@@ -224,6 +204,7 @@ def test_nothing_is_overwritten_but_when_told_to(tmp_path: Path) -> None:
 def test_what_is_still_recorded_or_holds_nothing_is_refused(tmp_path: Path) -> None:
     writer = EpisodeWriter.begin(tmp_path, event("e", 0, "started"))
     writer.write(event("e", 0, "started"))
+    writer.flush()
     living = partial_of(writer.path)
     assert contents_of(living).state == "being recorded"
     with pytest.raises(RepairError, match="still being recorded"):

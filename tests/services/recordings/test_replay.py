@@ -111,7 +111,7 @@ def decided(path: Path, model: Model) -> list[tuple[str, str, smal.Belief]]:
     for tick in sorted(recorded.images):
         elapsed_s = None if last_ns is None else (stamps[tick] - last_ns) / 1e9
         image = decode_image(bytes(recorded.images[tick]))
-        atom = robot.step(image, recorded.odometry.get(tick), elapsed_s)
+        atom = robot.step(image, recorded.wheels(tick), elapsed_s)
         last_ns = stamps[tick]
         decisions.append((atom.name.lower(), robot.decision.kind, robot.belief))
     return decisions

@@ -1,0 +1,156 @@
+"""The messages in a recording, one after the other, and whose each is."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+from typing import Final, NamedTuple
+
+from mcap.records import Channel, McapRecord
+from mcap.records import Message as StoredMessage
+from pydantic import ValidationError
+
+from schemas.base import EPISODE_ID_PATTERN, ROBOT_ID_PATTERN, Message
+from schemas.codec import describe
+from schemas.compressed_image import CompressedImage
+from schemas.topics import CAMERA, JPEG, Topic, topic_of
+from services.kit.jpeg import decode_jpeg, jpeg_size
+from services.recordings.encoding import stamped_jpeg
+from services.recordings.records import MAGIC, mapped
+from services.recordings.sink import PARTIAL_SUFFIX, is_being_recorded
+
+#: Where images are; recordings of older versions have them, as JPEG too, on the key of the raw ones.
+IMAGES: Final = (JPEG, CAMERA)
+#: Memory that a message takes which is kept, beside its bytes, which may be few: its object, and the numbers in it.
+OBJECTS: Final = 2048
+
+
+class RecordingError(Exception):
+    """A file cannot be used as a recording; the text names it and says why in one line."""
+
+
+def being_recorded(path: Path) -> bool:
+    """Whether a living recorder writes this recording; raises RecordingError when it cannot be read."""
+    try:
+        return path.suffix == PARTIAL_SUFFIX and is_being_recorded(path)
+    except OSError as error:
+        raise RecordingError(f"{path}: {error.strerror or error}") from None
+
+
+def open_recording(path: Path, *, living: bool = False) -> memoryview:
+    """Return the bytes of a recording.
+
+    Parameters
+    ----------
+    path
+        An MCAP file, sealed or left behind.
+    living
+        Whether it may be one that is still being recorded.
+
+    Raises
+    ------
+    RecordingError
+        When it cannot be read, is no MCAP file, or is being recorded.
+    """
+    if not living and being_recorded(path):
+        raise RecordingError(f"{path}: still being recorded; end the episode or stop the recorder first")
+    try:
+        data = mapped(path)
+    except OSError as error:
+        raise RecordingError(f"{path}: {error.strerror or error}") from None
+    if not data:
+        raise RecordingError(f"{path}: empty")
+    if data[: len(MAGIC)] != MAGIC:
+        raise RecordingError(f"{path}: not an MCAP file")
+    return data
+
+
+class Stored(NamedTuple):
+    """A message as it stands in a recording.
+
+    Attributes
+    ----------
+    key
+        Of its channel.
+    topic
+        None where it is none of ours; robot and episode then mean nothing.
+    robot, episode
+        Whose it is.
+    channel
+        Number of its channel in the file.
+    tick, stamp_ns
+        As its record has them.
+    payload
+        Its bytes.
+    """
+
+    key: str
+    topic: Topic | None
+    robot: str
+    episode: str
+    channel: int
+    tick: int
+    stamp_ns: int
+    payload: memoryview
+
+    def message(self, *, pixels: bool = False) -> Message:
+        """Return what it says.
+
+        Parameters
+        ----------
+        pixels
+            Whether to decode the pixels of an image, which may be damaged.
+
+        Raises
+        ------
+        ValueError
+            When it is not what its channel says; the text says why in one line.
+        """
+        if self.topic is None:
+            raise ValueError(f"{self.key} is no topic of ours")
+        payload = bytes(self.payload)
+        try:
+            if self.topic in IMAGES:
+                image = self._image(payload)
+                if pixels:
+                    decode_jpeg(image.data)
+                return image
+            message = self.topic.message.model_validate_json(payload)
+        except ValidationError as error:
+            raise ValueError(describe(error)) from None
+        if (message.robot, message.episode, message.topic_name) != (self.robot, self.episode, self.topic.name):
+            raise ValueError("of another robot, episode or topic than its channel")
+        return message
+
+    def _image(self, payload: bytes) -> CompressedImage:
+        _, jpeg = stamped_jpeg(payload)
+        size = jpeg_size(jpeg)
+        if size is None:
+            raise ValueError("not a JPEG image")
+        return CompressedImage(
+            robot=self.robot,
+            episode=self.episode,
+            tick=self.tick,
+            stamp_ns=self.stamp_ns,
+            width=size[0],
+            height=size[1],
+            data=jpeg,
+        )
+
+
+def messages(records: Iterable[McapRecord]) -> Iterator[Stored]:
+    """Yield the messages among the records of a file, other people's too; raises as what yields the records."""
+    channels: dict[int, tuple[str, Topic | None, str, str]] = {}
+    for record in records:
+        if isinstance(record, Channel):
+            channels[record.id] = _whose(record)
+        elif isinstance(record, StoredMessage) and record.channel_id in channels:
+            whose = channels[record.channel_id]
+            yield Stored(*whose, record.channel_id, record.sequence, record.log_time, memoryview(record.data))
+
+
+def _whose(channel: Channel) -> tuple[str, Topic | None, str, str]:
+    robot, episode = channel.metadata.get("robot", ""), channel.metadata.get("episode", "")
+    named = re.fullmatch(ROBOT_ID_PATTERN, robot) and re.fullmatch(EPISODE_ID_PATTERN, episode)
+    return channel.topic, topic_of(channel.topic) if named else None, robot, episode
