@@ -41,14 +41,16 @@ class _Recording:
 
     writer: EpisodeWriter | None
     touched_s: float
+    #: Before that not all of it was sent again: a recorder that was killed had its beginning.
+    not_before_s: float = 0.0
     closing: bool = False
     #: When it is finished whatever still comes: nobody told that the episode ended.
     deadline_s: float = math.inf
 
     def complete(self, now_s: float) -> bool:
         """Whether nothing more is to be expected."""
-        quiet_s = now_s - self.touched_s
-        return now_s >= self.deadline_s or (self.closing and quiet_s >= (QUIET_S if self._whole() else GRACE_S))
+        quiet = now_s - self.touched_s >= (QUIET_S if self._whole() else GRACE_S)
+        return now_s >= self.deadline_s or (self.closing and quiet and now_s >= self.not_before_s)
 
     def _whole(self) -> bool:
         """Whether every tick is there, up to the episode's end."""
@@ -66,16 +68,11 @@ class RecorderService:
     root
         Below it are the folders that the call ``start`` may name.
     folder
-        Folder to record in from the start; None waits for the call ``start``.
+        Folder to record in from the start, ServiceError when it cannot be used; None waits for the call ``start``.
     clock
         Seconds, for the grace after an episode's end.
     disk
         Tells how long there is room.
-
-    Raises
-    ------
-    ServiceError
-        When the folder cannot be used.
     """
 
     def __init__(
@@ -248,7 +245,8 @@ class RecorderService:
             writer = EpisodeWriter.begin(folder, started)
         except OSError as error:
             self._complain(f"cannot record episode {started.episode}: {error.strerror or error}")
-        self._open[started.episode] = _Recording(writer, self._clock())
+        not_before_s = self._began_s + EARLY_S if started.episode in self._cut else 0.0
+        self._open[started.episode] = _Recording(writer, self._clock(), not_before_s)
 
     def _write(self, recording: _Recording, message: Message) -> None:
         recording.touched_s = self._clock()

@@ -38,24 +38,16 @@ _NUMBERS: Final = np.array([Atom[name.upper()] for name in ATOMS], dtype=np.int8
 
 @dataclass
 class Teaching:
-    """What a set of recordings teaches.
-
-    Attributes
-    ----------
-    demonstrations
-        One for each piece without gaps of each usable episode.
-    recordings
-        Files that were read.
-    episodes
-        Episodes that are used.
-    remarks
-        One line for everything that is left out, damaged or computed anew.
-    """
+    """What a set of recordings teaches."""
 
     demonstrations: list[Demonstration] = field(default_factory=list)
+    """One for each piece without gaps of each usable episode."""
     recordings: int = 0
+    """Files that were read."""
     episodes: int = 0
+    """Episodes that are used."""
     remarks: list[str] = field(default_factory=list)
+    """One line for everything that is left out, damaged or computed anew."""
 
 
 class Teacher:
@@ -259,10 +251,7 @@ class RecordedImages(Sequence[NDArray[np.uint8]]):
 def find_recordings(paths: Iterable[Path]) -> list[Path]:
     """Return the recordings among files and folders; of a folder those in it, also unfinished ones.
 
-    Raises
-    ------
-    UsageError
-        For a path that is not there, or a folder without a recording.
+    Raises UsageError for a path that is not there, or a folder without a recording.
     """
     found: list[Path] = []
     for path in paths:

@@ -30,21 +30,14 @@ class LeftoverError(Exception):
 
 
 class Sealed(NamedTuple):
-    """What became of a leftover.
-
-    Attributes
-    ----------
-    path
-        The recording; None where no message was in it, and it is removed.
-    episode
-        Id of its episode; empty where it does not tell.
-    ended
-        Whether the end of the episode is in it.
-    """
+    """What became of a leftover."""
 
     path: Path | None
+    """The recording; None where no message was in it, and it is removed."""
     episode: str
+    """Its id; empty where it does not tell."""
     ended: bool
+    """Whether the end of the episode is in it."""
 
 
 def seal_leftover(partial: Path) -> Sealed:
@@ -82,16 +75,7 @@ def seal_leftover(partial: Path) -> Sealed:
 class _Look:
     """Goes from chunk to chunk; what is in them is looked at only where a channel is new, for events, and at the end.
 
-    Attributes
-    ----------
-    index
-        Of what is whole.
-    size
-        Bytes of that.
-    episode
-        Id of the episode; empty where the file tells none.
-    ended
-        Whether its end is there.
+    Of what is whole it has the index and the size.
     """
 
     def __init__(self, data: memoryview) -> None:

@@ -29,24 +29,15 @@ USUAL: Final = (JPEG, CAMERA, CAMERA_INFO, ODOMETRY, POSE, OBSERVATION, APPLIED)
 
 @dataclass(frozen=True, eq=False)
 class Recording:
-    """What a file holds.
-
-    Attributes
-    ----------
-    path
-        The file.
-    episodes
-        In order of appearance.
-    truncated
-        Whether the end of the file is missing.
-    bad
-        Messages that are not what their topic says; they were left out.
-    """
+    """What a file holds."""
 
     path: Path
     episodes: tuple[RecordedEpisode, ...]
+    """In order of appearance."""
     truncated: bool
+    """Whether the end of the file is missing."""
     bad: int
+    """Messages that are not what their topic says; they were left out."""
 
     def remarks(self) -> Iterator[str]:
         """Yield one line for everything that is not as it should be."""

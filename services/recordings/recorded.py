@@ -21,58 +21,27 @@ _STOP: Final = ATOMS.index("stop")
 
 @dataclass(frozen=True, eq=False)
 class Piece:
-    """Successive frames of one episode without a gap.
-
-    Attributes
-    ----------
-    ticks
-        (f,) int64, each one more than the last.
-    features
-        (f, m) float32, raw feature vectors.
-    atoms
-        (f,) int8, index in ``schemas.base.ATOMS`` of the movement between frame k and frame k + 1.
-    ahead
-        (f,) float32, fraction of the nominal speed at which the robot went ahead in turning then.
-    images
-        As recorded (for ``encoding.decode_image``), one a frame; None if one is missing.
-    odometry
-        (f, 3) float64, x and y in metres and heading in radians by the wheels; None if one is missing.
-    at_goal
-        Whether the last frame is the goal: the last frame of its episode, which ended there with the victim found.
-    """
+    """Successive frames of one episode without a gap."""
 
     ticks: NDArray[np.int64]
+    """(f,), each one more than the last."""
     features: NDArray[np.float32]
+    """(f, m), raw feature vectors."""
     atoms: NDArray[np.int8]
+    """(f,), index in ``schemas.base.ATOMS`` of the movement between frame k and frame k + 1."""
     ahead: NDArray[np.float32]
+    """(f,), fraction of the nominal speed at which the robot went ahead in turning then."""
     images: tuple[memoryview, ...] | None
+    """As recorded (for ``encoding.decode_image``), one a frame; None if one is missing."""
     odometry: NDArray[np.float64] | None
+    """(f, 3), x and y in metres and heading in radians by the wheels; None if one is missing."""
     at_goal: bool
+    """Whether the last frame is the goal: the last frame of its episode, which ended there with the victim found."""
 
 
 @dataclass(eq=False)
 class RecordedEpisode:
-    """One episode, everything by tick.
-
-    Attributes
-    ----------
-    robot, episode, world, seed, purpose, goal, driver
-        As in the episode's events.
-    outcome, end_tick
-        None if the end was not recorded.
-    features
-        Raw feature vectors that were recorded with the wanted fingerprint.
-    images
-        Recorded images (for ``encoding.decode_image``).
-    odometry, imu
-        What the wheels counted, and what the inertial unit felt.
-    applied
-        What the actuator did from this tick to the next.
-    camera
-        How it sees; None if that was not recorded.
-    poses
-        True poses, for plots; learning must not use them.
-    """
+    """One episode, everything by tick; None stands for what was not recorded."""
 
     robot: str
     episode: str
@@ -84,12 +53,16 @@ class RecordedEpisode:
     outcome: Outcome | None = None
     end_tick: int | None = None
     features: dict[int, NDArray[np.float32]] = field(default_factory=dict)
+    """Raw feature vectors that were recorded with the wanted fingerprint."""
     images: dict[int, memoryview] = field(default_factory=dict)
+    """As recorded (for ``encoding.decode_image``)."""
     odometry: dict[int, Odometry] = field(default_factory=dict)
     imu: dict[int, Imu] = field(default_factory=dict)
     applied: dict[int, CommandApplied] = field(default_factory=dict)
+    """What the actuator did from this tick to the next."""
     camera: CameraInfo | None = None
     poses: dict[int, Pose] = field(default_factory=dict)
+    """True poses, for plots; learning must not use them."""
 
     @property
     def focal(self) -> float | None:

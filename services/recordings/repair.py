@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import os
 import tempfile
-from collections.abc import Iterator, Sequence
-from contextlib import ExitStack, contextmanager, suppress
+from collections.abc import Sequence
+from contextlib import ExitStack, suppress
 from pathlib import Path
 
 from services.recordings.contents import Contents, verify
@@ -41,15 +41,12 @@ def repair(paths: Sequence[Path], out: Path, *, replace: bool = False) -> tuple[
     Returns
     -------
     before, after : Contents
-        What was wrong with each, and what still is: what it lacks was lost before. None where nothing was to be
-        repaired, and nothing is written.
+        What was wrong with each, and what still is; after is None where nothing was to be repaired, nor written.
 
     Raises
     ------
-    RepairError
+    RepairError, RecordingError
         When nothing can be made of them, one is still being recorded, or there is a file already.
-    RecordingError
-        When one is no recording.
     OSError
         When the new one cannot be written.
     """
@@ -63,35 +60,27 @@ def repair(paths: Sequence[Path], out: Path, *, replace: bool = False) -> tuple[
         first, other = before[0].episodes[0], one.episodes[0]
         if (first.robot, first.episode) != (other.robot, other.episode):
             raise RepairError(f"{one.path}: is of episode {other.episode}, and {before[0].path} of {first.episode}")
+    left = [path for path in paths if path.suffix == PARTIAL_SUFFIX]
     with ExitStack() as held, tempfile.TemporaryDirectory(prefix=".repair-", dir=out.parent) as folder:
-        for path in paths:
-            held.enter_context(_locked(path))
+        for path in left:
+            held.callback(os.close, _locked(path))
         made = _written(before, Path(folder) / out.name)
         after = verify(made)
         if out.exists() and not replace:
             raise RepairError(f"{out}: is there already; give another name, or --replace")
         publish(made, out)
-        for path in paths:
-            if replace and path.suffix == PARTIAL_SUFFIX:
-                path.unlink()
+        for path in left if replace else ():
+            path.unlink()
     after.path = out
     return before, after
 
 
-@contextmanager
-def _locked(path: Path) -> Iterator[None]:
+def _locked(path: Path) -> int:
     """Keep recorders away from what one of them left behind."""
-    if path.suffix != PARTIAL_SUFFIX:
-        yield
-        return
     try:
-        lock = claim(path)
+        return claim(path)
     except BlockingIOError:
         raise RepairError(f"{path}: still being recorded; end the episode or stop the recorder first") from None
-    try:
-        yield
-    finally:
-        os.close(lock)
 
 
 def _written(before: Sequence[Contents], out: Path) -> Path:

@@ -45,19 +45,12 @@ class Tick(NamedTuple):
 
 @dataclass(eq=False)
 class Track:
-    """What a robot told in one episode.
-
-    Attributes
-    ----------
-    robot, episode
-        Its ids in the recording.
-    bad
-        Messages so far that did not decode; they are left out.
-    """
+    """What a robot told in one episode; the ids are those in the recording."""
 
     robot: str
     episode: str
     bad: int = 0
+    """Messages so far that did not decode; they are left out."""
     _told: defaultdict[int, list[Stored]] = field(default_factory=lambda: defaultdict(list))
 
     def __len__(self) -> int:
@@ -68,19 +61,10 @@ class Track:
         self._told[stored.tick].append(stored)
 
     def play(self, robot: str, episode: str, began_ns: int, wanted: Mapping[str, Topic]) -> Iterator[Tick]:
-        """Yield tick after tick, under other ids.
+        """Yield tick after tick of the wanted topics, under other ids.
 
-        It is told as a run, so that who records it has no second demonstration.
-
-        Parameters
-        ----------
-        robot, episode
-            Ids to tell it by.
-        began_ns
-            Stamp of the first tick. The others are as far from it as they were, so that what goes by the time between
-            frames does as it did.
-        wanted
-            Topics to tell, out of `REPLAYABLE`.
+        It is told as a run, so that who records it has no second demonstration. The first tick has the stamp
+        `began_ns`, the others are as far from it as they were: what goes by the time between frames does as it did.
         """
         first_ns = min(told[0].stamp_ns for told in self._told.values())
         for tick, told in sorted(self._told.items()):
@@ -125,10 +109,7 @@ def end_of(last: Message, started: Episode) -> Episode:
 def tracks_of(path: Path) -> tuple[Track, ...]:
     """Read what robots told, in the order of their episodes in the file.
 
-    Raises
-    ------
-    RecordingError
-        When it cannot be read, is still being recorded, holds no episode, or takes too much memory.
+    Raises RecordingError when it cannot be read, is being recorded, holds no episode, or takes too much memory.
     """
     tracks: dict[tuple[str, str], Track] = {}
     allowance = Allowance()

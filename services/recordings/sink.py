@@ -20,12 +20,7 @@ SYNC_PERIOD_S: Final = 1.0
 def claim(path: Path, flags: int = os.O_RDWR) -> int:
     """Open and lock a file that is being recorded; the lock goes with the descriptor. A dead process holds none.
 
-    Raises
-    ------
-    BlockingIOError
-        When another recorder holds it.
-    OSError
-        When it cannot be opened, or is no regular file.
+    Raises BlockingIOError when another recorder holds it, OSError when it cannot be opened or is no regular file.
     """
     descriptor = open_regular(path, flags)
     try:
@@ -110,20 +105,11 @@ class Sink:
         self._syncer.start()
 
     def write(self, data: bytes) -> None:
-        """Append all of ``data``, however many calls of the system that takes.
-
-        Raises
-        ------
-        OSError
-            When the disk is full; a part of it may stand in the file.
-        """
+        """Append all of ``data``; raises OSError when the disk is full, and a part of it may stand in the file."""
         rest = memoryview(data)
         while rest:
             rest = rest[os.write(self._descriptor, rest) :]
         self._size += len(data)
-
-    def flush(self) -> None:
-        """Do nothing: nothing waits."""
 
     def tell(self) -> int:
         """Return how many bytes were written."""

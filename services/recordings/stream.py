@@ -39,19 +39,9 @@ def being_recorded(path: Path) -> bool:
 
 
 def open_recording(path: Path, *, living: bool = False) -> memoryview:
-    """Return the bytes of a recording.
+    """Return the bytes of a recording; one that is still being recorded only if that is wanted.
 
-    Parameters
-    ----------
-    path
-        An MCAP file, sealed or left behind.
-    living
-        Whether it may be one that is still being recorded.
-
-    Raises
-    ------
-    RecordingError
-        When it cannot be read, is no MCAP file, or is being recorded.
+    Raises RecordingError when it cannot be read, is no MCAP file, or is being recorded.
     """
     if not living and being_recorded(path):
         raise RecordingError(f"{path}: still being recorded; end the episode or stop the recorder first")
@@ -67,45 +57,21 @@ def open_recording(path: Path, *, living: bool = False) -> memoryview:
 
 
 class Stored(NamedTuple):
-    """A message as it stands in a recording.
-
-    Attributes
-    ----------
-    key
-        Of its channel.
-    topic
-        None where it is none of ours; robot and episode then mean nothing.
-    robot, episode
-        Whose it is.
-    channel
-        Number of its channel in the file.
-    tick, stamp_ns
-        As its record has them.
-    payload
-        Its bytes.
-    """
+    """A message as it stands in a recording; tick and stamp are its record's."""
 
     key: str
     topic: Topic | None
+    """None where it is none of ours; robot and episode then mean nothing."""
     robot: str
     episode: str
-    channel: int
     tick: int
     stamp_ns: int
     payload: memoryview
 
     def message(self, *, pixels: bool = False) -> Message:
-        """Return what it says.
+        """Return what it says; decode the pixels of an image, which may be damaged, only if that is wanted.
 
-        Parameters
-        ----------
-        pixels
-            Whether to decode the pixels of an image, which may be damaged.
-
-        Raises
-        ------
-        ValueError
-            When it is not what its channel says; the text says why in one line.
+        Raises ValueError when it is not what its channel says; the text says why in one line.
         """
         if self.topic is None:
             raise ValueError(f"{self.key} is no topic of ours")
@@ -147,7 +113,7 @@ def messages(records: Iterable[McapRecord]) -> Iterator[Stored]:
             channels[record.id] = _whose(record)
         elif isinstance(record, StoredMessage) and record.channel_id in channels:
             whose = channels[record.channel_id]
-            yield Stored(*whose, record.channel_id, record.sequence, record.log_time, memoryview(record.data))
+            yield Stored(*whose, record.sequence, record.log_time, memoryview(record.data))
 
 
 def _whose(channel: Channel) -> tuple[str, Topic | None, str, str]:

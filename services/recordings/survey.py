@@ -40,21 +40,14 @@ _CHECKED: Final = 4
 
 
 class Summary(NamedTuple):
-    """What stands at the end of a sealed recording.
-
-    Attributes
-    ----------
-    data_end
-        Where the record is that ends the data section.
-    records
-        Schemas and channels once more.
-    messages
-        How many there are; None if it does not say.
-    """
+    """What stands at the end of a sealed recording."""
 
     data_end: int
+    """Where the record is that ends the data section."""
     records: tuple[McapRecord, ...] = ()
+    """Schemas and channels once more."""
     messages: int | None = None
+    """How many there are; None if it does not say."""
 
 
 def summary_of(data: memoryview) -> Summary | None:

@@ -31,7 +31,7 @@ class EpisodeWriter:
     Parameters
     ----------
     part
-        The file that is written.
+        The file that is written; OSError when it cannot be made.
     path
         Name of the recording once it is sealed.
     metadata
@@ -45,11 +45,6 @@ class EpisodeWriter:
         When the episode ended; None before.
     problem
         Why it takes no more; None while it does.
-
-    Raises
-    ------
-    OSError
-        When the file cannot be made.
     """
 
     def __init__(self, part: Path, path: Path, metadata: dict[str, str]) -> None:
@@ -89,13 +84,7 @@ class EpisodeWriter:
         return self.messages - self._written
 
     def write(self, message: Message) -> None:
-        """Take a message, if it is new.
-
-        Raises
-        ------
-        OSError
-            When it cannot be written, for example because the disk is full; the file then takes no more.
-        """
+        """Take a message, if it is new; raises OSError when the disk is full, and the file takes no more then."""
         if self.problem is not None or not self.ledger.admit(message):
             return
         self._add(key_of(message), format_of(type(message)), message, payload_of(message))
@@ -117,12 +106,9 @@ class EpisodeWriter:
         self._written = self.messages
 
     def seal(self) -> Path:
-        """Finish the recording, and give it its name.
+        """Finish the recording, and give it its name; return its file.
 
-        Returns
-        -------
-        Path
-            The recording. Where there was no room for its end it is what `services.recordings.leftover` seals later.
+        Where there was no room for its end, that is what `services.recordings.leftover` seals later.
         """
         try:
             if self.problem is None:

@@ -32,6 +32,7 @@ def left(messages: list[Message]) -> bytes:
     for message in messages:
         writer.write(message)
     try:
+        writer.flush()
         return partial_of(writer.path).read_bytes()
     finally:
         writer.seal().unlink()
@@ -43,18 +44,19 @@ def run(data: bytes) -> bool:
         sealed = seal_leftover(partial)
     except LeftoverError as error:
         check_line(error)
-        assert partial.read_bytes() == data if partial.exists() else MAGIC.startswith(data)
+        assert partial.read_bytes() == data
         return False
     else:
-        _check(sealed.path)
-        return True
+        assert not partial.exists()
+        if sealed.path is not None:
+            _check(sealed.path)
+        return sealed.path is not None
     finally:
         for found in scratch.folder().glob("e*.mcap*"):
             found.unlink()
 
 
 def _check(path: Path) -> None:
-    assert not list(path.parent.glob("e*.mcap.partial"))
     with path.open("rb") as file:
         summary = make_reader(file).get_summary()
     assert summary is not None

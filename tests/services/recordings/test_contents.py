@@ -9,7 +9,6 @@ from pathlib import Path
 import pytest
 from mcap.reader import make_reader
 
-from schemas.base import Message
 from services.recordings.contents import contents_of, verify
 from services.recordings.leftover import seal_leftover
 from services.recordings.repair import RepairError, repair, usual_name
@@ -144,23 +143,6 @@ def test_a_recording_cut_anywhere_becomes_a_sealed_one_of_its_whole_seconds(tmp_
     assert len(set(counts)) >= 3
 
 
-def left_behind(folder: Path) -> tuple[Path, list[Message]]:
-    sent = list(episode("e", frames=4))
-    return leave(folder, sent), sent
-
-
-def test_what_was_left_behind_becomes_one_recording_and_stays(tmp_path: Path) -> None:
-    partial, sent = left_behind(tmp_path)
-    before = partial.read_bytes()
-    done = run_smal("recording", "repair", partial)
-    assert done.returncode == 0, done.stderr
-    path = tmp_path / "e.mcap"
-    assert done.stdout.splitlines()[0] == f"{path}: sealed, {len(sent)} messages"
-    assert sorted(read_all(path)) == wanted(sent)
-    assert verify(path).findings == []
-    assert partial.read_bytes() == before
-
-
 def test_what_a_killed_recorder_and_the_next_one_have_of_a_drive_becomes_one_recording(tmp_path: Path) -> None:
     """The next one has the beginning, and what was sent again, as well."""
     sent = list(episode("e", frames=35))
@@ -172,33 +154,35 @@ def test_what_a_killed_recorder_and_the_next_one_have_of_a_drive_becomes_one_rec
     assert read_all(tmp_path / "whole.mcap") == read_all(record(tmp_path, sent))
     assert verify(tmp_path / "whole.mcap").findings == []
     other = record(tmp_path, list(episode("other")))
-    refused = run_smal("recording", "repair", first, other, "--out", tmp_path / "both.mcap")
-    assert (refused.returncode, refused.stderr) == (1, f"smal: {other}: is of episode other, and {first} of e\n")
+    with pytest.raises(RepairError, match=f"^{other}: is of episode other, and {first} of e$"):
+        repair([first, other], tmp_path / "both.mcap")
 
 
 def test_nothing_is_overwritten_but_when_told_to(tmp_path: Path) -> None:
-    partial, sent = left_behind(tmp_path)
-    other = tmp_path / "e.mcap"
+    sent = list(episode("e", frames=24))
+    partial, other = leave(tmp_path, sent), tmp_path / "e.mcap"
+    before = partial.read_bytes()
     other.write_bytes(b"another")
     refused = run_smal("recording", "repair", partial, "--out", other)
-    assert (refused.returncode, refused.stderr) == (
-        2, f"smal: --out {other}: is there already; give another name, or --replace\n",
-    )  # fmt: skip
-    assert usual_name(partial, replace=False) == tmp_path / "e-2.mcap"
-    replaced = run_smal("recording", "repair", partial, "--replace")
-    assert replaced.returncode == 0, replaced.stderr
+    assert refused.returncode == 2
+    assert refused.stderr == f"smal: --out {other}: is there already; give another name, or --replace\n"
+    with pytest.raises(RepairError, match="is there already"):
+        repair([partial], other)
+    path = usual_name(partial, replace=False)
+    assert path == tmp_path / "e-2.mcap"
+    assert mended(partial, path) == path
+    assert sorted(read_all(path)) == wanted(sent)
+    assert partial.read_bytes() == before
+    _, after = repair([partial], path, replace=True)
+    assert (after.findings, read_all(path)) == ([], read_all(path))
+    assert not partial.exists()
     assert other.read_bytes() == b"another"
-    assert {path.name for path in tmp_path.iterdir()} == {"e.mcap", "e-2.mcap"}
-    path = tmp_path / "e-2.mcap"
     content = path.read_bytes()
     path.write_bytes(content[:-200])
-    kept = run_smal("recording", "repair", path)
-    assert (tmp_path / "e-2-repaired.mcap").exists(), kept.stderr
-    assert path.read_bytes() == content[:-200]
-    run_smal("recording", "repair", path, "--replace")
+    assert usual_name(path, replace=False) == tmp_path / "e-2-repaired.mcap"
+    repair([path], usual_name(path, replace=True), replace=True)
     assert len(read_all(path)) == len(sent)
-    again = run_smal("recording", "repair", path)
-    assert again.stdout == f"{path}: nothing is to be repaired\n"
+    assert repair([path], path)[1] is None, "nothing is to be repaired"
 
 
 def test_what_is_still_recorded_or_holds_nothing_is_refused(tmp_path: Path) -> None:
