@@ -23,6 +23,7 @@ _EVENTS: Final = get_args(EventName)
 #: half a kilobyte here.
 _MOST_PLACES: Final = 10_000
 
+
 def place_of(message: Message) -> int:
     """Return the place of a message among those of its topic and tick; no two have the same."""
     if isinstance(message, Episode):

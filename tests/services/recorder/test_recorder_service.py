@@ -18,7 +18,7 @@ from schemas.base import Message
 from schemas.compressed_image import CompressedImage
 from schemas.pose import Pose
 from schemas.rpc import Nothing, RecordReply, RecordRequest
-from schemas.topics import JPEG, TOPICS
+from schemas.topics import JPEG
 from services.kit.bus import Bus, Router, RpcError
 from services.kit.node import Node, ServiceError
 from services.kit.settings import ServiceSettings
@@ -66,11 +66,6 @@ def send(bus: Bus, messages: list[Message]) -> None:
         before = received(bus)
         bus.publish(message)
         eventually(lambda before=before: received(bus) > before)
-
-
-def kept(messages: list[Message]) -> list[Message]:
-    """Return those that senders keep for a recorder that was away: all but emergency stops."""
-    return [message for message in messages if TOPICS[message.topic_name].is_kept]
 
 
 def contents(path: Path) -> list[tuple[str, int, bytes]]:
@@ -274,7 +269,7 @@ def test_a_recorder_that_is_killed_and_started_again_loses_nothing(
 ) -> None:
     """What was not written yet, and what was sent meanwhile, is had from the senders, in a file of its own."""
     introduce(client, "recorder", *introductions())
-    before, killed = list(episode("before", frames=3)), kept(list(episode("killed", frames=40)))
+    before, killed = list(episode("before", frames=3)), list(episode("killed", frames=40))
     publish(client, before)
     eventually(lambda: sealed(client, 1))
     send(client, killed[:50])
@@ -387,7 +382,7 @@ def test_an_outage_of_the_router_leaves_no_gap(free_endpoint: str, tmp_path: Pat
     sender = Bus("rescuebot", free_endpoint)
     try:
         introduce(sender, "recorder", *introductions())
-        sent = kept(list(episode("out", frames=60)))
+        sent = list(episode("out", frames=60))
         publish(sender, sent[:100])
         router.close()
         eventually(lambda: not sender.connected() and not node.bus.connected())

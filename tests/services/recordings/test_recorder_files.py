@@ -200,11 +200,11 @@ def test_who_says_a_million_things_within_a_tick_does_not_fill_the_memory() -> N
     ledger = Ledger()
     tracemalloc.start()
     for place in range(100_000):
-        ledger.admit("command/policy", (5, place))
+        ledger.admit(command("e", 5, "policy", place))
     held, _ = tracemalloc.get_traced_memory()
     tracemalloc.stop()
     assert held < 8e6
-    assert ledger.admit("command/policy", (6, 0))
+    assert ledger.admit(command("e", 6, "policy"))
 
 
 def test_no_recording_is_overwritten(tmp_path: Path) -> None:
