@@ -131,7 +131,7 @@ def drives(folder: Path) -> Iterator[tuple[Frames, Way]]:
                 if episode.purpose != "recovery" and ticks:
                     found = True
                     images = [decode_image(bytes(episode.images[tick])) for tick in ticks]
-                    yield images, [episode.odometry[tick] for tick in ticks]
+                    yield images, [episode.wheels(tick) for tick in ticks]
     raise JobError(f"{folder}: holds no drive with camera images and odometry")
 
 

@@ -63,6 +63,7 @@ def recording(
             if not unwanted:
                 writer.write(message)
     if outcome is None:
+        writer.flush()
         writer._sink.close()
         return writer._part
     writer.write(Episode.after(header(len(MADE) - 1), event="ended", outcome=outcome, **told))

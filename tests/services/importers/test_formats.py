@@ -55,7 +55,8 @@ def check_drive(episode: RecordedEpisode, *, blurred: int = 0, within_m: float =
         # In turning back the robot sees some views again.
         assert off[tick] < min(off.min() + 0.5, 10.0)
     assert sum(one != other for one, other in zip(atoms_of(episode), MADE, strict=True)) <= blurred
-    for tick, (x_m, y_m, heading_rad) in episode.odometry.items():
+    for tick in episode.odometry:
+        x_m, y_m, heading_rad = episode.wheels(tick)
         x, y, heading = sources.drive(10.0)[tick].pose
         assert np.hypot(x_m - x, y_m - y) < within_m
         assert abs(heading_rad - heading) < 0.03

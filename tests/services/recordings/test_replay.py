@@ -26,14 +26,13 @@ from services.features.service import FeaturesService
 from services.kit.bus import Bus
 from services.kit.jpeg import decode_jpeg
 from services.kit.model_service import LoadedModel
-from services.kit.node import Node, ServiceError
+from services.kit.node import Node
 from services.kit.settings import ServiceSettings
 from services.policy.service import PolicyService
 from services.recognition.service import RecognitionService
 from services.recordings.encoding import decode_image
 from services.recordings.reader import read_recording
 from services.recordings.replay import REPLAYABLE, Tick, tracks_of
-from services.robot.service import check_alone
 from services.table import SERVICES
 from smal.model import Model
 from tests import corridor
@@ -204,36 +203,20 @@ def test_a_replay_tells_what_the_robot_told_and_never_a_command(client: Bus, rob
     assert {one.purpose for one in heard.order if isinstance(one, Episode)} == {"run"}, "no second demonstration"
 
 
-def test_a_replay_that_is_broken_off_ends_its_episode(client: Bus, robot: Node, tmp_path: Path) -> None:
+def test_only_what_is_wanted_is_told_and_a_replay_that_is_broken_off_ends_its_episode(
+    client: Bus, robot: Node, tmp_path: Path
+) -> None:
     path = record(tmp_path, list(episode("drive-1", frames=9)))
-    heard = Heard(client, topics.EPISODE)
-    client.subscribe(topics.CAMERA, lambda *_: None)
-    eventually(lambda: robot.bus.has_listeners(topics.CAMERA))
-    (track,) = tracks_of(path)
-    Player(robot, track, "replay-1", dict(REPLAYABLE)).run(lambda tick: tick.number < 3)
-    eventually(lambda: len(heard.order) == 2)
-    assert [(one.event, one.outcome, one.tick) for one in heard.order if isinstance(one, Episode)] == [
-        ("started", None, 0), ("ended", "aborted", 2),
-    ]  # fmt: skip
-
-
-def test_only_what_is_wanted_is_told(client: Bus, robot: Node, tmp_path: Path) -> None:
-    path = record(tmp_path, list(episode("drive-1", frames=3)))
     heard = Heard(client, *REPLAYABLE.values())
     eventually(lambda: robot.bus.has_listeners(topics.CAMERA))
     (track,) = tracks_of(path)
-    wanted = {name: REPLAYABLE[name] for name in ("camera/rgb", "command/applied")}
-    Player(robot, track, "replay-1", wanted).run(lambda _tick: True)
+    wanted = {name: REPLAYABLE[name] for name in ("camera/rgb", "episode")}
+    Player(robot, track, "replay-1", wanted).run(lambda tick: tick.number < 3)
     heard.wait(topics.CAMERA, 2)
-    heard.wait(topics.APPLIED, 1)
+    eventually(lambda: [one.tick for one in heard.order if isinstance(one, Episode)] == [0, 2])
+    ended = heard.said["episode"][2]
+    assert (ended.event, ended.outcome) == ("ended", "aborted")
     assert heard.said.keys() == wanted.keys()
-
-
-def test_no_robot_starts_beside_a_replay(robot: Node, settings: ServiceSettings) -> None:
-    robot.spin(timeout_s=0.0)
-    eventually(lambda: robot.status().state == "ready")
-    with pytest.raises(ServiceError, match="robot rescuebot is there already"):
-        check_alone(settings)
 
 
 @pytest.mark.zenoh
@@ -261,7 +244,6 @@ def test_the_command_replays_and_is_refused_where_a_robot_is(
 @pytest.mark.parametrize(
     ("arguments", "complaint"),
     [
-        (("none.mcap",), "none.mcap: No such file or directory"),
         (("none.mcap", "--topics", "camera/rgb,command/teleop"), "--topics: 'command/teleop' is not replayed"),
         (("README.md",), "README.md: not an MCAP file"),
     ],

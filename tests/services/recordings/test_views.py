@@ -26,7 +26,6 @@ from schemas.pose import Pose
 from schemas.state import Place, State
 from schemas.taught_map import TaughtMap
 from schemas.topics import key_of, topic_of
-from services.recordings.reader import read_recording
 from services.recordings.repair import repair
 from services.recordings.views import view_key
 from tests.services.recordings import driven_corridor
@@ -172,12 +171,6 @@ def test_what_is_made_of_two_files_is_drawn_as_one_drive(path: Path, tmp_path: P
         for one in (merged, path)
     )
     assert drawn == expected
-
-
-def test_readers_do_not_see_the_views(path: Path) -> None:
-    (read,) = read_recording(path).episodes
-    assert sorted(read.images) == list(range(4))
-    assert not read_recording(path).bad
 
 
 def test_views_cost_little(tmp_path: Path) -> None:
