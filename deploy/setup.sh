@@ -87,9 +87,6 @@ install_packages() {
   # --no-deps: the list is complete, and sapien's own wish for opencv-python would break opencv-python-headless.
   .venv/bin/python -m pip install -q --disable-pip-version-check --no-deps --require-hashes -r deploy/requirements/dev.txt
   .venv/bin/python -m pip install -q --disable-pip-version-check --no-deps --no-build-isolation -e .
-  say "compiling the solver for this processor"
-  .venv/bin/python -c 'import smal.place_recognition.traverse_matching as traverses, smal.paper.matching.streaming as streaming
-streaming.compile_ahead(); traverses.compile_ahead()'
   printf '%s' "$wanted" >"$stamp"
 }
 

@@ -18,7 +18,6 @@ if TYPE_CHECKING:
     from smal.mapping import fit, learn
     from smal.model import Model
     from smal.movement import Atom
-    from smal.paper.matching.streaming import StreamingMatcher
     from smal.paper.state_matching import Solution, solve
     from smal.planning import Decision
     from smal.robot import Robot
@@ -32,7 +31,6 @@ _FILES = {
     "Model": "model",
     "Robot": "robot",
     "Solution": "paper.state_matching",
-    "StreamingMatcher": "paper.matching.streaming",
     "extract": "features",
     "fit": "mapping",
     "learn": "mapping",
@@ -47,7 +45,6 @@ __all__ = [
     "Model",
     "Robot",
     "Solution",
-    "StreamingMatcher",
     "extract",
     "fit",
     "learn",
@@ -56,7 +53,7 @@ __all__ = [
 
 
 def __getattr__(name: str) -> object:
-    """Import what is asked for, when it is: a process that only extracts features needs no compiler."""
+    """Import what is asked for, when it is: a process that only extracts features loads nothing else."""
     if name not in _FILES:
         raise AttributeError(f"module 'smal' has no attribute {name!r}")
     return getattr(import_module(f"smal.{_FILES[name]}"), name)

@@ -19,7 +19,7 @@ from services.kit.errors import JobError, UsageError
 #: Where benchmarks are: beside the packages, in a checkout only.
 FOLDER: Final = Path(__file__).parents[2] / "tests" / "benchmarks"
 #: Read by numerical libraries when they are loaded, so they must be set before the benchmark starts.
-THREADS: Final = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
+THREADS: Final = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
 _STOP_TIMEOUT_S: Final = 10.0
 
 

@@ -26,9 +26,8 @@ from smal.files.container import ModelError
 from smal.mapping import learn as learn_map
 from smal.paper.learning import LearningSettings
 from smal.paper.learning import learn as learn_paper
-from smal.paper.novelty import WeightTest
 from smal.paper.reward import RewardError
-from smal.paper.template_store import MemoryBoundError
+from smal.paper.state_space import MemoryBoundError
 
 
 def learn(
@@ -108,8 +107,7 @@ def _settings(scheme: Scheme, given: dict[str, Any]) -> LearningSettings:
     if "max_bytes" in chosen:
         chosen["max_bytes"] *= 2**20
     try:
-        test = {"tau": chosen.pop("tau", WeightTest().tau)}
-        return LearningSettings(**chosen, novelty="weight", novelty_parameters=test)
+        return LearningSettings(**chosen)
     except ValueError as error:
         raise UsageError(str(error)) from None
 
@@ -189,7 +187,7 @@ def _learn(
         "length": settings.sequence_length,
         "lambda1": lambda1,
         "lambda2": lambda2,
+        "tau": settings.tau,
         "gamma": settings.gamma,
-        "novelty": settings.novelty,
         **asdict(replace(report, shared_states=states_shared_by_episodes(model))),
     }

@@ -181,7 +181,7 @@ class _ByPaper:
     by_odometry = False
 
     def __init__(self, model: PaperModel, loaded: LoadedModel) -> None:
-        from smal.paper.recognition import Recognizer  # noqa: PLC0415 - it compiles; who goes by a map needs none of it
+        from smal.paper.recognition import Recognizer  # noqa: PLC0415 - who goes by a map needs none of it
 
         self._length, self._loaded = model.sequence_length, loaded
         self._recognizer = Recognizer(model)

@@ -3,7 +3,8 @@
 Read in the order of the paper: `objective` (Eq. 7), `state_matching` and `algorithm2` (Algorithm 2), `novelty` (Eq. 8),
 `state_space` (Algorithm 1), `action_space` (Algorithm 3), `transitions` (Algorithm 4), `reward`, `policy` (Eq. 13);
 `learning` puts them together to a `model`, `recognition` (Eq. 7 and 9) and `execution` drive by it, `robot` is the two
-together. Each file says where it departs from the paper, and why.
+together. How `state_matching` solves Eq. 7 is in `working_set`, `newton` and `duality_gap`. Each file says where it
+departs from the paper, and why.
 
 sequence
     l successive frames; template sequences are those that states were made of.
@@ -16,5 +17,5 @@ action
 recovery
     A short demonstrated drive from beside the way back onto it.
 polar
-    Of the penalties in Eq. 7: how far a point is outside of the dual problem (`matching.certificate`).
+    Of the penalties in Eq. 7: how far a point is outside of the dual problem (`duality_gap`).
 """

@@ -9,7 +9,6 @@ from numpy.typing import NDArray
 from smal.features import Centering, FeatureSettings
 from smal.files.stored import Content, Stored, features_of, of_features
 from smal.movement import Atom
-from smal.paper.novelty import novelty_test
 from smal.paper.transitions import Transitions
 
 _TRANSITION_ARRAYS = [field.name for field in fields(Transitions) if field.name != "states"]
@@ -31,10 +30,6 @@ class Model(Stored):
         l.
     lambda1, lambda2 : float
         Of Eq. 7.
-    novelty : str
-        Name of the test by which states were learned.
-    novelty_parameters : dict
-        Its parameters.
     templates : float32 array (m, n)
         X; state j is the columns j * l and following.
     actions : int8 array (number of actions, l)
@@ -66,8 +61,6 @@ class Model(Stored):
     sequence_length: int
     lambda1: float
     lambda2: float
-    novelty: str
-    novelty_parameters: dict[str, float]
     templates: NDArray[np.float32]
     actions: NDArray[np.int8]
     state_streams: tuple[NDArray[np.int32], ...]
@@ -101,7 +94,6 @@ class Model(Stored):
         wrong = [name for name, fits in checks.items() if not fits]
         if wrong:
             raise ValueError(f"the parts of the model do not fit together: {', '.join(wrong)}")
-        novelty_test(self.novelty, self.novelty_parameters)
 
     @property
     def states(self) -> int:
@@ -147,8 +139,6 @@ class Model(Stored):
             "sequence_length": self.sequence_length,
             "lambda1": self.lambda1,
             "lambda2": self.lambda2,
-            "novelty": self.novelty,
-            "novelty_parameters": self.novelty_parameters,
             "names": self.names,
             "frames": [len(atoms) for atoms in self.atoms],
             "successful": self.successful,
@@ -172,7 +162,6 @@ class Model(Stored):
         named: dict[str, Any] = {name: arrays[f"transitions.{name}"] for name in _TRANSITION_ARRAYS}
         same: dict[str, Any] = {name: arrays[name] for name in ("mean", "actions", "reward", "policy", "value")}
         same |= {name: tuple(meta[name]) for name in ("names", "successful", "recovery")}
-        same |= {name: meta[name] for name in ("novelty", "novelty_parameters")}
         same |= {name: meta[name] for name in ("sequence_length", "lambda1", "lambda2", "gamma")}
         return cls(
             feature_settings=features_of(meta),

@@ -1,20 +1,21 @@
 """The paper's execution, first half: from camera frames to a state (Eq. 7 and 9)."""
 
+from collections import deque
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from smal.paper.execution import Recognition
-from smal.paper.matching.streaming import StreamingMatcher, compile_ahead
 from smal.paper.model import Model
 from smal.paper.novelty import describe_match
+from smal.paper.state_matching import solve
 
 
 class Recognizer:
     """Keeps the last l frames and matches them with the states of a model.
 
-    A frame is only taken in; the decision costs one pass over the templates and a small solve.
+    A frame is only taken in; the decision costs some passes over the templates and a small solve.
 
     Parameters
     ----------
@@ -24,17 +25,14 @@ class Recognizer:
     """
 
     def __init__(self, model: Model, tolerance: float = 1e-3) -> None:
-        self._model = model
-        self._centering = model.centering
-        compile_ahead()
-        self._matcher = StreamingMatcher(
-            model.templates, model.sequence_length, model.lambda1, model.lambda2, tolerance
-        )
+        self._model, self._centering = model, model.centering
+        self._templates = np.asfortranarray(model.templates, dtype=np.float32)
+        self._parameters = model.sequence_length, model.lambda1, model.lambda2, tolerance
         self.reset()
 
     def reset(self) -> None:
         """Forget all frames, for a new episode."""
-        self._matcher.reset()
+        self._frames: deque[NDArray[np.float32]] = deque(maxlen=self._model.sequence_length)
         self._last_tick: int | None = None
 
     def observe(self, tick: int, raw_features: NDArray[Any], due: bool) -> Recognition:
@@ -59,15 +57,14 @@ class Recognizer:
             raise ValueError(f"features of one frame must have the shape (m,), got {raw_features.shape}")
         features = self._centering.apply(raw_features)
         if self._last_tick is not None and tick != self._last_tick + 1:
-            self._matcher.reset()
+            self._frames.clear()
         self._last_tick = tick
-        self._matcher.observe(features)
-        return self._recognize(tick) if due and self._matcher.ready else Recognition("collecting", tick)
-
-    def _recognize(self, tick: int) -> Recognition:
-        solution, window, templates = self._matcher.match(), self._matcher.window(), self._model.templates
-        norms = np.linalg.norm(window, axis=1)
-        match = describe_match(solution, lambda columns: templates[:, columns].T @ window.T, norms)
+        self._frames.append(features)
+        if not due or len(self._frames) < self._model.sequence_length:
+            return Recognition("collecting", tick)
+        frames = np.stack(self._frames)
+        solution = solve(self._templates, frames.T, *self._parameters)
+        match = describe_match(solution, self._templates, frames)
         return Recognition(
             "unknown" if match.state is None else "recognized",
             tick,

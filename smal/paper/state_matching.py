@@ -1,9 +1,9 @@
 """State matching (paper, section III-A and Algorithm 2): find the weights W that minimize Eq. 7, with a certificate.
 
-Both penalties separate over template sequences and most sequences get no weight. So we solve Eq. 7 on a working
-set of few sequences, extend its dual point to all of them, add the sequences that violate it, and stop when the
-relative duality gap of the *full* problem is within the tolerance; how is in `smal.paper.matching`. Algorithm 2 as
-published is in `smal.paper.algorithm2`.
+Both penalties separate over template sequences and most sequences get no weight. So `working_set` solves Eq. 7 on few
+template frames (by `newton`), bounds from below what all others could change (`duality_gap`), adds the frames that
+matter, and stops when the relative duality gap of the *full* problem is within the tolerance. Algorithm 2 as published
+is in `smal.paper.algorithm2`.
 """
 
 from dataclasses import dataclass
@@ -13,8 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from smal.paper.matching.products import Columns, Known, Products
-from smal.paper.matching.working_set import Penalty, minimize
+from smal.paper.working_set import WorkingSet
 
 Array = NDArray[np.float64]
 
@@ -43,7 +42,7 @@ class Solution:
         ||y_i - X w_i||.
     """
 
-    active: Columns
+    active: NDArray[np.intp]
     active_weights: Array
     shape: tuple[int, int]
     sequence_length: int
@@ -61,7 +60,7 @@ class Solution:
         return weights
 
     @cached_property
-    def active_blocks(self) -> Columns:
+    def active_blocks(self) -> NDArray[np.intp]:
         """Template sequences with weight, ascending (b,)."""
         return np.unique(self.active // self.sequence_length)
 
@@ -78,25 +77,6 @@ class Solution:
         return int(self.active_blocks[np.argmax(weights)]) if weights.size else None
 
 
-def check_parameters(n: int, sequence_length: int, lambda1: float, lambda2: float, tolerance: float) -> None:
-    """Refuse parameters for which Eq. 7 or its certificate means nothing."""
-    if n < 1:
-        raise ValueError("matching needs at least one template")
-    if sequence_length < 1:
-        raise ValueError(f"sequence_length must be at least 1, got {sequence_length}")
-    if not (np.isfinite([lambda1, lambda2]).all() and min(lambda1, lambda2) >= 0.0 and lambda1 + lambda2 > 0.0):
-        raise ValueError(f"lambda1 and lambda2 must be finite, not negative and not both 0, got {lambda1}, {lambda2}")
-    if not 1e-8 <= tolerance < 1.0:
-        raise ValueError(f"tolerance must be at least 1e-8 and below 1, got {tolerance}")
-
-
-def template_rows(templates: NDArray[Any]) -> NDArray[np.float32]:
-    """X^T in float32, a template contiguous; copied only where X is not float32 in Fortran order."""
-    if templates.ndim != 2 or not np.issubdtype(templates.dtype, np.floating):
-        raise ValueError(f"templates must be a floating point matrix (m, n), got {templates.dtype} {templates.shape}")
-    return np.ascontiguousarray(templates.T, dtype=np.float32)
-
-
 def solve(
     templates: NDArray[Any],
     query: NDArray[Any],
@@ -104,7 +84,6 @@ def solve(
     lambda1: float,
     lambda2: float,
     tolerance: float = 1e-4,
-    known: Known | None = None,
 ) -> Solution:
     """Match a query sequence against template sequences: minimize Eq. 7.
 
@@ -122,8 +101,6 @@ def solve(
     tolerance : float
         Relative duality gap at which to stop. Where a query frame is a combination of templates, its residual
         vanishes, and below about 1e-5 rounding may keep the gap from getting there; `converged` tells.
-    known : Known, optional
-        X^T Y and X^T X in float32 where they are at hand: nearly always they save the product with all templates.
 
     Returns
     -------
@@ -135,30 +112,40 @@ def solve(
     ValueError
         Shapes that do not fit, NaN or infinity, or parameters out of range.
     """
-    rows = template_rows(templates)
-    if query.ndim != 2 or rows.shape[1] != query.shape[0]:
-        raise ValueError(f"templates (m, n) and query (m, q) do not fit: {templates.shape} and {query.shape}")
-    if not (np.issubdtype(query.dtype, np.floating) or np.issubdtype(query.dtype, np.integer)):
-        raise ValueError(f"the query must be real numbers, got {query.dtype}")
-    n, q, length = len(rows), query.shape[1], sequence_length
-    check_parameters(n, length, lambda1, lambda2, tolerance)
+    _check(templates, query, sequence_length, lambda1, lambda2, tolerance)
+    rows = np.ascontiguousarray(templates.T, dtype=np.float32)
+    n, q = len(rows), query.shape[1]
     frames = np.ascontiguousarray(query.T, dtype=np.float64)
-    squares = np.square(frames).sum(axis=1)
-    if not np.isfinite(squares).all():
+    lengths = np.linalg.norm(frames, axis=1)
+    if not np.isfinite(lengths).all():
         raise ValueError("the query contains NaN or infinity")
-    seen = np.flatnonzero(squares > 0.0)
+    seen = np.flatnonzero(lengths > 0.0)
     if not seen.size:
-        return Solution(np.zeros(0, np.intp), np.zeros((0, q)), (n, q), length, 0.0, 0.0, 0, True, np.zeros(q))
-    penalty = Penalty(length, lambda1, lambda2, tolerance)
-    if known is not None:
-        if known.correlations.shape != (n, q) or known.gram.shape != (n, n):
-            raise ValueError(f"known products do not fit: {known.correlations.shape}, {known.gram.shape}")
-        known = Known(known.correlations[:, seen], known.gram)
-    found = minimize(Products(rows, frames[seen], known), penalty)
+        return Solution(np.zeros(0, np.intp), np.zeros((0, q)), (n, q), sequence_length, 0.0, 0.0, 0, True, np.zeros(q))
+    found = WorkingSet(rows, frames[seen], sequence_length, lambda1, lambda2, tolerance)
+    found.grow_until_certified()
     used = np.flatnonzero(found.weights.any(axis=1))
     weights, residuals = np.zeros((used.size, q)), np.zeros(q)
-    weights[:, seen], residuals[seen] = found.weights[used], found.residual_norms
-    converged = found.gap <= tolerance
+    weights[:, seen], residuals[seen] = found.weights[used], found.residuals
     return Solution(
-        found.columns[used], weights, (n, q), length, found.objective, found.gap, found.steps, converged, residuals
-    )
+        found.best_columns[used], weights, (n, q), sequence_length, found.objective, found.gap, found.steps,
+        found.gap <= tolerance, residuals,
+    )  # fmt: skip
+
+
+def _check(X: NDArray[Any], Y: NDArray[Any], length: int, lambda1: float, lambda2: float, tolerance: float) -> None:
+    """Refuse input for which Eq. 7 or its duality gap means nothing."""
+    if X.ndim != 2 or not np.issubdtype(X.dtype, np.floating):
+        raise ValueError(f"templates must be a floating point matrix (m, n), got {X.dtype} {X.shape}")
+    if Y.ndim != 2 or X.shape[0] != Y.shape[0]:
+        raise ValueError(f"templates (m, n) and query (m, q) do not fit: {X.shape} and {Y.shape}")
+    if not (np.issubdtype(Y.dtype, np.floating) or np.issubdtype(Y.dtype, np.integer)):
+        raise ValueError(f"the query must be real numbers, got {Y.dtype}")
+    if X.shape[1] < 1:
+        raise ValueError("matching needs at least one template")
+    if length < 1:
+        raise ValueError(f"sequence_length must be at least 1, got {length}")
+    if not (np.isfinite([lambda1, lambda2]).all() and min(lambda1, lambda2) >= 0.0 and lambda1 + lambda2 > 0.0):
+        raise ValueError(f"lambda1 and lambda2 must be finite, not negative and not both 0, got {lambda1}, {lambda2}")
+    if not 1e-8 <= tolerance < 1.0:
+        raise ValueError(f"tolerance must be at least 1e-8 and below 1, got {tolerance}")

@@ -1,20 +1,20 @@
 """State space learning (paper, Algorithm 1): a sequence that matches no state becomes one."""
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from smal.paper.matching.products import Known
-from smal.paper.novelty import NoveltyTest, describe_match
+from smal.paper.novelty import describe_match
 from smal.paper.sequences import first_frame
 from smal.paper.state_matching import solve
-from smal.paper.template_store import TemplateStore
 
 Progress = Callable[[int, int], None]
 
-_BATCH = 32
+
+class MemoryBoundError(MemoryError):
+    """The templates would need more memory than was allowed."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,53 +40,17 @@ class StateSpace:
         return int(self.templates.shape[1]) // self.sequence_length
 
 
-class _Learner:
-    """Algorithm 1 for one sequence after the other."""
-
-    def __init__(self, store: TemplateStore, test: NoveltyTest, length: int, lambda1: float, lambda2: float,
-                 tolerance: float) -> None:  # fmt: skip
-        self.store, self.test = store, test
-        self.parameters = length, lambda1, lambda2, tolerance
-
-    def step(self, frames: NDArray[np.float32], correlations: NDArray[np.float32]) -> int:
-        """Return the state of one sequence (l, m) with correlations (n, l), which is a new one if it matches none."""
-        store = self.store
-        if len(store):
-            solution = solve(store.templates, frames.T, *self.parameters, Known(correlations, store.gram))
-            match = describe_match(solution, lambda columns: correlations[columns], np.linalg.norm(frames, axis=1))
-            if match.state is not None and not self.test.is_novel(match):
-                return match.state
-        store.append(frames, correlations)
-        return len(store) // self.parameters[0] - 1
-
-
-def _batches(demonstrations: Sequence[NDArray[np.float32]], length: int) -> Iterator[NDArray[np.float32]]:
-    """Yield all sequences in order, up to 32 together, as (b, l, m)."""
-    sequences: list[NDArray[np.float32]] = []
-    for frames in demonstrations:
-        for start in range(first_frame(len(frames), length), len(frames), length):
-            sequences.append(frames[start : start + length])
-            if len(sequences) == _BATCH:
-                yield np.stack(sequences)
-                sequences = []
-    if sequences:
-        yield np.stack(sequences)
-
-
 def learn_state_space(
     demonstrations: Sequence[NDArray[np.float32]],
     sequence_length: int,
     lambda1: float,
     lambda2: float,
-    test: NoveltyTest,
+    tau: float,
     tolerance: float = 1e-3,
     max_bytes: int | None = None,
     progress: Progress | None = None,
 ) -> StateSpace:
     """Cut demonstrations into sequences and build the states from them.
-
-    Correlations with the templates are computed for 32 sequences in one product; templates that are added
-    within the 32 take theirs from the product of the 32 with themselves. The result is that of one by one.
 
     Parameters
     ----------
@@ -96,12 +60,12 @@ def learn_state_space(
         l.
     lambda1, lambda2 : float
         Of Eq. 7.
-    test : NoveltyTest
-        Eq. 8 or another.
+    tau : float
+        Of Eq. 8, per query frame.
     tolerance : float
         Relative duality gap of each match.
     max_bytes : int, optional
-        Bound on the memory of templates and their Gram matrix: n frames need 4 n (m + n) bytes.
+        Bound on the memory of templates: n frames need 4 n m bytes.
     progress : callable, optional
         Called with the number of sequences done and their total.
 
@@ -110,32 +74,54 @@ def learn_state_space(
     ValueError
         No demonstration has l frames.
     MemoryBoundError
+        Names what is needed and what is allowed.
     """
-    counts = [len(frames) // sequence_length for frames in demonstrations]
-    if not sum(counts):
-        raise ValueError(f"no demonstration has {sequence_length} frames")
-    store = TemplateStore(demonstrations[0].shape[1], max_bytes=max_bytes)
-    learner = _Learner(store, test, sequence_length, lambda1, lambda2, tolerance)
-    states: list[int] = []
-    for batch in _batches(demonstrations, sequence_length):
-        _learn_batch(learner, batch, states)
+    l, sequences = sequence_length, _cut(demonstrations, sequence_length)  # noqa: E741
+    if not sequences:
+        raise ValueError(f"no demonstration has {l} frames")
+    # As many rows as there could be states; memory is taken when a row is written.
+    templates = np.empty((len(sequences) * l, sequences[0].shape[1]), dtype=np.float32)
+    stream: list[int] = []
+    states = 0
+    for frames in sequences:
+        state = _known_state(templates[: states * l], frames, l, lambda1, lambda2, tau, tolerance) if states else None
+        if state is None:
+            state, states = states, states + 1
+            _check_memory(states * frames.nbytes, max_bytes)
+            templates[state * l : states * l] = frames
+        stream.append(state)
         if progress is not None:
-            progress(len(states), sum(counts))
-    streams = np.split(np.array(states, dtype=np.int32), np.cumsum(counts)[:-1])
-    return StateSpace(store.templates, tuple(streams), sequence_length)
+            progress(len(stream), len(sequences))
+    ends = np.cumsum([len(frames) // l for frames in demonstrations])[:-1]
+    return StateSpace(templates[: states * l].T, tuple(np.split(np.array(stream, dtype=np.int32), ends)), l)
 
 
-def _learn_batch(learner: _Learner, batch: NDArray[np.float32], states: list[int]) -> None:
-    """Match or add the sequences (b, l, m) in order."""
-    store, length = learner.store, learner.parameters[0]
-    before = len(store)
-    frames = batch.reshape(-1, batch.shape[2])
-    among = frames @ frames.T
-    known = np.empty((before + len(frames), len(frames)), dtype=np.float32)
-    np.matmul(store.templates.T, frames.T, out=known[:before])
-    for index, sequence in enumerate(batch):
-        columns = slice(index * length, (index + 1) * length)
-        count = len(store)
-        states.append(learner.step(sequence, np.ascontiguousarray(known[:count, columns])))
-        if len(store) > count:
-            known[count : len(store)] = among[columns]
+def _cut(demonstrations: Sequence[NDArray[np.float32]], length: int) -> list[NDArray[np.float32]]:
+    """All sequences (l, m) in order."""
+    return [
+        frames[start : start + length]
+        for frames in demonstrations
+        for start in range(first_frame(len(frames), length), len(frames), length)
+    ]
+
+
+def _known_state(
+    templates: NDArray[np.float32],
+    frames: NDArray[np.float32],
+    length: int,
+    lambda1: float,
+    lambda2: float,
+    tau: float,
+    tolerance: float,
+) -> int | None:
+    """Return the state that a sequence (l, m) shows, if it matches one of the template frames (n, m)."""
+    match = describe_match(solve(templates.T, frames.T, length, lambda1, lambda2, tolerance), templates.T, frames)
+    return None if match.is_novel(tau) else match.state
+
+
+def _check_memory(needed: int, allowed: int | None) -> None:
+    if allowed is not None and needed > allowed:
+        raise MemoryBoundError(
+            f"the templates need more than {needed / 2**20:.1f} MiB, of {allowed / 2**20:.1f} MiB allowed; "
+            "allow more, or merge more states by a smaller tau"
+        )

@@ -8,13 +8,12 @@ from smal.place_recognition.matches import Matches
 from smal.place_recognition.methods import METHODS, MatchSettings
 from smal.place_recognition.nearest_sequence import match_nearest_sequence
 from smal.place_recognition.seqslam import SeqSlamSettings, match_seqslam
-from smal.place_recognition.traverse_matching import OrderedSettings, match_traverses
+from smal.place_recognition.traverse_matching import match_traverses
 
 __all__ = [
     "METHODS",
     "MatchSettings",
     "Matches",
-    "OrderedSettings",
     "SeqSlamSettings",
     "match_nearest_sequence",
     "match_seqslam",

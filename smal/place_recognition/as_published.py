@@ -9,8 +9,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from smal.paper.matching.streaming import StreamingMatcher
 from smal.paper.phase import matched_phase
+from smal.paper.state_matching import solve
 from smal.place_recognition.matches import Matches, Progress, check_features, ignore
 
 #: a in lambda1 = lambda2 = a sqrt(l), as in learning.
@@ -48,24 +48,16 @@ def match_as_in_the_paper(
     ValueError
         The features do not fit each other or are not finite, or l is below 1.
     """
-    check_features(references, queries)
-    if length < 1:
-        raise ValueError(f"a sequence needs a length of at least 1, got {length}")
-    matches = Matches.none(queries.shape[0])
-    whole = references.shape[0] // length * length
-    if whole == 0:
-        progress(queries.shape[0])
-        return matches
-    scale = lambda_scale * math.sqrt(length)
-    matcher = StreamingMatcher(references[:whole].T, length, scale, scale, tolerance=1e-3)
-    for query, frame in enumerate(queries):
-        matcher.observe(frame)
-        if matcher.ready:
-            solution = matcher.match()
-            best = solution.best_block
-            if best is not None:
-                place = best * length + matched_phase(solution, best)
-                matches.reference[query] = int(np.clip(round(place), 0, references.shape[0] - 1))
-                matches.score[query] = solution.block_weights.max() / length
+    check_features(references, queries, length)
+    total, whole = len(queries), len(references) // length * length
+    matches, templates, penalty = Matches.none(total), references[:whole].T, lambda_scale * math.sqrt(length)
+    for query in range(length - 1, total if whole else 0):
+        window = queries[query - length + 1 : query + 1].T
+        solution = solve(templates, window, length, penalty, penalty, tolerance=1e-3)
+        if (best := solution.best_block) is not None:
+            place = round(best * length + matched_phase(solution, best))
+            matches.reference[query] = min(max(place, 0), len(references) - 1)
+            matches.score[query] = solution.block_weights.max() / length
         progress(query + 1)
+    progress(total)
     return matches

@@ -1,4 +1,4 @@
-"""What every method of place recognition answers."""
+"""What every method of place recognition takes and answers."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -30,23 +30,10 @@ class Matches:
     score : float64 array (q,)
         How sure the match is: higher is surer, comparable between the queries of one method only. 0 where there is no
         match.
-
-    Raises
-    ------
-    ValueError
-        The arrays do not fit each other, or a score is not finite.
     """
 
     reference: NDArray[np.int64]
     score: NDArray[np.float64]
-
-    def __post_init__(self) -> None:
-        if self.reference.ndim != 1 or self.reference.shape != self.score.shape:
-            raise ValueError(f"matches need one score for each query: {self.reference.shape} and {self.score.shape}")
-        if self.reference.size and self.reference.min() < NONE:
-            raise ValueError(f"a reference frame must not be below {NONE}, got {self.reference.min()}")
-        if not np.isfinite(self.score).all():
-            raise ValueError("a score is not finite")
 
     @classmethod
     def none(cls, queries: int) -> Self:
@@ -69,8 +56,10 @@ class Matches:
         return found
 
 
-def check_features(references: NDArray[np.float32], queries: NDArray[np.float32]) -> None:
-    """Refuse features that are not two arrays (n, m) and (q, m) of finite numbers."""
+def check_features(references: NDArray[np.float32], queries: NDArray[np.float32], length: int = 1) -> None:
+    """Refuse features that are not two arrays (n, m) and (q, m) of finite numbers, and windows of no frame."""
+    if length < 1:
+        raise ValueError(f"a window needs a length of at least 1, got {length}")
     if references.ndim != 2 or queries.ndim != 2 or references.shape[1] != queries.shape[1]:
         raise ValueError(f"features must have the shapes (n, m) and (q, m), got {references.shape} and {queries.shape}")
     for name, features in (("references", references), ("queries", queries)):

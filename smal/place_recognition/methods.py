@@ -13,7 +13,7 @@ from smal.place_recognition.matches import Matches, Progress
 from smal.place_recognition.nearest_sequence import match_nearest_sequence
 from smal.place_recognition.seqslam import SeqSlamSettings, match_seqslam
 from smal.place_recognition.traverse_centering import centre_traverses
-from smal.place_recognition.traverse_matching import OrderedSettings, match_traverses
+from smal.place_recognition.traverse_matching import RELATIVE_PENALTY, match_traverses
 
 Features = NDArray[np.float32]
 
@@ -37,7 +37,7 @@ class MatchSettings:
     penalty: float | None = None
 
 
-#: (references (n, m), queries (q, m), settings, progress) -> matches; raw features of `extract`.
+#: (references (n, m), queries (q, m), settings, progress) -> matches; raw features of `extract`, whole windows of both.
 Match = Callable[[Features, Features, MatchSettings, Progress], Matches]
 
 
@@ -53,56 +53,46 @@ class Method:
         What it looks at unless told otherwise.
     length : int
         Frames of a window unless told otherwise, at least 1.
-    match : callable
-        See `Match`. Of fewer than `length` references or queries it finds no match.
+    way : callable
+        See `Match`.
     penalty : float, optional
         Weight of its regularization unless told otherwise; None if it has none.
-    any_features : bool
-        Whether it works with other features than its own.
-    any_length : bool
-        Whether it works with other lengths than its own.
+    any_features, any_length : bool
+        Whether it works with other features, or another length, than its own.
     """
 
     meaning: str
     features: FeatureSettings
     length: int
-    match: Match
+    way: Match
     penalty: float | None = None
     any_features: bool = True
     any_length: bool = True
 
-
-def _of_whole_windows(match: Match) -> Match:
-    """Answer for a method where no window is whole: a traverse without frames has no mean to be centred by."""
-
-    def matched(references: Features, queries: Features, settings: MatchSettings, progress: Progress) -> Matches:
+    def match(self, references: Features, queries: Features, settings: MatchSettings, progress: Progress) -> Matches:
+        """Match raw features (n, m) and (q, m); of fewer than `length` of either it finds no match."""
+        # A traverse without frames has no mean to be centred by.
         if min(len(references), len(queries)) < settings.length:
             progress(len(queries))
             return Matches.none(len(queries))
-        return match(references, queries, settings, progress)
-
-    return matched
+        return self.way(references, queries, settings, progress)
 
 
-@_of_whole_windows
 def _smal(references: Features, queries: Features, settings: MatchSettings, progress: Progress) -> Matches:
-    own = {} if settings.penalty is None else {"relative_penalty": settings.penalty}
+    penalty = RELATIVE_PENALTY if settings.penalty is None else settings.penalty
     centred = centre_traverses(references, queries, settings.features)
-    return match_traverses(*centred, OrderedSettings(length=settings.length, **own), progress)
+    return match_traverses(*centred, settings.length, penalty, progress)
 
 
-@_of_whole_windows
 def _nearest(references: Features, queries: Features, settings: MatchSettings, progress: Progress) -> Matches:
     centred = centre_traverses(references, queries, settings.features)
     return match_nearest_sequence(*centred, settings.length, progress)
 
 
-@_of_whole_windows
 def _seqslam(references: Features, queries: Features, settings: MatchSettings, progress: Progress) -> Matches:
     return match_seqslam(references, queries, SeqSlamSettings(length=settings.length), progress)
 
 
-@_of_whole_windows
 def _paper(references: Features, queries: Features, settings: MatchSettings, progress: Progress) -> Matches:
     mean = Centering.fit(references, settings.features)
     scale = LAMBDA_SCALE if settings.penalty is None else settings.penalty
@@ -111,16 +101,15 @@ def _paper(references: Features, queries: Features, settings: MatchSettings, pro
 
 #: What looks at the whole image, and changes little where light and season do.
 FEATURES = FeatureSettings.of(("color", "hog", "gist", "thumbnail"))
-_PENALTY = OrderedSettings().relative_penalty
 
 METHODS: Mapping[str, Method] = MappingProxyType(
     {
         "smal": Method(
             "the paper's sparse convex matching, with sequences in order and at speeds from half to twice",
-            FEATURES, 10, _smal, _PENALTY,
+            FEATURES, 10, _smal, RELATIVE_PENALTY,
         ),
         "image": Method(
-            "the paper's baseline: the same of single images", FEATURES, 1, _smal, _PENALTY, any_length=False
+            "the paper's baseline: the same of single images", FEATURES, 1, _smal, RELATIVE_PENALTY, any_length=False
         ),
         "seqslam": Method(
             "Milford and Wyeth 2012", FeatureSettings.of(("thumbnail",)), 10, _seqslam, any_features=False

@@ -43,24 +43,16 @@ def match_nearest_sequence(
     ValueError
         The features do not fit each other or are not finite, or l is below 1.
     """
-    check_features(references, queries)
-    if length < 1:
-        raise ValueError(f"a sequence needs a length of at least 1, got {length}")
-    matches = Matches.none(queries.shape[0])
-    if length > references.shape[0]:
-        progress(queries.shape[0])
-        return matches
-    templates = references.T
-
-    def similarity(frames: slice) -> NDArray[np.float32]:
-        return queries[frames] @ templates
-
-    for done, rows in rolling(similarity, queries.shape[0], references.shape[0], length):
+    check_features(references, queries, length)
+    total, count = len(queries), len(references)
+    matches = Matches.none(total)
+    for done, rows in rolling(lambda frames: queries[frames] @ references.T, total, count, length):
         means = sums_along(rows, range(length)) / np.float32(length)
-        best = means.argmax(axis=1)
-        ends = slice(done - best.size, done)
-        matches.reference[ends] = best + length - 1
-        matches.score[ends] = means[np.arange(best.size), best]
+        if means.size:
+            best = means.argmax(axis=1)
+            ends = slice(done - best.size, done)
+            matches.reference[ends] = best + length - 1
+            matches.score[ends] = means[np.arange(best.size), best]
         progress(done)
-    progress(queries.shape[0])
+    progress(total)
     return matches

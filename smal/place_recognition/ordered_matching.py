@@ -12,8 +12,11 @@ explains (an occluded one) counts once and not squared. Its dual is
 
     max_theta  1/l sum_i theta_i . y_i   with  ||theta_i|| <= 1  and  1/l sum_i x_{j,i} . theta_i <= lambda_j for all j,
 
-so that the residuals, scaled until they are feasible, certify every answer over all sequences. The left side of the
+so that the residuals, scaled until they are feasible, bound the optimum over all sequences. The left side of the
 constraint is a sum along the sequence: one pass over the products of residuals and references prices all of them.
+
+The paper cuts templates at fixed phases; here a sequence ends at any reference, and advances at any of some speeds.
+Sequences are known by inner products only, so that nothing here is as long as a feature vector.
 """
 
 from dataclasses import dataclass
@@ -21,24 +24,37 @@ from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import solve_triangular
+from scipy.optimize import nnls
 
-from smal.place_recognition.ordered_descent import FLOOR, combine, gather, minimize
-from smal.place_recognition.template_sequences import TemplateSequences
+from smal.place_recognition.trajectories import steps_back, sums_along
 
+Array = NDArray[np.float64]
+
+#: Reference frames to one query frame, in quarters of an octave from half to twice.
+SPEEDS: Final = tuple(2.0 ** (step / 4) for step in range(-4, 5))
+#: A residual shorter than this (frames have length 1) is rounding noise: its square is the difference of float32
+#: products, which are off by 1e-7. The dual point r / max(||r||, floor) stays feasible below it.
+FLOOR: Final = 5e-4
 #: Sequences that the first working set holds, and that a later round adds at most.
-_FIRST: Final = 48
-_MORE: Final = 24
+_FIRST: Final = 24
+_MORE: Final = 12
 _MOST_ROUNDS: Final = 30
+#: Parabolas in a row for one working set; weights that change by less do not change.
+_MOST_STEPS: Final = 1000
+_STILL: Final = 1e-8
+#: Share of the largest curvature that is added to all: sequences may repeat.
+_RIDGE: Final = 1e-11
 
 
 @dataclass(frozen=True, eq=False)
 class OrderedSolution:
-    """The global optimum, as far as its certificate says.
+    """The global optimum, as far as its duality gap says.
 
     Parameters
     ----------
     sequences : int64 array (p,)
-        Sequences with weight, numbered as in `TemplateSequences.frames`.
+        Sequences with weight: v n + e has speed number v and ends at reference e.
     weights : float64 array (p,)
         c, above 0.
     objective : float
@@ -51,7 +67,7 @@ class OrderedSolution:
     """
 
     sequences: NDArray[np.int64]
-    weights: NDArray[np.float64]
+    weights: Array
     objective: float
     duality_gap: float
     penalty: float
@@ -59,10 +75,10 @@ class OrderedSolution:
 
 def solve_ordered(
     products: NDArray[np.float32],
-    norms: NDArray[np.float64],
+    norms: Array,
     gram: NDArray[np.float32],
-    template_sequences: TemplateSequences,
-    surcharge: NDArray[np.float64],
+    speeds: tuple[float, ...],
+    surcharge: Array,
     relative_penalty: float,
     tolerance: float = 1e-3,
 ) -> OrderedSolution:
@@ -76,7 +92,9 @@ def solve_ordered(
         ||y_i||; a frame of norm 0 shows nothing and explains nothing.
     gram : float32 array (n, n)
         x_a . x_b.
-    template_sequences : TemplateSequences
+    speeds : tuple of float
+        v, reference frames to one query frame, positive. Sequence (v, e) has the frames e - round(v (l - 1 - i)),
+        i = 0..l-1; it exists where the first of them does.
     surcharge : float64 array (speeds,)
         What a sequence of that speed is penalized beyond lambda, at least 0.
     relative_penalty : float
@@ -89,91 +107,105 @@ def solve_ordered(
     OrderedSolution
         Without sequences where none is alike in the least.
     """
-    seen = norms > FLOOR
-    scale = np.divide(1.0, norms, out=np.zeros(norms.shape), where=seen)
-    prices = template_sequences.means(products * scale[:, np.newaxis].astype(np.float32))
-    reduced = prices - surcharge[:, np.newaxis].astype(np.float32)
-    largest = float(reduced.max(initial=-np.inf))
-    loss = float(norms.mean())
-    if not largest > 0.0:
-        return OrderedSolution(np.empty(0, dtype=np.int64), np.empty(0), loss, 0.0, max(largest, 0.0))
-    penalty = relative_penalty * largest
-    problem = _Problem(products, norms, gram, template_sequences, penalty + surcharge, tolerance)
-    return problem.solve(_largest(reduced.ravel(), _FIRST), penalty)
-
-
-class _Problem:
-    """A working set of sequences that grows by those whose constraint is violated, until the gap is closed."""
-
-    def __init__(
-        self,
-        products: NDArray[np.float32],
-        norms: NDArray[np.float64],
-        gram: NDArray[np.float32],
-        template_sequences: TemplateSequences,
-        penalties: NDArray[np.float64],
-        tolerance: float,
-    ) -> None:
-        self._products, self._norms, self._gram = products, norms, gram
-        self._sequences, self._penalties, self._tolerance = template_sequences, penalties, tolerance
-        self._squares = np.square(norms)
-
-    def solve(self, working: NDArray[np.int64], penalty: float) -> OrderedSolution:
-        """Grow the working set until the duality gap over all sequences is at most the tolerance."""
-        weights = np.zeros(working.size)
-        rounds = 0
-        while True:
-            active, primal, gap, new = self._round(working, weights)
-            rounds += 1
-            if gap <= self._tolerance or not new.size or rounds == _MOST_ROUNDS:
-                return OrderedSolution(working[active], weights[active], primal, max(gap, 0.0), penalty)
-            # What has no weight after the first round rarely gets some: a small problem is a fast one.
-            working = np.concatenate([working[active], new])
-            weights = np.concatenate([weights[active], np.zeros(new.size)])
-
-    def _round(
-        self, working: NDArray[np.int64], weights: NDArray[np.float64]
-    ) -> tuple[NDArray[np.int64], float, float, NDArray[np.int64]]:
-        """Solve for the working set, in place of `weights`, and price all sequences.
-
-        Returns
-        -------
-        active, primal, gap, new
-            Places in the working set with weight; the objective and its relative gap; sequences that are missing.
-        """
-        frames = self._sequences.frames(working, self._gram.shape[0])
-        penalties = self._penalties[working // self._gram.shape[0]]
-        blocks, linear = gather(self._gram, self._products, frames)
-        residuals = np.empty(self._norms.size)
-        minimize(blocks, linear, self._squares, penalties, weights, residuals, 0.1 * self._tolerance)
+    (length, n), squares = products.shape, np.square(norms)
+    steps = steps_back(speeds, length)
+    scale = np.divide(1.0, norms, out=np.zeros(norms.shape), where=norms > FLOOR)
+    excess = _prices(products, scale, steps) - surcharge[:, None]
+    penalty = relative_penalty * float(excess.max(initial=-np.inf))
+    if not penalty > 0.0:
+        return OrderedSolution(np.empty(0, dtype=np.int64), np.empty(0), float(norms.mean()), 0.0, 0.0)
+    penalties = penalty + surcharge
+    working = _largest(excess.ravel(), _FIRST)
+    weights = np.zeros(working.size)
+    for turn in range(_MOST_ROUNDS):
+        speed, end = np.divmod(working, n)
+        frames = end - steps[speed, ::-1].T
+        blocks = gram[frames[:, :, None], frames[:, None, :]].astype(np.float64)
+        linear = products[np.arange(length)[:, None], frames].astype(np.float64)
+        weights, residuals = _minimize(blocks, linear, squares, penalties[speed], weights, 0.1 * tolerance)
         active = np.flatnonzero(weights)
-        prices = self._prices(frames[active], weights[active], residuals)
-        primal = float(residuals.mean() + penalties @ weights)
-        agreement = (self._squares - linear @ weights) / np.maximum(residuals, FLOOR)
-        gap = (primal - self._feasible(prices) * float(agreement.mean())) / primal
-        reduced = (prices - self._penalties[:, np.newaxis].astype(np.float32)).ravel()
-        reduced[working] = -np.inf
-        new = _largest(reduced, _MORE)
-        return active, primal, gap, new[reduced[new] > 0.0]
-
-    def _prices(
-        self, frames: NDArray[np.int64], weights: NDArray[np.float64], residuals: NDArray[np.float64]
-    ) -> NDArray[np.float32]:
-        """Return 1/l sum_i x_{j,i} . theta_i of all sequences, (speeds, n), for theta_i = r_i / ||r_i||."""
-        explained = np.empty_like(self._products)
-        combine(self._gram, frames, weights.astype(np.float32), explained)
-        scale = (1.0 / np.maximum(residuals, FLOOR)).astype(np.float32)
-        return self._sequences.means((self._products - explained) * scale[:, np.newaxis])
-
-    def _feasible(self, prices: NDArray[np.float32]) -> float:
-        """Return by how much the dual point is to be scaled so that it satisfies all constraints."""
-        worst = prices.max(axis=1).astype(np.float64)
-        return float(np.min(np.divide(self._penalties, worst, out=np.ones(worst.shape), where=worst > self._penalties)))
+        explained = np.einsum("ian,a->in", gram[frames[:, active]], weights[active].astype(np.float32))
+        prices = _prices(products - explained, 1.0 / np.maximum(residuals, FLOOR), steps)
+        primal = float(residuals.mean() + penalties[speed] @ weights)
+        agreement = float(((squares - linear @ weights) / np.maximum(residuals, FLOOR)).mean())
+        gap = 1.0 - _feasible(penalties, prices.max(axis=1)) * agreement / primal
+        excess = (prices - penalties[:, None]).ravel()
+        excess[working] = -np.inf
+        lacking = _largest(excess, _MORE)
+        lacking = lacking[excess[lacking] > 0.0]
+        if gap <= tolerance or not lacking.size or turn == _MOST_ROUNDS - 1:
+            break
+        # What has no weight after the first round rarely gets some: a small problem is a fast one.
+        working, weights = np.append(working[active], lacking), np.append(weights[active], np.zeros(lacking.size))
+    return OrderedSolution(working[active], weights[active], primal, max(gap, 0.0), penalty)
 
 
-def _largest(values: NDArray[np.float32], count: int) -> NDArray[np.int64]:
+def _prices(products: NDArray[np.float32], scale: Array, steps: NDArray[np.int64]) -> Array:
+    """Average products (l, n), each frame scaled, along every sequence; -inf where there is none: (speeds, n)."""
+    scaled = products * scale[:, None].astype(np.float32)
+    prices = np.full((len(steps), products.shape[1]), -np.inf)
+    for price, back in zip(prices, steps, strict=True):
+        price[back[-1] :] = sums_along(scaled, back)[0] / np.float32(len(products))
+    return prices
+
+
+def _feasible(limits: Array, prices: Array) -> float:
+    """Return by how much the dual point is to be scaled so that no price exceeds its limit."""
+    return float(np.divide(limits, prices, out=np.ones(limits.shape), where=prices > limits).min(initial=1.0))
+
+
+def _largest(values: Array, count: int) -> NDArray[np.int64]:
     """Return where the largest finite values are."""
     count = min(count, values.size)
     where = np.argpartition(-values, count - 1)[:count]
     found: NDArray[np.int64] = where[np.isfinite(values[where])]
     return found
+
+
+def _minimize(
+    blocks: Array, linear: Array, squares: Array, penalties: Array, weights: Array, tolerance: float
+) -> tuple[Array, Array]:
+    """Solve the program over p sequences, from some weights: weights (p,) and residual norms (l,).
+
+    Each residual norm is majorised by the parabola that touches it (as in Algorithm 2), and the parabolas' sum is
+    minimized as non-negative least squares; the objective falls in every round.
+
+    Parameters
+    ----------
+    blocks, linear : float64 arrays (l, p, p), (l, p)
+        Inner products of the sequences with each other and with the query, frame by frame.
+    squares : float64 array (l,)
+        ||y_i||^2.
+    """
+    residuals = _residual_norms(blocks, linear, squares, weights)
+    for _ in range(_MOST_STEPS):
+        scale = 1.0 / (len(linear) * np.maximum(residuals, FLOOR))
+        curvature, slope = np.tensordot(scale, blocks, 1), scale @ linear
+        # The majoriser touches the objective here, so their duality gaps agree.
+        primal = penalties @ weights + residuals.mean()
+        reached = scale @ (squares - linear @ weights)
+        if primal - _feasible(penalties, slope - curvature @ weights) * reached <= tolerance * primal:
+            break
+        before, weights = weights, _least_squares(curvature, slope - penalties)
+        residuals = _residual_norms(blocks, linear, squares, weights)
+        if np.abs(weights - before).max() < _STILL:
+            break
+    return weights, residuals
+
+
+def _least_squares(curvature: Array, slope: Array) -> Array:
+    """Minimize 1/2 c'Hc - g'c over c >= 0."""
+    diagonal = np.arange(len(slope))
+    curvature[diagonal, diagonal] += _RIDGE * curvature.max()
+    try:
+        root = np.linalg.cholesky(curvature)
+    except np.linalg.LinAlgError:
+        curvature[diagonal, diagonal] += 1e-7 * curvature.max()
+        root = np.linalg.cholesky(curvature)
+    weights: Array = nnls(root.T, solve_triangular(root, slope, lower=True))[0]
+    return weights
+
+
+def _residual_norms(blocks: Array, linear: Array, squares: Array, weights: Array) -> Array:
+    norms: Array = np.sqrt(np.maximum(squares - 2.0 * (linear @ weights) + (blocks @ weights) @ weights, 0.0))
+    return norms

@@ -9,8 +9,6 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from smal.paper.compiled import compiled
-
 #: A frame is compared with one at most so many before it: in a long stop the light changes.
 REACH: Final = 16
 #: Frames that repeat another at least; fewer are a slow traverse, which sequences of half the speed fit.
@@ -34,35 +32,25 @@ def first_frames(features: NDArray[np.float32]) -> NDArray[np.int64]:
         The first frame of the stop that each frame belongs to; of a frame in moving itself.
     """
     first = np.arange(len(features))
-    if first.size >= LEAST_FRAMES:
-        frames = np.ascontiguousarray(features)
-        steps = [_squared(frames[end], frames[end - 1]) for end in range(1, first.size)]
-        _find(frames, _STANDING**2 * float(np.quantile(steps, _MOVING)), first)
-    return first
+    if first.size < LEAST_FRAMES:
+        return first
 
+    def apart(one: int, other: int) -> float:
+        return float(np.linalg.norm(features[one] - features[other]))
 
-@compiled
-def _squared(one: NDArray[np.float32], other: NDArray[np.float32]) -> float:
-    total = 0.0
-    for entry in range(one.size):
-        total += float(one[entry] - other[entry]) ** 2
-    return total
-
-
-@compiled
-def _find(frames: NDArray[np.float32], limit: float, first: NDArray[np.int64]) -> None:
+    limit = _STANDING * float(np.quantile([apart(end, end - 1) for end in range(1, first.size)], _MOVING))
     start = 0
     while start < first.size:
         anchor, end = start, start + 1
-        while end < first.size and _squared(frames[end], frames[anchor]) < limit:
+        while end < first.size and apart(end, anchor) < limit:
             end += 1
             if end - anchor > REACH:
                 anchor = end - 1
-        if end - start >= LEAST_FRAMES:
-            first[start:end] = start
-            start = end
-        else:
-            start += 1
+        if end - start < LEAST_FRAMES:
+            end = start + 1
+        first[start:end] = start
+        start = end
+    return first
 
 
 def windows(first: NDArray[np.int64], length: int) -> NDArray[np.int64]:
@@ -81,12 +69,11 @@ def windows(first: NDArray[np.int64], length: int) -> NDArray[np.int64]:
         Ascending: the last l frames with every stop counted once, and the frame itself; plainly the last l where the
         traverse has not come so far yet.
     """
-    ends = np.arange(length - 1, first.size)
-    back = np.arange(length - 1, -1, -1)
+    ends, back = np.arange(length - 1, first.size), np.arange(length - 1, -1, -1)
     kept = np.unique(first)
     place = np.searchsorted(kept, first[ends])
-    found: NDArray[np.int64] = kept[np.maximum(place[:, np.newaxis] - back, 0)]
+    found: NDArray[np.int64] = kept[np.maximum(place[:, None] - back, 0)]
     found[:, -1] = ends
     early = place < length - 1
-    found[early] = ends[early, np.newaxis] - back
+    found[early] = ends[early, None] - back
     return found

@@ -60,25 +60,25 @@ def rolling(
         kept = rows[max(0, rows.shape[0] - length + 1) :]
 
 
-def sums_along(rows: NDArray[np.float32], steps: Sequence[int]) -> NDArray[np.float32]:
+def sums_along(rows: NDArray[np.float32], steps: Sequence[int] | NDArray[np.int64]) -> NDArray[np.float32]:
     """Sum a matrix along one trajectory, from each of its ends.
 
     Parameters
     ----------
     rows : float32 array (c + l - 1, n)
         Of successive queries.
-    steps : sequence of l ints
-        How many references before its end the trajectory is, 0, 1, ... l-1 queries before its end; not falling,
-        from 0 to at most n - 1.
+    steps : l ints
+        How many references before its end the trajectory is, 0, 1, ... l-1 queries before its end; not falling.
 
     Returns
     -------
-    float32 array (c, n - steps[-1])
+    float32 array (c, max(n - steps[-1], 0))
         Entry (i, j) is the sum of the trajectory that ends at row i + l - 1 and at reference j + steps[-1]; those that
         end earlier would begin before the first reference.
     """
     (height, width), length, reach = rows.shape, len(steps), steps[-1]
-    total = np.zeros((height - length + 1, width - reach), dtype=np.float32)
-    for back, step in enumerate(steps):
-        total += rows[length - 1 - back : height - back, reach - step : width - step]
+    total = np.zeros((height - length + 1, max(width - reach, 0)), dtype=np.float32)
+    if reach < width:
+        for back, step in enumerate(steps):
+            total += rows[length - 1 - back : height - back, reach - step : width - step]
     return total

@@ -5,14 +5,10 @@ It ends with status 0, or at an input that breaks the decoder, which it writes b
 
 from __future__ import annotations
 
-import os
 import random
 import sys
 import tempfile
 from pathlib import Path
-
-# Instrumented code cannot be compiled by numba.
-os.environ["NUMBA_DISABLE_JIT"] = "1"
 
 import atheris
 

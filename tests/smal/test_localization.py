@@ -23,7 +23,7 @@ def taught(frames: tuple[int, ...] = (22, 17, 26), seed: int = 0) -> Model:
         views = places[number * 2 : number * 2 + count] + 0.01 * rng.random((count, features.size), dtype=np.float32)
         atoms = np.full(count, Atom.FORWARD, dtype=np.int8)
         drives.append(Demonstration(f"drive-{number}", views, atoms))
-    settings = LearningSettings(sequence_length=LENGTH, novelty_parameters={"min_agreement": 0.5})
+    settings = LearningSettings(sequence_length=LENGTH)
     return learn(drives, settings)[0]
 
 

@@ -242,7 +242,7 @@ def test_a_model_opens_no_file_and_runs_no_network(tmp_path: Path, monkeypatch: 
     """A model that names a FIFO is refused at once; one that names a network by its contents is used without it."""
     text = network(tmp_path / "mix.onnx")
     path = tmp_path / "x.smal"
-    seed = smallest_model("weight", {"tau": 0.5})
+    seed = smallest_model()
     settings = FeatureSettings.parse(text)
     replace(seed, feature_settings=settings, mean=np.zeros(4, np.float32), templates=np.zeros((4, 2), np.float32)).save(
         path

@@ -26,9 +26,9 @@ from smal.evaluation.baselines.seqslam_localization import (
 from smal.evaluation.ground_truth import PoseTruth, judge
 from smal.evaluation.localization import DemonstratedFrames
 from smal.features import Centering, FeatureSettings, extract
-from smal.paper.matching.streaming import StreamingMatcher
 from smal.paper.model import Model
 from smal.paper.phase import matched_phase
+from smal.paper.state_matching import solve
 from smal.place_recognition import Matches
 from smal.place_recognition.matches import NONE
 from smal.place_recognition.nearest_sequence import match_nearest_sequence
@@ -80,13 +80,12 @@ def recognize_states(model: Model, views: NDArray[np.float32], every: int = 1) -
     The score is the weight of the best sequence (left side of Eq. 8, for each query frame).
     """
     length, frames = model.sequence_length, DemonstratedFrames(model)
-    matcher = StreamingMatcher(model.templates, length, model.lambda1, model.lambda2, tolerance=1e-3)
-    matches = Matches.none(len(views))
-    for tick, view in enumerate(model.centering.apply(views)):
-        matcher.observe(view)
-        if not matcher.ready or (tick + 1) % every != 0:
+    matches, centred = Matches.none(len(views)), model.centering.apply(views)
+    for tick in range(length - 1, len(views)):
+        if (tick + 1) % every != 0:
             continue
-        solution = matcher.match()
+        window = centred[tick - length + 1 : tick + 1].T
+        solution = solve(model.templates, window, length, model.lambda1, model.lambda2, tolerance=1e-3)
         if (state := solution.best_block) is not None:
             matches.reference[tick] = frames.frame(state, matched_phase(solution, state))
             matches.score[tick] = solution.block_weights.max() / length

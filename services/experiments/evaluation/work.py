@@ -93,7 +93,7 @@ def _learn(unit: Unit, folder: Path) -> Found:
     if not unit["length"]:
         learn_map(demonstrations, FEATURES).save(file_of(folder, unit))
         return {"file": True}
-    settings = LearningSettings(features=FEATURES, sequence_length=unit["length"], novelty="weight")
+    settings = LearningSettings(features=FEATURES, sequence_length=unit["length"])
     model, report = learn(demonstrations, settings)
     model.save(file_of(folder, unit))
     return {"states": report.states, "file": True}

@@ -35,15 +35,14 @@ _CHECKSUM_BYTES = 32
 def seeds() -> list[bytes]:
     path = scratch.folder() / "seed.smal"
     found = []
-    papers = [smallest_model(*test) for test in (("weight", {"tau": 0.5}), ("agreement", {"max_residual": 0.75}))]
-    for one in (*papers, smallest_map()):
+    for one in (smallest_model(), smallest_map()):
         one.save(path)
         found.append(path.read_bytes()[:-_CHECKSUM_BYTES])
     path.unlink()
     return found
 
 
-def smallest_model(novelty: str, parameters: dict[str, float]) -> PaperModel:
+def smallest_model() -> PaperModel:
     """By the paper's scheme: two states of one frame each, one drive from the one to the other."""
     settings = FeatureSettings(("color",), (1.0,))
     stream, action = np.array([0, 1], np.int32), np.array([0, 0], np.int32)
@@ -53,8 +52,6 @@ def smallest_model(novelty: str, parameters: dict[str, float]) -> PaperModel:
         sequence_length=1,
         lambda1=0.1,
         lambda2=0.1,
-        novelty=novelty,
-        novelty_parameters=parameters,
         templates=np.zeros((settings.size, 2), np.float32),
         actions=np.zeros((1, 1), np.int8),
         state_streams=(stream,),

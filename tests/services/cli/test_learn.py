@@ -26,7 +26,6 @@ from smal.features import FeatureSettings, extract
 from smal.model import Model
 from smal.movement import Atom
 from smal.paper.model import Model as PaperModel
-from smal.paper.novelty import WeightTest
 from smal.virtual_views import USUAL_FOCAL
 from tests import corridor
 from tests.services.cli.conftest import Mistake
@@ -273,7 +272,6 @@ def test_one_drive_gives_a_map_of_views_and_for_the_papers_scheme_states(
     assert "states" not in text
     learn([path], tmp_path / "paper.smal", scheme="paper")
     model = PaperModel.load(tmp_path / "paper.smal")
-    assert (model.novelty, model.novelty_parameters) == ("weight", {"tau": WeightTest().tau})
     text = capsys.readouterr().out
     assert f"states          {model.states}\n" in text
     assert "keyframes" not in text

@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 
 from smal import solve
-from smal.paper.matching.products import Known
 from tests.smal.worlds import matching_problem
 
 BAD = [np.nan, np.inf, -np.inf]
@@ -32,22 +31,6 @@ def test_queries_that_are_not_finite(bad: float, frame: int) -> None:
             solve(X, query, 4, 0.1, 0.1)
 
 
-@pytest.mark.parametrize("bad", BAD)
-@pytest.mark.parametrize("place", [0, 199, 399])
-@pytest.mark.parametrize("what", ["correlations", "row of the gram", "diagonal of the gram"])
-def test_known_products_that_are_not_finite(bad: float, place: int, what: str) -> None:
-    X, Y = matching_problem(0, blocks=100, length=4)
-    correlations, gram = X.T @ Y, X.T @ X
-    if what == "correlations":
-        correlations[place, 1] = bad
-    elif what == "row of the gram":
-        gram[place] = gram[:, place] = bad
-    else:
-        gram[place, place] = bad
-    with pytest.raises(ValueError, match="NaN or infinity"), np.errstate(all="ignore"):
-        solve(X, Y, 4, 0.1, 0.1, known=Known(correlations, gram))
-
-
 @pytest.mark.parametrize(
     ("change", "words"),
     [
@@ -64,8 +47,6 @@ def test_known_products_that_are_not_finite(bad: float, place: int, what: str) -
         ({"templates": np.ones(60, np.float32)}, "matrix"),
         ({"templates": np.ones((60, 0), np.float32)}, "at least one template"),
         ({"templates": np.ones((60, 2), np.int64)}, "floating point"),
-        ({"known": Known(np.ones((2, 2), np.float32), np.ones((6, 6), np.float32))}, "known products do not fit"),
-        ({"known": Known(np.ones((6, 2), np.float32), np.ones((6, 5), np.float32))}, "known products do not fit"),
     ],
 )
 def test_bad_input(change: dict, words: str) -> None:

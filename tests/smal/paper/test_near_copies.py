@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 
 from smal import Solution, solve
-from smal.paper.matching import working_set
-from smal.paper.matching.newton import solve_blocks
+from smal.paper import working_set
+from smal.paper.newton import minimize
 from tests.smal.paper.matching import Problem
 from tests.smal.worlds import matching_problem, unit
 
-NOISES = (0.0, 1e-7, 1e-6, 1e-5, 1e-4)
+NOISES = (0.0, 1e-7, 1e-5)
 
 
 def near_copy(seed: int, lambda_: float, noise: float) -> tuple[Problem, int]:
@@ -36,17 +36,15 @@ def extended(problem: Problem, active: np.ndarray, weights: np.ndarray) -> np.lo
 @pytest.mark.parametrize("lambda_", [1e-6, 1e-5, 1e-4, 1e-3])
 def test_gaps_are_true_where_rounding_is_as_large_as_the_objective(lambda_: float) -> None:
     solutions: list[Solution] = []
-    for seed, noise in ((seed, noise) for seed in range(6) for noise in NOISES):
+    for seed, noise in ((seed, noise) for seed in range(4) for noise in NOISES):
         problem, start = near_copy(seed, lambda_, noise)
         copied = np.arange(start, start + problem.length)
         best = extended(problem, copied, np.eye(problem.length))
-        found = [solve(problem.X, problem.Y, *problem.parameters, tolerance=tolerance) for tolerance in (1e-3, 1e-4)]
-        values = [extended(problem, solution.active, solution.active_weights) for solution in found]
-        best = min(best, *values)
-        for solution, value in zip(found, values, strict=True):
-            assert value <= solution.objective * (1.0 + 1e-15), (seed, noise)
-            assert 1.0 - best / value <= solution.duality_gap, (seed, noise)
-        solutions += found
+        solution = solve(problem.X, problem.Y, *problem.parameters, tolerance=1e-3)
+        value = extended(problem, solution.active, solution.active_weights)
+        assert value <= solution.objective * (1.0 + 1e-15), (seed, noise)
+        assert 1.0 - min(best, value) / value <= solution.duality_gap, (seed, noise)
+        solutions.append(solution)
     # A gap of 1 would always be true.
     assert any(solution.converged for solution in solutions)
 
@@ -55,10 +53,10 @@ def test_a_dual_point_that_came_out_too_long_bounds_nothing_too_high(monkeypatch
     """No template has a weight here, so that nothing but the length of Theta holds the bound down."""
 
     def too_long(*arguments: object) -> tuple[object, ...]:
-        found, *rest = solve_blocks(*arguments)  # type: ignore[arg-type]
+        found, *rest = minimize(*arguments)  # type: ignore[arg-type]
         return found._replace(alpha=1.5 * found.alpha, B=1.5 * found.B), *rest
 
-    monkeypatch.setattr(working_set, "solve_blocks", too_long)
+    monkeypatch.setattr(working_set, "minimize", too_long)
     X, Y = matching_problem(0, blocks=5, length=5)
     solution = solve(X, Y, 5, 10.0, 10.0)
     assert not solution.weights.any()

@@ -11,7 +11,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from smal.place_recognition.ordered_matching import OrderedSolution, solve_ordered
-from smal.place_recognition.template_sequences import TemplateSequences
 
 Array = NDArray[np.float64]
 
@@ -35,7 +34,7 @@ class OrderedProblem:
             (self.queries @ self.references.T).astype(np.float32),
             np.linalg.norm(self.queries, axis=1),
             (self.references @ self.references.T).astype(np.float32),
-            TemplateSequences(len(self.queries), self.speeds),
+            self.speeds,
             np.array(self.surcharge),
             self.relative_penalty,
             tolerance,
@@ -43,7 +42,7 @@ class OrderedProblem:
 
     @cached_property
     def sequences(self) -> dict[int, list[int]]:
-        """Frames of every sequence by its number v n + e, as the docstring of `TemplateSequences` defines them."""
+        """Frames of every sequence by its number v n + e, as the docstring of `solve_ordered` defines them."""
         n, length = len(self.references), len(self.queries)
         found = {}
         for place, speed in enumerate(self.speeds):
@@ -142,13 +141,6 @@ def _duplicates(rng: np.random.Generator, n: int, length: int) -> tuple[Array, A
     return np.concatenate([references, references]), queries
 
 
-def _standing(rng: np.random.Generator, n: int, length: int) -> tuple[Array, Array]:
-    """Let the camera stand: all references are the same but for a few."""
-    references, queries = _walk(rng, n, length)
-    references[n // 4 : n - n // 4] = references[n // 2]
-    return references, queries
-
-
 def _dark(rng: np.random.Generator, n: int, length: int) -> tuple[Array, Array]:
     """Let some references show nothing."""
     references, queries = _walk(rng, n, length)
@@ -184,7 +176,6 @@ STRUCTURES: Mapping[str, Callable[[np.random.Generator, int, int], tuple[Array, 
         "random": _random,
         "walk": _walk,
         "duplicates": _duplicates,
-        "standing": _standing,
         "dark": _dark,
         "blind": _blind,
         "identical": _identical,

@@ -6,34 +6,12 @@ import pytest
 from smal.place_recognition.matches import NONE, Matches, check_features
 
 
-def test_matched_are_the_queries_with_a_reference() -> None:
-    matches = Matches(np.array([NONE, 0, 7]), np.array([0.0, -2.0, 1.0]))
-    assert matches.matched.tolist() == [False, True, True]
-    assert Matches.none(3).matched.tolist() == [False] * 3
-    assert Matches.none(3).score.tolist() == [0.0] * 3
-
-
 def test_matches_of_some_queries_and_above_a_score() -> None:
     matches = Matches(np.array([NONE, 0, 7]), np.array([0.0, 0.4, 1.0]))
     some = matches.of(np.array([2, 0]))
     assert (some.reference.tolist(), some.score.tolist()) == ([7, NONE], [1.0, 0.0])
     sure = matches.above(0.4)
     assert (sure.reference.tolist(), sure.score.tolist()) == ([NONE, NONE, 7], [0.0, 0.0, 1.0])
-
-
-@pytest.mark.parametrize(
-    ("reference", "score", "message"),
-    [
-        ([0, 1], [0.0], "one score for each query"),
-        ([[0]], [[0.0]], "one score for each query"),
-        ([-2], [0.0], "must not be below -1"),
-        ([0], [np.nan], "not finite"),
-        ([0], [np.inf], "not finite"),
-    ],
-)
-def test_what_is_no_match_is_refused(reference: list[int], score: list[float], message: str) -> None:
-    with pytest.raises(ValueError, match=message):
-        Matches(np.array(reference), np.array(score))
 
 
 def test_features_that_do_not_fit_are_refused() -> None:

@@ -88,15 +88,6 @@ def test_the_penalty_of_the_table_is_the_default(name: str) -> None:
         assert not np.allclose(scores(None), scores(0.6 * method.penalty), atol=1e-3)
 
 
-def test_image_is_smal_of_single_images() -> None:
-    image, smal = METHODS["image"], METHODS["smal"]
-    references, queries = raw_traverses(image.features)
-    one = image.match(references, queries, settings_of(image), ignore)
-    other = smal.match(references, queries, MatchSettings(image.features, 1, image.penalty), ignore)
-    assert one.reference.tolist() == other.reference.tolist()
-    assert one.score.tolist() == other.score.tolist()
-
-
 @pytest.mark.parametrize("length", [1, 4])
 def test_paper_is_eq_7_of_the_same_window(length: int) -> None:
     rng = np.random.default_rng(length)
@@ -113,17 +104,3 @@ def test_paper_is_eq_7_of_the_same_window(length: int) -> None:
         assert abs(matches.reference[query] - (best * length + matched_phase(solution, best))) < 0.6
         assert matches.score[query] == pytest.approx(weights[best] / length, abs=0.02)
     assert matches.reference[: length - 1].tolist() == [NONE] * (length - 1)
-
-
-def test_paper_without_any_similarity_finds_no_match() -> None:
-    """W may be negative: only what is orthogonal to all references has none."""
-    features = np.eye(12, dtype=np.float32)
-    assert not match_as_in_the_paper(features[:6], features[6:], 3, LAMBDA_SCALE, ignore).matched.any()
-
-
-def test_paper_refuses_bad_input() -> None:
-    features = np.eye(6, dtype=np.float32)
-    with pytest.raises(ValueError, match="length of at least 1, got 0"):
-        match_as_in_the_paper(features, features, 0, LAMBDA_SCALE, ignore)
-    with pytest.raises(ValueError, match=r"\(n, m\) and \(q, m\)"):
-        match_as_in_the_paper(features, features[:, :2], 2, LAMBDA_SCALE, ignore)

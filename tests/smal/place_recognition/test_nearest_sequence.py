@@ -9,7 +9,6 @@ from numpy.typing import NDArray
 from smal.place_recognition import trajectories
 from smal.place_recognition.matches import NONE, ignore
 from smal.place_recognition.nearest_sequence import match_nearest_sequence
-from smal.place_recognition.trajectories import rolling
 from tests.smal.place_recognition.traverses import random_features
 
 
@@ -48,27 +47,6 @@ def test_a_copy_is_found_exactly() -> None:
     assert matches.score[4:] == pytest.approx(1.0, abs=1e-5)
 
 
-def test_order_counts() -> None:
-    """The same frames backwards are another sequence."""
-    references = random_features(np.random.default_rng(1), 50)
-    forwards = match_nearest_sequence(references, references, 10, ignore)
-    backwards = match_nearest_sequence(references, references[::-1], 10, ignore)
-    assert forwards.score[9:].min() > 0.99
-    assert backwards.score[9:].max() < 0.6
-
-
-@pytest.mark.parametrize(("queries", "length", "entries"), [(40, 1, 50), (40, 7, 50), (40, 13, 50), (5, 7, 50)])
-def test_every_window_comes_once(queries: int, length: int, entries: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(trajectories, "_BLOCK_ENTRIES", entries)
-    matrix = np.arange(queries * 10, dtype=np.float32).reshape(queries, 10)
-    ends: list[int] = []
-    for done, rows in rolling(lambda frames: matrix[frames], queries, 10, length):
-        windows = range(done - (rows.shape[0] - length + 1), done)
-        assert rows.tolist() == matrix[windows[0] - length + 1 : done].tolist()
-        ends.extend(windows)
-    assert ends == list(range(length - 1, queries))
-
-
 def test_progress_ends_with_all_queries(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(trajectories, "_BLOCK_ENTRIES", 100)
     references = random_features(np.random.default_rng(2), 20)
@@ -80,11 +58,3 @@ def test_progress_ends_with_all_queries(monkeypatch: pytest.MonkeyPatch) -> None
     too_few: list[int] = []
     match_nearest_sequence(references, references[:2], 3, too_few.append)
     assert too_few == [2]
-
-
-def test_bad_input_is_refused() -> None:
-    features = random_features(np.random.default_rng(3), 5)
-    with pytest.raises(ValueError, match="length of at least 1, got 0"):
-        match_nearest_sequence(features, features, 0, ignore)
-    with pytest.raises(ValueError, match=r"\(n, m\) and \(q, m\)"):
-        match_nearest_sequence(features, features[:, :3], 1, ignore)

@@ -32,22 +32,10 @@ def test_stops_are_found_where_they_are() -> None:
     assert stops_of(seen(standing(*counts))) == expected
 
 
-@pytest.mark.parametrize("times", [2, LEAST_FRAMES - 1])
-def test_a_slow_traverse_does_not_stop(times: int) -> None:
-    """Every place is seen a few times: there are sequences of that speed."""
-    features = seen(standing(*[1] * 30, *[times] * 10))
-    assert stops_of(features) == list(range(len(features)))
-
-
 def test_a_stop_may_be_long_and_be_most_of_the_traverse() -> None:
     long = 5 * REACH
     expected = [*range(40), *[40] * long, *range(40 + long, 45 + long)]
     assert stops_of(seen(standing(*[1] * 40, long, *[1] * 5))) == expected
-
-
-def test_noise_as_large_as_the_steps_is_no_standing() -> None:
-    features = seen(standing(*[1] * 10, 8, *[1] * 10), noise=2.0)
-    assert stops_of(features) == list(range(len(features)))
 
 
 @pytest.mark.parametrize("features", [np.zeros((9, 4)), np.ones((9, 4)), np.zeros((0, 4)), np.ones((2, 4))])

@@ -7,9 +7,9 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from smal.place_recognition import traverse_matching
-from smal.place_recognition.matches import NONE, ignore
+from smal.place_recognition.matches import NONE
 from smal.place_recognition.ordered_matching import OrderedSolution
-from smal.place_recognition.traverse_matching import OrderedSettings, match_traverses, place_of
+from smal.place_recognition.traverse_matching import match_traverses, place_of
 from tests.smal.place_recognition.ordered_problems import unit
 
 LENGTH, N = 10, 240
@@ -47,7 +47,7 @@ def test_the_place_is_found_at_every_speed(name: str) -> None:
     places = drives()[name]
     walk = Walk(np.random.default_rng(0))
     references, queries = walk.at(np.arange(N, dtype=float), 0.4), walk.at(places, 0.8)
-    matches = match_traverses(references, queries, OrderedSettings(length=LENGTH), ignore)
+    matches = match_traverses(references, queries, LENGTH)
     assert matches.reference[: LENGTH - 1].tolist() == [NONE] * (LENGTH - 1)
     assert (matches.score[: LENGTH - 1] == 0.0).all()
     error = np.abs(matches.reference - places)[LENGTH - 1 :]
@@ -55,21 +55,20 @@ def test_the_place_is_found_at_every_speed(name: str) -> None:
     assert np.mean(error <= 2) >= 0.97
 
 
-def test_equal_speeds_only_would_not_do() -> None:
+def test_equal_speeds_only_would_not_do(monkeypatch: pytest.MonkeyPatch) -> None:
     """The drives above need the other speeds: a single frame, or a diagonal, does worse at twice the speed."""
     places = drives()["2"]
     walk = Walk(np.random.default_rng(0))
     references, queries = walk.at(np.arange(N, dtype=float), 0.4), walk.at(places, 2.5)
-    right = {}
-    for name, chosen in {
-        "any speed": OrderedSettings(length=LENGTH),
-        "equal speeds": OrderedSettings(length=LENGTH, speed_penalty=10.0),
-        "single frames": OrderedSettings(length=1),
-    }.items():
-        matches = match_traverses(references, queries, chosen, ignore)
-        right[name] = np.mean(np.abs(matches.reference - places)[LENGTH - 1 :] <= 2)
-    assert right["any speed"] > right["equal speeds"] + 0.1
-    assert right["any speed"] > right["single frames"] + 0.1
+
+    def right(length: int) -> float:
+        matches = match_traverses(references, queries, length)
+        return float(np.mean(np.abs(matches.reference - places)[LENGTH - 1 :] <= 2))
+
+    any_speed = right(LENGTH)
+    assert any_speed > right(1) + 0.1
+    monkeypatch.setattr(traverse_matching, "_SPEED_PENALTY", 10.0)
+    assert any_speed > right(LENGTH) + 0.1
 
 
 @pytest.mark.parametrize("name", ["0.5", "2", "waves"])
@@ -79,7 +78,7 @@ def test_the_second_round_knows_the_speed(name: str) -> None:
     for seed in range(3):
         walk = Walk(np.random.default_rng(seed))
         references, queries = walk.at(np.arange(N, dtype=float), 0.4), walk.at(places, 3.0)
-        matches = match_traverses(references, queries, OrderedSettings(length=LENGTH), ignore)
+        matches = match_traverses(references, queries, LENGTH)
         right.append(np.mean(np.abs(matches.reference - places)[LENGTH - 1 :] <= 2))
     assert np.mean(right) > 0.965
 
@@ -98,7 +97,7 @@ def test_who_stands_still_is_found(who: str, monkeypatch: pytest.MonkeyPatch) ->
     references, queries = walk.at(known, 0.1), walk.at(places, 0.1)
 
     def right() -> float:
-        matches = match_traverses(references, queries, OrderedSettings(length=LENGTH), ignore)
+        matches = match_traverses(references, queries, LENGTH)
         matched = np.flatnonzero(matches.matched)
         return float(np.mean(np.abs(known[matches.reference[matched]] - places[matched]) <= 2))
 
@@ -113,7 +112,7 @@ def test_sizes(seed: int, n: int, q: int, length: int) -> None:
     rng = np.random.default_rng(seed)
     references, queries = (unit(rng.normal(size=(count, 20))).astype(np.float32) for count in (n, q))
     done: list[int] = []
-    matches = match_traverses(references, queries, OrderedSettings(length=length), done.append)
+    matches = match_traverses(references, queries, length, progress=done.append)
     assert matches.reference.shape == matches.score.shape == (q,)
     assert not matches.matched[: length - 1].any()
     assert not (length > n and matches.matched.any())
@@ -125,23 +124,10 @@ def test_sizes(seed: int, n: int, q: int, length: int) -> None:
     assert min(done) >= 0
 
 
-@pytest.mark.parametrize("queries", [0, 1, LENGTH - 1, LENGTH])
-def test_few_queries(queries: int) -> None:
-    references = Walk(np.random.default_rng(1), 40).at(np.arange(40, dtype=float), 0.0)
-    matches = match_traverses(references, references[:queries], OrderedSettings(length=LENGTH), ignore)
-    assert matches.reference.tolist() == [NONE] * min(queries, LENGTH - 1) + [LENGTH - 1] * (queries == LENGTH)
-
-
 def test_a_traverse_is_found_in_itself() -> None:
     references = Walk(np.random.default_rng(2), 60).at(np.arange(60, dtype=float), 0.0)
-    matches = match_traverses(references, references.copy(), OrderedSettings(length=LENGTH), ignore)
+    matches = match_traverses(references, references.copy(), LENGTH)
     assert matches.reference[LENGTH - 1 :].tolist() == list(range(LENGTH - 1, 60))
-
-
-def test_what_resembles_nothing_has_no_match() -> None:
-    references = np.abs(np.random.default_rng(3).normal(size=(30, 8))).astype(np.float32)
-    matches = match_traverses(references, -references, OrderedSettings(length=4), ignore)
-    assert not matches.matched.any()
 
 
 def test_the_place_is_where_most_weight_ends() -> None:
@@ -154,28 +140,10 @@ def test_the_place_is_where_most_weight_ends() -> None:
     assert place([40, 44], [0.3, 0.1]) == (40, pytest.approx(0.09 / 0.4))
 
 
-@pytest.mark.parametrize(
-    ("chosen", "problem"),
-    [
-        ({"length": 0}, "length of at least 1"),
-        ({"relative_penalty": 0.0}, "above 0 and below 1"),
-        ({"relative_penalty": 1.0}, "above 0 and below 1"),
-        ({"relative_penalty": float("nan")}, "above 0 and below 1"),
-        ({"speed_penalty": -0.1}, "not negative"),
-        ({"speed_penalty": float("inf")}, "finite"),
-        ({"tolerance": 0.0}, "tolerance"),
-    ],
-)
-def test_bad_settings_are_refused(chosen: dict[str, float], problem: str) -> None:
-    with pytest.raises(ValueError, match=problem):
-        OrderedSettings(**chosen)  # type: ignore[arg-type]
-
-
-def test_bad_features_are_refused() -> None:
+def test_bad_settings_are_refused() -> None:
     features = np.eye(12, dtype=np.float32)
-    with pytest.raises(ValueError, match=r"\(n, m\) and \(q, m\)"):
-        match_traverses(features, features[:, :3], OrderedSettings(length=2), ignore)
-    broken = features.copy()
-    broken[3, 3] = np.nan
-    with pytest.raises(ValueError, match="queries contain NaN"):
-        match_traverses(features, broken, OrderedSettings(length=2), ignore)
+    with pytest.raises(ValueError, match="length of at least 1"):
+        match_traverses(features, features, 0)
+    for penalty in (0.0, 1.0, float("nan")):
+        with pytest.raises(ValueError, match="above 0 and below 1"):
+            match_traverses(features, features, 2, penalty)

@@ -1,0 +1,90 @@
+r"""What proves an answer of Eq. 7: its dual problem, and bounds that hold in spite of rounding.
+
+The dual of Eq. 7 is: maximize <Theta, Y> subject to ||theta_i||_2 <= 1 for every query frame i, and, for every
+template sequence j, G = X_j^T Theta (l x q) in lambda1 * {rows in the unit ball} + lambda2 * {columns in the unit
+ball}. The polar of the penalty of one sequence is the smallest s for which G / s is in that set. Any Theta, divided
+by the largest polar or by its longest column (if that exceeds 1), is a point of the dual problem, and its value is a
+lower bound on the optimum of Eq. 7.
+"""
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+# Stands in for the length of a zero row or column; its inverse does not overflow.
+_TINY = 1e-150
+
+
+def rounding(terms: int, kind: type[np.floating[Any]] = np.float64) -> float:
+    """Bound on the relative error of an inner product of so many terms, whatever the order of summation.
+
+    gamma_m = m u / (1 - m u) with u = 2^-53, or 2^-24 in float32 (Higham, Accuracy and Stability of Numerical
+    Algorithms, 3.1).
+    """
+    unit = terms * float(np.finfo(kind).eps) / 2.0
+    return unit / (1.0 - unit) if unit < 1.0 else np.inf
+
+
+def bound_by_lengths(longest_row: Array, longest_column: Array, lambda1: float, lambda2: float) -> Array:
+    """Bound the polar of any G whose rows and columns are no longer than these.
+
+    With a the longest row and b the longest column of G, the rows of U = G / a and the columns of V = G / b are in the
+    unit ball, and G = s (lambda1 U + lambda2 V) for s = 1 / (lambda1 / a + lambda2 / b). So s bounds the polar.
+    """
+    bound: Array = 1.0 / (lambda1 / np.maximum(longest_row, _TINY) + lambda2 / np.maximum(longest_column, _TINY))
+    return bound
+
+
+def quick_bounds(blocks: NDArray[Any], lambda1: float, lambda2: float) -> Array:
+    """Bound the polar of each G of (b, l, q) by its longest row and its longest column, (b,)."""
+    squares = np.square(blocks, dtype=np.float64)
+    rows, columns = squares.sum(axis=2).max(axis=1), squares.sum(axis=1).max(axis=1)
+    return bound_by_lengths(np.sqrt(rows), np.sqrt(columns), lambda1, lambda2)
+
+
+def polar_bounds(
+    blocks: Array, lambda1: float, lambda2: float, guess: Array, rounds: int, enough: float = 0.0
+) -> tuple[Array, Array]:
+    """Bound the polars sharply, by a split G = lambda1 U + lambda2 V + E.
+
+    U and V in their balls have polar at most 1, E is bounded quickly, and the polar is a norm: 1 + bound(E).
+    Alternating projections shrink E.
+
+    Parameters
+    ----------
+    blocks : float64 array (b, l, q)
+        G of every sequence.
+    lambda1, lambda2 : float
+        Not negative, at least one positive.
+    guess : float64 array (b, l, q)
+        U to begin with.
+    rounds : int
+        Alternating projections after the first.
+    enough : float
+        Stop as soon as no bound is larger.
+
+    Returns
+    -------
+    float64 arrays (b,), (b, l, q)
+        The bounds, and V of the last split.
+    """
+    best, U, V = quick_bounds(blocks, lambda1, lambda2), _inside(guess, axis=2), np.zeros_like(blocks)
+    for turn in range(rounds + 1):
+        if turn > 0 and lambda1 > 0.0:
+            U = _inside((blocks - lambda2 * V) / lambda1, axis=2)
+        if lambda2 > 0.0:
+            V = _inside((blocks - lambda1 * U) / lambda2, axis=1)
+        rest = quick_bounds(blocks - lambda1 * U - lambda2 * V, lambda1, lambda2)
+        best = np.minimum(best, 1.0 + rest)
+        if best.max(initial=0.0) <= enough:
+            break
+    return best, V
+
+
+def _inside(vectors: Array, axis: int) -> Array:
+    """Bring vectors along an axis back into the unit ball."""
+    inside: Array = vectors / np.maximum(np.linalg.norm(vectors, axis=axis, keepdims=True), 1.0)
+    return inside

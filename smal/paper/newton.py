@@ -1,0 +1,283 @@
+"""Solve Eq. 7 on few template frames: a primal-dual Newton method on smoothed norms.
+
+Algorithm 2 of the paper divides by norms that become zero and converges linearly, slowly where frames of a
+sequence resemble each other. We keep its idea (every norm is replaced by a quadratic) and change two things:
+
+* each norm ||x|| is smoothed to sqrt(||x||^2 + epsilon^2), and epsilon falls as the duality gap falls;
+* the subgradients U (rows) and V (columns of blocks) are variables of their own, linearised as in Chan,
+  Golub & Mulet (1999), which makes Newton steps good far from the optimum too.
+
+A stationary point of the smoothed problem satisfies X^T Theta = lambda1 U + lambda2 V with all of Theta, U, V
+in their unit balls, which is a point of the dual problem: the lower bound comes with the solution.
+"""
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse.linalg import LinearOperator, cg
+
+from smal.paper.duality_gap import polar_bounds
+from smal.paper.objective import sequence_starts
+
+Array = NDArray[np.float64]
+
+#: Where smoothing starts without a better guess; lengths are near 1.
+FIRST_EPSILON = 0.3
+_LAST_EPSILON = 1e-9
+_FASTEST = 0.2
+_GAP_TO_EPSILON = 0.7
+_MAX_STEPS = 150
+# Rounding must not make a Newton system indefinite; it changes the path, never the bound.
+_RIDGE = 1e-11
+_ARMIJO, _SHORTEST_STEP = 1e-4, 1e-8
+# p^3 q from which on conjugate gradients are tried, so many at most, and beyond which nothing else is.
+_LARGE, _TOO_LARGE = 3e6, 1e9
+_ACCURATE, _MOST_GRADIENTS = 1e-2, 150
+# Squared residuals below this share of the query are rounding.
+_ROUNDING = 1e-15
+_TINY = 1e-300
+
+
+@dataclass(frozen=True, eq=False)
+class BlockProblem:
+    """Eq. 7 restricted to p template frames, in terms of inner products.
+
+    Parameters
+    ----------
+    gram, correlations : float64 arrays (p, p), (p, q)
+        X^T X and X^T Y.
+    squares : float64 array (q,)
+        ||y_i||^2, all positive, near 1.
+    lambda1, lambda2 : float
+    frames : intp array (p,)
+        Which template frames, ascending.
+    sequence_length : int
+        l.
+    """
+
+    gram: Array
+    correlations: Array
+    squares: Array
+    lambda1: float
+    lambda2: float
+    frames: NDArray[np.intp]
+    sequence_length: int
+
+    @cached_property
+    def starts(self) -> NDArray[np.intp]:
+        """Rows at which another sequence begins, (b,)."""
+        return sequence_starts(self.frames, self.sequence_length)
+
+    @cached_property
+    def block(self) -> NDArray[np.intp]:
+        """Of every row the number of its sequence among the b that are here, (p,)."""
+        return np.repeat(np.arange(self.starts.size), np.diff(self.starts, append=self.frames.size))
+
+    def sums(self, A: Array) -> Array:
+        """Sum up the columns of blocks, each for all rows of its block (p, q)."""
+        return np.add.reduceat(A, self.starts)[self.block] if len(A) else A
+
+    def as_blocks(self, A: Array) -> Array:
+        """Put rows (p, q) where they are in their sequences, with zeros between them: (b, l, q)."""
+        blocks = np.zeros((self.starts.size, self.sequence_length, A.shape[1]))
+        blocks[self.block, self.frames % self.sequence_length] = A
+        return blocks
+
+    def norms(self, W: Array, image: Array, epsilon: float) -> tuple[Array, Array, Array]:
+        """Find the norms of residuals (q,), rows (p, 1) and columns of blocks (p, q), smoothed; image is X^T X W."""
+        residuals = self.squares - (W * (2.0 * self.correlations - image)).sum(axis=0)
+        square = epsilon * epsilon
+        d = np.sqrt(np.maximum(residuals, _ROUNDING * self.squares) + square)
+        return d, np.sqrt(_rows(W * W) + square), np.sqrt(self.sums(W * W) + square)
+
+    def objective(self, W: Array, image: Array | None = None, epsilon: float = 0.0) -> float:
+        """Eq. 7 at W (p, q), smoothed."""
+        d, e, f = self.norms(W, self.gram @ W if image is None else image, epsilon)
+        return float(d.sum() + self.lambda1 * e.sum() + self.lambda2 * f[self.starts].sum())
+
+    def smoothing_for(self, excess: float) -> float:
+        """Return the epsilon that costs about as much as the excess of the objective: 0.3 epsilon a norm, doubled."""
+        p, q = self.correlations.shape
+        return _GAP_TO_EPSILON * excess / (q + self.lambda1 * p + self.lambda2 * q * self.starts.size)
+
+
+class Iterate(NamedTuple):
+    """W, the dual point Theta = Y diag(alpha) - X B, and the subgradients U of rows and V of columns of blocks.
+
+    All float64 (p, q) but alpha (q,).
+    """
+
+    W: Array
+    alpha: Array
+    B: Array
+    U: Array
+    V: Array
+
+    def gap(self, problem: BlockProblem, image: Array, dual_image: Array) -> float:
+        """Relative duality gap of the restricted problem; dual_image is X^T X B."""
+        gradients = problem.as_blocks(problem.correlations * self.alpha - dual_image)
+        lambdas, guess = (problem.lambda1, problem.lambda2), problem.as_blocks(self.U)
+        largest = polar_bounds(gradients, *lambdas, guess, rounds=2, enough=1.0)[0].max(initial=1.0)
+        value = (self.alpha * problem.squares).sum() - (problem.correlations * self.B).sum()
+        return float(1.0 - value / largest / problem.objective(self.W, image))
+
+
+def minimize(problem: BlockProblem, start: Iterate, epsilon: float, tolerance: float) -> tuple[Iterate, float, int]:
+    """Minimize Eq. 7 over the weights of a few template frames.
+
+    Parameters
+    ----------
+    problem : BlockProblem
+    start : Iterate
+        W and U to start with, and V; where U is zero everywhere, subgradients of the smoothed norms.
+    epsilon : float
+        Smoothing to start with: less for a better start.
+    tolerance : float
+        Relative duality gap at which to stop.
+
+    Returns
+    -------
+    Iterate
+        The best that was reached.
+    float, int
+        The smoothing at the end, and Newton steps.
+    """
+    W, image = start.W, problem.gram @ start.W
+    d, e, f = problem.norms(W, image, epsilon)
+    U, V = (start.U, start.V) if start.U.any() else (W / e, W / f)
+    now, dual_image = Iterate(W, 1.0 / d, W / d, U, V), image / d
+    best, gap, steps = now, now.gap(problem, image, dual_image), 0
+    best_gap = gap
+    while gap > tolerance and steps < _MAX_STEPS:
+        direction, descent = _newton_direction(problem, now, image, epsilon)
+        share = _step_length(problem, now.W, image, direction, descent, epsilon)
+        step, step_image = share * direction, share * (problem.gram @ direction)
+        now, dual_image = _moved(problem, now, image, dual_image, step, step_image, epsilon)
+        image = image + step_image
+        gap, steps = now.gap(problem, image, dual_image), steps + 1
+        if gap < best_gap:
+            best, best_gap = now, gap
+        # A larger gap says that Newton's method has not yet caught up with epsilon.
+        wanted = problem.smoothing_for(gap * problem.objective(now.W, image))
+        epsilon = max(min(max(wanted, _FASTEST * epsilon), epsilon), _LAST_EPSILON)
+    return best, epsilon, steps
+
+
+def _rows(A: Array) -> Array:
+    """Sum up every row (p, 1)."""
+    return A.sum(axis=1, keepdims=True)
+
+
+def _newton_direction(problem: BlockProblem, now: Iterate, image: Array, epsilon: float) -> tuple[Array, Array]:
+    """Linearise at W and solve: the direction, and minus the slope of the smoothed objective, both (p, q)."""
+    W, alpha, B, U, V = now
+    d, e, f = problem.norms(W, image, epsilon)
+    gradients, penalty = problem.correlations - image, problem.lambda1 / e + problem.lambda2 / f
+    descent = gradients / d - penalty * W
+    # <theta_i, r_i> / d_i, at most 1: how far the curvature of a residual norm is that of a cone.
+    radial = alpha * (problem.squares - (problem.correlations * W).sum(axis=0)) - (B * gradients).sum(axis=0)
+    squares = np.maximum(d * d - epsilon * epsilon, _ROUNDING * problem.squares)
+    along_rows, along_columns = np.maximum(_rows(U * W), 0.0), np.maximum(problem.sums(V * W), 0.0)
+    of_residuals = gradients * np.sqrt(np.maximum(radial, 0.0) / squares) / d
+    of_rows = W * np.sqrt(problem.lambda1 * along_rows / np.maximum(_rows(W * W), _TINY)) / e
+    of_columns = W * np.sqrt(problem.lambda2 * along_columns / np.maximum(problem.sums(W * W), _TINY)) / f
+
+    system = _System(problem, d, _RIDGE / d + penalty, of_residuals, of_rows, of_columns)
+    if len(W) ** 3 * W.shape[1] > _LARGE:
+        direction, accurate = system.solve_approximately(descent)
+        if accurate or len(W) ** 3 * W.shape[1] > _TOO_LARGE:
+            return direction, descent
+    return system.solve(descent), descent
+
+
+class _System(NamedTuple):
+    """A Newton system: X^T X / d + diagonal less the rank-one terms of residuals, rows and columns of blocks."""
+
+    problem: BlockProblem
+    d: Array
+    diagonal: Array
+    of_residuals: Array
+    of_rows: Array
+    of_columns: Array
+
+    def solve(self, descent: Array) -> Array:
+        """Invert a matrix for each query frame; only the terms of rows, - Z Z^T, couple them (Woodbury)."""
+        problem, of_rows = self.problem, self.of_rows
+        matrices = problem.gram / self.d[:, None, None] - _outer(self.of_residuals)
+        matrices -= _outer(self.of_columns) * (problem.block[:, None] == problem.block)
+        rows = np.arange(len(descent))
+        matrices[:, rows, rows] += self.diagonal.T
+        inverses = np.linalg.inv(matrices)
+        direction = _apply(inverses, descent)
+        coupling = np.eye(len(descent)) - np.einsum("irs,irs->rs", inverses, _outer(of_rows))
+        shared = np.linalg.solve(coupling, _rows(of_rows * direction)[:, 0])
+        return direction + _apply(inverses, of_rows * shared[:, None])
+
+    def solve_approximately(self, descent: Array) -> tuple[Array, bool]:
+        """Take conjugate gradients: the direction, and whether it is accurate."""
+        edges = self.of_residuals**2 + self.of_rows**2 + self.of_columns**2
+        curvature = self.problem.gram.diagonal()[:, None] / self.d + self.diagonal
+        scale = 1.0 / np.maximum(curvature - edges, 1e-3 * self.diagonal).ravel()
+        shape, size = descent.shape, descent.size
+        times = LinearOperator((size, size), lambda v: self.times(v.reshape(shape)).ravel(), dtype=np.float64)
+        divided = LinearOperator((size, size), lambda v: v.ravel() * scale, dtype=np.float64)
+        found, failed = cg(times, descent.ravel(), rtol=_ACCURATE, maxiter=_MOST_GRADIENTS, M=divided)
+        return found.reshape(shape), failed == 0
+
+    def times(self, D: Array) -> Array:
+        """Multiply with D (p, q)."""
+        of_residuals, of_rows, of_columns = self.of_residuals, self.of_rows, self.of_columns
+        product = self.problem.gram @ D / self.d + self.diagonal * D
+        product -= of_residuals * (of_residuals * D).sum(axis=0) + of_rows * _rows(of_rows * D)
+        product -= of_columns * self.problem.sums(of_columns * D)
+        return product
+
+
+def _outer(A: Array) -> Array:
+    """Outer product of every column of (p, q) with itself, (q, p, p)."""
+    product: Array = A.T[:, :, None] * A.T[:, None, :]
+    return product
+
+
+def _apply(matrices: Array, A: Array) -> Array:
+    """Multiply the i-th matrix (p, p) with the i-th column of (p, q)."""
+    product: Array = np.matmul(matrices, A.T[:, :, None])[:, :, 0].T
+    return product
+
+
+def _step_length(
+    problem: BlockProblem, W: Array, image: Array, direction: Array, descent: Array, epsilon: float
+) -> float:
+    """Halve the step until the smoothed objective falls enough (Armijo)."""
+    direction_image = problem.gram @ direction
+    slope, share = -float((descent * direction).sum()), 1.0
+    ceiling = problem.objective(W, image, epsilon) * (1.0 + 1e-14)
+    while share >= _SHORTEST_STEP:
+        reached = problem.objective(W + share * direction, image + share * direction_image, epsilon)
+        if reached <= ceiling + _ARMIJO * share * slope:
+            break
+        share *= 0.5
+    return share
+
+
+def _moved(
+    problem: BlockProblem, now: Iterate, image: Array, dual_image: Array, step: Array, step_image: Array, epsilon: float
+) -> tuple[Iterate, Array]:
+    """Linearise the subgradients along the step and bring them back into their balls; also X^T X B."""
+    W, alpha, B, U, V = now
+    d, e, f = problem.norms(W, image, epsilon)
+    moved = W + step
+    # Theta + dTheta = (R + dR) / d - Theta <R, dR> / d^2, in terms of alpha and B.
+    along = -((problem.correlations - image) * step).sum(axis=0) / (d * d)
+    alpha, B = 1.0 / d - alpha * along, moved / d - B * along
+    dual_image = (image + step_image) / d - dual_image * along
+    squares = alpha * alpha * problem.squares + (B * (dual_image - 2.0 * alpha * problem.correlations)).sum(axis=0)
+    shrink = np.sqrt(np.maximum(squares, 1.0))
+    U = moved / e - U * _rows(W * step) / (e * e)
+    V = moved / f - V * problem.sums(W * step) / (f * f)
+    U = U / np.sqrt(np.maximum(_rows(U * U), 1.0))
+    V = V / np.sqrt(np.maximum(problem.sums(V * V), 1.0))
+    return Iterate(moved, alpha / shrink, B / shrink, U, V), dual_image / shrink
