@@ -5,8 +5,7 @@ that become zero, which the paper leaves open; here no divisor is smaller than a
 zero a weight can come, and with it how close to the optimum the result is; there is no certificate.
 """
 
-from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,19 +15,8 @@ from smal.paper.objective import objective
 Array = NDArray[np.float64]
 
 
-@dataclass(frozen=True, eq=False)
-class ReferenceResult:
-    """Result of Algorithm 2.
-
-    Parameters
-    ----------
-    weights : float64 array (n, q)
-        W.
-    objectives : tuple of float
-        Eq. 7 after every iteration.
-    converged : bool
-        Whether the last iteration changed the objective by less than the tolerance, relative.
-    """
+class ReferenceResult(NamedTuple):
+    """W (n, q), Eq. 7 after every iteration, and whether the last one changed it by less than the tolerance."""
 
     weights: Array
     objectives: tuple[float, ...]
@@ -63,15 +51,12 @@ def algorithm2(
         Smallest norm that is divided by.
     """
     X, Y = np.asarray(templates, dtype=np.float64), np.asarray(query, dtype=np.float64)
-    gram: Array = X.T @ X
-    correlations: Array = X.T @ Y
+    gram, correlations = X.T @ X, X.T @ Y
     # The paper does not say where to start; from W = 0 every weight would stay at the floor.
-    W: Array = np.asarray(
-        np.linalg.solve(gram + (lambda1 + lambda2) * np.eye(X.shape[1]), correlations), dtype=np.float64
-    )
+    W: Array = np.linalg.solve(gram + (lambda1 + lambda2) * np.eye(X.shape[1]), correlations)
     objectives: list[float] = []
     for _ in range(max_iterations):
-        residual_norms = np.asarray(np.linalg.norm(Y - X @ W, axis=0), dtype=np.float64)
+        residual_norms = np.linalg.norm(Y - X @ W, axis=0)
         W = _iterate(gram, correlations, residual_norms, W, sequence_length, lambda1, lambda2, floor)
         objectives.append(objective(X, Y, W, sequence_length, lambda1, lambda2))
         if len(objectives) > 1 and abs(objectives[-2] - objectives[-1]) <= tolerance * objectives[-1]:

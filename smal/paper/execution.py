@@ -61,7 +61,6 @@ class DecisionMaker:
 
     def __init__(self, model: Model) -> None:
         self._model = model
-        self._goals = frozenset(model.transitions.goals.tolist())
         self.reset()
 
     def reset(self) -> None:
@@ -76,15 +75,12 @@ class DecisionMaker:
         """Replace the plan according to what was recognized."""
         if recognition.status == "collecting":
             return Decision("wait", ())
-        decision = self._decide(recognition.state)
+        model, state, stop = self._model, recognition.state, (Atom.STOP,) * self._model.sequence_length
+        if state is None:
+            decision = Decision("stop", stop)
+        elif (action := int(model.policy[state])) >= 0:
+            decision = Decision("action", tuple(map(Atom, model.actions[action].tolist())), state, action)
+        else:
+            decision = Decision("goal" if state in model.transitions.goals else "dead_end", stop, state)
         self._plan = deque(decision.atoms)
         return decision
-
-    def _decide(self, state: int | None) -> Decision:
-        stop = (Atom.STOP,) * self._model.sequence_length
-        if state is None:
-            return Decision("stop", stop)
-        action = int(self._model.policy[state])
-        if action < 0:
-            return Decision("goal" if state in self._goals else "dead_end", stop, state)
-        return Decision("action", tuple(map(Atom, self._model.actions[action].tolist())), state, action)

@@ -4,7 +4,7 @@ import math
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 
@@ -20,6 +20,7 @@ from smal.paper.transitions import learn_transitions
 
 # Called with the stage, what is done of it and how much there is of it.
 StageProgress = Callable[[str, int, int], None]
+LAMBDA_SCALE: Final = 0.1
 
 
 @dataclass(frozen=True)
@@ -31,10 +32,9 @@ class LearningSettings:
     features : FeatureSettings
     sequence_length : int
         l, frames in a sequence and atoms in an action.
-    lambda_scale : float
-        a in lambda1 = lambda2 = a * sqrt(l), unless they are given: an active row or column of W has about
-        l entries, so that its norm grows with sqrt(l).
     lambda1, lambda2 : float, optional
+        Of Eq. 7; 0.1 sqrt(l) unless they are given: an active row or column of W has about l entries, so that its
+        norm grows with sqrt(l).
     tau : float
         Of Eq. 8, per query frame: a sequence none of whose matches weighs more is a new state.
     gamma : float
@@ -45,7 +45,6 @@ class LearningSettings:
 
     features: FeatureSettings = field(default_factory=FeatureSettings)
     sequence_length: int = 5
-    lambda_scale: float = 0.1
     lambda1: float | None = None
     lambda2: float | None = None
     tau: float = 0.5
@@ -55,7 +54,7 @@ class LearningSettings:
     def __post_init__(self) -> None:
         if self.sequence_length < 1:
             raise ValueError(f"sequence_length must be at least 1, got {self.sequence_length}")
-        for name in ("lambda_scale", "lambda1", "lambda2"):
+        for name in ("lambda1", "lambda2"):
             value = getattr(self, name)
             if value is not None and not (math.isfinite(value) and value > 0.0):
                 raise ValueError(f"{name} must be finite and positive, got {value}")
@@ -66,7 +65,7 @@ class LearningSettings:
     @property
     def lambdas(self) -> tuple[float, float]:
         """lambda1 and lambda2 of Eq. 7."""
-        default = self.lambda_scale * math.sqrt(self.sequence_length)
+        default = LAMBDA_SCALE * math.sqrt(self.sequence_length)
         return self.lambda1 or default, self.lambda2 or default
 
 
@@ -102,20 +101,6 @@ class LearningReport:
     seconds: dict[str, float]
 
 
-class _Stages:
-    """Times the stages and reports their progress."""
-
-    def __init__(self, progress: StageProgress) -> None:
-        self.progress = progress
-        self.seconds: dict[str, float] = {}
-        self._since = time.perf_counter()
-
-    def end(self, stage: str) -> None:
-        now = time.perf_counter()
-        self.seconds[stage], self._since = now - self._since, now
-        self.progress(stage, 1, 1)
-
-
 def learn(
     demonstrations: Sequence[Demonstration],
     settings: LearningSettings | None = None,
@@ -142,25 +127,32 @@ def learn(
     """
     settings = LearningSettings() if settings is None else settings
     check_features(demonstrations, settings.features.size)
-    length, lambdas, stages = settings.sequence_length, settings.lambdas, _Stages(progress)
+    length, lambdas = settings.sequence_length, settings.lambdas
+    seconds: dict[str, float] = {}
+    began_s = time.perf_counter()
+
+    def end(stage: str) -> None:
+        seconds[stage] = time.perf_counter() - began_s - sum(seconds.values())
+        progress(stage, 1, 1)
+
     atoms, successful = [one.atoms for one in demonstrations], [one.successful for one in demonstrations]
 
     raw = [one.features for one in demonstrations]
     centering = Centering.fit(raw, settings.features)
     frames = [centering.apply(each) for each in raw]
-    stages.end("centering")
+    end("centering")
     space = learn_state_space(
         frames, length, *lambdas, settings.tau,
         max_bytes=settings.max_bytes, progress=lambda done, total: progress("states", done, total),
     )  # fmt: skip
-    stages.end("states")
+    end("states")
     actions = learn_action_space(atoms, length)
     transitions = learn_transitions(space.streams, actions.streams, successful, space.states)
-    stages.end("transitions")
+    end("transitions")
     reward = learn_reward(transitions, settings.gamma).state_reward
-    stages.end("reward")
+    end("reward")
     policy = policy_iteration(transitions, reward, settings.gamma)
-    stages.end("policy")
+    end("policy")
 
     model = Model(
         feature_settings=settings.features,
@@ -192,7 +184,7 @@ def learn(
         dead_ends=space.states - np.unique(transitions.state).size,
         reward_states=int((reward > 1e-6).sum()),
         template_bytes=space.templates.nbytes,
-        seconds=stages.seconds,
+        seconds=seconds,
     )
     return model, report
 

@@ -86,22 +86,27 @@ class BlockProblem:
         blocks[self.block, self.frames % self.sequence_length] = A
         return blocks
 
-    def norms(self, W: Array, image: Array, epsilon: float) -> tuple[Array, Array, Array]:
-        """Find the norms of residuals (q,), rows (p, 1) and columns of blocks (p, q), smoothed; image is X^T X W."""
-        residuals = self.squares - (W * (2.0 * self.correlations - image)).sum(axis=0)
+    def slopes(self, W: Array) -> Array:
+        """X^T R for the residuals R = Y - X W, (p, q)."""
+        slopes: Array = self.correlations - self.gram @ W
+        return slopes
+
+    def norms(self, W: Array, epsilon: float = 0.0) -> tuple[Array, Array, Array]:
+        """Find the norms of residuals (q,), rows (p, 1) and columns of blocks (p, q), smoothed."""
+        residuals = self.squares - (W * (self.correlations + self.slopes(W))).sum(axis=0)
         square = epsilon * epsilon
         d = np.sqrt(np.maximum(residuals, _ROUNDING * self.squares) + square)
         return d, np.sqrt(_rows(W * W) + square), np.sqrt(self.sums(W * W) + square)
 
-    def objective(self, W: Array, image: Array | None = None, epsilon: float = 0.0) -> float:
+    def objective(self, W: Array, epsilon: float = 0.0) -> float:
         """Eq. 7 at W (p, q), smoothed."""
-        d, e, f = self.norms(W, self.gram @ W if image is None else image, epsilon)
+        d, e, f = self.norms(W, epsilon)
         return float(d.sum() + self.lambda1 * e.sum() + self.lambda2 * f[self.starts].sum())
 
     def smoothing_for(self, excess: float) -> float:
         """Return the epsilon that costs about as much as the excess of the objective: 0.3 epsilon a norm, doubled."""
         p, q = self.correlations.shape
-        return _GAP_TO_EPSILON * excess / (q + self.lambda1 * p + self.lambda2 * q * self.starts.size)
+        return float(_GAP_TO_EPSILON * excess / (q + self.lambda1 * p + self.lambda2 * q * self.starts.size))
 
 
 class Iterate(NamedTuple):
@@ -116,23 +121,25 @@ class Iterate(NamedTuple):
     U: Array
     V: Array
 
-    def gap(self, problem: BlockProblem, image: Array, dual_image: Array) -> float:
-        """Relative duality gap of the restricted problem; dual_image is X^T X B."""
-        gradients = problem.as_blocks(problem.correlations * self.alpha - dual_image)
+    def gap(self, problem: BlockProblem) -> float:
+        """Relative duality gap of the restricted problem."""
+        gradients = problem.as_blocks(problem.correlations * self.alpha - problem.gram @ self.B)
         lambdas, guess = (problem.lambda1, problem.lambda2), problem.as_blocks(self.U)
         largest = polar_bounds(gradients, *lambdas, guess, rounds=2, enough=1.0)[0].max(initial=1.0)
         value = (self.alpha * problem.squares).sum() - (problem.correlations * self.B).sum()
-        return float(1.0 - value / largest / problem.objective(self.W, image))
+        return float(1.0 - value / largest / problem.objective(self.W))
 
 
-def minimize(problem: BlockProblem, start: Iterate, epsilon: float, tolerance: float) -> tuple[Iterate, float, int]:
+def minimize(
+    problem: BlockProblem, W: Array, U: Array, V: Array, epsilon: float, tolerance: float
+) -> tuple[Iterate, float, int]:
     """Minimize Eq. 7 over the weights of a few template frames.
 
     Parameters
     ----------
     problem : BlockProblem
-    start : Iterate
-        W and U to start with, and V; where U is zero everywhere, subgradients of the smoothed norms.
+    W, U, V : float64 arrays (p, q)
+        To start with; where U is zero everywhere, subgradients of the smoothed norms are taken.
     epsilon : float
         Smoothing to start with: less for a better start.
     tolerance : float
@@ -145,52 +152,65 @@ def minimize(problem: BlockProblem, start: Iterate, epsilon: float, tolerance: f
     float, int
         The smoothing at the end, and Newton steps.
     """
-    W, image = start.W, problem.gram @ start.W
-    d, e, f = problem.norms(W, image, epsilon)
-    U, V = (start.U, start.V) if start.U.any() else (W / e, W / f)
-    now, dual_image = Iterate(W, 1.0 / d, W / d, U, V), image / d
-    best, gap, steps = now, now.gap(problem, image, dual_image), 0
-    best_gap = gap
+    d, e, f = problem.norms(W, epsilon)
+    now = Iterate(W, 1.0 / d, W / d, *((U, V) if U.any() else (W / e, W / f)))
+    gap, steps = now.gap(problem), 0
+    best, best_gap = now, gap
     while gap > tolerance and steps < _MAX_STEPS:
-        direction, descent = _newton_direction(problem, now, image, epsilon)
-        share = _step_length(problem, now.W, image, direction, descent, epsilon)
-        step, step_image = share * direction, share * (problem.gram @ direction)
-        now, dual_image = _moved(problem, now, image, dual_image, step, step_image, epsilon)
-        image = image + step_image
-        gap, steps = now.gap(problem, image, dual_image), steps + 1
+        now, steps = _newton_step(problem, now, epsilon), steps + 1
+        gap = now.gap(problem)
         if gap < best_gap:
             best, best_gap = now, gap
         # A larger gap says that Newton's method has not yet caught up with epsilon.
-        wanted = problem.smoothing_for(gap * problem.objective(now.W, image))
+        wanted = problem.smoothing_for(gap * problem.objective(now.W))
         epsilon = max(min(max(wanted, _FASTEST * epsilon), epsilon), _LAST_EPSILON)
     return best, epsilon, steps
 
 
-def _rows(A: Array) -> Array:
-    """Sum up every row (p, 1)."""
-    return A.sum(axis=1, keepdims=True)
-
-
-def _newton_direction(problem: BlockProblem, now: Iterate, image: Array, epsilon: float) -> tuple[Array, Array]:
-    """Linearise at W and solve: the direction, and minus the slope of the smoothed objective, both (p, q)."""
+def _newton_step(problem: BlockProblem, now: Iterate, epsilon: float) -> Iterate:
+    """Linearise at W, solve, and move W, the dual point and the subgradients."""
     W, alpha, B, U, V = now
-    d, e, f = problem.norms(W, image, epsilon)
-    gradients, penalty = problem.correlations - image, problem.lambda1 / e + problem.lambda2 / f
-    descent = gradients / d - penalty * W
+    norms = d, e, f = problem.norms(W, epsilon)
+    slopes, penalty = problem.slopes(W), problem.lambda1 / e + problem.lambda2 / f
+    descent = slopes / d - penalty * W
     # <theta_i, r_i> / d_i, at most 1: how far the curvature of a residual norm is that of a cone.
-    radial = alpha * (problem.squares - (problem.correlations * W).sum(axis=0)) - (B * gradients).sum(axis=0)
+    radial = alpha * (problem.squares - (problem.correlations * W).sum(axis=0)) - (B * slopes).sum(axis=0)
     squares = np.maximum(d * d - epsilon * epsilon, _ROUNDING * problem.squares)
     along_rows, along_columns = np.maximum(_rows(U * W), 0.0), np.maximum(problem.sums(V * W), 0.0)
-    of_residuals = gradients * np.sqrt(np.maximum(radial, 0.0) / squares) / d
-    of_rows = W * np.sqrt(problem.lambda1 * along_rows / np.maximum(_rows(W * W), _TINY)) / e
-    of_columns = W * np.sqrt(problem.lambda2 * along_columns / np.maximum(problem.sums(W * W), _TINY)) / f
+    system = _System(
+        problem,
+        d,
+        _RIDGE / d + penalty,
+        slopes * np.sqrt(np.maximum(radial, 0.0) / squares) / d,
+        W * np.sqrt(problem.lambda1 * along_rows / np.maximum(_rows(W * W), _TINY)) / e,
+        W * np.sqrt(problem.lambda2 * along_columns / np.maximum(problem.sums(W * W), _TINY)) / f,
+    )
+    direction = system.solve(descent)
+    # Halve the step until the smoothed objective falls enough (Armijo).
+    fall, share, ceiling = float((descent * direction).sum()), 1.0, problem.objective(W, epsilon) * (1.0 + 1e-14)
+    while share >= _SHORTEST_STEP:
+        if problem.objective(W + share * direction, epsilon) <= ceiling - _ARMIJO * share * fall:
+            break
+        share *= 0.5
+    return _moved(problem, now, share * direction, *norms)
 
-    system = _System(problem, d, _RIDGE / d + penalty, of_residuals, of_rows, of_columns)
-    if len(W) ** 3 * W.shape[1] > _LARGE:
-        direction, accurate = system.solve_approximately(descent)
-        if accurate or len(W) ** 3 * W.shape[1] > _TOO_LARGE:
-            return direction, descent
-    return system.solve(descent), descent
+
+def _moved(problem: BlockProblem, now: Iterate, step: Array, d: Array, e: Array, f: Array) -> Iterate:
+    """Linearise the subgradients along the step and bring them back into their balls."""
+    W, alpha, B, U, V = now
+    moved = W + step
+    # Theta + dTheta = (R + dR) / d - Theta <R, dR> / d^2, in terms of alpha and B.
+    along = -(problem.slopes(W) * step).sum(axis=0) / (d * d)
+    alpha, B = 1.0 / d - alpha * along, moved / d - B * along
+    squares = alpha * alpha * problem.squares + (B * (problem.gram @ B - 2.0 * alpha * problem.correlations)).sum(
+        axis=0
+    )
+    shrink = np.sqrt(np.maximum(squares, 1.0))
+    U = moved / e - U * _rows(W * step) / (e * e)
+    V = moved / f - V * problem.sums(W * step) / (f * f)
+    U = U / np.sqrt(np.maximum(_rows(U * U), 1.0))
+    V = V / np.sqrt(np.maximum(problem.sums(V * V), 1.0))
+    return Iterate(moved, alpha / shrink, B / shrink, U, V)
 
 
 class _System(NamedTuple):
@@ -204,80 +224,54 @@ class _System(NamedTuple):
     of_columns: Array
 
     def solve(self, descent: Array) -> Array:
+        """Find the direction (p, q): exactly, or by conjugate gradients where that is too much."""
+        size = len(descent) ** 3 * descent.shape[1]
+        if size > _LARGE:
+            direction, accurate = self.by_conjugate_gradients(descent)
+            if accurate or size > _TOO_LARGE:
+                return direction
+        return self.by_inversion(descent)
+
+    def by_inversion(self, descent: Array) -> Array:
         """Invert a matrix for each query frame; only the terms of rows, - Z Z^T, couple them (Woodbury)."""
         problem, of_rows = self.problem, self.of_rows
         matrices = problem.gram / self.d[:, None, None] - _outer(self.of_residuals)
         matrices -= _outer(self.of_columns) * (problem.block[:, None] == problem.block)
         rows = np.arange(len(descent))
         matrices[:, rows, rows] += self.diagonal.T
-        inverses = np.linalg.inv(matrices)
-        direction = _apply(inverses, descent)
-        coupling = np.eye(len(descent)) - np.einsum("irs,irs->rs", inverses, _outer(of_rows))
-        shared = np.linalg.solve(coupling, _rows(of_rows * direction)[:, 0])
-        return direction + _apply(inverses, of_rows * shared[:, None])
+        inverses: Array = np.linalg.inv(matrices)
+        direction = np.einsum("irs,si->ri", inverses, descent)
+        coupling = np.eye(len(descent)) - np.einsum("irs,ri,si->rs", inverses, of_rows, of_rows)
+        shared = np.linalg.solve(coupling, (of_rows * direction).sum(axis=1))
+        found: Array = direction + np.einsum("irs,si->ri", inverses, of_rows * shared[:, None])
+        return found
 
-    def solve_approximately(self, descent: Array) -> tuple[Array, bool]:
-        """Take conjugate gradients: the direction, and whether it is accurate."""
+    def by_conjugate_gradients(self, descent: Array) -> tuple[Array, bool]:
+        """Return the direction, and whether it is accurate."""
         edges = self.of_residuals**2 + self.of_rows**2 + self.of_columns**2
         curvature = self.problem.gram.diagonal()[:, None] / self.d + self.diagonal
         scale = 1.0 / np.maximum(curvature - edges, 1e-3 * self.diagonal).ravel()
-        shape, size = descent.shape, descent.size
-        times = LinearOperator((size, size), lambda v: self.times(v.reshape(shape)).ravel(), dtype=np.float64)
-        divided = LinearOperator((size, size), lambda v: v.ravel() * scale, dtype=np.float64)
-        found, failed = cg(times, descent.ravel(), rtol=_ACCURATE, maxiter=_MOST_GRADIENTS, M=divided)
+        shape, sides = descent.shape, (descent.size,) * 2
+        system = LinearOperator(sides, lambda v: self.times(v.reshape(shape)).ravel(), dtype=np.float64)
+        preconditioner = LinearOperator(sides, lambda v: v.ravel() * scale, dtype=np.float64)
+        found, failed = cg(system, descent.ravel(), rtol=_ACCURATE, maxiter=_MOST_GRADIENTS, M=preconditioner)
         return found.reshape(shape), failed == 0
 
     def times(self, D: Array) -> Array:
         """Multiply with D (p, q)."""
-        of_residuals, of_rows, of_columns = self.of_residuals, self.of_rows, self.of_columns
-        product = self.problem.gram @ D / self.d + self.diagonal * D
-        product -= of_residuals * (of_residuals * D).sum(axis=0) + of_rows * _rows(of_rows * D)
-        product -= of_columns * self.problem.sums(of_columns * D)
+        product: Array = self.problem.gram @ D / self.d + self.diagonal * D
+        product -= self.of_residuals * (self.of_residuals * D).sum(axis=0)
+        product -= self.of_rows * _rows(self.of_rows * D) + self.of_columns * self.problem.sums(self.of_columns * D)
         return product
+
+
+def _rows(A: Array) -> Array:
+    """Sum up every row (p, 1)."""
+    sums: Array = A.sum(axis=1, keepdims=True)
+    return sums
 
 
 def _outer(A: Array) -> Array:
     """Outer product of every column of (p, q) with itself, (q, p, p)."""
     product: Array = A.T[:, :, None] * A.T[:, None, :]
     return product
-
-
-def _apply(matrices: Array, A: Array) -> Array:
-    """Multiply the i-th matrix (p, p) with the i-th column of (p, q)."""
-    product: Array = np.matmul(matrices, A.T[:, :, None])[:, :, 0].T
-    return product
-
-
-def _step_length(
-    problem: BlockProblem, W: Array, image: Array, direction: Array, descent: Array, epsilon: float
-) -> float:
-    """Halve the step until the smoothed objective falls enough (Armijo)."""
-    direction_image = problem.gram @ direction
-    slope, share = -float((descent * direction).sum()), 1.0
-    ceiling = problem.objective(W, image, epsilon) * (1.0 + 1e-14)
-    while share >= _SHORTEST_STEP:
-        reached = problem.objective(W + share * direction, image + share * direction_image, epsilon)
-        if reached <= ceiling + _ARMIJO * share * slope:
-            break
-        share *= 0.5
-    return share
-
-
-def _moved(
-    problem: BlockProblem, now: Iterate, image: Array, dual_image: Array, step: Array, step_image: Array, epsilon: float
-) -> tuple[Iterate, Array]:
-    """Linearise the subgradients along the step and bring them back into their balls; also X^T X B."""
-    W, alpha, B, U, V = now
-    d, e, f = problem.norms(W, image, epsilon)
-    moved = W + step
-    # Theta + dTheta = (R + dR) / d - Theta <R, dR> / d^2, in terms of alpha and B.
-    along = -((problem.correlations - image) * step).sum(axis=0) / (d * d)
-    alpha, B = 1.0 / d - alpha * along, moved / d - B * along
-    dual_image = (image + step_image) / d - dual_image * along
-    squares = alpha * alpha * problem.squares + (B * (dual_image - 2.0 * alpha * problem.correlations)).sum(axis=0)
-    shrink = np.sqrt(np.maximum(squares, 1.0))
-    U = moved / e - U * _rows(W * step) / (e * e)
-    V = moved / f - V * problem.sums(W * step) / (f * f)
-    U = U / np.sqrt(np.maximum(_rows(U * U), 1.0))
-    V = V / np.sqrt(np.maximum(problem.sums(V * V), 1.0))
-    return Iterate(moved, alpha / shrink, B / shrink, U, V), dual_image / shrink

@@ -38,16 +38,7 @@ def check_discount(gamma: float) -> None:
         raise ValueError(f"gamma must be at least 0 and below 1, got {gamma}")
 
 
-def _backup(transitions: Transitions, reward: Array, gamma: float, value: Array) -> tuple[Array, Array]:
-    """One Bellman backup: the value of every pair, and of every state; a dead end is worth its reward."""
-    pair_values = reward[transitions.state] + gamma * (transitions.matrix @ value)
-    states, first = np.unique(transitions.state, return_index=True)
-    best = reward.copy()
-    best[states] = np.maximum.reduceat(pair_values, first)
-    return pair_values, best
-
-
-def _greedy_pairs(transitions: Transitions, pair_values: Array) -> NDArray[np.int64]:
+def _best_pairs(transitions: Transitions, pair_values: Array) -> NDArray[np.int64]:
     """Best pair of every state, or -1; ties go to what the expert preferred."""
     states, first, size = np.unique(transitions.state, return_index=True, return_counts=True)
     best = np.repeat(np.maximum.reduceat(pair_values, first), size)
@@ -89,12 +80,11 @@ def policy_iteration(transitions: Transitions, reward: Array, gamma: float) -> P
     for _ in range(_MAX_ITERATIONS):
         system = sparse.csc_array(identity - gamma * policy_matrix(transitions, pairs))
         value = np.asarray(spsolve(system, reward), dtype=np.float64)
-        pair_values, best = _backup(transitions, reward, gamma, value)
-        gain = best - value
+        pair_values = reward[transitions.state] + gamma * (transitions.matrix @ value)
+        best = _best_pairs(transitions, pair_values)
         # Only a real improvement changes a state's action: ties must not make it go round in circles.
-        better = (gain > _TIE * max(1.0, float(np.abs(value).max()))) & (pairs >= 0)
+        better = (pair_values[best] - value > _TIE * max(1.0, float(np.abs(value).max()))) & (pairs >= 0)
         if not better.any():
-            pairs = _greedy_pairs(transitions, pair_values)
-            return Policy(np.where(pairs >= 0, transitions.action[pairs], NO_ACTION).astype(np.int32), value)
-        pairs = np.where(better, _greedy_pairs(transitions, pair_values), pairs)
+            return Policy(np.where(best >= 0, transitions.action[best], NO_ACTION).astype(np.int32), value)
+        pairs = np.where(better, best, pairs)
     raise RuntimeError(f"policy iteration did not end within {_MAX_ITERATIONS} improvements")

@@ -16,7 +16,7 @@ The program makes the expert's policy optimal under R. That R is not unique (R =
 objective picks one where the expert's actions win by as much as possible.
 """
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,17 +33,8 @@ class RewardError(RuntimeError):
     """The linear program was not solved."""
 
 
-@dataclass(frozen=True, eq=False)
-class Reward:
-    """The learned reward.
-
-    Parameters
-    ----------
-    state_reward : float64 array (states,)
-        R(s), within [-r_max, r_max].
-    objective : float
-        Optimal value of the program.
-    """
+class Reward(NamedTuple):
+    """R(s) of every state (states,), within [-r_max, r_max], and the optimal value of the program."""
 
     state_reward: Array
     objective: float
@@ -82,22 +73,17 @@ class _Program:
     def solve(self, penalty: float, r_max: float, total: float = np.inf) -> tuple[Array, float]:
         """Maximize the margins less `penalty` ||R||_1, with |R| <= r_max and ||R||_1 <= total: variables, optimum."""
         n = self.n
-        sum_of_reward = np.repeat([0.0, 1.0, 0.0], [n, 2 * n, n])[None]
-        limited = sparse.vstack([self.inequality, sparse.csr_array(sum_of_reward)], format="csr")
-        bounded = np.isfinite(total)
+        # The last row is ||R||_1 <= total.
+        sum_of_reward = sparse.csr_array(np.repeat([0.0, 1.0, 0.0], [n, 2 * n, n])[None])
+        unbounded = np.full(n, np.inf)
+        low, high = [-unbounded, np.zeros(3 * n)], [unbounded, np.full(2 * n, r_max), self.margin_bound]
         result = linprog(  # type: ignore[call-overload]  # takes sparse matrices; the stubs do not know it
             np.concatenate([np.zeros(n), np.full(2 * n, penalty), -np.ones(n)]),
-            A_ub=limited if bounded else self.inequality,
-            b_ub=np.append(np.zeros(self.rows), total) if bounded else np.zeros(self.rows),
+            A_ub=sparse.vstack([self.inequality, sum_of_reward], format="csr"),
+            b_ub=np.append(np.zeros(self.rows), min(total, 2.0 * n * r_max)),
             A_eq=self.equality,
             b_eq=np.zeros(n),
-            bounds=np.stack(
-                [
-                    np.concatenate([np.full(n, -np.inf), np.zeros(3 * n)]),
-                    np.concatenate([np.full(n, np.inf), np.full(2 * n, r_max), self.margin_bound]),
-                ],
-                axis=1,
-            ),
+            bounds=np.stack([np.concatenate(low), np.concatenate(high)], axis=1),
             method="highs",
         )
         if not result.success:

@@ -128,7 +128,7 @@ def solve(
     weights, residuals = np.zeros((used.size, q)), np.zeros(q)
     weights[:, seen], residuals[seen] = found.weights[used], found.residuals
     return Solution(
-        found.best_columns[used], weights, (n, q), sequence_length, found.objective, found.gap, found.steps,
+        found.columns[used], weights, (n, q), sequence_length, found.objective, found.gap, found.steps,
         found.gap <= tolerance, residuals,
     )  # fmt: skip
 

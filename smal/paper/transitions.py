@@ -117,12 +117,8 @@ def learn_transitions(
     Raises
     ------
     ValueError
-        Streams that do not fit together, or no successful demonstration.
+        No successful demonstration.
     """
-    if not len(state_streams) == len(action_streams) == len(successful):
-        raise ValueError("state streams, action streams and outcomes differ in number")
-    if any(s.shape != a.shape for s, a in zip(state_streams, action_streams, strict=True)):
-        raise ValueError("a state stream and its action stream differ in length")
     ends = [int(s[-1]) for s, good in zip(state_streams, successful, strict=True) if good and s.size]
     if not ends:
         raise ValueError("no successful demonstration has a whole sequence, so there is no goal to learn")
@@ -135,25 +131,18 @@ def learn_transitions(
     moved = np.stack([now[going_on], action[going_on], then[going_on]], axis=1).astype(np.int32)
     stay = np.stack([goals, np.full_like(goals, NO_ACTION), goals], axis=1)
     triples, count = np.unique(moved, axis=0, return_counts=True)
-    return _from_counts(np.concatenate([triples, stay]), np.concatenate([count, np.zeros(goals.size)]), goals, states)
-
-
-def _from_counts(
-    triples: NDArray[np.int32], count: NDArray[np.floating], goals: NDArray[np.int32], states: int
-) -> Transitions:
-    """Turn the counts of the distinct triples (s, a, s') into frequencies."""
+    triples, count = np.concatenate([triples, stay]), np.concatenate([count, np.zeros_like(goals)]).astype(np.int32)
     order = np.lexsort(triples.T[::-1])
-    triples, counted = triples[order], count[order].astype(np.int32)
+    triples, count = triples[order], count[order]
     pairs, first, size = np.unique(triples[:, :2], axis=0, return_index=True, return_counts=True)
-    share = np.maximum(counted, 1)  # a goal stays with certainty though it was never counted
-    total = np.repeat(np.add.reduceat(share, first), size)
+    share = np.maximum(count, 1)  # a goal stays with certainty though it was never counted
     return Transitions(
         pairs[:, 0].copy(),
         pairs[:, 1].copy(),
-        np.append(first, triples.shape[0]).astype(np.int64),
+        np.append(first, len(triples)).astype(np.int64),
         triples[:, 2].copy(),
-        counted,
-        share / total,
+        count,
+        share / np.repeat(np.add.reduceat(share, first), size),
         goals,
         states,
     )

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from smal.paper.duality_gap import bound_by_lengths, polar_bounds, quick_bounds, rounding
-from smal.paper.newton import FIRST_EPSILON, BlockProblem, Iterate, minimize
+from smal.paper.newton import FIRST_EPSILON, BlockProblem, minimize
 from smal.paper.objective import l21_norm, s1_norm
 
 Array = NDArray[np.float64]
@@ -37,45 +37,58 @@ _OPERATIONS = 32
 class WorkingSet:
     """The working set, the best solution on it, and the best lower bound on the optimum of the full problem.
 
-    Template frames are rows (n, m), query frames rows (q, m), none of which is zero.
+    Parameters
+    ----------
+    rows : float32 array (n, m)
+        Template frames.
+    query : float64 array (q, m)
+        Query frames, none of which is zero.
+    length : int
+        l.
+    lambda1, lambda2, tolerance : float
+
+    Attributes
+    ----------
+    columns, weights, residuals
+        Template frames of the best solution (p,), their weights (p, q), and ||y_i - X w_i|| (q,), rounded up.
+    objective, lower_bound : float
+    steps : int
+        Newton steps in all.
     """
 
     def __init__(
         self, rows: NDArray[np.float32], query: Array, length: int, lambda1: float, lambda2: float, tolerance: float
     ) -> None:
-        self.rows, self.query, self.length, self.tolerance = rows, query, length, tolerance
-        self.lambda1, self.lambda2 = lambda1, lambda2
+        self._rows, self._query, self._length, self._tolerance = rows, query, length, tolerance
+        self._lambdas = lambda1, lambda2
         (n, m), q = rows.shape, len(query)
         #: Bound on the relative error of inner products of frames in float64, and of sums of these.
-        self.rounding = rounding(m + q + 2)
+        self._rounding = rounding(m + q + 2)
         #: ||y_i||, rounded up.
-        self.norms: Array = np.linalg.norm(query, axis=1) * (1.0 + self.rounding)
+        self._norms: Array = np.linalg.norm(query, axis=1) * (1.0 + self._rounding)
         with np.errstate(over="ignore", invalid="ignore"):
-            squares, guess = (
-                np.einsum("rm,rm->r", rows, rows),
-                rows @ (query / self.norms[:, None]).astype(np.float32).T,
-            )
+            squares = np.einsum("rm,rm->r", rows, rows)
+            alike = np.square(rows @ (query / self._norms[:, None]).astype(np.float32).T).sum(axis=1)
         # NaN or infinity anywhere in X shows in these.
         if not np.isfinite(squares).all():
             raise ValueError("templates contain NaN or infinity, or overflow float32 products")
         underflow = m * float(np.finfo(np.float32).tiny)
         #: ||x_r||, rounded up.
-        self.lengths: Array = np.sqrt(squares.astype(np.float64) * (1.0 + rounding(m, np.float32)) + underflow)
+        self._lengths: Array = np.sqrt(squares.astype(np.float64) * (1.0 + rounding(m, np.float32)) + underflow)
 
-        alike = np.add.reduceat(np.square(guess).sum(axis=1), np.arange(0, n, length))
-        likely = np.argsort(-alike, kind="stable")[:_LIKELY]
-        self.likely, self.columns = np.sort(likely), self.frames(np.sort(likely[:_FIRST]))
-        nothing, self.steps, self.epsilon = np.zeros(0, dtype=np.intp), 0, FIRST_EPSILON
+        likely = np.argsort(-np.add.reduceat(alike, np.arange(0, n, length)), kind="stable")[:_LIKELY]
+        self._likely, self._set = np.sort(likely), self._frames(np.sort(likely[:_FIRST]))
+        nothing = np.zeros(0, dtype=np.intp)
         # Frames that came back after they had been dropped: they stay, or the search might go round in circles.
-        self.dropped, self.kept = nothing, nothing
-        #: W, U and V of the last working set, to start from.
-        self.before: tuple[Columns, tuple[Array, ...]] = nothing, (np.zeros((0, q)),) * 3
-        #: Inner products of the frames that were ever in the working set, in float64.
-        self.known, self.exact_rows = nothing, np.zeros((0, m))
-        self.gram, self.correlations = np.zeros((0, 0)), np.zeros((0, q))
+        self._dropped, self._kept = nothing, nothing
+        #: The last working set, and W, U and V on it, to start from.
+        self._before, self._start, self._epsilon = nothing, np.zeros((3, 0, q)), FIRST_EPSILON
+        #: Frames that were ever in the working set, and their inner products, in float64.
+        self._known, self._known_rows = nothing, np.zeros((0, m))
+        self._gram, self._correlations = np.zeros((0, 0)), np.zeros((0, q))
 
-        self.best_columns, self.weights, self.residuals = nothing, np.zeros((0, q)), self.norms
-        self.objective, self.lower_bound = float(self.norms.sum()), 0.0
+        self.columns, self.weights, self.residuals = nothing, np.zeros((0, q)), self._norms
+        self.objective, self.lower_bound, self.steps = float(self._norms.sum()), 0.0, 0
 
     @property
     def gap(self) -> float:
@@ -87,173 +100,155 @@ class WorkingSet:
 
         Rounding may keep it from getting there; then it ends early.
         """
-        finest, everywhere = 0.3 * self.tolerance, False
+        finest, everywhere = 0.3 * self._tolerance, False
         tolerance = max(_LOOSE, finest)
         for _ in range(_MAX_ROUNDS):
-            self.solve(tolerance)
-            lacking = self.certify() if everywhere else self.probe(1.0 + tolerance)
+            self._solve(tolerance)
+            lacking = self._certify() if everywhere else self._probe(1.0 + tolerance)
             if not (everywhere or lacking.size) and tolerance <= finest:
-                everywhere, lacking = True, self.certify()
-            if everywhere and self.gap <= self.tolerance:
+                everywhere, lacking = True, self._certify()
+            if everywhere and self.gap <= self._tolerance:
                 return
             if not lacking.size:
                 # Nothing is missing: the restricted solution itself must become sharper, or has reached its limit.
-                if tolerance < 1e-3 * self.tolerance:
+                if tolerance < 1e-3 * self._tolerance:
                     return
                 tolerance = finest if tolerance > finest else 0.3 * tolerance
-            self.grow(lacking)
+            self._grow(lacking)
 
-    def frames(self, blocks: Columns) -> Columns:
+    def _frames(self, blocks: Columns) -> Columns:
         """Template frames of sequences."""
-        every = (blocks[:, None] * self.length + np.arange(self.length)).ravel()
-        existing: Columns = every[every < len(self.rows)]
+        every = (blocks[:, None] * self._length + np.arange(self._length)).ravel()
+        existing: Columns = every[every < len(self._rows)]
         return existing
 
-    def as_blocks(self, blocks: Columns, values: NDArray[Any]) -> NDArray[Any]:
+    def _as_blocks(self, blocks: Columns, values: NDArray[Any]) -> NDArray[Any]:
         """Shape what belongs to the frames of sequences (r, q) as (b, l, q); the last one may be shorter."""
-        missing = blocks.size * self.length - len(values)
+        missing = blocks.size * self._length - len(values)
         padded = np.pad(values, ((0, missing), (0, 0))) if missing else values
-        return padded.reshape(blocks.size, self.length, values.shape[1])
+        return padded.reshape(blocks.size, self._length, values.shape[1])
 
-    def solve(self, tolerance: float) -> None:
+    def _solve(self, tolerance: float) -> None:
         """Solve Eq. 7 on the working set, lengths scaled to 1."""
-        columns = self.columns
-        gram, correlations = self.products(columns)
+        places = self._places(self._set)
+        gram, correlations = self._gram[np.ix_(places, places)], self._correlations[places]
         template_scale = float(np.sqrt(gram.diagonal().max(initial=0.0))) or 1.0
-        query_scale = float(self.norms.max())
-        self.weight_scale = query_scale / template_scale
-        self.problem = BlockProblem(
+        query_scale = float(self._norms.max())
+        self._weight_scale = query_scale / template_scale
+        self._problem = BlockProblem(
             gram / template_scale**2,
             correlations / (template_scale * query_scale),
-            (self.norms / query_scale) ** 2,
-            self.lambda1 / template_scale,
-            self.lambda2 / template_scale,
-            columns,
-            self.length,
+            (self._norms / query_scale) ** 2,
+            self._lambdas[0] / template_scale,
+            self._lambdas[1] / template_scale,
+            self._set,
+            self._length,
         )
-        _, here, there = np.intersect1d(columns, self.before[0], assume_unique=True, return_indices=True)
-        W, U, V = (np.zeros_like(correlations) for _ in range(3))
-        for part, known in zip((W, U, V), self.before[1], strict=True):
-            part[here] = known[there]
-        start = Iterate(W / self.weight_scale, np.zeros(len(self.query)), np.zeros_like(W), U, V)
-        self.inner, self.epsilon, steps = minimize(self.problem, start, self.epsilon, tolerance)
-        self.before = columns, (self.inner.W * self.weight_scale, self.inner.U, self.inner.V)
+        _, here, there = np.intersect1d(self._set, self._before, assume_unique=True, return_indices=True)
+        start = np.zeros((3, *correlations.shape))
+        start[:, here] = self._start[:, there]
+        start[0] /= self._weight_scale
+        self._inner, self._epsilon, steps = minimize(self._problem, *start, self._epsilon, tolerance)
+        W, alpha, B, U, V = self._inner
+        self._before, self._start = self._set, np.stack([W * self._weight_scale, U, V])
         self.steps += steps
-        self.worst = 1.0
-        explained = self.combine(columns, self.inner.B / template_scale)
+        self._worst = 1.0
         #: The dual point, a row a query frame (q, m).
-        self.theta: Array = (self.inner.alpha / query_scale)[:, None] * self.query - explained
+        self._theta: Array = (alpha / query_scale)[:, None] * self._query - self._combined(B / template_scale)
 
-    def products(self, columns: Columns) -> tuple[Array, Array]:
-        """X_S^T X_S (p, p) and X_S^T Y (p, q) in float64: a residual near zero needs the digits."""
-        new = np.setdiff1d(columns, self.known)
+    def _places(self, columns: Columns) -> Columns:
+        """Where template frames are among the known ones; those that are not become so."""
+        new = np.setdiff1d(columns, self._known)
         if new.size:
-            fresh = self.rows[new].astype(np.float64)
-            across = self.exact_rows @ fresh.T
-            self.gram = np.block([[self.gram, across], [across.T, fresh @ fresh.T]])
-            self.correlations = np.concatenate([self.correlations, fresh @ self.query.T])
-            self.exact_rows, self.known = np.concatenate([self.exact_rows, fresh]), np.append(self.known, new)
-        places = self.places(columns)
-        return self.gram[np.ix_(places, places)], self.correlations[places]
-
-    def places(self, columns: Columns) -> Columns:
-        """Where template frames are among those that were ever in the working set."""
-        order = np.argsort(self.known)
-        found: Columns = order[np.searchsorted(self.known, columns, sorter=order)]
+            fresh = self._rows[new].astype(np.float64)
+            across = self._known_rows @ fresh.T
+            self._gram = np.block([[self._gram, across], [across.T, fresh @ fresh.T]])
+            self._correlations = np.concatenate([self._correlations, fresh @ self._query.T])
+            self._known_rows, self._known = np.concatenate([self._known_rows, fresh]), np.append(self._known, new)
+        order = np.argsort(self._known)
+        found: Columns = order[np.searchsorted(self._known, columns, sorter=order)]
         return found
 
-    def combine(self, columns: Columns, weights: Array) -> Array:
-        """Sum of the frames S with weights (p, q), as rows (q, m)."""
-        every = np.zeros((self.known.size, weights.shape[1]))
-        every[self.places(columns)] = weights
-        combined: Array = every.T @ self.exact_rows
+    def _combined(self, weights: Array) -> Array:
+        """Sum of the frames of the working set with weights (p, q), as rows (q, m)."""
+        every = np.zeros((self._known.size, weights.shape[1]))
+        every[self._places(self._set)] = weights
+        combined: Array = every.T @ self._known_rows
         return combined
 
-    def probe(self, enough: float) -> Columns:
+    def _probe(self, enough: float) -> Columns:
         """Look at the likely sequences only; return the frames that are lacking."""
-        values = self.rows[self.frames(self.likely)] @ self.theta.astype(np.float32).T
-        return self.examine(self.likely, values.astype(np.float64), _QUICK, enough)[1]
+        values = self._rows[self._frames(self._likely)] @ self._theta.astype(np.float32).T
+        return self._examine(self._likely, values.astype(np.float64), _QUICK, enough)[1]
 
-    def certify(self) -> Columns:
+    def _certify(self) -> Columns:
         """Bound all polars, and with them the optimum from below; return the frames that are lacking."""
-        n, m = self.rows.shape
-        size = float(np.linalg.norm(self.theta))
+        n, m = self._rows.shape
+        size = float(np.linalg.norm(self._theta))
         # A polar may exceed 1 by so much without needing attention.
-        enough = 1.0 + 0.25 * self.tolerance
-        every = np.arange(-(-n // self.length))
-        values = self.rows @ self.theta.astype(np.float32).T
-        polars = quick_bounds(self.as_blocks(every, values), self.lambda1, self.lambda2)
-        polars += self.error(every, rounding(m + 2, np.float32) * size)
+        enough = 1.0 + 0.25 * self._tolerance
+        every = np.arange(-(-n // self._length))
+        values = self._rows @ self._theta.astype(np.float32).T
+        polars = quick_bounds(self._as_blocks(every, values), *self._lambdas)
+        polars += self._error(every, rounding(m + 2, np.float32) * size)
         # The sequences that the dual point was made for lie on the edge of the dual set: only exact products tell.
-        doubtful = np.union1d(np.flatnonzero(polars > enough), self.columns // self.length)
-        exact = self.rows[self.frames(doubtful)].astype(np.float64) @ self.theta.T
-        sharp, lacking = self.examine(doubtful, exact, _THOROUGH, enough)
-        polars[doubtful] = sharp + self.error(doubtful, self.rounding * size)
-        self.evaluate(float(polars.max()))
+        doubtful = np.union1d(np.flatnonzero(polars > enough), self._set // self._length)
+        exact = self._rows[self._frames(doubtful)].astype(np.float64) @ self._theta.T
+        sharp, lacking = self._examine(doubtful, exact, _THOROUGH, enough)
+        polars[doubtful] = sharp + self._error(doubtful, self._rounding * size)
+        self._evaluate(float(polars.max()))
         return lacking
 
-    def error(self, blocks: Columns, share: float) -> Array:
+    def _error(self, blocks: Columns, share: float) -> Array:
         """Bound the polar of what rounding did to products: row r of G is off by at most ||x_r|| times a share."""
-        radii = share * self.as_blocks(blocks, self.lengths[self.frames(blocks)][:, None])[:, :, 0]
-        return bound_by_lengths(radii.max(axis=1), np.linalg.norm(radii, axis=1), self.lambda1, self.lambda2)
+        radii = share * self._as_blocks(blocks, self._lengths[self._frames(blocks)][:, None])[:, :, 0]
+        return bound_by_lengths(radii.max(axis=1, initial=0.0), np.linalg.norm(radii, axis=1), *self._lambdas)
 
-    def examine(self, blocks: Columns, values: Array, rounds: int, enough: float) -> tuple[Array, Columns]:
-        """Bound the polars of some sequences; also return the frames that the worst violations lack.
+    def _examine(self, blocks: Columns, values: Array, rounds: int, enough: float) -> tuple[Array, Columns]:
+        """Bound the polars of some sequences by X^T Theta of their frames (r, q), and say which frames are lacking.
 
-        Parameters
-        ----------
-        blocks : intp array (b,)
-            Template sequences, ascending.
-        values : float64 array (r, q)
-            X^T Theta of their frames.
-        rounds : int
-            Alternating projections.
-        enough : float
-            Bound that is no violation.
+        Those are frames of the sequences with the worst violations, whose bound is above `enough`.
         """
-        frames = self.frames(blocks)
-        guess = values / (self.lambda1 + self.lambda2)
-        if self.lambda1 > 0.0:
+        (lambda1, lambda2), frames = self._lambdas, self._frames(blocks)
+        guess = values / (lambda1 + lambda2)
+        if lambda1 > 0.0:
             # Where the columns are at the edge of their balls, rows without weight have to do without them.
-            solved = np.isin(frames // self.length, self.columns // self.length)
-            guess[solved] = values[solved] / self.lambda1
-        _, here, there = np.intersect1d(frames, self.columns, assume_unique=True, return_indices=True)
-        guess[here] = self.inner.U[there]
-        shaped, lambdas = self.as_blocks(blocks, values), (self.lambda1, self.lambda2)
-        bounds, V = polar_bounds(shaped, *lambdas, self.as_blocks(blocks, guess), rounds, enough)
-        self.worst = max(self.worst, float(bounds.max(initial=1.0)))
+            solved = np.isin(frames // self._length, self._set // self._length)
+            guess[solved] = values[solved] / lambda1
+        _, here, there = np.intersect1d(frames, self._set, assume_unique=True, return_indices=True)
+        guess[here] = self._inner.U[there]
+        shaped = self._as_blocks(blocks, values)
+        bounds, V = polar_bounds(shaped, lambda1, lambda2, self._as_blocks(blocks, guess), rounds, enough)
+        self._worst = max(self._worst, float(bounds.max(initial=1.0)))
         outside = np.flatnonzero(bounds > enough)
-        most = max(_FIRST, np.unique(self.columns // self.length).size)
+        most = max(_FIRST, np.unique(self._set // self._length).size)
         outside = outside[np.argsort(-bounds[outside], kind="stable")[:most]]
-        tight = np.linalg.norm(shaped - self.lambda2 * V, axis=2) >= _TIGHT * self.lambda1
-        wanted = (blocks[outside, None] * self.length + np.arange(self.length))[tight[outside]]
-        return bounds, np.setdiff1d(wanted[wanted < len(self.rows)], self.columns)
+        tight = np.linalg.norm(shaped - lambda2 * V, axis=2) >= _TIGHT * lambda1
+        wanted = (blocks[outside, None] * self._length + np.arange(self._length))[tight[outside]]
+        return bounds, np.setdiff1d(wanted[wanted < len(self._rows)], self._set)
 
-    def evaluate(self, largest_polar: float) -> None:
+    def _evaluate(self, largest_polar: float) -> None:
         """Find the objective and the lower bound; the best ones may be of different rounds."""
-        weights = self.cleaned() * self.weight_scale
+        weights = self._cleaned() * self._weight_scale
         # From inner products, 1e-8 of a query frame would be noise.
-        norms = np.linalg.norm(self.query - self.combine(self.columns, weights), axis=1)
-        reach = self.norms + self.lengths[self.columns] @ np.abs(weights)
-        residuals = norms * (1.0 + self.rounding) + rounding(self.known.size + 2) * reach
-        objective = float(residuals.sum()) + self.lambda1 * l21_norm(weights)
-        objective += self.lambda2 * s1_norm(weights, self.length, self.columns)
-        longest = float(np.linalg.norm(self.theta, axis=1).max()) * (1.0 + self.rounding)
-        value = float(np.einsum("im,im->", self.theta, self.query))
-        value -= self.rounding * float(np.linalg.norm(self.theta, axis=1) @ self.norms)
-        bound = value / max(largest_polar, longest, 1.0)
-        bound *= 1.0 - rounding(weights.size + self.length + residuals.size + _OPERATIONS)
+        norms = np.linalg.norm(self._query - self._combined(weights), axis=1)
+        reach = self._norms + self._lengths[self._set] @ np.abs(weights)
+        residuals = norms * (1.0 + self._rounding) + rounding(self._known.size + 2) * reach
+        penalty = self._lambdas[0] * l21_norm(weights) + self._lambdas[1] * s1_norm(weights, self._length, self._set)
+        objective = float(residuals.sum()) + penalty
+        columns = np.linalg.norm(self._theta, axis=1)
+        value = float(np.einsum("im,im->", self._theta, self._query)) - self._rounding * float(columns @ self._norms)
+        bound = value / max(largest_polar, float(columns.max()) * (1.0 + self._rounding), 1.0)
+        bound *= 1.0 - rounding(weights.size + self._length + residuals.size + _OPERATIONS)
         self.lower_bound = max(bound, self.lower_bound)
         if objective <= self.objective:
-            self.objective, self.best_columns = objective, self.columns
-            self.weights, self.residuals = weights, residuals
+            self.objective, self.columns, self.weights, self.residuals = objective, self._set, weights, residuals
 
-    def cleaned(self) -> Array:
+    def _cleaned(self) -> Array:
         """W of the working set, without the rows and columns of blocks that have weight only by smoothing."""
-        problem, weights = self.problem, self.inner.W
-        ceiling = problem.objective(weights) * (1.0 + 0.2 * self.tolerance)
-        rows = np.linalg.norm(weights, axis=1, keepdims=True)
-        columns = np.sqrt(problem.sums(np.square(weights)))
+        problem, weights = self._problem, self._inner.W
+        ceiling = problem.objective(weights) * (1.0 + 0.2 * self._tolerance)
+        rows, columns = np.linalg.norm(weights, axis=1, keepdims=True), np.sqrt(problem.sums(np.square(weights)))
         for share in (1e-2, 1e-3, 1e-4):
             kept = (rows > share * rows.max(initial=0.0)) & (columns > share * columns.max(initial=0.0))
             candidate = np.where(kept, weights, 0.0)
@@ -261,12 +256,12 @@ class WorkingSet:
                 return candidate
         return weights
 
-    def grow(self, lacking: Columns) -> None:
+    def _grow(self, lacking: Columns) -> None:
         """Add frames, drop those without weight, and smooth as much as the violations ask for."""
-        alive = np.linalg.norm(self.inner.U, axis=1) >= _ALIVE
-        self.kept = np.union1d(self.kept, np.intersect1d(lacking, self.dropped))
-        stay = self.columns[alive | np.isin(self.columns, self.kept)]
-        self.dropped = np.union1d(self.dropped, np.setdiff1d(self.columns, stay))
-        excess = (1.0 - 1.0 / self.worst) * self.problem.objective(self.inner.W)
-        self.epsilon = min(max(self.problem.smoothing_for(excess), self.epsilon), FIRST_EPSILON)
-        self.columns = np.union1d(stay, lacking)
+        alive = np.linalg.norm(self._inner.U, axis=1) >= _ALIVE
+        self._kept = np.union1d(self._kept, np.intersect1d(lacking, self._dropped))
+        stay = self._set[alive | np.isin(self._set, self._kept)]
+        self._dropped = np.union1d(self._dropped, np.setdiff1d(self._set, stay))
+        excess = (1.0 - 1.0 / self._worst) * self._problem.objective(self._inner.W)
+        self._epsilon = min(max(self._problem.smoothing_for(excess), self._epsilon), FIRST_EPSILON)
+        self._set = np.union1d(stay, lacking)
