@@ -1,7 +1,7 @@
 """Action space (paper, Algorithm 3): an action is l atom movements, taken from the demonstrations."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,38 +10,19 @@ from smal.movement import Atom
 from smal.paper.sequences import last_frames
 
 
-@dataclass(frozen=True, eq=False)
-class ActionSpace:
-    """The distinct actions, and which of them followed each sequence.
-
-    Parameters
-    ----------
-    actions : int8 array (number of actions, l)
-        Atoms of every action.
-    streams : tuple of int32 arrays
-        The paper's a-stream, one per demonstration: the action after each sequence.
-    """
+class ActionSpace(NamedTuple):
+    """The distinct actions (a, l), and the paper's a-streams: the action after each sequence of a demonstration."""
 
     actions: NDArray[np.int8]
     streams: tuple[NDArray[np.int32], ...]
 
 
 def following_atoms(atoms: NDArray[np.int8], sequence_length: int) -> NDArray[np.int8]:
-    """Cut out the l atoms after each sequence.
+    """Cut the l atoms after each sequence out of atoms (f,), of which atom k follows frame k: int8 (f // l, l).
 
-    Parameters
-    ----------
-    atoms : int8 array (f,)
-        Atom k was executed between frames k and k + 1; the last one after the last frame.
-    sequence_length : int
-        l.
-
-    Returns
-    -------
-    int8 array (f // l, l)
-        For a sequence of the frames t to t + l - 1 the atoms t + l - 1 to t + 2 l - 2: what was done *after* it.
-        (Atoms during the sequence, as a literal reading of Algorithm 3 has it, would replay the past.) The
-        last sequence has one recorded atom left; stops fill it up.
+    For a sequence of the frames t to t + l - 1 these are the atoms t + l - 1 to t + 2 l - 2: what was done *after* it.
+    (Atoms during the sequence, as a literal reading of Algorithm 3 has it, would replay the past.) The last sequence
+    has one recorded atom left; stops fill it up.
     """
     l = sequence_length  # noqa: E741
     padded = np.concatenate([atoms, np.full(l - 1, Atom.STOP, dtype=np.int8)])

@@ -33,27 +33,21 @@ def algorithm2(
     max_iterations: int = 500,
     floor: float = 1e-8,
 ) -> ReferenceResult:
-    """Minimize Eq. 7 by reweighted least squares.
+    """Minimize Eq. 7 by reweighted least squares, for X (m, n) and Y (m, q).
 
     Parameters
     ----------
-    templates : array (m, n)
-        X.
-    query : array (m, q)
-        Y.
-    sequence_length : int
     lambda1, lambda2 : float
         Positive, or the systems may be singular.
     tolerance : float
         Relative change of the objective at which to stop.
-    max_iterations : int
     floor : float
         Smallest norm that is divided by.
     """
     X, Y = np.asarray(templates, dtype=np.float64), np.asarray(query, dtype=np.float64)
     gram, correlations = X.T @ X, X.T @ Y
     # The paper does not say where to start; from W = 0 every weight would stay at the floor.
-    W: Array = np.linalg.solve(gram + (lambda1 + lambda2) * np.eye(X.shape[1]), correlations)
+    W = np.asarray(np.linalg.solve(gram + (lambda1 + lambda2) * np.eye(len(gram)), correlations), dtype=np.float64)
     objectives: list[float] = []
     for _ in range(max_iterations):
         residual_norms = np.linalg.norm(Y - X @ W, axis=0)

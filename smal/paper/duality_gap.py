@@ -48,28 +48,11 @@ def quick_bounds(blocks: NDArray[Any], lambda1: float, lambda2: float) -> Array:
 def polar_bounds(
     blocks: Array, lambda1: float, lambda2: float, guess: Array, rounds: int, enough: float = 0.0
 ) -> tuple[Array, Array]:
-    """Bound the polars sharply, by a split G = lambda1 U + lambda2 V + E.
+    """Bound the polar of each G of (b, l, q) sharply, by a split G = lambda1 U + lambda2 V + E.
 
     U and V in their balls have polar at most 1, E is bounded quickly, and the polar is a norm: 1 + bound(E).
-    Alternating projections shrink E.
-
-    Parameters
-    ----------
-    blocks : float64 array (b, l, q)
-        G of every sequence.
-    lambda1, lambda2 : float
-        Not negative, at least one positive.
-    guess : float64 array (b, l, q)
-        U to begin with.
-    rounds : int
-        Alternating projections after the first.
-    enough : float
-        Stop as soon as no bound is larger.
-
-    Returns
-    -------
-    float64 arrays (b,), (b, l, q)
-        The bounds, and V of the last split.
+    Alternating projections, so many rounds after the first, shrink E from a guess of U, until no bound is above
+    `enough`. Returns the bounds (b,), and V of the last split.
     """
     best, U, V = quick_bounds(blocks, lambda1, lambda2), _inside(guess, axis=2), np.zeros_like(blocks)
     for turn in range(rounds + 1):

@@ -73,19 +73,8 @@ class LearningSettings:
 class LearningReport:
     """What was learned, in numbers.
 
-    Parameters
-    ----------
-    demonstrations, frames, sequences, states, actions, goals : int
-    shared_states : int
-        States that occur in at least two demonstrations: without them the transition graph is a set of chains.
-    dead_ends : int
-        States that nothing is known to follow.
-    reward_states : int
-        States with a reward above 1e-6.
-    template_bytes : int
-        Memory of the templates.
-    seconds : dict
-        Per stage.
+    Of the states, `shared_states` occur in at least two demonstrations (without them the transition graph is a set of
+    chains), nothing is known to follow `dead_ends`, and `reward_states` have a reward above 1e-6.
     """
 
     demonstrations: int

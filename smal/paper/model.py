@@ -116,13 +116,6 @@ class Model(Stored):
         """Frames of the longest drive."""
         return max(map(len, self.atoms))
 
-    def __repr__(self) -> str:
-        """Say what it is, not all its numbers."""
-        return (
-            f"Model({self.states} states, {len(self.actions)} actions, l = {self.sequence_length}, "
-            f"{'+'.join(self.feature_settings.modalities)}, {len(self.names)} demonstrations)"
-        )
-
     def content(self) -> Content:
         """Return what the file says of the model, and the arrays in it."""
         arrays: dict[str, NDArray[Any]] = {

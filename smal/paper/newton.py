@@ -133,24 +133,10 @@ class Iterate(NamedTuple):
 def minimize(
     problem: BlockProblem, W: Array, U: Array, V: Array, epsilon: float, tolerance: float
 ) -> tuple[Iterate, float, int]:
-    """Minimize Eq. 7 over the weights of a few template frames.
+    """Minimize Eq. 7 over the weights of a few template frames, to a relative duality gap.
 
-    Parameters
-    ----------
-    problem : BlockProblem
-    W, U, V : float64 arrays (p, q)
-        To start with; where U is zero everywhere, subgradients of the smoothed norms are taken.
-    epsilon : float
-        Smoothing to start with: less for a better start.
-    tolerance : float
-        Relative duality gap at which to stop.
-
-    Returns
-    -------
-    Iterate
-        The best that was reached.
-    float, int
-        The smoothing at the end, and Newton steps.
+    Start with W, U and V (p, q), or, where U is zero, with subgradients of the smoothed norms; and with less smoothing
+    for a better start. Returns the best that was reached, the smoothing at the end, and the Newton steps.
     """
     d, e, f = problem.norms(W, epsilon)
     now = Iterate(W, 1.0 / d, W / d, *((U, V) if U.any() else (W / e, W / f)))
@@ -239,7 +225,7 @@ class _System(NamedTuple):
         matrices -= _outer(self.of_columns) * (problem.block[:, None] == problem.block)
         rows = np.arange(len(descent))
         matrices[:, rows, rows] += self.diagonal.T
-        inverses: Array = np.linalg.inv(matrices)
+        inverses = np.linalg.inv(matrices)
         direction = np.einsum("irs,si->ri", inverses, descent)
         coupling = np.eye(len(descent)) - np.einsum("irs,ri,si->rs", inverses, of_rows, of_rows)
         shared = np.linalg.solve(coupling, (of_rows * direction).sum(axis=1))

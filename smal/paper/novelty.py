@@ -43,16 +43,7 @@ class Match:
 
 
 def describe_match(solution: Solution, templates: NDArray[Any], frames: NDArray[Any]) -> Match:
-    """Summarize a solution of Eq. 7.
-
-    Parameters
-    ----------
-    solution : Solution
-    templates : float array (m, n)
-        X, of unit length.
-    frames : float array (q, m)
-        Y^T.
-    """
+    """Summarize a solution of Eq. 7, of templates X (m, n) of unit length and frames Y^T (q, m)."""
     length, q = solution.sequence_length, len(frames)
     norms = np.linalg.norm(frames, axis=1)
     total = float(norms.sum(dtype=np.float64))

@@ -19,14 +19,8 @@ def sequence_starts(rows: NDArray[np.intp], sequence_length: int) -> NDArray[np.
 def s1_norm(weights: NDArray[Any], sequence_length: int, rows: NDArray[np.intp] | None = None) -> float:
     """Sum over query frames and template sequences of the l2 norm of their weights (Eq. 6).
 
-    Parameters
-    ----------
-    weights : array (n, q)
-        Row r belongs to template frame r, column i to query frame i.
-    sequence_length : int
-        Adjacent template frames in a sequence; the last sequence may be shorter.
-    rows : intp array, optional
-        Template frames that the rows belong to, ascending, if they are not all: the rest of W is zero.
+    The weights (p, q) are those of all template frames, or of some `rows`, ascending; the rest of W is zero. The last
+    sequence may be shorter.
     """
     if sequence_length < 1:
         raise ValueError(f"sequence_length must be at least 1, got {sequence_length}")
@@ -47,17 +41,7 @@ def objective(
 ) -> float:
     """Evaluate Eq. 7: ||(XW - Y)^T||_{2,1} + lambda1 ||W||_{2,1} + lambda2 ||W||_{S1}.
 
-    Parameters
-    ----------
-    templates : array (m, n)
-        X, one template frame a column.
-    query : array (m, q)
-        Y, one query frame a column.
-    weights : array (n, q)
-        W.
-    sequence_length : int
-    lambda1, lambda2 : float
-        Weights of the two penalties.
+    X (m, n) has a template frame a column, Y (m, q) a query frame; W is (n, q).
     """
     W = np.asarray(weights, dtype=np.float64)
     used = np.flatnonzero(W.any(axis=1))

@@ -1,6 +1,6 @@
 """Policy (Eq. 13): maximize the discounted reward over the actions that were seen in a state."""
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,17 +16,8 @@ _TIE = 1e-9
 _MAX_ITERATIONS = 100_000
 
 
-@dataclass(frozen=True, eq=False)
-class Policy:
-    """What to do in every state.
-
-    Parameters
-    ----------
-    action : int32 array (states,)
-        Number of the action, or NO_ACTION in goal states and dead ends.
-    value : float64 array (states,)
-        V.
-    """
+class Policy(NamedTuple):
+    """The action of every state (states,), `NO_ACTION` in goal states and dead ends, and V (states,)."""
 
     action: NDArray[np.int32]
     value: Array
@@ -62,17 +53,7 @@ def policy_matrix(transitions: Transitions, pairs: NDArray[np.int64]) -> sparse.
 def policy_iteration(transitions: Transitions, reward: Array, gamma: float) -> Policy:
     """Howard's policy iteration: solve for the value of a policy, improve it, until nothing improves.
 
-    Parameters
-    ----------
-    transitions : Transitions
-    reward : float64 array (states,)
-    gamma : float
-        Discount factor, at least 0 and below 1.
-
-    Raises
-    ------
-    ValueError
-        gamma out of range.
+    The reward is R (states,); gamma, the discount factor, is at least 0 and below 1, or ValueError is raised.
     """
     check_discount(gamma)
     pairs = transitions.expert_pairs()

@@ -13,16 +13,7 @@ from smal.paper.state_matching import solve
 
 
 class Recognizer:
-    """Keeps the last l frames and matches them with the states of a model.
-
-    A frame is only taken in; the decision costs some passes over the templates and a small solve.
-
-    Parameters
-    ----------
-    model : Model
-    tolerance : float
-        Relative duality gap of each match.
-    """
+    """Keeps the last l frames and matches them with the states of a model, each time to a relative duality gap."""
 
     def __init__(self, model: Model, tolerance: float = 1e-3) -> None:
         self._model, self._centering = model, model.centering

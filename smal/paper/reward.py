@@ -1,7 +1,7 @@
 """Reward by inverse reinforcement learning: the linear program of Ng & Russell (2000) for a known finite model.
 
     maximize   sum_s min_{a != a1} [(P_a1(s) - P_a(s)) V] - lambda ||R||_1
-    such that  (P_a1(s) - P_a(s)) V >= 0 for every s and a,   V = R + gamma P_a1 V,   |R| <= Rmax
+    such that  (P_a1(s) - P_a(s)) V >= 0 for every s and a,   V = R + gamma P_a1 V,   |R| <= Rmax = 1
 
 with a1 the action that the expert took most often in s (`Transitions.expert_pairs`). We keep V as a variable instead
 of (I - gamma P_a1)^-1 R, so that every matrix stays sparse.
@@ -34,7 +34,7 @@ class RewardError(RuntimeError):
 
 
 class Reward(NamedTuple):
-    """R(s) of every state (states,), within [-r_max, r_max], and the optimal value of the program."""
+    """R(s) of every state (states,), within [-1, 1], and the optimal value of the program."""
 
     state_reward: Array
     objective: float
@@ -70,17 +70,17 @@ class _Program:
         self.equality = sparse.hstack([identity - gamma * P, -identity, identity, nothing], format="csr")
         self.margin_bound = np.where(expert >= 0, np.inf, 0.0)
 
-    def solve(self, penalty: float, r_max: float, total: float = np.inf) -> tuple[Array, float]:
-        """Maximize the margins less `penalty` ||R||_1, with |R| <= r_max and ||R||_1 <= total: variables, optimum."""
+    def solve(self, penalty: float, total: float = np.inf) -> tuple[Array, float]:
+        """Maximize the margins less `penalty` ||R||_1, with |R| <= 1 and ||R||_1 <= total: variables, optimum."""
         n = self.n
         # The last row is ||R||_1 <= total.
         sum_of_reward = sparse.csr_array(np.repeat([0.0, 1.0, 0.0], [n, 2 * n, n])[None])
         unbounded = np.full(n, np.inf)
-        low, high = [-unbounded, np.zeros(3 * n)], [unbounded, np.full(2 * n, r_max), self.margin_bound]
+        low, high = [-unbounded, np.zeros(3 * n)], [unbounded, np.ones(2 * n), self.margin_bound]
         result = linprog(  # type: ignore[call-overload]  # takes sparse matrices; the stubs do not know it
             np.concatenate([np.zeros(n), np.full(2 * n, penalty), -np.ones(n)]),
             A_ub=sparse.vstack([self.inequality, sum_of_reward], format="csr"),
-            b_ub=np.append(np.zeros(self.rows), min(total, 2.0 * n * r_max)),
+            b_ub=np.append(np.zeros(self.rows), min(total, 2.0 * n)),
             A_eq=self.equality,
             b_eq=np.zeros(n),
             bounds=np.stack([np.concatenate(low), np.concatenate(high)], axis=1),
@@ -91,7 +91,7 @@ class _Program:
         return np.asarray(result.x, dtype=np.float64), -float(result.fun)
 
 
-def learn_reward(transitions: Transitions, gamma: float, sparsity: float = 0.5, r_max: float = 1.0) -> Reward:
+def learn_reward(transitions: Transitions, gamma: float, sparsity: float = 0.5) -> Reward:
     """Find a reward under which the expert's majority policy is optimal.
 
     Parameters
@@ -101,8 +101,6 @@ def learn_reward(transitions: Transitions, gamma: float, sparsity: float = 0.5, 
         Discount factor, at least 0 and below 1.
     sparsity : float
         lambda as a share, from 0 to 1, of its critical value (module docstring).
-    r_max : float
-        Largest |R(s)|, positive.
 
     Raises
     ------
@@ -112,10 +110,10 @@ def learn_reward(transitions: Transitions, gamma: float, sparsity: float = 0.5, 
         HiGHS did not solve the program. It is never infeasible in exact arithmetic: R = V = 0 is feasible.
     """
     check_discount(gamma)
-    if not (0.0 <= sparsity <= 1.0 and np.isfinite(r_max) and r_max > 0.0):
-        raise ValueError(f"sparsity must be 0 to 1 and r_max positive, got {sparsity} and {r_max}")
+    if not 0.0 <= sparsity <= 1.0:
+        raise ValueError(f"sparsity must be 0 to 1, got {sparsity}")
     program = _Program(transitions, gamma)
-    _, critical = program.solve(penalty=0.0, r_max=1.0, total=1.0)
-    x, objective = program.solve(sparsity * critical, r_max)
+    _, critical = program.solve(penalty=0.0, total=1.0)
+    x, objective = program.solve(sparsity * critical)
     n = transitions.states
     return Reward(x[n : 2 * n] - x[2 * n : 3 * n], objective)

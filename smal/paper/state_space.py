@@ -74,54 +74,35 @@ def learn_state_space(
     ValueError
         No demonstration has l frames.
     MemoryBoundError
-        Names what is needed and what is allowed.
+        The templates need more.
     """
-    l, sequences = sequence_length, _cut(demonstrations, sequence_length)  # noqa: E741
+    l = sequence_length  # noqa: E741
+    sequences = [
+        frames[start : start + l]
+        for frames in demonstrations
+        for start in range(first_frame(len(frames), l), len(frames), l)
+    ]
     if not sequences:
         raise ValueError(f"no demonstration has {l} frames")
     # As many rows as there could be states; memory is taken when a row is written.
-    templates = np.empty((len(sequences) * l, sequences[0].shape[1]), dtype=np.float32)
+    rows = np.empty((len(sequences) * l, sequences[0].shape[1]), dtype=np.float32)
     stream: list[int] = []
     states = 0
     for frames in sequences:
-        state = _known_state(templates[: states * l], frames, l, lambda1, lambda2, tau, tolerance) if states else None
+        state, templates = None, rows[: states * l].T
+        if states:
+            match = describe_match(solve(templates, frames.T, l, lambda1, lambda2, tolerance), templates, frames)
+            state = None if match.is_novel(tau) else match.state
         if state is None:
             state, states = states, states + 1
-            _check_memory(states * frames.nbytes, max_bytes)
-            templates[state * l : states * l] = frames
+            if max_bytes is not None and states * frames.nbytes > max_bytes:
+                raise MemoryBoundError(
+                    f"the templates need more than {max_bytes / 2**20:.1f} MiB allowed; "
+                    "allow more, or merge more states by a smaller tau"
+                )
+            rows[state * l : states * l] = frames
         stream.append(state)
         if progress is not None:
             progress(len(stream), len(sequences))
     ends = np.cumsum([len(frames) // l for frames in demonstrations])[:-1]
-    return StateSpace(templates[: states * l].T, tuple(np.split(np.array(stream, dtype=np.int32), ends)), l)
-
-
-def _cut(demonstrations: Sequence[NDArray[np.float32]], length: int) -> list[NDArray[np.float32]]:
-    """All sequences (l, m) in order."""
-    return [
-        frames[start : start + length]
-        for frames in demonstrations
-        for start in range(first_frame(len(frames), length), len(frames), length)
-    ]
-
-
-def _known_state(
-    templates: NDArray[np.float32],
-    frames: NDArray[np.float32],
-    length: int,
-    lambda1: float,
-    lambda2: float,
-    tau: float,
-    tolerance: float,
-) -> int | None:
-    """Return the state that a sequence (l, m) shows, if it matches one of the template frames (n, m)."""
-    match = describe_match(solve(templates.T, frames.T, length, lambda1, lambda2, tolerance), templates.T, frames)
-    return None if match.is_novel(tau) else match.state
-
-
-def _check_memory(needed: int, allowed: int | None) -> None:
-    if allowed is not None and needed > allowed:
-        raise MemoryBoundError(
-            f"the templates need more than {needed / 2**20:.1f} MiB, of {allowed / 2**20:.1f} MiB allowed; "
-            "allow more, or merge more states by a smaller tau"
-        )
+    return StateSpace(rows[: states * l].T, tuple(np.split(np.array(stream, dtype=np.int32), ends)), l)

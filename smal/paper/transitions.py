@@ -102,22 +102,10 @@ def learn_transitions(
     successful: Sequence[bool],
     states: int,
 ) -> Transitions:
-    """Count what followed what, never across two demonstrations.
+    """Count what followed what in s-streams and a-streams, never across two demonstrations.
 
-    Parameters
-    ----------
-    state_streams, action_streams : sequences of int32 arrays
-        s-stream and a-stream of each demonstration, equally long.
-    successful : sequence of bool
-        Whether a demonstration ended at the goal. The end of one that did not (a recovery drive) is an
-        ordinary state: nothing is known of what follows its last sequence, so that it adds no pair.
-    states : int
-        Number of states.
-
-    Raises
-    ------
-    ValueError
-        No successful demonstration.
+    The end of a demonstration that was not successful (a recovery drive) is an ordinary state: nothing is known of what
+    follows its last sequence, so that it adds no pair. Without a successful one ValueError is raised.
     """
     ends = [int(s[-1]) for s, good in zip(state_streams, successful, strict=True) if good and s.size]
     if not ends:
@@ -130,10 +118,10 @@ def learn_transitions(
     going_on = ~np.isin(now, goals)
     moved = np.stack([now[going_on], action[going_on], then[going_on]], axis=1).astype(np.int32)
     stay = np.stack([goals, np.full_like(goals, NO_ACTION), goals], axis=1)
-    triples, count = np.unique(moved, axis=0, return_counts=True)
-    triples, count = np.concatenate([triples, stay]), np.concatenate([count, np.zeros_like(goals)]).astype(np.int32)
+    distinct, often = np.unique(moved, axis=0, return_counts=True)
+    triples = np.concatenate([distinct, stay])
     order = np.lexsort(triples.T[::-1])
-    triples, count = triples[order], count[order]
+    triples, count = triples[order], np.append(often, np.zeros(len(goals))).astype(np.int32)[order]
     pairs, first, size = np.unique(triples[:, :2], axis=0, return_index=True, return_counts=True)
     share = np.maximum(count, 1)  # a goal stays with certainty though it was never counted
     return Transitions(

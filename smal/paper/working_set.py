@@ -148,7 +148,8 @@ class WorkingSet:
         start = np.zeros((3, *correlations.shape))
         start[:, here] = self._start[:, there]
         start[0] /= self._weight_scale
-        self._inner, self._epsilon, steps = minimize(self._problem, *start, self._epsilon, tolerance)
+        W, U, V = start
+        self._inner, self._epsilon, steps = minimize(self._problem, W, U, V, self._epsilon, tolerance)
         W, alpha, B, U, V = self._inner
         self._before, self._start = self._set, np.stack([W * self._weight_scale, U, V])
         self.steps += steps

@@ -26,27 +26,10 @@ def match_as_in_the_paper(
 ) -> Matches:
     """Match the l frames that end with each query by Eq. 7, with lambda1 = lambda2 = a sqrt(l).
 
-    Parameters
-    ----------
-    references, queries : float32 arrays (n, m), (q, m)
-        Centred by the mean of the references and weighted. References beyond the last whole sequence are left out.
-    length : int
-        l, at least 1.
-    lambda_scale : float
-        a, above 0.
-    progress : callable
-        Called with the number of queries that are done.
-
-    Returns
-    -------
-    Matches
-        None for the first l-1 queries, where W = 0, and for any where n < l. The reference is the frame of the
-        best sequence (Eq. 9) at which W places the query (`matched_phase`), and the score its weight per frame.
-
-    Raises
-    ------
-    ValueError
-        The features do not fit each other or are not finite, or l is below 1.
+    References (n, m) and queries (q, m) are centred by the mean of the references, and weighted. References beyond the
+    last whole sequence are left out. There is no match for the first l-1 queries, where W = 0, and for any where n < l.
+    The reference is the frame of the best sequence (Eq. 9) at which W places the query (`matched_phase`), and the score
+    its weight per frame. Features that do not fit or are not finite raise ValueError.
     """
     check_features(references, queries, length)
     total, whole = len(queries), len(references) // length * length

@@ -21,27 +21,10 @@ def match_nearest_sequence(
 
         score(t) = max_j  1/l  sum_{k=0}^{l-1}  x_{j-k} . y_{t-k}
 
-    Parameters
-    ----------
-    references : float32 array (n, m)
-        In order, centred and weighted (`Centering.apply`), one vector x of length 1 each.
-    queries : float32 array (q, m)
-        Likewise; the vectors y.
-    length : int
-        Frames l of a window, at least 1. The window of query t is t-l+1..t, and its match is the frame at t.
-    progress : callable
-        Called with the number of queries that are done.
-
-    Returns
-    -------
-    Matches
-        None for the first l-1 queries, nor for any where n < l. With vectors of length 1 the score is the mean cosine
-        of the window, in [-1, 1]. Of equal sequences the earliest.
-
-    Raises
-    ------
-    ValueError
-        The features do not fit each other or are not finite, or l is below 1.
+    The vectors x of the references (n, m) and y of the queries (q, m) are centred and weighted (`Centering.apply`), of
+    length 1. The window of query t is t-l+1..t, and its match is the frame at t; there is none for the first l-1
+    queries, nor for any where n < l. The score is the mean cosine of the window, in [-1, 1]. Of equal sequences the
+    earliest is taken. Features that do not fit or are not finite raise ValueError.
     """
     check_features(references, queries, length)
     total, count = len(queries), len(references)

@@ -117,7 +117,9 @@ def solve_ordered(
     penalties = penalty + surcharge
     working = _largest(excess.ravel(), _FIRST)
     weights = np.zeros(working.size)
-    for turn in range(_MOST_ROUNDS):
+    turn = 0
+    while True:
+        turn += 1
         speed, end = np.divmod(working, n)
         frames = end - steps[speed, ::-1].T
         blocks = gram[frames[:, :, None], frames[:, None, :]].astype(np.float64)
@@ -133,11 +135,10 @@ def solve_ordered(
         excess[working] = -np.inf
         lacking = _largest(excess, _MORE)
         lacking = lacking[excess[lacking] > 0.0]
-        if gap <= tolerance or not lacking.size or turn == _MOST_ROUNDS - 1:
-            break
+        if gap <= tolerance or not lacking.size or turn == _MOST_ROUNDS:
+            return OrderedSolution(working[active], weights[active], primal, max(gap, 0.0), penalty)
         # What has no weight after the first round rarely gets some: a small problem is a fast one.
         working, weights = np.append(working[active], lacking), np.append(weights[active], np.zeros(lacking.size))
-    return OrderedSolution(working[active], weights[active], primal, max(gap, 0.0), penalty)
 
 
 def _prices(products: NDArray[np.float32], scale: Array, steps: NDArray[np.int64]) -> Array:

@@ -21,21 +21,11 @@ _DOUBT: Final = 5
 
 
 def local_speeds(matches: Matches, length: int) -> NDArray[np.float64]:
-    """Estimate the speed at every query: the median of the slopes between sure matches around it.
+    """Estimate the speed at every query, (q,): the median of the slopes between sure matches around it.
 
-    Parameters
-    ----------
-    matches : Matches
-        Of q queries.
-    length : int
-        Frames l of a window. A slope is taken over l frames, so that its two windows share none, and the median over
-        the slopes that end within 2 l frames of the query.
-
-    Returns
-    -------
-    float64 array (q,)
-        Reference frames to one query frame, 0.5 to 2; the fewer slopes there are near a query the more that of the
-        whole traverse, and the fewer there are at all the nearer to 1.
+    A slope is taken over the l frames of a window, so that its two windows share none, and the median over the slopes
+    that end within 2 l frames of the query. The speed is in reference frames to one query frame, 0.5 to 2; the fewer
+    slopes there are near a query the more that of the whole traverse, and the fewer there are at all the nearer to 1.
     """
     octaves = _slopes(matches, length)
     everywhere = _median(octaves, 0.0)

@@ -19,18 +19,7 @@ _STANDING, _MOVING = 0.4, 0.75
 
 
 def first_frames(features: NDArray[np.float32]) -> NDArray[np.int64]:
-    """Find the stops of a traverse.
-
-    Parameters
-    ----------
-    features : float32 array (n, m)
-        In order.
-
-    Returns
-    -------
-    int64 array (n,)
-        The first frame of the stop that each frame belongs to; of a frame in moving itself.
-    """
+    """Find the stops of a traverse (n, m): the first frame of the stop that each frame belongs to, or itself (n,)."""
     first = np.arange(len(features))
     if first.size < LEAST_FRAMES:
         return first
@@ -54,20 +43,10 @@ def first_frames(features: NDArray[np.float32]) -> NDArray[np.int64]:
 
 
 def windows(first: NDArray[np.int64], length: int) -> NDArray[np.int64]:
-    """Return the frames of the window that ends with each frame, from the first possible one on.
+    """Return the frames of the window that ends with each frame, from the first possible one on, (q - l + 1, l).
 
-    Parameters
-    ----------
-    first : int64 array (q,)
-        See `first_frames`.
-    length : int
-        l, at least 1.
-
-    Returns
-    -------
-    int64 array (max(q - l + 1, 0), l)
-        Ascending: the last l frames with every stop counted once, and the frame itself; plainly the last l where the
-        traverse has not come so far yet.
+    Ascending: the last l frames with every stop (`first_frames`, (q,)) counted once, and the frame itself; plainly the
+    last l where the traverse has not come so far yet.
     """
     ends, back = np.arange(length - 1, first.size), np.arange(length - 1, -1, -1)
     kept = np.unique(first)

@@ -11,19 +11,10 @@ _BLOCK_ENTRIES = 1 << 21
 
 
 def steps_back(speeds: Sequence[float] | NDArray[Any], length: int) -> NDArray[np.int64]:
-    """Return how many references before its end a trajectory is, 0 to length-1 queries before its end.
+    """Return how many references before its end a trajectory is, 0 to l-1 queries before its end, (speeds, l).
 
-    Parameters
-    ----------
-    speeds : sequence of float (s,)
-        References to one query, positive.
-    length : int
-        Queries of a trajectory, at least 1.
-
-    Returns
-    -------
-    int64 array (s, length)
-        speed * k to the nearest whole reference; halves go up, so that half speed advances at every second query.
+    That is speed * k, for a speed in references to one query, to the nearest whole reference; halves go up, so that
+    half speed advances at every second query.
     """
     steps: NDArray[np.int64] = np.floor(np.outer(speeds, np.arange(length)) + 0.5).astype(np.int64)
     return steps
@@ -34,21 +25,8 @@ def rolling(
 ) -> Iterator[tuple[int, NDArray[np.float32]]]:
     """Compute a matrix (queries, references) a few rows at a time, so that it need not fit in memory.
 
-    Parameters
-    ----------
-    compute : callable
-        From a slice of queries to its rows, (rows, references).
-    queries, references : int
-        Size of the matrix.
-    length : int
-        Rows that a window takes, at least 1.
-
-    Yields
-    ------
-    done : int
-        Queries so far.
-    rows : float32 array (c + length - 1, references)
-        Of the last c windows, c >= 1: those that end at queries done-c..done-1. Each window comes once.
+    Yields how many queries are done, and the rows (c + length - 1, references) of the last c windows of `length` rows,
+    c >= 1: those that end at queries done-c..done-1. Each window comes once.
     """
     step = max(length, _BLOCK_ENTRIES // max(1, references))
     kept = np.empty((0, references), dtype=np.float32)
@@ -61,20 +39,10 @@ def rolling(
 
 
 def sums_along(rows: NDArray[np.float32], steps: Sequence[int] | NDArray[np.int64]) -> NDArray[np.float32]:
-    """Sum a matrix along one trajectory, from each of its ends.
+    """Sum a matrix (c + l - 1, n) of successive queries along one trajectory of l steps, from each of its ends.
 
-    Parameters
-    ----------
-    rows : float32 array (c + l - 1, n)
-        Of successive queries.
-    steps : l ints
-        How many references before its end the trajectory is, 0, 1, ... l-1 queries before its end; not falling.
-
-    Returns
-    -------
-    float32 array (c, max(n - steps[-1], 0))
-        Entry (i, j) is the sum of the trajectory that ends at row i + l - 1 and at reference j + steps[-1]; those that
-        end earlier would begin before the first reference.
+    Entry (i, j) of the result (c, max(n - steps[-1], 0)) is the sum of the trajectory that ends at row i + l - 1 and at
+    reference j + steps[-1]; those that end earlier would begin before the first reference.
     """
     (height, width), length, reach = rows.shape, len(steps), steps[-1]
     total = np.zeros((height - length + 1, max(width - reach, 0)), dtype=np.float32)

@@ -19,19 +19,7 @@ PRIOR_FRAMES: Final = 5
 def centre_traverses(
     references: NDArray[np.float32], queries: NDArray[np.float32], settings: FeatureSettings
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Centre two traverses, and weight their modalities.
-
-    Parameters
-    ----------
-    references, queries : float32 arrays (n, m), (q, m)
-        Raw features of `extract`; n and q at least 1.
-    settings : FeatureSettings
-
-    Returns
-    -------
-    float32 arrays (n, m), (q, m)
-        See `Centering.apply`.
-    """
+    """Centre two traverses, raw features (n, m) and (q, m), and weight their modalities; see `Centering.apply`."""
     known, own = Centering.fit(references, settings), Centering.fit(queries, settings)
     share = np.float32(queries.shape[0] / (queries.shape[0] + PRIOR_FRAMES))
     seen = Centering(share * own.mean + (1 - share) * known.mean, settings)

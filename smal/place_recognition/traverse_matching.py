@@ -113,22 +113,10 @@ def _places(gram: NDArray[np.float32], first: NDArray[np.int64]) -> _Places:
 
 
 def place_of(solution: OrderedSolution, references: int) -> tuple[int, float]:
-    """Return the place with the most weight, and how sure it is.
+    """Return the place with the most weight, and how sure it is, of a solution with at least one sequence.
 
-    Parameters
-    ----------
-    solution : OrderedSolution
-        With at least one sequence.
-    references : int
-        n.
-
-    Returns
-    -------
-    reference : int
-        Weighted mean of the last frames of all sequences that end within 3 frames of the one around which most
-        weight lies.
-    score : float
-        That weight, at least 0, times its share of all weights.
+    The place is the weighted mean of the last frames of all sequences that end within 3 frames of the one around which
+    most weight lies; the score is that weight, at least 0, times its share of all weights.
     """
     ends = solution.sequences % references
     near = np.abs(ends[:, None] - ends) <= _REACH

@@ -63,15 +63,6 @@ def _exact_duplicates(rng: np.random.Generator) -> Problem:
     return replace(problem, X=np.asfortranarray(np.concatenate([problem.X, first, problem.X], axis=1)))
 
 
-def _overlapping_windows(rng: np.random.Generator) -> Problem:
-    length, windows, size = int(rng.choice([2, 5])), 15, 80
-    route = corridor(windows + length, size, int(rng.integers(2**31)))
-    X = np.concatenate([route[start : start + length] for start in range(windows)])
-    start = int(rng.integers(0, windows))
-    query = unit(route[start : start + length] + 0.1 * unit(rng.standard_normal((length, size))))
-    return _problem(X.T, query.T, length, rng)
-
-
 def _rank_deficient(rng: np.random.Generator) -> Problem:
     """Up to 70 times as many templates as entries."""
     length, n = int(rng.choice([1, 2, 5])), int(rng.choice([20, 200]))
@@ -109,7 +100,6 @@ STRUCTURES: dict[str, Callable[[np.random.Generator], Problem]] = {
     "mixture": _mixture,
     "near duplicates": _near_duplicates,
     "exact duplicates": _exact_duplicates,
-    "overlapping windows": _overlapping_windows,
     "rank deficient": _rank_deficient,
     "noise only": _noise_only,
     "shorter last sequence": _shorter_last_sequence,

@@ -164,5 +164,3 @@ def test_bad_discount_is_refused(gamma: float) -> None:
 def test_bad_reward_parameters_are_refused() -> None:
     with pytest.raises(ValueError, match="sparsity"):
         learn_reward(random_transitions(0), 0.9, sparsity=2.0)
-    with pytest.raises(ValueError, match="r_max"):
-        learn_reward(random_transitions(0), 0.9, r_max=0.0)

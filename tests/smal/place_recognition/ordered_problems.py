@@ -141,13 +141,6 @@ def _duplicates(rng: np.random.Generator, n: int, length: int) -> tuple[Array, A
     return np.concatenate([references, references]), queries
 
 
-def _dark(rng: np.random.Generator, n: int, length: int) -> tuple[Array, Array]:
-    """Let some references show nothing."""
-    references, queries = _walk(rng, n, length)
-    references[rng.random(n) < 0.3] = 0.0
-    return references, queries
-
-
 def _blind(rng: np.random.Generator, n: int, length: int) -> tuple[Array, Array]:
     """Let some query frames show nothing, perhaps all."""
     references, queries = _walk(rng, n, length)
@@ -176,7 +169,6 @@ STRUCTURES: Mapping[str, Callable[[np.random.Generator, int, int], tuple[Array, 
         "random": _random,
         "walk": _walk,
         "duplicates": _duplicates,
-        "dark": _dark,
         "blind": _blind,
         "identical": _identical,
         "opposed": _opposed,

@@ -45,16 +45,3 @@ def test_a_copy_is_found_exactly() -> None:
     matches = match_nearest_sequence(references, references[17:40], 5, ignore)
     assert matches.reference.tolist() == [NONE] * 4 + list(range(21, 40))
     assert matches.score[4:] == pytest.approx(1.0, abs=1e-5)
-
-
-def test_progress_ends_with_all_queries(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(trajectories, "_BLOCK_ENTRIES", 100)
-    references = random_features(np.random.default_rng(2), 20)
-    done: list[int] = []
-    match_nearest_sequence(references, references, 3, done.append)
-    assert done == sorted(done)
-    assert done[-1] == 20
-    assert len(set(done)) == 4
-    too_few: list[int] = []
-    match_nearest_sequence(references, references[:2], 3, too_few.append)
-    assert too_few == [2]

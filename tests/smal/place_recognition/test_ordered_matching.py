@@ -1,7 +1,5 @@
 """Ordered matching against an interior-point solver, and its certificate against a calculation by hand."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from hypothesis import Phase, given, settings
@@ -82,17 +80,6 @@ def test_the_certificate_of_an_answer_that_is_not_optimal_says_so() -> None:
     assert 1e-3 < problem.gap(problem.weights(rough)) <= rough.duality_gap + 1e-5
     assert rough.duality_gap <= 0.3
     assert fine.objective < rough.objective
-
-
-@pytest.mark.parametrize("structure", ["opposed", "blind"])
-def test_without_similarity_there_is_no_sequence(structure: str) -> None:
-    problem = problem_of(structure, 3, 20, 4, 2, 0.5)
-    if structure == "blind":
-        problem = replace(problem, queries=np.zeros_like(problem.queries))
-    solution = problem.solve()
-    assert solution.sequences.size == solution.weights.size == 0
-    assert (solution.penalty, solution.duality_gap) == (0.0, 0.0)
-    assert solution.objective == pytest.approx(np.linalg.norm(problem.queries, axis=1).mean())
 
 
 @pytest.mark.parametrize("penalty", [0.5, 0.9])

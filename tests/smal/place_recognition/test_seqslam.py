@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from smal.place_recognition import trajectories
-from smal.place_recognition.matches import NONE, Matches, ignore
+from smal.place_recognition.matches import NONE, ignore
 from smal.place_recognition.seqslam import VELOCITIES, SeqSlamSettings, match_seqslam
 from tests.smal.place_recognition.traverses import Road, random_features
 
@@ -102,12 +102,3 @@ def test_rounding_is_no_contrast() -> None:
     references = np.array([rng.permutation(np.linspace(0.1, 0.7, 2048)) for _ in range(40)], dtype=np.float32)
     matches = match_seqslam(references, np.zeros((15, 2048), dtype=np.float32), SeqSlamSettings(), ignore)
     assert matches.score.max() == 0.0
-
-
-@pytest.mark.parametrize(("references", "queries"), [(9, 30), (30, 9), (0, 5), (30, 0)])
-def test_of_too_few_frames_none_is_recognized(references: int, queries: int) -> None:
-    features, done = random_features(np.random.default_rng(6), 30), list[int]()
-    matches = match_seqslam(features[:references], features[:queries], SeqSlamSettings(), done.append)
-    assert not matches.matched.any()
-    assert done == [queries]
-    assert isinstance(matches, Matches)

@@ -38,12 +38,3 @@ def test_the_speed_varies_along_the_traverse() -> None:
     assert np.median(found[190:]) > 1.6
     assert (found >= 0.5).all()
     assert (found <= 2.0).all()
-
-
-def test_without_a_sure_match_it_is_1() -> None:
-    """Matches that jump about have no speed."""
-    rng = np.random.default_rng(1)
-    jumping = Matches(np.tile([0, 5000], 50)[rng.permutation(100)], np.ones(100))
-    assert local_speeds(jumping, LENGTH) == pytest.approx(1.0, abs=0.02)
-    standing = Matches(np.full(100, 7), np.ones(100))
-    assert local_speeds(standing, LENGTH).tolist() == [1.0] * 100

@@ -55,22 +55,6 @@ def test_the_place_is_found_at_every_speed(name: str) -> None:
     assert np.mean(error <= 2) >= 0.97
 
 
-def test_equal_speeds_only_would_not_do(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The drives above need the other speeds: a single frame, or a diagonal, does worse at twice the speed."""
-    places = drives()["2"]
-    walk = Walk(np.random.default_rng(0))
-    references, queries = walk.at(np.arange(N, dtype=float), 0.4), walk.at(places, 2.5)
-
-    def right(length: int) -> float:
-        matches = match_traverses(references, queries, length)
-        return float(np.mean(np.abs(matches.reference - places)[LENGTH - 1 :] <= 2))
-
-    any_speed = right(LENGTH)
-    assert any_speed > right(1) + 0.1
-    monkeypatch.setattr(traverse_matching, "_SPEED_PENALTY", 10.0)
-    assert any_speed > right(LENGTH) + 0.1
-
-
 @pytest.mark.parametrize("name", ["0.5", "2", "waves"])
 def test_the_second_round_knows_the_speed(name: str) -> None:
     """With frames so poor that the penalty on other speeds alone costs up to an eighth of the matches."""
