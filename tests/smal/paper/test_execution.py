@@ -76,14 +76,6 @@ def test_the_state_is_that_of_eq_9_however_strange_the_view(model: Model, noise:
         assert found.duality_gap <= 1e-3
 
 
-def test_what_was_not_due_is_taken_in(model: Model) -> None:
-    query, streaming = drive(VIEWS, 10, seed=3).features[:23], Recognizer(model)
-    answers = [streaming.observe(tick, view, due=tick % 4 == 0) for tick, view in enumerate(query)]
-    again = seen(model, query[16:21], tick=16)
-    assert answers[20].state == again[-1].state
-    assert [one.status for one in answers[17:21]] == ["collecting"] * 3 + ["recognized"]
-
-
 def test_a_dropped_frame_and_a_reset_start_the_window_anew(model: Model) -> None:
     recognizer, query = Recognizer(model), DRIVES[0].features
     statuses = [recognizer.observe(tick, query[tick], due=True).status for tick in (*range(6), *range(7, 13))]

@@ -16,13 +16,6 @@ def test_norms_by_hand() -> None:
         s1_norm(W, 0)
 
 
-def test_objective_by_hand() -> None:
-    X, Y = np.eye(2), np.array([[1.0], [2.0]])
-    W = np.array([[1.0], [0.0]])
-    assert objective(X, Y, W, 1, 0.5, 0.25) == pytest.approx(2.0 + 0.5 + 0.25)
-    assert objective(X, Y, np.zeros((2, 1)), 1, 0.5, 0.25) == pytest.approx(np.sqrt(5.0))
-
-
 @pytest.mark.parametrize("seed", range(4))
 def test_objective_term_by_term(seed: int) -> None:
     """The sums of the paper, written out, for float32 input and a shorter last sequence."""

@@ -91,11 +91,6 @@ def test_sequences_end_with_the_demonstration() -> None:
     assert seen == [(1, 2), (2, 2)]
 
 
-def test_nothing_to_learn_is_refused() -> None:
-    with pytest.raises(ValueError, match="5 frames"):
-        learned([VIEWS[:4].astype(np.float32)])
-
-
 def test_memory_bound() -> None:
     bound = 4 * SIZE * 20
     with pytest.raises(MemoryBoundError, match="MiB allowed"):

@@ -3,15 +3,7 @@
 import numpy as np
 import pytest
 
-from smal.place_recognition.matches import NONE, Matches, check_features
-
-
-def test_matches_of_some_queries_and_above_a_score() -> None:
-    matches = Matches(np.array([NONE, 0, 7]), np.array([0.0, 0.4, 1.0]))
-    some = matches.of(np.array([2, 0]))
-    assert (some.reference.tolist(), some.score.tolist()) == ([7, NONE], [1.0, 0.0])
-    sure = matches.above(0.4)
-    assert (sure.reference.tolist(), sure.score.tolist()) == ([NONE, NONE, 7], [0.0, 0.0, 1.0])
+from smal.place_recognition.matches import check_features
 
 
 def test_features_that_do_not_fit_are_refused() -> None:

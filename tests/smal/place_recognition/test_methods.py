@@ -71,23 +71,6 @@ def test_one_photo_is_found(name: str) -> None:
         assert abs(int(matches.reference[0]) - (FIRST + query)) <= 2
 
 
-@pytest.mark.parametrize("name", sorted(METHODS))
-def test_the_penalty_of_the_table_is_the_default(name: str) -> None:
-    """Where there is one, it is used: another gives other scores."""
-    method = METHODS[name]
-    references, queries = raw_traverses(method.features)
-
-    def scores(penalty: float | None) -> NDArray[np.float64]:
-        chosen = MatchSettings(method.features, method.length, penalty)
-        return method.match(references[:40], queries[:30], chosen, ignore).score
-
-    if method.penalty is None:
-        assert np.array_equal(scores(None), scores(0.3))
-    else:
-        assert np.array_equal(scores(None), scores(method.penalty))
-        assert not np.allclose(scores(None), scores(0.6 * method.penalty), atol=1e-3)
-
-
 @pytest.mark.parametrize("length", [1, 4])
 def test_paper_is_eq_7_of_the_same_window(length: int) -> None:
     rng = np.random.default_rng(length)

@@ -20,12 +20,6 @@ def test_many_queries_are_centred_by_their_own_mean() -> None:
     assert np.einsum("qm,qm->q", seen, own).min() > 0.999
 
 
-def test_of_one_query_the_mean_of_the_references_is_taken_away() -> None:
-    query = REFERENCES[7:8] + 0.1
-    seen = centre_traverses(REFERENCES, query, SETTINGS)[1]
-    np.testing.assert_allclose(seen, Centering.fit(REFERENCES, SETTINGS).apply(query), atol=1e-5)
-
-
 @pytest.mark.parametrize("count", [1, PRIOR_FRAMES, 3 * PRIOR_FRAMES])
 def test_the_prior_counts_as_some_frames(count: int) -> None:
     queries = RNG.normal(size=(count, SETTINGS.size)).astype(np.float32)
