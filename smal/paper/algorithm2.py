@@ -2,7 +2,7 @@
 
 Each iteration solves l dense systems of all n templates. Its update divides by norms of residuals, rows and columns
 that become zero, which the paper leaves open; here no divisor is smaller than a floor. The floor bounds how close to
-zero a weight can come, and with it how close to the optimum the result is; there is no certificate.
+zero a weight can come, and with it how close to the optimum the result is; it has no duality gap.
 """
 
 from typing import Any, NamedTuple

@@ -1,4 +1,4 @@
-"""State matching (paper, section III-A and Algorithm 2): find the weights W that minimize Eq. 7, with a certificate.
+"""State matching (paper, section III-A and Algorithm 2): find the weights W that minimize Eq. 7, and a duality gap.
 
 Both penalties separate over template sequences and most sequences get no weight. So `working_set` solves Eq. 7 on few
 template frames (by `newton`), bounds from below what all others could change (`duality_gap`), adds the frames that

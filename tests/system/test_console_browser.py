@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import os
 import signal
-import subprocess
-import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager
@@ -157,11 +155,9 @@ def test_the_pad_drives_while_it_is_held(page: Page, site: Site) -> None:
 
 
 def test_the_paper_s_scheme_drives_when_it_is_learned(page: Page, site: Site) -> None:
-    """By what was driven in the first of these tests; what is compiled is compiled before, as by the set-up."""
+    """By what was driven in the first of these tests."""
     if page.locator("#run-form select[name=model] option").count() == 0:
         pytest.skip("nothing is learned: run the whole file")
-    compiling = "from smal.paper.matching.streaming import compile_ahead; compile_ahead()"
-    subprocess.run([sys.executable, "-c", compiling], check=True)
     page.fill("#learn-form [name=name]", "states")
     page.select_option("#learn-form [name=scheme]", "paper")
     page.click("#learn-form button:not([type])")

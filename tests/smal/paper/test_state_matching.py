@@ -1,4 +1,4 @@
-"""Eq. 7 is solved: by certificate, against CVXPY and Algorithm 2, and in every degenerate case."""
+"""Eq. 7 is solved: by duality gap, against CVXPY and Algorithm 2, and in every degenerate case."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""Ordered matching against an interior-point solver, and its certificate against a calculation by hand."""
+"""Ordered matching against an interior-point solver, and its duality gap against a calculation by hand."""
 
 import numpy as np
 import pytest
@@ -52,7 +52,7 @@ def test_the_optimum_where_residuals_vanish(structure: str) -> None:
     speeds=st.integers(0, len(SPEED_TABLES) - 1),
     penalty=st.sampled_from([1e-3, 0.05, 0.3, 0.5, 0.8, 0.95]),
 )
-def test_the_certificate_is_true(
+def test_the_duality_gap_is_true(
     structure: str, seed: int, n: int, length: int, speeds: int, penalty: float
 ) -> None:  # fmt: skip
     problem = problem_of(structure, seed, n, length, speeds, penalty)
@@ -74,7 +74,7 @@ def test_the_certificate_is_true(
         assert solution.objective == pytest.approx(problem.primal(weights), rel=1e-5)
 
 
-def test_the_certificate_of_an_answer_that_is_not_optimal_says_so() -> None:
+def test_the_duality_gap_of_an_answer_that_is_not_optimal_says_so() -> None:
     problem = problem_of("duplicates", 0, 40, 6, 2, 0.05)
     rough, fine = problem.solve(tolerance=0.3), problem.solve(tolerance=1e-6)
     assert 1e-3 < problem.gap(problem.weights(rough)) <= rough.duality_gap + 1e-5
