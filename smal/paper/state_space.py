@@ -19,15 +19,9 @@ class MemoryBoundError(MemoryError):
 
 @dataclass(frozen=True, eq=False)
 class StateSpace:
-    """What Algorithm 1 returns.
+    """What Algorithm 1 returns: X (m, n), of which state j is the columns j l and following, and the paper's s-streams.
 
-    Parameters
-    ----------
-    templates : float32 array (m, n)
-        X; state j is the columns j * l and following.
-    streams : tuple of int32 arrays (f_d // l,)
-        The paper's s-stream, one per demonstration.
-    sequence_length : int
+    The s-stream of a demonstration is the state of each of its sequences, int32 (f // l,).
     """
 
     templates: NDArray[np.float32]
