@@ -19,15 +19,17 @@ def main() -> None:
     parser.add_argument("--world", default="yard")
     parser.add_argument("--dialect", default="rmw_zenoh")
     parser.add_argument("--size", default="160x120")
-    parser.add_argument("--rate", default="15")
+    parser.add_argument("--rate", type=int, default=15)
     parser.add_argument("--runs", type=int, default=10)
     parser.add_argument("--until-found", action="store_true", help="one search that finds it is enough")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--model", type=Path, help="of another drive, in place of one of this day")
     parser.add_argument("--folder", type=Path, required=True)
-    parser.add_argument("more", nargs="*", help="for the fake robot, for example --clock-offset 3600 after --")
+    parser.add_argument("--clock-offset", type=float, default=0.0, help="seconds of the robot's clock ahead of ours")
     options = parser.parse_args()
-    robot = Robot(options.folder, options.world, options.dialect, options.size, ("--rate", options.rate, *options.more))
+    width, height = map(int, options.size.split("x"))
+    seen = {"size": (width, height), "rate": options.rate, "clock_offset": options.clock_offset}
+    robot = Robot(options.folder, options.world, options.dialect, **seen)
     outcomes: Counter[str] = Counter()
     with day_with(robot) as (place, person):
         model = options.model or options.folder / "model.smal"

@@ -1,18 +1,19 @@
 """A robot that speaks ROS 2 over Zenoh, and shares no code with services/ros2: wheels, camera, router, each a process.
 
-``python -m tests.ros2.fake_turtlebot {router,base,camera} …``. It moves and sees in a world of the simulator. Its
-wheels have a watchdog, and their odometry drifts; its clock may be off.
+``python -m tests.ros2.fake_turtlebot {router,base,camera} OPTIONS``, JSON of `tests.ros2.field.Robot`. It moves and
+sees in a world of the simulator. Its wheels have a watchdog, and their odometry drifts; its clock may be off.
 """
 
 from __future__ import annotations
 
-import argparse
 import itertools
 import json
 import math
 import struct
+import sys
 import time
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import cv2
@@ -56,7 +57,7 @@ def opened(mode: str, endpoint: str) -> zenoh.Session:
 class Ros:
     """The robot's side of ROS 2, as it is written down for rmw_zenoh and for zenoh-bridge-ros2dds."""
 
-    def __init__(self, node: str, options: argparse.Namespace) -> None:
+    def __init__(self, node: str, options: SimpleNamespace) -> None:
         self.session = opened("client", options.endpoint)
         self.options = options
         self.types = get_typestore(Stores.ROS2_HUMBLE if options.humble else Stores.ROS2_JAZZY)
@@ -135,7 +136,7 @@ class Ros:
 class Base:
     """Two wheels with a watchdog. It knows nothing of who drives it."""
 
-    def __init__(self, options: argparse.Namespace) -> None:
+    def __init__(self, options: SimpleNamespace) -> None:
         self.options = options
         self.world = load_world(options.world)
         self.track_m = self.world.robot.drive.track_m
@@ -143,7 +144,7 @@ class Base:
         self.truth = Truth(Path(options.truth))
         self.pose = self.world.start
         self.odometry = Pose(0.0, 0.0, 0.0)
-        self.rng = np.random.default_rng(options.seed)
+        self.rng = np.random.default_rng(1)
         # Its wheels are not quite what it believes: so its odometry drifts.
         self.scale = 1.0 + 0.005 * self.rng.standard_normal(2)
         self.order = (0.0, 0.0, -math.inf)
@@ -208,7 +209,7 @@ class Base:
                     warn(header=ros.header("base_link"), detections=found)
 
 
-def see(options: argparse.Namespace, ros: Ros) -> None:
+def see(options: SimpleNamespace, ros: Ros) -> None:
     """Send pictures of where the robot truly is, for ever."""
     from services.simulator.scene.rendering import SceneCamera  # noqa: PLC0415 - only the camera needs a renderer
 
@@ -257,28 +258,14 @@ def encoded(image: np.ndarray, encoding: str) -> tuple[np.ndarray, int]:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser()
-    parser.add_argument("part", choices=["router", "base", "camera"])
-    parser.add_argument("--endpoint", required=True)
-    parser.add_argument("--dialect", default="rmw_zenoh")
-    parser.add_argument("--world", default="yard")
-    parser.add_argument("--truth")
-    parser.add_argument("--log", default="/dev/null")
-    parser.add_argument("--twist", default="Twist")
-    parser.add_argument("--humble", action="store_true")
-    parser.add_argument("--size", type=lambda text: tuple(map(int, text.split("x"))), default=(160, 120))
-    parser.add_argument("--rate", type=int, default=15)
-    parser.add_argument("--encoding", default="jpeg")
-    parser.add_argument("--clock-offset", type=float, default=0.0)
-    parser.add_argument("--seed", type=int, default=1)
-    options = parser.parse_args()
-    if options.part == "router":
+    part, options = sys.argv[1], SimpleNamespace(**json.loads(sys.argv[2]))
+    if part == "router":
         session = opened("router", options.endpoint)
         while True:
             time.sleep(1.0)
             session.info.zid()
-    ros = Ros(options.part, options)
-    if options.part == "base":
+    ros = Ros(part, options)
+    if part == "base":
         Base(options).run(ros)
     see(options, ros)
 

@@ -10,7 +10,7 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -46,10 +46,12 @@ class Robot:
     folder: Path
     world: str = "yard"
     dialect: str = "rmw_zenoh"
-    size: str = "160x120"
-    more: tuple[str, ...] = ()
+    size: tuple[int, int] = (160, 120)
+    rate: int = 15
     humble: bool = False
+    twist: str = "Twist"
     encoding: str = "jpeg"
+    clock_offset: float = 0.0
 
 
 class Field:
@@ -65,13 +67,11 @@ class Field:
 
     def start(self, part: str) -> None:
         """Start a process of the robot, or start it again."""
-        robot = self.robot
-        command = [sys.executable, "-m", "tests.ros2.fake_turtlebot", part, "--endpoint", self.endpoint]
-        command += ["--dialect", robot.dialect, "--world", robot.world, "--truth", str(robot.folder / "truth")]
-        command += ["--log", str(self.log), "--size", robot.size, "--encoding", robot.encoding]
-        command += ["--humble"] if robot.humble else []
-        with (robot.folder / f"{part}.log").open("ab") as log:
-            self.children[part] = subprocess.Popen([*command, *robot.more], stdout=log, stderr=log)
+        more = {"endpoint": self.endpoint, "truth": self.robot.folder / "truth", "log": self.log}
+        options = json.dumps(asdict(self.robot) | more, default=str)
+        with (self.robot.folder / f"{part}.log").open("ab") as log:
+            command = [sys.executable, "-m", "tests.ros2.fake_turtlebot", part, options]
+            self.children[part] = subprocess.Popen(command, stdout=log, stderr=log)
 
     def stop(self) -> None:
         """End them all."""

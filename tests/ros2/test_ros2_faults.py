@@ -15,7 +15,7 @@ import sys
 import time
 from collections.abc import Iterator
 from contextlib import ExitStack, closing, suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import pytest
 
@@ -37,19 +37,11 @@ FAULT_S = 3.0
 #: By how much the robot's clock is ahead of ours.
 AHEAD_S = 3600.0
 DIALECTS = ("rmw_zenoh", "zenoh-bridge-ros2dds", "humble, stamped")
-#: What is harmed, and how: in every dialect; and what is the same in all of them, so that one is enough. A link that is
-#: down is a black hole, as one that is frozen.
-HARMS = [
-    *(
-        (dialect, *harm)
-        for dialect in DIALECTS
-        for harm in (("robot", "kill"), ("router", "freeze"), ("camera", "freeze"))
-    ),
-    *(
-        ("rmw_zenoh", *harm)
-        for harm in (("robot", "freeze"), ("router", "kill"), ("camera", "kill"), ("link", "freeze"))
-    ),
-]
+#: What is harmed, and how, in every dialect.
+HARMS = [(one, *harm) for one in DIALECTS for harm in (("robot", "kill"), ("router", "freeze"), ("camera", "freeze"))]
+# And what is the same in all of them; a link that is down is a black hole, as one that is frozen.
+HARMS += [("rmw_zenoh", *harm) for harm in (("robot", "freeze"), ("router", "kill"), ("camera", "kill"))]
+HARMS += [("rmw_zenoh", "link", "freeze")]
 
 
 @dataclass
@@ -104,11 +96,9 @@ class Driven:
 def driven(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Driven]:
     """Have a robot that turns on the spot."""
     folder, humble = tmp_path_factory.mktemp("ros2"), "humble" in request.param
-    more = ("--clock-offset", str(AHEAD_S))
-    robot = Robot(folder, dialect="rmw_zenoh" if humble else request.param, size="64x48", more=more)
+    robot = Robot(folder, dialect="rmw_zenoh" if humble else request.param, size=(64, 48), clock_offset=AHEAD_S)
     if humble:
-        more += ("--twist", "TwistStamped")
-        robot = Robot(folder, size="64x48", humble=True, encoding="yuv422", more=more)
+        robot = replace(robot, humble=True, encoding="yuv422", twist="TwistStamped")
     with ExitStack() as stacked:
         place = stacked.enter_context(robot_for(robot))
         address, link_pid = stacked.enter_context(link(place.endpoint))

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import time
-from argparse import Namespace
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, closing
 from dataclasses import dataclass, field
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -45,7 +45,7 @@ class Place:
     def start_robot(self) -> Callable[[bool], None]:
         """Start the robot's process; return what says whether its button is pressed."""
         options = {"humble": False, "clock_offset": 0.0}
-        robot = Ros("robot", Namespace(endpoint=self.endpoint, dialect=self.dialect, **options))
+        robot = Ros("robot", SimpleNamespace(endpoint=self.endpoint, dialect=self.dialect, **options))
         say = robot.publisher("button", BOOL, latched=self.latched)
         self.robot = robot
         return lambda pressed: say(data=pressed)

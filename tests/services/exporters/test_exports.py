@@ -14,7 +14,7 @@ import pytest
 
 from schemas.base import DIRECTIONS
 from services.exporters.drives import FORMATS, ExportFailure, Nominal, read, write
-from services.importers.drive import ImportFailure, Tally
+from services.importers.drive import Tally
 from services.kit.jpeg import decode_jpeg, encode_jpeg
 from services.recordings.encoding import stamped_jpeg
 from services.recordings.recorded import RecordedEpisode
@@ -307,19 +307,6 @@ def test_the_statistics_of_a_data_set_are_those_of_its_values(dataset: Path) -> 
     np.testing.assert_allclose(np.reshape(image["q50"], 3), np.median(pixels, axis=(0, 1, 2)), atol=1 / 255)
     episodes = table_of(dataset / "meta/episodes/chunk-000/file-000.parquet").to_pydict()
     assert episodes["stats/action/max"][0] == stats["action"]["max"]
-
-
-def test_poses_of_a_data_set_that_are_none_are_one_line(tmp_path: Path) -> None:
-    import pyarrow as pa  # noqa: PLC0415
-    import pyarrow.parquet as pq  # noqa: PLC0415
-
-    exported([recording(tmp_path / "recordings")], "lerobot", tmp_path / "set")
-    path = tmp_path / "set/data/chunk-000/file-000.parquet"
-    rows = pq.read_table(path).to_pylist()
-    for state, said in (([1.0], "observation.state has fewer numbers"), ("here", "is not a column of numbers")):
-        pq.write_table(pa.Table.from_pylist([row | {"observation.state": state} for row in rows]), path)
-        with pytest.raises(ImportFailure, match=said):
-            imported(tmp_path / "set", "lerobot", tmp_path / "back")
 
 
 def test_images_that_a_video_has_no_room_for_are_said(tmp_path: Path) -> None:

@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from services.importers.drive import ImportFailure
 from services.importers.job import Report
 from services.recordings.dataset import Teacher
 from services.recordings.encoding import decode_image
@@ -55,11 +54,6 @@ def aligned(queries: list[NDArray[np.uint8]], references: list[NDArray[np.uint8]
     for step in reversed(steps):
         path.append(path[-1] - int(step[path[-1]]))
     return np.array(path[::-1]) % len(references)
-
-
-def test_its_times_are_those_of_a_conversion_and_that_is_said(tmp_path: Path) -> None:
-    with pytest.raises(ImportFailure, match=r"its times say 333 frames a second.*for example --rate 20"):
-        imported(TUB, "donkeycar", tmp_path / "out")
 
 
 def test_the_second_lap_is_recognized_as_the_first(tmp_path: Path) -> None:
