@@ -156,9 +156,9 @@ def test_a_tub_with_its_speeds_has_a_way(tmp_path: Path) -> None:
     tub = sources.donkeycar(tmp_path / "tub")
     report, _ = imported(tub, "donkeycar", tmp_path / "out", speed=4.0, turn_rate=0.8 / 0.3)
     assert report.odometry == "reckoned from velocities"
-    way = episode_of(report).odometry
-    assert way[15][0] == pytest.approx(3.0, abs=0.02)
-    assert way[19][2] == pytest.approx(0.32, abs=0.02)
+    way = episode_of(report)
+    assert way.wheels(15)[0] == pytest.approx(3.0, abs=0.02)
+    assert way.wheels(19)[2] == pytest.approx(0.32, abs=0.02)
 
 
 def test_what_is_not_a_persons_drive_is_left_out_and_its_time_is_a_gap(tmp_path: Path) -> None:
