@@ -128,27 +128,6 @@ def test_recognition_knows_where_the_robot_is(client: Bus, listen: Listen[State]
     assert answer.model == identity(model)
 
 
-@pytest.mark.usefixtures("recognition")
-def test_recognition_says_that_it_does_not_know(client: Bus, listen: Listen[State]) -> None:
-    heard = listen(topics.STATE, State)
-    until_heard(client, observation(99, episode="hello"), heard)
-    for tick in range(LENGTH):
-        client.publish(observation(tick, place=1000 + tick))
-        eventually(lambda tick=tick: tick in heard)  # type: ignore[misc]
-    assert heard[LENGTH - 1].status == "unknown"
-    assert heard[LENGTH - 1].state is None
-
-
-@pytest.mark.usefixtures("recognition")
-def test_recognition_never_joins_two_episodes_or_a_gap(client: Bus, listen: Listen[State]) -> None:
-    heard = listen(topics.STATE, State)
-    until_heard(client, observation(99, episode="hello"), heard)
-    for tick, episode in ((0, "a"), (1, "a"), (2, "b")):
-        client.publish(observation(tick, episode=episode))
-        eventually(lambda tick=tick: tick in heard)  # type: ignore[misc]
-    assert heard[2].status == "collecting"
-
-
 def test_recognition_without_a_model_is_idle_and_refuses_a_bad_one(
     client: Bus, router_endpoint: str, listen: Listen[State], tmp_path: Path, model: Path
 ) -> None:
@@ -183,38 +162,6 @@ def test_policy_commands_every_frame_and_decides_when_a_state_is_known(
     # Places 8, 9 (turn left), 10; then the plan is over, and nothing is known of where to go.
     assert [commands[tick].atom for tick in range(4)] == ["forward", "left", "forward", "stop"]
     assert (actions[0].kind, actions[0].atoms) == ("action", ("forward", "left", "forward"))
-
-
-@pytest.mark.usefixtures("policy")
-def test_policy_answers_a_repeated_state_with_the_same_command(
-    client: Bus, listen: Listen[Message], model: Path
-) -> None:
-    commands = listen(topics.COMMANDS["policy"], Command)
-    until_heard(client, state(99, model, episode="hello", status="collecting"), commands)
-    known = state(0, model, status="recognized", state=2)
-    client.publish(known)
-    eventually(lambda: 0 in commands)
-    first = commands.pop(0)
-    client.publish(known)
-    eventually(lambda: 0 in commands)
-    assert commands[0] == first
-    client.publish(state(1, model, status="collecting"))
-    eventually(lambda: 1 in commands)
-    assert commands[1].atom == "left"
-
-
-@pytest.mark.usefixtures("policy")
-def test_policy_is_silent_when_nobody_asks_and_stops_where_it_knows_nothing(
-    client: Bus, listen: Listen[Message], model: Path
-) -> None:
-    commands = listen(topics.COMMANDS["policy"], Command)
-    actions = listen(topics.ACTION, Action)
-    until_heard(client, state(99, model, episode="hello", status="collecting"), commands)
-    client.publish(state(0, None))
-    client.publish(state(1, model, status="unknown"))
-    eventually(lambda: 1 in commands and 1 in actions)
-    assert 0 not in commands
-    assert (actions[1].kind, commands[1].atom) == ("stop", "stop")
 
 
 @pytest.mark.usefixtures("recognition")

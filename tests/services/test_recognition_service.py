@@ -4,12 +4,10 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 from schemas.array import Float32Array
 from schemas.state import State
-from schemas.taught_map import TaughtMap
 from services.kit.model_service import LoadedModel
 from services.kit.node import ServiceError
 from services.recognition.service import RecognitionService
@@ -57,21 +55,6 @@ def test_a_state_is_a_belief_over_places(service: RecognitionService, model: Pat
     assert state.lost < 0.1
     assert state.cosine > 0.5
     assert state.tracked_m == pytest.approx(1.4, abs=1e-6)
-
-
-def test_where_the_keyframes_are_is_told_once_an_episode(service: RecognitionService, model: Path) -> None:
-    told: list[TaughtMap] = []
-    service.announce = told.append
-    for episode in ("one", "two"):
-        for tick in range(3):
-            state = at(service, tick, episode=episode)
-    assert [(message.episode, message.tick, message.model) for message in told] == [
-        ("one", 0, identity(model)), ("two", 0, identity(model)),
-    ]  # fmt: skip
-    assert told[0].begins == (0,)
-    keyframes = told[0].keyframes.to_numpy()
-    np.testing.assert_allclose(keyframes, corridor.model().mapped.key_poses, atol=1e-5)
-    assert state.places[0].keyframe < len(keyframes)
 
 
 def test_a_view_of_nowhere_is_unknown(service: RecognitionService) -> None:
@@ -163,30 +146,6 @@ def test_features_of_another_fingerprint_are_refused_in_one_line(service: Recogn
             service.handle(observation(1))
     assert service.handle(seen(0)) is before
     assert at(service, 1).status == "recognized"
-
-
-def test_a_new_episode_starts_afresh(service: RecognitionService, model: Path) -> None:
-    other = RecognitionService()
-    other.load(LoadedModel.read(model))
-    for tick in range(8):
-        at(service, tick, episode="first")
-    for tick in range(3):
-        state = at(service, tick, episode="second")
-        assert state == at(other, tick, episode="second")
-        assert state.tracked_m == pytest.approx(0.2 * tick)
-
-
-def test_an_observation_that_waits_is_forgotten_with_its_model(service: RecognitionService, model: Path) -> None:
-    assert service.handle(seen(0)) is None
-    service.load(LoadedModel.read(model))
-    assert service.see(wheels(0)) is None
-
-
-def test_odometry_of_old_frames_is_forgotten(service: RecognitionService) -> None:
-    for tick in range(1000):
-        service.see(wheels(tick))
-    assert len(service._odometry) <= 100
-    assert service.handle(seen(999)) is not None
 
 
 def test_a_model_of_the_papers_scheme_needs_no_odometry(tmp_path: Path) -> None:

@@ -190,22 +190,6 @@ def run_in(page: Page, script: str) -> Any:
     return answer["result"].get("value")
 
 
-def processes_of(name: str) -> list[int]:
-    """Return the processes of a name that this one's children have started."""
-    parents, named = {}, []
-    for entry in Path("/proc").iterdir():
-        with suppress(OSError, ValueError):
-            _, _, rest = (entry / "stat").read_text().rpartition(") ")
-            parents[int(entry.name)] = int(rest.split()[1])
-            if name in (entry / "cmdline").read_text():
-                named.append(int(entry.name))
-
-    def is_ours(pid: int) -> bool:
-        return pid == os.getpid() or (pid in parents and is_ours(parents[pid]))
-
-    return [pid for pid in named if is_ours(pid)]
-
-
 def drop(page: Page, file: Path, name: str) -> None:
     """Drop a file on the map, as from a folder's window."""
     run_in(page, "var dropped = new DataTransfer()")

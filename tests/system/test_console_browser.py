@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from schemas.rpc import Nothing, Status
 from services.robot.loop import STAND_WITHIN_S
 from services.simulator.world.loading import WORLDS_FOLDER
 from tests.benchmarks.faults.proxy import link
@@ -28,7 +27,6 @@ from tests.system.console_site import (
     hold,
     insist,
     opened,
-    processes_of,
     run_in,
     told,
     was_lost,
@@ -98,48 +96,6 @@ def test_whatever_becomes_of_the_page_the_robot_stands(browser: Browser, site: S
             eventually(lambda: site.robot("stop_cause") == "emergency_stop")
 
 
-def test_a_laptop_that_falls_asleep_leaves_the_robot_standing(page: Page, site: Site) -> None:
-    drive_ahead(page, site)
-    laptop = processes_of("chromium")
-    assert laptop
-    try:
-        asleep_s = time.monotonic()
-        for pid in laptop:
-            os.kill(pid, signal.SIGSTOP)
-        assert site.stood_s(asleep_s) <= STAND_WITHIN_S
-        eventually(lambda: site.robot("stop_cause") == "operator_lost")
-    finally:
-        for pid in laptop:
-            os.kill(pid, signal.SIGCONT)
-    # The key is still down. What was under way is late, and what comes then finds a robot that has to be armed.
-    eventually(lambda: "lost its operator" in told(page))
-    said = len(site.applied)
-    eventually(lambda: len(site.applied) > said + 10)
-    assert not site.drives
-    page.keyboard.up("w")
-    arm(page, site)
-
-
-def test_a_second_tab_watches_and_stops_but_does_not_drive(browser: Browser, site: Site, page: Page) -> None:
-    drive_ahead(page, site)
-    with opened(browser, site) as other:
-        eventually(lambda: other.inner_text("#seat") == "Somebody else drives")
-        other.click("#seat")
-        eventually(lambda: "Somebody else drives; you watch." in other.inner_text("#news"))
-        other.keyboard.down("s")
-        # The first page may have lost its focus to this one, and the robot stands; it never drives backward.
-        page.keyboard.up("w")
-        hold(page, site, lambda: page.keyboard.down("w"))
-        assert "backward" not in {one.atom for _, one in site.applied}
-        other.keyboard.press("Escape")
-        pressed_s = time.monotonic()
-        assert site.stood_s(pressed_s) <= STAND_WITHIN_S
-        eventually(lambda: "EMERGENCY STOP" in told(page))
-    page.keyboard.up("w")
-    arm(page, site)
-    eventually(lambda: "EMERGENCY STOP" not in told(page))
-
-
 def test_the_pad_drives_while_it_is_held(page: Page, site: Site) -> None:
     begin_a_drive(page, site)
 
@@ -152,26 +108,6 @@ def test_the_pad_drives_while_it_is_held(page: Page, site: Site) -> None:
     released_s = time.monotonic()
     page.mouse.up()
     assert site.stood_s(released_s) <= STAND_WITHIN_S
-
-
-def test_the_paper_s_scheme_drives_when_it_is_learned(page: Page, site: Site) -> None:
-    """By what was driven in the first of these tests."""
-    if page.locator("#run-form select[name=model] option").count() == 0:
-        pytest.skip("nothing is learned: run the whole file")
-    page.fill("#learn-form [name=name]", "states")
-    page.select_option("#learn-form [name=scheme]", "paper")
-    page.click("#learn-form button:not([type])")
-    eventually(lambda: "states is learned" in page.inner_text("#job"), timeout_s=WHOLE_LOOP_S)
-    model = page.locator("#run-form [name=model]")
-    eventually(lambda: model.locator("option").count() == 2)
-    model.select_option("models/states.smal")
-    assert page.is_disabled("#run-form [name=goal]"), "it goes to the nearest"
-    by_itself = lambda: site.drives and site.applied[-1][1].source == "policy"  # noqa: E731
-    insist(page, site, lambda: page.click("#run-form button"), by_itself)
-    for service in ("recognition", "policy"):
-        assert site.bus.call(service, "status", Nothing(), Status).detail["scheme"] == "paper"
-    page.click("#end")
-    eventually(lambda: data(page, "episode") == "")
 
 
 def test_a_map_that_is_dropped_is_a_world_to_drive_in(page: Page, site: Site) -> None:

@@ -11,9 +11,8 @@ from typing import TYPE_CHECKING
 import pytest
 
 from services.robot.loop import STAND_WITHIN_S
-from tests.benchmarks.soak.page import held, judge_page
 from tests.services.waiting import eventually
-from tests.system.console_site import Site, begin_a_drive, data, hold, insist, run_in
+from tests.system.console_site import Site, data, hold, insist, run_in
 
 if TYPE_CHECKING:
     from playwright.sync_api import Page
@@ -89,28 +88,6 @@ def test_axe_core_finds_nothing(page: Page, site: Site) -> None:
     assert all(one == ["color-contrast: #resume"] for one in wrong.values())
 
 
-SHIFTS = """window.shifted = 0; new PerformanceObserver((list) => {
-    for (const one of list.getEntries()) if (!one.hadRecentInput) shifted += one.value;
-}).observe({type: "layout-shift", buffered: true})"""
-#: What counts as good; Google's Web Vitals.
-MOST_SHIFT = 0.1
-
-
-@pytest.mark.usefixtures("taught_here")
-def test_nothing_moves_below_the_eyes(page: Page, site: Site) -> None:
-    def shifted() -> float:
-        return float(run_in(page, "shifted"))
-
-    run_in(page, SHIFTS)
-    begin_a_run(page, site)
-    assert shifted() < MOST_SHIFT
-    for width, height in SIZES.items():
-        page.set_viewport_size({"width": width, "height": height})
-        run_in(page, "document.querySelector('#belief').scrollIntoView(); shifted = 0")
-        look(page, 10)
-        assert shifted() < MOST_SHIFT
-
-
 CONTROLS = """window.controls = [...document.querySelectorAll("a, button, input, select, textarea, [tabindex]")]
     .filter((one) => one.checkVisibility() && !one.disabled); controls.length"""
 FOCUSED = """(() => {
@@ -154,16 +131,3 @@ def test_keys_alone_reach_everything_and_drive(page: Page, site: Site) -> None:
         released_s = time.monotonic()
         let_go(key)
         assert site.stood_s(released_s) <= STAND_WITHIN_S
-
-
-@pytest.mark.usefixtures("taught_here")
-def test_a_page_that_watches_does_not_grow(page: Page, site: Site) -> None:
-    """For ten minutes: ``smal bench soak --page``."""
-    begin_a_run(page, site)
-    begin_a_drive(page, site)
-    tools = page.context.new_cdp_session(page)
-    look(page, 20)
-    first = held(0.0, tools.send)
-    look(page, 70)
-    then = held(1.0, tools.send)
-    assert judge_page([first, then])[""] == "met"

@@ -69,13 +69,6 @@ def test_the_wheel_has_every_file_of_the_packages(wheel: Path) -> None:
     assert not sorted(wanted - within)
 
 
-def test_nothing_of_the_checkout_is_seen(installed: Path, tmp_path: Path) -> None:
-    code = "import sys, schemas, services, smal; print(*sys.path, *(m.__file__ for m in (schemas, services, smal)))"
-    found = _run(installed / "python", "-c", code, folder=tmp_path)
-    assert str(installed.parent) in found
-    assert not [path for path in found.split() if Path(path).is_relative_to(ROOT) and ".venv" not in path]
-
-
 @pytest.mark.rendering
 def test_a_world_by_its_name_is_demonstrated_from_another_folder(installed: Path, tmp_path: Path) -> None:
     command = (installed / "smal", "demonstrate", "--world", "campus", "--camera", "64x48", "--out", "drives")

@@ -7,8 +7,7 @@ from pathlib import Path
 import pytest
 
 from services.cli import bench
-from services.kit.process import EXIT_FAILED, EXIT_USAGE
-from tests.services.cli.conftest import Mistake, Smal
+from tests.services.cli.conftest import Smal
 
 PROBE = """
 import json, os, sys
@@ -36,26 +35,3 @@ def test_a_benchmark_runs_with_its_threads_fixed_where_the_user_is(
     assert '["probe", "--json", "a.json", "--speed", "7", "--quick"]' in said
     assert said.count('_NUM_THREADS": "2"') >= 4
     assert str(tmp_path) in said
-
-
-@pytest.mark.parametrize(
-    ("arguments", "line"),
-    [
-        (["juggling"], f"no benchmark 'juggling'; known are: {', '.join(bench.benchmarks(bench.FOLDER))}"),
-        (["recognition", "--json", "."], "--json .: is a folder; give the name of a file"),
-        (["recognition", "--json", "no/where.json"], "--json no/where.json: no folder no"),
-        (["recognition", "--out", "file"], "--out file: is a file, not a folder"),
-        (["recognition", "--fast"], "unrecognized arguments: --fast"),
-    ],
-)  # fmt: skip
-def test_every_mistake_is_one_line(
-    arguments: list[str], line: str, tmp_path: Path, mistake: Mistake, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / "file").touch()
-    assert mistake(EXIT_USAGE, "bench", *arguments) == f"smal: {line}\n"
-
-
-def test_without_a_checkout_there_are_none(tmp_path: Path, mistake: Mistake, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(bench, "FOLDER", tmp_path / "tests" / "benchmarks")
-    assert "benchmarks need a checkout of the project" in mistake(EXIT_FAILED, "bench", "recognition")

@@ -51,25 +51,12 @@ def test_a_port_of_a_running_stack(router_endpoint: str, settings: ServiceSettin
     assert check.text.endswith("is used by the running stack of rescuebot, for whoever reaches it: robot")
 
 
-@pytest.mark.zenoh
-def test_a_port_of_a_router_without_services(router_endpoint: str) -> None:
-    check = check_port(ServiceSettings(router=router_endpoint))
-    assert not check.ok
-    assert "a Zenoh router without services of rescuebot; if it should not be there, stop it (ss -ltnp" in check.text
-
-
 @pytest.fixture
 def stranger() -> Iterator[str]:
     with socket.socket() as listening:
         listening.bind(("127.0.0.1", 0))
         listening.listen()
         yield f"tcp/127.0.0.1:{listening.getsockname()[1]}"
-
-
-def test_a_port_that_wants_a_certificate_is_not_one_to_stop(stranger: str) -> None:
-    check = check_port(ServiceSettings(router=stranger.replace("tcp/", "tls/")))
-    assert not check.ok
-    assert check.text.endswith("needs a certificate: give --secure DIR, or set SMAL_TLS_CA, _CERT and _KEY")
 
 
 def test_a_problem_is_one_line_and_exit_status_1(stranger: str, smal: Smal, monkeypatch: pytest.MonkeyPatch) -> None:

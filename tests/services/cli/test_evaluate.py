@@ -50,6 +50,7 @@ def done_in(folder: Path) -> dict[str, dict[str, object]]:
 
 
 @pytest.mark.rendering
+@pytest.mark.timeout(1200)
 def test_an_evaluation_goes_on_where_it_was_interrupted(
     tmp_path: Path, smal: Smal, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -59,36 +60,28 @@ def test_an_evaluation_goes_on_where_it_was_interrupted(
         [sys.executable, "-c", TINY_COMMAND, "evaluate", "--out", str(out), "--quick"],
         cwd=ROOT, stderr=subprocess.PIPE, text=True, env=os.environ | {"PYTHONPATH": str(ROOT)},
     )  # fmt: skip
-    eventually(lambda: done_in(out) or command.poll() is not None, timeout_s=120.0)
+    eventually(lambda: done_in(out) or command.poll() is not None, timeout_s=600.0)
     command.send_signal(signal.SIGINT)
-    _, said = command.communicate(timeout=20.0)
+    _, said = command.communicate(timeout=120.0)
     assert command.returncode == 130, said
     assert "Traceback" not in said
     before = done_in(out)
     assert not (out / "index.html").exists()
-
-    # What there is so far can be looked at, and nothing is done for it.
-    status, printed, _ = smal("evaluate", "--out", str(out), "--quick", "--report-only")
-    assert (status, printed) == (0, f"results: {out / 'index.html'}\n")
-    assert f"<b>Not all is done:</b> {len(before)} of" in (out / "index.html").read_text()
-    assert done_in(out) == before
 
     status, printed, _ = smal("evaluate", "--out", str(out), "--quick")
     assert (status, printed) == (0, f"results: {out / 'index.html'}\n")
     after = done_in(out)
     assert len(after) == len(units(TINY))
     assert before.items() <= after.items()
+    # What is lost is found out again, by one worker, the same to the last digit; the rest is left alone.
     first = json.loads((out / "results.json").read_text())
-
-    # Nothing is left to do; and what is lost is found out again, by one worker, the same to the last digit.
+    lost = [f"{unit.digest}.json" for unit in units(TINY) if unit.kind in ("recognize", "search", "objective")][::3]
+    for name in lost:
+        (out / "units" / name).unlink()
     times = {path: path.stat().st_mtime_ns for path in (out / "units").iterdir()}
-    assert smal("evaluate", "--out", str(out), "--quick")[0] == 0
-    assert {path: path.stat().st_mtime_ns for path in (out / "units").iterdir()} == times
-    lost = [unit for unit in units(TINY) if unit.kind in ("recognize", "search", "objective")]
-    for unit in lost[::2]:
-        (out / "units" / f"{unit.digest}.json").unlink()
     assert smal("evaluate", "--out", str(out), "--quick", "--workers", "1")[0] == 0
     assert done_in(out) == after
+    assert {path: path.stat().st_mtime_ns for path in times} == times
     assert json.loads((out / "results.json").read_text())["worlds"] == first["worlds"]
 
 

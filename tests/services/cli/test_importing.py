@@ -6,7 +6,6 @@ import json
 import sys
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 from services.cli import importing
@@ -41,12 +40,10 @@ def test_a_folder_becomes_recordings_that_teach(smal: Smal, tmp_path: Path) -> N
 @pytest.mark.parametrize(
     ("arguments", "status", "said"),
     [
-        (("bagpipe", "x"), 2, "no format 'bagpipe'; known are: rosbag2, lerobot, donkeycar, folder"),
         (("folder", "no-such"), 1, "no-such: No such file or directory"),
         (("folder", "x", "--goal", "\n"), 2, "'--goal'"),
         (("folder", "x", "--robot", "Burger"), 2, "'--robot'"),
         (("folder", "x", "--from", "5", "--to", "5"), 2, "--to 5: is not after --from 5"),
-        (("folder", "x", "--speed", "-1"), 2, "speed"),
     ],
 )
 def test_bad_use_is_one_line(
@@ -80,19 +77,3 @@ def test_a_decoder_that_breaks_down_is_one_line(
     errors = mistake(1, "import", "folder", str(tmp_path), "--out", str(tmp_path / "out"))
     assert "the source is damaged, or hostile" in errors or "takes more than 2 GiB of memory" in errors
     assert not (tmp_path / "out").exists()
-
-
-def test_a_table_that_unpacks_to_all_memory_is_one_line(mistake: Mistake, tmp_path: Path) -> None:
-    pa = pytest.importorskip("pyarrow", reason="needs the extra formats")
-    import pyarrow.parquet as pq  # noqa: PLC0415
-
-    dataset = sources.lerobot(tmp_path / "set", episodes=1)
-    action = pa.array([np.zeros(1_000_000, np.float32)] * 10)
-    table = pa.table({"action": action, "timestamp": np.arange(10) / 20.0, "episode_index": np.zeros(10, np.int64)})
-    path = dataset / "data/chunk-000/file-000.parquet"
-    with pq.ParquetWriter(path, table.schema, compression="zstd") as writer:
-        for _ in range(48):  # 2 GB in all
-            writer.write_table(table)
-    assert path.stat().st_size < 1_000_000
-    errors = mistake(1, "import", "lerobot", str(dataset), "--out", str(tmp_path / "out"))
-    assert str(dataset) in errors

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from functools import partial
 from pathlib import Path
 
@@ -11,13 +10,12 @@ import pytest
 
 from services.cli import learn as learning
 from services.kit.errors import JobError, UsageError
-from services.recordings.recorded_features import features_in, features_of_recordings
-from smal.features import FeatureSettings, extract
+from smal.features import FeatureSettings
 from smal.model import Model
 from smal.paper.model import Model as PaperModel
-from tests.services.cli.test_learn import depth, teach, view
 from tests.services.cli.test_learn import drive as drive_with
-from tests.services.recordings.test_recorder_files import leave, record
+from tests.services.cli.test_learn import teach
+from tests.services.recordings.test_recorder_files import record
 
 FEATURES = FeatureSettings()
 ALL = FeatureSettings.of(("color", "hog", "depth"))
@@ -33,25 +31,6 @@ def with_depth(tmp_path: Path) -> Path:
     for number in range(2):
         record(folder, drive(f"drive-{number}", features=ALL))
     return folder
-
-
-def test_without_a_choice_the_recordings_decide(with_depth: Path, tmp_path: Path) -> None:
-    out, report = tmp_path / "model.smal", tmp_path / "report.json"
-    learn([with_depth], out, json_file=report)
-    assert PaperModel.load(out).feature_settings == ALL
-    said = json.loads(report.read_text())
-    assert (said["modalities"], said["weights"]) == (["color", "hog", "depth"], [1.0, 1.0, 1.0])
-    assert said["remarks"] == []
-
-
-@pytest.mark.parametrize("names", ["color,hog", "depth", "hog,depth", "depth,color"])
-def test_any_of_the_recorded_modalities_can_be_learned_from(with_depth: Path, names: str) -> None:
-    wanted = FeatureSettings.parse(names)
-    teaching = teach(with_depth, features=wanted).teaching
-    assert teaching.remarks == []
-    for one in teaching.demonstrations:
-        expected = np.stack([extract(view(tick), wanted, depth(tick)) for tick in range(40)])
-        np.testing.assert_array_equal(one.features, expected)
 
 
 def test_weights_go_with_the_modalities_in_their_order(
@@ -106,19 +85,3 @@ def test_a_map_has_no_depth(tmp_path: Path) -> None:
     # Where nothing else was recorded the usual features are computed from the images.
     path = record(tmp_path, drive("drive-1", features=FeatureSettings.of(("depth",))))
     assert learning._features([path], "filter", None, None) == FEATURES
-
-
-def test_what_says_nothing_of_its_features_leaves_the_usual_ones(tmp_path: Path) -> None:
-    old = record(tmp_path, drive("old", fingerprint="00000000ffff"))
-    foreign, empty = tmp_path / "foreign.mcap", tmp_path / "empty.mcap"
-    foreign.write_bytes(b"not a recording")
-    empty.write_bytes(b"")
-    paths = [old, foreign, empty, tmp_path / "none.mcap"]
-    assert [features_in(path) for path in paths] == [()] * 4
-    assert features_of_recordings(paths) == FEATURES
-    whole = record(tmp_path, drive("whole", features=ALL))
-    assert features_of_recordings([*paths, whole]) == ALL
-    left = leave(tmp_path, drive("left", features=ALL)[:-1])
-    cut = tmp_path / "cut.mcap"
-    cut.write_bytes(whole.read_bytes()[: whole.stat().st_size // 2])
-    assert features_in(cut) == features_in(left) == (ALL,)

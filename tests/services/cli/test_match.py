@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import errno
 import json
-import os
 from collections.abc import Iterator
 from pathlib import Path
 from types import MappingProxyType
@@ -15,8 +13,6 @@ import pytest
 from numpy.typing import NDArray
 
 from services.cli import match
-from smal.evaluation.ground_truth import IntervalTruth, judge
-from smal.evaluation.precision_recall import PrecisionRecall, block_length, bootstrap, intervals_of
 from smal.features import Centering, FeatureSettings
 from smal.place_recognition import Matches
 from smal.place_recognition.matches import Progress
@@ -87,48 +83,6 @@ def references_of(written: dict[str, object]) -> list[int | None]:
     return [row["reference"] for row in rows]
 
 
-def test_what_is_chosen_reaches_the_method(folders: Path, smal: Smal, monkeypatch: pytest.MonkeyPatch) -> None:
-    asked: list[MatchSettings] = []
-
-    def listen(
-        references: NDArray[np.float32], queries: NDArray[np.float32], settings: MatchSettings, progress: Progress
-    ) -> Matches:
-        assert references.dtype == queries.dtype == np.float32
-        assert references.shape == queries.shape == (FRAMES, settings.features.size)
-        asked.append(settings)
-        return nearest(references, queries, settings, progress)
-
-    monkeypatch.setattr(match, "METHODS", table_of(smal=Method("listens.", FeatureSettings(), 5, listen, penalty=0.5)))
-    written = [
-        matched(smal),
-        matched(smal, "--length", "1", "--weights", "1,3", "--penalty", "0.125"),
-        matched(smal, "--modalities", "hog,color", "--weights", "2,1"),
-    ]
-    assert asked == [
-        MatchSettings(FeatureSettings(), 5, 0.5),
-        MatchSettings(FeatureSettings(weights=(1.0, 3.0)), 1, 0.125),
-        MatchSettings(FeatureSettings(("hog", "color"), (2.0, 1.0)), 5, 0.5),
-    ]
-    for settings, stated in zip(asked, written, strict=True):
-        assert stated["modalities"] == list(settings.features.modalities)
-        assert stated["weights"] == list(settings.features.weights)
-        assert (stated["length"], stated["penalty"]) == (settings.length, settings.penalty)
-
-
-def test_tau_leaves_out_matches_with_at_most_that_score(folders: Path, smal: Smal) -> None:
-    Path("query/img20.png").write_bytes(Path("query/img2.png").read_bytes())  # some windows score less
-    everything = matched(smal)["matches"]
-    assert isinstance(everything, list)
-    scores = sorted(row["score"] for row in everything if row["reference"] is not None)
-    tau = scores[len(scores) // 2]
-    assert scores[0] < tau < scores[-1]
-    status, out, _ = smal("match", "ref", "query", "--json", "out.json", "--tau", repr(tau))
-    kept = [row if row["score"] > tau else row | {"reference": None, "score": 0.0} for row in everything]
-    assert status == 0
-    assert json.loads(Path("out.json").read_text())["matches"] == kept  # the one with just that score is left out
-    assert f"{sum(score > tau for score in scores)} of {FRAMES} query frames" in out
-
-
 def test_frames_that_cannot_be_read_keep_their_numbers(folders: Path, smal: Smal) -> None:
     Path("ref/img7.png").write_bytes(b"damaged")
     whole = Path("query/img15.png").read_bytes()
@@ -153,35 +107,6 @@ def test_frames_that_cannot_be_read_keep_their_numbers(folders: Path, smal: Smal
     assert "24 frames (1 of them unreadable) in ref" in out
 
 
-def test_quality_is_the_library_s(folders: Path, smal: Smal) -> None:
-    # Wrong for a third of the frames, nothing to find for one, and nothing known of two.
-    rows: list[tuple[int, int | str, int | str]] = [
-        (place, place if place % 3 else 0, place if place % 3 else 0) for place in range(2, FRAMES)
-    ]
-    rows[-1] = (FRAMES - 1, "", "")
-    write_truth(rows)
-    arguments = ("--json", "out.json", "--truth", "truth.csv", "--plot", "matches.png")
-    status, out, _ = smal("match", "ref", "query", *arguments)
-    assert status == 0
-    picture = cv2.imread("matches.png")
-    assert picture is not None
-    assert picture.std() > 20
-    written = json.loads(Path("out.json").read_text())
-    found = np.array([-1 if reference is None else reference for reference in references_of(written)])
-    scores = np.array([row["score"] for row in written["matches"]])
-    first = np.array([-1, -1, *[place if place % 3 else 0 for place in range(2, FRAMES - 1)], -1])
-    truth = IntervalTruth(first, first.copy(), np.arange(FRAMES) >= 2)
-    judgement = judge(Matches(found, scores), truth)
-    curve = PrecisionRecall.of(judgement)
-    intervals = intervals_of(bootstrap(judgement, block_length(FRAMES - 2, LENGTH)))
-    assert 0.2 < curve.auc < 0.9
-    assert written["auc"] == curve.auc
-    assert written["recall_at_100_precision"] == curve.recall_at_100_precision
-    assert tuple(written["auc_95"]) == intervals.auc
-    assert tuple(written["recall_at_100_precision_95"]) == intervals.recall_at_100_precision
-    assert f"AUC                        {curve.auc:.3f} (95 % interval {intervals.auc[0]:.3f} to " in out
-
-
 def test_depth_is_read_from_its_own_folders(folders: Path, smal: Smal) -> None:
     for name in ("ref", "query"):
         Path(f"{name}-depth").mkdir()
@@ -192,20 +117,6 @@ def test_depth_is_read_from_its_own_folders(folders: Path, smal: Smal) -> None:
     assert references_of(matched(smal, *arguments, "--length", "1")) == list(range(FRAMES))
 
 
-def test_a_file_that_cannot_be_written_does_not_take_the_figures_with_it(
-    folders: Path, smal: Smal, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(os, "fsync", refuse)
-    status, out, err = smal("match", "ref", "query", "--truth", "truth.csv", "--json", "out.json")
-    assert (status, err) == (1, "smal: --json out.json: cannot be written: No space left on device\n")
-    assert "AUC" in out
-    assert "written" not in out
-
-
-def refuse(_: object) -> None:
-    raise OSError(errno.ENOSPC, "No space left on device")
-
-
 @pytest.mark.parametrize(
     ("arguments", "status", "line"),
     [
@@ -213,22 +124,13 @@ def refuse(_: object) -> None:
         (["ref", "damaged"], 1, "damaged: no image can be read: a.png"),
         (["ref", "query", "--length", "25"], 1, "ref: 24 images are too few for a window of 25; choose a shorter"),
         (["ref", "query", "--json", "query/img3.png"], 2, "--json query/img3.png: would lie among the files"),
-        (["ref", "query", "--json", "pipe"], 2, "--json pipe: is no regular file"),
         (["ref", "query", "--method", "x"], 2, "--method x: unknown; known are smal, own"),
-        (["ref", "query", "--method", "own", "--length", "2"], 2, "--length 2: the method own is made for 1"),
-        (["ref", "query", "--method", "own", "--weights", "2"], 2, "--weights 2: the method own has its own features"),
         (["ref", "query", "--penalty", "0"], 2, "--penalty 0: must be above 0 and below 1"),
-        (["ref", "query", "--method", "own", "--penalty", "0.5"], 2, "--penalty 0.5: the method own has none"),
-        (["ref", "query", "--tau", "nan"], 2, "--tau"),
         (["ref", "query", "--modalities", "x"], 2, "unknown feature modality 'x'; known are "),
-        (["ref", "query", "--weights", "1,2"], 2, "--weights 1,2: 1 modalities need as many weights"),
-        (["ref", "query", "--truth", "x.csv"], 2, "--truth x.csv: cannot be read: No such file or directory"),
         (["ref", "query", "--truth", "short.csv"], 2, "--truth short.csv: line 2: query 24 is beyond the traverse"),
         (["ref", "query", "--truth", "truth.csv", "--json", "truth.csv"], 2, "--json truth.csv: is a file that this"),
         (["ref", "query", "--plot", "x.bmp"], 2, "--plot x.bmp: the name of a picture ends in .png, .svg, .pdf"),
-        (["ref", "query", "--plot", "x.png", "--json", "x.png"], 2, "--plot x.png: is also the file of --json"),
         (["ref", "query", "--modalities", "depth"], 2, "--reference-depth: missing; the modality depth needs"),
-        (["ref", "query", "--query-depth", "query"], 2, "--query-depth query: no modality uses depth"),
         (["ref", "query", "--modalities", "depth", "--reference-depth", "ref", "--query-depth", "damaged"], 2,
          "--query-depth damaged: has 1 images, and query has 24; every image needs its depth"),
     ],
@@ -236,7 +138,6 @@ def refuse(_: object) -> None:
 def test_mistakes_are_one_line(arguments: list[str], status: int, line: str, folders: Path, mistake: Mistake) -> None:
     (folders / "damaged").mkdir()
     (folders / "damaged" / "a.png").touch()
-    os.mkfifo(folders / "pipe")
     (folders / "short.csv").write_text("query,reference_first,reference_last\n24,0,0\n")
     assert line in mistake(status, "match", *arguments)
     assert not (folders / "x.png").exists()

@@ -17,17 +17,14 @@ from schemas.compressed_image import CompressedImage
 from schemas.odometry import Odometry
 from services.experiments.showing.drives import find_drives
 from services.experiments.showing.page import write_page
-from services.experiments.showing.ways import Ways
 from services.kit.jpeg import encode_jpeg
 from services.recordings.dataset import Teacher, find_recordings
-from services.recordings.taught import ticks_of
 from smal.mapping import learn as learn_map
 from smal.model import Model
 from smal.movement import Atom
 from smal.paper.learning import LearningSettings, learn
 from smal.paper.model import Model as PaperModel
 from smal.settings import SETTINGS
-from tests import corridor
 from tests.services.cli.conftest import Mistake, Smal
 from tests.services.recordings.recorded_messages import applied, event, header
 from tests.services.recordings.test_recorder_files import record
@@ -115,19 +112,6 @@ def shown(smal: Smal, out: Path, *arguments: object) -> tuple[Page, str]:
     return Page((out / "index.html").read_text()), err
 
 
-def test_the_fork_of_two_joined_drives_is_one_and_where_they_part(model: Model) -> None:
-    ways = Ways(model.mapped)
-    (fork,) = ways.partings
-    assert fork.fork
-    assert fork.drives == (0, 1)
-    x, y, _ = ways.key_poses[fork.keyframe]
-    # They part by turning on the spot, which does not lead them apart yet.
-    assert START[0] + 1.7 < x < START[0] + 2.0 + 1.5 * model.mapped.correlation_length
-    assert abs(y - START[1]) < model.mapped.correlation_length
-    assert set(ways.groups) == {0}
-    assert model.mapped.names == (("to-left",), ("to-right",))
-
-
 def sources(page: Page, folder: Path) -> list[str]:
     """Return the pictures on a page, which must be there."""
     named = [value for name, value in page.attributes if name == "src"]
@@ -202,56 +186,11 @@ def test_missing_recordings_are_named(taught: Path, tmp_path: Path, smal: Smal, 
     assert ("Recognition was not run" in " ".join(page.texts)) == (file == "two.smal")
 
 
-def test_a_drive_in_two_parts_is_shown_as_one_and_only_with_both(tmp_path: Path, smal: Smal) -> None:
-    folder, file = tmp_path / "drives", tmp_path / "one.smal"
-    folder.mkdir()
-    whole = list(messages("to-left", DRIVES["left"], Room(), "left"))
-    end = whole[-1].tick
-    path = record(folder, [one for one in whole if one.tick not in (20, 22)])
-    teacher = Teacher(COLOR, 2)
-    teacher.read(path)
-    with patch("smal.mapping.fit_scene", lambda *_: SCENE):
-        learn_map(teacher.teaching.demonstrations, COLOR).save(file)
-    names = ["to-left[0-19]", f"to-left[23-{end}]"]
-    page, err = shown(smal, tmp_path / "both", file, "--recordings", folder)
-    assert "missing" not in err
-    assert sources(page, tmp_path / "both") == ["drives/00000.jpg"]
-    path.unlink()
-    record(folder, [one for one in whole if one.tick not in (20, 24)])
-    page, err = shown(smal, tmp_path / "other", file, "--recordings", folder)
-    assert f"smal: missing: {names[1]}: not among the recordings\n" in err
-    assert "img" not in page.tags
-
-
-@pytest.mark.parametrize(
-    ("file", "expected"),
-    [
-        ("two", ("filter, by a map of views", "left (1 drive", "right (1 drive", "keyframes of 2 drives")),
-        ("paper", ("paper, by states", "2 goal states", "reached the goal")),
-    ],
-)
-def test_without_a_page_it_is_said_in_some_lines(
-    file: str, expected: tuple[str, ...], taught: Path, smal: Smal
-) -> None:
-    status, out, _ = smal("model", "show", taught / f"{file}.smal")
-    assert status == 0
-    assert all(said in out for said in (*expected, "color (weight 1)", "  to-left: "))
-
-
-def test_a_model_without_odometry_is_drawn_by_its_atoms(tmp_path: Path) -> None:
-    file = tmp_path / "m.smal"
-    corridor.model(odometry=False).save(file)
-    text = write_page(tmp_path, Model.load(file), file, None).read_text()
-    assert "since they are without odometry" in text
-
-
 @pytest.mark.parametrize(
     ("change", "said"),
     [
-        ({"names": (7, "b")}, "names"),
         ({"reward": np.nan}, "finite"),
         ({"state_streams": 10**6}, "state_streams"),
-        ({"atoms": 9}, "atoms"),
     ],
 )
 def test_an_odd_model_is_one_line(
@@ -259,10 +198,8 @@ def test_an_odd_model_is_one_line(
 ) -> None:
     ((name, value),) = change.items()
     odd = replace(paper_model)
-    if name == "reward":
-        value = np.full_like(paper_model.reward, np.nan)
-    elif name != "names":
-        value = tuple(np.full_like(part, value) for part in getattr(paper_model, name))
+    part = getattr(paper_model, name)
+    value = tuple(np.full_like(one, value) for one in part) if isinstance(part, tuple) else np.full_like(part, value)
     object.__setattr__(odd, name, value)
     odd.save(tmp_path / "odd.smal")
     err = mistake(2, "model", "show", tmp_path / "odd.smal", "--out", tmp_path / "out")
@@ -279,21 +216,3 @@ def test_bad_use_is_one_line(taught: Path, tmp_path: Path, mistake: Mistake) -> 
         ([file, "--out", tmp_path / "no.smal"], "is a file, not a folder"),
     ):
         assert said in mistake(2, "model", "show", *arguments)
-
-
-@pytest.mark.parametrize(
-    ("names", "ticks"),
-    [
-        (("e",), []),
-        (("e[7-9]",), [7, 8, 9]),
-        (("e[1-1]", "e[5-6]"), [1, 5, 6]),
-        (("e[7-99999999999999]",), []),
-        (("e[9-7]",), []),
-        (("e[x-3]",), []),
-        (("[",), []),
-    ],
-)
-def test_the_ticks_of_a_drive_are_as_many_as_its_frames_whatever_its_names_say(
-    names: tuple[str, ...], ticks: list[int]
-) -> None:
-    assert ticks_of(names, 3) == ticks

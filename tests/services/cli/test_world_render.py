@@ -11,7 +11,6 @@ import shapely
 
 from services.cli.options import Camera
 from services.cli.world import render
-from services.kit.errors import JobError
 from services.simulator.world import load_world
 from services.simulator.world.route import plan_route
 
@@ -33,11 +32,6 @@ def test_the_pictures_are_there_with_names_that_say_where(tmp_path: Path) -> Non
     drawn = cv2.imread(str(tmp_path / "map.png"))
     assert drawn is not None
     assert len(np.unique(drawn.reshape(-1, 3), axis=0)) > 100
-
-
-def test_a_world_that_does_not_exist_is_named(tmp_path: Path) -> None:
-    with pytest.raises(JobError, match="atlantis"):
-        render("atlantis", tmp_path, views=2, camera=Camera(160, 120))
 
 
 def _start(name: str) -> tuple[float, float]:

@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import sys
-import tempfile
 from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -65,17 +63,6 @@ def test_a_job_tells_how_far_it_is_and_how_it_ended(
     assert not jobs.running
 
 
-def test_a_job_reads_an_open_file_that_has_no_name(jobs_of: JobsOf, tmp_path: Path) -> None:
-    jobs, shown = jobs_of("sys.stderr.write(f'smal: {sys.argv[2]}: {open(sys.argv[2]).read()}')")
-    with tempfile.TemporaryFile() as file:
-        file.write(b"<osm/>")
-        file.flush()
-        path = f"/proc/self/fd/{file.fileno()}"
-        job = replace(learning(tmp_path / "way.smal"), arguments=("import", path), hidden=path)
-        jobs.begin(replace(job, called="town.osm", reads=file))
-    assert ended(shown)["remarks"] == ["town.osm: <osm/>"]
-
-
 def test_a_job_is_cancelled_and_one_runs_at_a_time(jobs_of: JobsOf, tmp_path: Path) -> None:
     jobs, shown = jobs_of("time.sleep(60)")
     jobs.begin(learning(tmp_path / "way.smal"))
@@ -109,18 +96,3 @@ def test_a_job_that_does_not_hear_is_ended(
     end = ended(shown)
     assert (end["outcome"], str(end["why"]).startswith(why)) == (outcome, True)
     assert not jobs.running
-
-
-def test_another_job_begins_where_the_last_one_could_not_be_shown(jobs_of: JobsOf, tmp_path: Path) -> None:
-    jobs, shown = jobs_of("")
-    show = jobs._show
-
-    def fail(job: dict[str, object]) -> None:
-        if job.get("stage") == "reading":
-            raise OSError
-        show(job)
-
-    jobs._show = fail
-    for name in ("way", "other"):
-        jobs.begin(learning(tmp_path / f"{name}.smal"))
-        eventually(lambda name=name: shown[-1].get("name") == name and "outcome" in shown[-1])

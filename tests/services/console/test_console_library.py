@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import multiprocessing
-import os
 import signal
 from collections.abc import Callable
 from contextlib import closing
@@ -11,28 +10,20 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 import zstandard
 from mcap.data_stream import RecordBuilder
 from mcap.records import Chunk
 
 from schemas.base import Message
-from schemas.command import CommandApplied
-from schemas.episode import Episode
 from schemas.rpc import LoadReply, LoadRequest
-from schemas.state import Place, State
-from services.console.learned import learned_of
-from services.console.library import LearnedModel, Library
+from services.console.library import Library
 from services.console.listing import Reader, Recording, end_after
-from services.kit.model_service import identity_of
 from services.kit.node import Node
 from services.kit.settings import ServiceSettings
 from services.recorder.service import RecorderService
-from services.recordings.reader import read_recording
 from services.recordings.records import MAGIC
 from services.recordings.writer import EpisodeWriter
-from smal.mapping import fit
 from tests import corridor
 from tests.services.conftest import RunNode
 from tests.services.console.conftest import Console
@@ -66,20 +57,6 @@ def test_a_recording_has_its_outcome_its_length_and_pictures_along_the_drive(lib
     assert shown["seconds"] == pytest.approx(1.1)
     (recording,) = library.recordings()
     assert all(picture.startswith(b"\xff\xd8") for picture in recording.thumbnails)
-
-
-def test_a_file_is_read_once_and_again_when_it_has_changed(library: Library, tmp_path: Path) -> None:
-    library.look()
-    (before,) = library.recordings()
-    library.look()
-    assert library.recordings()[0] is before
-    path = tmp_path / "drives" / "drive-1.mcap"
-    os.utime(path, ns=(1, 1))
-    library.look()
-    assert library.recordings()[0] is not before
-    path.unlink()
-    library.look()
-    assert library.recordings() == []
 
 
 def work_for_ever() -> None:
@@ -150,15 +127,6 @@ def test_links_out_of_the_root_and_hidden_files_are_not_listed(tmp_path: Path) -
     assert library.look() == {"folder": None, "recordings": [], "models": []}
 
 
-def test_of_a_link_it_is_the_link_that_is_deleted(library: Library, tmp_path: Path) -> None:
-    kept = tmp_path / "drives" / "drive-1.mcap"
-    (tmp_path / "drives" / "link.mcap").symlink_to(kept)
-    library.look()
-    library.delete("drives/link.mcap")
-    assert kept.exists()
-    assert not (tmp_path / "drives" / "link.mcap").is_symlink()
-
-
 def test_a_model_tells_its_goals_and_the_worlds_of_the_recordings_that_are_there(tmp_path: Path) -> None:
     corridor.save_model(tmp_path / "corridor.smal")
     library = Library(tmp_path)
@@ -171,74 +139,6 @@ def test_a_model_tells_its_goals_and_the_worlds_of_the_recordings_that_are_there
     record(tmp_path / "drives", list(recorded_messages.episode("other")))
     (shown,) = library.look()["models"]  # type: ignore[misc]
     assert shown["worlds"] == [library.recordings()[0].world]
-
-
-@pytest.mark.parametrize(("source", "corrected"), [("teleop", True), ("policy", False)])
-def test_a_run_is_corrected_where_a_person_took_over(tmp_path: Path, source: Any, corrected: bool) -> None:
-    messages = [
-        one.model_copy(update={"source": source}) if isinstance(one, CommandApplied) and one.tick == 2 else one
-        for one in recorded_messages.episode("run-1", purpose="run")
-    ]
-    record(tmp_path / "drives", messages)
-    library = Library(tmp_path)
-    (shown,) = library.look()["recordings"]  # type: ignore[misc]
-    assert shown["corrected"] is corrected
-
-
-def test_a_model_of_the_papers_scheme_has_no_goal_to_choose_and_is_not_drawn(
-    console: Console, robot: Robot, open_page: Callable[[], Page], settings: ServiceSettings, run_node: RunNode
-) -> None:
-    corridor.paper_model().save(console.root / "paper.smal")
-    recognition = Node("recognition", settings)
-    recognition.detail = lambda: {"model": "paper.smal", "checksum": identity_of(corridor.paper_model()), "goal": None}
-    run_node(recognition)
-    page = open_page()
-    (model,) = eventually(lambda: page.state.get("library", {}).get("models"))
-    assert (model["goals"], model["useless"]) == ([], "")
-    shown = eventually(lambda: page.state.get("model", {}).get("trouble"))
-    assert shown == "paper.smal is for the paper's scheme: its states have no places on a map."
-
-
-def test_where_a_belief_is_on_the_taught_way() -> None:
-    model = corridor.model()
-    learned = learned_of(model, None, {})
-    assert learned.goal == "victim"
-    assert np.all(np.diff(learned.cost_s) < 0)
-    header = recorded_messages.header("run-1", 3)
-    last = len(learned.drives) - 1
-    places = tuple(
-        Place(keyframe=keyframe, ahead_m=0.1, left_m=0.2, turned_rad=0.0, weight=weight)
-        for keyframe, weight in ((last, 0.6), (0, 0.4))
-    )
-    state = State.after(header, status="recognized", model=identity_of(model), places=places, lost=0.5)
-    shown = learned.belief(state)
-    assert (shown["keyframe"], shown["cost"], shown["sure"]) == (last, 0.0, 0.3)
-    assert shown["pose"] == pytest.approx([corridor.STEP_M * (corridor.FRAMES - 1) + 0.1, 0.2, 0.0])
-    assert learned.belief(state.model_copy(update={"model": "0" * 16})) == {}
-    assert learned.image(0) is None
-    assert learned.image(10**6) is None
-
-
-def test_the_taught_image_is_that_of_the_recording(tmp_path: Path) -> None:
-    """Also where the first frames of the drive were not recorded."""
-    way = [corridor.pose(frame) for frame in range(corridor.FRAMES)]
-    images = [corridor.view(*one) for one in way]
-    atoms = [corridor.Atom.FORWARD] * (corridor.FRAMES - 1) + [corridor.Atom.STOP]
-    model = fit([(images, atoms, np.array(way))], corridor.FEATURES)
-    ((name,),) = model.mapped.names
-    messages = [
-        message.model_copy(update={"episode": name, "tick": message.tick + 3 * (message.tick > 0)})
-        for message in recorded_messages.episode("drive-1", frames=corridor.FRAMES)
-    ]
-    path = record(tmp_path, messages)
-    learned = learned_of(model, "victim", {name: path})
-    first, last = learned.image(0), learned.image(len(learned.drives) - 1)
-    assert last is not None
-    assert last == recorded_messages.image("x", corridor.FRAMES - 1).data
-    assert first != last
-    episodes = read_recording(path).episodes
-    assert learned.shown()["world"] == learned.world == episodes[0].world != ""
-    assert learned_of(model, "victim", {}).world == "", "nobody knows"
 
 
 def test_only_what_is_listed_is_deleted(console: Console, robot: Robot, open_page: Callable[[], Page]) -> None:
@@ -313,18 +213,3 @@ def test_a_run_is_of_the_model_that_is_chosen_and_recorded(
     page.say(do="end", found=True)
     (recording,) = eventually(lambda: page.state["library"]["recordings"])
     assert (recording["purpose"], recording["goal"], recording["outcome"]) == ("run", "victim", "found")
-
-
-@pytest.mark.parametrize(("goals", "nearest"), [((), "victim"), (("dock",), "dock"), (("dock", "ward"), "nearest")])
-def test_a_run_to_the_nearest_of_several_goals_is_not_said_to_lead_to_one_of_them(
-    tmp_path: Path, goals: tuple[str, ...], nearest: str
-) -> None:
-    """Whoever learned from it would teach a goal where another one is; a model of the paper's scheme names none."""
-    for goal in goals:
-        messages = recorded_messages.episode(f"to-{goal}")
-        told = [one.model_copy(update={"goal": goal}) if isinstance(one, Episode) else one for one in messages]
-        record(tmp_path / "drives", told)
-    library = Library(tmp_path)
-    library.look()
-    assert library.leads_to(LearnedModel("a", 0.0, 1, episodes=frozenset(f"to-{goal}" for goal in goals))) == nearest
-    assert library.leads_to(LearnedModel("a", 0.0, 1, goals=goals)) == nearest

@@ -38,7 +38,7 @@ def opening(robot: Robot, monkeypatch: pytest.MonkeyPatch) -> Opening:
     return asked, goes_on
 
 
-@pytest.mark.parametrize("robot", [True, False], indirect=True, ids=["attended", "unattended"])
+@unattended
 @pytest.mark.parametrize("how", ["leave", "withdraw"])
 def test_an_episode_ends_at_once_whose_person_has_left_or_cancelled_while_another_world_was_opened(
     recorder: RecorderService, console: Console, open_page: OpenPage, opening: Opening, how: str

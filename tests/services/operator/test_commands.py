@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from schemas.command import Command, CommandApplied
 from schemas.episode import Episode
 from services.operator.commands import Commands
-from services.operator.hold import FIRST_HOLD_S, KeyHold
+from services.operator.hold import KeyHold
 from services.robot.gate import CommandGate
 
 
@@ -61,38 +61,9 @@ def test_a_press_is_sent_at_once_and_then_with_every_heartbeat(operator: Operato
     assert operator.beat(5) == ("teleop", "forward", 5, 0)
 
 
-def test_a_release_is_one_stop_at_once_then_silence(operator: Operator) -> None:
-    operator.beat(3)
-    operator.service.press("forward")
-    assert operator.beat(4) == ("teleop", "forward", 4, 0)
-    operator.now_s = FIRST_HOLD_S
-    assert brief(operator.service.poll()) == ("teleop", "stop", 4, 1)
-    assert operator.service.poll() is None
-    assert operator.beat(5) is None
-
-
-def test_a_key_that_is_let_go_is_one_stop_at_once(operator: Operator) -> None:
-    operator.beat(3)
-    operator.service.press("forward")
-    assert operator.service.release("left") is None, "another one than the held one"
-    assert brief(operator.service.release("forward")) == ("teleop", "stop", 3, 1)
-    assert operator.service.release("forward") is None
-    assert operator.beat(4) is None
-
-
 def test_keys_without_a_robot_are_not_kept_for_one(operator: Operator) -> None:
     assert operator.service.press("forward") is None
     assert [operator.beat(tick) for tick in range(5)] == [None] * 5
-
-
-def test_an_emergency_stop_goes_out_at_once_and_is_repeated_until_it_holds(operator: Operator) -> None:
-    operator.beat(3)
-    operator.service.press("forward")
-    assert brief(operator.service.stop_for_emergency()) == ("emergency_stop", "stop", 3, 0)
-    assert operator.beat(4, "command") == ("emergency_stop", "stop", 4, 0)
-    assert operator.beat(5, "emergency_stop") is None
-    assert operator.service.press("forward") is None, "it holds until it is released"
-    assert operator.beat(6, "emergency_stop") is None
 
 
 def test_the_emergency_stop_ends_when_the_robot_was_armed(operator: Operator) -> None:

@@ -10,7 +10,7 @@ from collections.abc import Iterator
 import pytest
 
 from schemas.command import Command
-from schemas.rpc import ResetReply, ResetRequest
+from schemas.rpc import ResetRequest
 from schemas.topics import APPLIED, COMMANDS
 from services.kit.bus import Bus
 from services.kit.node import Node
@@ -93,46 +93,6 @@ def test_a_stop_is_repeated_though_nothing_is_heard_of_the_robot(settings: Servi
         operator = Operator(node, KeyHold(now_s), lambda _: None)
         operator.stop_for_emergency()
         assert node.spin(lambda: len(stops) >= 3, 10.0)
-
-
-@pytest.mark.parametrize("who", ["its person", "a program"])
-def test_after_a_drive_that_was_found_the_policy_is_run(
-    node: Node,
-    robot: Robot,
-    operator: Operator,
-    said: list[str],
-    client: Bus,
-    monkeypatch: pytest.MonkeyPatch,
-    who: str,
-) -> None:
-    """As the page does by Drive, Found and Run, and `smal run --connect` beside `smal teleop`."""
-    monkeypatch.setattr(robot.gate, "watch", misses_nobody)
-    assert operator.begin(DRIVE)
-    assert node.spin(lambda: operator.mine is not None and operator.commands.applied is not None, 10.0), said
-    drive = operator.mine
-    operator.press("forward", math.inf)
-    assert node.spin(lambda: robot.wheels.driven, 10.0)
-    operator.release()
-    operator.end(found=True)
-    assert node.spin(lambda: operator.mine is None and not operator.asking, 10.0), said
-    if who == "its person":
-        assert operator.begin(RUN)
-    else:
-        client.call("robot", "reset", RUN.model_copy(update={"session": "program"}), ResetReply)
-    assert node.spin(lambda: operator.commands.episode != drive and operator.commands.applied is not None, 10.0)
-    assert (robot.gate.operator, robot.gate.stop_cause, robot.gate.taken_over) == (node.session, None, False)
-
-
-def test_what_goes_wrong_in_here_is_told_in_one_plain_line_and_stands_in_the_log(
-    node: Node, operator: Operator, said: list[str], caplog: pytest.LogCaptureFixture
-) -> None:
-    def prepare() -> None:
-        raise KeyError("/home/somebody/secret")
-
-    assert operator.begin(RUN, prepare)
-    assert node.spin(lambda: said != [], 10.0)
-    assert said == ["internal error; the log of teleop says more"]
-    assert "KeyError: '/home/somebody/secret'" in caplog.text
 
 
 # -- presence ---------------------------------------------------------------------------------------------------------

@@ -40,13 +40,3 @@ def changed(field: str, value: object) -> dict[str, Any]:
         place = place[part]
     place[last] = value
     return content
-
-
-def empty_room(furniture: list[dict[str, object]], **others: object) -> World:
-    """Return a room of 6 by 5 m with some furniture, start in the south-west, victim in the north-east, both seen."""
-    content: dict[str, object] = {
-        "format": "smal.room/1", "east_west_m": 6.0, "north_south_m": 5.0, "furniture": furniture,
-        "start": {"x_m": 0.5, "y_m": 0.5, "facing_deg": 45}, "victim": {"x_m": 5.5, "y_m": 4.5, "facing_deg": 180},
-        "hidden": False, **others,
-    }  # fmt: skip
-    return read(content, Path("made.json"))

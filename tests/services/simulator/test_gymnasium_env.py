@@ -6,14 +6,12 @@ import gymnasium
 import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env
-from numpy.typing import NDArray
 
 from schemas.base import ATOMS
-from services.simulator.gymnasium_env import COLLISION_REWARD, FOUND_REWARD, MAX_TICKS, SearchEnv
+from services.simulator.gymnasium_env import COLLISION_REWARD, MAX_TICKS, SearchEnv
 from services.simulator.simulation import Simulation
 from services.simulator.world import load_world
-from services.simulator.world.place import Pose
-from tests.services.simulator.simulator_driving import StubCamera, key_to
+from tests.services.simulator.simulator_driving import StubCamera
 
 FORWARD, RIGHT = ATOMS.index("forward"), ATOMS.index("right")
 YARD = load_world("yard")
@@ -61,18 +59,3 @@ def test_a_wall_ends_the_episode_with_a_penalty() -> None:
         if terminated:
             break
     assert (reward, terminated, truncated, info["outcome"]) == (COLLISION_REWARD, True, False, "collision")
-
-
-def test_following_the_route_is_rewarded_at_the_victim() -> None:
-    env = blind(fraction=0.01)
-    _, info = env.reset(seed=4, options={"purpose": "drive"})
-    corners: list[NDArray[np.float64]] = list(info["route"][1:])
-    terminated, reward, steps = False, 0.0, 0
-    while not terminated:
-        if np.hypot(*(corners[0] - info["pose"][:2])) < 0.3:
-            corners.pop(0)
-        atom = key_to(Pose(*info["pose"]), *corners[0])
-        _, reward, terminated, _, info = env.step(np.int64(ATOMS.index(atom)))
-        steps += 1
-        assert steps < 1000
-    assert (reward, info["outcome"]) == (FOUND_REWARD, "found")

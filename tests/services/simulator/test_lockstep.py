@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import pytest
 
 from schemas.base import Atom, Message
@@ -19,9 +17,8 @@ from schemas.pose import Pose
 from schemas.rpc import ArmRequest
 from schemas.topics import DEPTH, Topic
 from services.robot.clock import TICK_S
-from services.robot.gate import Applied, CommandGate
 from services.simulator.lockstep import GIVE_UP_S, RESEND_S
-from tests.services.robot.driving import answer, begin, command, events, reset, runner_of
+from tests.services.robot.driving import answer, begin, command, events
 from tests.services.robot.line import Clock, LineBody
 
 Event = tuple[str, str | None]
@@ -181,28 +178,3 @@ def test_an_episode_whose_step_or_next_frame_cannot_be_made_ends(broken: str) ->
     assert events(sent) == [("ended", "aborted")]
     assert runner.running is None
     assert not list(runner.poll())
-
-
-class Meanwhile(CommandGate):
-    """A gate that something happens to just after it was asked what to carry out."""
-
-    happens: Callable[[], None] | None = None
-
-    def applied(self, now_s: float) -> Applied:
-        applied = super().applied(now_s)
-        if self.happens is not None:
-            happens, self.happens = self.happens, None
-            happens()
-        return applied
-
-
-def test_an_answer_that_comes_while_it_is_asked_for_is_carried_out() -> None:
-    gate = Meanwhile(first_stop=1)
-    assert gate.arm(1, "") is None
-    body = LineBody(Clock())
-    runner = runner_of(body, gate)
-    reset(runner)
-    gate.happens = lambda: runner.offer(command(runner))
-    for _ in range(2):
-        list(runner.poll())
-    assert body.moves == [("forward", 1.0, TICK_S)]

@@ -6,13 +6,9 @@ import math
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from schemas.base import Message
-from schemas.overhead_image import OverheadImage
-from schemas.pose import Pose
 from schemas.rpc import ResetRequest
-from schemas.topics import DEPTH, OVERHEAD, Topic
 from services.robot.loop import PERIOD_S
 from services.simulator.base import KinematicBase
 from services.simulator.body import WATCHDOG_S, SimulatedBody
@@ -20,7 +16,6 @@ from services.simulator.camera import depth_message
 from services.simulator.robots import Drive
 from services.simulator.simulation import Simulation
 from services.simulator.world import load_world
-from services.simulator.world.place import Pose as WorldPose
 from tests.services.robot.line import Clock
 from tests.services.simulator.simulator_driving import StubCamera
 
@@ -28,13 +23,6 @@ YARD = load_world("yard")
 INDOOR = load_world("indoor")
 PERFECT = Drive(tick_sigma=0.0, radius_sigma=0.0)
 HEADER = Message(robot="r", episode="e", tick=0, stamp_ns=0)
-
-
-class CameraAbove(StubCamera):
-    """Sees something from above as well."""
-
-    def overhead(self, pose: WorldPose) -> NDArray[np.uint8]:
-        return np.zeros((30, 40, 3), np.uint8)
 
 
 def body_of(clock: Clock, mode: str = "realtime", **request: object) -> SimulatedBody:
@@ -101,26 +89,6 @@ def test_it_begins_anywhere_and_is_carried_away_where_that_is_asked_for() -> Non
     moved = carried.look(2).pose
     assert math.hypot(moved.x - before[0], moved.y - before[1]) > 1.0
     assert carried.look(3).pose == moved, "once"
-
-
-@pytest.mark.parametrize("listened", [set(), {DEPTH}, {OVERHEAD}, {DEPTH, OVERHEAD}], ids=len)
-def test_costly_pictures_are_made_for_who_listens(listened: set[Topic]) -> None:
-    body = SimulatedBody(Simulation(INDOOR, CameraAbove()), Clock(), listened.__contains__)
-    view = body.look(0)
-    made = list(view.more(HEADER))
-    assert isinstance(made[0], Pose)
-    assert {m.topic_name for m in made[1:]} == {topic.name for topic in listened}
-    assert list(view.more(HEADER, {m.topic_name for m in made})) == []
-    for image in (m for m in made if isinstance(m, OverheadImage)):
-        mount = INDOOR.place.overhead
-        assert mount is not None
-        told = image.calibration
-        assert (told.focal_px, told.x_m, told.y_m, told.height_m) == (
-            mount.focal_px,
-            mount.x_m,
-            mount.y_m,
-            mount.height_m,
-        )
 
 
 def test_depth_is_told_in_millimetres_of_some_pixels_and_what_is_out_of_range_as_zero() -> None:

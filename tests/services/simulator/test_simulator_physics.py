@@ -3,9 +3,6 @@
 from __future__ import annotations
 
 import math
-import os
-import subprocess
-import sys
 from dataclasses import dataclass, replace
 from typing import ClassVar
 
@@ -66,8 +63,8 @@ def turned(begin: Pose, end: Pose) -> float:
 
 
 @robots
-@pytest.mark.parametrize("speed", [1.0, 0.5, 0.1])
-@pytest.mark.parametrize("atom", ["forward", "backward", "left", "right"])
+@pytest.mark.parametrize("speed", [1.0, 0.1])
+@pytest.mark.parametrize("atom", ["backward", "left"])
 def test_at_speed_it_moves_as_the_kinematic_base_does(robot: RobotModel, speed: float, atom: Atom) -> None:
     place = hall(model=robot)
     moved = {}
@@ -84,20 +81,7 @@ def test_at_speed_it_moves_as_the_kinematic_base_does(robot: RobotModel, speed: 
 
 
 @robots
-@pytest.mark.parametrize("before", [None, *ATOMS])
-def test_a_standing_robot_stays_for_a_minute(robot: RobotModel, before: Atom | None) -> None:
-    base = standing(PhysicalBase(hall(model=robot)), Pose(40.0, -60.0, 2.0))
-    if before is not None:
-        drive(base, before, 0.5)
-    rest = drive(base, "stop", 1.0)[-1].pose
-    motions = drive(base, "stop", 60.0)
-    assert {motion.pose for motion in motions} == {rest}
-    assert {motion.rolled_m for motion in motions} == {(0.0, 0.0)}
-    assert drive(base, "forward", 0.3)[-1].pose != rest, "it wakes at a command"
-
-
-@robots
-@pytest.mark.parametrize("atom", ["forward", "backward", "left"])
+@pytest.mark.parametrize("atom", ["forward", "left"])
 def test_silence_means_that_the_robot_stands_within_half_a_second(robot: RobotModel, atom: Atom) -> None:
     """The gate obeys a command for so long from its frame on, and none comes sooner than a cycle after its frame.
 
@@ -148,26 +132,3 @@ def test_an_episode_repeats_exactly_whatever_was_before(
     used = PhysicalBase(hall(corner, WALL))
     trace(used, seeds[0], ["forward", *first])
     assert trace(used, seeds[1], second) == trace(PhysicalBase(hall(corner, WALL)), seeds[1], second)
-
-
-@pytest.mark.parametrize(("low_m", "hit"), [(1.05, False), (0.9, True), (0.3, True)])
-def test_what_hangs_is_driven_under_if_the_mast_fits(low_m: float, hit: bool) -> None:
-    bridge = Solid(shapely.box(2.0, -3.0, 4.0, 3.0), low_m, 6.0, opaque=True)
-    motions = drive(standing(PhysicalBase(hall(bridge))), "forward", 4.0)
-    assert any(motion.collided for motion in motions) == hit
-    assert (motions[-1].pose.x > 5.0) == (not hit)
-
-
-def test_it_drives_without_a_vulkan_driver() -> None:
-    script = (
-        "import numpy as np; from services.simulator.world import load_world;"
-        "from services.simulator.physics.base import PhysicalBase;"
-        "world = load_world('yard'); base = PhysicalBase(world.place);"
-        "base.put(world.start, np.random.default_rng(0));"
-        "print(sum(base.step('forward', 1.0, 0.02).rolled_m[0] for _ in range(25)))"
-    )
-    environment = {**os.environ, "VK_DRIVER_FILES": "missing.json", "VK_ICD_FILENAMES": "missing.json"}
-    done = subprocess.run(
-        [sys.executable, "-c", script], env=environment, capture_output=True, text=True, check=True, timeout=60
-    )
-    assert float(done.stdout) > 0.4

@@ -5,20 +5,17 @@ from __future__ import annotations
 import math
 from functools import cache
 
-import cv2
 import numpy as np
 import pytest
-import shapely
 from numpy.typing import NDArray
 
 from services.simulator.camera import CameraSettings
 from services.simulator.scene.rendering import ROBOT, SceneCamera
-from services.simulator.sensors import LEVEL, ShakeSettings, Tilt
+from services.simulator.sensors import LEVEL, Tilt
 from services.simulator.simulation import Simulation
 from services.simulator.world import load_world
 from services.simulator.world.place import Pose
 from services.simulator.world.route import plan_route
-from tests.services.simulator.simulator_driving import drive_to
 
 pytestmark = pytest.mark.rendering
 
@@ -77,38 +74,6 @@ def test_the_victim_is_seen_near_and_facing_and_from_no_start(
             assert camera.victim_pixels(Pose(start.x, start.y, start.heading + float(turn))) == 0
 
 
-def test_the_simulation_finds_the_victim_by_its_own_eyes() -> None:
-    simulation = Simulation(YARD, camera_in("yard"))
-    simulation.reset(0, "run")
-    assert not simulation.look().victim_found
-    for x, y in simulation.route()[1:]:
-        drive_to(simulation, x, y, lambda: simulation.look().victim_found)
-    assert simulation.look().victim_found
-    assert not simulation.collided
-
-
-@pytest.mark.parametrize("heading", [0.0, 0.7, 2.0, -2.5])
-def test_the_marker_is_found_from_above_with_its_number_place_and_direction(heading: float) -> None:
-    mount, tag = INDOOR.place.overhead, INDOOR.robot.tag
-    assert mount is not None
-    assert tag is not None
-    camera = camera_in("indoor")
-    route = shapely.LineString(plan_route(INDOOR, (INDOOR.start.x, INDOOR.start.y)))
-    detector = cv2.aruco.ArucoDetector(cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_4X4_50))
-    for fraction in (0.0, 0.3, 0.55, 0.8, 0.95):
-        place = route.interpolate(fraction, normalized=True)
-        pose = Pose(place.x, place.y, heading)
-        corners, numbers, _ = detector.detectMarkers(cv2.cvtColor(camera.overhead(pose), cv2.COLOR_RGB2GRAY))
-        assert numbers is not None, f"not found at {pose}"
-        assert numbers.ravel().tolist() == [tag.number]
-        # A pinhole at (x, y, height) that looks down, its image's up to the north: columns east, rows south.
-        metres = (corners[0][0] + 0.5 - (mount.width_px / 2, mount.height_px / 2)) * (mount.height_m - tag.height_m)
-        places = metres / mount.focal_px * (1, -1) + (mount.x_m, mount.y_m)
-        np.testing.assert_allclose(places.mean(axis=0), (pose.x, pose.y), atol=0.03)
-        front = places[:2].mean(axis=0) - places[2:].mean(axis=0)
-        assert abs(math.remainder(math.atan2(front[1], front[0]) - heading, math.tau)) < math.radians(6)
-
-
 @pytest.fixture(scope="module")
 def camera() -> SceneCamera:
     return SceneCamera(YARD, CameraSettings(*SIZE))
@@ -136,45 +101,3 @@ def test_the_ground_is_as_deep_as_geometry_says(camera: SceneCamera, tilt: Tilt)
     assert near.mean() > 0.1
     np.testing.assert_allclose(depth[near], expected[near], atol=0.0011)
     assert (depth[there] <= expected[there] + 0.01).all(), "nothing is seen through the ground"
-
-
-def test_walls_are_as_far_as_the_map_says(camera: SceneCamera) -> None:
-    """Along the optical axis, the first thing in the way is found on the map and by the camera."""
-    solids = [solid for solid in YARD.place.solids if solid.low_m < EYE.height_m < solid.high_m]
-    leaves = shapely.union_all([solid.shape.buffer(3.0) for solid in solids if not solid.opaque])
-    checked = 0
-    for heading in np.linspace(-math.pi, math.pi, 24, endpoint=False):
-        cos, sin = math.cos(heading), math.sin(heading)
-        x, y = YARD.start.x + EYE.ahead_m * cos, YARD.start.y + EYE.ahead_m * sin
-        sight = shapely.LineString([(x, y), (x + 60 * cos, y + 60 * sin)])
-        here = shapely.Point(x, y)
-        away = [here.distance(s.shape.intersection(sight)) for s in solids if s.shape.intersects(sight)]
-        if not away or leaves.intersects(sight.intersection(here.buffer(min(away)))):
-            continue  # The map does not know how far leaves reach.
-        depth = camera.depth_m(Pose(YARD.start.x, YARD.start.y, heading))
-        middle = depth[HEIGHT // 2 - 1 : HEIGHT // 2 + 1, WIDTH // 2 - 1 : WIDTH // 2 + 1]
-        assert np.median(middle) == pytest.approx(min(away), abs=0.02)
-        checked += 1
-    assert checked >= 6
-
-
-def test_a_robot_that_drives_sees_a_shaken_picture_and_one_that_stands_does_not(camera: SceneCamera) -> None:
-    shaken, steady = (Simulation(YARD, camera, shake=ShakeSettings(strength)) for strength in (1.0, 0.0))
-    for simulation in (shaken, steady):
-        simulation.reset(3, "run")
-    np.testing.assert_array_equal(shaken.look().image, steady.look().image)
-    differences = []
-    for _ in range(5):
-        for simulation in (shaken, steady):
-            simulation.advance("forward", 1.0, 0.1)
-        image = shaken.look().image
-        differences.append(np.abs(image.astype(int) - steady.look().image).mean())
-        np.testing.assert_array_equal(shaken.look().image, image)
-        assert not np.array_equal(shaken.look().depth_m, steady.look().depth_m)
-    assert np.mean(differences) > 3
-    for simulation in (shaken, steady):
-        simulation.advance("stop", 1.0, 1.5)
-    np.testing.assert_array_equal(shaken.look().image, steady.look().image)
-
-
-# -- overhead ---------------------------------------------------------------------------------------------------------

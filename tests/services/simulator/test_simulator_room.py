@@ -14,11 +14,10 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from shapely.geometry.base import BaseGeometry
 
-from services.simulator.world.collision import Obstacles
 from services.simulator.world.place import World, WorldError
 from services.simulator.world.route import plan_route
 from services.simulator.world.task import sample_start
-from tests.services.simulator.simulator_rooms import CONTENT, changed, empty_room, indoor, read, room_of
+from tests.services.simulator.simulator_rooms import CONTENT, changed, indoor, read, room_of
 
 INDOOR = indoor()
 ROOM = room_of(INDOOR)
@@ -62,18 +61,6 @@ def test_the_lanes_reach_all_free_floor_and_touch_nothing(x: float, y: float) ->
     assert all(shapely.LineString(leg).distance(things) > 0.24 for leg in pairwise(route))
 
 
-def test_a_table_is_driven_under_between_its_legs_but_no_lane_leads_there() -> None:
-    table = {"kind": "table", "x_m": 3.0, "y_m": 2.5, "width_m": 1.6, "depth_m": 1.0, "height_m": 0.7}
-    room = room_of(empty_room([table]))
-    obstacles = Obstacles(room)
-    assert obstacles.is_free(3.0, 2.5)
-    assert obstacles.clearance(3.47, 1.73) == 0.0, "a leg, and the front is to the east"
-    assert obstacles.clearance(3.0, 1.73) == pytest.approx(0.44, abs=0.01)
-    covered = room.furniture[0].footprint
-    assert not any(lane.intersects(covered) for lane in room.lanes)
-    assert obstacles.in_sight(np.array([[(3.0, 0.5), (3.0, 4.5)]]))[0]
-
-
 def without(field: str) -> dict[str, Any]:
     return {name: value for name, value in CONTENT.items() if name != field}
 
@@ -82,21 +69,13 @@ def without(field: str) -> dict[str, Any]:
     ("content", "complaint"),
     [
         ({}, r"Unable to extract tag using discriminator 'format'"),
-        (without("victim"), r"victim: Field required"),
         (changed("carpet", "red"), r"carpet: Unexpected keyword argument"),
         (changed("furniture.2.kind", "piano"), r"furniture\.2\.kind: Input should be 'cabinet'"),
         (changed("furniture.0.width_m", math.nan), r"furniture\.0\.width_m: Input should be a finite number"),
-        (changed("furniture.0.depth_m", None), r"furniture\.0\.depth_m: Input should be a valid number"),
         (changed("furniture.0.depth_m", 0.0), r"furniture\.0: depth_m: a partition needs one"),
-        (changed("furniture.11.depth_m", 0.5), r"furniture\.11: depth_m: a plant is round and has a width_m only"),
         (changed("furniture.0.x_m", 0.02), r"furniture\.0 \(partition\): at \(0\.02, 1\.6\) m it reaches out of"),
-        (changed("furniture.0.height_m", 3.0), r"furniture\.0\.height_m: 3 m does not fit under a ceiling at 2\.8 m"),
-        (changed("furniture.4.width_m", 0.5), r"furniture\.4: .* a sofa is at least 0\.8 m wide and 0\.5 m deep"),
         (changed("fittings.0.along_m", 5.9), r"fittings\.0\.along_m: the door reaches past an end of the west wall"),
-        (changed("fittings.1.foot_m", 2.0), r"fittings\.1\.foot_m: the poster reaches above the wall"),
         (changed("start.x_m", 2.3), r"start: \(2\.3, 0\.82\) m is less than 0\.24 m from furniture\.0 \(partition\)"),
-        (changed("start.x_m", 0.1), r"start: \(0\.1, 0\.82\) m is not inside the room, 0\.24 m from its walls"),
-        (changed("victim", {"x_m": 7.0, "y_m": 0.5, "facing_deg": 0}), r"victim: .* furniture\.\d+ \(desk\)"),
         (changed("overhead.x_m", 9.0), r"overhead: at \(9, 3\) m it hangs outside the room"),
         (changed("victim", {"x_m": 1.0, "y_m": 3.0, "facing_deg": 0}), r'victim: can be seen from a start, .*"hidden"'),
         (changed("furniture.9.width_m", 1.2) | {"furniture": [*CONTENT["furniture"], {

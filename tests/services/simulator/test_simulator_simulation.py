@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 
 import pytest
-import shapely
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -37,21 +36,6 @@ def test_the_same_seed_gives_the_same_episode_however_it_is_stepped(seed: int, p
     assert (whole.pose, whole.collided) == (sliced.pose, sliced.collided)
     one, other = whole.look(), sliced.look()
     assert (one.odometry, one.imu) == (other.odometry, other.imu)
-
-
-def test_a_run_that_begins_anywhere_begins_beside_the_way_and_repeats() -> None:
-    simulation, again = Simulation(YARD, StubCamera()), Simulation(YARD, StubCamera())
-    simulation.reset(0, "drive")
-    way = shapely.LineString(simulation.route())
-    starts = [simulation.reset(seed, "run", anywhere=True) for seed in range(30)]
-    assert starts == [again.reset(seed, "run", anywhere=True) for seed in range(30)]
-    assert all(way.distance(shapely.Point(start.x, start.y)) < 1.5 + 1.0 for start in starts)
-    along = [way.project(shapely.Point(start.x, start.y), normalized=True) for start in starts]
-    assert min(along) < 0.3
-    assert max(along) > 0.6
-    # Neither where runs usually start, nor where recovery drives do: those teach.
-    assert not set(starts) & {simulation.reset(seed, "run") for seed in range(30)}
-    assert not set(starts) & {simulation.reset(seed, "recovery") for seed in range(30)}
 
 
 @pytest.mark.parametrize("physical", [False, True])
@@ -88,18 +72,6 @@ def test_the_robot_never_enters_anything(seed: int, atoms: list[Atom]) -> None:
     for atom in atoms:
         simulation.advance(atom, 1.0, 0.4)
         assert obstacles_of(YARD.place).clearance(simulation.pose.x, simulation.pose.y) > YARD.robot.radius_m - 1e-9
-
-
-@pytest.mark.parametrize("name", ["yard", "campus"])
-def test_following_the_route_leads_to_the_victim_without_a_collision(name: str) -> None:
-    camera = StubCamera(fraction=0.01)
-    simulation = Simulation(load_world(name), camera)
-    simulation.reset(11, "run")
-    for x, y in simulation.route()[1:]:
-        assert not simulation.look().victim_found or (x, y) == tuple(simulation.route()[-1])
-        drive_to(simulation, x, y)
-    assert not simulation.collided
-    assert simulation.look().victim_found
 
 
 def test_the_victim_is_found_only_when_near_and_seen() -> None:

@@ -11,39 +11,22 @@ from typing import Any
 
 import pytest
 
-from services.simulator.world import World, WorldError, load_world
+from services.simulator.world import WorldError, load_world
 from services.simulator.world.loading import WORLDS_FOLDER, Wishes, import_map
-from services.simulator.world.terrain import Terrain, terrain_text
+from services.simulator.world.terrain import terrain_text
 from tests.services.simulator.map_text import block_of_houses
 
 HERE = Path("here.json")
 
 
-def said(world: World) -> tuple[object, ...]:
-    """Return everything that a world is, in values that can be compared."""
-    place = world.place
-    assert isinstance(place, Terrain)
-    return (
-        place.bounds, place.skipped, place.source, world.start, world.victim, place.trees,
-        [(b.footprint.wkt, b.height_m, b.facade, b.roof, b.min_height_m, b.roof_height_m, b.roof_colour)
-         for b in place.buildings],
-        [(r.line.wkt, r.width_m, r.kind, r.drivable, r.marked, r.sidewalks) for r in place.roads],
-        [(a.footprint.wkt, a.kind) for a in place.areas],
-        [(b.line.wkt, b.height_m, b.kind) for b in place.barriers],
-    )  # fmt: skip
-
-
 @pytest.mark.parametrize("name", ["campus", "terrace", "yard"])
 def test_a_world_that_is_imported_is_the_same_in_its_file(name: str, tmp_path: Path) -> None:
-    world = load_world(name)
     out = tmp_path / f"{name}.json"
     imported, text = import_map(WORLDS_FOLDER / f"{name}.osm", out, Wishes())
     out.write_text(text)
-    assert said(load_world(out)) == said(imported)
-    assert terrain_text(load_world(out)) == text
+    assert terrain_text(load_world(out)) == terrain_text(imported) == text
+    world = load_world(name)
     assert (imported.start.x, imported.victim.y) == pytest.approx((world.start.x, world.victim.y), abs=1e-3)
-    assert len(imported.place.trees) == len(world.place.trees)
-    assert [b.facade for b in imported.place.buildings] == [b.facade for b in world.place.buildings]
 
 
 def world_file(change: Callable[[dict[str, Any]], object], folder: Path) -> Path:
@@ -63,18 +46,11 @@ NAN = float("nan")
     ("change", "complaint"),
     [
         (lambda c: c["victim"].update(x=0, y=40), r"the victim at \(0.0, 40.0\) m stands in an obstacle"),
-        (lambda c: c["start"].update(x=99.9), "the start at .* stands in an obstacle or outside"),
         (lambda c: c["victim"].update(x=NAN), "victim.x: Input should be a finite number"),
-        (lambda c: c["victim"].update(z=0), "victim.z: Unexpected keyword argument"),
         (lambda c: c.update(format="smal.terrain/2"), "tag 'smal.terrain/2' found using 'format' does not match"),
         (lambda c: c.update(buildings=[]), "the map has no buildings"),
-        (lambda c: c.update(roads=[]), "the map has no roads"),
-        (lambda c: [road.update(drivable=False) for road in c["roads"]], "no road that a robot could drive on"),
-        (lambda c: c["buildings"][1].update(min_height_m=50), "buildings.1: min_height_m: 50.* is not below"),
         (lambda c: c["buildings"][1].update(outline=[[0, 0], [9, 9], [9, 0], [0, 9], [0, 0]]),
          "buildings.1: its outline crosses itself"),
-        (lambda c: c["buildings"][1]["outline"].pop(), "buildings.1: a ring does not end where it begins"),
-        (lambda c: c["roads"][0].update(line=[[1, 1], [1, 1]]), "roads.0.line: it has no length"),
         (lambda c: c.update(bounds=[1, 1, 0, 0]), "bounds: expected x_min, y_min, x_max, y_max"),
         (lambda c: c.update(bounds=[-9000, -9000, 9000, 9000]), "bounds: a world spans at most 10 km"),
         (lambda c: c["roads"][0].update(line=[[-4000, 0], [4000, 0]] * 100), "roads: .* km; a world has at most"),
@@ -97,14 +73,11 @@ def test_a_bad_world_file_gives_one_line(
     [
         (b"", "1074 MB; a world has at most 34 MB"),
         (b"{", "Invalid JSON"),
-        (b"[1]", "Input should be an object"),
-        (b"\xff\xfe{}", "Invalid JSON"),
         (b'{"format": ' + b"[" * 200_000, "recursion limit"),
         (b'{"format": ' + b"9" * 10_000 + b"}", "Invalid JSON: number out of range"),
         (b'{"format": "\\u001b[2J"}', r"tag '\?\[2J' found using 'format'"),
-        (b'{"format": "smal.terrain/1", "bounds": [1e999, 0, 1, 1]}', "bounds"),
     ],
-    ids=range(8),
+    ids=range(5),
 )
 def test_a_file_that_is_no_world_is_refused_quickly(content: bytes, complaint: str, tmp_path: Path) -> None:
     path = tmp_path / "bad.json"

@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import os
 import time
-from collections import Counter
 from pathlib import Path
-from xml.etree import ElementTree
 
 import numpy as np
 import pytest
@@ -15,7 +13,6 @@ from services.simulator.world import WorldError, load_world
 from services.simulator.world.collision import obstacles_of
 from services.simulator.world.loading import WORLDS_FOLDER
 from services.simulator.world.route import plan_route, route_length_m
-from services.simulator.world.terrain import Terrain
 
 BROWN = Path(__file__).parents[4] / "shared" / "data" / "osm" / "brown_university_campus.osm"
 CAMPUS = (WORLDS_FOLDER / "campus.osm").read_text()
@@ -23,10 +20,6 @@ BILLION_LAUGHS = (
     '<!DOCTYPE osm [<!ENTITY a0 "ha">'
     + "".join(f'<!ENTITY a{k} "{f"&a{k - 1};" * 10}">' for k in range(1, 10))
     + ']><osm version="0.6"><node id="1" version="1" lat="1" lon="1"><tag k="name" v="&a9;"/></node></osm>'
-)
-STRANGE_FILE = (
-    '<!DOCTYPE osm [<!ENTITY file SYSTEM "file:///etc/hostname">]><osm version="0.6">'
-    '<node id="1" version="1" lat="1" lon="1"><tag k="natural" v="&file;"/></node></osm>'
 )
 
 
@@ -46,14 +39,10 @@ def test_a_real_extract_gets_a_hidden_victim_by_rule() -> None:
     ("content", "complaint"),
     [
         (BILLION_LAUGHS, "holds <!DOCTYPE; a map defines no document type and no entities"),
-        (STRANGE_FILE, "holds <!DOCTYPE"),
         ("<osm>" + " " * 2_000_000 + "<!ENTITY a 'b'>", "holds <!ENTITY"),
         (BILLION_LAUGHS.encode("utf-16").decode("latin-1"), "holds zero bytes"),
         (CAMPUS[: len(CAMPUS) // 2], "not a readable OpenStreetMap XML file"),
-        ("", "not a readable OpenStreetMap XML file"),
-        ("a letter to a friend", "not a readable OpenStreetMap XML file"),
         ("<html><body/></html>", "not a readable OpenStreetMap XML file"),
-        ('<osm version="0.6"></osm>', "no located nodes or ways"),
         (CAMPUS.replace('"highway"', '"highroad"'), "the map has no roads"),
         (CAMPUS.replace('"building"', '"bidding"'), "the map has no buildings"),
         (CAMPUS.replace('v="victim"', 'v="start"'), "2 nodes are tagged smal:role=start"),
@@ -82,23 +71,3 @@ def test_a_map_that_is_too_large_is_refused_before_and_while_it_is_read(tmp_path
     path.write_text(f'<osm version="0.6"><node id="1" version="1" lat="1" lon="1"/>{ways}</osm>')
     with pytest.raises(WorldError, match="more than 1,000,000 points"):
         load_world(path)
-
-
-@pytest.mark.skipif(not BROWN.exists(), reason=f"the real extract is not on this machine: {BROWN}")
-def test_every_building_of_a_real_extract_is_accounted_for() -> None:
-    """As many as a plain reading of the XML finds: drawn, or skipped for a reason."""
-    tagged: Counter[str] = Counter()
-    for element in ElementTree.parse(BROWN).getroot():  # noqa: S314 - our own copy
-        tags = {tag.get("k"): tag.get("v") for tag in element.iter("tag")}
-        if tags.get("building", "no") != "no":
-            tagged[element.tag] += 1
-    place = load_world(BROWN).place
-    assert isinstance(place, Terrain)
-    assert place.source is not None
-    assert tagged == {"way": 392, "node": 9, "relation": 1}
-    skipped = {reason: count for reason, count in place.source.skipped.items() if reason.startswith("building: ")}
-    assert skipped == {"building: it is a point without an outline": 9, "building: it is smaller than 4 m2": 3}
-    assert place.source.used["building"] + sum(skipped.values()) == tagged.total()
-    assert place.source.used["building relation"] == tagged["relation"]
-    (hall,) = [building for building in place.buildings if building.footprint.interiors]
-    assert hall.footprint.interiors

@@ -17,12 +17,10 @@ from services.simulator.base import KinematicBase
 from services.simulator.body import SimulatedBody
 from services.simulator.camera import CameraSettings
 from services.simulator.config import SimulatorSettings
-from services.simulator.scene.build import build_scene
 from services.simulator.simulation import Simulation
 from services.simulator.variation import VARIATIONS
 from services.simulator.world import load_world
 from services.simulator.world.loading import WORLDS_FOLDER, Wishes, import_map
-from services.simulator.world.terrain import Terrain
 from services.simulator.worlds import Worlds
 from tests.services.simulator.simulator_driving import StubCamera
 
@@ -65,13 +63,6 @@ def begin(body: SimulatedBody, **wishes: str) -> None:
 def test_the_worlds_are_ours_the_user_s_and_the_first_one(made: Path) -> None:
     assert worlds_of(made, world="yard").names() == sorted([*OWN, "my town"])
     assert worlds_of(made / "worlds", world=str(made / "my town.osm")).names() == sorted([*OWN, "my town"])
-
-
-def test_what_has_no_name_that_could_be_asked_for_is_not_listed(made: Path) -> None:
-    for name in ("-x", "a,b", "<img>", ".hidden", "new\nline", "\udc80", "𠀀" * 51):
-        (made / "worlds" / f"{name}.json").touch()
-    assert worlds_of(made).names() == sorted([*OWN, "my town"])
-    assert "a,b" not in worlds_of(made, world=str(made / "a,b.osm")).names()
 
 
 def test_an_episode_begins_in_the_world_that_is_asked_for(made: Path, opened: list[tuple[str, str]]) -> None:
@@ -167,13 +158,3 @@ def test_the_robot_stays_where_it_is_when_the_opening_of_another_world_is_ended(
     assert (body.simulation, worlds.here) == (before, ("yard", "day"))
     begin(body, world="my town")
     assert (body.name, worlds.here) == ("my town", ("my town", "day"))
-
-
-def test_what_is_drawn_of_a_world_is_made_in_steps_between_which_it_may_be_ended() -> None:
-    asked: list[None] = []
-    world = load_world("yard")
-    with asking(lambda: asked.append(None)):
-        build_scene(world, VARIATIONS["day"].light, shadows=True)
-    assert isinstance(world.place, Terrain)
-    steps_of_a_house = 2  # its shade, its walls and roof
-    assert len(asked) > steps_of_a_house * len(world.place.buildings)

@@ -42,10 +42,7 @@ class FakeRobot:
         self.ends: list[EndRequest] = []
         #: What happens when it is asked, before and after it does so.
         self.before_arm: Callable[[], None] = nothing
-        self.after_arm: Callable[[], None] = nothing
         self.before_reset: Callable[[], None] = nothing
-        #: How many emergency stops get lost on the way.
-        self.lost_stops = 0
         self._episode: str | None = None
         self._tick = 0
         for source in ("teleop", "emergency_stop"):
@@ -69,11 +66,6 @@ class FakeRobot:
         assert episode is not None
         self.node.publish(self._event(episode, "ended", outcome))
 
-    def restart(self) -> None:
-        """Forget everything, as a robot does whose process was killed and started again."""
-        self._episode = None
-        self.gate = CommandGate(first_stop=1000)
-
     def _detail(self) -> Detail:
         return {
             "episode": self._episode,
@@ -88,7 +80,6 @@ class FakeRobot:
         refusal = self.gate.arm(request.stop, request.session)
         if refusal is not None:
             raise ServiceError(refusal)
-        self.after_arm()
 
     def _reset(self, request: ResetRequest) -> ResetReply:
         self.before_reset()
@@ -113,9 +104,6 @@ class FakeRobot:
 
     def _on_command(self, command: Command) -> None:
         if command.source == "emergency_stop":
-            self.lost_stops -= 1
-            if self.lost_stops >= 0:
-                return
             self.gate.stop()
         self.heard_s.append(time.monotonic())
         self.commands.append(command)

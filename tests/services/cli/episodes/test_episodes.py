@@ -15,13 +15,11 @@ from schemas.base import Message
 from schemas.episode import Episode, Outcome
 from schemas.rpc import ArmRequest, EndRequest, LoadReply, LoadRequest, ResetReply, ResetRequest
 from services.cli.episodes.client import EpisodeClient
-from services.cli.options import Running
 from services.cli.run import CHAIN, _check_models
-from services.expert.service import ExpertService
-from services.kit.errors import JobError, UsageError
+from services.kit.errors import JobError
 from services.kit.model_service import identity_of
 from services.kit.node import Detail, Node, ServiceError
-from services.kit.process import EXIT_FAILED, EXIT_USAGE
+from services.kit.process import EXIT_FAILED
 from services.kit.settings import ServiceSettings
 from services.robot.episode import RunOutcome
 from smal.features import FeatureSettings
@@ -96,15 +94,6 @@ def client(settings: ServiceSettings) -> Iterator[EpisodeClient]:
         yield client
 
 
-def test_decisions_without_a_state_and_before_the_end_are_counted(
-    simulator: FakeSimulator, client: EpisodeClient
-) -> None:
-    record = client.run(REQUEST, done=lambda: bool(client._record and len(client._record.decisions) == 5))
-    assert list(record.decisions.values()) == ["follow", "look_around", "guess", "stop"]
-    assert record.unrecognized == {1}
-    assert simulator.ended == ["e"]
-
-
 @pytest.mark.parametrize(("truth", "outcome"), [("found", "found"), ("aborted", "false_goal")])
 def test_a_robot_that_says_that_it_has_arrived_is_judged(
     truth: Outcome, outcome: RunOutcome, simulator: FakeSimulator, client: EpisodeClient
@@ -133,35 +122,12 @@ def test_who_begins_a_run_arms_a_robot_that_was_just_started_and_no_other(
     assert simulator.armed == armed, "once: one that was started again meanwhile is armed by a person"
 
 
-def test_only_a_robot_that_drives_itself_arrives(simulator: FakeSimulator, client: EpisodeClient) -> None:
-    simulator.decisions = (("goal", 9), ("goal", 9), ("follow", 4))
-    request = ResetRequest(seed=3, purpose="drive", driver="expert")
-    record = client.run(request, done=lambda: bool(client._record and len(client._record.decisions) == 3))
-    assert (record.outcome, record.arrived) == ("found", False)
-
-
 def test_another_world_than_asked_for_is_an_error_and_its_episode_is_ended(
     simulator: FakeSimulator, client: EpisodeClient
 ) -> None:
     with pytest.raises(JobError, match="the stack runs campus, not yard; start it with --world yard"):
         client.run(REQUEST, world="yard")
     assert simulator.ended == ["e"]
-
-
-def test_where_nobody_knows_the_way_the_expert_does_not_drive(simulator: FakeSimulator, client: EpisodeClient) -> None:
-    simulator.route = ()
-    with pytest.raises(JobError, match="campus: nobody knows the way there; demonstrate it by hand"):
-        client.run(REQUEST, on_begin=ExpertService().begin)
-    assert simulator.ended == ["e"]
-
-
-def test_with_connect_the_robot_may_be_anywhere_unless_a_world_is_named() -> None:
-    running = Running(connect="tcp/127.0.0.1:1")
-    assert Running().world(None) == ("campus", "campus")
-    assert running.world("yard") == ("yard", "yard")
-    assert running.world(None) == ("campus", None)
-    with pytest.raises(UsageError, match=r"^--world nowhere: "):
-        running.world("nowhere")
 
 
 @pytest.mark.parametrize("others", ["fedcba9876543210", None])
@@ -246,13 +212,3 @@ def test_a_model_of_other_features_is_an_error_before_the_first_run(
     names = ",".join(corridor.FEATURES.modalities)
     assert f"learned on the features {names}, and the stack makes color,hog; start it with `smal up --mod" in said
     assert stack.asked == []
-
-
-def test_a_model_that_the_stack_does_not_read_is_one_line_that_says_what_to_do(
-    settings: ServiceSettings, run_node: RunNode, tmp_path: Path, mistake: Mistake
-) -> None:
-    root = tmp_path / "root"
-    FakeStack(settings, run_node, root, corridor.FEATURES)
-    path = corridor.save_model(tmp_path / "mapped.smal")
-    said = mistake(EXIT_USAGE, "run", "--model", path, "--world", "yard", "--connect", settings.router)
-    assert f"--model {path}: the recognition of this stack takes only what is below {root}; put it there" in said

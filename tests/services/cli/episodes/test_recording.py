@@ -79,12 +79,6 @@ def test_a_recorder_that_refuses_the_folder_goes_on_with_its_own(
     assert recorder.told == ["start drives"]
 
 
-def test_files_that_cannot_be_finished_are_an_error(recorder: FakeRecorder, client: Bus, tmp_path: Path) -> None:
-    recorder.refuses = "stop"
-    with pytest.raises(RpcError, match="recorder stop: no disk"), recording(client, tmp_path / "drives", "--out"):
-        pass
-
-
 def test_a_folder_that_the_recorder_does_not_write_to_is_one_line_that_says_what_to_do(
     recorder: FakeRecorder, client: Bus, tmp_path: Path
 ) -> None:

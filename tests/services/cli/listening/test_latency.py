@@ -77,16 +77,6 @@ def test_the_spread_of_every_hop(ticks: list[tuple[float, float, float, float, b
         assert accepted["p50_ms"] == pytest.approx(12.0)
 
 
-def test_a_frame_sent_again_counts_from_the_first_time() -> None:
-    trace = LatencyTrace("pose/truth")
-    drive(trace, 0, 1.0, 2.1, 0.1, 0.1, 0.1)
-    drive(trace, 0, 3.0, 0.6, 0.1, 0.1, 0.1)
-    assert trace.frames == 1
-    assert p50s(trace, "policy")["frame", "observation"] == (1, 2100.0)
-    assert p50s(trace, "policy")["frame", "command/policy"] == (1, 2300.0)
-    assert p50s(trace, "policy")["command/policy", "command/applied"] == (1, 100.0)
-
-
 def test_two_drivers_have_each_their_own_chain() -> None:
     trace = LatencyTrace("pose/truth")
     drive(trace, 0, 1.0, 0.1, 0.1, 0.1, 0.5)
@@ -98,21 +88,3 @@ def test_two_drivers_have_each_their_own_chain() -> None:
         ("command/teleop", "command/applied"): (1, 50.0),
         ("frame", "accepted"): (1, 7.0),
     }
-
-
-def test_what_came_before_its_frame_or_moved_nothing_is_ignored() -> None:
-    trace = LatencyTrace("pose/truth")
-    for message in (told(Observation, 0), told(State, 0), command(0), applied(0), told(Pose, 0), applied(0, None)):
-        trace.see(message, 1.0)
-    assert (trace.frames, trace.commands, trace.drivers()) == (1, 1, [])
-
-
-def test_an_answer_that_holds_for_more_ticks_counts_for_its_frame_once() -> None:
-    trace = LatencyTrace("pose/truth")
-    for tick in range(3):
-        trace.see(told(Pose, tick), tick)
-    trace.see(command(0), 0.25)
-    for tick in (1, 2):
-        trace.see(applied(tick, answered=0, ms=240), tick + 0.01)
-    assert p50s(trace, "policy")["command/policy", "command/applied"] == (1, 760.0)
-    assert p50s(trace, "policy")["frame", "accepted"] == (1, 240.0)

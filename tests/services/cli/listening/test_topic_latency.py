@@ -60,12 +60,11 @@ def hops(rows: list[dict[str, Any]]) -> list[tuple[str, str]]:
     return [(row["from"], row["to"]) for row in rows]
 
 
-@pytest.mark.parametrize(("arguments", "frame"), [((), "pose/truth"), (("--camera",), "camera/rgb")])
-def test_from_frame_to_command(measured: Measured, arguments: tuple[str, ...], frame: str) -> None:
-    status, out, err = measured("--json", *arguments)
+def test_from_frame_to_command(measured: Measured) -> None:
+    status, out, err = measured("--json", "--camera")
     assert status == 0
     found = json.loads(out)
-    assert found["frame"] == frame
+    assert found["frame"] == "camera/rgb"
     assert found["frames"] >= 5
     every, decisions = found["drivers"]["policy"]["all"], found["drivers"]["policy"]["decisions"]
     assert hops(every) == [
@@ -81,9 +80,3 @@ def test_from_frame_to_command(measured: Measured, arguments: tuple[str, ...], f
     assert every[-1]["p50_ms"] == pytest.approx(12.0)
     assert hops(decisions) == hops(every)
     assert "messages could not be decoded; see smal topic echo" in err
-
-
-def test_nobody_drives(smal: Smal, router_endpoint: str) -> None:
-    code, out, err = smal("topic", "latency", "--seconds", "0.1", "--router", router_endpoint)
-    assert (code, out) == (1, "")
-    assert err.splitlines()[1].startswith("smal: 0 commands came, and 0 frames by pose/truth; ")

@@ -16,7 +16,7 @@ from services.cli.listening import commands as listening_commands
 from services.cli.listening.arrivals import RATES, SIZES, Arrivals, lines, sizes
 from services.kit.bus import Bus
 from tests.schemas.messages import EXAMPLES
-from tests.services.cli.conftest import Listen, Smal
+from tests.services.cli.conftest import Smal
 from tests.services.waiting import eventually
 
 KEY = "smal/rescuebot/command/teleop"
@@ -41,22 +41,6 @@ def test_rates_and_sizes_are_those_of_what_came(intervals_s: list[float], size: 
     assert (rates["min_s"], rates["max_s"]) == pytest.approx((gaps.min(), gaps.max()))
     assert (rates["mean_s"], rates["std_s"]) == pytest.approx((gaps.mean(), gaps.std()))
     assert len(list(lines({"key": rates}, RATES))) == len(list(lines({"key": found}, SIZES))) == 2
-
-
-@pytest.mark.zenoh
-def test_hz_measures_each_key_until_ctrl_c(listen: Listen) -> None:
-    listening = listen("hz", "--json", "--seconds", "60")
-    assert listening.process.stderr is not None
-    assert listening.process.stderr.readline() == "listening to smal/rescuebot/** for 60 s\n"
-    # The subscription was there before that line was printed, but the router passes it on in the background: it knows
-    # the later listener's only after this one's.
-    listen("echo", "--count", "20").lines_until(20, EXAMPLES[Command], EXAMPLES[Image])
-    status, out, err = listening.end()
-    rates = json.loads(out)
-    assert (status, err) == (0, "")
-    assert rates[KEY]["messages"] >= 2
-    assert rates[KEY]["rate_hz"] > 0
-    assert rates[KEY]["std_s"] >= 0
 
 
 @pytest.fixture
@@ -89,10 +73,3 @@ def test_bw_measures_each_key_and_the_total(smal: Smal, router_endpoint: str) ->
     assert found["keys"][KEY]["mean_bytes"] == found["keys"][KEY]["min_bytes"] == found["keys"][KEY]["max_bytes"]
     assert found["total"]["bytes"] == sum(one["bytes"] for one in found["keys"].values())
     assert found["total"]["bytes_per_s"] == found["total"]["bytes"] / found["seconds"]
-
-
-@pytest.mark.parametrize("command", ["hz", "bw"])
-def test_silence(smal: Smal, router_endpoint: str, command: str) -> None:
-    code, out, err = smal("topic", command, "pose/truth", "--seconds", "0.1", "--router", router_endpoint)
-    assert (code, out) == (0, "")
-    assert err.endswith("smal: nothing was published on smal/rescuebot/pose/truth\n")

@@ -14,13 +14,12 @@ from pathlib import Path
 
 import pytest
 from hypothesis import given
-from hypothesis import strategies as st
 
 from schemas.base import Message
 from schemas.codec import encode
 from schemas.command import Command
 from schemas.image import Image
-from schemas.topics import STATE, TOPICS, key_of
+from schemas.topics import STATE, key_of
 from services.cli.listening.zenoh_codec import decode_to_json
 from services.kit.bus import Bus
 from tests.schemas.messages import EXAMPLES, any_message
@@ -59,11 +58,6 @@ def test_a_bad_payload_is_an_error_object(key: str, payload: bytes, reason: str)
     assert set(found) == {"error", "bytes"}
     assert found["bytes"] == len(payload)
     assert any(part in found["error"] for part in reason.split("|"))
-
-
-@given(st.sampled_from([topic.key("rescuebot") for topic in TOPICS.values()]) | st.text(), st.binary())
-def test_no_payload_raises(key: str, payload: bytes) -> None:
-    assert len(decode_to_json(key, payload).splitlines()) == 1
 
 
 # -- inside zenoh-cli -------------------------------------------------------------------------------------------------

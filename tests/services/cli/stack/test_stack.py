@@ -8,7 +8,6 @@ import re
 import signal
 import subprocess
 import sys
-import time
 from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
@@ -16,7 +15,6 @@ from pathlib import Path
 import pytest
 
 from schemas.rpc import Nothing, Status
-from services.cli.interrupts import interrupted_by_signals
 from services.cli.stack import patience
 from services.cli.stack.backoff import FIRST_S, LONGEST_S, STEADY_S, Backoff
 from services.cli.stack.processes import Stack, StackPlan, flags
@@ -106,30 +104,6 @@ def test_a_service_that_hangs_in_starting_is_named(
     assert not processes_of(robot)
 
 
-def test_whether_a_process_works_is_told_by_its_processor_time() -> None:
-    now_s = used_s = 0.0
-    waiting = patience.Patience(lambda _: "slow", lambda _: used_s, lambda: now_s)
-    for share in (0.02, 1.0, 0.02):
-        for _ in range(1000):
-            now_s, used_s = now_s + 1.0, used_s + share
-            waiting.check({"robot": 1})  # however long it works, and however little it gets of a busy machine
-    began_s = now_s
-    for _ in range(int(0.5 * patience.HANGS_S)):
-        now_s, used_s = now_s + 1.0, used_s + 0.002
-        waiting.check({"robot": 1})
-    now_s = began_s + 2.0 * patience.HANGS_S
-    with pytest.raises(JobError, match=r"robot hangs: not ready after \d+ s \(slow\)"):
-        waiting.check({"robot": 1})
-
-
-def test_processor_time_is_that_of_the_process() -> None:
-    before_s, own_s = patience.processor_s(os.getpid()), time.process_time()
-    while time.process_time() < own_s + 0.1:
-        pass
-    assert 0.05 <= patience.processor_s(os.getpid()) - before_s < 10.0
-    assert patience.processor_s(2**22 + 1) == 0.0
-
-
 def test_a_dead_service_comes_back_with_its_flags(
     robot: str, free_endpoint: str, tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
@@ -154,8 +128,15 @@ def test_a_dead_service_comes_back_with_its_flags(
 
 
 @pytest.mark.zenoh
-@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP, signal.SIGINT, signal.SIGKILL])
-@pytest.mark.parametrize("when", ["starting", "running"])
+@pytest.mark.parametrize(
+    ("number", "when"),
+    [
+        (signal.SIGTERM, "starting"),
+        (signal.SIGKILL, "starting"),
+        (signal.SIGINT, "running"),
+        (signal.SIGHUP, "running"),
+    ],
+)
 def test_no_signal_leaves_orphans(robot: str, tmp_path: Path, number: signal.Signals, when: str) -> None:
     name = f"orphans-{number}-{when}-{os.getpid()}"
     with subprocess.Popen(
@@ -173,21 +154,6 @@ def test_no_signal_leaves_orphans(robot: str, tmp_path: Path, number: signal.Sig
         eventually(lambda: not processes_of(name))
         if number != signal.SIGKILL:
             assert (status, parent.stderr.read()) == (130, "smal: interrupted\n")
-
-
-def test_handlers_are_given_back_and_nohup_is_respected() -> None:
-    before = signal.signal(signal.SIGHUP, signal.SIG_IGN)
-    try:
-        with interrupted_by_signals():
-            signal.raise_signal(signal.SIGHUP)
-            with pytest.raises(KeyboardInterrupt):
-                signal.raise_signal(signal.SIGTERM)
-            # The stopping that follows is not interrupted.
-            signal.raise_signal(signal.SIGTERM)
-        assert signal.getsignal(signal.SIGTERM) is signal.SIG_DFL
-        assert signal.getsignal(signal.SIGHUP) is signal.SIG_IGN
-    finally:
-        signal.signal(signal.SIGHUP, before)
 
 
 def test_a_service_that_keeps_dying_is_started_less_and_less_often() -> None:
