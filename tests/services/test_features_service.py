@@ -63,13 +63,6 @@ def test_a_frame_is_published_once_both_its_images_are_there(depth_first: bool) 
     assert service.without_depth == 0
 
 
-@pytest.mark.parametrize("other", [depth_image(8), depth_image(7, "other")])
-def test_images_of_two_frames_are_never_joined(other: DepthImage) -> None:
-    service = FeaturesService(WITH_DEPTH)
-    assert give(service, other, image(7)) == []
-    assert give(FeaturesService(WITH_DEPTH), image(7), other) == []
-
-
 @given(st.lists(st.tuples(st.booleans(), st.integers(0, 3), st.sampled_from("ab")), max_size=20))
 def test_whatever_the_order_every_observation_is_of_one_frame(arrivals: list[tuple[bool, int, str]]) -> None:
     """Once for every colour image at most, with the features of that frame; the others are counted or wait."""
@@ -102,14 +95,6 @@ def test_a_frame_that_is_asked_for_again_is_answered_again() -> None:
     first = give(service, *frame)
     assert len(first) == 1
     assert give(service, *frame) == give(service, image(4)) == first
-
-
-def test_without_depth_among_the_modalities_nothing_waits() -> None:
-    service = FeaturesService(FeatureSettings())
-    (observation,) = give(service, image(0))
-    assert observation.fingerprint == FeatureSettings().fingerprint
-    assert not service.needs_depth
-    assert "without_depth" not in service.detail()
 
 
 @pytest.mark.zenoh
@@ -148,18 +133,6 @@ def test_the_process_joins_colour_and_depth(client: Bus, router_endpoint: str) -
     for tick in (5, 6):
         np.testing.assert_array_equal(heard[tick].features.to_numpy(), features(tick))
     assert sorted(heard) == [5, 6]
-
-
-@pytest.mark.parametrize(
-    ("modalities", "words"), [("color,smell", "unknown feature modality 'smell'"), ("hog,hog", "named twice")]
-)
-def test_unknown_modalities_are_one_line(modalities: str, words: str) -> None:
-    command = [sys.executable, "-m", "services.features", "--modalities", modalities]
-    ended = subprocess.run(command, capture_output=True, text=True, check=False)
-    assert ended.returncode == 2
-    assert words in ended.stderr
-    assert ended.stderr.startswith("features: modalities: ")
-    assert ended.stderr.count("\n") == 1
 
 
 def test_the_service_needs_no_scipy() -> None:
