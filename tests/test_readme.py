@@ -39,8 +39,6 @@ def test_the_picture_of_services_and_topics_is_the_generated_one() -> None:
 PAGES = sorted(path for path in ROOT.glob("**/*.md") if not {".venv", ".git", "out"} & set(path.parts))
 
 
-
-
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
 def test_every_path_that_a_page_names_exists(page: Path) -> None:
     text = page.read_text()

@@ -8,6 +8,7 @@ import pytest
 from gymnasium.utils.env_checker import check_env
 
 from schemas.base import ATOMS
+from services.simulator.base import KinematicBase
 from services.simulator.gymnasium_env import COLLISION_REWARD, MAX_TICKS, SearchEnv
 from services.simulator.simulation import Simulation
 from services.simulator.world import load_world
@@ -23,9 +24,8 @@ def blind(fraction: float = 0.0) -> SearchEnv:
 
 
 @pytest.mark.rendering
-@pytest.mark.parametrize("name", ["smal/Campus-v0", "smal/Indoor-v0"])
-def test_gymnasium_finds_nothing_wrong(name: str) -> None:
-    env = gymnasium.make(name, width=64, height=48, render_mode="rgb_array")
+def test_gymnasium_finds_nothing_wrong() -> None:
+    env = gymnasium.make("smal/Indoor-v0", width=64, height=48, render_mode="rgb_array")
     check_env(env.unwrapped, skip_render_check=True)
     image, info = env.reset(seed=1)
     assert image.std() > 5, "there is something to see"
@@ -39,7 +39,7 @@ def test_the_module_may_be_named_with_the_environment() -> None:
         "services.simulator.gymnasium_env:smal/Campus-v0",
         width=32,
         height=24,
-        simulation=Simulation(YARD, StubCamera()),
+        simulation=Simulation(YARD, StubCamera(), KinematicBase(YARD.place)),
     )
     env.reset(seed=0)
     truncated = False

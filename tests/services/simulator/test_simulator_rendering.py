@@ -20,8 +20,7 @@ from services.simulator.world.route import plan_route
 pytestmark = pytest.mark.rendering
 
 YARD, INDOOR = (load_world(name) for name in ("yard", "indoor"))
-both = pytest.mark.parametrize("name", ["yard", "indoor"])
-SIZE = WIDTH, HEIGHT = 160, 120
+WIDTH, HEIGHT = 160, 120
 EYE = YARD.robot.camera
 TILTS = [LEVEL, Tilt(0.1, 0, 0), Tilt(0, 0.1, 0), Tilt(0, -0.08, 0), Tilt(0.05, 0.1, -0.2), Tilt(-0.1, 0.03, 0.3)]
 
@@ -39,20 +38,15 @@ def facing_the_victim(name: str, away_m: float) -> Pose:
     return Pose(victim.x - away_m * math.cos(looks), victim.y - away_m * math.sin(looks), looks)
 
 
-@both
-def test_an_image_has_the_size_asked_for_and_something_in_it_and_repeats_to_the_bit(name: str) -> None:
-    """In another order as well, so that nothing is left over from the frame before; indoors nothing is black."""
-    camera, other, start = (
-        camera_in(name),
-        SceneCamera(load_world(name), CameraSettings(160, 120)),
-        load_world(name).start,
-    )
-    poses = [start, facing_the_victim(name, 0.8), *(Pose(start.x, start.y, turn) for turn in (-3.0, -1.5, 0.0, 1.5))]
+def test_an_image_has_something_in_it_and_repeats_to_the_bit() -> None:
+    """In another order as well, so that nothing is left over from the frame before; nothing is black."""
+    camera, other, start = camera_in("indoor"), SceneCamera(INDOOR, CameraSettings(160, 120)), INDOOR.start
+    poses = [start, facing_the_victim("indoor", 0.8), Pose(start.x, start.y, start.heading + 1.5)]
     for pose in (*poses, *reversed(poses)):
         image = camera.render(pose)
         assert (image.shape, image.dtype) == ((120, 160, 3), np.uint8)
         assert image.std() > 5
-        assert name == "yard" or image.max(axis=2).min() > 8
+        assert image.max(axis=2).min() > 8
         assert not (camera._labels(pose, LEVEL) == ROBOT).any(), "the robot does not see itself"
         np.testing.assert_array_equal(image, other.render(pose))
 
@@ -74,11 +68,6 @@ def test_the_victim_is_seen_near_and_facing_and_from_no_start(
             assert camera.victim_pixels(Pose(start.x, start.y, start.heading + float(turn))) == 0
 
 
-@pytest.fixture(scope="module")
-def camera() -> SceneCamera:
-    return SceneCamera(YARD, CameraSettings(*SIZE))
-
-
 def rays(focal_px: float, tilt: Tilt = LEVEL) -> NDArray[np.float64]:
     """Return each pixel's ray (height, width, 3) about the robot (ahead, left, up), of length 1 along the axis."""
     rows, columns = np.mgrid[:HEIGHT, :WIDTH] + 0.5
@@ -93,7 +82,8 @@ def ground_depth_m(focal_px: float, tilt: Tilt) -> NDArray[np.float64]:
 
 
 @pytest.mark.parametrize("tilt", TILTS, ids=str)
-def test_the_ground_is_as_deep_as_geometry_says(camera: SceneCamera, tilt: Tilt) -> None:
+def test_the_ground_is_as_deep_as_geometry_says(tilt: Tilt) -> None:
+    camera = camera_in("yard")
     depth, expected = camera.depth_m(YARD.start, tilt), ground_depth_m(camera.focal_px, tilt)
     assert (depth.shape, depth.dtype) == ((HEIGHT, WIDTH), np.float32)
     # Nearer than this nothing stands around the start; farther than the other the map ends.
