@@ -21,7 +21,9 @@ if TYPE_CHECKING:
 # process wants the core it waits in a loop: learning then takes four times the processor time.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 # The same examples in every run: what fails, fails for whoever changed something. HYPOTHESIS_PROFILE=default explores.
-settings.register_profile("repeatable", derandomize=True)
+# None has a deadline: a busy machine is slow, and that proves nothing.
+settings.register_profile("default", deadline=None)
+settings.register_profile("repeatable", derandomize=True, deadline=None)
 settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "repeatable"))
 
 

@@ -124,7 +124,7 @@ def trace(base: PhysicalBase, seed: int, atoms: list[Atom]) -> list[Motion]:
     seeds=st.tuples(st.integers(0, 60), st.integers(0, 60)),
     second=st.lists(st.sampled_from([*ATOMS, "forward"]), min_size=6, max_size=12),
 )
-@settings(max_examples=5, deadline=None)
+@settings(max_examples=5)
 def test_an_episode_repeats_exactly_whatever_was_before(
     first: list[Atom], seeds: tuple[int, int], second: list[Atom]
 ) -> None:

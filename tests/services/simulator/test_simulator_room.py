@@ -37,7 +37,7 @@ def component(area: BaseGeometry, x: float, y: float) -> BaseGeometry:
 
 
 @given(seed=seeds, purpose=st.sampled_from(["drive", "run", "recovery"]))
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=100)
 def test_starts_are_free_and_the_same_chance_gives_the_same(seed: int, purpose: Any) -> None:
     pose, again = (sample_start(INDOOR, np.random.default_rng(seed), purpose) for _ in range(2))
     assert pose == again
@@ -50,7 +50,7 @@ def test_starts_are_free_and_the_same_chance_gives_the_same(seed: int, purpose: 
 
 
 @given(x=st.floats(0.3, 7.7), y=st.floats(0.3, 5.7))
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=200)
 def test_the_lanes_reach_all_free_floor_and_touch_nothing(x: float, y: float) -> None:
     reachable = component(away_from_things(INDOOR, 0.29), INDOOR.victim.x, INDOOR.victim.y)
     assume(reachable.covers(shapely.Point(x, y)))

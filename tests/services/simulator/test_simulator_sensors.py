@@ -57,7 +57,7 @@ def seen_from_start(pose: Pose) -> tuple[float, float, float]:
 
 
 @given(wheel_speeds)
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 def test_perfect_wheels_tell_the_true_path(wheels: Wheels) -> None:
     made = sensors()
     x, y, heading = seen_from_start(go(made, wheels)[-1])
@@ -75,7 +75,7 @@ def accelerometer(readings: tuple[ImuReading, ...]) -> NDArray[np.float64]:
 
 
 @given(wheel_speeds)
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 def test_the_integrals_are_the_true_heading_and_velocity(wheels: Wheels) -> None:
     made = sensors()
     poses = [START, *go(made, wheels)]
