@@ -108,7 +108,7 @@ def process(service: str, endpoint: str, *flags: str) -> Iterator[subprocess.Pop
     finally:
         child.send_signal(signal.SIGTERM)
         try:
-            status = child.wait(5.0)
+            status = child.wait(30.0)
         finally:
             child.kill()
     assert status == 0, child.stderr.read() if child.stderr else ""

@@ -50,14 +50,14 @@ def settings(router_endpoint: str) -> ServiceSettings:
 def client(router_endpoint: str) -> Iterator[Bus]:
     """Connect a client to publish and call with."""
     bus = Bus("rescuebot", router_endpoint)
-    bus.wait_connected(5.0)
+    bus.wait_connected(30.0)
     yield bus
     bus.close()
 
 
 @pytest.fixture
 def run_node(router_endpoint: str) -> Iterator[RunNode]:
-    """Spin nodes in threads until the test is over; each must then stop within five seconds."""
+    """Spin nodes in threads until the test is over; each must then stop."""
     running: list[tuple[Node, threading.Thread]] = []
 
     def run(node: Node) -> Node:
@@ -69,6 +69,6 @@ def run_node(router_endpoint: str) -> Iterator[RunNode]:
     yield run
     for node, thread in running:
         node.stop()
-        thread.join(5.0)
+        thread.join(30.0)
         assert not thread.is_alive(), f"{node.name} did not stop"
         node.close()

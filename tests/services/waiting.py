@@ -18,7 +18,7 @@ from services.kit.bus import Bus, RpcError
 T = TypeVar("T")
 
 
-def eventually(get: Callable[[], T], timeout_s: float = 10.0) -> T:
+def eventually(get: Callable[[], T], timeout_s: float = 30.0) -> T:
     """Call ``get`` until it returns something true; fail after ``timeout_s``."""
     deadline = time.monotonic() + timeout_s
     while not (value := get()):
@@ -31,7 +31,7 @@ def eventually(get: Callable[[], T], timeout_s: float = 10.0) -> T:
 def status_of(client: Bus, service: str) -> Status | None:
     """Return a service's status, or None while it does not answer."""
     try:
-        return client.call(service, "status", Nothing(), Status, timeout_s=2.0)
+        return client.call(service, "status", Nothing(), Status, timeout_s=5.0)
     except RpcError:
         return None
 

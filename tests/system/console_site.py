@@ -64,7 +64,7 @@ class Site:
 
     def pid_of_console(self) -> int:
         """Wait until the console answers; return its process id."""
-        status = eventually(lambda: status_of(self.bus, "console"), timeout_s=30.0)
+        status = eventually(lambda: status_of(self.bus, "console"))
         assert status is not None
         return status.pid
 
@@ -132,7 +132,7 @@ def insist(page: Page, site: Site, press: Callable[[], None], done: Callable[[],
             pressed_s = time.monotonic()
         return done()
 
-    eventually(is_done, timeout_s=60.0)
+    eventually(is_done, timeout_s=120.0)
 
 
 def hold(page: Page, site: Site, press: Callable[[], None], atom: str = "forward") -> None:
@@ -149,7 +149,7 @@ def arm(page: Page, site: Site) -> bool:
             return eventually(lambda: site.robot("stop_cause") is None, timeout_s=2.0)
         return False
 
-    return eventually(armed, timeout_s=60.0)
+    return eventually(armed, timeout_s=120.0)
 
 
 def was_lost(page: Page, site: Site) -> bool:

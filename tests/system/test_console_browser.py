@@ -48,12 +48,12 @@ def test_teach_once_learn_run_found(page: Page, site: Site) -> None:
     drive_to_the_victim(page, site)
     page.click("#found")
     eventually(lambda: data(page, "outcome") == "found")
-    eventually(lambda: page.locator("#recordings input:checked").count() == 1, timeout_s=20.0)
+    eventually(lambda: page.locator("#recordings input:checked").count() == 1)
     page.click("#learn-form button:not([type])")
     eventually(lambda: "way-1 is learned" in page.inner_text("#job"), timeout_s=WHOLE_LOOP_S)
     eventually(lambda: page.locator("#run-form select[name=model] option").count() == 1)
     insist(page, site, lambda: page.click("#run-form button"), lambda: data(page, "episode").startswith("run"))
-    eventually(lambda: page.locator("#belief img").get_attribute("src"), timeout_s=30.0)
+    eventually(lambda: page.locator("#belief img").get_attribute("src"))
     eventually(lambda: not was_lost(page, site) and data(page, "episode") == "", timeout_s=120.0)
     assert data(page, "outcome") == "found"
     assert time.monotonic() - began_s <= WHOLE_LOOP_S
@@ -113,7 +113,7 @@ def test_the_pad_drives_while_it_is_held(page: Page, site: Site) -> None:
 def test_a_map_that_is_dropped_is_a_world_to_drive_in(page: Page, site: Site) -> None:
     drop(page, WORLDS_FOLDER / "yard.osm", "My town!.osm")
     world = page.locator("#world-form [name=world]")
-    eventually(lambda: world.input_value() == "My town-", timeout_s=60.0)
+    eventually(lambda: world.input_value() == "My town-", timeout_s=120.0)
     page.select_option("#world-form [name=variation]", "dark")
     page.fill("#drive-form [name=name]", "By night")
     begin_a_drive(page, site)
@@ -123,7 +123,7 @@ def test_a_map_that_is_dropped_is_a_world_to_drive_in(page: Page, site: Site) ->
     page.click("#end")
     eventually(lambda: data(page, "episode") == "")
     drop(page, WORLDS_FOLDER / "indoor.json", "no map.osm")
-    eventually(lambda: "Making a world of no map failed: no map.osm: not a readable" in page.inner_text("#job"), 60.0)
+    eventually(lambda: "Making a world of no map failed: no map.osm: not a readable" in page.inner_text("#job"), 120.0)
 
 
 # -- faults -----------------------------------------------------------------------------------------------------------

@@ -41,7 +41,7 @@ def begin_a_run(page: Page, site: Site) -> None:
     eventually(lambda: page.locator(f"#run-form option[value='{name}']").count() == 1)
     page.select_option("#run-form select[name=model]", name)
     insist(page, site, lambda: page.click("#run-form button"), lambda: data(page, "episode").startswith("run"))
-    eventually(lambda: page.locator("#belief img").get_attribute("src"), timeout_s=30.0)
+    eventually(lambda: page.locator("#belief img").get_attribute("src"))
 
 
 def look(page: Page, frames: int) -> None:
@@ -52,7 +52,7 @@ def look(page: Page, frames: int) -> None:
         return int(text.split(",")[0] or 0)
 
     until = frame() + frames
-    eventually(lambda: frame() >= until, timeout_s=30.0)
+    eventually(lambda: frame() >= until)
 
 
 SIZES = {1440: 1000, 1024: 900, 390: 844}

@@ -78,7 +78,7 @@ class Listening:
             printed.extend(self.process.stdout.readlines())
             return len(printed) >= count
 
-        eventually(enough, timeout_s=20.0)
+        eventually(enough)
         return printed
 
     def end(self) -> tuple[int, str, str]:
@@ -86,7 +86,7 @@ class Listening:
         assert self.process.stdout is not None
         os.set_blocking(self.process.stdout.fileno(), True)
         self.process.send_signal(signal.SIGINT)
-        out, err = self.process.communicate(timeout=10.0)
+        out, err = self.process.communicate(timeout=60.0)
         return self.process.returncode, out, err
 
 

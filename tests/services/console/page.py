@@ -86,7 +86,7 @@ class Page:
                 return bool(eventually(done, timeout_s=3.0))
             return False
 
-        eventually(asked, timeout_s=30.0)
+        eventually(asked)
 
     def stop(self) -> None:
         """Press the emergency stop."""

@@ -42,34 +42,34 @@ def test_a_page_does_not_undo_the_takeover_of_somebody_at_a_terminal(
     monkeypatch.setattr(robot.gate, "watch", misses_nobody)
     operator = Operator(terminal, KeyHold(now_s), (told := []).append)
     terminal.every(POLL_S, operator.poll)
-    assert terminal.spin(lambda: operator.commands.to_release is not None, 10.0)
+    assert terminal.spin(lambda: operator.commands.to_release is not None, 30.0)
     assert operator.begin(RUN)
-    assert terminal.spin(lambda: operator.mine is not None and operator.commands.applied is not None, 10.0), told
+    assert terminal.spin(lambda: operator.mine is not None and operator.commands.applied is not None, 30.0), told
     run = operator.mine
     operator.press("left", math.inf)
-    assert terminal.spin(lambda: robot.gate.taken_over and robot.wheels.driven, 10.0)
+    assert terminal.spin(lambda: robot.gate.taken_over and robot.wheels.driven, 30.0)
     operator.release()
     page = open_page()
     page.take()
-    assert terminal.spin(lambda: page.beats > 0 and page.robot(answers=True, reason="taken_over"), 10.0)
+    assert terminal.spin(lambda: page.beats > 0 and page.robot(answers=True, reason="taken_over"), 30.0)
     page.say(do="drive", goal="victim")
-    assert terminal.spin(lambda: HELD in page.news(), 10.0), page.news()
+    assert terminal.spin(lambda: HELD in page.news(), 30.0), page.news()
     assert robot.gate.taken_over
     assert page.state["robot"]["episode"] == run
 
     def begin(request: ResetRequest) -> str:
         operator.ask(lambda: _begun(client, request, said.append))
-        assert terminal.spin(lambda: not operator.asking, 10.0)
+        assert terminal.spin(lambda: not operator.asking, 30.0)
         return said[-1]
 
     said: list[str] = []
     for driver in ("teleop", "policy"):
         assert HELD in begin(RUN.model_copy(update={"driver": driver, "session": "another"}))
-    assert terminal.spin(lambda: not robot.wheels.driven, 10.0)
+    assert terminal.spin(lambda: not robot.wheels.driven, 30.0)
     assert robot.gate.operator == terminal.session
     # Who has taken over says when the policy goes on.
     operator.resume()
-    assert terminal.spin(lambda: not robot.gate.taken_over, 10.0), told
+    assert terminal.spin(lambda: not robot.gate.taken_over, 30.0), told
 
 
 def _begun(client: Bus, request: ResetRequest, say: Callable[[str], None]) -> Callable[[], None]:

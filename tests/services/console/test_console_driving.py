@@ -119,7 +119,7 @@ def test_who_comes_back_goes_on_when_they_say_so_and_no_sooner(driving: Page, ro
     eventually(lambda: driving.robot(cause="operator_lost"))
     driving.insist(lambda: robot.gate.stop_cause is None, do="resume")
     driving.held = "forward"
-    eventually(lambda: robot.wheels.driven)
+    eventually(lambda: goes(driving, robot))
 
 
 @unattended

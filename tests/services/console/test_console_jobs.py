@@ -40,7 +40,7 @@ def learning(out: Path) -> Job:
 
 def ended(shown: list[dict[str, object]]) -> dict[str, object]:
     """Wait until a job has ended; return what is shown of it."""
-    return eventually(lambda: shown[-1] if shown and "outcome" in shown[-1] else {}, timeout_s=20.0)
+    return eventually(lambda: shown[-1] if shown and "outcome" in shown[-1] else {})
 
 
 @pytest.mark.parametrize(

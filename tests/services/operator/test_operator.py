@@ -54,7 +54,7 @@ def operator(node: Node, said: list[str]) -> Operator:
     """Give an operator who has heard of the robot, and of whom it has heard."""
     operator = Operator(node, KeyHold(now_s), said.append)
     node.every(POLL_S, operator.poll)
-    assert node.spin(lambda: operator.commands.to_release is not None, 10.0)
+    assert node.spin(lambda: operator.commands.to_release is not None, 30.0)
     return operator
 
 
@@ -63,14 +63,14 @@ def test_a_driver_begins_anew_where_the_person_says_so_who_has_taken_over(
     node: Node, robot: Robot, operator: Operator, said: list[str], stopped: bool
 ) -> None:
     assert operator.begin(RUN)
-    assert node.spin(lambda: operator.mine is not None and operator.commands.applied is not None, 10.0)
+    assert node.spin(lambda: operator.mine is not None and operator.commands.applied is not None, 30.0)
     first = operator.mine
     operator.press("forward", math.inf)
-    assert node.spin(lambda: robot.gate.taken_over and robot.wheels.driven, 10.0)
+    assert node.spin(lambda: robot.gate.taken_over and robot.wheels.driven, 30.0)
     operator.release()
     if stopped:
         operator.stop_for_emergency()
-        assert node.spin(lambda: bool(operator.commands.stop), 10.0)
+        assert node.spin(lambda: bool(operator.commands.stop), 30.0)
 
     def begins_anew() -> bool:
         """Press again where another stop was still under way on a busy machine, as a person would."""
@@ -79,7 +79,7 @@ def test_a_driver_begins_anew_where_the_person_says_so_who_has_taken_over(
             operator.begin(RUN)
         return done
 
-    assert node.spin(begins_anew, 10.0), said
+    assert node.spin(begins_anew, 30.0), said
     assert not robot.gate.taken_over
     assert robot.gate.stop_cause is None
     assert len([line for line in said if line.startswith("Run to victim: aborted after")]) == 1, "the first one"
@@ -92,7 +92,7 @@ def test_a_stop_is_repeated_though_nothing_is_heard_of_the_robot(settings: Servi
     with Node("teleop", settings) as node:
         operator = Operator(node, KeyHold(now_s), lambda _: None)
         operator.stop_for_emergency()
-        assert node.spin(lambda: len(stops) >= 3, 10.0)
+        assert node.spin(lambda: len(stops) >= 3, 30.0)
 
 
 # -- presence ---------------------------------------------------------------------------------------------------------
@@ -111,7 +111,7 @@ def test_a_robot_whose_pictures_take_long_misses_nobody(
     """It tells of its episode three times a second; an operator who would answer that would be lost each time."""
     monkeypatch.setattr(robot.wheels, "render", lambda _x: time.sleep(0.3))
     assert operator.begin(DRIVE)
-    assert node.spin(lambda: operator.commands.applied is not None, 10.0), said
+    assert node.spin(lambda: operator.commands.applied is not None, 30.0), said
     since = operator.commands.heard.tick
 
     def five_frames() -> bool:
@@ -149,14 +149,14 @@ def test_a_robot_that_opens_another_world_misses_who_is_gone_when_it_is_open_and
     policy.subscribe(APPLIED, lambda applied: Command.after(applied, source="policy", atom="forward"))
     run_node(policy)
     assert operator.begin(RUN)
-    assert node.spin(opening.is_set, 10.0)
+    assert node.spin(opening.is_set, 30.0)
     node.spin(timeout_s=4 * OPERATOR_S)
     assert there(robot, node)
     if not stays:
         time.sleep(2 * OPERATOR_S)  # dead: it answers no pulse
     opened.set()
     if stays:
-        assert node.spin(lambda: robot.wheels.driven, 10.0)
+        assert node.spin(lambda: robot.wheels.driven, 30.0)
     else:
         eventually(lambda: robot.gate.stop_cause == "operator_lost")
         eventually(lambda: status_of(client, "robot"))

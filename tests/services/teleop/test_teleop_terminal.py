@@ -106,7 +106,7 @@ def test_emergency_stop_holds_until_a_new_episode_is_asked_for(console: Console,
             return bool(eventually(lambda: len(robot.resets) == 2, timeout_s=3.0))
         return False
 
-    eventually(asked, timeout_s=30.0)
+    eventually(asked)
     assert len(robot.atoms()) == driven, "no key moves the robot in between"
     assert robot.resets[1].seed == 6
     assert robot.arms == [1, 1 + len(robot.atoms("emergency_stop"))]
@@ -161,7 +161,7 @@ def test_heartbeats_go_on_while_an_episode_begins_and_is_waited_for(console: Con
     robot.before_reset = slow
     console.wait_for("robot: not armed")
     console.type(b"n")
-    assert console.process.wait(20.0) == 0
+    assert console.process.wait(60.0) == 0
     assert [request.episode for request in robot.ends] == ["drive-1"]
     eventually(lambda: not robot.beats[-1].present)
 
@@ -176,7 +176,7 @@ def test_an_emergency_stop_is_heard_while_leaving(console: Console, robot: FakeR
     robot.before_reset = slow
     console.wait_for("robot: not armed")
     console.type(b"n")
-    assert console.process.wait(20.0) == 0
+    assert console.process.wait(60.0) == 0
     assert robot.atoms() == [], "but no other key"
 
 
@@ -190,7 +190,7 @@ def test_a_screen_that_stands_still_holds_up_nothing(console: Console, robot: Fa
     console.type(b"e")
     eventually(lambda: robot.atoms("emergency_stop"))
     console.process.send_signal(signal.SIGTERM)
-    assert console.process.wait(10.0) == 0
+    assert console.process.wait(60.0) == 0
     eventually(lambda: not robot.beats[-1].present)
     assert termios.tcgetattr(console.slave) == console.mode_before
 
@@ -205,7 +205,7 @@ def test_every_exit_stops_the_robot_ends_the_episode_says_good_bye_and_restores_
     console.type(b"w")
     eventually(robot.atoms)
     console.type(leave) if isinstance(leave, bytes) else console.process.send_signal(leave)
-    assert console.process.wait(10.0) == 0
+    assert console.process.wait(60.0) == 0
     eventually(lambda: not robot.beats[-1].present)
     assert all(beat.present for beat in robot.beats[:-1])
     assert all(beat.answers is not None for beat in robot.beats)
@@ -223,7 +223,7 @@ def test_a_closed_window_stops_the_robot(console: Console, robot: FakeRobot) -> 
     console.type(b"w")
     eventually(robot.atoms)
     console.hang_up()
-    assert console.process.wait(10.0) == 0
+    assert console.process.wait(60.0) == 0
     eventually(lambda: not robot.beats[-1].present)
     assert robot.atoms()[-1] == "stop"
     assert [request.episode for request in robot.ends] == ["drive-1"]

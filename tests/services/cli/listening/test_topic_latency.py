@@ -49,7 +49,7 @@ def measured(smal: Smal, client: Bus, router_endpoint: str, monkeypatch: pytest.
             send_as_stranger(client, COMMANDS["teleop"], b"\xc1")
             return len(heard) >= 20
 
-        eventually(enough, timeout_s=20.0)
+        eventually(enough)
 
     monkeypatch.setattr(commands, "wait", wait)
     yield lambda *arguments: smal("topic", "latency", *arguments, "--router", router_endpoint)

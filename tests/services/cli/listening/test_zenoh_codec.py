@@ -114,7 +114,7 @@ def test_zenoh_subscribe_shows_decoded_messages(zenoh: Zenoh, client: Bus) -> No
         """Give the last whole line of each key."""
         return dict(line.split(" ", 1) for line in said.decode().split("\n")[:-1])
 
-    eventually(heard, timeout_s=20.0)
+    eventually(heard)
     assert json.loads(lines()[TELEOP]) == EXAMPLES[Command].model_dump()
     assert json.loads(lines()["smal/rescuebot/camera/rgb"])["data"] == {"bytes": 6}
     assert "not msgpack" in json.loads(lines()["smal/rescuebot/state"])["error"]

@@ -150,7 +150,7 @@ def test_no_signal_leaves_orphans(robot: str, tmp_path: Path, number: signal.Sig
         else:
             eventually(lambda: processes_of(name), timeout_s=60.0)
         parent.send_signal(number)
-        status = parent.wait(20.0)
+        status = parent.wait(60.0)
         eventually(lambda: not processes_of(name))
         if number != signal.SIGKILL:
             assert (status, parent.stderr.read()) == (130, "smal: interrupted\n")
