@@ -78,17 +78,6 @@ def test_whatever_the_order_every_observation_is_of_one_frame(arrivals: list[tup
     assert bool(complaints) == bool(service.without_depth)
 
 
-def test_frames_without_depth_are_counted_and_said_once_a_second_at_most() -> None:
-    complaints: list[str] = []
-    service = FeaturesService(WITH_DEPTH, complaints.append)
-    # The frame that is asked for again is still one, and the last of them may yet get its depth.
-    assert give(service, image(0), image(0), image(1), image(2), image(3)) == []
-    assert service.detail()["without_depth"] == service.without_depth == 3
-    assert complaints == ["episode e, frame 0: no depth image came; 1 frames were left out so far"]
-    assert [one.tick for one in give(service, depth_image(3))] == [3]
-    assert service.without_depth == 3
-
-
 def test_a_frame_that_is_asked_for_again_is_answered_again() -> None:
     service = FeaturesService(WITH_DEPTH)
     frame = (depth_image(4), image(4))

@@ -5,7 +5,6 @@ from __future__ import annotations
 from functools import partial
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 from services.cli import learn as learning
@@ -31,20 +30,6 @@ def with_depth(tmp_path: Path) -> Path:
     for number in range(2):
         record(folder, drive(f"drive-{number}", features=ALL))
     return folder
-
-
-def test_weights_go_with_the_modalities_in_their_order(
-    with_depth: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    out = tmp_path / "model.smal"
-    learn([with_depth], out, modalities=FeatureSettings.of(("depth", "hog")), weights="3,1")
-    assert PaperModel.load(out).feature_settings == FeatureSettings(("depth", "hog"), (3.0, 1.0))
-    assert "features        depth (weight 3) hog (weight 1)\n" in capsys.readouterr().out
-    learn([with_depth], out, weights="1,1,2")
-    model = PaperModel.load(out)
-    assert model.feature_settings == FeatureSettings(ALL.modalities, (1.0, 1.0, 2.0))
-    shares = [np.square(model.templates[where]).sum(axis=0) for where in ALL.slices]
-    np.testing.assert_allclose(shares[2] / shares[0], 4.0, rtol=1e-3)
 
 
 def test_depth_is_in_no_image(with_depth: Path, tmp_path: Path) -> None:

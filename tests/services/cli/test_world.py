@@ -48,15 +48,6 @@ def test_a_map_becomes_a_world_with_a_hidden_victim(tmp_path: Path, smal: Smal) 
     assert list(tmp_path.glob(".*")) == [], "no partial file is left"
 
 
-def test_the_same_map_gives_the_same_file_and_another_seed_another_task(tmp_path: Path, imported: Imported) -> None:
-    imported()
-    text = (tmp_path / "map.json").read_text()
-    first = imported()
-    assert (tmp_path / "map.json").read_text() == text
-    others = {imported("--seed", seed).victim for seed in (1, 2, 3)}
-    assert others - {first.victim}
-
-
 def test_start_and_victim_by_hand(imported: Imported) -> None:
     world = imported("--start", "-60,-50,90", "--victim", "50,0")
     assert (world.start.x, world.start.y, world.start.heading) == (-60, -50, pytest.approx(math.pi / 2, abs=1e-5))

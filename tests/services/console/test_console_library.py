@@ -157,23 +157,6 @@ def test_only_what_is_listed_is_deleted(console: Console, robot: Robot, open_pag
     assert not gone.exists()
 
 
-def test_what_cannot_be_run_or_learned_is_said(console: Console, robot: Robot, open_page: Callable[[], Page]) -> None:
-    corridor.save_model(console.root / "corridor.smal")
-    page = open_page()
-    eventually(lambda: page.state.get("library", {}).get("models"))
-    page.take()
-    eventually(lambda: page.beats and page.robot(answers=True))
-    run = {"do": "run", "start": "start", "seed": 1}
-    page.say(**run, model="none.smal", goal="victim")
-    eventually(lambda: "none.smal: no such model" in page.news())
-    page.say(**run, model="corridor.smal", goal="dock")
-    eventually(lambda: "has no goal dock; it has victim" in page.news())
-    page.say(**run, model="corridor.smal", goal="victim")
-    eventually(lambda: "features status: no answer" in page.news())
-    page.say(do="learn", name="way", recordings=["drives/none.mcap"])
-    eventually(lambda: "gone, or teaches nothing" in page.news())
-
-
 @pytest.mark.parametrize("scheme", ["filter", "paper"])
 def test_a_run_is_of_the_model_that_is_chosen_and_recorded(
     console: Console,

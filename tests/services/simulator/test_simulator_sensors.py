@@ -30,7 +30,6 @@ EXACT = EncoderSettings(ticks_per_turn=1e9, radius_sigma=0.0, track_sigma=0.0)
 SILENT = ImuSettings(density=(0.0, 0.0), walk=(0.0, 0.0), bias=(0.0, 0.0))
 Wheels = list[tuple[float, float]]
 wheel_speeds = st.lists(st.tuples(st.floats(-0.5, 0.5), st.floats(-0.5, 0.5)), min_size=1, max_size=60)
-FOCAL_PX, EXPOSURE_S = 200.0, 0.02
 
 
 def sensors(imu: ImuSettings = SILENT, shake: ShakeSettings = STEADY) -> Sensors:

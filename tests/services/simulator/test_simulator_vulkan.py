@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from services.simulator.scene.vulkan import RenderingUnavailableError, choose_driver
+from services.simulator.scene.vulkan import choose_driver
 
 
 @pytest.mark.parametrize(
@@ -25,13 +25,3 @@ def test_the_software_driver_is_named_where_neither_a_device_nor_the_user_choose
         (tmp_path / name).write_text("{}")
     named = {name: str(tmp_path / file) for name, file in environment.items()}
     assert choose_driver(named, [tmp_path], gpu=gpu) == (None if chosen is None else tmp_path / chosen)
-
-
-@pytest.mark.parametrize("gpu", [False, True])
-def test_no_driver_that_could_work_says_what_to_install(tmp_path: Path, gpu: bool) -> None:
-    if not gpu:
-        (tmp_path / "nvidia_icd.json").write_text("{}")
-    with pytest.raises(RenderingUnavailableError, match=r"no Vulkan driver found; install Mesa 24\.3"):
-        choose_driver({}, [tmp_path / "absent", tmp_path], gpu=gpu)
-    with pytest.raises(RenderingUnavailableError, match=r"names /nowhere\.json, a missing file"):
-        choose_driver({"VK_ICD_FILENAMES": "/nowhere.json"}, [tmp_path], gpu=gpu)
