@@ -13,7 +13,7 @@ from importlib.util import find_spec
 from pathlib import Path
 
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 
 from schemas.base import Message
 from schemas.codec import encode
@@ -35,6 +35,7 @@ TELEOP = "smal/rescuebot/command/teleop"
 
 
 @given(any_message)
+@settings(max_examples=25)
 def test_a_message_is_a_line_with_all_its_fields(message: Message) -> None:
     line = decode_to_json(key_of(message), encode(message))
     assert line.isprintable()

@@ -84,7 +84,7 @@ def test_a_service_that_starts_slowly_is_waited_for_and_whoever_waits_is_told(
     robot: str, free_endpoint: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     """It computes for longer than after which one that does nothing is given up, as one that builds a large world."""
-    monkeypatch.setattr(patience, "HANGS_S", 2.0)
+    monkeypatch.setattr(patience, "HANGS_S", 4.0)
     monkeypatch.setattr(patience, "_TELL_S", 0.5)
     slow = replace(plan(robot, free_endpoint, tmp_path, "recorder"), modules={"recorder": f"{STARTING}.computing"})
     with Stack(slow) as stack, closing(Bus(robot, free_endpoint)) as bus:
