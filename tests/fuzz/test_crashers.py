@@ -1,34 +1,40 @@
-"""Inputs that once broke a decoder, valid ones, and changes in these: none breaks it, none costs much.
-
-Needs no fuzzer: the format-aware changes that the fuzzer makes are drawn here with fixed seeds.
-"""
+"""Inputs that once broke a decoder, valid ones, and changes in these: none breaks it, none costs much."""
 
 from __future__ import annotations
 
-import json
-import random
+import re
 import time
 import tracemalloc
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
 
-from tests.fuzz.targets import CRASHERS, LONGEST_INPUT, NAMES, crashers_of, load, model
+from tests.fuzz import inputs
+from tests.fuzz.targets import CRASHERS, LONGEST_INPUT, TARGETS, crashers_of
 
-KEPT: Final = [(name, path) for name in NAMES for path in crashers_of(name)]
+KEPT: Final = [(name, path) for name in TARGETS for path in crashers_of(name)]
 MOST_SECONDS: Final = 3.0
 MOST_BYTES: Final = 64 * 1024 * 1024
-CHANGES: Final = 100
+#: A value of JSON, XML or CSV.
+VALUE: Final = re.compile(rb'"[^"\n]*"|(?<=,)[^,\n"]+|-?\d+(?:\.\d+)?|\b(?:true|false|null)\b')
+#: What decoders trip over: ends of ranges, other types, texts that move a terminal, emptiness, size.
+ODD: Final = [
+    b"null", b"true", b"0", b"-1", b"0.5", b"1e308", b"NaN", b"-Infinity", b"1" * 400, str(2**63).encode(), b"", b"[]",
+    b"{}", b"[[[]]]", b'""', b'"nan"', b'"\x1b[2J"', '"\u202e٣"'.encode(), b'"' + b"x" * 5000 + b'"', b'"a\\nb"',
+]  # fmt: skip
+ODD_VALUES: Final = [None, True, 0, -1, 2, 10**30, 10**400, -0.5, 1e308, "", "no", "x\n" * 3000, "\x1b[2J", [], [1.0],
+                     [[2]], [2**70], {}, {"x\n" * 3000: 1}]  # fmt: skip
 
 
-def cheaply(run: Callable[[bytes], bool], data: bytes) -> bool:
+def cheaply(name: str, data: bytes) -> bool:
     tracemalloc.start()
     begin_s = time.process_time()
     try:
-        accepted = run(data)
+        accepted = TARGETS[name].run(data)
         _, peak_bytes = tracemalloc.get_traced_memory()
     finally:
         tracemalloc.stop()
@@ -38,88 +44,56 @@ def cheaply(run: Callable[[bytes], bool], data: bytes) -> bool:
 
 
 def test_no_crasher_is_forgotten() -> None:
-    assert {folder.name for folder in CRASHERS.iterdir()} <= set(NAMES)
-    assert KEPT
+    assert {folder.name for folder in CRASHERS.iterdir()} <= set(TARGETS)
 
 
 @pytest.mark.parametrize(("name", "path"), KEPT, ids=[f"{name}-{path.name}" for name, path in KEPT])
 def test_what_once_broke_a_decoder_breaks_none(name: str, path: Path) -> None:
-    cheaply(load(name).run, path.read_bytes())
+    cheaply(name, path.read_bytes())
 
 
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("name", TARGETS)
 def test_seeds_are_decoded(name: str) -> None:
-    target = load(name)
-    accepted = [cheaply(target.run, data) for data in target.seeds()]
+    seeds = TARGETS[name].seeds()
+    accepted = [cheaply(name, data) for data in seeds]
     assert accepted[0]
-    assert all(len(data) < LONGEST_INPUT for data in target.seeds())
+    assert max(map(len, seeds)) < LONGEST_INPUT
 
 
-@pytest.mark.parametrize("name", NAMES)
-def test_changed_seeds_are_decoded_or_refused(name: str) -> None:
-    target, rng = load(name), random.Random(name)  # noqa: S311
-    seeds, changed = target.seeds(), 0
-    for number in range(CHANGES):
-        data = target.mutate(seeds[number % len(seeds)], rng)
-        if data is not None:
-            changed += 1
-            target.run(data)
-    assert changed > CHANGES / 4
+@st.composite
+def changed(draw: st.DrawFn, seeds: list[bytes]) -> bytes:
+    """Change values of a text, or bytes, at up to three places."""
+    data = draw(st.sampled_from(seeds))
+    values = list(VALUE.finditer(data))
+    for at in range(draw(st.integers(1, 3))):
+        if values and at == 0 and draw(st.booleans()):
+            (begin, end), instead = draw(st.sampled_from(values)).span(), draw(st.sampled_from(ODD))
+        else:
+            begin, instead = draw(st.integers(0, len(data))), draw(st.binary(max_size=8))
+            end = begin + draw(st.sampled_from([len(instead), 0, 100]))
+        data = data[:begin] + instead + data[end:]
+    return data
 
 
-@pytest.mark.parametrize(
-    "changes",
-    [
-        {"sequence_length": 0},
-        {"sequence_length": -1},
-        {"sequence_length": [1], "states": 10**9},
-        {"sequence_length": "ab", "states": 10**9},
-        {"states": 10**30},
-        {"frames": [2**70]},
-        {"frames": []},
-        {"frames": [[2]]},
-        {"lambda1": "small"},
-        {"gamma": None},
-        {"modalities": ["\x1b[2J"]},
-    ],
-    ids=lambda changes: json.dumps(changes)[:40],
-)
-def test_a_model_of_the_paper_whose_header_says_nonsense_is_refused(changes: dict[str, Any]) -> None:
-    def change(meta: dict[str, Any]) -> dict[str, Any]:
-        return meta | changes
-
-    assert not cheaply(model.run, model.with_meta(model.seeds()[0], change))
+@pytest.mark.parametrize("name", TARGETS)
+@settings(deadline=None, max_examples=50, suppress_health_check=list(HealthCheck))
+@given(data=st.data())
+def test_changed_seeds_are_decoded_or_refused(name: str, data: st.DataObject) -> None:
+    TARGETS[name].run(data.draw(changed(TARGETS[name].seeds())))
 
 
-@pytest.mark.parametrize(
-    "changes",
-    [
-        {"kappa": -1.0},
-        {"kappa": None},
-        {"kappa": "x\n" * 3000},
-        {"aside": [1.0]},
-        {"aside": True},
-        {"correlation_length": 10**400},
-        {"outlier_cosine": None},
-        {"outlier_cosine": "high"},
-        {"alike_cosine": None},
-        {"odometry": 2},
-        {"odometry": "no"},
-        {"colour": "red"},
-        {"views": 3},
-    ],
-    ids=lambda changes: json.dumps(changes)[:40],
-)
-def test_a_map_whose_numbers_say_nonsense_is_refused(changes: dict[str, Any]) -> None:
-    def change(meta: dict[str, Any]) -> dict[str, Any]:
-        return meta | {"map": meta["map"] | changes}
+@settings(deadline=None, max_examples=100)
+@given(data=st.data(), scheme=st.sampled_from([0, 1]), value=st.sampled_from(ODD_VALUES))
+def test_a_model_whose_header_says_nonsense_is_refused_or_bears_use(
+    data: st.DataObject, scheme: int, value: object
+) -> None:
+    """Of the paper's model, and of the map."""
 
-    assert not cheaply(model.run, model.with_meta(model.seeds()[-1], change))
+    def change(meta: dict[str, Any], _arrays: dict[str, np.ndarray]) -> None:
+        fields = meta["map"] if scheme and data.draw(st.booleans()) else meta
+        fields[data.draw(st.sampled_from(sorted(fields)))] = value
 
-
-@pytest.mark.parametrize("instead", [{}, [], "map", 1, True, {"kappa": 1.0}], ids=json.dumps)
-def test_a_map_that_is_none_is_refused(instead: object) -> None:
-    assert not cheaply(model.run, model.with_meta(model.seeds()[-1], lambda meta: meta | {"map": instead}))
+    cheaply("model", inputs.with_parts(TARGETS["model"].seeds()[scheme], change))
 
 
 @pytest.mark.parametrize(
@@ -127,37 +101,28 @@ def test_a_map_that_is_none_is_refused(instead: object) -> None:
     [
         ("poses", np.zeros((2, 2))),
         ("poses", np.full((2, 3), np.nan)),
-        ("poses", np.zeros(())),
         ("drives", np.array([1, 0], np.int32)),
         ("drives", np.array([0.0, 0.0])),
         ("keyframes", np.array([0, 2], np.int32)),
         ("keyframes", np.array([1, 0], np.int32)),
         ("keyframes", np.array([0, -1], np.int32)),
         ("keyframes", np.array([], np.int32)),
-        ("keyframes", np.array([0.0, 1.0])),
-        ("keyframes", np.array([[0], [1]], np.int32)),
         ("basis", np.ones((5, 1), np.float32)),
-        ("basis", np.ones(3, np.float32)),
         ("views", np.full((2, 3, 17, 1), np.inf, np.float32)),
         ("views", np.ones((2, 3, 16, 1), np.float32)),
         ("movements", np.full((5, 2), np.nan)),
         ("scene", np.ones(2)),
-        ("mean", np.zeros(3, np.float32)),
         ("mean", np.full(128, np.nan, np.float32)),
         ("more", np.ones(2)),
+        ("mean", None),
+        ("views", None),
     ],
-    ids=lambda value: value if isinstance(value, str) else f"{value.dtype}{value.shape}",
+    ids=lambda value: f"{value.dtype}{value.shape}" if isinstance(value, np.ndarray) else str(value),
 )
-def test_a_map_whose_arrays_do_not_fit_is_refused(name: str, array: np.ndarray) -> None:
-    def change(arrays: dict[str, np.ndarray]) -> None:
-        arrays[name] = array
+def test_a_map_whose_arrays_do_not_fit_is_refused(name: str, array: np.ndarray | None) -> None:
+    def change(_meta: dict[str, Any], arrays: dict[str, np.ndarray]) -> None:
+        arrays.pop(name, None)
+        if array is not None:
+            arrays[name] = array
 
-    assert not cheaply(model.run, model.with_arrays(model.seeds()[-1], change))
-
-
-@pytest.mark.parametrize("name", ["mean", "poses", "keyframes", "views", "scene"])
-def test_a_map_without_an_array_is_refused(name: str) -> None:
-    def change(arrays: dict[str, np.ndarray]) -> None:
-        del arrays[name]
-
-    assert not cheaply(model.run, model.with_arrays(model.seeds()[-1], change))
+    assert not cheaply("model", inputs.with_parts(TARGETS["model"].seeds()[-1], change))

@@ -83,21 +83,6 @@ def test_another_lap_is_recognized_and_driven_by_the_same_bend(odometry: bool) -
     assert Counter(made)[Atom.LEFT] > 0.9 * len(made)
 
 
-def test_a_car_that_follows_bends_may_look_around_again() -> None:
-    """Who has looked in vain drives by its best guess, until it has followed the way for a correlation length."""
-    found, centering = learned(odometry=True)
-    follower, planner = Filter(found, centering), Planner(found)
-    belief = follower.observe(extract(ROOM.look(lap().poses[0]), COLOR), STILL, TICK)
-    nowhere = replace(belief, lost=0.9)
-    while planner.decide(nowhere).kind == "look_around":
-        pass
-    assert planner.decide(nowhere).kind == "guess"
-    for frame in range(1, math.ceil(found.correlation_length / STEP) + 2):
-        belief = follower.observe(extract(ROOM.look(lap().poses[frame]), COLOR), Movement(STEP, TURN), TICK)
-        assert planner.decide(replace(belief, lost=0.0)).kind == "follow"
-    assert planner.decide(nowhere).kind == "look_around"
-
-
 def test_who_only_turned_on_the_spot_is_refused() -> None:
     with pytest.raises(ValueError, match="does not move"):
         taught(ROOM, lap(), odometry=False, scene=SCENE)

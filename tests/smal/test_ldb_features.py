@@ -4,8 +4,6 @@ from itertools import combinations
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from smal.features import modality_named
 from smal.features.ldb import GRIDS, SIDE, SIZE
@@ -43,35 +41,6 @@ def test_signs_are_those_of_the_definition(seed: int) -> None:
     np.testing.assert_array_equal(np.sign(describe(picture)), expected)
 
 
-@settings(max_examples=50, deadline=None)
-@given(seed=st.integers(0, 999), gain=st.integers(1, 5), offset=st.integers(0, 50))
-def test_gain_and_offset_change_nothing(seed: int, gain: int, offset: int) -> None:
-    picture = picture_of(seed, 0, 40)
-    changed = (picture * gain + offset).astype(np.uint8)
-    np.testing.assert_array_equal(describe(changed), describe(picture))
-
-
-@settings(max_examples=30, deadline=None)
-@given(seed=st.integers(0, 999))
-def test_the_negative_has_the_opposite_signs(seed: int) -> None:
-    picture = picture_of(seed)
-    np.testing.assert_array_equal(describe(255 - picture), -describe(picture))
-
-
-@settings(max_examples=30, deadline=None)
-@given(seed=st.integers(0, 999), other=st.integers(0, 999))
-def test_cosine_is_hamming_distance(seed: int, other: int) -> None:
-    rng = np.random.default_rng(seed)
-    # Of random pixels hardly any two of the compared sums are equal.
-    first, second = (rng.integers(0, 256, (SIDE, SIDE, 3), dtype=np.uint8) for _ in range(2))
-    one, two = describe(first), describe(second)
-    bits_one, bits_two = one > 0, two > 0
-    ties = np.count_nonzero(one == 0) + np.count_nonzero(two == 0)
-    hamming = np.count_nonzero(bits_one != bits_two)
-    assert one @ two == pytest.approx(1.0 - 2.0 * hamming / SIZE, abs=2.0 * ties / SIZE + 1e-5)
-    assert ties < 20
-
-
 def test_ties_are_zero_and_the_rest_has_equal_weight() -> None:
     # Bright on the left: the grids of even number see two columns of equal cells each.
     picture = np.zeros((SIDE, SIDE, 3), dtype=np.uint8)
@@ -81,8 +50,3 @@ def test_ties_are_zero_and_the_rest_has_equal_weight() -> None:
     assert len(np.unique(np.abs(vector))) == 2
     # 2 x 2, intensity: 0-1, 0-2, 0-3, 1-2, 1-3, 2-3.
     np.testing.assert_array_equal(np.sign(vector[:6]), [1, 0, 1, -1, 0, 1])
-
-
-def test_a_bigger_picture_of_the_same_has_the_same_signs() -> None:
-    picture = picture_of(7)
-    np.testing.assert_array_equal(describe(np.kron(picture, np.ones((3, 3, 1), dtype=np.uint8))), describe(picture))

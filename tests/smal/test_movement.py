@@ -41,32 +41,11 @@ def test_between_finds_the_movement_that_was_made(
 
 
 @settings(deadline=None, derandomize=True)
-@given(pose=st.tuples(COORDINATE, COORDINATE, ANGLE), rounds=st.integers(-3, 3))
-def test_whole_turns_of_the_heading_are_no_movement(pose: tuple[float, float, float], rounds: int) -> None:
-    found = Movement.between(pose, (pose[0], pose[1], pose[2] + rounds * math.tau))
-    assert found.ahead == 0.0
-    assert found.turn_rad == pytest.approx(0.0, abs=1e-9)
-
-
-@settings(deadline=None, derandomize=True)
 @given(angle=st.floats(-100.0, 100.0))
 def test_wrapped_angles_point_the_same_way(angle: float) -> None:
     found = float(wrapped(np.array(angle)))
     assert -math.pi <= found < math.pi
     assert math.cos(found - angle) == pytest.approx(1.0)
-
-
-@pytest.mark.parametrize("turn", [Atom.LEFT, Atom.RIGHT])
-def test_a_square_comes_home(turn: Atom) -> None:
-    movements = np.array([[0.0, 0.0], [0.1, 0.0], [-0.1, 0.0], [0.0, math.pi / 20], [0.0, -math.pi / 20]])
-    side = [Atom.FORWARD] * 8 + [turn] * 10
-    way = dead_reckoning(np.array([*side * 4, Atom.STOP], dtype=np.int8), movements)
-    assert way.shape == (len(side) * 4 + 1, 3)
-    np.testing.assert_allclose(way[-1, :2], 0.0, atol=1e-9)
-    assert abs(way[-1, 2]) == pytest.approx(math.tau)
-    # The second corner is a side ahead and a side to the side that it turns to.
-    left = 0.8 if turn is Atom.LEFT else -0.8
-    np.testing.assert_allclose(way[2 * len(side) - 10, :2], [0.8, left], atol=1e-9)
 
 
 @settings(deadline=None, derandomize=True)

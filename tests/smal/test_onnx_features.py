@@ -16,7 +16,7 @@ from smal.files import container
 from smal.files.container import ModelError
 from smal.files.stored import FORMAT_VERSION
 from smal.paper.model import Model
-from tests.fuzz.targets.model import smallest_model
+from tests.fuzz.inputs import smallest_model
 
 pytest.importorskip("onnxruntime")
 onnx = pytest.importorskip("onnx")
@@ -77,21 +77,6 @@ def test_a_map_of_features_is_averaged_over_the_image(tmp_path: Path) -> None:
     np.testing.assert_allclose(vector, mixed(image), atol=1e-5)
 
 
-def test_mean_and_deviation_of_the_file_count(tmp_path: Path) -> None:
-    name = given(network(tmp_path / "mix.onnx", meta={"mean": "[0.5, 0.25, 0.0]", "std": "1,0.5 2"}))
-    image = picture(224, 224, 1)
-    expected = mixed(image, np.array([0.5, 0.25, 0.0]), np.array([1.0, 0.5, 2.0]))
-    np.testing.assert_allclose(modality_named(name).describe(image), expected, atol=1e-5)
-
-
-def test_other_outputs_are_flattened_and_keep_their_order(tmp_path: Path) -> None:
-    name = given(network(tmp_path / "flat.onnx", [1, 3, 24, 32], op="Flatten"))
-    image = picture(24, 32)
-    vector = modality_named(name).describe(image)
-    expected = ((image / 255.0 - MEAN) / STD).transpose(2, 0, 1).ravel()
-    np.testing.assert_allclose(vector, expected / np.linalg.norm(expected), atol=1e-6)
-
-
 @pytest.mark.parametrize("shape", [ANY, [1, 3, 48, 64], [1, 3, "h", 64]])
 def test_images_of_any_size_fit_the_input(tmp_path: Path, shape: list[Any]) -> None:
     modality = modality_named(given(network(tmp_path / "mix.onnx", shape)))
@@ -122,15 +107,6 @@ def test_the_fingerprint_is_that_of_the_contents(tmp_path: Path) -> None:
     digest = hashlib.sha256((tmp_path / "one.onnx").read_bytes()).hexdigest()
     assert one.modalities == ("color", f"onnx:{digest}:4")
     assert FeatureSettings.parse(one.text) == one
-
-
-def test_a_file_is_read_once(tmp_path: Path) -> None:
-    text = network(tmp_path / "mix.onnx")
-    before = FeatureSettings.parse(text)
-    fingerprint, vector = before.fingerprint, extract(picture(48, 64), before)
-    (tmp_path / "mix.onnx").unlink()
-    assert FeatureSettings.parse(text).fingerprint == fingerprint
-    np.testing.assert_array_equal(extract(picture(48, 64), before), vector)
 
 
 def refusal(name: str) -> str:
@@ -186,17 +162,6 @@ def test_weights_in_another_file_are_refused(tmp_path: Path, monkeypatch: pytest
     assert refusal(name).endswith(
         "its weights are in another file; save them inside (torch.onnx.export: external_data=False)"
     )
-
-
-def test_without_onnxruntime_the_line_says_what_to_install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    name = network(tmp_path / "mix.onnx")
-    monkeypatch.setitem(sys.modules, "onnxruntime", None)
-    line = refusal(name)
-    assert line.startswith(f"{name}: needs the package onnxruntime")
-    assert line.endswith("pip install -e '.[onnx]'")
-    # The refusal is not remembered once it is installed.
-    monkeypatch.undo()
-    assert modality_named(given(name)).size == 4
 
 
 # -- what a stranger names --------------------------------------------------------------------------------------------
@@ -260,3 +225,22 @@ def test_a_model_opens_no_file_and_runs_no_network(tmp_path: Path, monkeypatch: 
         container.write(path, FORMAT_VERSION, meta | {"modalities": [named]}, arrays)
         with pytest.raises(ModelError, match="a network is named by its contents, onnx:SHA-256:SIZE, not 'onnx:/"):
             Model.load(path)
+
+
+def test_other_outputs_are_flattened_and_keep_their_order(tmp_path: Path) -> None:
+    name = given(network(tmp_path / "flat.onnx", [1, 3, 24, 32], op="Flatten"))
+    image = picture(24, 32)
+    vector = modality_named(name).describe(image)
+    expected = ((image / 255.0 - MEAN) / STD).transpose(2, 0, 1).ravel()
+    np.testing.assert_allclose(vector, expected / np.linalg.norm(expected), atol=1e-6)
+
+
+def test_without_onnxruntime_the_line_says_what_to_install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    name = network(tmp_path / "mix.onnx")
+    monkeypatch.setitem(sys.modules, "onnxruntime", None)
+    line = refusal(name)
+    assert line.startswith(f"{name}: needs the package onnxruntime")
+    assert line.endswith("pip install -e '.[onnx]'")
+    # The refusal is not remembered once it is installed.
+    monkeypatch.undo()
+    assert modality_named(given(name)).size == 4

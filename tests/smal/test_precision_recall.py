@@ -59,34 +59,6 @@ def test_equals_counting_by_hand(judgement: Judgement) -> None:
     assert curve.recall_at_100_precision == max((r for r, p, _ in points if p == 1.0), default=0.0)
 
 
-@given(judgements(), st.randoms(use_true_random=False))
-@settings(deadline=None)
-def test_the_order_of_queries_and_the_scale_of_scores_do_not_matter(judgement: Judgement, random: object) -> None:
-    curve = PrecisionRecall.of(judgement)
-    order = list(range(judgement.score.size))
-    random.shuffle(order)  # type: ignore[attr-defined]
-    shuffled = PrecisionRecall.of(taken(judgement, np.array(order)))
-    score = np.exp(judgement.score / 50.0) - 1e3
-    j = judgement
-    scaled = PrecisionRecall.of(Judgement(score, j.answered, j.right, j.judged, j.findable))
-    for other in (shuffled, scaled):
-        assert other.recall.tolist() == curve.recall.tolist()
-        assert other.precision.tolist() == curve.precision.tolist()
-
-
-def test_known_values() -> None:
-    """scikit-learn's example of average precision: right, wrong, right, wrong by falling score."""
-    yes = np.ones(4, dtype=np.bool_)
-    positive = np.array([False, False, True, True])
-    score = np.array([0.1, 0.4, 0.35, 0.8])
-    # There, only the two positives are to be found.
-    curve = PrecisionRecall.of(Judgement(score, yes, positive, yes, positive))
-    assert curve.auc == pytest.approx(0.8333333)
-    assert curve.recall_at_100_precision == 0.5
-    assert curve.recall.tolist() == [0.5, 0.5, 1.0, 1.0]
-    assert curve.precision == pytest.approx([1.0, 0.5, 2 / 3, 0.5])
-
-
 def test_perfect_useless_and_silent_methods() -> None:
     rng = np.random.default_rng(0)
     right = rng.random(20000) < 0.3
@@ -107,17 +79,6 @@ def test_nothing_to_find_is_refused() -> None:
             function(Judgement(np.zeros(3), ~no, no, ~no, no))
 
 
-@pytest.mark.parametrize(("count", "block"), [(1, 1), (7, 1), (7, 3), (7, 7), (12, 4), (30, 7)])
-def test_a_draw_is_blocks_of_successive_queries(count: int, block: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Against the arcs laid down one query after the other, from the same random starts."""
-    monkeypatch.setattr(precision_recall, "_BLOCK_ENTRIES", 3 * count)
-    draws = np.concatenate(list(precision_recall._draws(count, block, 50, seed=3)))
-    starts = np.random.default_rng(3).integers(0, count, (50, -(-count // block)))
-    for draw, begins in zip(draws, starts, strict=True):
-        queries = [(begin + k) % count for begin in begins for k in range(block)][:count]
-        assert draw.tolist() == np.bincount(queries, minlength=count).tolist()
-
-
 @given(judgements(), st.integers(1, 5), st.integers(0, 1000))
 @settings(max_examples=50, deadline=None)
 def test_the_bootstrap_judges_what_is_drawn(judgement: Judgement, block: int, seed: int) -> None:
@@ -134,20 +95,6 @@ def test_the_bootstrap_judges_what_is_drawn(judgement: Judgement, block: int, se
             assert found == pytest.approx((curve.auc, curve.recall_at_100_precision))
         else:
             assert np.isnan(found).all()
-
-
-def test_intervals_hold_the_figures_and_shrink_with_more_queries() -> None:
-    rng = np.random.default_rng(5)
-    widths = []
-    for count in (100, 1600):
-        score = rng.random(count)
-        judgement = all_answered(score, rng.random(count) < score)
-        curve, intervals = PrecisionRecall.of(judgement), intervals_of(bootstrap(judgement, 5, seed=1))
-        assert intervals.auc[0] < curve.auc < intervals.auc[1]
-        low, high = intervals.recall_at_100_precision
-        assert low <= curve.recall_at_100_precision <= high
-        widths.append(intervals.auc[1] - intervals.auc[0])
-    assert 3.0 < widths[0] / widths[1] < 5.0
 
 
 def coverage(count: int, together: int, block: int) -> float:

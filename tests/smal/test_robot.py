@@ -44,13 +44,6 @@ def test_it_says_where_it_is() -> None:
     assert abs(robot.where.left) < 0.4
 
 
-def test_a_new_episode_is_like_the_first() -> None:
-    robot = Robot(model())
-    first = _drive(robot, (0.0, 0.2, 0.0), odometry=True)
-    robot.reset()
-    assert _drive(robot, (0.0, 0.2, 0.0), odometry=True) == first
-
-
 def test_the_robot_of_the_paper_takes_the_same_and_reaches_the_end_too() -> None:
     robot = PaperRobot(paper_model(), stride=1)
     made = [robot.step(view(*pose(frame)), pose(frame)) for frame in range(FRAMES)]

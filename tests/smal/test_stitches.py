@@ -22,7 +22,6 @@ from tests.smal.synthetic_world import (
     drive,
     driven,
     taught,
-    usual_map,
 )
 
 #: Two drives that begin the same way, the second 12 cm to the left, and part after 2 m.
@@ -34,10 +33,6 @@ RIGHT = drive((START[0], START[1] + 0.12, START[2]), ((2.0, -60.0), (1.5, 0.0)))
 def two() -> tuple[VisualMap, Centering]:
     found, centering = taught(Room(), LEFT, RIGHT, scene=SCENE)
     return stitched(replace(found, goals=("left", "right"))), centering
-
-
-def test_one_drive_has_no_joints() -> None:
-    assert stitched(usual_map()[0]).stitched.shape == (0, 2)
 
 
 def test_drives_are_joined_where_they_share_the_way_and_both_ways() -> None:

@@ -4,8 +4,6 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from smal.calibration import TaughtFrames, fit_scene, turn_of_views
@@ -36,25 +34,6 @@ ROOM_SCENE = Scene(SCENE.focal, CAMERA_HEIGHT, 8.4)
 def difference(one: Image, other: Image) -> float:
     """Return the mean difference of two images, grey levels."""
     return float(np.abs(one.astype(float) - other.astype(float)).mean())
-
-
-@settings(deadline=None, derandomize=True, max_examples=25)
-@given(turn_deg=st.floats(-25.0, 25.0), half_field_deg=st.floats(32.0, 50.0))
-def test_a_turn_and_back_changes_nothing(turn_deg: float, half_field_deg: float) -> None:
-    image = ROOM.look(MIDDLE, ROWS, COLUMNS)
-    scene = Scene(0.5 / math.tan(math.radians(half_field_deg)), 0.3, 5.0)
-    turn = math.radians(turn_deg)
-    back = scene.warp(scene.warp(image, turn_rad=turn), turn_rad=-turn)
-    # What stays in view of both, above the horizon: far away on the ground colours change within a pixel.
-    rays = np.degrees(np.arctan((np.arange(COLUMNS) - (COLUMNS - 1) / 2.0) / (scene.focal * COLUMNS)))
-    seen = np.abs(rays) < half_field_deg - abs(turn_deg) - 2.0
-    where = np.ix_(np.arange(ROWS // 4, ROWS // 2 - 4), np.flatnonzero(seen))
-    assert difference(back[where], image[where]) < 2.0
-
-
-def test_no_step_is_the_image_itself() -> None:
-    image = ROOM.look(MIDDLE, ROWS, COLUMNS)
-    np.testing.assert_array_equal(SCENE.warp(image), image)
 
 
 @pytest.mark.parametrize(
@@ -123,14 +102,3 @@ def test_views_tell_how_far_an_atom_turns(speed: float, rate_hz: float) -> None:
         images * 2, [one.atoms] * 2, SCENE.focal, lambda image: centering.apply(extract(image, COLOR))
     )
     assert found == pytest.approx(TURN_RAD_S * speed / rate_hz, rel=0.15)
-
-
-def test_without_turns_views_do_not_tell() -> None:
-    straight = drive(way=((1.0, 0.0),))
-    images = [PAINTED.look(pose) for pose in straight.poses]
-    assert turn_of_views(images, [straight.atoms], SCENE.focal, lambda image: extract(image, COLOR)) is None
-
-
-def test_a_single_frame_has_a_scene_too() -> None:
-    found = fitted(Room(), drive(way=((0.05, 0.0),)))
-    assert (found.height, found.distance) == pytest.approx((0.2, 2.4))

@@ -63,12 +63,6 @@ def test_the_ends_of_every_drive_are_keyframes() -> None:
     np.testing.assert_array_equal(found.keyframes[last], np.array(ends[2:])[found.drives[found.keyframes]])
 
 
-def test_no_way_is_driven_from_one_drive_to_the_next() -> None:
-    found = of_two_drives()
-    assert found.arc[-1] == pytest.approx(3.5)
-    assert found.arc[np.searchsorted(found.drives, 1)] == pytest.approx(2.0)
-
-
 def test_keyframes_are_a_fifth_of_the_correlation_length_or_some_degrees_apart() -> None:
     found = usual_map()[0]
     step = np.abs(np.diff(found.key_poses, axis=0))
@@ -100,14 +94,6 @@ def test_without_odometry_a_forward_atom_is_the_unit() -> None:
     assert found.arc[-1] == pytest.approx(4.5 / 0.05)
 
 
-def test_one_drive_without_odometry_makes_all_go_by_atoms() -> None:
-    one = drive(way=((1.5, 0.0),), rate_hz=5.0)
-    images = [[ROOM.look(pose) for pose in one.poses]] * 2
-    found = learn(images, [one.poses, None], [one.atoms] * 2)
-    assert not found.odometry
-    assert found.poses[:, 0].max() == pytest.approx(len(one.poses) - 1)
-
-
 def test_a_view_is_most_alike_to_the_virtual_view_from_there() -> None:
     found, centering = usual_map()
     for key in range(2, len(found.keyframes), 6):
@@ -124,14 +110,6 @@ def test_a_view_is_most_alike_to_the_virtual_view_from_there() -> None:
                 assert best[0] == column
                 assert abs(TURNS_DEG[best[1]] - turn) <= 5.0
                 assert cosines.max() > found.outlier_cosine
-
-
-def test_a_keyframe_is_found_by_its_own_frame() -> None:
-    found, centering = usual_map()
-    for key, pose in enumerate(found.key_poses):
-        cosines = found.cosines(centering.apply(extract(ROOM.look(pose), COLOR)))
-        assert abs(int(cosines[:, 1, MIDDLE].argmax()) - key) <= 1
-        assert cosines[key, 1, MIDDLE] > 0.6
 
 
 class Reader(Sequence[Image]):
@@ -191,16 +169,6 @@ def test_images_are_read_when_they_are_needed_and_let_go() -> None:
     assert done == [(number + 1, len(found.keyframes)) for number in range(len(found.keyframes))]
 
 
-def test_cameras_of_two_sizes_see_the_same_places() -> None:
-    one = drive(way=((1.5, 0.0),), rate_hz=5.0)
-    images = [[ROOM.look(pose) for pose in one.poses], [ROOM.look(pose, 144, 192) for pose in one.poses]]
-    found = learn(images, [one.poses] * 2, [one.atoms] * 2)
-    of = found.drives[found.keyframes]
-    small, large = (found.views[of == number][:, 1, MIDDLE] for number in (0, 1))
-    cosine = (small * large).sum(axis=1) / np.linalg.norm(small, axis=1) / np.linalg.norm(large, axis=1)
-    assert cosine.min() > 0.8
-
-
 @pytest.mark.parametrize("odometry", [True, False])
 def test_a_robot_that_never_moves_is_refused(odometry: bool) -> None:
     images = [ROOM.look(START)] * 12
@@ -209,58 +177,10 @@ def test_a_robot_that_never_moves_is_refused(odometry: bool) -> None:
     assert "\n" not in str(refused.value)
 
 
-@pytest.mark.parametrize("frames", [1, 2])
-def test_a_drive_of_hardly_any_frames_is_refused(frames: int) -> None:
-    one = drive(way=((1.0, 0.0),))
-    with pytest.raises(ValueError, match="demonstration"):
-        learn([[ROOM.look(pose) for pose in one.poses[:frames]]], [one.poses[:frames]], [one.atoms[:frames]])
-
-
 def test_a_camera_that_sees_nothing_is_refused() -> None:
     one = drive(way=((1.0, 0.0),))
     with pytest.raises(ValueError, match="all images of the demonstrations look the same"):
         learn([[np.full((72, 96, 3), 40, dtype=np.uint8)] * len(one.poses)], [one.poses], [one.atoms])
-
-
-def nan_of(array: np.ndarray) -> np.ndarray:
-    return np.full_like(array, np.nan)
-
-
-@pytest.mark.parametrize(
-    ("name", "change"),
-    [
-        ("poses", lambda one: one.poses[:, :2]),
-        ("poses", lambda one: nan_of(one.poses)),
-        ("poses", lambda _: np.array(1.0)),
-        ("drives", lambda one: one.drives[::-1]),
-        ("drives", lambda one: one.drives[:-1]),
-        ("keyframes", lambda one: one.keyframes[:0]),
-        ("keyframes", lambda one: one.keyframes + 1),
-        ("keyframes", lambda one: one.keyframes - 1),
-        ("keyframes", lambda one: one.keyframes[::-1]),
-        ("keyframes", lambda one: np.maximum(one.keyframes, 1)),
-        ("basis", lambda one: one.basis[:, 0]),
-        ("basis", lambda one: nan_of(one.basis)),
-        ("views", lambda one: one.views[:-1]),
-        ("views", lambda one: one.views[..., :-1]),
-        ("views", lambda one: nan_of(one.views)),
-        ("aside", lambda _: 0.0),
-        ("correlation_length", lambda _: -1.0),
-        ("correlation_rad", lambda _: math.inf),
-        ("kappa", lambda _: math.nan),
-        ("outlier_cosine", lambda _: math.nan),
-        ("alike_cosine", lambda _: 2.0),
-        ("movements", lambda one: one.movements[:3]),
-        ("movements", lambda one: nan_of(one.movements)),
-        ("tick_s", lambda _: 0.0),
-        ("scene", lambda one: one.scene[:2]),
-        ("scene", lambda one: nan_of(one.scene)),
-    ],
-)
-def test_parts_that_do_not_fit_are_named(name: str, change: Any) -> None:
-    good = of_two_drives()
-    with pytest.raises(ValueError, match=rf"do not fit together: (\w+, )*{name}"):
-        replace(good, **{name: change(good)})
 
 
 def test_the_content_makes_the_map_again() -> None:

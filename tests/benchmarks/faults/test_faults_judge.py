@@ -2,21 +2,15 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import pytest
 
 from schemas.topics import ACTION, APPLIED, COMMANDS, JPEG, POSE
-from services.recordings.ledger import Ledger
-from services.recordings.writer import EpisodeWriter
 from tests.benchmarks.faults import judge
-from tests.benchmarks.faults.cells import MATRIX, QUICK, Cell, Limits
+from tests.benchmarks.faults.cells import Cell, Limits
 from tests.benchmarks.faults.judge import Entry, Window
-from tests.benchmarks.faults.recordings import Recorded, lost, place_of, read_recordings, ticks_of, unsaid
+from tests.benchmarks.faults.recordings import Recorded, lost, place_of, unsaid
 from tests.benchmarks.faults.run import NEVER, Outcome, verdict
 from tests.benchmarks.faults.wheels import Step
-from tests.services.recordings.recorded_messages import event, frame
-from tests.services.recordings.test_recorder_files import record
 
 
 def steps(*spans: tuple[float, float], atom: str = "forward", period_s: float = 0.1) -> list[Step]:
@@ -62,17 +56,6 @@ def test_a_base_that_moves_by_no_valid_command(moved: list[Step], driver: list[E
     assert judge.still_s(moved, judge.asked(driver)) > 0.5
 
 
-def test_when_a_base_stood_after_a_fault_and_moved_again() -> None:
-    fault = Window(1.0, 2.0)
-    stood_s, again_s = judge.stood_s(steps((0.2, 1.2), (2.5, 3.0)), fault)
-    assert (stood_s, again_s) == (pytest.approx(0.2, abs=0.001), pytest.approx(0.52, abs=0.001))
-    assert judge.stood_s(steps((0.2, 0.96)), fault) == (0.0, None)
-    assert judge.stood_s(steps((0.2, 3.0)), fault) == (pytest.approx(2.0, abs=0.001), None)
-    assert judge.stood_s(steps((0.2, 0.5), (1.1, 1.5)), fault) == (None, None)
-    assert judge.moved_on_s(steps((0.2, 0.5), (2.1, 3.0)), fault) == 0.0
-    assert judge.moved_on_s(steps((0.2, 1.3), (1.5, 1.7), (2.1, 3.0)), fault) == pytest.approx(0.7, abs=0.001)
-
-
 def test_recovery_pause_and_rate() -> None:
     """Recovery counts only frames captured after the fault."""
     frames = judge.obeyed(obeyed(range(36)))
@@ -109,36 +92,6 @@ def test_what_is_lost_is_named_and_must_be_said() -> None:
     assert unsaid(missing, recorded) == {}
 
 
-def test_a_frame_that_nobody_saw_is_lost_all_the_same() -> None:
-    holed = seen(20, 7, 8)
-    assert lost(holed, recording(holed)) == {topic: [7, 8] for topic in sorted((APPLIED.name, JPEG.name, POSE.name))}
-
-
-def test_a_recording_that_was_cut_says_so_by_having_no_end() -> None:
-    recorded = recording(seen(20), *((POSE.name, tick) for tick in range(12, 20)))
-    missing = lost(seen(20), recorded)
-    assert unsaid(missing, recorded) == {POSE.name: list(range(12, 20))}
-    recorded.ended = False
-    assert unsaid(missing, recorded) == {}
-
-
-def test_what_is_twice_in_a_file_is_counted_and_what_two_files_have_is_not(tmp_path: Path) -> None:
-    """A recorder that was killed and started again has what the senders kept."""
-    sent = [event("e", 0, "started"), *(one for tick in range(6) for one in frame("e", tick))]
-    record(tmp_path, sent[:40])
-    record(tmp_path, [sent[0], *sent[30:]])
-    (found,) = read_recordings(tmp_path).values()
-    assert (len(found.places), found.duplicates, found.unfinished) == (len(sent), 0, [])
-    writer = EpisodeWriter.begin(tmp_path, sent[0])
-    writer.write(sent[1])
-    writer.ledger = Ledger()
-    writer.write(sent[1])
-    assert len(read_recordings(tmp_path)[""].unfinished) == 1
-    writer.seal()
-    assert read_recordings(tmp_path)["e"].duplicates == 1
-    assert ticks_of("3-5 9") == {3, 4, 5, 9}
-
-
 # -- verdicts ---------------------------------------------------------------------------------------------------------
 
 
@@ -169,9 +122,3 @@ def test_what_is_twice_in_a_file_is_counted_and_what_two_files_have_is_not(tmp_p
 def test_verdicts(cost: dict[str, object], cell: dict[str, object], not_met: list[str]) -> None:
     outcome = Outcome("a fault", NEVER, **({"still_s": 0.44, "recovery_s": 0.2} | cost))  # type: ignore[arg-type]
     assert verdict(Cell("a fault", lambda _rig: NEVER, **cell), outcome) == not_met  # type: ignore[arg-type]
-
-
-def test_the_matrix_has_every_fault() -> None:
-    assert set(QUICK) <= MATRIX.keys()
-    for service in ("router", "robot", "features", "recognition", "policy", "recorder"):
-        assert {f"kill -9 {service}", *(f"freeze {service} {seconds} s" for seconds in (1, 3, 14))} <= MATRIX.keys()

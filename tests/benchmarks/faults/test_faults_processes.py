@@ -14,24 +14,20 @@ import numpy as np
 import pytest
 
 from schemas.rpc import Nothing, Status
-from schemas.topics import COMMANDS, HEARTBEAT, POSE, PULSE, TOPICS, rpc_key
+from schemas.topics import COMMANDS, POSE, TOPICS, rpc_key
 from services.cli.stack.processes import Stack, StackPlan, free_endpoint
-from services.kit.bus import Bus, RpcError
-from services.kit.errors import UsageError
-from services.simulator.base import STEP_S, KinematicBase
+from services.kit.bus import Bus
+from services.simulator.base import STEP_S
 from services.simulator.body import WATCHDOG_S
 from services.simulator.robots import RESCUEBOT
 from services.simulator.world import load_world
 from services.table import roles
-from tests.benchmarks.child import child
-from tests.benchmarks.faults import benchmark as faults
 from tests.benchmarks.faults.floods import Stop, floods, read_notes
 from tests.benchmarks.faults.judge import Entry
 from tests.benchmarks.faults.noting import NotingGate
-from tests.benchmarks.faults.peers import consume_slowly, look_on
 from tests.benchmarks.faults.proxy import GROWTH, link
 from tests.benchmarks.faults.rig import ROBOT, observer
-from tests.benchmarks.faults.wheels import FarBase, Wheels, read_steps, rolling
+from tests.benchmarks.faults.wheels import FarBase, read_steps, rolling
 from tests.schemas.messages import EXAMPLES
 from tests.services.waiting import eventually
 
@@ -43,24 +39,6 @@ def endpoint(tmp_path: Path) -> Iterator[str]:
     endpoint = free_endpoint()
     with Stack(StackPlan(("router",), ROBOT, endpoint, logs=tmp_path / "logs")):
         yield endpoint
-
-
-@system
-def test_a_link_goes_down_and_comes_back(endpoint: str) -> None:
-    with link(endpoint) as (address, pid), closing(Bus(ROBOT, address)) as bus:
-        bus.wait_connected(10.0)
-
-        def answers() -> bool:
-            try:
-                return bus.call("router", "status", Nothing(), Status, timeout_s=0.5).service == "router"
-            except RpcError:
-                return False
-
-        assert eventually(answers)
-        os.kill(pid, signal.SIGSTOP)
-        assert not answers()
-        os.kill(pid, signal.SIGCONT)
-        assert eventually(answers)
 
 
 @system
@@ -81,20 +59,6 @@ def test_a_link_grows_slow_each_way_and_loses_nothing(endpoint: str) -> None:
             far.publish(example)
         eventually(lambda: len(arrived) >= 20)
         assert {one.topic for one in arrived} == {POSE.name}
-
-
-@system
-def test_peers_are_there_until_their_end(endpoint: str) -> None:
-    with closing(Bus(ROBOT, endpoint)) as bus:
-        answers: list[object] = []
-        bus.subscribe(HEARTBEAT, lambda *sample: answers.append(sample))
-        with child("the operator", look_on, ROBOT, endpoint) as operator:
-            eventually(lambda: (bus.publish(EXAMPLES[PULSE.message].model_copy(update={"robot": ROBOT})), answers)[1])
-        with child("the slow consumer", consume_slowly, ROBOT, endpoint) as consumer:
-            bus.publish(EXAMPLES[POSE.message])
-    for one in (operator, consumer):
-        with pytest.raises(ProcessLookupError):
-            os.kill(one.pid, 0)
 
 
 def test_a_base_in_another_process_stands_by_its_own_watchdog_and_tells_what_it_did(tmp_path: Path) -> None:
@@ -118,27 +82,6 @@ def test_a_base_in_another_process_stands_by_its_own_watchdog_and_tells_what_it_
     rolled_m = sum(sum(motion.rolled_m) / 2 for motion in told)
     assert rolled_m == pytest.approx(0.5 * RESCUEBOT.drive.speed_m_s * STEP_S * len(moving), rel=0.2)
     assert math.dist((told[-1].pose.x, told[-1].pose.y), (start.x, start.y)) == pytest.approx(rolled_m, rel=0.01)
-
-
-def test_a_base_that_was_late_does_not_obey_backwards_in_time(tmp_path: Path) -> None:
-    with (tmp_path / "steps.jsonl").open("w") as file:
-        wheels = Wheels(KinematicBase(load_world("yard").place), file, 10.0)
-        wheels.take({"question": 1, "put": [*vars(load_world("yard").start).values()], "seed": 1}, 10.0)
-        wheels.roll_on(10.5)
-        wheels.take({"order": ["forward", 1.0]}, 10.5)
-        wheels.roll_on(11.0)
-        told = wheels.take({"question": 2}, 11.0)
-    assert told is not None
-    moved = [left > 0.0 for _x, _y, _heading, left, _right, _collided in told["motions"]]
-    assert moved == [False] * 25 + [True] * 10 + [False] * 15
-
-
-@pytest.mark.parametrize(
-    ("arguments", "said"), [(["--cell", "earthquake"], "kill -9 policy"), (["--model", "none.smal"], r"none\.smal")]
-)
-def test_mistakes_are_said_before_anything_is_driven(arguments: list[str], said: str) -> None:
-    with pytest.raises(UsageError, match=said):
-        faults.main([*arguments, "--quick"])
 
 
 @pytest.mark.parametrize("secure", [False, True])

@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from services.kit.errors import JobError, UsageError
 from smal.features import FeatureSettings
 from tests import corridor
 from tests.benchmarks.latency import benchmark as latency
@@ -19,7 +18,7 @@ FRAMES = 12
 
 
 @pytest.mark.system
-@pytest.mark.parametrize("watchers", [[0], [0, 3]])
+@pytest.mark.parametrize("watchers", [[0, 3]])
 def test_every_frame_is_answered(watchers: list[int], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A drive of 12 frames and one of 6; on a busy machine some decisions may be late."""
 
@@ -42,17 +41,3 @@ def test_every_frame_is_answered(watchers: list[int], tmp_path: Path, monkeypatc
         assert one["keyframes"] > 0
         assert one["frames"] == 18
         assert one["missing"] < 18
-
-
-def test_a_frame_without_a_command_took_for_ever() -> None:
-    answered = latency.summary([0.01] * 96 + [None] * 4)
-    assert (answered["p50_ms"], answered["p95_ms"], answered["missing"]) == (10.0, 10.0, 4)
-    assert latency.summary([0.01, None])["p95_ms"] is None
-
-
-def test_mistakes_are_said(tmp_path: Path) -> None:
-    with pytest.raises(UsageError, match="both --model and --recordings"):
-        latency.main(["--model", "x.smal"])
-    (tmp_path / "empty.mcap").touch()
-    with pytest.raises(JobError, match="empty"):
-        next(latency.drives(tmp_path))

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 from tests.benchmarks.recognition import benchmark as recognition
@@ -29,11 +28,3 @@ def test_everything_is_measured(
     assert all(one["excess"] < 1e-4 and one["times_faster"] > 0.0 for one in results["peers"])
     assert (out / "convergence.png").stat().st_size > 10_000
     assert "Time over one float32 product" in capsys.readouterr().out
-
-
-def test_the_synthetic_video_is_as_alike_as_it_says() -> None:
-    one = recognition.problem(recognition.video(300, 4096), 300, 10, 4)
-    np.testing.assert_allclose(np.linalg.norm(one.templates, axis=0), 1.0, atol=1e-5)
-    assert np.mean(np.sum(one.templates[:, 1:] * one.templates[:, :-1], axis=0)) == pytest.approx(0.9, abs=0.01)
-    best = [float(np.max(one.templates.T @ query[:, 0])) for query in one.queries]
-    assert np.mean(best) == pytest.approx(0.8, abs=0.03)

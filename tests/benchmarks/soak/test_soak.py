@@ -2,14 +2,10 @@
 
 from __future__ import annotations
 
-import os
-
 import numpy as np
 import pytest
 
-from services.kit.errors import UsageError
-from tests.benchmarks.soak import benchmark as soak
-from tests.benchmarks.soak.growth import Sample, judge, sample, warmed_up
+from tests.benchmarks.soak.growth import Sample, judge, warmed_up
 from tests.benchmarks.soak.page import Held, judge_page
 
 
@@ -74,16 +70,3 @@ def test_a_page_that_fills_up_does_not_grow() -> None:
 )
 def test_a_page_that_grows(samples: list[Held], what: str) -> None:
     assert judge_page(warmed_up(samples))[""] == f"NOT MET: {what}"
-
-
-def test_this_process_can_be_looked_at() -> None:
-    found = sample(1.0, "me", os.getpid())
-    assert found.rss_bytes > 1e6
-    assert found.descriptors >= 3
-    assert found.threads >= 1
-
-
-@pytest.mark.parametrize("minutes", ["0", "nan", "many"])
-def test_how_long_is_checked(minutes: str) -> None:
-    with pytest.raises(UsageError):
-        soak.main(["--minutes", minutes])

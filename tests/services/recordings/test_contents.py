@@ -18,7 +18,7 @@ from services.recordings.views import is_view
 from services.recordings.writer import EpisodeWriter
 from tests.command import run_smal
 from tests.services.recordings import driven_corridor
-from tests.services.recordings.recorded_messages import FOCAL_PX, HEIGHT, WIDTH, applied, episode, event, frame, image
+from tests.services.recordings.recorded_messages import applied, episode, event, frame, image
 from tests.services.recordings.test_recorder_files import check, leave, read_all, record, stored_in, wanted
 
 
@@ -51,19 +51,17 @@ def test_what_is_in_a_recording(tmp_path: Path) -> None:
     assert one.topics["odometry"].rate_hz == pytest.approx(29 / 2.914)
 
 
-def test_the_command_tells_it(tmp_path: Path) -> None:
+def test_the_command_tells_it_and_names_what_is_no_recording(tmp_path: Path) -> None:
     driven_corridor.record(tmp_path)
     record(tmp_path, list(episode("drive-1", outcome="aborted")))
-    text = run_smal("recording", "info", tmp_path)
-    assert text.returncode == 0, text.stderr
-    assert "to end in corridor, seed 0" in text.stdout
-    assert "found (says the operator)" in text.stdout
-    assert f"{WIDTH}x{HEIGHT}" in text.stdout
-    told = run_smal("recording", "info", tmp_path, "--json")
-    first, second = json.loads(told.stdout)
-    assert first["episodes"][0]["focal_px"] == FOCAL_PX
-    assert (first["episodes"][0]["outcome"], second["episodes"][0]["outcome"]) == ("aborted", "found")
+    first, second = json.loads(run_smal("recording", "info", tmp_path, "--json").stdout)
+    assert first["episodes"][0]["outcome"] == "aborted"
     assert second["episodes"][0]["topics"]["odometry"]["messages"] == 30
+    (tmp_path / "notes.mcap").write_text("shopping list")
+    text = run_smal("recording", "info", tmp_path)
+    assert text.returncode == 1
+    assert "found (says the operator)" in text.stdout
+    assert text.stderr == f"smal: {tmp_path / 'notes.mcap'}: not an MCAP file\n"
 
 
 def test_each_kind_of_fault_is_one_line(tmp_path: Path) -> None:
@@ -84,15 +82,6 @@ def test_each_kind_of_fault_is_one_line(tmp_path: Path) -> None:
         f"{one}: episode e: its end was not recorded",
         f"{one}: episode e: camera/jpeg lacks 2",
     ]
-
-
-def test_what_is_no_recording_is_named_and_the_others_are_told(tmp_path: Path) -> None:
-    record(tmp_path, list(episode("e")))
-    (tmp_path / "notes.mcap").write_text("shopping list")
-    done = run_smal("recording", "verify", tmp_path)
-    assert done.returncode == 1
-    assert done.stderr == f"smal: {tmp_path / 'notes.mcap'}: not an MCAP file\n"
-    assert done.stdout == f"{tmp_path / 'e.mcap'}: whole\n"
 
 
 def seconds_of(path: Path) -> list[tuple[int, int, int]]:

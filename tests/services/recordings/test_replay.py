@@ -41,7 +41,6 @@ from tests.services.conftest import RunNode
 from tests.services.recordings import driven_corridor
 from tests.services.recordings.recorded_messages import episode
 from tests.services.recordings.test_recorder_files import record
-from tests.services.secured import make_keys, secured_router
 from tests.services.waiting import eventually, ready
 
 ROBOT = "rescuebot"
@@ -165,17 +164,6 @@ def test_services_decide_on_a_replay_as_the_library_does_on_its_frames(
     assert {"forward", "left", "right"} <= set(atoms), "a drive that calls for one decision proves little"
 
 
-@pytest.mark.system
-@pytest.mark.rendering
-def test_services_decide_on_a_rendered_drive_as_the_library_does(
-    client: Bus, robot: Node, chain: Callable[[Model], None], taught: Path
-) -> None:
-    (path,) = (taught / "drives").glob("*.mcap")
-    model = Model.load(taught / "model.smal")
-    chain(model)
-    check_decisions(client, robot, path, model)
-
-
 def test_a_replay_tells_what_the_robot_told_and_never_a_command(client: Bus, robot: Node, tmp_path: Path) -> None:
     path = record(tmp_path, list(episode("drive-1", frames=4)))
     keys: set[str] = set()
@@ -253,24 +241,6 @@ def test_what_cannot_be_replayed_is_one_line(arguments: tuple[str, ...], complai
     assert done.returncode in (1, 2)
     assert complaint in done.stderr
     assert done.stderr.count("\n") == 1
-
-
-def test_with_certificates_it_takes_the_robots_own(free_endpoint: str, tmp_path: Path) -> None:
-    path = record(tmp_path, list(episode("drive-1", frames=5)))
-    keys, endpoint = make_keys(tmp_path / "keys"), free_endpoint.replace("tcp/", "tls/")
-    watcher = ServiceSettings(robot=ROBOT, router=endpoint, secure=keys)
-    with secured_router(endpoint, keys), closing(watcher.open_bus("watcher")) as bus:
-        heard = Heard(bus, topics.CAMERA, topics.EPISODE)
-        done = run_smal("replay", path, "--router", endpoint, "--secure", keys, "--rate", 20)
-        assert done.returncode == 0, done.stderr
-        heard.wait(topics.CAMERA, 4)
-        # Whoever may only watch has no certificate of the robot.
-        for key in (keys / "robot").iterdir() if (keys / "robot").is_dir() else keys.glob("robot*"):
-            key.unlink()
-        refused = run_smal("replay", path, "--router", endpoint, "--secure", keys)
-    assert refused.returncode == 1
-    assert "robot" in refused.stderr
-    assert refused.stderr.count("\n") == 1
 
 
 @pytest.mark.system

@@ -4,10 +4,7 @@ from __future__ import annotations
 
 import json
 import math
-import shutil
-import subprocess
 from collections import defaultdict
-from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -171,67 +168,6 @@ def test_what_is_made_of_two_files_is_drawn_as_one_drive(path: Path, tmp_path: P
         for one in (merged, path)
     )
     assert drawn == expected
-
-
-def test_views_cost_little(tmp_path: Path) -> None:
-    """Of a drive with images of 64x48 and 16 features: a real one has twenty times the bytes, and no more views."""
-    path = record(tmp_path, list(episode("e", frames=100)))
-    views = sum(message.ByteSize() for message in chain.from_iterable(views_of(path).values()))
-    assert views < 100 * 1000
-
-
-def sdk() -> Any:
-    return pytest.importorskip("foxglove", reason="needs foxglove-sdk: pip install foxglove-sdk")
-
-
-def test_our_messages_are_those_of_foxgloves_own_sdk(path: Path) -> None:
-    """Field by field, for every message type that is written, what the SDK's own schema says."""
-    sdk()
-    messages = pytest.importorskip("foxglove.messages")
-    with path.open("rb") as file:
-        summary = make_reader(file).get_summary()
-    assert summary is not None
-    ours = {schema.name: schema.data for schema in summary.schemas.values() if schema.encoding == "protobuf"}
-    assert len(ours) == 7
-    for name, data in ours.items():
-        theirs = getattr(messages, name.removeprefix("foxglove.")).get_schema()
-        assert (theirs.name, theirs.encoding) == (name, "protobuf")
-        known = fields_of(described(theirs.data, name))
-        assert fields_of(described(data, name)).items() <= known.items()
-
-
-def fields_of(descriptor: Descriptor, prefix: str = "") -> dict[str, tuple[int, int, bool]]:
-    found: dict[str, tuple[int, int, bool]] = {}
-    for field in descriptor.fields:
-        found[prefix + field.name] = (field.number, field.type, field.is_repeated)
-        if field.message_type is not None:
-            found |= fields_of(field.message_type, f"{prefix}{field.name}.")
-    return found
-
-
-def test_rerun_draws_it_without_being_told_how(path: Path, tmp_path: Path) -> None:
-    """Rerun makes its own components of our messages: images, camera, transforms, points and log."""
-    rerun = shutil.which("rerun")
-    if rerun is None:
-        pytest.skip("needs rerun-sdk, of 100 MB: pip install rerun-sdk")
-    made = tmp_path / "made.rrd"
-    done = subprocess.run([rerun, "mcap", "convert", path, "-o", made], capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stderr
-    assert "ERROR" not in done.stderr
-    printed = subprocess.run([rerun, "rrd", "print", "-v", made], capture_output=True, text=True, check=True).stdout
-    for entity, component in {
-        "camera/jpeg": "EncodedImage:blob",
-        "view/calibration": "Pinhole:image_from_camera",
-        "view/odometry": "Transform3D:translation",
-        "view/world": "Transform3D:parent_frame",
-        "view/map": "Transform3D:child_frame",
-        "view/pose": "InstancePoses3D:translations",
-        "view/places": "Points3D:positions",
-        "view/taught_points": "Points3D:positions",
-        "view/driven_points": "Points3D:positions",
-        "view/log": "TextLog:text",
-    }.items():
-        assert f"/smal/teacher/{entity}@{component}" in printed
 
 
 def test_the_layout_shows_what_recordings_have(path: Path, tmp_path: Path) -> None:

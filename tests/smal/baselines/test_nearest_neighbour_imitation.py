@@ -50,17 +50,6 @@ def test_nearest_window_is_that_of_the_least_sum_of_squares(seed: int, frames: i
         assert imitation.nearest(seen[tick]) == by_hand(taught, seen[: tick + 1], frames)
 
 
-@pytest.mark.parametrize("frames", [1, 5, 80])
-def test_it_does_what_was_done_in_a_demonstration_that_it_sees_again(frames: int) -> None:
-    """An episode may be shorter than the window, and demonstrations too."""
-    taught = demonstrations(3, [40, 60, 50])
-    imitation = NearestNeighbourImitation(taught, COLOR, frames)
-    for number, one in enumerate(taught):
-        imitation.reset()
-        first = sum(len(before.atoms) for before in taught[:number])
-        assert [imitation.nearest(view) - first for view in one.features] == list(range(len(one.atoms)))
-
-
 def test_it_acts_as_at_the_nearest_image() -> None:
     images = [picture(place) for place in (1, 20, 40)]
     features = np.stack([extract(image, COLOR) for image in images])

@@ -36,15 +36,6 @@ def test_one_demonstration_is_matched_as_by_seqslam_over_the_whole_traverse(nois
         assert whole.reference[SETTINGS.length - 1 :].tolist() == list(range(5 + SETTINGS.length - 1, 30))
 
 
-def test_shortened_it_answers_from_the_first_frame_on_and_then_the_same() -> None:
-    references, queries = traverse(40, 1), traverse(40, 1, 20.0, 7)[5:30]
-    patient, early = (SeqSlamLocalizer([references], SETTINGS, shorten) for shorten in (False, True))
-    waited, found = ([one.observe(image) for image in queries] for one in (patient, early))
-    assert [place is None for place in waited] == [tick < SETTINGS.length - 1 for tick in range(25)]
-    assert [None if place is None else place.frame for place in found] == list(range(5, 30))
-    assert found[SETTINGS.length - 1 :] == waited[SETTINGS.length - 1 :]
-
-
 def test_the_place_is_in_the_right_demonstration_and_no_trajectory_spans_two() -> None:
     shown = {"a": traverse(30, 1), "b": traverse(20, 2), "c": traverse(25, 3)}
     localizer = SeqSlamLocalizer([shown[name] for name in ("c", "a", "b")], SETTINGS)

@@ -83,19 +83,6 @@ def test_it_comes_back_to_the_taught_way_and_stops_at_its_end(start: tuple[float
     assert aside[-20:].max() < max(0.5 * aside[0], 0.2)
 
 
-@pytest.mark.parametrize("slip", [-0.15, 0.15])
-def test_images_tell_the_way_along_where_wheels_slip(slip: float, monkeypatch: pytest.MonkeyPatch) -> None:
-    wood = Wood(1)
-    robot = TeachAndRepeat([wood.drive()], FIELD_RAD)
-    with_images = wood.repeat(robot, (0.0, 0.0, 0.0), 300, slip)
-    monkeypatch.setattr("smal.evaluation.baselines.teach_and_repeat.WAY_GAIN", 0.0)
-    without = wood.repeat(robot, (0.0, 0.0, 0.0), 300, slip)
-    monkeypatch.undo()
-    runs = (wood.repeat(robot, (0.0, 0.0, 0.0), 300), with_images, without)
-    plain, corrected, uncorrected = (np.hypot(*np.diff(run[:, :2], axis=0).T).sum() for run in runs)
-    assert abs(corrected - plain) < abs(uncorrected - plain)
-
-
 @pytest.mark.parametrize("columns", [-30, -7, 0, 1, 12, 30])
 def test_the_heading_is_that_of_the_shift(columns: int) -> None:
     wide = np.random.default_rng(3).integers(0, 255, (HEIGHT, WIDTH + 60, 1), dtype=np.uint8).repeat(3, axis=2)
@@ -116,16 +103,6 @@ def test_it_begins_anywhere_and_looks_round_first_where_it_sees_the_wrong_way() 
     poses = wood.repeat(robot, backwards, 300)
     assert np.ptp(poses[:90, 2]) > 0.9 * math.tau
     assert math.dist(poses[-1, :2], wood.way[-1, :2]) < 2.0
-
-
-def test_the_drive_that_is_seen_is_repeated() -> None:
-    woods = [Wood(1), Wood(2)]
-    robot = TeachAndRepeat([wood.drive() for wood in woods], FIELD_RAD)
-    for number, wood in enumerate(woods):
-        robot.reset()
-        robot.step(wood.seen(wood.way[0]), (0.0, 0.0, 0.0))
-        assert robot.begun is not None
-        assert robot.begun[:2] == (number, 0)
 
 
 def test_what_does_not_fit_is_named_in_one_line() -> None:

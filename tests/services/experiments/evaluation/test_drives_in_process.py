@@ -62,7 +62,7 @@ def recorded(simulation: Simulation, seed: int) -> RecordedEpisode:
     return kept
 
 
-@pytest.mark.parametrize(("seed", "victim"), [(1, 0.0), (1, 1.0), (2, 1.0)])
+@pytest.mark.parametrize(("seed", "victim"), [(1, 0.0), (2, 1.0)])
 def test_a_drive_teaches_what_its_recording_teaches(seed: int, victim: float, tmp_path: Path) -> None:
     simulation = Simulation(YARD, StubCamera(victim))
     episode = recorded(simulation, seed)

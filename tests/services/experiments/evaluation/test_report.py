@@ -5,9 +5,7 @@ from __future__ import annotations
 import json
 import re
 from html.parser import HTMLParser
-from pathlib import Path
 
-import numpy as np
 import pytest
 
 from services.experiments.evaluation.plan import Trial
@@ -15,7 +13,7 @@ from services.experiments.evaluation.report.comparisons import compare_recogniti
 from services.experiments.evaluation.report.page import write_page
 from services.experiments.evaluation.report.summary import Success, WorldResults, results_of, success_of
 from services.experiments.evaluation.results import Results
-from services.experiments.evaluation.units import settings_of, units
+from services.experiments.evaluation.units import units
 from smal.evaluation.success import wilson_interval
 from tests.services.experiments.evaluation.evaluated import QUERIES, SMALL, finished
 
@@ -76,24 +74,6 @@ def test_the_page_is_whole_refers_to_nothing_outside_and_says_what_was_found(res
     assert numbers["machine_seconds"] == pytest.approx(0.5 * len(units(SMALL)), abs=0.1)
 
 
-@pytest.mark.parametrize("share", [0.0, 0.8])
-def test_a_page_of_what_is_done_so_far_shows_whole_series_only(share: float, results: Results, tmp_path: Path) -> None:
-    rng = np.random.default_rng(round(100 * share))
-    part = Results(tmp_path / "part", units(SMALL))
-    for unit, found in results.findings.items():
-        if unit.kind in {"teach", "learn", "queries"} or rng.random() < share:
-            part.add(unit, {**found, "file": False})
-    text = write_page(SMALL, part).read_text(encoding="utf-8")
-    assert is_balanced(text)
-    assert f"<b>Not all is done:</b> {len(part.findings)} of {len(units(SMALL))} units" in text
-    numbers = json.loads((part.folder / "results.json").read_text())
-    names = [name for name, _ in settings_of(SMALL.worlds[0].trials[0])]
-    shown = {tuple(one[name] for name in names) for one in numbers["worlds"]["yard"]["searches"]}
-    searches = [unit for unit in units(SMALL) if unit.kind == "search"]
-    torn = {tuple(one[name] for name in names) for one in searches if one not in part.findings}
-    assert shown == {tuple(one[name] for name in names) for one in searches} - torn
-
-
 def test_areas(world: WorldResults) -> None:
     found = {(one.recognizer.name, one.recognizer.length, one.degradation): one for one in world.recognized[0]}
     assert len(found) == 2 * 8
@@ -141,11 +121,3 @@ def counted(controller: str, found: int) -> Success:
     return Success(
         Trial(controller, 2, 8), {seed: {"outcome": "found" if seed < found else "timeout"} for seed in range(8)}
     )
-
-
-def test_a_few_wins_are_no_proof() -> None:
-    (close,) = compare_searches("yard", [counted("smal", 8), counted("nearest-1", 4)])
-    assert close.verdict == "open"
-    (lost,) = compare_searches("yard", [counted("smal", 1), counted("nearest-1", 8)])
-    assert lost.verdict == "behind"
-    assert "SMAL is behind" in lost.text

@@ -17,7 +17,6 @@ from schemas.rpc import ResetRequest
 from services.experiments.evaluation import recognition, work
 from services.experiments.evaluation.errands import TASKS
 from services.experiments.evaluation.plan import CONTROLLERS, Criterion, Plan, Trial, WorldPlan
-from services.experiments.evaluation.recognition import recognize_nearest
 from services.experiments.evaluation.results import file_of
 from services.experiments.evaluation.search import finding, search
 from services.experiments.evaluation.units import Unit, units
@@ -136,18 +135,6 @@ def test_a_belief_is_held_against_the_truth() -> None:
     assert (said["driven_m"], said["aside_max_m"]) == pytest.approx((0.0, 0.0), abs=0.01)
     carried = finding(replace(made, kidnap_tick=1), taught, Criterion(1.0, 25.0))
     assert carried["right_after_s"] == pytest.approx(0.3)
-
-
-def test_the_nearest_window_is_of_one_drive_and_counted_over_all() -> None:
-    frames = np.random.default_rng(1).standard_normal((13, 8)).astype(np.float32)
-    frames /= np.linalg.norm(frames, axis=1, keepdims=True)
-    matches = recognize_nearest([frames[:6], frames[6:8], frames[8:]], frames, 3)
-    # What the second drive shows is too short for a window, and none leads over the seams.
-    whole = [2, 3, 4, 5, 10, 11, 12]
-    assert matches.reference[whole].tolist() == whole
-    assert matches.score[whole] == pytest.approx(1.0)
-    assert matches.reference[:2].tolist() == [-1, -1]
-    assert set(matches.reference[2:].tolist()) == set(whole)
 
 
 @pytest.mark.parametrize("errand", TASKS)
