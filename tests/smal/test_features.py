@@ -8,7 +8,7 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from smal.features import MODALITIES, Centering, FeatureSettings, extract, modality_named, select
+from smal.features import MODALITIES, Centering, FeatureSettings, extract, select
 from smal.features.modalities import MODALITY_NAMES
 
 BOTH = FeatureSettings()
@@ -107,34 +107,6 @@ def test_features_taken_out_are_those_made_without_the_others(wanted: list[str],
     np.testing.assert_array_equal(select(raw, ALL, fewer), expected)
 
 
-def plain_room(rng: np.random.Generator) -> np.ndarray:
-    """Draw a view of plain surfaces; most blocks of it have no edge."""
-    view = np.full((240, 320, 3), 120, dtype=np.uint8)
-    for row, column, rows, columns in rng.integers((0, 0, 30, 30), (180, 240, 120, 120), (6, 4)):
-        view[row : row + rows, column : column + columns] = rng.integers(40, 200, 3)
-    return view
-
-
-def test_noise_leaves_shapes_to_be_told_apart() -> None:
-    rng, ahead = np.random.default_rng(1), []
-    for _ in range(20):
-        here, elsewhere = plain_room(rng), plain_room(rng)
-        noisy = np.clip(here + rng.normal(0.0, 15.0, here.shape), 0, 255).astype(np.uint8)
-        seen, same, other = (modality_named("hog").describe(view) for view in (noisy, here, elsewhere))
-        ahead.append(seen @ same - seen @ other)
-    # Without smoothing the mean is 0.03, and several are negative.
-    assert min(ahead) > 0.0
-    assert np.mean(ahead) > 0.1
-
-
-def test_features_that_are_not_held_are_refused() -> None:
-    raw = extract(image(48, 64), BOTH)
-    with pytest.raises(ValueError, match="the features color, hog do not hold depth"):
-        select(raw, BOTH, ALL)
-    with pytest.raises(ValueError, match="8244 entries"):
-        select(raw[1:], BOTH, BOTH)
-
-
 def test_centering_weights_and_normalizes() -> None:
     raw = np.stack([extract(image(48, 64, seed), BOTH) for seed in range(6)])
     chosen = FeatureSettings(weights=(1.0, 2.0))
@@ -169,3 +141,11 @@ def test_settings_are_read_from_names_and_weights() -> None:
     ):
         with pytest.raises(ValueError, match=words):
             FeatureSettings.parse(modalities, weights)
+
+
+def test_features_that_are_not_held_are_refused() -> None:
+    raw = extract(image(48, 64), BOTH)
+    with pytest.raises(ValueError, match="the features color, hog do not hold depth"):
+        select(raw, BOTH, ALL)
+    with pytest.raises(ValueError, match="8244 entries"):
+        select(raw[1:], BOTH, BOTH)

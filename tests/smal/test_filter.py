@@ -104,16 +104,6 @@ def test_it_follows_a_drive_that_starts_aside_and_turned(left: float, turn_deg: 
     assert beliefs[-1].lost < 0.1
 
 
-def test_the_same_seed_gives_the_same_belief() -> None:
-    seen = drive(way=((0.8, 0.0),))
-    first, other, reused = (Filter(*usual_map(), seed) for seed in (3, 4, 3))
-    beliefs = follow(seen, first)
-    assert not same(beliefs[-1], follow(seen, other)[-1])
-    follow(drive(way=((0.3, 0.0),)), reused)
-    reused.reset()
-    assert all(same(*pair) for pair in zip(beliefs, follow(seen, reused), strict=True))
-
-
 @pytest.mark.parametrize("frames_before", [1, 20])
 def test_a_robot_that_stands_still_does_not_become_surer(frames_before: int) -> None:
     visual_map = usual_map()[0]
@@ -139,15 +129,6 @@ def test_a_view_that_is_not_new_does_not_count_however_it_looks() -> None:
         before = found.observe(extract(ROOM.look(pose), COLOR), movement, 0.1 * SETTINGS.kidnap_s)
         after = copy.deepcopy(found).observe(far, STILL, 0.0)
         assert after.lost == pytest.approx(before.lost)
-
-
-@pytest.mark.parametrize("pause_s", [100.0, 400.0, 3600.0])
-def test_in_a_pause_a_robot_may_be_carried_away_but_need_not_be(pause_s: float) -> None:
-    one, found = drive(), Filter(*usual_map())
-    follow(Drive(one.poses[:30], one.atoms[:30]), found)
-    dark = np.zeros(COLOR.size, dtype=np.float32) + usual_map()[1].mean
-    paused = found.observe(dark, one.movements()[29], pause_s)
-    assert paused.lost == pytest.approx(1.0 - math.exp(-pause_s / SETTINGS.kidnap_s), abs=0.02)
 
 
 @settings(deadline=None)
@@ -294,19 +275,6 @@ def test_what_is_no_frame_is_refused_and_changes_nothing(
         one.observe(raw, movement, elapsed_s)
     good = extract(ROOM.look(seen.poses[-1]), COLOR)
     assert same(one.observe(good, Movement(0.05, 0.0), TICK), other.observe(good, Movement(0.05, 0.0), TICK))
-
-
-def belief_of(keyframes: list[int], turns: list[float], weights: list[float]) -> Belief:
-    offsets = np.array([[0.1 * number, -0.1 * number, turn] for number, turn in enumerate(turns)])
-    return Belief(np.array(keyframes), offsets, np.array(weights), 0.25, 0.5, 2.0)
-
-
-def test_a_summary_keeps_the_heaviest_keyframes_and_their_means() -> None:
-    found = belief_of([4, 2, 4, 9], [0.1, 0.2, 0.3, 0.0], [0.3, 0.35, 0.3, 0.05]).summary(2)
-    assert found.keyframes.tolist() == [4, 2]
-    np.testing.assert_allclose(found.weights, [0.6 / 0.95, 0.35 / 0.95])
-    np.testing.assert_allclose(found.offsets, [[0.1, -0.1, 0.2], [0.1, -0.1, 0.2]], atol=1e-3)
-    assert (found.lost, found.cosine, found.tracked) == (0.25, 0.5, 2.0)
 
 
 @pytest.mark.parametrize("start", [25, 75])

@@ -105,15 +105,6 @@ def test_poses_are_near_and_look_the_same_way(seed: int, distance_m: float, angl
             assert grid[i, j] == (math.dist((x, y), (u, v)) <= distance_m and apart_deg <= angle_deg)
 
 
-def test_unknown_poses_are_not_judged_and_never_right() -> None:
-    poses = np.array([[0.0, 0.0, 0.0], [0.1, 0.0, np.nan], [0.2, 0.0, 0.0]])
-    truth = PoseTruth(poses, poses, 1.0)
-    assert truth.judged.tolist() == [True, False, True]
-    assert truth.findable.tolist() == [True, False, True]
-    grid = truth.right(np.arange(3)[:, np.newaxis], np.arange(3))
-    assert grid.tolist() == [[True, False, True], [False] * 3, [True, False, True]]
-
-
 def test_judging_takes_what_is_right_and_nothing_else() -> None:
     """Right; wrong; not judged; nothing to find; no answer."""
     truth = IntervalTruth(np.array([2, 2, -1, -1, 0]), np.array([4, 4, -1, -1, 9]), np.array([1, 1, 0, 1, 1], bool))
@@ -124,9 +115,3 @@ def test_judging_takes_what_is_right_and_nothing_else() -> None:
     assert judgement.findable.tolist() == [True, True, False, False, True]
     with pytest.raises(ValueError, match="the truth is about 5 queries, the matches about 2"):
         judge(Matches.none(2), truth)
-
-
-def test_no_answer_is_never_right_by_poses() -> None:
-    """Reference -1 stands for none, and not for the last."""
-    poses = np.zeros((3, 3))
-    assert not judge(Matches.none(3), PoseTruth(poses, poses, 1.0)).right.any()

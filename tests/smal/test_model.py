@@ -79,24 +79,6 @@ def test_saving_replaces_atomically(model: Model, saved: Path, monkeypatch: pyte
     assert list(saved.parent.iterdir()) == [saved]
 
 
-def test_what_would_be_too_large_to_read_is_not_written(
-    model: Model, saved: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    before = saved.read_bytes()
-    monkeypatch.setattr(container, "LARGEST", container.LARGEST_HEADER + len(before) // 2)
-    with pytest.raises(ModelError, match="learn fewer drives"):
-        model.save(saved)
-    assert saved.read_bytes() == before
-
-
-def test_every_truncation_is_refused(saved: Path) -> None:
-    content = saved.read_bytes()
-    for size in [*range(64), *range(64, len(content), 997), *range(len(content) - 64, len(content))]:
-        saved.write_bytes(content[:size])
-        with pytest.raises(ModelError):
-            Model.load(saved)
-
-
 def test_every_alteration_is_refused(saved: Path) -> None:
     content = bytearray(saved.read_bytes())
     for at in [*range(200), *range(200, len(content), 997), *range(len(content) - 64, len(content))]:
@@ -155,23 +137,18 @@ def test_a_link_stays_one(tmp_path: Path) -> None:
     assert [path.name for path in target.parent.iterdir()] == ["target"]
 
 
-def test_a_file_that_is_not_finished_is_none(tmp_path: Path) -> None:
-    path = tmp_path / "file"
-    path.write_bytes(b"before")
-
-    def interrupted() -> None:
-        with replacing(path) as file:
-            file.write(b"half")
-            raise KeyboardInterrupt
-
-    with pytest.raises(KeyboardInterrupt):
-        interrupted()
-    assert path.read_bytes() == b"before"
-    assert [one.name for one in tmp_path.iterdir()] == ["file"]
-
-
 def test_parts_that_do_not_fit_are_refused(model: Model) -> None:
     with pytest.raises(ValueError, match="policy"):
         dataclasses.replace(model, policy=model.policy[:-1])
     with pytest.raises(ValueError, match="streams"):
         dataclasses.replace(model, atoms=tuple(atoms[:-3] for atoms in model.atoms))
+
+
+def test_what_would_be_too_large_to_read_is_not_written(
+    model: Model, saved: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    before = saved.read_bytes()
+    monkeypatch.setattr(container, "LARGEST", container.LARGEST_HEADER + len(before) // 2)
+    with pytest.raises(ModelError, match="learn fewer drives"):
+        model.save(saved)
+    assert saved.read_bytes() == before

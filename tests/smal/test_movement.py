@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from smal.movement import Atom, Movement, atom_movements, dead_reckoning, turns_ahead, wrapped
+from smal.movement import Atom, Movement, atom_movements, dead_reckoning, wrapped
 
 COORDINATE = st.floats(-50.0, 50.0)
 ANGLE = st.floats(-10.0, 10.0)
@@ -88,18 +88,3 @@ def test_an_atom_that_was_never_made_is_the_opposite_of_its_opposite(
     np.testing.assert_allclose(found[made], TABLE[made], atol=1e-9)
     np.testing.assert_array_equal(found[missing], found[made] * sign)
     assert not found[Atom.STOP].any()
-
-
-def test_a_car_that_never_drove_straight_on_does_so_as_fast_as_it_turns() -> None:
-    car = TABLE + np.array([0.0, 0.0, 0.0, 0.05, 0.05])[:, None] * (1.0, 0.0)
-    atoms = np.array([Atom.LEFT, Atom.RIGHT] * 10 + [Atom.STOP], dtype=np.int8)
-    found = atom_movements([dead_reckoning(atoms, car)], [atoms])
-    np.testing.assert_allclose(found[Atom.FORWARD], [0.0525, 0.0], atol=1e-9)
-    np.testing.assert_array_equal(found[Atom.BACKWARD], -found[Atom.FORWARD])
-    assert (turns_ahead(car), turns_ahead(found), turns_ahead(TABLE)) == (True, True, False)
-
-
-def test_what_the_last_atom_does_is_not_known() -> None:
-    """It was made after the last frame."""
-    atoms = np.array([Atom.FORWARD, Atom.FORWARD, Atom.LEFT], dtype=np.int8)
-    assert not atom_movements([np.array([[0.0, 0, 0], [1, 0, 0], [2, 0, 0]])], [atoms])[Atom.LEFT].any()

@@ -1,6 +1,5 @@
 """Networks as modalities: what is calculated, what names it, and the files that are refused."""
 
-import hashlib
 import os
 import sys
 from dataclasses import replace
@@ -77,15 +76,6 @@ def test_a_map_of_features_is_averaged_over_the_image(tmp_path: Path) -> None:
     np.testing.assert_allclose(vector, mixed(image), atol=1e-5)
 
 
-@pytest.mark.parametrize("shape", [ANY, [1, 3, 48, 64], [1, 3, "h", 64]])
-def test_images_of_any_size_fit_the_input(tmp_path: Path, shape: list[Any]) -> None:
-    modality = modality_named(given(network(tmp_path / "mix.onnx", shape)))
-    for rows, columns in ((24, 32), (480, 640)):
-        image = np.empty((rows, columns, 3), dtype=np.uint8)
-        image[:] = (200, 30, 90)
-        np.testing.assert_allclose(modality.describe(image), mixed(image), atol=1e-5)
-
-
 def test_a_network_is_one_modality_among_others(tmp_path: Path) -> None:
     text = network(tmp_path / "mix.onnx")
     name, chosen = given(text), FeatureSettings.parse(f"hog,{text}", "1,2")
@@ -94,19 +84,6 @@ def test_a_network_is_one_modality_among_others(tmp_path: Path) -> None:
     vector = extract(image, chosen)
     np.testing.assert_array_equal(vector[chosen.slices[0]], modality_named("hog").describe(image))
     np.testing.assert_array_equal(vector[chosen.slices[1]], modality_named(name).describe(image))
-
-
-def test_the_fingerprint_is_that_of_the_contents(tmp_path: Path) -> None:
-    (tmp_path / "else").mkdir()
-    names = [network(tmp_path / "one.onnx"), network(tmp_path / "else" / "two.onnx")]
-    names.append(network(tmp_path / "three.onnx", kernel=KERNEL + np.float32(1e-3)))
-    one, two, three = (FeatureSettings.parse(f"color,{name}") for name in names)
-    assert one == two
-    assert one.fingerprint == two.fingerprint != three.fingerprint
-    assert FeatureSettings.parse(f"{names[0]},color").fingerprint != one.fingerprint
-    digest = hashlib.sha256((tmp_path / "one.onnx").read_bytes()).hexdigest()
-    assert one.modalities == ("color", f"onnx:{digest}:4")
-    assert FeatureSettings.parse(one.text) == one
 
 
 def refusal(name: str) -> str:

@@ -93,13 +93,6 @@ def test_turned_or_aside_it_turns_back_to_the_way(left: float, turned_deg: float
     assert math.degrees(decision.heading_error_rad) == pytest.approx(aim, abs=6.0)
 
 
-def test_the_mean_of_the_belief_decides() -> None:
-    planner = Planner(STRAIGHT)
-    places = ((10, 0.0, 0.0, 20.0), (10, 0.0, 0.0, -20.0))
-    assert planner.decide(belief(*places, weights=(0.5, 0.5))).atom is Atom.FORWARD
-    assert planner.decide(belief(*places, weights=(0.9, 0.1))).atom is Atom.RIGHT
-
-
 def test_at_the_end_it_stops_for_good() -> None:
     planner = Planner(STRAIGHT)
     end = len(STRAIGHT.keyframes) - 1
@@ -147,16 +140,6 @@ def test_it_looks_around_where_it_knows_no_direction_then_guesses_and_looks_agai
         assert decisions[look + 2].atom is Atom.FORWARD
 
 
-def test_a_place_that_it_only_seems_to_be_at_does_not_have_it_turn_to_and_fro() -> None:
-    planner = Planner(STRAIGHT)
-    kinds: list[str] = []
-    for _ in range(40):
-        kinds += [planner.decide(SPLIT).kind for _ in range(10)]
-        # It seems to know, and turns, without getting anywhere.
-        kinds += [planner.decide(belief((10, 0.0, 0.0, 60.0))).kind for _ in range(4)]
-    assert "guess" in kinds
-
-
 def test_a_turn_goes_on_until_another_atom_would_not_help() -> None:
     planner = Planner(STRAIGHT)
     assert planner.decide(belief((10, 0.0, 0.0, -4.0))).atom is Atom.FORWARD
@@ -183,17 +166,6 @@ def test_behind_the_start_of_a_second_drive_it_goes_to_that_start(ahead: float) 
     decision = Planner(two).decide(belief((first, ahead, 0.0, 0.0)))
     assert (decision.kind, decision.atom) == ("follow", Atom.FORWARD)
     assert decision.heading_error_rad == pytest.approx(0.0, abs=1e-6)
-
-
-def test_it_arrives_at_the_end_of_either_drive() -> None:
-    two = map_of(2.0, 3.0)
-    of = two.drives[two.keyframes]
-    for number in (0, 1):
-        planner = Planner(two)
-        end = int(np.flatnonzero(of == number)[-1])
-        assert planner.decide(belief((end - 2, 0.0, 0.0, 0.0))).atom is Atom.FORWARD
-        planner.decide(belief((end, 0.0, 0.0, 0.0)))
-        assert planner.done
 
 
 @pytest.mark.parametrize(("left", "turn_deg"), [(0.0, 0.0), (0.25, 15.0), (-0.25, -25.0)])
@@ -276,15 +248,6 @@ def test_it_arrives_at_the_named_goal_only(goal: str, end: int, other_end: int) 
     assert planner.decide(belief((other_end, 0.0, 0.0, 0.0))).kind != "goal"
     assert not planner.done
     assert planner.decide(belief((end, 0.0, 0.0, 0.0))).kind == "goal"
-
-
-def test_a_goal_is_reached_by_a_drive_that_was_never_made_in_one_piece() -> None:
-    planner = Planner(fork(left_m=0.3), "office")
-    before = planner.decide(belief((5, 0.0, 0.0, 0.0)))
-    assert (before.kind, before.atom) == ("follow", Atom.FORWARD)
-    # At the fork the office's drive is 0.3 m to the right.
-    assert planner.decide(belief((12, 0.0, 0.0, 0.0))).atom is Atom.RIGHT
-    assert planner.decide(belief((12, 0.0, -0.3, 0.0))).atom is Atom.FORWARD
 
 
 @pytest.mark.parametrize(("goal", "end", "said"), [

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from smal.evaluation import precision_recall
 from smal.evaluation.ground_truth import Judgement
-from smal.evaluation.precision_recall import PrecisionRecall, block_length, bootstrap, intervals_of
+from smal.evaluation.precision_recall import PrecisionRecall, bootstrap, intervals_of
 
 
 @st.composite
@@ -116,14 +116,3 @@ def coverage(count: int, together: int, block: int) -> float:
 def test_blocks_are_needed_where_successive_queries_share_their_fate() -> None:
     assert coverage(count=600, together=10, block=1) < 0.6
     assert coverage(count=600, together=10, block=30) >= 0.85
-
-
-def test_the_length_of_blocks() -> None:
-    assert block_length(111, 10) == 10
-    assert block_length(10_000, 10) == 22
-    assert block_length(100, 40) == 25
-    assert [block_length(queries, 5) for queries in (1, 3, 8)] == [1, 1, 2]
-    judgement = all_answered(np.zeros(5), np.ones(5, dtype=np.bool_))
-    for block in (0, 6):
-        with pytest.raises(ValueError, match=f"a block needs 1 to 5 queries, got {block}"):
-            bootstrap(judgement, block)

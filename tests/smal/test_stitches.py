@@ -67,20 +67,6 @@ def test_drives_that_are_joined_are_drawn_in_the_axes_of_the_first() -> None:
     np.testing.assert_array_equal(in_common_axes(alone), alone.key_poses)
 
 
-def test_what_is_to_be_followed_does_not_jump_from_one_keyframe_to_the_next() -> None:
-    found, _ = two()
-    way = placed(found.stitch_offsets, found.key_poses[found.stitched[:, 1]])
-    for drive_number in (0, 1):
-        on = np.flatnonzero(found.drives[found.keyframes[found.stitched[:, 0]]] == drive_number)
-        here, there = found.stitched[on, 0], way[on]
-        np.testing.assert_array_equal(np.diff(here), 1)
-        # By the wheels it goes from one keyframe to the next as on the other drive.
-        steps = seen_from(found.key_poses[here[1:]], found.key_poses[here[:-1]])
-        jumps = seen_from(there[1:], there[:-1]) - steps
-        assert np.abs(jumps[:, :2]).max() < 0.06
-        assert np.degrees(np.abs(jumps[:, 2])).max() < 3.0
-
-
 def test_places_that_look_alike_are_not_joined_where_odometry_leads_elsewhere() -> None:
     found, _ = two()
     drives = found.drives[found.keyframes]

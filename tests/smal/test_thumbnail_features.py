@@ -16,22 +16,6 @@ def patches_of(vector: np.ndarray) -> np.ndarray:
     return cells.swapaxes(1, 2).reshape(-1, PATCH * PATCH)
 
 
-def grey_picture(seed: int, brightest: int) -> np.ndarray:
-    grey = np.random.default_rng(seed).integers(0, brightest + 1, (ROWS, COLUMNS), dtype=np.uint8)
-    return np.repeat(grey[:, :, None], 3, axis=2)
-
-
-@settings(max_examples=20, deadline=None)
-@given(seed=st.integers(0, 999), shadow=st.integers(0, 31))
-def test_a_shadow_over_one_patch_changes_nothing(seed: int, shadow: int) -> None:
-    picture = grey_picture(seed, 100) * np.uint8(2)
-    row, column = divmod(shadow, COLUMNS // PATCH)
-    where = (slice(row * PATCH, (row + 1) * PATCH), slice(column * PATCH, (column + 1) * PATCH))
-    dark = picture.copy()
-    dark[where] //= 2
-    np.testing.assert_allclose(describe(dark), describe(picture), atol=1e-6)
-
-
 @settings(max_examples=20, deadline=None)
 @given(rows=st.integers(24, 300), columns=st.integers(32, 300), seed=st.integers(0, 99))
 def test_every_patch_has_no_mean_and_the_same_deviation(rows: int, columns: int, seed: int) -> None:

@@ -17,8 +17,6 @@ from smal import mapping
 from smal.demonstration import Demonstration
 from smal.features import extract
 from smal.files.map_file import content_of_map
-from smal.filter import Filter
-from smal.movement import Atom, Movement
 from smal.settings import SETTINGS
 from smal.virtual_views import TURNS_DEG
 from smal.visual_map import VisualMap
@@ -52,17 +50,6 @@ def learn(images: Sequence[Sequence[Image]], poses: Sequence[Any], atoms: Sequen
         return mapping.learn(drives, COLOR, 0.1).mapped
 
 
-def test_the_ends_of_every_drive_are_keyframes() -> None:
-    found = of_two_drives()
-    ends = np.searchsorted(found.drives, [0, 1], side="left").tolist()
-    ends += (np.searchsorted(found.drives, [0, 1], side="right") - 1).tolist()
-    assert set(ends) <= set(found.keyframes.tolist())
-    assert (np.diff(found.keyframes) > 0).all()
-    first, last = found.key_range
-    np.testing.assert_array_equal(found.keyframes[first], np.array(ends[:2])[found.drives[found.keyframes]])
-    np.testing.assert_array_equal(found.keyframes[last], np.array(ends[2:])[found.drives[found.keyframes]])
-
-
 def test_keyframes_are_a_fifth_of_the_correlation_length_or_some_degrees_apart() -> None:
     found = usual_map()[0]
     step = np.abs(np.diff(found.key_poses, axis=0))
@@ -83,15 +70,6 @@ def test_the_frame_rate_does_not_change_the_map(rate_hz: float) -> None:
     assert other.kappa == pytest.approx(usual.kappa, rel=0.3)
     assert len(other.keyframes) == pytest.approx(len(usual.keyframes), rel=0.25)
     assert other.speed == pytest.approx(usual.speed, rel=1e-6)
-
-
-def test_without_odometry_a_forward_atom_is_the_unit() -> None:
-    one = drive(way=BEND)
-    found = taught(ROOM, one, odometry=False, scene=SCENE)[0]
-    assert (found.odometry, at_rate(10.0).odometry) == (False, True)
-    assert found.movements[Atom.FORWARD].tolist() == [1.0, 0.0]
-    assert found.correlation_length == pytest.approx(at_rate(10.0).correlation_length / 0.05, rel=0.05)
-    assert found.arc[-1] == pytest.approx(4.5 / 0.05)
 
 
 def test_a_view_is_most_alike_to_the_virtual_view_from_there() -> None:
@@ -216,16 +194,6 @@ def test_a_damaged_map_is_refused(name: str, harm: Callable[[Any], Any], named: 
     found = usual_map()[0]
     with pytest.raises(ValueError, match=f"do not fit together: .*{named}"):
         replace(found, **{name: harm(getattr(found, name))})
-
-
-def test_views_that_are_opposite_do_not_make_a_belief_that_is_no_number() -> None:
-    found, centering = usual_map()
-    views = found.views.copy()
-    views[:, :, 1::2] *= -1.0
-    follower = Filter(replace(found, views=views), centering)
-    for pose in drive().poses[:5]:
-        belief = follower.observe(extract(ROOM.look(pose), COLOR), Movement(0.05, 0.3))
-        assert np.isfinite([belief.lost, belief.cosine, *belief.weights]).all()
 
 
 def test_an_outlier_is_at_most_as_alike_as_most_views_of_one_place_are() -> None:

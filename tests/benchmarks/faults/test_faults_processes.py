@@ -3,30 +3,22 @@
 from __future__ import annotations
 
 import math
-import os
-import signal
-import time
 from collections.abc import Iterator
-from contextlib import closing
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from schemas.rpc import Nothing, Status
-from schemas.topics import COMMANDS, POSE, TOPICS, rpc_key
+from schemas.topics import COMMANDS, TOPICS, rpc_key
 from services.cli.stack.processes import Stack, StackPlan, free_endpoint
-from services.kit.bus import Bus
 from services.simulator.base import STEP_S
 from services.simulator.body import WATCHDOG_S
 from services.simulator.robots import RESCUEBOT
 from services.simulator.world import load_world
 from services.table import roles
 from tests.benchmarks.faults.floods import Stop, floods, read_notes
-from tests.benchmarks.faults.judge import Entry
 from tests.benchmarks.faults.noting import NotingGate
-from tests.benchmarks.faults.proxy import GROWTH, link
-from tests.benchmarks.faults.rig import ROBOT, observer
+from tests.benchmarks.faults.rig import ROBOT
 from tests.benchmarks.faults.wheels import FarBase, read_steps, rolling
 from tests.schemas.messages import EXAMPLES
 from tests.services.waiting import eventually
@@ -39,26 +31,6 @@ def endpoint(tmp_path: Path) -> Iterator[str]:
     endpoint = free_endpoint()
     with Stack(StackPlan(("router",), ROBOT, endpoint, logs=tmp_path / "logs")):
         yield endpoint
-
-
-@system
-def test_a_link_grows_slow_each_way_and_loses_nothing(endpoint: str) -> None:
-    arrived: list[Entry] = []
-    example = EXAMPLES[POSE.message].model_copy(update={"robot": ROBOT})
-    with link(endpoint) as (address, pid), closing(Bus(ROBOT, address)) as far, closing(observer(endpoint, arrived)):
-        far.wait_connected(10.0)
-        eventually(lambda: (far.publish(example), arrived)[1])
-        os.kill(pid, signal.SIGUSR1)
-        begun_s = time.monotonic()
-        eventually(lambda: time.monotonic() - begun_s > 1.0)
-        sent_s = time.monotonic()
-        assert far.call("router", "status", Nothing(), Status, timeout_s=10.0).service == "router"
-        assert time.monotonic() - sent_s > 2 * GROWTH * 1.0
-        arrived.clear()
-        for _ in range(20):
-            far.publish(example)
-        eventually(lambda: len(arrived) >= 20)
-        assert {one.topic for one in arrived} == {POSE.name}
 
 
 def test_a_base_in_another_process_stands_by_its_own_watchdog_and_tells_what_it_did(tmp_path: Path) -> None:

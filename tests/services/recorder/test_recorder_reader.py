@@ -7,8 +7,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from mcap.reader import make_reader
-from mcap.writer import CompressionType, Writer
 
 from schemas.base import ATOMS, Message
 from services.recordings.encoding import decode_image
@@ -24,7 +22,6 @@ from tests.services.recordings.recorded_messages import (
     features,
     frame,
     image,
-    observation,
     pixels,
 )
 from tests.services.recordings.test_recorder_files import leave, record
@@ -32,27 +29,6 @@ from tests.services.recordings.test_recorder_files import leave, record
 
 def read_messages(folder: Path, messages: list[Message]) -> Recording:
     return read_recording(record(folder, messages), FINGERPRINT)
-
-
-def merge(paths: list[Path], out: Path, compression: CompressionType = CompressionType.ZSTD) -> Path:
-    """Merge recordings as other tools do: chunked, compressed, in the order of time."""
-    with out.open("wb") as file:
-        writer = Writer(file, compression=compression, chunk_size=4096)
-        writer.start()
-        found = []
-        for path in paths:
-            with path.open("rb") as source:
-                found += [(path, *found) for found in make_reader(source).iter_messages()]
-        channels: dict[tuple[Path, int], int] = {}
-        for path, schema, channel, message in sorted(found, key=lambda f: f[3].log_time):
-            if (path, channel.id) not in channels:
-                number = writer.register_schema(schema.name, schema.encoding, schema.data)
-                channels[path, channel.id] = writer.register_channel(
-                    channel.topic, channel.message_encoding, number, channel.metadata
-                )
-            writer.add_message(channels[path, channel.id], message.log_time, message.data, 0, message.sequence)
-        writer.finish()
-    return out
 
 
 def test_read_back_is_what_was_sent(tmp_path: Path) -> None:
@@ -88,15 +64,6 @@ def test_a_lost_image_or_odometry_is_a_gap_unless_all_frames_lack_it(tmp_path: P
             assert had == (number == 0 or lost == "odometry", number == 0 or lost == "camera/jpeg")
 
 
-def test_images_stand_in_for_vectors_of_another_fingerprint(tmp_path: Path) -> None:
-    sent = [m for m in episode("e", frames=3) if m.topic_name != "observation"]
-    sent[2:2] = [observation("e", 0), observation("e", 1, fingerprint="00000000ffff")]
-    (read,) = read_messages(tmp_path, sent).episodes
-    assert (sorted(read.features), sorted(read.images), read.frames) == ([0], [0, 1, 2], 3)
-    assert np.abs(decode_image(bytes(read.images[1])).astype(int) - pixels(1)).max() <= 4
-    assert [piece.ticks.tolist() for piece in read.pieces()] == [[0]]
-
-
 def test_no_piece_spans_a_gap(tmp_path: Path) -> None:
     lost = {("observation", 3), ("camera/jpeg", 3), ("command/applied", 6)}
     sent = [message for message in episode("e", frames=9) if (message.topic_name, message.tick) not in lost]
@@ -121,19 +88,6 @@ def test_the_goal_is_the_last_frame_of_an_episode_that_ended_found(tmp_path: Pat
         (read,) = read_messages(folder, sent).episodes
         goals.append([(int(piece.ticks[-1]), piece.at_goal) for piece in read.pieces()])
     assert goals == [[(3, True)], [(3, False)], [(4, True)], [(3, False)], [(2, False)]]
-
-
-@pytest.mark.parametrize("compression", list(CompressionType))
-def test_merged_episodes_stay_apart(tmp_path: Path, compression: CompressionType) -> None:
-    names = ("drive-1", "drive-2", "drive-3")
-    paths = [record(tmp_path, list(episode(name, frames=4))) for name in names]
-    recording = read_recording(merge(paths, tmp_path / "merged.mcap", compression), FINGERPRINT)
-    assert sorted(read.episode for read in recording.episodes) == list(names)
-    for read in recording.episodes:
-        (piece,) = read.pieces()
-        np.testing.assert_array_equal(piece.features, [features(read.episode, tick) for tick in range(4)])
-        (alone,) = read_recording(tmp_path / f"{read.episode}.mcap", FINGERPRINT).episodes
-        np.testing.assert_array_equal(piece.atoms, alone.pieces()[0].atoms)
 
 
 def test_a_file_cut_anywhere_is_read_but_for_the_second_that_is_cut(tmp_path: Path) -> None:

@@ -115,23 +115,6 @@ def test_any_damage_is_noticed_and_costs_the_seconds_that_it_is_in_alone(tmp_pat
         out.unlink()
 
 
-def test_a_recording_cut_anywhere_becomes_a_sealed_one_of_its_whole_seconds(tmp_path: Path) -> None:
-    path = record(tmp_path, list(episode("e", frames=35)))
-    content, whole = path.read_bytes(), read_all(path)
-    (_, first, _), *_ = seconds_of(path)
-    cut, out = tmp_path / "cut.mcap", tmp_path / "out.mcap"
-    counts = []
-    for size in range(first, len(content), 20_011):
-        cut.write_bytes(content[:size])
-        assert verify(cut).state == "not sealed"
-        saved = read_all(mended(cut, out))
-        assert saved == whole[: len(saved)]
-        counts.append(len(saved))
-        out.unlink()
-    assert counts == sorted(counts)
-    assert len(set(counts)) >= 3
-
-
 def test_what_a_killed_recorder_and_the_next_one_have_of_a_drive_becomes_one_recording(tmp_path: Path) -> None:
     """The next one has the beginning, and what was sent again, as well."""
     sent = list(episode("e", frames=35))

@@ -12,11 +12,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
-from google.protobuf.descriptor_pb2 import FileDescriptorSet
-from google.protobuf.descriptor_pool import DescriptorPool
-from google.protobuf.message_factory import GetMessageClass
 from hypothesis import given
 from hypothesis import strategies as st
 from mcap.opcode import Opcode
@@ -29,19 +25,15 @@ from mcap.writer import Writer
 from schemas.base import Message
 from schemas.compressed_image import CompressedImage
 from schemas.topics import TOPICS, topic_of
-from services.recordings import leftover
-from services.recordings import writer as mcap_writer
-from services.recordings.encoding import decode_image, payload_of, plain_json_schema
+from services.recordings.encoding import payload_of, plain_json_schema
 from services.recordings.ledger import Ledger
 from services.recordings.leftover import LeftoverError, seal_leftover
-from services.recordings.reader import read_recording
 from services.recordings.records import MAGIC, heads
 from services.recordings.sink import Sink, partial_of
 from services.recordings.views import is_view
 from services.recordings.writer import GAPS_METADATA, EpisodeWriter
 from tests.benchmarks.faults.recordings import ticks_of
 from tests.services.recordings.recorded_messages import (
-    FINGERPRINT,
     applied,
     command,
     episode,
@@ -50,7 +42,6 @@ from tests.services.recordings.recorded_messages import (
     header,
     image,
     observation,
-    pixels,
 )
 
 
@@ -93,23 +84,6 @@ def test_every_message_comes_back_as_it_was(tmp_path: Path) -> None:
     assert {topic_of(channel.topic) for channel, _ in found} == {t for t in TOPICS.values() if t.recorded}
     late = [stored.sequence for _, stored in stored_in(path, starting_at=header("e", 3).stamp_ns)]
     assert late == [message.tick for message in sent if message.tick >= 3], "a viewer finds its way"
-
-
-def test_images_are_compressed_images_of_the_same_pixels(tmp_path: Path) -> None:
-    path = record(tmp_path, [event("drive-1", 0, "started"), image("drive-1", 0)])
-    with path.open("rb") as file:
-        ((schema, channel, stored),) = make_reader(file).iter_messages(topics=["smal/rescuebot/camera/jpeg"])
-    assert (schema.name, schema.encoding) == ("foxglove.CompressedImage", "protobuf")
-    assert channel.message_encoding == "protobuf"
-    # As a viewer does: nothing but the file's own descriptors.
-    pool = DescriptorPool()
-    for descriptor in FileDescriptorSet.FromString(schema.data).file:
-        pool.Add(descriptor)
-    packed = GetMessageClass(pool.FindMessageTypeByName(schema.name)).FromString(stored.data)
-    assert packed.format == "jpeg"
-    assert packed.timestamp.seconds * 10**9 + packed.timestamp.nanos == image("drive-1", 0).stamp_ns
-    difference = decode_image(stored.data).astype(int) - pixels(0)
-    assert np.abs(difference).max() <= 4
 
 
 @pytest.mark.parametrize(
@@ -204,32 +178,6 @@ def check(path: Path) -> None:
     """Read everything, with all checksums."""
     with path.open("rb") as file:
         list(StreamReader(file, validate_crcs=True).records)
-
-
-def test_leftovers_cut_anywhere_are_sealed_but_for_the_last_second(tmp_path: Path) -> None:
-    """After a power failure zeros stand in place of the end."""
-    sent = list(episode("e", frames=24))
-    partial = leave(tmp_path, sent)
-    content = partial.read_bytes()
-    for size in (9, 50, 100):
-        partial.write_bytes(content[:size])
-        with pytest.raises(LeftoverError, match="it is not the recording of an episode"):
-            seal_leftover(partial)
-        assert partial.read_bytes() == content[:size]
-    counts = []
-    for size in (0, 5, 8, *range(500, len(content), 4999), len(content)):
-        partial.write_bytes(content[:size] + b"\0" * (0, 100, 20_000)[size % 3] * (size > 8))
-        path = seal_leftover(partial).path
-        assert not partial.exists()
-        counts.append(0)
-        if path is not None:
-            check(path)
-            assert read_all(path) == read_all(path)[: len(sent)]
-            counts[-1] = len(read_all(path))
-            path.unlink()
-    assert counts == sorted(counts)
-    assert len({*counts}) == 4, "nothing, one second, two, and all"
-    assert counts[-1] == len(sent)
 
 
 def exits_at(step: int) -> None:
@@ -340,28 +288,3 @@ class FullDisk(Sink):
             super().write(data[: max(0, self.room - self.tell())])
             raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
         super().write(data)
-
-
-def test_a_full_disk_ends_the_file_after_the_last_whole_second(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """It is sealed when there is room for that once more."""
-    monkeypatch.setattr(mcap_writer, "Sink", FullDisk)
-    writer = EpisodeWriter.begin(tmp_path, event("e", 0, "started"))
-    sent = list(episode("e", frames=50))
-    with suppress(OSError):
-        for message in sent:
-            writer.write(message)
-    assert writer.problem == "No space left on device"
-    taken, waiting = writer.messages, writer.waiting
-    writer.write(observation("e", 49))
-    partial = writer.seal()
-    assert partial.name == "e.mcap.partial"
-    assert read_recording(partial, FINGERPRINT).truncated
-    monkeypatch.setattr(leftover, "Sink", FullDisk)
-    monkeypatch.setattr(FullDisk, "room", 100_000)
-    with pytest.raises(OSError, match="No space left"):
-        seal_leftover(partial)
-    monkeypatch.undo()
-    sealed = seal_leftover(partial).path
-    check(sealed)
-    assert read_all(sealed) == read_all(record(tmp_path, sent))[: taken - waiting]
-    assert 10 < taken - waiting < len(sent)

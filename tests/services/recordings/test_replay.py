@@ -191,22 +191,6 @@ def test_a_replay_tells_what_the_robot_told_and_never_a_command(client: Bus, rob
     assert {one.purpose for one in heard.order if isinstance(one, Episode)} == {"run"}, "no second demonstration"
 
 
-def test_only_what_is_wanted_is_told_and_a_replay_that_is_broken_off_ends_its_episode(
-    client: Bus, robot: Node, tmp_path: Path
-) -> None:
-    path = record(tmp_path, list(episode("drive-1", frames=9)))
-    heard = Heard(client, *REPLAYABLE.values())
-    eventually(lambda: robot.bus.has_listeners(topics.CAMERA))
-    (track,) = tracks_of(path)
-    wanted = {name: REPLAYABLE[name] for name in ("camera/rgb", "episode")}
-    Player(robot, track, "replay-1", wanted).run(lambda tick: tick.number < 3)
-    heard.wait(topics.CAMERA, 2)
-    eventually(lambda: [one.tick for one in heard.order if isinstance(one, Episode)] == [0, 2])
-    ended = heard.said["episode"][2]
-    assert (ended.event, ended.outcome) == ("ended", "aborted")
-    assert heard.said.keys() == wanted.keys()
-
-
 @pytest.mark.zenoh
 def test_the_command_replays_and_is_refused_where_a_robot_is(
     client: Bus, router_endpoint: str, settings: ServiceSettings, run_node: RunNode, tmp_path: Path

@@ -23,11 +23,10 @@ from schemas.pose import Pose
 from schemas.state import Place, State
 from schemas.taught_map import TaughtMap
 from schemas.topics import key_of, topic_of
-from services.recordings.repair import repair
 from services.recordings.views import view_key
 from tests.services.recordings import driven_corridor
 from tests.services.recordings.recorded_messages import MODEL, episode
-from tests.services.recordings.test_recorder_files import leave, record
+from tests.services.recordings.test_recorder_files import record
 
 LAYOUT = Path(__file__).parents[3] / "deploy" / "foxglove.json"
 #: The true pose is that of the wheels, turned by a quarter and 5 m further.
@@ -157,17 +156,6 @@ def test_the_log_tells_what_changes_once(path: Path) -> None:
         ("recognition", "unknown", 3),
         ("episode", "ended: found", 2),
     ]
-
-
-def test_what_is_made_of_two_files_is_drawn_as_one_drive(path: Path, tmp_path: Path) -> None:
-    sent, merged = drive(), tmp_path / "merged.mcap"
-    (tmp_path / "killed").mkdir()
-    repair([leave(tmp_path / "killed", sent[:12]), record(tmp_path / "killed", [sent[0], *sent[10:]])], merged)
-    drawn, expected = (
-        {name: [message.SerializeToString() for message in messages] for name, messages in views_of(one).items()}
-        for one in (merged, path)
-    )
-    assert drawn == expected
 
 
 def test_the_layout_shows_what_recordings_have(path: Path, tmp_path: Path) -> None:

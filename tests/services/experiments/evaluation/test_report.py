@@ -115,9 +115,3 @@ def test_counts_of_searches(world: WorldResults) -> None:
     assert said[against] == "ahead"
     assert "8 of 8 found by SMAL against 0 of 8 by teach and repeat, SMAL is ahead (p = 0.0078)" in against
     assert all(verdict == "open" for text, verdict in said.items() if "as taught" in text)
-
-
-def counted(controller: str, found: int) -> Success:
-    return Success(
-        Trial(controller, 2, 8), {seed: {"outcome": "found" if seed < found else "timeout"} for seed in range(8)}
-    )

@@ -15,7 +15,6 @@ import pytest
 
 from schemas.rpc import ResetRequest
 from services.experiments.evaluation import recognition, work
-from services.experiments.evaluation.errands import TASKS
 from services.experiments.evaluation.plan import CONTROLLERS, Criterion, Plan, Trial, WorldPlan
 from services.experiments.evaluation.results import file_of
 from services.experiments.evaluation.search import finding, search
@@ -23,7 +22,6 @@ from services.experiments.evaluation.units import Unit, units
 from services.simulator.sensors import Tilt
 from services.simulator.simulation import Simulation
 from services.simulator.world import load_world
-from services.simulator.world.collision import obstacles_of
 from services.simulator.world.place import Pose
 from smal.features import FeatureSettings
 from smal.movement import Atom
@@ -135,14 +133,3 @@ def test_a_belief_is_held_against_the_truth() -> None:
     assert (said["driven_m"], said["aside_max_m"]) == pytest.approx((0.0, 0.0), abs=0.01)
     carried = finding(replace(made, kidnap_tick=1), taught, Criterion(1.0, 25.0))
     assert carried["right_after_s"] == pytest.approx(0.3)
-
-
-@pytest.mark.parametrize("errand", TASKS)
-def test_errands_begin_and_end_where_it_is_free(errand: str) -> None:
-    terrace, task = load_world("terrace"), TASKS[errand]
-    obstacles = obstacles_of(terrace.place)
-    for start in (task.start, *(one.start for one in task.taught)):
-        assert obstacles.is_free(start.x, start.y, terrace.robot.radius_m + 1.0)
-    for victim in (task.victim, *(one.victim for one in task.taught)):
-        assert obstacles.is_free(victim.x, victim.y, 0.0)
-    assert task.goal in {one.goal for one in task.taught}

@@ -17,7 +17,7 @@ from hypothesis import strategies as st
 from services.experiments.matching.image_folder import describe_frames, list_folder, natural_key, say_skipped
 from services.experiments.matching.image_reading import read_color, read_depth
 from services.kit.errors import JobError, UsageError
-from smal.features import FeatureSettings, extract
+from smal.features import FeatureSettings
 
 FEATURES = FeatureSettings.of(["color"])
 LOSSLESS = (".png", ".bmp", ".tif", ".webp", ".ppm", ".jp2", ".ras")
@@ -114,20 +114,6 @@ def test_what_counts_as_a_frame(tmp_path: Path, capsys: pytest.CaptureFixture[st
         f"smal: {tmp_path}: skipped 2 files that are no images: notes.txt, truth.csv",
         f"smal: {tmp_path}: skipped 2 unreadable images, kept in the count of frames: img4.jpg, img5.png",
     ]
-
-
-def test_a_frame_without_readable_depth_is_skipped(tmp_path: Path) -> None:
-    depths = [np.full((48, 64), 1000 * number, np.uint16) for number in (1, 2, 3)]
-    for number, depth_mm in enumerate(depths):
-        write(tmp_path / "colour" / f"{number}.png", picture(number))
-        write(tmp_path / "depth" / f"{number}.png", depth_mm)
-    write(tmp_path / "depth" / "1.png", picture())  # of 8 bits
-    settings = FeatureSettings.of(["depth", "color"])
-    colour, depth = list_folder(tmp_path / "colour", "QUERY_DIR"), list_folder(tmp_path / "depth", "--query-depth")
-    described = describe_frames(colour, settings, depth, "reading")
-    assert described.numbers.tolist() == [0, 2]
-    assert described.unreadable == ("1.png",)
-    np.testing.assert_array_equal(described.features[1], extract(picture(2), settings, depths[2]))
 
 
 def test_the_command_limits_pixels_before_opencv_is_loaded() -> None:
