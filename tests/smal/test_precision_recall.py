@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from smal.evaluation import precision_recall
 from smal.evaluation.ground_truth import Judgement
-from smal.evaluation.precision_recall import PrecisionRecall, bootstrap, intervals_of
+from smal.evaluation.precision_recall import PrecisionRecall, bootstrap
 
 
 @st.composite
@@ -95,24 +95,3 @@ def test_the_bootstrap_judges_what_is_drawn(judgement: Judgement, block: int, se
             assert found == pytest.approx((curve.auc, curve.recall_at_100_precision))
         else:
             assert np.isnan(found).all()
-
-
-def coverage(count: int, together: int, block: int) -> float:
-    """Return how often an interval holds the true area, where so many successive queries have one fate.
-
-    A score u is uniform in [0, 1] and right with probability u. At threshold t precision is (1 + t) / 2 and recall
-    (1 - t^2) / 2, so that the area is the integral of (1 + t) / 2 t = 5/12.
-    """
-    rng, held = np.random.default_rng(7), 0
-    for seed in range(60):
-        score = rng.random(count // together)
-        right = rng.random(count // together) < score
-        judgement = all_answered(np.repeat(score, together), np.repeat(right, together))
-        low, high = intervals_of(bootstrap(judgement, block, resamples=200, seed=seed)).auc
-        held += low <= 5 / 12 <= high
-    return held / 60
-
-
-def test_blocks_are_needed_where_successive_queries_share_their_fate() -> None:
-    assert coverage(count=600, together=10, block=1) < 0.6
-    assert coverage(count=600, together=10, block=30) >= 0.85

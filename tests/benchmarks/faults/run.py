@@ -26,28 +26,10 @@ _RATED: Final = (JPEG.name, POSE.name, OBSERVATION.name, STATE.name, COMMANDS["p
 
 @dataclass
 class Outcome:
-    """What a cell cost.
+    """What a cell cost, in seconds, as limits and columns are; None where it did not happen or is not judged.
 
-    Parameters
-    ----------
-    name : str
-    fault : Window
-    still_s : float
-        The base moved so long after the last valid command.
-    stood_s, moved_again_s : float, optional
-        After the begin and the end of a fault that has to make it stand.
-    stale : list of str
-        Orders that the base obeyed although too old, or though nobody gave them.
-    recovery_s, restart_s : float, optional
-        Until the loop worked again, and until the killed process's successor was ready.
-    pause_s : float
-        The longest time without a new command, from the begin of the fault to the recovery.
-    rate_hz : float, optional
-        Of the slowest topic during the fault, where that is limited.
-    lost, unsaid : dict of str to list of int
-        Ticks that are not recorded, and those of them that the recording does not tell, by episode and topic.
-    load : float
-        Load average of the machine: above its number of cores others were waiting, and times say little.
+    ``lost`` and ``unsaid`` are the ticks that are not recorded, and those of them that the recording does not tell, by
+    episode and topic. Above the machine's number of cores ``load`` says that others waited, and times say little.
     """
 
     name: str

@@ -20,15 +20,7 @@ _PROC: Final = Path("/proc")
 
 @dataclass(frozen=True)
 class Sample:
-    """What one process held at one time.
-
-    Parameters
-    ----------
-    t_s : float
-        Since the beginning.
-    service : str
-    pid, rss_bytes, descriptors, threads : int
-    """
+    """What one process held so many seconds after the beginning."""
 
     t_s: float
     service: str

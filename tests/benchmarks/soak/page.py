@@ -45,16 +45,7 @@ Send = Callable[[str], dict[str, Any]]
 
 @dataclass(frozen=True)
 class Held:
-    """What a page held at one time.
-
-    Parameters
-    ----------
-    t_s : float
-        Since the beginning.
-    bytes : int
-        JavaScript's objects, and what is in its arrays of bytes.
-    nodes, listeners : int
-    """
+    """What a page held so many seconds after the beginning; bytes of objects, and of arrays."""
 
     t_s: float
     bytes: int

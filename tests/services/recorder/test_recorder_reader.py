@@ -16,12 +16,10 @@ from services.recordings.writer import EpisodeWriter
 from tests.services.recordings.recorded_messages import (
     FINGERPRINT,
     applied,
-    command,
     episode,
     event,
     features,
     frame,
-    image,
     pixels,
 )
 from tests.services.recordings.test_recorder_files import leave, record
@@ -111,30 +109,6 @@ def test_a_file_cut_anywhere_is_read_but_for_the_second_that_is_cut(tmp_path: Pa
     assert read == sorted(read)
     assert len(set(read)) == 3
     assert read[-1] == 24
-
-
-def test_files_that_are_no_recordings_say_so_in_one_line(tmp_path: Path) -> None:
-    def complaint(content: bytes) -> str:
-        path = tmp_path / "bad.mcap"
-        path.write_bytes(content)
-        with pytest.raises(RecordingError) as caught:
-            read_recording(path, FINGERPRINT)
-        assert str(caught.value).startswith(f"{path}: ")
-        return str(caught.value).removeprefix(f"{path}: ")
-
-    assert complaint(b"") == "empty"
-    assert complaint(b"PK\x03\x04 a zip file") == "not an MCAP file"
-    no_start = [applied("e", 0), image("e", 0)]
-    writer = EpisodeWriter.begin(tmp_path, event("e", 0, "started"))
-    for message in no_start:
-        writer.write(message)
-    assert complaint(writer.seal().read_bytes()) == "holds no episode"
-    no_frame = [event("f", 0, "started"), command("f", 0)]
-    assert complaint(record(tmp_path, no_frame).read_bytes()) == "holds no camera frame"
-    with pytest.raises(RecordingError, match="No such file or directory"):
-        read_recording(tmp_path / "none.mcap")
-    with pytest.raises(RecordingError, match="Is a directory"):
-        read_recording(tmp_path)
 
 
 def test_a_fifo_or_a_device_is_not_waited_for(tmp_path: Path) -> None:

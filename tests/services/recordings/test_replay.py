@@ -213,20 +213,6 @@ def test_the_command_replays_and_is_refused_where_a_robot_is(
     assert refused.stderr.count("\n") == 1
 
 
-@pytest.mark.parametrize(
-    ("arguments", "complaint"),
-    [
-        (("none.mcap", "--topics", "camera/rgb,command/teleop"), "--topics: 'command/teleop' is not replayed"),
-        (("README.md",), "README.md: not an MCAP file"),
-    ],
-)
-def test_what_cannot_be_replayed_is_one_line(arguments: tuple[str, ...], complaint: str) -> None:
-    done = run_smal("replay", *arguments)
-    assert done.returncode in (1, 2)
-    assert complaint in done.stderr
-    assert done.stderr.count("\n") == 1
-
-
 @pytest.mark.system
 def test_a_stack_without_a_robot_answers_a_replay(free_endpoint: str, tmp_path: Path) -> None:
     path = driven_corridor.record(tmp_path)
