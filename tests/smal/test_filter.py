@@ -79,7 +79,7 @@ def same(one: Belief, other: Belief) -> bool:
     )
 
 
-@pytest.mark.parametrize(("rate_hz", "speed"), [(10.0, 1.0), (5.0, 1.0), (20.0, 1.0), (10.0, 0.5), (10.0, 2.0)])
+@pytest.mark.parametrize(("rate_hz", "speed"), [(5.0, 1.0), (20.0, 1.0), (10.0, 2.0)])
 def test_it_follows_the_taught_way_at_any_rate_and_speed(rate_hz: float, speed: float) -> None:
     seen = drive(way=((2.5, 90.0), (1.0, 0.0)), rate_hz=rate_hz, speed=speed)
     beliefs = follow(seen, tick_s=1.0 / rate_hz)

@@ -41,18 +41,10 @@ _UNDISTURBED_S: Final = 1.0
 class Limits:
     """What a cell may cost at most; None is not judged.
 
-    Parameters
-    ----------
-    still_s : float
-        The robot moves so long after the last valid command, and after a fault that has to make it stand.
-    recovery_s : float, optional
-        Until the loop works again.
-    lost_ticks : int, optional
-        Frames of which a message is not recorded.
-    pause_s : float, optional
-        Without a new command: for what must not disturb the robot at all.
-    rate_hz : float, optional
-        At least, of camera, pose, observation, state and commands at the observer, during the fault.
+    The robot moves ``still_s`` after the last valid command, and after a fault that has to make it stand. The loop
+    works again after ``recovery_s``. ``lost_ticks`` frames lack a message in the recording. ``pause_s`` goes by without
+    a new command, where the fault must not disturb the robot at all. At ``rate_hz`` come at least camera, pose,
+    observation, state and commands.
     """
 
     still_s: float = 0.5
@@ -64,23 +56,11 @@ class Limits:
 
 @dataclass(frozen=True)
 class Cell:
-    """One fault.
+    """One fault: ``harm`` does it to a rig whose robot drives, and returns when it lasted.
 
-    Parameters
-    ----------
-    name : str
-    harm : callable
-        Does it to a rig whose robot drives, and returns when it lasted.
-    limits : Limits
-    watched : str, optional
-        A service that must be another process, and ready, after the fault.
-    drives_on : bool
-        Whether episodes go on meanwhile.
-    stands, abandoned : bool
-        Whether the robot has to stand in the meantime; abandoned: it may stand already when the fault begins.
-    next_episode : bool
-        Whether the next episode's recording is judged, in place of this one's, of which only what is there must be
-        readable.
+    ``watched`` is a service that must be another process, and ready, after the fault. With ``drives_on`` episodes go on
+    meanwhile; with ``stands`` the robot has to stand; if ``abandoned`` it may stand already when the fault begins. With
+    ``next_episode`` the next episode's recording is judged; what there is of this one's must be readable.
     """
 
     name: str

@@ -37,20 +37,10 @@ _STARTS: Final = 5
 
 @dataclass(frozen=True)
 class RigPlan:
-    """What to set up.
+    """What to set up, with a new folder for recordings and logs, and certificates if ``secure`` has them.
 
-    Parameters
-    ----------
-    model : Path
-    folder : Path
-        New folder for recordings and logs.
-    robot : str
-        "moving base": a process of its own, which moves on in real time whatever is harmed. "noting": the simulated
-        robot, which notes its stops; nobody observes, who would only be flooded as well. "simulated": as it is.
-    console : str
-        Where the page is, host and port.
-    secure : Path, optional
-        Folder of certificates.
+    ``robot`` is "moving base", a process of its own, which moves on in real time whatever is harmed; "noting", the
+    simulated robot, which notes its stops and which nobody observes, who would only be flooded as well; or "simulated".
     """
 
     model: Path

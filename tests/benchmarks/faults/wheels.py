@@ -41,17 +41,10 @@ _ANSWER_S: Final = 2.0
 
 @dataclass(frozen=True)
 class Step:
-    """One step of the base.
+    """One step of the base: when it ended, when the last order came, the speed of the faster wheel, and what it did.
 
-    Parameters
-    ----------
-    t_s, ordered_s : float
-        When it ended, and when the last order came: in the file by the clock that also passes while the machine is
-        suspended, read by the monotonic one.
-    speed_m_s : float
-        Of the faster wheel, 0 where the base stands.
-    atom : str
-        What it carried out; ``stop`` as well where its watchdog made it stand.
+    In the file times are by the clock that also passes while the machine is suspended, read by the monotonic one; the
+    atom is ``stop`` as well where its watchdog made it stand.
     """
 
     t_s: float

@@ -18,8 +18,7 @@ FRAMES = 12
 
 
 @pytest.mark.system
-@pytest.mark.parametrize("watchers", [[0, 3]])
-def test_every_frame_is_answered(watchers: list[int], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_every_frame_is_answered(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A drive of 12 frames and one of 6; on a busy machine some decisions may be late."""
 
     def again(_folder: Path) -> Iterator[tuple[list[np.ndarray], list[corridor.Pose]]]:
@@ -34,9 +33,9 @@ def test_every_frame_is_answered(watchers: list[int], tmp_path: Path, monkeypatc
     corridor.model.__wrapped__().save(tmp_path / "corridor.smal")
     file = tmp_path / "results.json"
     latency.main(["--model", str(tmp_path / "corridor.smal"), "--recordings", str(tmp_path), "--json", str(file),
-                  "--ticks", "18", "--camera", "96x72", "--watchers", str(watchers[-1])])  # fmt: skip
+                  "--ticks", "18", "--camera", "96x72", "--watchers", "3"])  # fmt: skip
     results: dict[str, Any] = json.loads(file.read_text())
-    assert [(one["camera"], one["watchers"]) for one in results["cases"]] == [("96x72", count) for count in watchers]
+    assert [(one["camera"], one["watchers"]) for one in results["cases"]] == [("96x72", count) for count in (0, 3)]
     for one in results["cases"]:
         assert one["keyframes"] > 0
         assert one["frames"] == 18

@@ -10,7 +10,6 @@ import pytest
 from mcap.reader import make_reader
 
 from services.recordings.contents import contents_of, verify
-from services.recordings.leftover import seal_leftover
 from services.recordings.repair import RepairError, repair, usual_name
 from services.recordings.sink import partial_of
 from services.recordings.stream import RecordingError
@@ -115,21 +114,6 @@ def test_any_damage_is_noticed_and_costs_the_seconds_that_it_is_in_alone(tmp_pat
         out.unlink()
 
 
-def test_what_a_killed_recorder_and_the_next_one_have_of_a_drive_becomes_one_recording(tmp_path: Path) -> None:
-    """The next one has the beginning, and what was sent again, as well."""
-    sent = list(episode("e", frames=35))
-    first = seal_leftover(leave(tmp_path, sent[:400])).path
-    second = record(tmp_path, [sent[0], *sent[300:]])
-    done = run_smal("recording", "repair", first, second, "--out", tmp_path / "whole.mcap")
-    assert done.returncode == 0, done.stderr
-    assert done.stdout == f"{tmp_path / 'whole.mcap'}: sealed, {len(sent)} messages\n"
-    assert read_all(tmp_path / "whole.mcap") == read_all(record(tmp_path, sent))
-    assert verify(tmp_path / "whole.mcap").findings == []
-    other = record(tmp_path, list(episode("other")))
-    with pytest.raises(RepairError, match=f"^{other}: is of episode other, and {first} of e$"):
-        repair([first, other], tmp_path / "both.mcap")
-
-
 def test_nothing_is_overwritten_but_when_told_to(tmp_path: Path) -> None:
     sent = list(episode("e", frames=24))
     partial, other = leave(tmp_path, sent), tmp_path / "e.mcap"
@@ -155,6 +139,12 @@ def test_nothing_is_overwritten_but_when_told_to(tmp_path: Path) -> None:
     repair([path], usual_name(path, replace=True), replace=True)
     assert len(read_all(path)) == len(sent)
     assert repair([path], path)[1] is None, "nothing is to be repaired"
+
+
+def test_two_episodes_are_not_made_one(tmp_path: Path) -> None:
+    two = [record(tmp_path, list(episode(name))) for name in ("e", "other")]
+    with pytest.raises(RepairError, match="is of episode other"):
+        repair(two, tmp_path / "both.mcap")
 
 
 def test_what_is_still_recorded_or_holds_nothing_is_refused(tmp_path: Path) -> None:
