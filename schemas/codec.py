@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import struct
 from functools import cache
 from typing import Final, TypeVar
 
@@ -12,10 +11,6 @@ from pydantic import ValidationError
 from schemas.base import Message
 
 ENCODING_PREFIX: Final = "application/vnd.msgpack;"
-#: msgpack's header of 64 KiB of bytes or more, and how long its header of no bytes is.
-_LARGE: Final = struct.Struct(">BI")
-_LARGE_CODE: Final = 0xC6
-_EMPTY: Final = 2
 
 M = TypeVar("M", bound=Message)
 
@@ -53,16 +48,8 @@ def encode(message: Message) -> bytes:
     bytes
         A map from field name to value; the same message always gives the same bytes.
     """
-    fields = message.model_dump()
-    *_, last = fields
-    data = fields[last]
-    if not isinstance(data, bytes) or len(data) < 1 << 16:
-        packed: bytes = msgpack.packb(fields, use_bin_type=True)
-        return packed
-    # The packer would copy an image twice, and the memory for that is given back to the system and fetched again with
-    # every frame, which can take as long as to send it.
-    head: bytes = msgpack.packb(fields | {last: b""}, use_bin_type=True)
-    return b"".join((head[:-_EMPTY], _LARGE.pack(_LARGE_CODE, len(data)), data))
+    packed: bytes = msgpack.packb(message.model_dump(), use_bin_type=True)
+    return packed
 
 
 def decode(cls: type[M], payload: bytes, encoding: str) -> M:

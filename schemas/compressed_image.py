@@ -1,4 +1,4 @@
-"""Camera images for recordings, people and slow links."""
+"""Camera images."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from schemas.base import Message
 
 
 class CompressedImage(Message):
-    """The colour frame as JPEG, for the recorder, the console and slow links."""
+    """One colour frame of the robot's camera, as JPEG."""
 
     topic: ClassVar[str] = "camera/jpeg"
     max_bytes: ClassVar[int] = 16 * 1024 * 1024

@@ -7,7 +7,7 @@ from typing import Annotated, ClassVar
 from pydantic import Field
 
 from schemas.base import Strict
-from schemas.image import Image
+from schemas.compressed_image import CompressedImage
 
 
 class Calibration(Strict):
@@ -29,9 +29,10 @@ class Calibration(Strict):
     """Direction on the floor that points up in the image, counter-clockwise from east, radians in (-pi, pi]."""
 
 
-class OverheadImage(Image):
-    """One raw colour frame of the camera above the scene (ground truth only; never seen by the method)."""
+class OverheadImage(CompressedImage):
+    """One colour frame of the camera above the scene, as JPEG (ground truth only; never seen by the method)."""
 
+    version: ClassVar[int] = 2
     topic: ClassVar[str] = "camera/overhead"
 
     calibration: Calibration

@@ -18,7 +18,6 @@ from schemas.compressed_image import CompressedImage
 from schemas.depth_image import DepthImage
 from schemas.episode import Episode
 from schemas.heartbeat import Heartbeat
-from schemas.image import Image
 from schemas.imu import Imu
 from schemas.observation import Observation
 from schemas.odometry import Odometry
@@ -86,7 +85,6 @@ class Topic:
         return (self.message.__doc__ or "").strip().splitlines()[0]
 
 
-CAMERA: Final = Topic("camera/rgb", Image, 10, 1, False)
 JPEG: Final = Topic("camera/jpeg", CompressedImage, 10, 8, True)
 CAMERA_INFO: Final = Topic("camera/info", CameraInfo, None, 8, True)
 DEPTH: Final = Topic("camera/depth", DepthImage, 10, 1, False)
@@ -120,12 +118,14 @@ EPISODE: Final = Topic("episode", Episode, None, 64, True, reliable=True)
 TOPICS: Final[dict[str, Topic]] = {
     topic.name: topic
     for topic in (
-        *(CAMERA, JPEG, CAMERA_INFO, DEPTH, OVERHEAD),
+        *(JPEG, CAMERA_INFO, DEPTH, OVERHEAD),
         *(ODOMETRY, IMU, POSE, TRACKED),
         *(OBSERVATION, MAP, STATE, ACTION),
         *(*COMMANDS.values(), APPLIED, PULSE, HEARTBEAT, EPISODE),
     )
 }
+#: Names that topics had in recordings of older versions.
+_FORMER: Final = {"camera/rgb": JPEG.name}
 
 
 def check_robot_id(robot: str) -> str:
@@ -141,7 +141,7 @@ def topic_of(key: str) -> Topic | None:
     robot, _, name = rest.partition("/")
     if root != ROOT or not re.fullmatch(ROBOT_ID_PATTERN, robot):
         return None
-    return TOPICS.get(name)
+    return TOPICS.get(_FORMER.get(name, name))
 
 
 def key_of(message: Message) -> str:

@@ -5,7 +5,6 @@ A new service is a folder and a row here. What the rows say is checked where all
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Final, Literal
 
@@ -23,14 +22,10 @@ class Service:
         Part of the keys of its queryables.
     meaning
         What it does, in a few words.
-    takes, gives
-        Topics that it may subscribe to, and publish.
-    fetches
-        Topics of which it may have sent what it has missed.
-    serves
-        Verbs that it answers beside ``status``.
-    calls
-        What it may call of others, ``<service>/<verb>``.
+    takes, gives, fetches
+        Topics that it may subscribe to, publish, and have sent what it has missed of.
+    serves, calls
+        Verbs that it answers beside ``status``, and what it may call of others, ``<service>/<verb>``.
     image
         Target of the Dockerfile that it runs in; None for what is no process of its own in a stack.
     module
@@ -66,7 +61,7 @@ SERVICES: Final = {
             "the gate, the loop, and the body behind it: a simulated or a real one",
             takes=(*COMMANDS.values(), topics.HEARTBEAT, topics.PULSE),
             gives=(
-                *(topics.CAMERA, topics.JPEG, topics.CAMERA_INFO, topics.DEPTH, topics.OVERHEAD),
+                *(topics.JPEG, topics.CAMERA_INFO, topics.DEPTH, topics.OVERHEAD),
                 *(topics.ODOMETRY, topics.IMU, topics.POSE, topics.APPLIED, topics.PULSE, topics.EPISODE),
             ),
             serves=("arm", "reset", "cancel", "resume", "end"),
@@ -75,7 +70,7 @@ SERVICES: Final = {
             image="simulator",
             module="services.simulator",
         ),
-        Service("features", "describes images", (topics.CAMERA, topics.DEPTH), (topics.OBSERVATION,)),
+        Service("features", "describes images", (topics.JPEG, topics.DEPTH), (topics.OBSERVATION,)),
         Service(
             "recognition",
             "knows where the robot is",
@@ -147,25 +142,17 @@ def takers(topic: Topic) -> tuple[str, ...]:
 
 
 def graph() -> str:
-    """Return services and topics as a Mermaid flowchart, which GitHub draws.
-
-    Dotted is the way to the recorder, which takes whatever is recorded.
-    """
-    return "\n".join(_graph())
-
-
-def _graph() -> Iterator[str]:
-    yield "flowchart LR"
-    for service in SERVICES.values():
-        if service.takes or service.gives:
-            yield f'    {service.name}["<b>{service.name}</b><br>{service.meaning}"]'
+    """Return services and topics as a Mermaid flowchart; dotted is the way to the recorder, which takes all."""
+    drawn = [service for service in SERVICES.values() if service.takes or service.gives]
+    lines = ["flowchart LR", *(f'    {one.name}["<b>{one.name}</b><br>{one.meaning}"]' for one in drawn)]
     for giver in SERVICES.values():
         for taker in SERVICES.values():
             shared = [topic.name for topic in giver.gives if topic in taker.takes]
             if shared and taker.name == "recorder":
-                yield f"    {giver.name} -.-> recorder"
+                lines.append(f"    {giver.name} -.-> recorder")
             elif shared:
-                yield f'    {giver.name} -- "{"<br>".join(shared)}" --> {taker.name}'
+                lines.append(f'    {giver.name} -- "{"<br>".join(shared)}" --> {taker.name}')
+    return "\n".join(lines)
 
 
 @dataclass(frozen=True)
@@ -205,23 +192,18 @@ def roles() -> dict[str, Role]:
     An operator drives, and calls whatever is served; so does the console, for whoever is at its page. A watcher looks.
     """
     named: dict[str, Role] = {}
+    for one in SERVICES.values():
+        if one.image is not None:
+            serves = tuple(f"{one.name}/{verb}" for verb in ("status", *one.serves))
+            named[one.name] = Role(one.name, one.takes, one.gives, one.fetches, serves, one.calls)
     everything = tuple(TOPICS.values())
-    for service in SERVICES.values():
-        serves = tuple(f"{service.name}/{verb}" for verb in ("status", *service.serves))
-        if service.image is not None:
-            named[service.name] = Role(
-                service.name, service.takes, service.gives, service.fetches, serves, service.calls
-            )
     own = [service for service in SERVICES.values() if service.role == "operator"]
     served = tuple(key for role in named.values() for key in role.serves)
     given = tuple(topic for topic in everything if any(topic in service.gives for service in own))
     statuses = tuple(f"{service.name}/status" for service in own)
     # Of the episodes that it has run, a person's command must not miss the end.
-    for name, fetches, serves in (
-        ("operator", (topics.EPISODE,), statuses),
-        ("console", (), named["console"].serves),
-    ):
-        named[name] = Role(name, everything, given, fetches, serves, served, person=True)
+    named["operator"] = Role("operator", everything, given, (topics.EPISODE,), statuses, served, person=True)
+    named["console"] = Role("console", everything, given, (), named["console"].serves, served, person=True)
     asks = tuple(key for key in served if key.endswith("/status"))
     named["watcher"] = Role("watcher", everything, (), (), (), asks, person=True)
     return named

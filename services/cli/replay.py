@@ -14,7 +14,7 @@ from typer import Argument, Option
 
 from schemas.base import Message
 from schemas.episode import Episode
-from schemas.topics import CAMERA, Topic
+from schemas.topics import JPEG, Topic
 from services.cli import options
 from services.cli.interrupts import interrupted_by_signals
 from services.kit.errors import JobError, UsageError
@@ -59,7 +59,7 @@ def replay(
     with interrupted_by_signals(), Node(ROBOT, reach.settings) as node:
         # From now on it answers as ready.
         node.spin(timeout_s=0.0)
-        if CAMERA.name in wanted:
+        if JPEG.name in wanted:
             _await_listeners(node)
         session = secrets.token_hex(6)
         for number, track in enumerate(tracks, 1):
@@ -128,9 +128,9 @@ class Player:
 
 def _await_listeners(node: Node) -> None:
     deadline_s = time.monotonic() + LISTENERS_S
-    while not node.bus.has_listeners(CAMERA):
+    while not node.bus.has_listeners(JPEG):
         if time.monotonic() > deadline_s:
             stack = f"smal up --robot-body none --robot {node.robot}"
-            sys.stderr.write(f"smal: nobody takes {CAMERA.name} of {node.robot}; is its stack up? ({stack})\n")
+            sys.stderr.write(f"smal: nobody takes {JPEG.name} of {node.robot}; is its stack up? ({stack})\n")
             return
         time.sleep(0.02)

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from schemas.state import State
-from schemas.topics import CAMERA, JPEG, POSE
+from schemas.topics import JPEG, POSE
 from services.kit.model_service import identity_of
 from services.recordings.encoding import stamped_jpeg
 from services.recordings.reader import read_recording
@@ -131,7 +131,7 @@ def _recorded(path: Path | None, episode: str) -> RecordedEpisode | None:
     if path is None:
         return None
     try:
-        episodes = read_recording(path, topics=(JPEG, CAMERA, POSE)).episodes
+        episodes = read_recording(path, topics=(JPEG, POSE)).episodes
     except RecordingError:
         return None
     found = next((one for one in episodes if one.episode == episode), None)

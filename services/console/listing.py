@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Final, cast
 
 from schemas.codec import printable
-from schemas.topics import APPLIED, CAMERA, JPEG
+from schemas.topics import APPLIED, JPEG
 from services.kit.jpeg import encode_jpeg, shrunk
 from services.recordings.dataset import unusable
 from services.recordings.encoding import decode_image
@@ -121,7 +121,7 @@ def end_after(limit_s: int) -> None:
 def read(path: Path, listed: Recording) -> Recording:
     """Complete what the page lists with what is in the file."""
     try:
-        episode, *others = read_recording(path, topics=(JPEG, CAMERA, APPLIED)).episodes
+        episode, *others = read_recording(path, topics=(JPEG, APPLIED)).episodes
     except RecordingError as error:
         return replace(listed, useless=printable(str(error)).removeprefix(f"{path}: "))
     useless = "it holds several episodes; use smal learn" if others else unusable(episode, include_runs=True)

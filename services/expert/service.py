@@ -28,13 +28,7 @@ class ExpertService:
         self.arrived = False
 
     def begin(self, reset: ResetReply) -> None:
-        """Take up the route of an episode that begins.
-
-        Raises
-        ------
-        JobError
-            Where nobody knows the way.
-        """
+        """Take up the route of an episode that begins. Raises JobError where nobody knows the way."""
         if reset.found_m is None or len(reset.route) < 2:
             raise JobError(f"{reset.world}: nobody knows the way there; demonstrate it by hand, with smal teleop")
         self._episode = reset.episode

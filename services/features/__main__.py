@@ -20,7 +20,7 @@ def serve() -> None:
         if service.needs_depth:
             # Two, so that the depth image of a frame that waits does not give way to that of the next.
             node.subscribe(topics.DEPTH, service.handle_depth, depth=2)
-        node.subscribe(topics.CAMERA, service.handle)
+        node.subscribe(topics.JPEG, service.handle, depth=1)
         node.log.info("extracting %s", ", ".join(settings.features.modalities))
         node.spin()
 

@@ -6,10 +6,11 @@ import logging
 from collections.abc import Callable
 
 from schemas.array import Float32Array
+from schemas.compressed_image import CompressedImage
 from schemas.depth_image import DepthImage
-from schemas.image import Image
 from schemas.observation import Observation
-from services.kit.node import Detail
+from services.kit.jpeg import decode_jpeg
+from services.kit.node import Detail, ServiceError
 from services.kit.throttle import Throttle
 from smal.features import MODALITIES, FeatureSettings, extract
 
@@ -38,10 +39,10 @@ class FeaturesService:
         self._names = features.modalities if MODALITIES.keys() >= set(features.modalities) else ()
         self._complain = complain
         self._throttle = Throttle()
-        self._image: Image | None = None
+        self._image: CompressedImage | None = None
         self._depth: DepthImage | None = None
 
-    def handle(self, image: Image) -> Observation | None:
+    def handle(self, image: CompressedImage) -> Observation | None:
         """Return the observation of one frame, or None while its depth is to come."""
         if not self.needs_depth:
             return self._observation(image, None)
@@ -68,8 +69,12 @@ class FeaturesService:
         self._image = None
         return self._observation(image, depth)
 
-    def _observation(self, image: Image, depth: DepthImage | None) -> Observation:
-        vector = extract(image.to_numpy(), self._features, None if depth is None else depth.to_numpy())
+    def _observation(self, image: CompressedImage, depth: DepthImage | None) -> Observation:
+        try:
+            pixels = decode_jpeg(image.data)
+        except ValueError as error:
+            raise ServiceError(f"episode {image.episode}, frame {image.tick}: {error}") from None
+        vector = extract(pixels, self._features, None if depth is None else depth.to_numpy())
         return Observation.after(
             image,
             fingerprint=self._features.fingerprint,
@@ -77,7 +82,7 @@ class FeaturesService:
             features=Float32Array.from_numpy(vector),
         )
 
-    def _give_up(self, image: Image) -> None:
+    def _give_up(self, image: CompressedImage) -> None:
         self.without_depth += 1
         if self._throttle.due():
             self._complain(
@@ -86,5 +91,5 @@ class FeaturesService:
             )
 
 
-def _same_frame(one: Image, other: Image | DepthImage) -> bool:
+def _same_frame(one: CompressedImage, other: CompressedImage | DepthImage) -> bool:
     return (one.episode, one.tick) == (other.episode, other.tick)

@@ -1,24 +1,30 @@
-"""The bus: messages, and calls of services, between whoever has the same router.
+"""The bus: messages, and calls of services, between whoever has the same router, over Zenoh.
 
-``Bus`` encodes and decodes; its bytes are carried by Zenoh (``zenoh_wire``). What may be counted on stands in ``wire``.
+What may be counted on stands in ``wire``.
 """
 
 from __future__ import annotations
 
+import logging
+import re
+import threading
 import time
 from collections.abc import Callable
-from typing import TypeVar
+from typing import Any, Final, TypeVar, cast
 
+import zenoh
+import zenoh.ext
 from pydantic import ValidationError
 
 from schemas.base import Message, Strict
-from schemas.codec import describe, encode, printable
+from schemas.codec import describe, encode, encoding_of, printable
 from schemas.rpc import Failure
-from schemas.topics import TOPICS, Lane, Topic, rpc_key
+from schemas.topics import KEPT_S, LANES, TOPICS, Lane, Topic, rpc_key
 from services.kit.credentials import Credentials
-from services.kit.wire import Answer, BusError, Refused, Take
-from services.kit.zenoh_settings import DEFAULT_ROUTER, check_credentials, host_and_port, zenohd_configuration
-from services.kit.zenoh_wire import PATIENCE_S, Router, ZenohWire
+from services.kit.replay import Budget, Replay
+from services.kit.wire import BusError, Refused, Take, flaw
+from services.kit.zenoh_session import Router, open_client
+from services.kit.zenoh_settings import DEFAULT_ROUTER, check_credentials, host_and_port, quality, zenohd_configuration
 
 __all__ = [
     "DEFAULT_ROUTER",
@@ -34,7 +40,40 @@ __all__ = [
     "zenohd_configuration",
 ]
 
-Reply = TypeVar("Reply", bound=Strict)
+#: How long a process waits for a router that is perhaps just starting.
+PATIENCE_S: Final = 10.0
+#: A publisher that was silent tells at most this long after its last sample how many there were, so that a subscriber
+#: that missed it notices.
+HEARTBEAT_S: Final = 0.25
+#: Priority of replayed samples: that of the message by which Zenoh ends a reply. With a lower one that would overtake
+#: them on a busy machine, and the rest be lost.
+REPLAY_PRIORITY: Final = zenoh.Priority.DATA
+#: How long a sender that does not answer can hold up its own samples.
+REPLAY_TIMEOUT_S: Final = 10.0
+#: Bytes that samples may take while they wait for what their senders kept, over all topics: for ten seconds, six
+#: megabytes a second, which is frames as JPEG at 10 Hz and all else.
+HELD_BYTES: Final = 64 << 20
+#: Calls of one key that wait; where more come, nobody answers the oldest.
+WAITING_CALLS: Final = 32
+#: Most of a processor's time that answering the calls of one key takes.
+CALLS_SHARE: Final = 0.1
+#: Of calls: ahead of images and of what is replayed.
+_CALL_PRIORITY: Final = zenoh.Priority.INTERACTIVE_LOW
+#: A call that is being answered at the end is waited for so long.
+_LAST_ANSWER_S: Final = 1.0
+#: How a publisher that keeps samples calls itself: its session, and its number there.
+_SENDER_PATTERN: Final = r"[0-9a-f]{1,32}/[0-9]+(?=/|$)"
+_PUT: Final = zenoh.SampleKind.PUT
+_PRIORITY: Final = {
+    "real_time": zenoh.Priority.REAL_TIME,
+    "interactive_high": zenoh.Priority.INTERACTIVE_HIGH,
+    "interactive_low": zenoh.Priority.INTERACTIVE_LOW,
+    "data_high": zenoh.Priority.DATA_HIGH,
+}
+_CONGESTION: Final = {"block": zenoh.CongestionControl.BLOCK, "drop": zenoh.CongestionControl.DROP}
+JSON_ENCODING: Final = zenoh.Encoding("application/json")
+_logger = logging.getLogger("bus")
+R = TypeVar("R", bound=Strict)
 
 
 class RpcError(Exception):
@@ -48,12 +87,15 @@ def _ignore(_why: str) -> None:
 class Bus:
     """One process's connection to the router.
 
+    Each lane is a session of its own: no image can stand before a command in a queue, and nothing before a stop. After
+    an outage the connection is made again in the background.
+
     Parameters
     ----------
     robot
         Robot id, part of every key.
     endpoint
-        The router's address; after an outage the connection is made again in the background.
+        The router's address.
     patience_s
         How long to wait for the router.
     credentials
@@ -72,27 +114,30 @@ class Bus:
         patience_s: float = PATIENCE_S,
         credentials: Credentials = None,
     ) -> None:
+        host_and_port(endpoint)
+        check_credentials(endpoint, credentials)
         self.robot = robot
         self.endpoint = endpoint
-        self._wire = ZenohWire(robot, endpoint, patience_s, credentials)
+        self.sessions = {lane: open_client(endpoint, credentials, patience_s) for lane in LANES}
+        self._publishers: dict[str, zenoh.Publisher | zenoh.ext.AdvancedPublisher] = {}
+        self._matching: dict[str, zenoh.Publisher] = {}
+        self._held = Budget(HELD_BYTES)
+        self._declared: list[zenoh.Subscriber[None] | zenoh.ext.AdvancedSubscriber[None] | zenoh.Queryable[Any]] = []
+        self._answering: list[threading.Thread] = []
 
     def connected(self) -> bool:
-        """Whether there is a router."""
-        return self._wire.connected()
+        """Whether every session has a router."""
+        return all(session.info.routers_zid() for session in self.sessions.values())
 
     def wait_connected(self, timeout_s: float) -> None:
-        """Wait for the router.
-
-        Raises
-        ------
-        BusError
-            When there is none within ``timeout_s``.
-        """
+        """Wait for the router; BusError where there is none within ``timeout_s``."""
         deadline = time.monotonic() + timeout_s
         while not self.connected():
             if time.monotonic() > deadline:
                 raise BusError(f"no router at {self.endpoint}; start the stack with `smal up`")
             time.sleep(0.02)
+
+    # -- messages -------------------------------------------------------------------------------------------------
 
     def publish(self, message: Message) -> None:
         """Send a message on its topic.
@@ -100,20 +145,47 @@ class Bus:
         During an outage of the router it is lost, but for the topics that are recorded: those are kept for
         ``topics.KEPT_S``, and subscribers with ``replay`` have them sent afterwards.
         """
-        self._wire.publish(TOPICS[message.topic_name], encode(message))
+        topic = TOPICS[message.topic_name]
+        if topic.name not in self._publishers:
+            self._publishers[topic.name] = self.declare_publisher(topic)
+        self._publishers[topic.name].put(encode(message))
 
     def has_listeners(self, topic: Topic) -> bool:
-        """Whether anybody subscribes to a topic that is not recorded, as far as the router has told yet.
+        """Whether anybody subscribes to a topic, as far as the router has told yet; for what is costly to make."""
+        # Of its own: a publisher that keeps what it sends does not tell.
+        if topic.name not in self._matching:
+            self._matching[topic.name] = self.sessions[topic.lane].declare_publisher(topic.key(self.robot))
+        # Zenoh's types say bool; it is an object, and as such always true.
+        status: object = self._matching[topic.name].matching_status
+        return cast("zenoh.MatchingStatus", status).matching
 
-        For what is costly to make; what is recorded is kept for those who come later, whether or not anybody listens.
-        """
-        return self._wire.has_listeners(topic)
+    def declare_publisher(self, topic: Topic) -> zenoh.Publisher | zenoh.ext.AdvancedPublisher:
+        """Declare the publisher that a topic asks for."""
+        session, key = self.sessions[topic.lane], topic.key(self.robot)
+        encoding = zenoh.Encoding(encoding_of(topic.message))
+        how = quality(topic)
+        congestion, priority = _CONGESTION[how.congestion_control], _PRIORITY[how.priority]
+        if not topic.recorded:
+            return session.declare_publisher(
+                key, encoding=encoding, congestion_control=congestion, priority=priority, express=how.express
+            )
+        replies = zenoh.ext.RepliesConfig(
+            congestion_control=zenoh.CongestionControl.BLOCK, priority=REPLAY_PRIORITY, express=False
+        )
+        return zenoh.ext.declare_advanced_publisher(
+            session,
+            key,
+            encoding=encoding,
+            congestion_control=congestion,
+            priority=priority,
+            express=how.express,
+            cache=zenoh.ext.CacheConfig(topic.kept, replies_config=replies),
+            sample_miss_detection=zenoh.ext.MissDetectionConfig(heartbeat=None, sporadic_heartbeat=HEARTBEAT_S),
+            publisher_detection=True,
+        )
 
     def subscribe(self, topic: Topic, take: Take, refused: Refused = _ignore, *, replay: bool = False) -> None:
         """Call ``take`` for every sample of a topic, on the bus's thread; it must return at once.
-
-        A sample comes on the topic's very key, with an encoding and of a size that its message may have; the rest of it
-        is not looked at.
 
         Parameters
         ----------
@@ -125,21 +197,87 @@ class Bus:
         refused
             Called, on the same thread, with why what came is no such sample, and whose it is as far as that is known.
         replay
-            Whether to have those samples sent, in order, that were published in the last ``topics.KEPT_S`` before
-            this subscription, and those that get lost on the way, in an outage of the router too. For what keeps a
-            record; never for what moves a robot.
+            Whether to have those samples sent, in order, that were published in the last ``topics.KEPT_S``, and those
+            that get lost on the way. For what keeps a record; never for what moves a robot.
         """
-        self._wire.subscribe(topic, take, refused, replay=replay)
+        key, session = topic.key(self.robot), self.sessions[topic.lane]
+
+        def on_sample(sample: zenoh.Sample) -> None:
+            payload, encoding, put = sample.payload, str(sample.encoding), sample.kind == _PUT
+            if (why := flaw(key, topic.message, str(sample.key_expr), len(payload), encoding, put=put)) is not None:
+                refused(f"{why}; {_origin(sample)}")
+                return
+            stamp = sample.timestamp
+            transit_s = None if stamp is None else time.time() - stamp.get_time().timestamp()
+            take(payload.to_bytes(), encoding, transit_s)
+
+        if replay:
+            self._subscribe_replayed(session, key, on_sample, refused)
+        else:
+            self._declared.append(session.declare_subscriber(key, _in_order(on_sample)))
+
+    def _subscribe_replayed(
+        self, session: zenoh.Session, key: str, take: Callable[[zenoh.Sample], None], refused: Refused
+    ) -> None:
+        senders = f"{key}/@adv/pub"
+
+        def ask(name: str) -> None:
+            def on_reply(reply: zenoh.Reply) -> None:
+                if reply.ok is not None and reply.ok.source_info is not None:
+                    replay.replayed(name, reply.ok.source_info.source_sn, reply.ok)
+
+            session.get(
+                zenoh.Selector(f"{senders}/{name}/**", f"_time=[now(-{KEPT_S:g}s)..]"),
+                zenoh.handlers.Callback(on_reply, lambda: replay.ended(name), indirect=False),
+                consolidation=zenoh.ConsolidationMode.NONE,
+                accept_replies=zenoh.ReplyKeyExpr.ANY,
+                timeout=REPLAY_TIMEOUT_S,
+            )
+
+        def overdue(name: str) -> None:
+            refused(f"{HELD_BYTES} bytes waited for what {name} kept; the rest of that is left out")
+
+        replay = Replay(take, ask, self._held, overdue)
+
+        def on_live(sample: zenoh.Sample) -> None:
+            source = sample.source_info
+            if source is None:  # of a stranger, who keeps nothing
+                take(sample)
+            else:
+                name = f"{source.source_id.zid}/{source.source_id.eid}"
+                replay.live(name, source.source_sn, sample, len(sample.payload))
+
+        def on_sender(token: zenoh.Sample) -> None:
+            if token.kind == _PUT:
+                name = re.match(_SENDER_PATTERN, str(token.key_expr).removeprefix(f"{senders}/"))
+                if name is None:
+                    refused(f"no sender's sign of life: {printable(str(token.key_expr))}")
+                else:
+                    replay.met(name[0])
+
+        # First the subscription: nothing is lost between what a sender kept and what it sends from then on. What gets
+        # lost on the way, and in an outage, is noticed by its number, and asked for by Zenoh, in order.
+        recovery = zenoh.ext.RecoveryConfig(periodic_queries=None, heartbeat=True)
+        self._declared += [
+            zenoh.ext.declare_advanced_subscriber(session, key, _in_order(on_live), recovery=recovery),
+            session.liveliness().declare_subscriber(f"{senders}/**", _in_order(on_sender), history=True),
+        ]
 
     def listen(self, keys: str, take: Callable[[str, bytes, str], None], *, lane: Lane = "ordinary") -> None:
         """Call ``take(key, payload, encoding)`` for every sample on matching keys, on the bus's thread.
 
-        Raises
-        ------
-        BusError
-            When ``keys`` is no valid key expression.
+        Raises BusError when ``keys`` is no valid key expression.
         """
-        self._wire.listen(keys, take, lane=lane)
+
+        def on_sample(sample: zenoh.Sample) -> None:
+            take(str(sample.key_expr), sample.payload.to_bytes(), str(sample.encoding))
+
+        try:
+            self._declared.append(self.sessions[lane].declare_subscriber(keys, _in_order(on_sample)))
+        except zenoh.ZError as error:
+            raise BusError(str(error).partition(" at /")[0]) from None  # without the place in Zenoh's source
+
+    # -- calls ----------------------------------------------------------------------------------------------------
 
     def serve(
         self,
@@ -148,47 +286,112 @@ class Bus:
         answer: Callable[[bytes, Callable[[Strict], None]], None],
         refused: Refused = _ignore,
     ) -> None:
-        """Answer calls: ``answer(request_json, reply)`` runs on the bus's thread and may pass ``reply`` on.
+        """Answer calls: ``answer(request_json, reply)`` runs on a thread of its own and may pass ``reply`` on.
 
         A ``Failure`` given to ``reply`` reaches the caller as an error; so does why a request is too large, or not for
         this service alone, of which ``refused`` is told.
         """
+        key = rpc_key(self.robot, service, verb)
 
-        def on_call(request: bytes, send: Callable[[Answer], None]) -> None:
+        def on_query(query: zenoh.Query) -> None:
             def reply(message: Strict) -> None:
-                send(Answer(message.model_dump_json().encode(), isinstance(message, Failure)))
+                payload = message.model_dump_json().encode()
+                with query:
+                    if isinstance(message, Failure):
+                        query.reply_err(payload, encoding=JSON_ENCODING)
+                    else:
+                        query.reply(key, payload, encoding=JSON_ENCODING)
 
-            answer(request, reply)
+            payload = query.payload
+            if (why := flaw(key, None, str(query.key_expr), 0 if payload is None else len(payload))) is not None:
+                refused(why)
+                reply(Failure(error=why))
+                return
+            try:
+                answer(b"{}" if payload is None else payload.to_bytes(), reply)
+            except Exception:
+                # Who logs the error keeps its traceback, and with it the query.
+                query.drop()
+                _logger.exception("a handler on the bus's thread failed")
 
-        self._wire.serve(rpc_key(self.robot, service, verb), on_call, refused)
+        def answer_all() -> None:
+            for query in queryable:
+                began_s = time.thread_time()
+                on_query(query)
+                # Whoever holds it now answers; otherwise its caller hears that nobody does.
+                del query
+                time.sleep((1.0 / CALLS_SHARE - 1.0) * (time.thread_time() - began_s))
 
-    def call(self, service: str, verb: str, request: Strict, reply_type: type[Reply], timeout_s: float = 10.0) -> Reply:
+        # What waits does so outside of Python, whose threads take turns: ten thousand calls of a status in a second,
+        # which whoever looks at a robot may make, would otherwise take them from the loop that drives.
+        calls: zenoh.handlers.RingChannel[zenoh.Query] = zenoh.handlers.RingChannel(WAITING_CALLS)
+        queryable = self.sessions["ordinary"].declare_queryable(key, calls, complete=True)
+        self._declared.append(queryable)
+        thread = threading.Thread(target=answer_all, name=f"calls of {key}", daemon=True)
+        self._answering.append(thread)
+        thread.start()
+
+    def call(self, service: str, verb: str, request: Strict, reply_type: type[R], timeout_s: float = 10.0) -> R:
         """Call a service and wait for its reply.
 
-        Raises
-        ------
-        RpcError
-            When the service refuses, does not answer in time, or answers nonsense.
+        Raises RpcError when the service refuses, does not answer in time, or answers nonsense.
         """
         key = rpc_key(self.robot, service, verb)
-        answer = self._wire.call(key, request.model_dump_json().encode(), timeout_s)
-        if answer is None:
+        replies = self.sessions["ordinary"].get(
+            key,
+            # Room for one reply, and the first is taken: whoever answers a thousand times fills no memory.
+            zenoh.handlers.FifoChannel(1),
+            payload=request.model_dump_json().encode(),
+            encoding=JSON_ENCODING,
+            timeout=timeout_s,
+            priority=_CALL_PRIORITY,
+            consolidation=zenoh.ConsolidationMode.NONE,
+        )
+        reply = next(iter(replies), None)
+        if reply is None:
             raise RpcError(f"{service} {verb}: no answer; is the service running? (router {self.endpoint})")
-        if answer.failed:
-            raise RpcError(f"{service} {verb}: {_reason(answer.payload)}")
+        result = reply.result
+        if isinstance(result, zenoh.Sample):
+            why = flaw(key, None, str(result.key_expr), len(result.payload), put=result.kind == _PUT)
+        else:
+            why = flaw(key, None, key, len(result.payload))
+        if why is not None:
+            raise RpcError(f"{service} {verb}: unfit reply: {why}")
+        payload = result.payload.to_bytes()
+        if not isinstance(result, zenoh.Sample):
+            raise RpcError(f"{service} {verb}: {_reason(payload)}")
         try:
-            return reply_type.model_validate_json(answer.payload)
+            return reply_type.model_validate_json(payload)
         except ValidationError as error:
             raise RpcError(f"{service} {verb}: malformed reply: {describe(error)}") from None
 
     def close(self) -> None:
         """Take back every declaration and leave the router."""
-        self._wire.close()
+        while self._declared:
+            self._declared.pop().undeclare()
+        for session in self.sessions.values():
+            session.close()
+        # Each ends with its queryable. One that woke in Zenoh while Python ends would end the process by an abort.
+        for thread in self._answering:
+            if thread is not threading.current_thread():
+                thread.join(_LAST_ANSWER_S)
 
 
 def _reason(failure: bytes) -> str:
     try:
         return printable(Failure.model_validate_json(failure).error)
     except ValidationError:
-        # The wire's own errors ("Timeout") are plain text.
+        # Zenoh's own errors ("Timeout") are plain text.
         return printable(failure[:200].decode(errors="replace"))
+
+
+def _origin(sample: zenoh.Sample) -> str:
+    """Say whose a sample is, as far as that is said; a router stamps what came without a time."""
+    if sample.source_info is not None:
+        return f"sent by {sample.source_info.source_id.zid}"
+    return "stamped by nobody" if sample.timestamp is None else f"stamped by {sample.timestamp.get_id()}"
+
+
+def _in_order(on_sample: Callable[[zenoh.Sample], None]) -> zenoh.handlers.Callback[zenoh.Sample]:
+    """Make a callback that runs on the session's thread: one thread for each would lose the order between topics."""
+    return zenoh.handlers.Callback(on_sample, indirect=False)

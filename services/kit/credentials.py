@@ -37,22 +37,13 @@ Credentials = Certificate | None
 def credentials_in(folder: Path, role: str) -> Certificate:
     """Return the certificate that a folder has for a role.
 
-    Raises
-    ------
-    BusError
-        When it has none, or others can read its key.
+    Raises BusError when it has none, or others can read its key.
     """
     return certificate_of(folder / CA_FILE, folder / f"{role}{CERTIFICATE_SUFFIX}", folder / f"{role}{KEY_SUFFIX}")
 
 
 def certificate_of(ca: Path, certificate: Path, key: Path) -> Certificate:
-    """Return a certificate whose files are there.
-
-    Raises
-    ------
-    BusError
-        When one is not, or others can read the key.
-    """
+    """Return a certificate whose files are there. Raises BusError when one is not, or others can read the key."""
     for path in (ca, certificate):
         if not path.is_file():
             raise BusError(f"no certificate {path}; `smal secure init` makes a folder of them")
@@ -115,13 +106,7 @@ def others_reach(host: str) -> bool:
 
 
 def secret(path: Path) -> str:
-    """Read a file that is nobody else's business.
-
-    Raises
-    ------
-    BusError
-        When it cannot be read, or others can read it.
-    """
+    """Read a file that is nobody else's business. Raises BusError when it cannot be read, or others can read it."""
     try:
         if path.stat().st_mode & (stat.S_IRWXG | stat.S_IRWXO):
             raise BusError(f"{path} can be read by others; run: chmod 600 {path}")

@@ -1,14 +1,45 @@
-"""When a service counts as healthy: it has its router, and its work gets done. That its process exists says nothing."""
+"""What a service tells of itself: whether its work gets done, and counts and times for Prometheus; both by HTTP.
+
+``GET /healthz`` is for whoever restarts services, ``GET /metrics`` for Prometheus.
+"""
 
 from __future__ import annotations
 
-from typing import Final
+import re
+import threading
+from collections.abc import Callable, Iterable, Iterator
+from typing import TYPE_CHECKING, Any, Final
+from wsgiref.simple_server import WSGIRequestHandler, WSGIServer, make_server
+
+from prometheus_client import CollectorRegistry, Histogram, ProcessCollector, make_wsgi_app
+from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, Metric
+from prometheus_client.exposition import ThreadingWSGIServer
+from prometheus_client.registry import Collector
 
 from schemas.rpc import Status
+
+if TYPE_CHECKING:
+    from wsgiref.types import StartResponse, WSGIEnvironment
 
 #: Seconds that one piece of work may take, or wait, before the service counts as stuck. Rendering the first frame on a
 #: busy machine takes longer; a health check allows for it with its start period and retries.
 STUCK_S: Final = 5.0
+BUCKETS_S: Final = (0.0005, 0.001, 0.0025, 0.005, 0.01, 0.025, 0.05, 0.1, 0.25, 0.5, 1.0, 2.5, 5.0)
+#: Connections at one time, each of which has a thread: those of a health check and of Prometheus, several times over.
+MOST_CONNECTIONS: Final = 16
+_BY_TOPIC: Final = ("service", "robot", "topic")
+Labels = tuple[str, str]
+#: Fields of ``Status`` that count by topic, and what the metric says.
+_COUNTS: Final = {
+    "received": "Messages taken.",
+    "published": "Messages sent.",
+    "dropped": "Messages replaced by newer ones before they were taken.",
+    "bad": "Messages and requests refused as malformed.",
+}
+
+
+class HttpError(Exception):
+    """The address cannot be listened on; the text says why in one line."""
 
 
 def ailment(status: Status) -> str | None:
@@ -22,3 +53,163 @@ def ailment(status: Status) -> str | None:
     if status.oldest_s > STUCK_S:
         return f"a message has waited for {status.oldest_s:.1f} s"
     return None
+
+
+class Metrics:
+    """The metrics of one node.
+
+    A hop from one service to the next is its transit on the bus, its wait in the queue and the work on it.
+
+    Parameters
+    ----------
+    service, robot
+        Labels of every metric.
+    status
+        Tells the counts.
+    """
+
+    def __init__(self, service: str, robot: str, status: Callable[[], Status]) -> None:
+        self._labels = (service, robot)
+        self.registry = CollectorRegistry()
+        self.registry.register(_StatusCollector(robot, status))
+        ProcessCollector(registry=self.registry)
+        self._transit = self._histogram("transit", "From the sender to here, by the clocks of both machines.")
+        self._wait = self._histogram("wait", "From arrival until its turn in the queue.")
+        self._work = self._histogram("work", "Handling one message, its answers published.")
+        about = "From a frame's readiness to the acceptance of its command, at the actuator."
+        self._decision = self._histogram("decision", about, "source")
+
+    def transit(self, topic: str, seconds: float) -> None:
+        """Count the way of one message over the bus."""
+        self._transit.labels(*self._labels, topic).observe(max(0.0, seconds))
+
+    def hop(self, topic: str, wait_s: float, work_s: float) -> None:
+        """Count one message that was handled."""
+        self._wait.labels(*self._labels, topic).observe(wait_s)
+        self._work.labels(*self._labels, topic).observe(work_s)
+
+    def decision(self, source: str, seconds: float) -> None:
+        """Count one command that the actuator accepted."""
+        self._decision.labels(*self._labels, source).observe(seconds)
+
+    def _histogram(self, what: str, meaning: str, by: str = "topic") -> Histogram:
+        labels = ("service", "robot", by)
+        return Histogram(f"smal_{what}_seconds", meaning, labels, buckets=BUCKETS_S, registry=self.registry)
+
+
+class _StatusCollector(Collector):
+    """Turns a node's status into metrics whenever it is asked."""
+
+    def __init__(self, robot: str, status: Callable[[], Status]) -> None:
+        self._robot = robot
+        self._status = status
+
+    def describe(self) -> Iterator[Metric]:
+        """Name nothing beforehand: a registry would otherwise ask for the status before there is one."""
+        return iter(())
+
+    def collect(self) -> Iterator[Metric]:
+        """Give every figure of the status."""
+        status = self._status()
+        labels = (status.service, self._robot)
+        for name, meaning in _COUNTS.items():
+            yield _by_topic(CounterMetricFamily(f"smal_messages_{name}", meaning, labels=_BY_TOPIC), labels,
+                            getattr(status, name))  # fmt: skip
+        depth = GaugeMetricFamily("smal_queue_depth", "Messages that wait for their turn.", labels=_BY_TOPIC)
+        yield _by_topic(depth, labels, status.waiting)
+        failures = CounterMetricFamily("smal_handling_failures", "Messages and requests whose handling failed.",
+                                       labels=_BY_TOPIC[:2])  # fmt: skip
+        failures.add_metric(labels, status.failed)
+        yield failures
+        yield _gauge("smal_healthy", "Whether it gets its work done.", labels, ailment(status) is None)
+        for name, value in status.detail.items():
+            if isinstance(value, int | float):
+                metric = f"smal_{status.service}_{re.sub(r'[^a-zA-Z0-9_]', '_', name)}"
+                yield _gauge(metric, f"{name}, as the service tells it.", labels, value)
+
+
+def _by_topic(family: GaugeMetricFamily | CounterMetricFamily, labels: Labels, counts: dict[str, int]) -> Metric:
+    for topic, count in counts.items():
+        family.add_metric((*labels, topic), count)
+    return family
+
+
+def _gauge(name: str, meaning: str, labels: Labels, value: float) -> Metric:
+    family = GaugeMetricFamily(name, meaning, labels=_BY_TOPIC[:2])
+    family.add_metric(labels, value)
+    return family
+
+
+class _Server(ThreadingWSGIServer):
+    """Sends away who comes while too many are there, and says nothing of clients that went away."""
+
+    #: Of five, as the library has it, who comes sixth at one moment waits a second or more for TCP to try again.
+    request_queue_size = 128
+
+    def __init__(self, *arguments: Any) -> None:  # noqa: ANN401 - as the library says
+        self._room = threading.Semaphore(MOST_CONNECTIONS)
+        super().__init__(*arguments)
+
+    def verify_request(self, *_request: object) -> bool:
+        """Tell whether there is room for another."""
+        return self._room.acquire(blocking=False)
+
+    def process_request_thread(self, *request: Any) -> None:  # noqa: ANN401
+        """Answer one request, and make room."""
+        try:
+            super().process_request_thread(*request)
+        finally:
+            self._room.release()
+
+    def handle_error(self, *_request: object) -> None:
+        """Say nothing: what fails in an answer is told by who answers, and the rest is the client's."""
+
+
+class _Handler(WSGIRequestHandler):
+    timeout = 5.0  #: A client that sends nothing is sent away after so many seconds.
+
+    def log_message(self, *_arguments: object) -> None:
+        """Say nothing: a check every few seconds is no news."""
+
+
+def serve_http(address: str, ailment: Callable[[], str | None], metrics: CollectorRegistry) -> WSGIServer:
+    """Answer on threads of its own, so that a busy service answers as well, and a frozen one does not.
+
+    Parameters
+    ----------
+    address
+        ``HOST:PORT``; without a host, every interface.
+    ailment
+        Tells why the service is not healthy, None where it is.
+    metrics
+        What Prometheus is told.
+
+    Returns
+    -------
+    WSGIServer
+        Answers until its `shutdown`.
+
+    Raises
+    ------
+    HttpError
+        When the port is taken or the host is none of this machine's.
+    """
+    host, _, port = address.rpartition(":")
+    tell = make_wsgi_app(metrics)
+
+    def answer(asked: WSGIEnvironment, start: StartResponse) -> Iterable[bytes]:
+        if asked["PATH_INFO"] != "/healthz":
+            return tell(asked, start)  # type: ignore[no-any-return]
+        problem = ailment()
+        start(
+            "200 OK" if problem is None else "503 Service Unavailable", [("Content-Type", "text/plain; charset=utf-8")]
+        )
+        return [f"{problem or 'ok'}\n".encode()]
+
+    try:
+        server = make_server(host, int(port), answer, _Server, _Handler)
+    except (OSError, OverflowError) as error:
+        reason = error.strerror if isinstance(error, OSError) else "no such port"
+        raise HttpError(f"cannot answer HTTP on {address}: {reason}") from None
+    threading.Thread(target=server.serve_forever, name="http", daemon=True).start()
+    return server

@@ -1,4 +1,4 @@
-"""JPEG: camera images for recordings, people and slow links."""
+"""JPEG: every colour image that crosses the wire."""
 
 from __future__ import annotations
 
@@ -8,7 +8,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-QUALITY: Final = 90
+#: A frame of 1024x768 takes 200 kB, a twelfth of its pixels, and its features have a cosine of 0.9998 with those of the
+#: pixels; at 90 it takes 137 kB.
+QUALITY: Final = 95
 #: Most pixels of an image that is decoded; a few bytes can claim to be any number of them.
 MOST_PIXELS: Final = 4096 * 3072
 _FRAME_MARKERS: Final = (0xC0, 0xC1, 0xC2)
@@ -16,13 +18,7 @@ _TABLE_MARKERS: Final = (0xC4, 0xDB, 0xDD, 0xFE, *range(0xE0, 0xF0))
 
 
 def encode_jpeg(image: NDArray[np.uint8]) -> bytes:
-    """Compress a (height, width, 3) RGB image.
-
-    Raises
-    ------
-    ValueError
-        When it has more pixels than JPEG can hold.
-    """
+    """Compress a (height, width, 3) RGB image. Raises ValueError when it has more pixels than JPEG can hold."""
     done, jpeg = cv2.imencode(".jpg", cv2.cvtColor(image, cv2.COLOR_RGB2BGR), [cv2.IMWRITE_JPEG_QUALITY, QUALITY])
     if not done:
         height, width = image.shape[:2]
@@ -39,10 +35,7 @@ def shrunk(image: NDArray[np.uint8], width: int) -> NDArray[np.uint8]:
 def decode_jpeg(data: bytes) -> NDArray[np.uint8]:
     """Return the (height, width, 3) RGB pixels of a compressed image.
 
-    Raises
-    ------
-    ValueError
-        When it is none, or larger than a camera's.
+    Raises ValueError when it is none, or larger than a camera's.
     """
     # Before OpenCV, which makes room for as many pixels as the header claims, up to 3 GB.
     if not is_jpeg(data):

@@ -111,48 +111,26 @@ class LoadedModel:
         stride: int | None = None,
         goal: str | None = None,
     ) -> Self:
-        """Work with a model.
-
-        Raises
-        ------
-        ServiceError
-            When it cannot be used so.
-        """
+        """Work with a model. Raises ServiceError when it cannot be used so."""
         refusal = refused(model, scheme, stride, goal)
         if refusal is not None:
             raise ServiceError(f"{name}: {refusal}")
         stride = 1 if isinstance(model, Model) else stride or model.sequence_length
         return cls(model, identity_of(model), name, stride, goal)
 
-    @property
-    def scheme(self) -> Scheme:
-        """How to work with it."""
-        return self.model.scheme
-
     @classmethod
     def read(cls, path: Path, scheme: Scheme | None = None, stride: int | None = None, goal: str | None = None) -> Self:
-        """Read the model that whoever started the service named.
-
-        Raises
-        ------
-        ServiceError
-            When the file is no model, or cannot be used so.
-        """
+        """Read the model that whoever started the service named. Raises ServiceError when it cannot be used so."""
         try:
-            model = load_model(path)
+            return cls.of(load_model(path), str(path), scheme, stride, goal)
         except ModelError as error:
             raise ServiceError(str(error)) from None
-        return cls.of(model, str(path), scheme, stride, goal)
 
     @classmethod
     def named(cls, request: LoadRequest, root: Path) -> Self:
-        """Read the model that a call names.
+        """Read the model that a call names. Raises ServiceError when it cannot be used so.
 
-        Raises
-        ------
-        ServiceError
-            When the file is no model, or cannot be used so. What is no model at all is answered as what is not there:
-            whoever asks learns nothing of other files.
+        What is no model at all is answered as what is not there: whoever asks learns nothing of other files.
         """
         try:
             with open_below(root, request.model) as file:
@@ -166,17 +144,17 @@ class LoadedModel:
 
     def reply(self) -> LoadReply:
         """Tell who asked for it what was loaded."""
-        return LoadReply(scheme=self.scheme, stride=self.stride, **self._size())
+        return LoadReply(scheme=self.model.scheme, stride=self.stride, **self._size())
+
+    def detail(self) -> Detail:
+        """Tell of the model in the service's status."""
+        known: Detail = {"model": self.name, "checksum": self.identity, "scheme": self.model.scheme, "goal": self.goal}
+        return {**known, **self._size()}
 
     def _size(self) -> dict[str, int]:
         if isinstance(self.model, Model):
             return {"keyframes": len(self.model.mapped.keyframes)}
         return {"states": self.model.states}
-
-    def detail(self) -> Detail:
-        """Tell of the model in the service's status."""
-        known: Detail = {"model": self.name, "checksum": self.identity, "scheme": self.scheme, "goal": self.goal}
-        return {**known, **self._size()}
 
 
 class ModelService(Protocol[M_contra]):

@@ -28,10 +28,8 @@ from schemas.command import Command
 from schemas.rpc import Failure, Nothing, Status
 from schemas.topics import Topic, key_of
 from services.kit.bus import PATIENCE_S, Refused
-from services.kit.health import ailment
-from services.kit.http import serve_http
+from services.kit.health import Metrics, ailment, serve_http
 from services.kit.inbox import Inbox, Item
-from services.kit.metrics import Metrics
 from services.kit.settings import ServiceSettings
 from services.kit.throttle import Throttle
 from services.table import role_of

@@ -11,7 +11,7 @@ from pydantic import ValidationError
 
 from schemas.codec import describe
 from services.kit.bus import BusError
-from services.kit.http import HttpError
+from services.kit.health import HttpError
 from services.kit.node import ServiceError
 from services.kit.settings import ServiceSettings
 

@@ -10,6 +10,8 @@ from numpy.typing import NDArray
 
 from services.kit.jpeg import MOST_PIXELS
 
+#: Bytes of the largest that is taken: as many pixels as a camera has, of three bytes each, and what stands beside them.
+LARGEST_BYTES: Final = 3 * MOST_PIXELS + 4096
 #: Bytes of a pixel, and how it becomes RGB, by the encoding's name.
 ENCODINGS: Final[dict[str, tuple[int, int | None]]] = {
     "rgb8": (3, None),
@@ -29,10 +31,7 @@ ENCODINGS: Final[dict[str, tuple[int, int | None]]] = {
 def rgb_of(encoding: str, width: int, height: int, step: int, data: NDArray[np.uint8]) -> NDArray[np.uint8]:
     """Return the RGB pixels, (height, width, 3), of rows that are ``step`` bytes long.
 
-    Raises
-    ------
-    ValueError
-        When the encoding is none of `ENCODINGS`, or numbers and pixels do not fit.
+    Raises ValueError when the encoding is none of `ENCODINGS`, or numbers and pixels do not fit.
     """
     if encoding not in ENCODINGS:
         raise ValueError(f"encoding {encoding[:30]!r}: known are {', '.join(ENCODINGS)}")

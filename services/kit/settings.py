@@ -50,10 +50,7 @@ class ServiceSettings(BaseSettings):
     def credentials(self, role: str) -> Credentials:
         """Return what to show the router, as one of the roles of the table of services.
 
-        Raises
-        ------
-        BusError
-            When it is asked for, and not there.
+        Raises BusError when it is asked for, and not there.
         """
         if self.tls_ca and self.tls_cert and self.tls_key:
             return certificate_of(self.tls_ca, self.tls_cert, self.tls_key)
@@ -62,9 +59,6 @@ class ServiceSettings(BaseSettings):
     def open_bus(self, role: str, patience_s: float = PATIENCE_S) -> Bus:
         """Connect to the router, as one of the roles of the table of services.
 
-        Raises
-        ------
-        BusError
-            When there is no router, or it does not let us in.
+        Raises BusError when there is no router, or it does not let us in.
         """
         return Bus(self.robot, self.router, patience_s, self.credentials(role))

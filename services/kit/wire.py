@@ -1,4 +1,4 @@
-"""What whoever uses a ``Bus`` may count on, as ``zenoh_wire`` keeps it, and the words in which the two speak.
+"""What whoever uses a ``Bus`` may count on.
 
 - What one bus sends arrives in the order in which it was sent, over all topics that are as urgent and as reliable.
   There is no other order, and any sample may be lost.
@@ -17,15 +17,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Final, NamedTuple, Self
+from typing import Final
 
 from schemas.base import Message
 from schemas.codec import misfit, printable
-from schemas.rpc import Failure
 from schemas.topics import TOPICS
 
-#: What a caller hears when its time is over.
-TIMEOUT: Final = b"Timeout"
 #: Largest request of a service, and largest reply, bytes.
 MAX_RPC_BYTES: Final = 1_000_000
 #: Largest message of any topic, bytes.
@@ -63,20 +60,3 @@ def flaw(
     if message is not None:
         return misfit(message, encoding, size)
     return f"{size} bytes, at most {MAX_RPC_BYTES} allowed" if size > MAX_RPC_BYTES else None
-
-
-class Answer(NamedTuple):
-    """What came of a call."""
-
-    payload: bytes
-    failed: bool
-    """Whether it is a failure's."""
-
-    @classmethod
-    def refusal(cls, why: str) -> Self:
-        """Return the answer to a request that is refused."""
-        return cls(Failure(error=why).model_dump_json().encode(), failed=True)
-
-
-#: What a service is called with: the request, and what takes the answer, once, from any thread.
-Serve = Callable[[bytes, Callable[[Answer], None]], None]

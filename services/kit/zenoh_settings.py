@@ -1,6 +1,6 @@
 """What Zenoh is told: where its routers are, what they and their clients may take, and how each message travels.
 
-Everything that is said to Zenoh by its settings stands here; ``zenoh_wire`` is what talks to it.
+Everything that is said to Zenoh by its settings stands here; ``zenoh_session`` and ``bus`` talk to it.
 """
 
 from __future__ import annotations
@@ -115,7 +115,7 @@ def settings_of(mode: str, endpoint: str, credentials: Credentials) -> dict[str,
         "transport/link/rx/max_message_size": LINK_BYTES,
         # Every sample tells when it was sent: the receiver's metrics want it, and so does replay.
         "timestamping/enabled": True,
-        # A full-size frame is 40 fragments; a machine busy with rendering may not drain them within the default 50 ms.
+        # Images, maps and features take many fragments; a busy machine may not drain them within the default 50 ms.
         "transport/link/tx/queue/congestion_control/drop/max_wait_before_drop_fragments": 500_000,
         # Nor is the default of 1 ms enough for a few commands in a row: a busy machine dropped 1 in 100 of them.
         "transport/link/tx/queue/congestion_control/drop/wait_before_drop": 100_000,
@@ -184,10 +184,7 @@ def runtime(threads: int) -> str:
 def host_and_port(endpoint: str) -> tuple[str, int]:
     """Return the two parts of a router's address.
 
-    Raises
-    ------
-    BusError
-        When the address is malformed; Zenoh would try an impossible one for ever.
+    Raises BusError when the address is malformed; Zenoh would try an impossible one for ever.
     """
     match = re.fullmatch(ENDPOINT_PATTERN, endpoint)
     if match is None or int(match[2]) > 65535:
@@ -199,10 +196,7 @@ def host_and_port(endpoint: str) -> tuple[str, int]:
 def check_credentials(endpoint: str, credentials: Credentials) -> None:
     """Check that an address is of the kind that credentials are for.
 
-    Raises
-    ------
-    BusError
-        When it is encrypted and they are no certificate, or the other way round.
+    Raises BusError when it is encrypted and they are no certificate, or the other way round.
     """
     if encrypted(endpoint) and credentials is None:
         raise BusError(f"{endpoint} needs a certificate: give --secure DIR, or set SMAL_TLS_CA, _CERT and _KEY")

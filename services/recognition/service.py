@@ -83,10 +83,7 @@ class RecognitionService:
     def handle(self, observation: Observation) -> State | None:
         """Return the state at one frame; ``collecting`` where no decision is due, None where its odometry is to come.
 
-        Raises
-        ------
-        ServiceError
-            When the observation was made with other features than the model.
+        Raises ServiceError when the observation was made with other features than the model.
         """
         if self._loaded is None or self._localizer is None:
             return State.after(observation, status="idle")

@@ -18,11 +18,11 @@ from schemas.compressed_image import CompressedImage
 from schemas.episode import Episode
 from schemas.observation import Observation
 from schemas.odometry import Odometry
-from schemas.topics import TOPICS, Topic
+from schemas.topics import JPEG, TOPICS, Topic
 from services.recordings.ledger import Ledger
 from services.recordings.records import MemoryLimitError
 from services.recordings.sink import PARTIAL_SUFFIX
-from services.recordings.stream import IMAGES, RecordingError, Stored, being_recorded, messages, open_recording
+from services.recordings.stream import RecordingError, Stored, being_recorded, messages, open_recording
 from services.recordings.survey import summary_of, surveyed
 from services.recordings.views import is_view
 from services.recordings.writer import EPISODE_METADATA
@@ -78,7 +78,7 @@ class EpisodeContents:
     @property
     def frames(self) -> int:
         """How many images there are."""
-        return max((self.topics[topic.name].messages for topic in IMAGES if topic.name in self.topics), default=0)
+        return self.topics[JPEG.name].messages if JPEG.name in self.topics else 0
 
     @property
     def seconds(self) -> float:
@@ -197,7 +197,7 @@ class _Reading:
 
     def _tells(self, topic: Topic) -> bool:
         """Whether a message says something about the episode as a whole; of large ones the first is enough."""
-        if topic in IMAGES:
+        if topic is JPEG:
             return self.episode.width is None
         if topic.message is Observation:
             return not self.episode.modalities

@@ -18,13 +18,13 @@ from schemas.imu import Imu
 from schemas.observation import Observation
 from schemas.odometry import Odometry
 from schemas.pose import Pose
-from schemas.topics import APPLIED, CAMERA, CAMERA_INFO, EPISODE, JPEG, OBSERVATION, ODOMETRY, POSE, Topic
+from schemas.topics import APPLIED, CAMERA_INFO, EPISODE, JPEG, OBSERVATION, ODOMETRY, POSE, Topic
 from services.recordings.recorded import RecordedEpisode
 from services.recordings.records import MAGIC, UNREADABLE, Allowance, MemoryLimitError, records
-from services.recordings.stream import IMAGES, OBJECTS, RecordingError, messages, open_recording
+from services.recordings.stream import OBJECTS, RecordingError, messages, open_recording
 
 #: What teaching takes, and what is drawn of it.
-USUAL: Final = (JPEG, CAMERA, CAMERA_INFO, ODOMETRY, POSE, OBSERVATION, APPLIED)
+USUAL: Final = (JPEG, CAMERA_INFO, ODOMETRY, POSE, OBSERVATION, APPLIED)
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,7 +85,7 @@ def read_recording(
             allowance.take(OBJECTS)
             ids = stored.robot, stored.episode
             episode = found.setdefault(ids, RecordedEpisode(*ids))
-            if stored.topic in IMAGES:
+            if stored.topic is JPEG:
                 episode.images.setdefault(stored.tick, stored.payload)
                 continue
             try:

@@ -32,7 +32,7 @@ HEAD: Final = struct.Struct("<BQ")
 #: What is raised where there is no record.
 UNREADABLE: Final = (McapError, ValueError, struct.error)
 #: Most bytes that a packed chunk may unpack to. Other tools make chunks of a few megabytes, and at least of one
-#: message; the largest is a raw image of 38 MB.
+#: message; the largest is an image of 17 MB.
 LARGEST_CHUNK: Final = 64 * 2**20
 #: Most bytes of a record that is taken apart, which takes 15 times as much memory. The largest is the list of what a
 #: recording lacks: 12 MB, where every other frame of a day is missing.

@@ -10,22 +10,19 @@ from typing import Final, NamedTuple
 
 from schemas import topics
 from schemas.base import Message
-from schemas.compressed_image import CompressedImage
 from schemas.episode import Episode
-from schemas.image import Image
 from schemas.topics import Topic
-from services.kit.jpeg import decode_jpeg
 from services.recordings.ledger import place_of
 from services.recordings.records import UNREADABLE, Allowance, records
-from services.recordings.stream import IMAGES, OBJECTS, RecordingError, Stored, messages, open_recording
+from services.recordings.stream import OBJECTS, RecordingError, Stored, messages, open_recording
 from services.table import SERVICES
 
 #: What can be replayed, in the order in which a robot publishes it within a tick: of what it gives, whatever is
-#: recorded, or can be made of it. What commands a robot is never among it.
+#: recorded. What commands a robot is never among it.
 REPLAYABLE: Final = {
     topic.name: topic
     for topic in (
-        *(topics.CAMERA_INFO, topics.ODOMETRY, topics.IMU, topics.POSE, topics.CAMERA, topics.JPEG),
+        *(topics.CAMERA_INFO, topics.ODOMETRY, topics.IMU, topics.POSE, topics.JPEG),
         *(topics.EPISODE, topics.APPLIED),
     )
     if topic in SERVICES["robot"].gives
@@ -74,15 +71,10 @@ class Track:
             yield Tick(tick, since_ns / 1e9, tuple(_told_anew(message, header) for message in said))
 
     def _said(self, stored: Stored, wanted: Mapping[str, Topic]) -> Iterator[Message]:
-        if stored.topic not in (*IMAGES, *wanted.values()):
+        if stored.topic not in wanted.values():
             return
         try:
-            message = stored.message()
-            if topics.CAMERA.name in wanted and isinstance(message, CompressedImage):
-                pixels = decode_jpeg(message.data)
-                yield Image.after(message, width=message.width, height=message.height, data=pixels.tobytes())
-            if message.topic_name in wanted:
-                yield message
+            yield stored.message(pixels=True)
         except ValueError:
             self.bad += 1
 

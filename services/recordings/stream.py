@@ -14,14 +14,12 @@ from pydantic import ValidationError
 from schemas.base import EPISODE_ID_PATTERN, ROBOT_ID_PATTERN, Message
 from schemas.codec import describe
 from schemas.compressed_image import CompressedImage
-from schemas.topics import CAMERA, JPEG, Topic, topic_of
+from schemas.topics import JPEG, Topic, topic_of
 from services.kit.jpeg import decode_jpeg, jpeg_size
 from services.recordings.encoding import stamped_jpeg
 from services.recordings.records import MAGIC, mapped
 from services.recordings.sink import PARTIAL_SUFFIX, is_being_recorded
 
-#: Where images are; recordings of older versions have them, as JPEG too, on the key of the raw ones.
-IMAGES: Final = (JPEG, CAMERA)
 #: Memory that a message takes which is kept, beside its bytes, which may be few: its object, and the numbers in it.
 OBJECTS: Final = 2048
 
@@ -77,7 +75,7 @@ class Stored(NamedTuple):
             raise ValueError(f"{self.key} is no topic of ours")
         payload = bytes(self.payload)
         try:
-            if self.topic in IMAGES:
+            if self.topic is JPEG:
                 image = self._image(payload)
                 if pixels:
                     decode_jpeg(image.data)

@@ -6,9 +6,6 @@ from collections.abc import Collection, Iterator
 from dataclasses import dataclass
 from typing import NamedTuple, Protocol, TypeVar
 
-import numpy as np
-from numpy.typing import NDArray
-
 from schemas.base import Atom, Message
 from schemas.rpc import ResetRequest
 from services.kit.node import Detail
@@ -54,8 +51,8 @@ class View(Protocol):
         """When that was, by the actuator's clock."""
 
     @property
-    def image(self) -> NDArray[np.uint8]:
-        """The camera image, (height, width, 3) uint8 RGB."""
+    def jpeg(self) -> bytes:
+        """The camera image, as JPEG."""
 
     @property
     def contact(self) -> bool:
@@ -126,13 +123,7 @@ class Body(Protocol[V_co]):
         """Stop, and stay."""
 
     def begin(self, request: ResetRequest) -> Beginning:
-        """Be ready for an episode.
-
-        Raises
-        ------
-        ServiceError
-            It cannot be as it was asked for.
-        """
+        """Be ready for an episode. Raises ServiceError when it cannot."""
 
     def look(self, tick: int) -> V_co:
         """Return what is seen and felt now, for the frame of a tick; the first of an episode is 0."""

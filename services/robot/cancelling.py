@@ -24,19 +24,9 @@ class Cancelling:
         self._by: str | None = None
 
     def cancel(self, session: str, operator: str | None) -> None:
-        """End what is being begun, at its next step.
+        """End what is being begun, at its next step, because a session says so; ServiceError where it may not.
 
-        Parameters
-        ----------
-        session
-            Who cancels.
-        operator
-            Who operates the robot, if anybody does.
-
-        Raises
-        ------
-        ServiceError
-            Nothing is being begun, or somebody else has asked for it.
+        Only who asked for it may, and the operator (a session), if there is one.
         """
         with self._lock:
             if self._asker is None:
@@ -47,13 +37,7 @@ class Cancelling:
 
     @contextmanager
     def beginning(self, session: str) -> Iterator[None]:
-        """Begin something that may be cancelled, which somebody has asked for.
-
-        Raises
-        ------
-        CancelledError
-            It was cancelled: at one of its steps, or at the end, so that nobody is told so in vain.
-        """
+        """Begin what a session has asked for. Raises CancelledError, at the next step or at the end, once cancelled."""
         with self._lock:
             self._asker, self._by = session, None
         try:

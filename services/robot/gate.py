@@ -199,10 +199,10 @@ class CommandGate:
                 self._latch("operator_lost")
 
     def not_theirs(self, session: str) -> str | None:
-        """Say why something is not theirs to say: where an operator is there, it is the operator's alone."""
+        """Say why a session may not do something; where an operator is there, it is the operator's alone to do."""
         operator = self._operator
         if operator is not None and operator.there and operator.session != session:
-            return f"an operator has the robot (at {operator.name}), and only they may say so"
+            return f"only the operator (at {operator.name}) may do that"
         return None
 
     # -- episodes -------------------------------------------------------------------------------------------------

@@ -51,10 +51,7 @@ def stopping_times_s(body: Stopping) -> dict[str, float]:
 def check_stopping(body: Stopping) -> None:
     """Refuse a body that cannot stand in time.
 
-    Raises
-    ------
-    ServiceError
-        After the silence of somebody it would move for longer than `STAND_WITHIN_S`.
+    Raises ServiceError after the silence of somebody it would move for longer than `STAND_WITHIN_S`.
     """
     for who, stands_s in stopping_times_s(body).items():
         if not stands_s <= STAND_WITHIN_S:

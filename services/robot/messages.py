@@ -5,11 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterable
 from typing import Final
 
-import numpy as np
-from numpy.typing import NDArray
-
 from schemas.base import Message
 from schemas.camera_info import CameraInfo
+from schemas.compressed_image import CompressedImage
 from schemas.imu import Imu, ImuSample
 from schemas.odometry import Odometry
 from services.robot.body import ImuReading, OdometryReading, Triple
@@ -18,11 +16,11 @@ from services.robot.body import ImuReading, OdometryReading, Triple
 _DIGITS: Final = 6
 
 
-def camera_info(header: Message, image: NDArray[np.uint8], focal_px: float) -> CameraInfo:
-    """Make the message of how the camera of an image (height, width, 3) sees."""
-    height, width, _ = image.shape
+def camera_info(image: CompressedImage, focal_px: float) -> CameraInfo:
+    """Make the message of how the camera of an image sees."""
+    width, height = image.width, image.height
     return CameraInfo.after(
-        header, width=width, height=height, focal_px=focal_px, centre_x_px=width / 2, centre_y_px=height / 2
+        image, width=width, height=height, focal_px=focal_px, centre_x_px=width / 2, centre_y_px=height / 2
     )
 
 

@@ -16,10 +16,9 @@ from schemas.compressed_image import CompressedImage
 from schemas.episode import Episode as EpisodeEvent
 from schemas.episode import EventName, Judge, Outcome
 from schemas.heartbeat import Heartbeat
-from schemas.image import Image
 from schemas.pulse import Pulse
 from schemas.rpc import ArmRequest, CancelRequest, EndRequest, Mode, ResetReply, ResetRequest, ResumeRequest
-from services.kit.jpeg import encode_jpeg
+from services.kit.jpeg import jpeg_size
 from services.kit.node import ServiceError
 from services.robot.body import Body, View
 from services.robot.cancelling import CancelledError, Cancelling
@@ -104,23 +103,11 @@ class EpisodeRunner(Generic[V]):
     # -- what is asked for ----------------------------------------------------------------------------------------
 
     def arm(self, request: ArmRequest) -> None:
-        """Release a latched stop.
-
-        Raises
-        ------
-        ServiceError
-            By whoever may not, or for another stop than the latched one.
-        """
+        """Release a latched stop. Raises ServiceError where they may not, or for another stop."""
         self._unless(self.gate.arm(request.stop, request.session))
 
     def resume(self, request: ResumeRequest) -> None:
-        """Let the driver go on after a person has taken over.
-
-        Raises
-        ------
-        ServiceError
-            By whoever may not, or in another situation than they know of.
-        """
+        """Let the driver go on after a person has taken over. Raises ServiceError where they may not."""
         # Between two episodes there is nothing to have missed, and a person who has just come has heard of neither.
         episode = None if self._running is None else request.episode
         self._unless(self.gate.resume(episode, request.tick, request.session))
@@ -128,11 +115,8 @@ class EpisodeRunner(Generic[V]):
     def check_reset(self, request: ResetRequest) -> None:
         """Say whether an episode may begin.
 
-        Raises
-        ------
-        ServiceError
-            While a stop is latched, a person has taken over, somebody else's episode runs, an operator is there who
-            has taken over, or would drive in place of who asks, or in a mode that this robot does not know.
+        Raises ServiceError while a stop is latched, a person has taken over, somebody else's episode runs, an operator
+        is there who has taken over, or would drive in place of who asks, or in a mode that this robot does not know.
         """
         if request.mode not in self._paces:
             raise ServiceError(f"{self.body.name} cannot wait for commands; ask for real time")
@@ -158,17 +142,9 @@ class EpisodeRunner(Generic[V]):
             raise ServiceError(f"episode {run.id} is another client's; take over from its driver, or end that client")
 
     def reset(self, request: ResetRequest) -> tuple[ResetReply, list[Message]]:
-        """End the running episode, if any, and begin the next one.
+        """End the running episode, if any, and begin the next one; return the answer, and what to publish.
 
-        Returns
-        -------
-        reply, messages
-            The answer to the caller, and what to publish: the old episode's end, the new one's start, its frame 0.
-
-        Raises
-        ------
-        ServiceError
-            It may not begin, see ``check_reset``, the body cannot do that, or somebody has cancelled it.
+        Raises ServiceError when it may not begin (see ``check_reset``), the body cannot, or somebody has cancelled it.
         """
         self.check_reset(request)
         messages = self.end()
@@ -205,21 +181,14 @@ class EpisodeRunner(Generic[V]):
     def cancel(self, request: CancelRequest) -> None:
         """End the beginning of an episode, which ``reset`` then refuses; on any thread.
 
-        Raises
-        ------
-        ServiceError
-            None is being begun, or by somebody else than who asks or whom the robot has as its operator.
+        Raises ServiceError where none is being begun, or who asks neither asked for it nor operates the robot.
         """
         self._cancelling.cancel(request.session, self.gate.operator)
 
     def end_by(self, request: EndRequest) -> list[Message]:
         """End the running episode because somebody asks for that.
 
-        Raises
-        ------
-        ServiceError
-            Another episode runs, or none; or an operator is there, and somebody else says that something was found, or
-            ends what a person drives and another one has begun.
+        Raises ServiceError where another episode runs, or none, or the operator alone may say so.
         """
         run = self._running
         if run is None or run.id != request.episode:
@@ -307,20 +276,18 @@ class EpisodeRunner(Generic[V]):
         self.gate.captured(tick, captured_s)
         run.stamp_ns = run.begun_ns + round((captured_s - run.begun_s) * 1e9)
         header = self.header(run)
-        image = view.image
-        height, width, _ = image.shape
         # The colour image comes last: it is what the driver waits for.
-        run.frame = (*view.more(header), Image.after(header, width=width, height=height, data=image.tobytes()))
+        width, height = jpeg_size(view.jpeg) or (0, 0)
+        image = CompressedImage.after(header, width=width, height=height, data=view.jpeg)
+        run.frame = (*view.more(header), image)
         run.ready_s = {t: at for t, at in run.ready_s.items() if t > tick - READY_KEPT} | {tick: self._clock()}
         if tick == 0 and self.body.focal_px is not None:
-            yield camera_info(header, image, self.body.focal_px)
+            yield camera_info(image, self.body.focal_px)
         if view.odometry is not None:
             yield odometry_message(header, view.odometry)
         if view.imu is not None:
             yield imu_message(header, view.imu)
         yield from run.frame
-        # After the raw image, so that its features are worked on meanwhile.
-        yield CompressedImage.after(header, width=width, height=height, data=encode_jpeg(image))
         if run.episode.reached and not run.found:
             run.found = True
             yield self._event(run, "victim_found")

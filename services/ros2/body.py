@@ -8,9 +8,6 @@ from collections.abc import Callable, Collection, Iterator
 from dataclasses import dataclass
 from typing import Final, Protocol
 
-import numpy as np
-from numpy.typing import NDArray
-
 from schemas.base import DIRECTIONS, Atom, Message
 from schemas.rpc import ResetRequest
 from services.kit.node import Detail, ServiceError
@@ -19,7 +16,7 @@ from services.robot.clock import now_s
 from services.robot.gate import MAX_AGE_S
 from services.ros2.config import Ros2Config
 from services.ros2.messages import MessageError
-from services.ros2.senses import Frame, Senses, pixels
+from services.ros2.senses import Frame, Senses, picture
 from services.ros2.wheels import Wheels, reading
 
 #: Readings of the inertial unit that lie nearer together are the same one; its messages have microseconds.
@@ -44,7 +41,7 @@ class Link(Protocol):
 class Ros2View:
     """One moment of a ROS 2 base, as `services.robot.body.View` asks for it."""
 
-    image: NDArray[np.uint8]
+    jpeg: bytes
     captured_s: float
     contact: bool
     odometry: OdometryReading | None
@@ -82,7 +79,7 @@ class Ros2Body:
         self._link = link
         self._clock = clock
         self._frame: Frame | None = None
-        self._image = np.zeros((1, 1, 3), np.uint8)
+        self._jpeg, self._width = b"", 1
         self._begun_s = clock()
         self._felt_s = 0.0
         self._since: Wheels | None = None
@@ -93,7 +90,7 @@ class Ros2Body:
     @property
     def focal_px(self) -> float | None:
         """As the camera has told it, for the last frame's size."""
-        return self._senses.focal_px(self._image.shape[1])
+        return self._senses.focal_px(self._width)
 
     def drive(self, atom: Atom, speed: float) -> None:
         """Go on with a movement; stand where somebody who must be heard is silent.
@@ -170,7 +167,7 @@ class Ros2Body:
         odometry = self._odometry(captured_s)
         if self._senses.silent() is not None:
             captured_s = min(captured_s, self._clock() - MAX_AGE_S)
-        return Ros2View(self._image, captured_s, self._senses.touched, odometry, self._imu())
+        return Ros2View(self._jpeg, captured_s, self._senses.touched, odometry, self._imu())
 
     def _tell_lack(self) -> None:
         """Log once why the robot stands, and when it need not any more."""
@@ -186,7 +183,7 @@ class Ros2Body:
         if frame is None or frame is self._frame:
             return
         try:
-            self._image, self._frame = pixels(frame.message), frame
+            (self._jpeg, self._width), self._frame = picture(frame.message), frame
         except MessageError as error:
             self._senses.refuse(self._camera, str(error))
             if self._frame is None:

@@ -12,14 +12,13 @@ from threading import Lock
 from typing import Final, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from schemas.base import ATOMS, Atom
+from schemas.compressed_image import CompressedImage
 from schemas.imu import MAX_SAMPLES
-from services.kit.jpeg import decode_jpeg
-from services.kit.raw_image import rgb_of
+from services.kit.jpeg import decode_jpeg, encode_jpeg
+from services.kit.raw_image import LARGEST_BYTES, rgb_of
 from services.kit.throttle import Throttle
-from services.kit.wire import LARGEST_BYTES
 from services.robot.body import ImuReading, Triple
 from services.robot.clock import now_s
 from services.ros2 import messages
@@ -31,14 +30,16 @@ from services.ros2.wheels import Track, Wheels
 
 #: Wheels that were read within this time of a frame are looked through for those of its moment.
 _KEPT: Final = 100
-#: As `schemas.imu`, `schemas.camera_info` and `schemas.image` have it; and far more than any base does.
+#: As `schemas.imu`, `schemas.camera_info` and `schemas.compressed_image` have it; and far more than any base does.
 _MOST_RAD_S, _MOST_M_S2 = 100.0, 1000.0
 _LEAST_FOCAL_PX, _MOST_FOCAL_PX = 1.0, 1e5
 _MOST_COLUMNS, _MOST_ROWS = 4096, 3072
 #: Most bytes of a message: of a picture as the stack's own bus takes it, of 130,000 beams, of anything else.
 _MOST_BYTES: Final = {
-    messages.IMAGE: LARGEST_BYTES, messages.COMPRESSED_IMAGE: LARGEST_BYTES, messages.LASER_SCAN: 1 << 20
-}  # fmt: skip
+    messages.IMAGE: LARGEST_BYTES,
+    messages.COMPRESSED_IMAGE: CompressedImage.max_bytes - 1024,
+    messages.LASER_SCAN: 1 << 20,
+}
 _MOST_OTHER_BYTES: Final = 1 << 16
 _MOVING: Final = frozenset(ATOMS) - {"stop"}
 #: Why movements are forbidden, and which.
@@ -319,8 +320,8 @@ def _check_finite(what: str, values: tuple[float, ...], most: float) -> None:
         raise MessageError(f"its {what} is not finite, or beyond {most:g}")
 
 
-def pixels(message: RosMessage) -> NDArray[np.uint8]:
-    """Return the picture in a CompressedImage or an Image, (height, width, 3) RGB.
+def picture(message: RosMessage) -> tuple[bytes, int]:
+    """Return the JPEG in a CompressedImage, or of the pixels in an Image, and how wide it is.
 
     Raises
     ------
@@ -329,12 +330,15 @@ def pixels(message: RosMessage) -> NDArray[np.uint8]:
     """
     try:
         if hasattr(message, "format"):
-            image = decode_jpeg(message.data.tobytes())
+            # It goes on as it came; decoded to see that it is whole.
+            jpeg = message.data.tobytes()
+            image = decode_jpeg(jpeg)
         else:
             image = rgb_of(message.encoding, message.width, message.height, message.step, message.data)
+            jpeg = b""
+        height, width, _ = image.shape
+        if width > _MOST_COLUMNS or height > _MOST_ROWS:
+            raise MessageError(f"{width}x{height} pixels, more than {_MOST_COLUMNS}x{_MOST_ROWS}")
+        return jpeg or encode_jpeg(image), width
     except ValueError as error:
         raise MessageError(str(error)) from None
-    height, width, _ = image.shape
-    if width > _MOST_COLUMNS or height > _MOST_ROWS:
-        raise MessageError(f"{width}x{height} pixels, more than {_MOST_COLUMNS}x{_MOST_ROWS}")
-    return image

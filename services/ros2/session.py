@@ -14,7 +14,7 @@ import zenoh.ext
 
 from schemas.codec import printable
 from services.kit.node import Detail, ServiceError
-from services.kit.zenoh_settings import LINK_BYTES
+from services.kit.raw_image import LARGEST_BYTES
 from services.ros2 import messages
 from services.ros2.config import Ros2Config
 from services.ros2.messages import Messages
@@ -43,7 +43,7 @@ def _settings(config: Ros2Config) -> zenoh.Config:
         "transport/link/tx/lease": 2000,
         "transport/shared_memory/enabled": False,
         # What is larger is dropped while it comes in; otherwise a message takes up to 1 GiB here.
-        "transport/link/rx/max_message_size": LINK_BYTES,
+        "transport/link/rx/max_message_size": LARGEST_BYTES,
     }
     made = zenoh.Config()
     for key, value in settings.items():

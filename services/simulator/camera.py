@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from schemas.base import Message
 from schemas.depth_image import DepthImage
 from schemas.overhead_image import Calibration, OverheadImage
+from services.kit.jpeg import encode_jpeg
 from services.simulator.sensors import Tilt, TiltRate
 from services.simulator.variation import DAY, Daylight
 from services.simulator.world.place import OverheadMount, Pose
@@ -140,4 +141,4 @@ def overhead_message(header: Message, image: NDArray[np.uint8], mount: OverheadM
         height_m=mount.height_m,
         up_rad=math.remainder(math.radians(mount.up_deg), math.tau),
     )
-    return OverheadImage.after(header, width=width, height=height, data=image.tobytes(), calibration=calibration)
+    return OverheadImage.after(header, width=width, height=height, data=encode_jpeg(image), calibration=calibration)

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from schemas.base import Message
 from schemas.pose import Pose as PoseMessage
 from schemas.topics import DEPTH, OVERHEAD, Topic
+from services.kit.jpeg import decode_jpeg, encode_jpeg
 from services.robot.body import ImuReading, OdometryReading
 from services.simulator.camera import Camera, blur, depth_message, exposed, hazy, overhead_message
 from services.simulator.sensors import Tilt, TiltRate
@@ -55,8 +56,17 @@ class SimulatedView:
     """Whether anybody listens to a topic whose messages are costly."""
 
     @cached_property
+    def jpeg(self) -> bytes:
+        """What the camera tells, as JPEG."""
+        return encode_jpeg(self._rendered())
+
+    @cached_property
     def image(self) -> NDArray[np.uint8]:
-        """What the camera sees, (height, width, 3) uint8 RGB, blurred as far as it shakes."""
+        """What the camera tells, (height, width, 3) uint8 RGB: what is decoded of its JPEG."""
+        return decode_jpeg(self.jpeg)
+
+    def _rendered(self) -> NDArray[np.uint8]:
+        """Return what the camera sees, blurred as far as it shakes."""
         camera, variation = self.eye.camera, self.eye.variation
         image = camera.render(self.pose, self.tilt)
         if variation.visibility_m is not None:

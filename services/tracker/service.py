@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import logging
 
-from schemas.overhead_image import Calibration, OverheadImage
+from schemas.overhead_image import OverheadImage
 from schemas.tracked_pose import TrackedPose
+from services.kit.jpeg import decode_jpeg
 from services.kit.node import Detail, ServiceError
-from services.tracker.tag_tracking import OverheadCamera, Tag, TagNotSeen, TagTracker
+from services.tracker.tag_tracking import Tag, TagNotSeen, TagTracker
 
 _log = logging.getLogger("tracker")
 
@@ -30,15 +31,12 @@ class TrackerService:
     def handle(self, image: OverheadImage) -> TrackedPose:
         """Return the pose at one frame, or that the tag is not seen.
 
-        Raises
-        ------
-        ServiceError
-            When the image's calibration puts the camera below the tag.
+        Raises ServiceError when the image is none, or its calibration puts the camera below the tag.
         """
         try:
-            pose = self._tracker.locate(image.to_numpy(), _camera(image.calibration))
+            pose = self._tracker.locate(decode_jpeg(image.data), image.calibration)
         except ValueError as error:
-            raise ServiceError(f"calibration: {error}") from None
+            raise ServiceError(str(error)) from None
         except TagNotSeen as reason:
             self._lost += 1
             if self._visible:
@@ -49,19 +47,8 @@ class TrackerService:
         if not self._visible:
             _log.info("the tag is seen again at frame %d of episode %s", image.tick, image.episode)
         self._visible = True
-        return TrackedPose.after(
-            image, visible=True, x_m=pose.x_m, y_m=pose.y_m, heading_rad=pose.heading_rad, error_px=pose.error_px
-        )
+        return TrackedPose.after(image, visible=True, **pose._asdict())
 
     def detail(self) -> Detail:
         """Tell the tag's number, and in how many frames it was seen and not seen."""
         return {"tag": self._tracker.tag.number, "seen": self._seen, "lost": self._lost}
-
-
-def _camera(calibration: Calibration) -> OverheadCamera:
-    return OverheadCamera(
-        focal_px=calibration.focal_px,
-        centre_px=(calibration.centre_x_px, calibration.centre_y_px),
-        position_m=(calibration.x_m, calibration.y_m, calibration.height_m),
-        up_rad=calibration.up_rad,
-    )

@@ -8,11 +8,12 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from schemas.overhead_image import Calibration
 from services.tracker.tag_detection import MarkerDetector
 
 #: Root mean square error of the corners, as a share of the side, beyond which a tag is not believed: what it is when
@@ -45,51 +46,8 @@ class Tag:
     height_m: float
 
 
-@dataclass(frozen=True)
-class OverheadCamera:
-    """A pinhole camera without distortion that looks straight down.
-
-    Attributes
-    ----------
-    focal_px
-        Focal length, pixels.
-    centre_px
-        Where the optical axis meets the image, pixels right and down from its upper left corner.
-    position_m
-        East, north and above the floor, metres.
-    up_rad
-        Direction on the floor that points up in the image, anticlockwise from east.
-    """
-
-    focal_px: float
-    centre_px: tuple[float, float]
-    position_m: tuple[float, float, float]
-    up_rad: float
-
-    def onto_plane(self, pixels: NDArray[np.float64], height_m: float) -> NDArray[np.float64]:
-        """Return the points (n, 2), metres east and north, at which pixels (n, 2) see a horizontal plane."""
-        east, north, _ = self.position_m
-        right, down = ((pixels - self.centre_px) * self.metres_per_px(height_m)).T
-        cos, sin = math.cos(self.up_rad), math.sin(self.up_rad)
-        return np.column_stack([east + right * sin - down * cos, north - right * cos - down * sin])
-
-    def metres_per_px(self, height_m: float) -> float:
-        """Return the scale of the image at a height above the floor.
-
-        Raises
-        ------
-        ValueError
-            When the camera is not above that height.
-        """
-        above = self.position_m[2]
-        if above <= height_m:
-            raise ValueError(f"a camera {above:g} m above the floor cannot look down on a tag at {height_m:g} m")
-        return (above - height_m) / self.focal_px
-
-
-@dataclass(frozen=True)
-class TagPose:
-    """Where the tag is: metres east and north, heading in radians anticlockwise from east, in [-pi, pi].
+class TagPose(NamedTuple):
+    """Where the tag is: metres east and north, heading in radians counter-clockwise from east, in [-pi, pi].
 
     ``error_px`` is the root mean square distance of the tag's corners from where this pose puts them, pixels.
     """
@@ -113,7 +71,7 @@ class TagTracker:
         self.tag = tag
         self._detector = MarkerDetector()
 
-    def locate(self, image: NDArray[np.uint8], camera: OverheadCamera) -> TagPose:
+    def locate(self, image: NDArray[np.uint8], camera: Calibration) -> TagPose:
         """Return the tag's pose.
 
         Parameters
@@ -130,11 +88,11 @@ class TagTracker:
         ValueError
             When the camera is not above the tag.
         """
-        metres_per_px = camera.metres_per_px(self.tag.height_m)
+        metres_per_px = _metres_per_px(camera, self.tag.height_m)
         found = self._detector.find(image, self.tag.number)
         if len(found) != 1:
             raise TagNotSeen(f"{len(found) or 'no'} markers with number {self.tag.number} are in the image")
-        corners = camera.onto_plane(found[0], self.tag.height_m)
+        corners = onto_plane(found[0], camera, metres_per_px)
         self._check_side(corners)
         x_m, y_m, heading_rad, error_m = fit_square(corners, self.tag.side_m)
         error_px, most_px = error_m / metres_per_px, MAX_ERROR * self.tag.side_m / metres_per_px
@@ -154,6 +112,19 @@ class TagTracker:
                 f"marker {self.tag.number} measures {side_m:.3f} m and not {self.tag.side_m:g} m: "
                 "another tag, another height, or a wrong calibration"
             )
+
+
+def onto_plane(pixels: NDArray[np.float64], camera: Calibration, metres_per_px: float) -> NDArray[np.float64]:
+    """Return the points (n, 2), metres east and north, at which pixels (n, 2) see a horizontal plane of a scale."""
+    right, down = ((pixels - (camera.centre_x_px, camera.centre_y_px)) * metres_per_px).T
+    cos, sin = math.cos(camera.up_rad), math.sin(camera.up_rad)
+    return np.column_stack([camera.x_m + right * sin - down * cos, camera.y_m - right * cos - down * sin])
+
+
+def _metres_per_px(camera: Calibration, height_m: float) -> float:
+    if camera.height_m <= height_m:
+        raise ValueError(f"a camera {camera.height_m:g} m above the floor cannot look down on a tag at {height_m:g} m")
+    return (camera.height_m - height_m) / camera.focal_px
 
 
 def fit_square(corners: NDArray[np.float64], side: float) -> tuple[float, float, float, float]:

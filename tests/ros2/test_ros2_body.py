@@ -13,6 +13,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from services.kit.jpeg import decode_jpeg
 from services.kit.node import ServiceError
 from services.robot.gate import MAX_AGE_S, CommandGate
 from services.robot.runner import EpisodeRunner
@@ -20,7 +21,7 @@ from services.robot.task import OperatorsTask
 from services.ros2 import messages
 from services.ros2.body import Ros2View
 from services.ros2.messages import MessageError
-from services.ros2.senses import pixels
+from services.ros2.senses import picture
 from services.ros2.wheels import Track
 from tests.ros2.fake_turtlebot import encoded
 from tests.ros2.rig import AHEAD_S, BEGIN, CAMERA, ODOM, PICTURE, ROS, Rig
@@ -95,7 +96,7 @@ def test_a_camera_that_is_silent_or_sends_no_picture_makes_no_frame_new(rig: Rig
     rig.picture(data=b"\xff\xd8 nothing")
     again = rig.body.look(2)
     assert again.captured_s == seen.captured_s
-    assert np.array_equal(again.image, seen.image)
+    assert again.jpeg == seen.jpeg
     assert rig.senses.refused[CAMERA] == 1
 
 
@@ -208,13 +209,15 @@ def test_a_track_is_the_same_from_wherever_the_wheels_count(steps: list[tuple[fl
 def test_reads_raw_pixels(encoding: str) -> None:
     data, step = encoded(PICTURE, encoding)
     fields = {"height": 48, "width": 64, "encoding": encoding, "step": step, "data": data}
-    got = pixels(ROS.read(messages.IMAGE, ROS.write(messages.IMAGE, fields))).astype(int)
+    jpeg, width = picture(ROS.read(messages.IMAGE, ROS.write(messages.IMAGE, fields)))
+    got = decode_jpeg(jpeg).astype(int)
+    assert width == 64
     if encoding == "mono8":
-        assert np.array_equal(got[..., 0], cv2.cvtColor(PICTURE, cv2.COLOR_RGB2GRAY))
+        assert np.abs(got[..., 0] - cv2.cvtColor(PICTURE, cv2.COLOR_RGB2GRAY).astype(int)).max() < 16
     elif encoding == "yuv422":  # 16 to 235 of 0 to 255 where it is taken for video: the middle is what matters
-        assert np.corrcoef(got.ravel(), PICTURE.ravel())[0, 1] > 0.97
+        assert np.corrcoef(got.ravel(), PICTURE.ravel())[0, 1] > 0.95
     else:
-        assert np.array_equal(got, PICTURE)
+        assert np.corrcoef(got.ravel(), PICTURE.ravel())[0, 1] > 0.95
 
 
 @pytest.mark.parametrize(
@@ -230,7 +233,7 @@ def test_reads_raw_pixels(encoding: str) -> None:
 def test_raw_pixels_that_cannot_be_are_one_line(fields: dict[str, Any], line: str) -> None:
     told = {"height": 48, "width": 64, "encoding": "rgb8", "step": 192, "data": PICTURE.ravel()} | fields
     with pytest.raises(MessageError, match=line):
-        pixels(SimpleNamespace(**told))
+        picture(SimpleNamespace(**told))
 
 
 def test_what_is_missing_is_one_line_at_the_beginning(rig: Rig) -> None:

@@ -15,7 +15,8 @@ from hypothesis import strategies as st
 
 from schemas.base import ATOMS, Message
 from schemas.codec import encode
-from schemas.image import Image
+from schemas.compressed_image import CompressedImage
+from services.kit.jpeg import jpeg_size
 from services.kit.node import ServiceError
 from services.robot.messages import camera_info, imu_message, odometry_message
 from services.ros2 import messages
@@ -82,10 +83,10 @@ def test_whatever_it_says_there_is_a_frame_that_can_be_sent_and_a_command_that_i
         rig.senses.take(*data.draw(said(rig)))
         view = rig.body.look(tick)
         assert view.captured_s <= rig.clock.now_s
-        height, width, _ = view.image.shape
-        Image.after(HEADER, width=width, height=height, data=view.image.tobytes())
+        width, height = jpeg_size(view.jpeg) or (0, 0)
+        image = CompressedImage.after(HEADER, width=width, height=height, data=view.jpeg)
         if rig.body.focal_px is not None:
-            encode(camera_info(HEADER, view.image, rig.body.focal_px))
+            encode(camera_info(image, rig.body.focal_px))
         assert view.odometry is not None
         assert view.imu is not None
         encode(odometry_message(HEADER, view.odometry))

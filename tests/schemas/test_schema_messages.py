@@ -10,13 +10,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pydantic import ValidationError
 
-from schemas.base import SOURCES, Message
+from schemas.base import Message
 from schemas.codec import decode, encode, encoding_of
 from schemas.command import CommandApplied
+from schemas.compressed_image import CompressedImage
 from schemas.episode import Episode
-from schemas.image import Image
 from schemas.observation import Observation
-from schemas.rpc import ResetRequest
 from schemas.state import MAX_PLACES, State
 from tests.schemas import messages
 from tests.schemas.messages import CLASSES, EXAMPLES, any_message
@@ -53,22 +52,6 @@ def test_round_trip(message: Message) -> None:
     assert encode(decoded) == payload
 
 
-@given(any_message)
-def test_round_trip_through_json(message: Message) -> None:
-    assert type(message).model_validate_json(message.model_dump_json()) == message
-
-
-@given(any_message)
-def test_a_message_after_another_keeps_its_header(message: Message) -> None:
-    command = EXAMPLES[CLASSES[0]].after(message, width=1, height=1, data=b"rgb")
-    assert [getattr(command, f) for f in ("robot", "episode", "tick", "stamp_ns")] == [
-        message.robot,
-        message.episode,
-        message.tick,
-        message.stamp_ns,
-    ]
-
-
 @pytest.mark.parametrize("cls", CLASSES, ids=name_of)
 def test_every_field_and_message_is_documented(cls: type[Message]) -> None:
     schema = cls.model_json_schema()
@@ -78,12 +61,6 @@ def test_every_field_and_message_is_documented(cls: type[Message]) -> None:
 
 def altered(cls: type[Message], **fields: object) -> Message:
     return cls.model_validate(EXAMPLES[cls].model_dump() | fields)
-
-
-@pytest.mark.parametrize("cls", CLASSES, ids=name_of)
-def test_messages_are_frozen(cls: type[Message]) -> None:
-    with pytest.raises(ValidationError, match="frozen"):
-        EXAMPLES[cls].tick = 5
 
 
 @pytest.mark.parametrize("cls", CLASSES, ids=name_of)
@@ -130,11 +107,10 @@ def test_headers_out_of_range_are_refused(cls: type[Message], header: dict[str, 
 @pytest.mark.parametrize(
     ("cls", "fields"),
     [
-        (Image, {"width": 3}),
-        (Image, {"data": b"12345"}),
-        (Image, {"data": "123456"}),
-        (Image, {"width": 0, "data": b""}),
-        (Image, {"width": 4097, "data": bytes(3 * 4097)}),
+        (CompressedImage, {"width": 0}),
+        (CompressedImage, {"width": 4097}),
+        (CompressedImage, {"data": "123456"}),
+        (CompressedImage, {"data": b""}),
         (Observation, {"features": {"dtype": "float32", "shape": (2,), "data": bytes(4)}}),
         (Observation, {"features": {"dtype": "float64", "shape": (1,), "data": bytes(4)}}),
         (Observation, {"features": {"dtype": "float32", "shape": (), "data": bytes(4)}}),
@@ -175,17 +151,3 @@ def test_words_outside_a_choice_are_refused(cls: type[Message], data: st.DataObj
         name, word = data.draw(st.sampled_from(choices)), "?" + data.draw(st.text(max_size=5))
         with pytest.raises(ValidationError):
             altered(cls, **{name: word})
-
-
-def test_every_source_can_drive_but_the_emergency_stop() -> None:
-    assert {ResetRequest(seed=1, driver=source).driver for source in SOURCES[1:]} == set(SOURCES[1:])
-    with pytest.raises(ValidationError, match="driver"):
-        ResetRequest.model_validate({"seed": 1, "driver": "emergency_stop"})
-
-
-def test_only_what_was_found_has_a_judge() -> None:
-    event = EXAMPLES[Episode].model_dump()
-    for outcome in ("collision", "timeout", "aborted"):
-        with pytest.raises(ValidationError, match="judge is given with the outcome 'found' only"):
-            Episode.model_validate(event | {"outcome": outcome, "judge": "operator"})
-    assert Episode.model_validate(event | {"judge": "operator"}).judge == "operator"

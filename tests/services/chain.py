@@ -14,10 +14,11 @@ import numpy as np
 
 from schemas.array import Float32Array
 from schemas.base import Message
-from schemas.image import Image
+from schemas.compressed_image import CompressedImage
 from schemas.observation import Observation
 from schemas.odometry import Odometry
 from schemas.state import State
+from services.kit.jpeg import decode_jpeg, encode_jpeg
 from services.table import SERVICES
 from smal.demonstration import Demonstration
 from smal.features import FeatureSettings, extract
@@ -36,18 +37,24 @@ def picture(place: int) -> np.ndarray:
     return np.kron(coarse, np.ones((8, 8, 1), dtype=np.uint8))
 
 
-def image(tick: int, place: int | None = None, episode: str = "e") -> Image:
+def image(tick: int, place: int | None = None, episode: str = "e") -> CompressedImage:
     """Return the camera frame of a tick, taken at a place (by default the one of that number)."""
     pixels = picture(tick if place is None else place)
     height, width, _ = pixels.shape
-    return Image(
-        robot="rescuebot", episode=episode, tick=tick, stamp_ns=tick, width=width, height=height, data=pixels.tobytes()
+    return CompressedImage(
+        robot="rescuebot",
+        episode=episode,
+        tick=tick,
+        stamp_ns=tick,
+        width=width,
+        height=height,
+        data=encode_jpeg(pixels),
     )
 
 
 def observation(tick: int, place: int | None = None, episode: str = "e") -> Observation:
     """Return the observation of `image`."""
-    vector = extract(image(tick, place, episode).to_numpy(), FEATURES)
+    vector = extract(decode_jpeg(image(tick, place, episode).data), FEATURES)
     return Observation.after(
         image(tick, place, episode), fingerprint=FEATURES.fingerprint, features=Float32Array.from_numpy(vector)
     )

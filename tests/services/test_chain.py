@@ -20,7 +20,6 @@ from schemas.rpc import LoadReply, LoadRequest
 from schemas.state import State
 from schemas.topics import Topic
 from services.kit.bus import Bus, RpcError
-from smal.features import extract
 from tests import corridor
 from tests.services.chain import (
     FEATURES,
@@ -28,7 +27,6 @@ from tests.services.chain import (
     identity,
     image,
     observation,
-    picture,
     process,
     save_model,
     seen,
@@ -103,10 +101,10 @@ def test_features_turns_every_frame_into_its_observation(
     with process("features", router_endpoint):
         ready(client, "features")
         introduce(client, "features", image(0))
-        malformed(client, "features", topics.CAMERA)
+        malformed(client, "features", topics.JPEG)
         client.publish(image(5))
         eventually(lambda: 5 in heard)
-    expected = extract(picture(5), FEATURES)
+    expected = observation(5).features.to_numpy()
     np.testing.assert_array_equal(heard[5].features.to_numpy(), expected)
     assert heard[5].fingerprint == FEATURES.fingerprint
     assert heard[5].stamp_ns == 5

@@ -12,14 +12,15 @@ from hypothesis import strategies as st
 
 from schemas import topics
 from schemas.codec import decode
+from schemas.compressed_image import CompressedImage
 from schemas.depth_image import DepthImage
-from schemas.image import Image
 from schemas.observation import Observation
 from services.features.service import FeaturesService
 from services.kit.bus import Bus
+from services.kit.jpeg import decode_jpeg
 from services.kit.node import Detail
 from smal.features import FeatureSettings, extract
-from tests.services.chain import image, picture, process
+from tests.services.chain import image, process
 from tests.services.waiting import eventually, introduce, malformed, ready, status_of
 
 WITH_DEPTH = FeatureSettings.of(("color", "depth"))
@@ -36,7 +37,7 @@ def depth_image(tick: int, episode: str = "e") -> DepthImage:
 
 
 def features(tick: int) -> np.ndarray:
-    return extract(picture(tick), WITH_DEPTH, depth_pixels(tick))
+    return extract(decode_jpeg(image(tick).data), WITH_DEPTH, depth_pixels(tick))
 
 
 def detail(client: Bus) -> Detail:
@@ -45,9 +46,11 @@ def detail(client: Bus) -> Detail:
     return status.detail
 
 
-def give(service: FeaturesService, *messages: Image | DepthImage) -> list[Observation]:
+def give(service: FeaturesService, *messages: CompressedImage | DepthImage) -> list[Observation]:
     """Give messages in this order, and return what came of them."""
-    answers = [service.handle(one) if isinstance(one, Image) else service.handle_depth(one) for one in messages]
+    answers = [
+        service.handle(one) if isinstance(one, CompressedImage) else service.handle_depth(one) for one in messages
+    ]
     return [answer for answer in answers if answer is not None]
 
 
@@ -72,7 +75,7 @@ def test_whatever_the_order_every_observation_is_of_one_frame(arrivals: list[tup
     heard = give(service, *sent)
     for observation in heard:
         np.testing.assert_array_equal(observation.features.to_numpy(), features(observation.tick))
-    frames = [(one.episode, one.tick) for one in sent if isinstance(one, Image)]
+    frames = [(one.episode, one.tick) for one in sent if isinstance(one, CompressedImage)]
     assert all((one.episode, one.tick) in frames for one in heard)
     assert len(heard) + service.without_depth <= len(frames)
     assert bool(complaints) == bool(service.without_depth)

@@ -63,10 +63,10 @@ def introduce(client: Bus, service: str, *messages: Message) -> None:
 
 def send_as_stranger(bus: Bus, topic: Topic, payload: bytes, encoding: str = "zenoh/bytes") -> None:
     """Send as a stranger does, who has another idea of what a topic carries, and keeps nothing."""
-    key, wire = topic.key(bus.robot), bus._wire
+    key = topic.key(bus.robot)
     # One who does not let Zenoh drop anything of it.
     wait = zenoh.CongestionControl.BLOCK
-    wire.sessions[topic.lane].put(key, payload, encoding=encoding, congestion_control=wait)
+    bus.sessions[topic.lane].put(key, payload, encoding=encoding, congestion_control=wait)
 
 
 def malformed(client: Bus, service: str, topic: Topic) -> None:

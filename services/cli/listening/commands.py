@@ -15,7 +15,7 @@ import typer
 from typer import Argument, Option
 
 from schemas.codec import DecodeError
-from schemas.topics import ACTION, APPLIED, CAMERA, COMMANDS, OBSERVATION, POSE, ROOT, STATE
+from schemas.topics import ACTION, APPLIED, COMMANDS, JPEG, OBSERVATION, POSE, ROOT, STATE
 from services.cli import options
 from services.cli.listening import arrivals
 from services.cli.listening.arrivals import Arrivals
@@ -26,13 +26,13 @@ from services.kit.errors import JobError
 from services.kit.inbox import Inbox
 from services.kit.tables import table
 
-#: Samples kept while the terminal is slower than the bus; a raw frame takes 2.4 MB.
+#: Samples kept while the terminal is slower than the bus.
 QUEUE: Final = 64
 CONNECT_S: Final = 2.0
 Keys = Annotated[
     str | None,
     Argument(
-        help="Key expression, or a topic's name such as camera/rgb. [default: all of the robot]", metavar="[KEYEXPR]"
+        help="Key expression, or a topic's name such as camera/jpeg. [default: all of the robot]", metavar="[KEYEXPR]"
     ),
 ]
 Seconds = Annotated[float, Option(min=0.1, max=3600, help="How long to listen; Ctrl-C ends it earlier.")]
@@ -74,7 +74,7 @@ def hz(*, keys: Keys = None, seconds: Seconds = 5.0, as_json: options.Json = Fal
 
     The rate is that between the first message and the last, also where a robot drove only for a part of the time.
 
-    Example: smal topic hz camera/rgb --seconds 10
+    Example: smal topic hz camera/jpeg --seconds 10
     """
     heard, _ = _hear(keys, seconds, reach)
     rates = {key: one.rates() for key, one in heard.items()}
@@ -88,7 +88,7 @@ def bw(*, keys: Keys = None, seconds: Seconds = 5.0, as_json: options.Json = Fal
     """Measure bandwidth and size of messages.
 
     Of each key, and in total. The bandwidth is that of the payloads over the whole time of listening. Listening to
-    raw images costs their bandwidth once more.
+    images costs their bandwidth once more.
 
     Example: smal topic bw 'camera/*' --seconds 10
     """
@@ -104,7 +104,7 @@ def bw(*, keys: Keys = None, seconds: Seconds = 5.0, as_json: options.Json = Fal
 def latency(
     *,
     seconds: Seconds = 10.0,
-    camera: Annotated[bool, Option("--camera", help="Time camera/rgb itself; for a robot without pose/truth.")] = False,
+    camera: Annotated[bool, Option("--camera", help="Time camera/jpeg; for a robot without pose/truth.")] = False,
     as_json: options.Json = False,
     reach: options.Reach,
 ) -> None:
@@ -112,15 +112,15 @@ def latency(
 
     Every hop is timed by the arrival of its messages here, on one clock. A frame begins with its pose/truth: the
     simulator sends it in the same instant, right before the image, and it is small. Listening to the images
-    themselves (--camera) would have the router send every one of them, 2.4 MB, once more, which slows down what is
-    measured; and their arrival here would hide how long they travel.
+    themselves (--camera) would have the router send every one of them once more, which slows down what is measured;
+    and their arrival here would hide how long they travel.
 
     Beside it stands what the actuator measures on its own clock, from the frame's readiness to the acceptance of its
     command. In real time it tells what it does at the next frame, so "-> command/applied" is up to 100 ms there.
 
     Example: smal topic latency --seconds 30
     """
-    frames = CAMERA if camera else POSE
+    frames = JPEG if camera else POSE
     trace = LatencyTrace(frames.name)
     bad: list[str] = []
 
@@ -135,7 +135,7 @@ def latency(
     with _listening(reach) as bus:
         for topic in (frames, OBSERVATION, STATE, ACTION, *COMMANDS.values(), APPLIED):
             # Images in a session of their own, so that nothing else waits behind them; the rest in one, in order.
-            bus.listen(topic.key(bus.robot), take, lane="ordinary" if topic is CAMERA else "urgent")
+            bus.listen(topic.key(bus.robot), take, lane="ordinary" if topic is JPEG else "urgent")
         wait(f"frames ({frames.name}) and commands of {bus.robot}", seconds)
     if bad:
         typer.echo(f"smal: {len(bad)} messages could not be decoded; see smal topic echo", err=True)

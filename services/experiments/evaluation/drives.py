@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from schemas.rpc import ResetRequest
 from services.expert.driver import DRIVE_TICKS, RouteDriver
-from services.kit.jpeg import decode_jpeg, encode_jpeg
+from services.kit.jpeg import decode_jpeg
 from services.recordings.dataset import RecordedImages
 from services.robot.messages import rounded
 from services.simulator.lockstep import LockstepEpisode
@@ -89,7 +89,7 @@ def drive(simulation: Simulation, features: FeatureSettings, seed: int, via: Via
         views.append(extract(view.image, features))
         poses.append((view.pose.x, view.pose.y, view.pose.heading))
         odometry.append(rounded(view.odometry)[:3])
-        jpegs.append(encode_jpeg(view.image))
+        jpegs.append(view.jpeg)
         atoms.append(atom)
     focal = simulation.focal_px / view.image.shape[1]
     made = np.array(atoms, dtype=np.int8)

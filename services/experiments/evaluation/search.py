@@ -1,8 +1,8 @@
 """One search in this process: the same objects as the services use, in lockstep, without messages between them.
 
-Image, driver, movement, tick after tick. What the services add changes nothing in lockstep: between simulator and
-features the image is raw (JPEG is for recordings and people), the world waits for the answer to every frame, and the
-answer is carried out from that frame on. So the same seed gives the same poses (a test says so).
+Image, driver, movement, tick after tick. What the services add changes nothing in lockstep: the image is that of the
+camera's JPEG here as there, the world waits for the answer to every frame, and the answer is carried out from that
+frame on. So the same seed gives the same poses (a test says so).
 """
 
 from __future__ import annotations

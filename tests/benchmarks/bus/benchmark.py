@@ -26,13 +26,13 @@ from schemas.array import Float32Array
 from schemas.base import Message
 from schemas.codec import encode
 from schemas.command import Command
-from schemas.image import Image
+from schemas.compressed_image import CompressedImage
 from schemas.observation import Observation
 from schemas.topics import Topic
 from services.cli.stack.processes import Stack, StackPlan, free_endpoint
 from services.kit.errors import JobError
+from services.kit.jpeg import encode_jpeg
 from services.kit.settings import ServiceSettings
-from services.kit.zenoh_wire import ZenohWire
 from services.table import givers
 from smal.features import FeatureSettings
 from tests.benchmarks.bus.peers import RATE_HZ, flood, plain_beside, receive
@@ -51,7 +51,7 @@ _SIZE: Final = (768, 1024, 3)
 #: A message of a busy machine takes less; what takes longer is lost.
 _PATIENCE_S: Final = 5.0
 COMMAND: Final = topics.COMMANDS["policy"]
-TOPICS: Final = (topics.CAMERA, topics.OBSERVATION, topics.STATE, COMMAND, topics.APPLIED)
+TOPICS: Final = (topics.JPEG, topics.OBSERVATION, topics.STATE, COMMAND, topics.APPLIED)
 
 
 @dataclass(frozen=True)
@@ -70,9 +70,9 @@ def message_of(topic: Topic) -> Message:
     """Return a message as it is sent in a run: a frame of 1024x768, the usual features."""
     rng = np.random.default_rng(1)
     example = EXAMPLES[topic.message].model_copy(update={"robot": ROBOT})
-    if topic is topics.CAMERA:
+    if topic is topics.JPEG:
         pixels = rng.integers(0, 256, _SIZE, dtype=np.uint8)
-        return Image.after(example, width=_SIZE[1], height=_SIZE[0], data=pixels.tobytes())
+        return CompressedImage.after(example, width=_SIZE[1], height=_SIZE[0], data=encode_jpeg(pixels))
     if topic is topics.OBSERVATION:
         features = rng.standard_normal(FeatureSettings().size, dtype=np.float32)
         return Observation.after(example, fingerprint="0123456789abcdef", features=Float32Array.from_numpy(features))
@@ -90,9 +90,8 @@ class Link:
     def times_us(self, topic: Topic, plan: Plan, *, plain: bool = False) -> NDArray[np.float64]:
         """Send a message some times, after one that is not counted; return how long each took to arrive."""
         bus, message = self._buses[topic], message_of(topic)
-        payload, wire = encode(message), bus._wire
-        assert isinstance(wire, ZenohWire)
-        publisher = wire.declare_publisher(replace(plain_beside(topic), recorded=False)) if plain else None
+        payload = encode(message)
+        publisher = bus.declare_publisher(replace(plain_beside(topic), recorded=False)) if plain else None
         times = []
         for _ in range(plan.messages + 1):
             if plan.rate_hz:
@@ -124,7 +123,7 @@ def benchmark(plan: Plan) -> dict[str, Any]:
     """Measure every message, plain and ours."""
     with linked() as link:
         rows = _compare({"plain": (link, True), "ours": (link, False)}, TOPICS, plan)
-    limits = {topic.name: FRAME_LIMIT if topic is topics.CAMERA else SMALL_LIMIT for topic in TOPICS}
+    limits = {topic.name: FRAME_LIMIT if topic is topics.JPEG else SMALL_LIMIT for topic in TOPICS}
     judged = [verdict(f"{one['topic']}, ours over plain", one["ratio"], limits[one["topic"]])
               for one in rows if one["way"] == "ours"]  # fmt: skip
     return {"benchmark": "bus", "messages": rows, "targets": judged}
@@ -134,7 +133,7 @@ def benchmark_secure(plan: Plan) -> dict[str, Any]:
     """Measure what certificates and access rules cost, frames and commands."""
     with TemporaryDirectory() as folder, linked() as openly, linked(make_keys(Path(folder))) as secured:
         ways = {"open": (openly, False), "secure": (secured, False)}
-        rows = _compare(ways, (topics.CAMERA, COMMAND), plan)
+        rows = _compare(ways, (topics.JPEG, COMMAND), plan)
     frame, (openly_us, secure_us) = rows[1], (one["median_us"] for one in rows[2:])
     judged = [
         verdict("frame with certificates", frame["ratio"], SECURE_FRAME_LIMIT, " times as long"),

@@ -17,7 +17,6 @@ from schemas.topics import Topic
 from services.kit.credentials import credentials_in
 from services.kit.node import Node
 from services.kit.settings import ServiceSettings
-from services.kit.zenoh_wire import ZenohWire
 from tests.services.secured import ROBOT, open_session
 
 #: Of the flood, one process; more comes from several.
@@ -48,14 +47,12 @@ def receive(endpoint: str, keys: Path | None, topics: Sequence[Topic], arrivals:
         node.stop()
 
     with Node("receiver", ServiceSettings(robot=ROBOT, router=endpoint, secure=keys)) as node:
-        wire = node.bus._wire
-        assert isinstance(wire, ZenohWire)
         for topic in topics:
             node.subscribe(topic, arrived)
             if keys is None:  # with certificates nothing but topics gets through
                 handler = zenoh.handlers.Callback(take_plain, indirect=False)
                 key = plain_beside(topic).key(ROBOT)
-                kept.append(wire.sessions[topic.lane].declare_subscriber(key, handler))
+                kept.append(node.bus.sessions[topic.lane].declare_subscriber(key, handler))
         threading.Thread(target=end, daemon=True).start()
         arrivals.send("ready")
         node.spin()

@@ -27,7 +27,6 @@ from schemas.rpc import LoadReply, LoadRequest
 from services.cli.options import Camera, read_model
 from services.cli.stack.processes import Stack, StackPlan, flags, free_endpoint
 from services.kit.errors import JobError, UsageError
-from services.kit.jpeg import encode_jpeg
 from services.kit.settings import ServiceSettings
 from services.recordings.dataset import find_recordings
 from services.recordings.encoding import decode_image
@@ -76,12 +75,11 @@ def benchmark(plan: Plan, model: Path, recordings: Path, logs: Path) -> dict[str
         for camera in plan.cameras:
             stack.check()
             for k, (frames, way) in enumerate(_shown(recordings, camera, plan.ticks)):
-                pictures = [encode_jpeg(one) for one in frames] if plan.watchers else None
                 height, width, _ = frames[0].shape
                 for count in counts:
                     with child("the pages", watch, page, count) if count else nullcontext():
                         case = taken_s[f"{width}x{height}", count]
-                        case += robot.drive(f"bench-{len(taken_s)}-{k}-{count}", frames, way, bar.update, pictures)
+                        case += robot.drive(f"bench-{len(taken_s)}-{k}-{count}", frames, way, bar.update)
     cases = [
         {"camera": camera, "watchers": count, "keyframes": loaded[0].keyframes} | summary(taken)
         for (camera, count), taken in taken_s.items()

@@ -14,8 +14,8 @@ from schemas.base import Message
 from schemas.command import Command, CommandApplied
 from schemas.compressed_image import CompressedImage
 from schemas.episode import Episode, EventName, Outcome
-from schemas.image import Image
 from schemas.odometry import Odometry
+from services.kit.jpeg import encode_jpeg
 from services.kit.node import Node
 from services.kit.settings import ServiceSettings
 from services.robot.clock import TICK_S
@@ -44,21 +44,14 @@ class Robot:
         self.node.subscribe(topics.COMMANDS["policy"], self._on_command, depth=256)
 
     def drive(
-        self,
-        episode: str,
-        frames: list[NDArray[np.uint8]],
-        way: Way,
-        on_tick: Callable[[], object],
-        pictures: list[bytes] | None = None,
+        self, episode: str, frames: list[NDArray[np.uint8]], way: Way, on_tick: Callable[[], object]
     ) -> list[float | None]:
         """Show the frames, each at its time from the beginning on, and take the commands meanwhile.
-
-        With ``pictures`` each is told as a JPEG as well, after the frame.
 
         Returns
         -------
         list
-            Seconds from before each frame was packed to the acceptance of its command; None where there was none.
+            Seconds from before each frame was made a JPEG to the acceptance of its command; None where there was none.
         """
         self._sent_s, self._taken_s = {}, {}
         self._gate.begin(episode, "policy")
@@ -70,10 +63,6 @@ class Robot:
             self.node.spin(timeout_s=max(0.001, due_s - time.monotonic()))
             self._step(episode, tick)
             self._show(tick, pixels, pose)
-            if pictures is not None:
-                height, width, _ = pixels.shape
-                jpeg = CompressedImage.after(self._header, width=width, height=height, data=pictures[tick])
-                self.node.publish(jpeg)
             on_tick()
         self.node.spin(timeout_s=_LAST_ANSWER_S)
         self.node.publish(self._event("ended", "aborted"))
@@ -87,7 +76,7 @@ class Robot:
         self.node.publish(
             Odometry.after(self._header, x_m=x_m, y_m=y_m, heading_rad=heading_rad, speed_m_s=0.0, turn_rate_rad_s=0.0)
         )
-        self.node.publish(Image.after(self._header, width=width, height=height, data=pixels.tobytes()))
+        self.node.publish(CompressedImage.after(self._header, width=width, height=height, data=encode_jpeg(pixels)))
         applied = self._gate.applied(time.monotonic())
         self.node.publish(
             CommandApplied.after(

@@ -9,7 +9,7 @@ import pytest
 from schemas import topics
 from schemas.codec import encode, encoding_of
 from schemas.command import Command
-from schemas.image import Image
+from schemas.compressed_image import CompressedImage
 from schemas.topics import TOPICS
 from services.cli.listening.samples import Sample
 from services.kit.bus import Bus
@@ -61,9 +61,9 @@ def test_what_cannot_be_decoded_is_named_as_such(changes: dict[str, object], rea
 @pytest.mark.zenoh
 def test_echo_prints_messages_and_ends_cleanly_on_ctrl_c(listen: Listen) -> None:
     listening = listen("echo")
-    lines = listening.lines_until(4, EXAMPLES[Command], EXAMPLES[Image])
+    lines = listening.lines_until(4, EXAMPLES[Command], EXAMPLES[CompressedImage])
     assert any(line.startswith("smal/rescuebot/command/teleop  episode=drive-7-18c0-1 tick=300 ") for line in lines)
-    assert any(line.endswith("data=<6 bytes>\n") for line in lines)
+    assert any(line.endswith("data=<4 bytes>\n") for line in lines)
     status, _, error = listening.end()
     assert (status, error) == (0, "")
 

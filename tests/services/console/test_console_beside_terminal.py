@@ -19,7 +19,7 @@ from tests.services.console.page import Page
 from tests.services.operator.test_operator import RUN, misses_nobody
 from tests.services.robot.wheels import Robot
 
-HELD = "an operator has the robot (at teleop), and only they may say so"
+HELD = "only the operator (at teleop) may do that"
 pytestmark = pytest.mark.parametrize("robot", [False], indirect=True, ids=["unattended"])
 
 

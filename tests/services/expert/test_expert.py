@@ -83,11 +83,6 @@ def test_driver_comes_back_from_beside_the_route() -> None:
     assert abs(pose.y) < 0.5
 
 
-def test_a_route_is_more_than_a_point() -> None:
-    with pytest.raises(ValueError, match="at least two"):
-        RouteDriver([(0.0, 0.0)], DRIVE.speed_m_s, FOUND_M)
-
-
 def cause(tick: int, episode: str) -> Message:
     return Message(robot="rescuebot", episode=episode, tick=tick, stamp_ns=tick)
 
@@ -125,12 +120,6 @@ def test_a_frame_that_is_sent_again_has_the_same_answer(expert: ExpertService) -
     assert answer is not None
     assert expert.see(pose(0, heading=1.0)) == answer
     assert expert.handle(observation(0)) == answer
-
-
-def test_other_episodes_are_not_answered(expert: ExpertService) -> None:
-    expert.see(pose(0, episode="other"))
-    assert expert.handle(observation(0, episode="other")) is None
-    assert expert.handle(observation(0)) is None
 
 
 def test_nothing_is_commanded_after_arrival(expert: ExpertService) -> None:

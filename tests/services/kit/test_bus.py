@@ -15,7 +15,6 @@ from schemas.base import Message, Strict
 from schemas.codec import decode, encode, encoding_of
 from schemas.command import Command
 from schemas.depth_image import DepthImage
-from schemas.image import Image
 from schemas.observation import Observation
 from schemas.pose import Pose
 from schemas.rpc import EndRequest, Failure, Nothing
@@ -64,25 +63,6 @@ def test_each_message_arrives_as_it_was_sent(client: Bus, other: Bus, cls: type[
     assert decode(cls, payload, encoding) == message
 
 
-def test_full_size_frames_arrive_whole(client: Bus, other: Bus) -> None:
-    image = EXAMPLES[Image].after(EXAMPLES[Image], width=1024, height=768, data=bytes(range(256)) * 9216)
-    samples = heard(other, topics.CAMERA)
-    publish_until(client, image, lambda: not samples.empty())
-    assert samples.get(timeout=5.0)[0] == encode(image)
-
-
-def test_messages_of_one_topic_keep_their_order(client: Bus, other: Bus) -> None:
-    samples = heard(other, topics.COMMANDS["teleop"])
-    publish_until(client, command(0), lambda: not samples.empty())
-    for tick in range(1, 200):
-        client.publish(command(tick))
-    ticks = [0]
-    while ticks[-1] < 199:
-        payload, encoding = samples.get(timeout=5.0)
-        ticks.append(decode(Command, payload, encoding).tick)
-    assert ticks == sorted(ticks)
-
-
 def test_topics_that_are_equally_urgent_keep_their_order(client: Bus, other: Bus) -> None:
     ticks: list[int] = []
     chain = (State, Pose, Observation)
@@ -98,15 +78,6 @@ def test_topics_that_are_equally_urgent_keep_their_order(client: Bus, other: Bus
         client.publish(EXAMPLES[chain[tick % 3]].model_copy(update={"tick": tick}))
     eventually(lambda: ticks and ticks[-1] == 99)
     assert [tick for tick in ticks if tick] == list(range(1, 100))
-
-
-def test_a_sample_tells_how_long_it_took(client: Bus, other: Bus) -> None:
-    taken: SimpleQueue[float | None] = SimpleQueue()
-    other.subscribe(topics.STATE, lambda _payload, _encoding, transit_s: taken.put(transit_s))
-    publish_until(client, EXAMPLES[State], lambda: not taken.empty())
-    transit_s = taken.get()
-    assert transit_s is not None
-    assert 0.0 < transit_s < 5.0
 
 
 def test_nobody_waits_for_a_handler_but_what_follows_there(client: Bus, other: Bus) -> None:
@@ -133,19 +104,6 @@ def test_nobody_waits_for_a_handler_but_what_follows_there(client: Bus, other: B
     assert [tick for tick in handled if tick] == [1, 2, 3, 4, 5]
     assert threads.isdisjoint({threading.get_ident()})
     assert len(threads) == 1
-
-
-def test_a_handler_that_fails_holds_up_nothing(client: Bus, other: Bus) -> None:
-    seen: list[int] = []
-
-    def fragile(payload: bytes, encoding: str, _transit_s: float | None) -> None:
-        seen.append(decode(State, payload, encoding).tick)
-        raise ZeroDivisionError("a bug")
-
-    other.subscribe(topics.STATE, fragile)
-    publish_until(client, EXAMPLES[State].model_copy(update={"tick": 1}), lambda: 1 in seen)
-    client.publish(EXAMPLES[State].model_copy(update={"tick": 2}))
-    eventually(lambda: 2 in seen)
 
 
 def test_who_has_left_neither_hears_nor_answers(client: Bus, other: Bus, router_endpoint: str) -> None:
@@ -194,11 +152,6 @@ def call_when_served(bus: Bus, service: str, verb: str, request: Strict, timeout
     reply = eventually(answered)
     assert reply is not None
     return reply
-
-
-def test_a_call_carries_request_and_reply(client: Bus, other: Bus) -> None:
-    other.serve("sim", "end", lambda request, reply: reply(EndRequest.model_validate_json(request)))
-    assert call_when_served(client, "sim", "end", EndRequest(episode="e-1")) == EndRequest(episode="e-1")
 
 
 def test_the_reply_may_come_from_another_thread(client: Bus, other: Bus) -> None:
@@ -315,7 +268,7 @@ def test_what_is_recorded_survives_an_outage_of_the_router(
     free_endpoint: str, topic: topics.Topic, kept_s: float, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The recorder gets what was sent while there was no router, each once and in order, the last one too."""
-    monkeypatch.setattr("services.kit.zenoh_wire.KEPT_S", kept_s)
+    monkeypatch.setattr("services.kit.bus.KEPT_S", kept_s)
     router = Router(free_endpoint)
     sender, receiver = Bus("rescuebot", free_endpoint), Bus("rescuebot", free_endpoint)
 
@@ -394,20 +347,6 @@ def test_whether_anybody_listens_is_known(client: Bus, router_endpoint: str) -> 
     eventually(lambda: not client.has_listeners(topics.DEPTH))
 
 
-def test_another_robot_s_listener_does_not_count(client: Bus, router_endpoint: str) -> None:
-    stranger = Bus("stranger", router_endpoint)
-    try:
-        stranger.subscribe(topics.DEPTH, lambda *_: None)
-        stranger.subscribe(topics.OVERHEAD, lambda *_: None)
-        own = Bus("rescuebot", router_endpoint)
-        own.subscribe(topics.OVERHEAD, lambda *_: None)
-        eventually(lambda: client.has_listeners(topics.OVERHEAD))
-        assert not client.has_listeners(topics.DEPTH)
-        own.close()
-    finally:
-        stranger.close()
-
-
 def test_listeners_are_known_again_after_the_router_was_away(free_endpoint: str) -> None:
     router = Router(free_endpoint)
     sender, receiver = Bus("rescuebot", free_endpoint), Bus("rescuebot", free_endpoint)
@@ -449,16 +388,6 @@ def test_a_client_waits_for_a_router_that_is_starting(free_endpoint: str) -> Non
     finally:
         starting.join()
         routers[0].close()
-
-
-def test_losing_the_router_is_noticed(free_endpoint: str) -> None:
-    router = Router(free_endpoint)
-    bus = Bus("rescuebot", free_endpoint)
-    router.close()
-    eventually(lambda: not bus.connected())
-    with pytest.raises(BusError, match=r"^no router at"):
-        bus.wait_connected(0.05)
-    bus.close()
 
 
 @pytest.mark.zenoh
@@ -515,7 +444,7 @@ def test_what_is_kept_is_bounded(client: Bus, other: Bus) -> None:
         ("smal/*/command", topics.COMMANDS["teleop"], False),
         ("smal/*", topics.STATE, False),
         ("smal/*/*", topics.STATE, True),
-        ("*/rescuebot/camera/rgb", topics.STATE, False),
+        ("*/rescuebot/camera/jpeg", topics.STATE, False),
     ],
 )
 def test_key_expressions(client: Bus, other: Bus, keys: str, topic: topics.Topic, hears: bool) -> None:
@@ -536,10 +465,3 @@ def test_key_expressions(client: Bus, other: Bus, keys: str, topic: topics.Topic
 def test_a_malformed_key_expression(client: Bus, keys: str) -> None:
     with pytest.raises(BusError, match=r"(?i)key"):
         client.listen(keys, lambda _key, _payload, _encoding: None)
-
-
-def test_closing_twice_is_harmless(router_endpoint: str) -> None:
-    bus = Bus("rescuebot", router_endpoint)
-    bus.subscribe(topics.STATE, lambda *_sample: None)
-    bus.close()
-    bus.close()

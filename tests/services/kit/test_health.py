@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import socket
-import struct
 import threading
 import urllib.request
 from collections.abc import Iterator
@@ -18,8 +17,7 @@ from schemas import topics
 from schemas.command import Command
 from schemas.rpc import Status
 from services.kit.bus import Bus, Router
-from services.kit.health import ailment
-from services.kit.http import MOST_CONNECTIONS, HttpError, serve_http
+from services.kit.health import MOST_CONNECTIONS, HttpError, ailment, serve_http
 from services.kit.node import Node, ServiceError
 from services.kit.settings import ServiceSettings
 from tests.services.conftest import RunNode
@@ -73,12 +71,6 @@ def values(text: str) -> Iterator[tuple[tuple[str, str], float]]:
             yield (sample.name, sample.labels.get("topic", sample.labels.get("name", ""))), sample.value
 
 
-def test_a_node_tells_its_health_over_http(node: Node, run_node: RunNode) -> None:
-    assert get(node, "/healthz") == (503, "starting\n")
-    run_node(node)
-    assert eventually(lambda: get(node, "/healthz") == (200, "ok\n"))
-
-
 def test_a_stuck_handler_is_no_health(
     node: Node, client: Bus, run_node: RunNode, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -124,7 +116,7 @@ def test_a_node_without_its_router_is_not_healthy(free_endpoint: str) -> None:
 def test_clients_that_say_nothing_take_few_threads_and_are_sent_away(
     node: Node, run_node: RunNode, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("services.kit.http._Handler.timeout", 0.2)
+    monkeypatch.setattr("services.kit.health._Handler.timeout", 0.2)
     run_node(node)
     eventually(lambda: get(node, "/healthz")[0] == 200)
     assert node._http is not None
@@ -169,26 +161,6 @@ def test_metrics_count_every_message_and_the_parts_of_its_hop(node: Node, client
     assert (found["smal_sample_share_of_it", ""], found["smal_sample_latched", ""]) == (0.5, 1.0)
     assert not [name for name, _ in found if name in ("smal_sample_world", "smal_sample_model")]
     assert found["process_open_fds", ""] > 0
-
-
-def test_a_client_that_goes_away_is_no_news(capfd: pytest.CaptureFixture[str]) -> None:
-    asked, gone = threading.Event(), threading.Event()
-
-    def slow() -> str:
-        asked.set()
-        assert gone.wait(10.0)
-        return "x" * 10_000_000
-
-    server = serve_http("127.0.0.1:0", slow, CollectorRegistry())
-    with socket.create_connection(("127.0.0.1", server.server_port)) as client:
-        client.sendall(b"GET /healthz HTTP/1.0\r\n\r\n")
-        assert asked.wait(10.0)
-        client.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))  # closed with a reset
-    gone.set()
-    eventually(lambda: not [thread for thread in threading.enumerate() if "process_request" in thread.name])
-    server.shutdown()
-    server.server_close()
-    assert capfd.readouterr() == ("", "")
 
 
 def test_an_address_that_cannot_be_had_is_one_line() -> None:

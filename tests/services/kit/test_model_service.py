@@ -19,7 +19,6 @@ from schemas.command import Command
 from schemas.rpc import LoadReply, LoadRequest
 from services.kit.model_service import LoadedModel
 from services.kit.node import ServiceError
-from services.kit.throttle import Throttle
 from services.policy.service import PolicyService
 from services.recognition.service import RecognitionService
 from smal.model import Model
@@ -121,16 +120,6 @@ def test_a_model_with_a_map_is_for_the_filter(cls: type[Service], stride: int | 
     assert service.detail()["scheme"] == "filter"
 
 
-@pytest.mark.parametrize("cls", SERVICES)
-def test_without_a_model_a_refused_one_changes_nothing(
-    cls: type[Service], refused: tuple[Path, LoadRequest, str]
-) -> None:
-    service = cls()
-    with pytest.raises(ServiceError, match=refused[2]):
-        load_by_name(service, *refused[:2])
-    assert service.detail() == {"model": None}
-
-
 def test_policy_goes_on_with_its_plan_after_a_refused_load(
     policy: PolicyService, refused: tuple[Path, LoadRequest, str], model: Path
 ) -> None:
@@ -210,23 +199,3 @@ def test_policy_obeys_the_states_of_the_other_model_once_it_has_loaded_it(
     assert policy.detail()["states_of_another_model"] == 0
     assert atom(policy.handle(theirs)) == "forward"
     assert atom(policy.handle(state(1, model, status="collecting"))) == "stop"
-
-
-def test_policy_has_nothing_to_say_to_an_idle_recognition(policy: PolicyService) -> None:
-    assert policy.handle(state(0, None)) == []
-    assert policy.detail()["states_of_another_model"] == 0
-
-
-def test_states_of_another_model_are_one_line_a_second(
-    policy: PolicyService, model: Path, other: Path, caplog: pytest.LogCaptureFixture
-) -> None:
-    now_s = 0.0
-    policy._complaints = Throttle(lambda: now_s)
-    for tick in range(25):
-        now_s = tick / 10
-        policy.handle(state(tick, other, status="collecting"))
-    lines = [record.getMessage() for record in caplog.records if record.name == "policy"]
-    assert len(lines) == 3
-    assert identity(other) in lines[0]
-    assert f"{identity(model)} ({model})" in lines[0]
-    assert "(21 states so far)" in lines[2]

@@ -24,7 +24,6 @@ from schemas.pose import Pose
 from schemas.rpc import EndRequest, Nothing, Status
 from schemas.topics import Topic
 from services.kit.bus import Bus, BusError, RpcError
-from services.kit.inbox import Inbox
 from services.kit.node import Node, ServiceError
 from services.kit.process import read_settings, run_service
 from services.kit.settings import ServiceSettings
@@ -148,25 +147,6 @@ def test_a_slow_handler_sees_the_newest_and_the_rest_is_counted(node: Node, run_
     assert status(client).dropped == {TELEOP.name: 7}
 
 
-def test_messages_of_several_topics_are_handled_in_order_of_arrival(node: Node, run_node: RunNode) -> None:
-    handled: list[str] = []
-    for topic in topics.COMMANDS.values():
-        node.subscribe(topic, lambda received: handled.append(received.source))
-    order = ["policy", "teleop", "policy", "expert", "teleop", "policy"]
-    for tick, source in enumerate(order):
-        send_raw(node, topics.COMMANDS[source], encode(command(tick, source=source)), encoding_of(Command))
-    run_node(node)
-    eventually(lambda: len(handled) == len(order))
-    assert handled == order
-
-
-def test_silence_does_not_end_a_node(node: Node, run_node: RunNode, client: Bus) -> None:
-    run_node(node)
-    answer = ready(client, "sample")
-    assert (answer.service, answer.pid, answer.received, answer.failed) == ("sample", os.getpid(), {}, 0)
-    assert answer.uptime_s >= answer.idle_s >= 0.0
-
-
 # -- calls ------------------------------------------------------------------------------------------------------------
 
 
@@ -230,12 +210,6 @@ def test_spin_until_something_holds_or_time_is_over(node: Node) -> None:
         assert handled == [4]
 
 
-def test_a_stopped_node_does_not_spin(node: Node) -> None:
-    with node:
-        node.stop()
-        assert not node.spin()
-
-
 def test_timers_run_and_survive_failures(node: Node) -> None:
     calls: list[float] = []
 
@@ -276,13 +250,6 @@ def test_what_is_asked_for_soon_is_done_once_and_is_no_message(node: Node) -> No
     soon()
     assert node.spin(lambda: len(done) == 3, timeout_s=5.0)
     assert node.status().dropped == {}, "nothing is lost where nothing was said"
-
-
-def test_a_wake_before_the_wait_is_not_lost() -> None:
-    inbox = Inbox()
-    inbox.open("queue", 1)
-    inbox.wake()
-    assert inbox.take(timeout_s=None) is None
 
 
 def test_throttle_lets_one_line_a_second_through() -> None:

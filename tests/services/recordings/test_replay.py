@@ -24,7 +24,6 @@ from schemas.state import State
 from services.cli.replay import Player
 from services.features.service import FeaturesService
 from services.kit.bus import Bus
-from services.kit.jpeg import decode_jpeg
 from services.kit.model_service import LoadedModel
 from services.kit.node import Node
 from services.kit.settings import ServiceSettings
@@ -88,7 +87,7 @@ def chain(settings: ServiceSettings, run_node: RunNode) -> Callable[[Model], Non
         recognizing, deciding = RecognitionService(), PolicyService()
         recognizing.load(loaded)
         deciding.load(loaded)
-        features.subscribe(topics.CAMERA, FeaturesService(model.feature_settings).handle)
+        features.subscribe(topics.JPEG, FeaturesService(model.feature_settings).handle)
         recognizing.announce = recognition.publish
         recognition.subscribe(topics.ODOMETRY, recognizing.see)
         recognition.subscribe(topics.APPLIED, recognizing.see_applied)
@@ -132,7 +131,7 @@ def check_decisions(client: Bus, robot: Node, path: Path, model: Model) -> list[
             heard.wait(topics.COMMANDS["policy"], tick.number - 1)
         return True
 
-    eventually(lambda: robot.bus.has_listeners(topics.CAMERA))
+    eventually(lambda: robot.bus.has_listeners(topics.JPEG))
     player = Player(robot, track, "replay-1", dict(REPLAYABLE))
     player.run(answered)
     last = len(expected) - 1
@@ -169,7 +168,7 @@ def test_a_replay_tells_what_the_robot_told_and_never_a_command(client: Bus, rob
     keys: set[str] = set()
     client.listen("**", lambda key, _payload, _encoding: keys.add(key))
     heard = Heard(client, *REPLAYABLE.values())
-    eventually(lambda: robot.bus.has_listeners(topics.CAMERA))
+    eventually(lambda: robot.bus.has_listeners(topics.JPEG))
     (track,) = tracks_of(path)
     Player(robot, track, "replay-1", dict(REPLAYABLE)).run(lambda _tick: True)
     heard.wait(topics.EPISODE, 3)
@@ -177,15 +176,15 @@ def test_a_replay_tells_what_the_robot_told_and_never_a_command(client: Bus, rob
     assert keys <= {topic.key(ROBOT) for topic in SERVICES["robot"].gives}
     assert not keys & {topic.key(ROBOT) for topic in (*topics.COMMANDS.values(), topics.HEARTBEAT)}
     assert {(one.robot, one.episode) for one in heard.order} == {(ROBOT, "replay-1")}
-    for topic in (topics.ODOMETRY, topics.IMU, topics.POSE, topics.CAMERA, topics.JPEG):
+    for topic in (topics.ODOMETRY, topics.IMU, topics.POSE, topics.JPEG):
         heard.wait(topic, 3)  # they come on their own ways
         assert sorted(heard.said[topic.name]) == [0, 1, 2, 3]
     sent = {(one.topic_name, one.tick): one for one in episode("drive-1", frames=4)}
     told, recorded = heard.said["odometry"][2], sent["odometry", 2]
     changed = {"robot", "episode", "stamp_ns"}
     assert told.model_dump(exclude=changed) == recorded.model_dump(exclude=changed)
-    image = heard.said["camera/rgb"][2]
-    np.testing.assert_array_equal(image.to_numpy(), decode_jpeg(sent["camera/jpeg", 2].data))
+    image = heard.said["camera/jpeg"][2]
+    assert image.data == sent["camera/jpeg", 2].data
     stamps = [heard.said["odometry"][tick].stamp_ns for tick in range(4)]
     assert np.diff(stamps).tolist() == [100_000_000] * 3
     assert {one.purpose for one in heard.order if isinstance(one, Episode)} == {"run"}, "no second demonstration"
@@ -196,11 +195,11 @@ def test_the_command_replays_and_is_refused_where_a_robot_is(
     client: Bus, router_endpoint: str, settings: ServiceSettings, run_node: RunNode, tmp_path: Path
 ) -> None:
     path = record(tmp_path, list(episode("drive-1", frames=5)))
-    heard = Heard(client, topics.CAMERA, topics.EPISODE)
+    heard = Heard(client, topics.JPEG, topics.EPISODE)
     done = run_smal("replay", path, "--router", router_endpoint, "--rate", 20)
     assert done.returncode == 0, done.stderr
     assert "episode drive-1 of rescuebot as replay-" in done.stderr
-    heard.wait(topics.CAMERA, 4)
+    heard.wait(topics.JPEG, 4)
     stepped = run_smal("replay", path, "--router", router_endpoint, "--step", typed="\n\n")
     assert stepped.returncode == 0, stepped.stderr
     eventually(lambda: [one.tick for one in heard.order if isinstance(one, Episode)][-1] == 1)

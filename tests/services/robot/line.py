@@ -5,15 +5,16 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable, Collection, Iterator
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
 from schemas.base import Atom, Message
 from schemas.depth_image import DepthImage
 from schemas.pose import Pose
 from schemas.rpc import ResetRequest
 from schemas.topics import DEPTH, Topic
+from services.kit.jpeg import encode_jpeg
 from services.robot.body import Beginning, ImuReading, OdometryReading
 
 SPEED_M_S = 2.0
@@ -40,10 +41,10 @@ class LineView:
     odometry: OdometryReading | None
     imu: tuple[ImuReading, ...] | None
 
-    @property
-    def image(self) -> NDArray[np.uint8]:
+    @cached_property
+    def jpeg(self) -> bytes:
         self.body.render(self.x)
-        return np.full((24, 32, 3), int(10 * self.x) % 256, dtype=np.uint8)
+        return encode_jpeg(np.full((24, 32, 3), int(10 * self.x) % 256, dtype=np.uint8))
 
     def more(self, header: Message, made: Collection[str] = ()) -> Iterator[Message]:
         if Pose.topic not in made:

@@ -6,7 +6,6 @@ import math
 import pickle
 import threading
 from collections.abc import Callable
-from dataclasses import FrozenInstanceError
 from itertools import pairwise
 
 import pytest
@@ -20,7 +19,7 @@ from schemas.heartbeat import Heartbeat
 from services.robot.gate import LEASE_S, MAX_AGE_S, OPERATOR_S, Applied, CommandGate
 
 STAND = Applied("stop", 0.0, None, "silence")
-THEIRS = "an operator has the robot (at desk), and only they may say so"
+THEIRS = "only the operator (at desk) may do that"
 
 
 def command(
@@ -94,20 +93,6 @@ def test_refusals_are_named_counted_and_harmless(
     assert gate.applied(now_s) == STAND
 
 
-def test_refusals_add_up_until_the_next_episode(gate: CommandGate) -> None:
-    for _ in range(3):
-        gate.offer(command(1), 10.1)
-    assert gate.refused == {"unknown frame": 3}
-    gate.begin("f", "policy")
-    assert gate.refused == {}
-
-
-@pytest.mark.parametrize("speed", [0.0, 0.5, 1.0])
-def test_speed_is_passed_on(gate: CommandGate, speed: float) -> None:
-    assert gate.offer(command(0, speed=speed), 10.0) is None
-    assert gate.applied(10.0).speed == speed
-
-
 def test_a_command_expires_after_its_last_moment_and_not_in_it() -> None:
     gate = armed(max_age_s=0.5)  # which floating point represents exactly
     gate.begin("e", "policy")
@@ -119,18 +104,6 @@ def test_a_command_expires_after_its_last_moment_and_not_in_it() -> None:
     assert gate.offer(command(0, sequence=1), 10.500001) == "stale"
     gate.captured(2, 10.6)
     assert gate.offer(command(0, sequence=1), 10.6) == "stale"
-
-
-def test_the_frame_before_the_last_may_still_be_answered(gate: CommandGate) -> None:
-    gate.captured(1, 10.1)
-    gate.captured(2, 10.2)
-    assert gate.offer(command(1), 10.25) is None
-    assert gate.applied(10.25).answered_tick == 1
-
-
-def test_a_frame_that_was_dropped_is_unknown_and_not_stale(gate: CommandGate) -> None:
-    gate.captured(2, 10.2)
-    assert gate.offer(command(1), 10.2) == "unknown frame"
 
 
 def test_a_gate_that_runs_for_long_stays_small(gate: CommandGate) -> None:
@@ -149,11 +122,6 @@ def test_a_gate_that_runs_for_long_stays_small(gate: CommandGate) -> None:
     assert size() < after_a_second + 100
 
 
-def test_no_frame_is_known_before_the_first(gate: CommandGate) -> None:
-    gate.begin("f", "policy")
-    assert gate.offer(command(0, episode="f"), 10.0) == "unknown frame"
-
-
 @pytest.mark.parametrize("episode", ["e", "x", "policy", "teleop"])
 def test_nothing_moves_before_the_first_episode(episode: str) -> None:
     gate = armed()
@@ -162,11 +130,6 @@ def test_nothing_moves_before_the_first_episode(episode: str) -> None:
         assert gate.offer(command(0, source=source, episode=episode), 10.0) == "wrong episode"
     assert gate.applied(10.0) == STAND
     assert gate.emergency_stop == 0
-
-
-def test_what_is_applied_cannot_be_changed(gate: CommandGate) -> None:
-    with pytest.raises(FrozenInstanceError):
-        gate.applied(10.0).atom = "forward"  # type: ignore[misc]
 
 
 def test_frozen_sender_that_wakes_with_an_old_plan_is_stale(gate: CommandGate) -> None:
@@ -430,13 +393,6 @@ def test_an_emergency_stop_of_the_same_instant_is_not_hidden_by_another_stop(how
     assert (gate.stop_cause, gate.emergency_stop) == ("emergency_stop", 3)
 
 
-def test_where_no_stop_is_latched_none_is_released() -> None:
-    gate = CommandGate(first_stop=7)
-    assert gate.arm(7, "") is None
-    assert gate.arm(0, "") == "no stop is latched"
-    assert not gate.emergency_stop
-
-
 def test_a_robot_that_is_armed_before_its_first_episode_is_taken_over_by_nobody() -> None:
     assert not armed().taken_over
 
@@ -552,14 +508,6 @@ def test_no_pulse_from_before_a_restart_is_one_after_it() -> None:
     assert all(0 < number < 2**62 for number in numbers)
 
 
-def test_pulses_are_told_apart(gate: CommandGate) -> None:
-    first, second = gate.pulse(10.0), gate.pulse(10.1)
-    assert second == first + 1
-    gate.hear(beat("o", 0, first), 10.1)
-    gate.watch(10.2501)
-    assert gate.stop_cause == "operator_lost", "by the time of the one that was answered"
-
-
 def test_an_answer_to_an_older_pulse_makes_nobody_older(gate: CommandGate) -> None:
     older, newer = gate.pulse(10.0), gate.pulse(10.2)
     gate.hear(beat("o", 0, newer), 10.2)
@@ -578,13 +526,6 @@ def test_who_comes_next_is_as_old_as_their_own_answer(gate: CommandGate) -> None
     assert gate.operator == "p"
     gate.watch(10.26)
     assert gate.stop_cause == "operator_lost"
-
-
-def test_a_good_bye_of_nobody_changes_nothing() -> None:
-    gate = CommandGate(attended=True, first_stop=5)
-    gate.watch(9.9)
-    hear(gate, "o", 0, 10.0, present=False)
-    assert (gate.operator, gate.emergency_stop) == (None, 5)
 
 
 @pytest.mark.parametrize("other", ["n", "p"])

@@ -11,8 +11,8 @@ from schemas import topics
 from schemas.base import Message
 from schemas.codec import decode
 from schemas.command import Command, CommandApplied
+from schemas.compressed_image import CompressedImage
 from schemas.episode import Episode
-from schemas.image import Image
 from schemas.rpc import ArmRequest, EndRequest, Nothing, ResetReply, ResetRequest, ResumeRequest
 from services.kit.bus import Bus, RpcError, Take
 from tests.services.chain import process
@@ -25,7 +25,7 @@ pytestmark = [pytest.mark.rendering, pytest.mark.zenoh]
 class Heard:
     """What the simulator said."""
 
-    images: list[Image] = field(default_factory=list)
+    images: list[CompressedImage] = field(default_factory=list)
     applied: list[CommandApplied] = field(default_factory=list)
     events: list[Episode] = field(default_factory=list)
 
@@ -37,7 +37,7 @@ def heard(client: Bus, router_endpoint: str) -> Iterator[Heard]:
     def into(collected: list[Message], cls: type[Message]) -> Take:
         return lambda payload, encoding, _transit_s: collected.append(decode(cls, payload, encoding))
 
-    client.subscribe(topics.CAMERA, into(heard.images, Image))  # type: ignore[arg-type]
+    client.subscribe(topics.JPEG, into(heard.images, CompressedImage))  # type: ignore[arg-type]
     client.subscribe(topics.APPLIED, into(heard.applied, CommandApplied))  # type: ignore[arg-type]
     client.subscribe(topics.EPISODE, into(heard.events, Episode))  # type: ignore[arg-type]
     flags = ("--world", "yard", "--camera-width", "64", "--camera-height", "48")

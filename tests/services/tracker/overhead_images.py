@@ -8,7 +8,8 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from services.tracker.tag_tracking import OverheadCamera, Tag
+from schemas.overhead_image import Calibration
+from services.tracker.tag_tracking import Tag
 
 #: What a pixel is averaged from, along each axis.
 SUPERSAMPLING = 8
@@ -19,7 +20,7 @@ MARGIN_CELLS = 1.0
 class Shot:
     """How an image is taken: size, pose (x, y, heading) of the tag, and what spoils the picture."""
 
-    camera: OverheadCamera
+    camera: Calibration
     size: tuple[int, int]
     pose: tuple[float, float, float]
     blur_px: float = 0.6
@@ -27,17 +28,17 @@ class Shot:
     seed: int = 0
 
 
-def homography(camera: OverheadCamera, height_m: float) -> np.ndarray:
+def homography(camera: Calibration, height_m: float) -> np.ndarray:
     """Return the 3x3 matrix from (x, y, 1) on the plane at a height to pixels: K R [I | -C] of a pinhole camera."""
     cos, sin = math.cos(camera.up_rad), math.sin(camera.up_rad)
     rotation = np.array([[sin, -cos, 0.0], [-cos, -sin, 0.0], [0.0, 0.0, -1.0]])
-    k = np.array([[camera.focal_px, 0, camera.centre_px[0]], [0, camera.focal_px, camera.centre_px[1]], [0, 0, 1.0]])
+    k = np.array([[camera.focal_px, 0, camera.centre_x_px], [0, camera.focal_px, camera.centre_y_px], [0, 0, 1.0]])
     plane = np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, height_m]])
-    plane[:, 2] -= camera.position_m
+    plane[:, 2] -= (camera.x_m, camera.y_m, camera.height_m)
     return k @ rotation @ plane
 
 
-def pixel(camera: OverheadCamera, x_m: float, y_m: float, height_m: float) -> np.ndarray:
+def pixel(camera: Calibration, x_m: float, y_m: float, height_m: float) -> np.ndarray:
     """Return where a point is in the image."""
     seen = homography(camera, height_m) @ (x_m, y_m, 1.0)
     return seen[:2] / seen[2]
@@ -67,14 +68,14 @@ def photograph(shot: Shot, *tags: Tag, cover: np.ndarray | None = None) -> np.nd
 
 def _put(
     picture: np.ndarray,
-    camera: OverheadCamera,
+    camera: Calibration,
     tag: Tag,
     pose: tuple[float, float, float],
     cover: np.ndarray | None,
 ) -> None:
     """Draw one robot: every pixel is the mean of what its supersamples see on the tag's plane."""
     middle = pixel(camera, pose[0], pose[1], tag.height_m)
-    reach = math.ceil(tag.side_m * camera.focal_px / (camera.position_m[2] - tag.height_m)) + 2
+    reach = math.ceil(tag.side_m * camera.focal_px / (camera.height_m - tag.height_m)) + 2
     height, width = picture.shape
     left, upper = np.clip(np.floor(middle).astype(int) - reach, 0, (width, height))
     right, lower = np.clip(np.floor(middle).astype(int) + reach, 0, (width, height))

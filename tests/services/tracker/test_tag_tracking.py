@@ -11,18 +11,24 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.optimize import minimize
 
-from services.tracker.tag_detection import MarkerDetector
-from services.tracker.tag_tracking import MAX_ERROR, OverheadCamera, Tag, TagNotSeen, TagPose, TagTracker, fit_square
-from tests.services.tracker.overhead_images import Shot, photograph, pixel
+from schemas.overhead_image import Calibration
+from services.tracker.tag_tracking import Tag, TagNotSeen, TagPose, TagTracker, fit_square
+from tests.services.tracker.overhead_images import Shot, photograph
 
 TAG = Tag(number=7, side_m=0.2, height_m=0.43)
 #: 1024 x 768 pixels from 4.2 m: 29.7 pixels a side.
 SIZE = (1024, 768)
-CAMERA = OverheadCamera(focal_px=560.0, centre_px=(512.0, 384.0), position_m=(4.0, 3.0, 4.2), up_rad=math.pi / 2)
+CAMERA = Calibration(
+    focal_px=560.0, centre_x_px=512.0, centre_y_px=384.0, x_m=4.0, y_m=3.0, height_m=4.2, up_rad=math.pi / 2
+)
 TRACKER = TagTracker(TAG)
 _angles = st.floats(-math.pi, math.pi)
 # Of the way from the middle to where the tag touches the edge: nearer, noise hides 3 or 4 of 100 (seen by trying 400).
 _shares = st.floats(-0.95, 0.95)
+
+
+def changed(camera: Calibration, **fields: float) -> Calibration:
+    return camera.model_copy(update=fields)
 
 
 def angle(difference: float) -> float:
@@ -35,12 +41,12 @@ def miss(found: TagPose, pose: tuple[float, float, float]) -> tuple[float, float
     return math.hypot(found.x_m - pose[0], found.y_m - pose[1]), angle(found.heading_rad - pose[2])
 
 
-def place(camera: OverheadCamera, size: tuple[int, int], across: float, down: float) -> tuple[float, float]:
+def place(camera: Calibration, size: tuple[int, int], across: float, down: float) -> tuple[float, float]:
     """Return a point on the tag's plane: -1 to 1 are the ends of where the whole white card is in the image."""
-    scale = (camera.position_m[2] - TAG.height_m) / camera.focal_px
+    scale = (camera.height_m - TAG.height_m) / camera.focal_px
     right_m, down_m = (share * (n / 2 * scale - 0.2) for share, n in zip((across, down), size, strict=True))
     up = np.array([math.cos(camera.up_rad), math.sin(camera.up_rad)])
-    x, y = np.array(camera.position_m[:2]) + right_m * np.array([up[1], -up[0]]) - down_m * up
+    x, y = np.array([camera.x_m, camera.y_m]) + right_m * np.array([up[1], -up[0]]) - down_m * up
     return float(x), float(y)
 
 
@@ -54,7 +60,7 @@ def place(camera: OverheadCamera, size: tuple[int, int], across: float, down: fl
 def test_pose_is_within_a_centimetre_and_a_degree(
     across: float, down: float, heading: float, up: float, blur: float, noise: float, seed: int
 ) -> None:
-    camera = replace(CAMERA, up_rad=up)
+    camera = changed(CAMERA, up_rad=up)
     pose = (*place(camera, SIZE, across, down), heading)
     found = TRACKER.locate(photograph(Shot(camera, SIZE, pose, blur, noise, seed), TAG), camera)
     away_m, turned_deg = miss(found, pose)
@@ -69,51 +75,13 @@ def test_accuracy_holds_from_16_to_80_pixels_a_side(
     focal_px: float, heading: float, across: float, down: float, seed: int
 ) -> None:
     size = (400, 304)
-    camera = replace(CAMERA, focal_px=focal_px, centre_px=(210.0, 140.5))
-    middle = replace(camera, centre_px=(200.0, 152.0))
+    camera = changed(CAMERA, focal_px=focal_px, centre_x_px=210.0, centre_y_px=140.5)
+    middle = changed(camera, centre_x_px=200.0, centre_y_px=152.0)
     pose = (*place(middle, size, across / 2, down / 2), heading)
     found = TRACKER.locate(photograph(Shot(camera, size, pose, seed=seed), TAG), camera)
     away_m, turned_deg = miss(found, pose)
     assert away_m < 0.01
     assert turned_deg < 1.0
-
-
-@pytest.mark.parametrize(
-    ("up", "right_of_the_centre", "top_of_the_image"),
-    [
-        (math.pi / 2, (1.0, 0.0), 0.0),
-        (0.0, (0.0, -1.0), -90.0),
-        (math.pi, (0.0, 1.0), 90.0),
-        (-math.pi / 2, (-1, 0), 180),
-    ],
-)
-def test_directions_are_those_of_the_floor(
-    up: float, right_of_the_centre: tuple[float, float], top_of_the_image: float
-) -> None:
-    # No projection is needed to say where a tag in the middle of the right half is, upper edge to the right.
-    camera = replace(CAMERA, up_rad=up)
-    pose = (4.0 + right_of_the_centre[0], 3.0 + right_of_the_centre[1], math.radians(top_of_the_image))
-    image = photograph(Shot(camera, SIZE, pose), TAG)
-    column = int(512 + 560 / 3.77)
-    (corners,) = MarkerDetector().find(image, 7)
-    assert np.abs(corners.mean(axis=0) - (column, 384)).max() < 1
-    ahead_left = corners[0]
-    assert ahead_left[0] > column
-    assert ahead_left[1] < 384
-    away_m, turned_deg = miss(TRACKER.locate(image, camera), pose)
-    assert away_m < 0.003
-    assert turned_deg < 0.5
-
-
-@settings(max_examples=25, deadline=None)
-@given(_angles, st.floats(-0.3, 0.3), st.floats(-0.3, 0.3), st.integers(0, 2**32 - 1))
-def test_corners_are_found_to_a_fifth_of_a_pixel(heading: float, x: float, y: float, seed: int) -> None:
-    camera = replace(CAMERA, centre_px=(150.0, 100.0), position_m=(0.0, 0.0, 4.2))
-    (corners,) = MarkerDetector().find(photograph(Shot(camera, (304, 200), (x, y, heading), seed=seed), TAG), 7)
-    cos, sin = math.cos(heading), math.sin(heading)
-    for corner, (ahead, left) in zip(corners, [(0.1, 0.1), (0.1, -0.1), (-0.1, -0.1), (-0.1, 0.1)], strict=True):
-        truth = pixel(camera, x + ahead * cos - left * sin, y + ahead * sin + left * cos, 0.43)
-        assert np.hypot(*(corner - truth)) < 0.2
 
 
 # -- the fit
@@ -136,30 +104,14 @@ def test_no_other_square_fits_better(shifts: list[tuple[float, float]], heading:
         assert squares(np.array([x, y, found])) <= minimize(squares, np.array([2.0, -1.0, start])).fun + 1e-9
 
 
-def test_the_error_limit_bounds_the_heading() -> None:
-    """One corner, moved about the middle, that gives just the greatest error allowed turns the square by 2 degrees."""
-    square = np.array([[0.1, 0.1], [0.1, -0.1], [-0.1, -0.1], [-0.1, 0.1]])
-    least, most = 0.0, 0.1
-    for _ in range(60):
-        shift = (least + most) / 2
-        moved = square + np.outer([1.0, 0.0, 0.0, 0.0], [-shift, shift])
-        least, most = (shift, most) if fit_square(moved, 0.2)[3] < MAX_ERROR * 0.2 else (least, shift)
-    assert 1.9 < angle(fit_square(moved, 0.2)[2]) <= 2.05
-
-
 # -- when the tag is not seen
 
 
-def not_seen(image: np.ndarray, camera: OverheadCamera = CAMERA, tag: Tag = TAG) -> str:
+def not_seen(image: np.ndarray, camera: Calibration = CAMERA, tag: Tag = TAG) -> str:
     with pytest.raises(TagNotSeen) as reason:
         TagTracker(tag).locate(image, camera)
     assert "\n" not in str(reason.value)
     return str(reason.value)
-
-
-def test_empty_floor() -> None:
-    image = photograph(Shot(CAMERA, SIZE, (4.0, 3.0, 0.3)))
-    assert not_seen(image) == "no markers with number 7 are in the image"
 
 
 @pytest.mark.parametrize("number", [0, 6, 8, 49])
@@ -174,22 +126,15 @@ def test_two_of_the_same_number() -> None:
     assert "2 markers with number 7" in not_seen(image)
 
 
-def test_another_robot_beside_it_does_not_matter() -> None:
-    image = photograph(Shot(CAMERA, SIZE, (4.0, 3.0, 0.3)), TAG, replace(TAG, number=12))
-    away_m, turned_deg = miss(TRACKER.locate(image, CAMERA), (4.0, 3.0, 0.3))
-    assert away_m < 0.01
-    assert turned_deg < 1.0
-
-
 @pytest.mark.parametrize(
     ("camera", "tag"),
     [
         (CAMERA, replace(TAG, side_m=0.23)),
         (CAMERA, replace(TAG, height_m=0.0)),
-        (replace(CAMERA, focal_px=640.0), TAG),
+        (changed(CAMERA, focal_px=640.0), TAG),
     ],
 )
-def test_wrong_size_height_or_calibration(camera: OverheadCamera, tag: Tag) -> None:
+def test_wrong_size_height_or_calibration(camera: Calibration, tag: Tag) -> None:
     image = photograph(Shot(CAMERA, SIZE, (4.0, 3.0, 0.3)), TAG)
     assert "another tag, another height, or a wrong calibration" in not_seen(image, camera, tag)
 
@@ -202,7 +147,7 @@ def test_stretched_image_is_refused() -> None:
     assert "is no square of 0.2 m" in not_seen(np.ascontiguousarray(stretched))
 
 
-def seen_right_or_not_at_all(image: np.ndarray, camera: OverheadCamera, pose: tuple[float, float, float]) -> bool:
+def seen_right_or_not_at_all(image: np.ndarray, camera: Calibration, pose: tuple[float, float, float]) -> bool:
     try:
         found = TRACKER.locate(image, camera)
     except TagNotSeen:
@@ -218,7 +163,7 @@ def seen_right_or_not_at_all(image: np.ndarray, camera: OverheadCamera, pose: tu
 def test_tag_across_the_border_is_seen_right_or_not_at_all(
     heading: float, outside_m: float, side: bool, along: float, seed: int
 ) -> None:
-    camera = replace(CAMERA, centre_px=(150.0, 100.0), position_m=(0.0, 0.0, 4.2))
+    camera = changed(CAMERA, centre_x_px=150.0, centre_y_px=100.0, x_m=0.0, y_m=0.0, height_m=4.2)
     scale = 3.77 / 560
     x, y = (150 * scale + outside_m, (along - 0.5) * 200 * scale) if side else (
         (along - 0.5) * 300 * scale, 100 * scale + outside_m
@@ -239,7 +184,7 @@ def test_covered_tag_is_seen_right_or_not_at_all(heading: float, towards: float,
     direction = np.array([math.cos(towards), math.sin(towards)])
     beside = np.array([-direction[1], direction[0]])
     cover = np.array([from_m * direction - beside, direction - beside, direction + beside, from_m * direction + beside])
-    camera = replace(CAMERA, centre_px=(100.0, 100.0), position_m=(0.0, 0.0, 4.2))
+    camera = changed(CAMERA, centre_x_px=100.0, centre_y_px=100.0, x_m=0.0, y_m=0.0, height_m=4.2)
     pose = (0.05, -0.03, heading)
     image = photograph(Shot(camera, (200, 200), pose, seed=seed), TAG, cover=cover)
     seen = seen_right_or_not_at_all(image, camera, pose)
@@ -247,23 +192,9 @@ def test_covered_tag_is_seen_right_or_not_at_all(heading: float, towards: float,
     assert not seen or from_m > 0.05
 
 
-@settings(max_examples=60, deadline=None)
-@given(_angles, st.floats(-0.12, 0.12), st.floats(-0.12, 0.12), st.floats(0.005, 0.15), st.integers(0, 2**32 - 1))
-def test_something_on_the_tag_leaves_it_right_or_unseen(
-    heading: float, ahead: float, left: float, width: float, seed: int
-) -> None:
-    half = width / 2
-    cover = np.array([[ahead - half, left - half], [ahead + half, left - half], [ahead + half, left + half],
-                      [ahead - half, left + half]])  # fmt: skip
-    camera = replace(CAMERA, centre_px=(100.0, 100.0), position_m=(0.0, 0.0, 4.2))
-    pose = (0.05, -0.03, heading)
-    image = photograph(Shot(camera, (200, 200), pose, seed=seed), TAG, cover=cover)
-    seen_right_or_not_at_all(image, camera, pose)
-
-
 def test_camera_below_the_tag_is_an_error_that_names_both() -> None:
     image = np.zeros((48, 64, 3), dtype=np.uint8)
-    below = replace(CAMERA, position_m=(0.0, 0.0, 0.43))
+    below = changed(CAMERA, x_m=0.0, y_m=0.0, height_m=0.43)
     with pytest.raises(ValueError, match=r"0\.43 m above the floor cannot look down on a tag at 0\.43 m"):
         TRACKER.locate(image, below)
 

@@ -12,7 +12,7 @@ import pytest
 from schemas.action import Action
 from schemas.base import Message
 from schemas.command import Command, CommandApplied
-from schemas.image import Image
+from schemas.compressed_image import CompressedImage
 from schemas.observation import Observation
 from schemas.pose import Pose
 from schemas.state import State
@@ -24,7 +24,7 @@ from tests.services.cli.conftest import Smal
 from tests.services.waiting import eventually, send_as_stranger
 
 Measured = Callable[..., tuple[int, str, str]]
-CHAIN: tuple[type[Message], ...] = (Pose, Image, Observation, State, Action, Command, CommandApplied)
+CHAIN: tuple[type[Message], ...] = (Pose, CompressedImage, Observation, State, Action, Command, CommandApplied)
 
 
 @pytest.fixture
@@ -64,7 +64,7 @@ def test_from_frame_to_command(measured: Measured) -> None:
     status, out, err = measured("--json", "--camera")
     assert status == 0
     found = json.loads(out)
-    assert found["frame"] == "camera/rgb"
+    assert found["frame"] == "camera/jpeg"
     assert found["frames"] >= 5
     every, decisions = found["drivers"]["policy"]["all"], found["drivers"]["policy"]["decisions"]
     assert hops(every) == [

@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from schemas.command import Command
-from schemas.image import Image
+from schemas.compressed_image import CompressedImage
 from services.cli.listening import commands as listening_commands
 from services.cli.listening.arrivals import RATES, SIZES, Arrivals, lines, sizes
 from services.kit.bus import Bus
@@ -54,7 +54,7 @@ def talking(client: Bus, router_endpoint: str, monkeypatch: pytest.MonkeyPatch) 
 
         def enough() -> bool:
             client.publish(EXAMPLES[Command])
-            client.publish(EXAMPLES[Image])
+            client.publish(EXAMPLES[CompressedImage])
             return len(heard) >= 20
 
         eventually(enough)
@@ -69,7 +69,7 @@ def test_bw_measures_each_key_and_the_total(smal: Smal, router_endpoint: str) ->
     status, out, _ = smal("topic", "bw", "--json", "--router", router_endpoint)
     found = json.loads(out)
     assert status == 0
-    assert set(found["keys"]) == {KEY, "smal/rescuebot/camera/rgb"}
+    assert set(found["keys"]) == {KEY, "smal/rescuebot/camera/jpeg"}
     assert found["keys"][KEY]["mean_bytes"] == found["keys"][KEY]["min_bytes"] == found["keys"][KEY]["max_bytes"]
     assert found["total"]["bytes"] == sum(one["bytes"] for one in found["keys"].values())
     assert found["total"]["bytes_per_s"] == found["total"]["bytes"] / found["seconds"]

@@ -18,7 +18,7 @@ from hypothesis import given, settings
 from schemas.base import Message
 from schemas.codec import encode
 from schemas.command import Command
-from schemas.image import Image
+from schemas.compressed_image import CompressedImage
 from schemas.topics import STATE, key_of
 from services.cli.listening.zenoh_codec import decode_to_json
 from services.kit.bus import Bus
@@ -48,7 +48,7 @@ def test_a_message_is_a_line_with_all_its_fields(message: Message) -> None:
         ("other/key", b"x", "no topic of SMAL"),
         (TELEOP, b"\xc1", "not msgpack"),
         (TELEOP, b"", "not msgpack"),
-        (TELEOP, encode(EXAMPLES[Image]), "at most|Field required"),
+        (TELEOP, encode(EXAMPLES[CompressedImage]), "at most|Field required"),
         ("smal/stranger/command/teleop", encode(EXAMPLES[Command]), "holds a message of rescuebot/command/teleop"),
         ("smal/rescuebot/rpc/robot/status", b"\xff", "not JSON"),
         ("smal/rescuebot/rpc/robot/status", b"[" * 100_000, "not JSON"),
@@ -105,7 +105,7 @@ def test_zenoh_subscribe_shows_decoded_messages(zenoh: Zenoh, client: Bus) -> No
 
     def heard() -> bool:
         client.publish(EXAMPLES[Command])
-        client.publish(EXAMPLES[Image])
+        client.publish(EXAMPLES[CompressedImage])
         send_as_stranger(client, STATE, b"\xc1")
         with suppress(BlockingIOError):
             said.extend(os.read(listener.stdout.fileno(), 1 << 20))
@@ -117,5 +117,5 @@ def test_zenoh_subscribe_shows_decoded_messages(zenoh: Zenoh, client: Bus) -> No
 
     eventually(heard)
     assert json.loads(lines()[TELEOP]) == EXAMPLES[Command].model_dump()
-    assert json.loads(lines()["smal/rescuebot/camera/rgb"])["data"] == {"bytes": 6}
+    assert json.loads(lines()["smal/rescuebot/camera/jpeg"])["data"] == {"bytes": 4}
     assert "not msgpack" in json.loads(lines()["smal/rescuebot/state"])["error"]

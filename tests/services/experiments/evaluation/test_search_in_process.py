@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from schemas.base import Message
 from schemas.command import Command
+from schemas.compressed_image import CompressedImage
 from schemas.episode import Episode, Purpose
-from schemas.image import Image
 from schemas.observation import Observation
 from schemas.odometry import Odometry
 from schemas.pose import Pose as TruePose
@@ -37,7 +37,7 @@ FEATURES = FeatureSettings()
 
 def by_services(
     simulation: Simulation,
-    answer: Callable[[Image | Odometry], Iterator[Message]],
+    answer: Callable[[CompressedImage | Odometry], Iterator[Message]],
     seed: int,
     max_ticks: int,
     purpose: Purpose = "run",
@@ -52,7 +52,7 @@ def by_services(
             poses.append((message.x_m, message.y_m, message.heading_rad))
         if isinstance(message, Episode) and message.event == "ended":
             end = message
-        if isinstance(message, Image | Odometry):
+        if isinstance(message, CompressedImage | Odometry):
             for said in answer(message):
                 answers.append(said)
                 if isinstance(said, Command):
@@ -81,8 +81,8 @@ def test_smal_in_this_process_and_as_services_drives_alike_to_the_last_bit(
     for service in (recognition, policy):
         service.load(LoadedModel.read(learned[scheme]))
 
-    def answer(message: Image | Odometry) -> Iterator[Message]:
-        if isinstance(message, Image):
+    def answer(message: CompressedImage | Odometry) -> Iterator[Message]:
+        if isinstance(message, CompressedImage):
             observation = features.handle(message)
             assert isinstance(observation, Observation)
             state = recognition.handle(observation)
