@@ -193,6 +193,6 @@ def test_a_run_is_of_the_model_that_is_chosen_and_recorded(
     page.insist(lambda: str(page.state["robot"]["episode"]).startswith("run-7-"), do="run", **run)
     wanted = LoadRequest(model="corridor.smal", goal=goal)
     assert loaded[:2] == [("recognition", wanted), ("policy", wanted)]
-    page.say(do="end", found=True)
-    (recording,) = eventually(lambda: page.state["library"]["recordings"])
+    page.insist(lambda: page.state["library"]["recordings"], do="end", found=True)
+    (recording,) = page.state["library"]["recordings"]
     assert (recording["purpose"], recording["goal"], recording["outcome"]) == ("run", "victim", "found")
