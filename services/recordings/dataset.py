@@ -160,7 +160,8 @@ def unusable(episode: RecordedEpisode, *, include_runs: bool) -> str | None:
     if episode.purpose == "run" and not include_runs:
         return "the robot drove by itself (--include-runs takes such runs if they found the victim)"
     if episode.purpose == "run" and episode.outcome != "found":
-        return f"the robot drove by itself and did not find the victim ({episode.outcome})"
+        ended = episode.outcome or "its end was not recorded"
+        return f"the robot drove by itself and did not find the victim ({ended})"
     if episode.outcome == "collision":
         return "it ended in a collision"
     if episode.purpose == "drive" and episode.outcome in ("timeout", "aborted"):
