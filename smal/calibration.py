@@ -54,7 +54,7 @@ class TaughtFrames:
     def spread(self) -> list[NDArray[np.intp]]:
         """At most `SETTINGS.most_frames` frames of each drive, all over it."""
         each = [np.flatnonzero(self.drives == drive) for drive in np.unique(self.drives)]
-        return [frames[_some(frames.size, SETTINGS.most_frames)] for frames in each]
+        return [frames[evenly(frames.size, SETTINGS.most_frames)] for frames in each]
 
     def apart(self, frames: NDArray[np.intp]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Return distances and angles between frames of one drive, (n, n) each.
@@ -76,7 +76,7 @@ class TaughtFrames:
             good = np.flatnonzero(wanted(np.hypot(*steps[:, :2].T), np.abs(steps[:, 2])))
             if good.size:
                 found.append(_Pair(frame, int(after[good[0]]), *steps[good[0]].tolist()))
-        return [found[k] for k in _some(len(found), SETTINGS.pairs)]
+        return [found[k] for k in evenly(len(found), SETTINGS.pairs)]
 
     def best(self, scenes: Sequence[Scene], pairs: Sequence["_Pair"]) -> Scene:
         """Return the scene under which the first views of pairs predict the second ones best; the first if all do."""
@@ -110,7 +110,7 @@ class Likeness(NamedTuple):
     alike_cosine: float
 
 
-def _some(count: int, most: int) -> NDArray[np.intp]:
+def evenly(count: int, most: int) -> NDArray[np.intp]:
     """Return at most so many of the numbers below a count, evenly spread."""
     return np.unique(np.linspace(0, count - 1, min(count, most)).astype(np.intp))
 
@@ -190,7 +190,7 @@ def turn_of_views(
         same = np.flatnonzero(np.abs(np.convolve(sign, np.ones(count, dtype=int), mode="valid")) == count)
         if not same.size:
             break
-        chosen = same[np.unique(np.linspace(0, same.size - 1, SETTINGS.pairs).astype(int))].tolist()
+        chosen = same[evenly(same.size, SETTINGS.pairs)].tolist()
         seen = [(images[k], describe(images[k + count]), sign[k]) for k in chosen]
         scores = [
             sum(
@@ -265,7 +265,7 @@ def _turns_undone(frames: TaughtFrames, focal: float) -> tuple[NDArray[np.float6
         one, other = np.nonzero(np.triu(curved & (distance < SETTINGS.reach * distance.max())))
         found.append(np.stack([some[one], some[other]], axis=1))
     pairs = np.concatenate(found)
-    first, second = pairs[_some(len(pairs), SETTINGS.most_pairs)].T
+    first, second = pairs[evenly(len(pairs), SETTINGS.most_pairs)].T
     turns = wrapped(frames.poses[second, 2] - frames.poses[first, 2])
 
     def cosine(one: int, other: int, turn_rad: float) -> float:

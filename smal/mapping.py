@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import eigh
 
-from smal.calibration import Describe, TaughtFrames, fit_scene, focal_of_curves, likeness, turn_of_views
+from smal.calibration import Describe, TaughtFrames, evenly, fit_scene, focal_of_curves, likeness, turn_of_views
 from smal.demonstration import USUAL_GOAL, Demonstration, Image, ImageChain, check_features, drives_to_goals
 from smal.features import Centering, FeatureSettings, extract
 from smal.model import Model
@@ -255,9 +255,7 @@ def _make_views(
     # All views at once would take gigabytes for a long drive: components first, from a sample of keyframes.
     with ThreadPoolExecutor() as pool:
         each = len(lefts) * TURNS_DEG.size
-        sample = keyframes[
-            np.unique(np.linspace(0, keyframes.size - 1, max(1, SETTINGS.sampled_views // each)).astype(int))
-        ].tolist()
+        sample = keyframes[evenly(keyframes.size, max(1, SETTINGS.sampled_views // each))].tolist()
         made = dict(zip(sample, pool.map(views_of, sample), strict=True))
         basis = _components(np.concatenate(list(made.values())).reshape(-1, len(describe(images[0]))))
 

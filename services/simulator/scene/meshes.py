@@ -11,7 +11,7 @@ import numpy as np
 import shapely
 from numpy.typing import ArrayLike, NDArray
 
-from services.simulator.world.furniture import Box, Furniture
+from services.simulator.world.furniture import Box
 from services.simulator.world.place import Pose
 
 UP: Final = np.array([0.0, 0.0, 1.0])
@@ -239,11 +239,6 @@ def cased(box: Box, low: float, high: float) -> Mesh:
     x_min, y_min, x_max, y_max = box
     corners = [(x_min, y_min), (x_max, y_min), (x_max, y_max), (x_min, y_max)]
     return merge(panel(corners[side], corners[(side + 1) % 4], low, high) for side in range(4))
-
-
-def box_of(piece: Furniture) -> Box:
-    """Return what a piece of furniture covers, in its own frame."""
-    return -piece.depth_m / 2, -piece.width_m / 2, piece.depth_m / 2, piece.width_m / 2
 
 
 def front(box: Box, low: float, high: float, ahead_m: float = 0.0) -> Mesh:
