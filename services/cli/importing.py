@@ -19,8 +19,8 @@ from schemas.codec import printable
 from services.cli import options, outputs
 from services.cli.progress import Bars
 from services.cli.stack.child import tied
-from services.importers.atoms import QUANTILE, STILL, TURNING
 from services.importers.job import FORMATS, Job, Report, check_format
+from services.importers.ticks import QUANTILE, STILL, TURNING
 from services.kit.errors import JobError, UsageError
 from services.recordings.sink import free_path, publish
 

@@ -19,7 +19,7 @@ from services.cli.grouping import STYLE
 from services.kit.errors import JobError, UsageError
 from services.kit.tables import table
 from services.simulator.camera import CameraSettings
-from services.simulator.scene.vulkan import RenderingUnavailableError
+from services.simulator.scene.vulkan import UnavailableError
 from services.simulator.world import Pose, World, WorldError, load_world
 from services.simulator.world.loading import Wishes, import_map
 from services.simulator.world.osm import Surroundings
@@ -78,11 +78,12 @@ def import_world(
         victim=_pose("--victim", victim, "X,Y or X,Y,HEADING_DEG", (2, 3)),
         seed=seed,
         around=_surroundings(around, radius),
+        radius_m=radius if around is None else None,
     )
     if not osm_map.is_file():
         raise UsageError(f"{osm_map}: no such file")
     try:
-        imported, text = import_map(osm_map, out, wishes, radius if around is None else None)
+        imported, text = import_map(osm_map, out, wishes)
     except WorldError as error:
         raise JobError(str(error)) from None
     with outputs.writing(out, "--out") as file:
@@ -169,7 +170,7 @@ def render(
     try:
         world = load_world(name)
         _draw(world, out, views, CameraSettings(size.width, size.height))
-    except (WorldError, RenderingUnavailableError) as error:
+    except (WorldError, UnavailableError) as error:
         raise JobError(str(error)) from error
     typer.echo(f"wrote the map, {views} views{' and aerial.png' if isinstance(world.place, Terrain) else ''} in {out}")
 

@@ -139,10 +139,7 @@ def read(files: Iterable[Path], speed: float | None, turn_rate: float | None, ta
     Speed and turn rate are those of full-speed atoms, metres and radians a second; measured on the odometry of each
     robot if not given.
 
-    Raises
-    ------
-    ExportFailure
-        When none of them can be exported, or it is not known how fast their atoms are.
+    Raises ExportFailure when none of them can be exported, or it is not known how fast their atoms are.
     """
     episodes = list(_episodes(files, tally))
     if not episodes:
@@ -166,12 +163,7 @@ def write(
 ) -> None:
     """Write drives into a folder that is empty; ``advance`` is called for each of their ticks.
 
-    Raises
-    ------
-    ExportFailure
-        When the format has no room for them.
-    OSError
-        When it cannot be written.
+    Raises ExportFailure when the format has no room for them; OSError when it cannot be written.
     """
     importlib.import_module(_WRITERS[form]).write(drives, folder, tally, advance)
 

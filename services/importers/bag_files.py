@@ -37,10 +37,8 @@ class Received(NamedTuple):
 def received(inside: Inside, tally: Tally, topic: str | None = None) -> Iterator[Received]:
     """Yield the messages of a bag, of one topic or of all, file after file.
 
-    Raises
-    ------
-    ImportFailure
-        When there is no bag, or a file cannot be read; of one whose end is missing the whole messages are read.
+    Raises ImportFailure when there is no bag, or a file cannot be read; of one whose end is missing the whole messages
+    are read.
     """
     for name in _files(inside):
         path = inside.regular(name)

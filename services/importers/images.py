@@ -33,10 +33,7 @@ def as_jpeg(data: bytes) -> bytes:
 
     It is decoded in any case: half an image is found here, where it is counted, and not in learning.
 
-    Raises
-    ------
-    NotAnImage
-        When it is neither JPEG nor PNG, is damaged, or has a size that no camera has.
+    Raises NotAnImage when it is neither JPEG nor PNG, is damaged, or has a size that no camera has.
     """
     if len(data) > MOST_BYTES:
         raise NotAnImage("images are larger than 16 MiB")
@@ -88,10 +85,7 @@ def drive_of(
 ) -> Drive:
     """Make a drive of its frames.
 
-    Raises
-    ------
-    ImportFailure
-        When no camera's frames have such times: the ticks would show nothing of how the robot drove.
+    Raises ImportFailure when no camera's frames have such times: the ticks would show nothing of how the robot drove.
     """
     times_s = np.array([row.time_s for row in rows])
     _check_rate(times_s, inside)
@@ -132,10 +126,7 @@ def frames_at(file: IO[bytes], called: str, times_s: Array, tolerance_s: float) 
 
     Only MP4 is read, and only from this file: a playlist that calls itself MP4 could name others.
 
-    Raises
-    ------
-    ImportFailure
-        When it is none.
+    Raises ImportFailure when it is none.
     """
     import av  # noqa: PLC0415 - of the extra `formats`
 

@@ -33,10 +33,7 @@ class Inside:
     path
         As the user gave it; a link in it is the user's own.
 
-    Raises
-    ------
-    ImportFailure
-        When there is nothing.
+    Raises ImportFailure when there is nothing.
     """
 
     def __init__(self, path: Path) -> None:
@@ -61,10 +58,8 @@ class Inside:
     def open(self, name: str = "") -> IO[bytes]:
         """Open a file for reading.
 
-        Raises
-        ------
-        ImportFailure
-            When the name, or a link, leads out of the folder; or it is no regular file, or cannot be read.
+        Raises ImportFailure when the name, or a link, leads out of the folder; or it is no regular file, or cannot be
+        read.
         """
         with self._failures(name):
             return open_below(self._root, name)

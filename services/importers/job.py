@@ -10,8 +10,8 @@ from pydantic import Field
 
 from schemas.base import RobotId, Strict
 from schemas.episode import GoalName
-from services.importers.atoms import QUANTILE, STILL, TURNING
 from services.importers.drive import LEAST_FOCAL, MOST_FOCAL
+from services.importers.ticks import QUANTILE, STILL, TURNING
 from services.kit.errors import UsageError
 
 Format = Literal["rosbag2", "lerobot", "donkeycar", "folder"]
@@ -73,10 +73,7 @@ def missing_packages(form: Format) -> list[str]:
 def check_format(name: str, formats: Sequence[Format] = FORMATS) -> Format:
     """Return the format of a name; what it needs is installed.
 
-    Raises
-    ------
-    UsageError
-        When there is none of that name, or something that it needs is missing.
+    Raises UsageError when there is none of that name, or something that it needs is missing.
     """
     form = next((one for one in formats if one == name), None)
     if form is None:

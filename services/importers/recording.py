@@ -19,10 +19,9 @@ from schemas.command import CommandApplied
 from schemas.compressed_image import CompressedImage
 from schemas.episode import Episode
 from schemas.odometry import Odometry
-from services.importers.atoms import Nominal, atoms_of
 from services.importers.drive import Array, Drive, ImportFailure, NotAnImage, Tally
 from services.importers.job import Job
-from services.importers.ticks import TICK_S, Moves, Ticks, odometry, ticks
+from services.importers.ticks import TICK_S, Moves, Nominal, Ticks, atoms_of, odometry, ticks
 from services.kit.jpeg import jpeg_size
 from services.recordings.writer import EpisodeWriter
 from smal.movement import wrapped
@@ -53,12 +52,8 @@ class _Done(NamedTuple):
 def write(drive: Drive, job: Job, usual: Nominal, tally: Tally, advance: Callable[[], None]) -> Written | None:
     """Write the recording of a drive; None where nothing of it can be used. ``advance`` is called for each frame.
 
-    Raises
-    ------
-    ImportFailure
-        When the source is damaged there; then nothing is left behind.
-    OSError
-        When it cannot be written.
+    Raises ImportFailure when the source is damaged there; then nothing is left behind; OSError when it cannot be
+    written.
     """
     shown = ticks(drive.times_s, job.from_s, job.to_s, tally)
     images = _images(drive, shown, tally, advance)

@@ -19,11 +19,11 @@ from typing import Final
 import numpy as np
 
 from schemas.base import ATOMS
-from services.importers.atoms import nominal
 from services.importers.drive import Drive, ImportFailure, Tally
 from services.importers.inside import Inside
 from services.importers.job import Format, Job, Report
 from services.importers.recording import write
+from services.importers.ticks import nominal
 from services.kit.errors import describe_os_error
 
 #: Where each is read: ``read(inside, job, tally)``. What it needs is imported only then.
@@ -42,12 +42,7 @@ _PERIOD_S: Final = 0.1
 def run(job: Job, tally: Tally, advance: Callable[[int], None] = lambda _total: None) -> Report:
     """Import; ``advance`` is called for each frame with the number of all.
 
-    Raises
-    ------
-    ImportFailure
-        When nothing can be imported.
-    OSError
-        When it cannot be written.
+    Raises ImportFailure when nothing can be imported; OSError when it cannot be written.
     """
     try:
         return _run(job, tally, advance)

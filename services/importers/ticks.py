@@ -1,7 +1,11 @@
-"""Ticks of 10 Hz out of whatever rates a source has.
+"""Ticks of 10 Hz out of whatever rates a source has, and what the robot did in each.
 
 A tick shows the frame that is nearest to its time. What the robot did in it is how far it went until the next one:
 a velocity holds until the next, but not longer than a base would obey it.
+
+An atom is all or nothing: forward, backward, a turn, or a stop. How fast this robot usually drives and turns is
+measured on the source itself, so that one rule does for a toy car's throttle and for metres a second. A tick that does
+both is a turn where the turn is sharp, as one who has only keys would drive it, and keeps how fast it went ahead.
 """
 
 from __future__ import annotations
@@ -12,7 +16,7 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from schemas.base import MAX_TICK
+from schemas.base import ATOMS, MAX_TICK
 from services.importers.drive import FASTEST_M_S, LATEST_S, Array, Drive, ImportFailure, Tally
 from smal.movement import seen_from
 
@@ -26,6 +30,16 @@ GAP_S: Final = 0.125
 _ROUNDING_S: Final = 1e-6
 #: A recording has no pose further from its first.
 _FURTHEST_M: Final = 1e6
+#: Slower than this nobody drives or turns on purpose: 2 cm and 6 degrees a second. Of a source without units it is 2 %
+#: of full throttle, and 10 % of full lock at that.
+_LEAST_LINEAR, _LEAST_ANGULAR = 0.02, 0.1
+#: The nominal speed is that which so many of the moving samples do not exceed, and so is the nominal turn rate: the
+#: fastest few are noise, or a hand that slipped.
+QUANTILE: Final = 0.95
+#: Below this fraction of both nominal velocities the robot stands; joysticks have a dead zone of about as much.
+STILL: Final = 0.1
+#: From this fraction of the nominal turn rate on a tick is a turn: the nearer of all and nothing.
+TURNING: Final = 0.5
 
 
 class Ticks(NamedTuple):
@@ -78,20 +92,21 @@ class Moves:
     """How far the robot goes, from the motion of its drive: a sample holds until the next, at most `HOLD_S`."""
 
     def __init__(self, motion: Array) -> None:
-        begins, velocities = motion[:, 0], motion[:, 1:]
-        ends = np.minimum(np.append(begins[1:], np.inf), begins + HOLD_S)
-        gone = velocities * (ends - begins)[:, None]
-        sums = np.cumsum(gone, axis=0)
-        self._begins, self._ends = np.append(-np.inf, begins), np.append(-np.inf, ends)
-        self._knots = np.stack([begins, ends], axis=1).ravel()
-        # At its sample's time a velocity has added nothing yet, at its end all of it, and in between what is usual.
-        self._sums = np.stack([sums - gone, sums], axis=1).reshape(-1, 2)
+        ends_s = motion[:, 0] + HOLD_S
+        silent = np.append(motion[1:, 0], np.inf) > ends_s
+        # Where nothing follows in time the robot stands: a sample of its own, of which the last column tells.
+        stops = np.column_stack([ends_s, np.zeros((len(motion), 2)), np.ones(len(motion))])[silent]
+        rows = np.concatenate([np.column_stack([motion, np.zeros(len(motion))]), stops])
+        rows = rows[np.argsort(rows[:, 0], kind="stable")]
+        self._times_s, self._stands = rows[:, 0], rows[:, 3] > 0.0
+        gone = np.diff(self._times_s)[:, None] * rows[:-1, 1:3]
+        self._sums = np.concatenate([np.zeros((1, 2)), np.cumsum(gone, axis=0)])
 
     def until(self, times_s: Array) -> Array:
         """Return how far it went, and turned, until each time, (n, 2)."""
-        if not self._knots.size:
+        if not self._times_s.size:
             return np.zeros((times_s.size, 2))
-        return np.stack([np.interp(times_s, self._knots, sums) for sums in self._sums.T], axis=1)
+        return np.stack([np.interp(times_s, self._times_s, sums) for sums in self._sums.T], axis=1)
 
     def velocities(self, times_s: Array) -> Array:
         """Return the mean velocities, linear and angular, over the tick that begins at each time, (n, 2)."""
@@ -100,8 +115,9 @@ class Moves:
 
     def silent(self, times_s: Array) -> int:
         """Count ticks within which no velocity holds: the robot is taken to stand."""
-        last = np.searchsorted(self._begins, times_s + TICK_S) - 1
-        return int((self._ends[last] <= times_s).sum())
+        first, last = (np.searchsorted(self._times_s, at_s) - 1 for at_s in (times_s + _ROUNDING_S, times_s + TICK_S))
+        stands = np.append(self._stands, True)
+        return int((stands[first] & (first == last)).sum())
 
     def way(self, times_s: Array) -> Array:
         """Add the velocities up: poses (n, 3) at times, beginning at (0, 0, 0).
@@ -109,7 +125,7 @@ class Moves:
         This is dead reckoning: by measured velocities as good as the wheels' own; by commanded ones it takes the robot
         to do at once what it is told.
         """
-        inside = self._knots[(self._knots > times_s[0]) & (self._knots < times_s[-1])]
+        inside = self._times_s[(self._times_s > times_s[0]) & (self._times_s < times_s[-1])]
         grid = np.union1d(times_s, inside)
         gone, turned = self.until(grid).T
         middle = (turned[1:] + turned[:-1]) / 2.0
@@ -157,3 +173,43 @@ def _check_steps(name: str, poses: Array, times_s: Array, start_s: float) -> Non
             f"drive {name}: the odometry jumps by {steps[at]:.3g} m within {passed_s[at]:.1f} s, "
             f"{times_s[at] - start_s:.1f} s after the first frame; cut there with --from and --to"
         )
+
+
+class Nominal(NamedTuple):
+    """How fast the robot usually drives and turns, in the source's units."""
+
+    linear: float
+    angular: float
+
+
+def nominal(velocities: Array, quantile: float = QUANTILE) -> Nominal:
+    """Measure it on the samples of all drives, (n, 2): linear and angular.
+
+    Raises ImportFailure when the robot never moves.
+    """
+    linear, angular = np.abs(velocities).T
+    driving, turning = linear[linear > _LEAST_LINEAR], angular[angular > _LEAST_ANGULAR]
+    if not driving.size:
+        raise ImportFailure("the robot never drives: no velocity above 0.02; are its units metres a second?")
+    fast = float(np.quantile(turning, quantile)) if turning.size else _LEAST_ANGULAR
+    return Nominal(float(np.quantile(driving, quantile)), fast)
+
+
+def atoms_of(
+    velocities: Array, usual: Nominal, still: float = STILL, turning: float = TURNING
+) -> tuple[NDArray[np.int8], Array]:
+    """Return what was done in each tick, by its velocities (n, 2), linear and angular.
+
+    Returns
+    -------
+    atoms, ahead
+        (n,) places in `ATOMS`; and (n,) how fast it goes ahead in a turn, -1 to 1 times the nominal speed, else 0.
+    """
+    linear, angular = (velocities / usual).T
+    crawls = np.abs(linear) < still
+    stands = crawls & (np.abs(angular) < still)
+    turns = (crawls | (np.abs(angular) >= turning)) & ~stands
+    drives = np.where(linear > 0.0, ATOMS.index("forward"), ATOMS.index("backward"))
+    atoms = np.where(turns, np.where(angular > 0.0, ATOMS.index("left"), ATOMS.index("right")), drives)
+    atoms[stands] = ATOMS.index("stop")
+    return atoms.astype(np.int8), np.where(turns, np.clip(linear, -1.0, 1.0), 0.0)

@@ -46,7 +46,6 @@ class SimulatedBody:
         for topic in (DEPTH, OVERHEAD):
             # Who listens becomes known a moment after it was asked for the first time: the first frame is too late.
             wanted(topic)
-        self.simulation = simulation
         self._clock = clock
         self._wanted = wanted
         self._worlds = worlds
@@ -55,36 +54,20 @@ class SimulatedBody:
         self._realtime = False
         self._order: tuple[Atom, float] = ("stop", 0.0)
         self._ordered_s = self._moved_s = clock()
+        self._enter(simulation)
 
-    @property
-    def name(self) -> str:
-        """Of the world."""
-        return self.simulation.name
-
-    @property
-    def speed_m_s(self) -> float:
-        """The robot's nominal speed."""
-        return self.simulation.speed_m_s
-
-    @property
-    def focal_px(self) -> float:
-        """Focal length of the camera in pixels."""
-        return self.simulation.focal_px
-
-    @property
-    def braking_s(self) -> float:
-        """Seconds from nominal speed to standing."""
-        return self.simulation.braking_s
+    def _enter(self, simulation: Simulation) -> None:
+        """Be in its world from now on."""
+        self.simulation, self.name = simulation, simulation.name
+        self.speed_m_s, self.focal_px = simulation.speed_m_s, simulation.focal_px
+        self.braking_s = simulation.braking_s
 
     def begin(self, request: ResetRequest) -> Beginning:
         """Put the robot at a seeded start, in another world if one is asked for.
 
-        Raises
-        ------
-        ServiceError
-            There is no such world, or it cannot be used; the robot stays where it is.
+        Raises ServiceError where there is no such world, or it cannot be used; the robot stays where it is.
         """
-        self._enter(request)
+        self._go_where_asked(request)
         with self._lock:
             self.simulation.reset(request.seed, request.purpose, anywhere=request.start == "anywhere")
             self._kidnap_tick = request.kidnap_tick
@@ -94,13 +77,13 @@ class SimulatedBody:
         route = tuple((float(x), float(y)) for x, y in self.simulation.route())
         return Beginning(route, self.simulation.found_m)
 
-    def _enter(self, request: ResetRequest) -> None:
-        worlds, wished = self._worlds, (request.world, request.variation)
-        if worlds is None:
+    def _go_where_asked(self, request: ResetRequest) -> None:
+        wished = request.world, request.variation
+        if self._worlds is None:
             if wished != (None, None):
                 raise ServiceError(f"the robot stays in {self.name}")
-        elif any(wish not in (None, here) for wish, here in zip(wished, worlds.here, strict=True)):
-            self.simulation = worlds.open(*wished)
+        elif any(wish not in (None, here) for wish, here in zip(wished, self._worlds.here, strict=True)):
+            self._enter(self._worlds.open(*wished))
 
     def drive(self, atom: Atom, speed: float) -> None:
         """Go on with a movement until told otherwise; in lockstep the world only moves when ``advance`` has it so."""

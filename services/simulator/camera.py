@@ -11,35 +11,29 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from schemas.base import Message
-from schemas.depth_image import DepthImage
-from schemas.overhead_image import Calibration, OverheadImage
-from services.kit.jpeg import encode_jpeg
-from services.simulator.sensors import Tilt, TiltRate
+from services.simulator.sensors import Tilt
 from services.simulator.variation import DAY, Daylight
-from services.simulator.world.place import OverheadMount, Pose
+from services.simulator.world.place import Pose
 
+#: How wide the robot's camera sees.
+FIELD_OF_VIEW_DEG: Final = 75.0
+# Time over which one picture collects light; what moves meanwhile is blurred.
+_EXPOSURE_S: Final = 0.02
 # Less than this moves no pixel visibly.
 _LEAST_PX: Final = 0.25
 # Pixels from one of the averaged pictures to the next: as the pictures are interpolated, no step shows.
 _STEP_PX: Final = 1.5
 # Koschmieder: at the visibility, 5 % of the contrast is left.
 _CONTRAST_AT_VISIBILITY: Final = 0.05
-#: Largest depth image, pixels.
-MOST_COLUMNS: Final = 320
-MOST_ROWS: Final = 240
-#: Farthest depth that is told; 16 bits of millimetres end there.
-FARTHEST_M: Final = 65.0
 
 
 @dataclass(frozen=True)
 class CameraSettings:
-    """The robot's camera: image size in pixels, shadows of the sun, how wide it sees, and in what light."""
+    """The robot's camera: image size in pixels, shadows of the sun, and in what light."""
 
     width: int = 1024
     height: int = 768
     shadows: bool = True
-    field_of_view_deg: float = 75.0
     light: Daylight = DAY.light
 
 
@@ -63,7 +57,7 @@ class Camera(Protocol):
         """Return what the camera above the scene, if there is one, sees of a robot at `pose`."""
 
 
-def blur(image: NDArray[np.uint8], rate: TiltRate, exposure_s: float, focal_px: float) -> NDArray[np.uint8]:
+def blur(image: NDArray[np.uint8], rate: Tilt, focal_px: float) -> NDArray[np.uint8]:
     """Return the image as it is while the camera turns: the mean of its pictures along every pixel's path.
 
     To the left moves the picture (height, width, 3) to the right, downwards moves it up, and a roll turns it about its
@@ -71,9 +65,8 @@ def blur(image: NDArray[np.uint8], rate: TiltRate, exposure_s: float, focal_px: 
     where nothing moves visibly, it is the image itself.
     """
     height, width = image.shape[:2]
-    right_px = focal_px * rate.yaw_rad_s * exposure_s
-    down_px = -focal_px * rate.pitch_rad_s * exposure_s
-    turn_rad = rate.roll_rad_s * exposure_s
+    turn_rad, down_rad, left_rad = (_EXPOSURE_S * one for one in rate)
+    right_px, down_px = focal_px * left_rad, -focal_px * down_rad
     longest_px = math.hypot(right_px, down_px) + abs(turn_rad) * math.hypot(width, height) / 2
     if longest_px < _LEAST_PX:
         return image
@@ -100,45 +93,14 @@ def hazy(
     return np.asarray(np.rint(veiled), dtype=np.uint8)
 
 
-def exposed(image: NDArray[np.uint8], stops: float) -> NDArray[np.uint8]:
-    """Return an sRGB image exposed `stops` more, burnt out or drowned in black as a camera's would be."""
-    return np.asarray(cv2.LUT(image, _curve(stops)), dtype=np.uint8)
-
-
 @lru_cache(maxsize=16)
-def _curve(stops: float) -> NDArray[np.uint8]:
-    """Return the 256 new values: to linear light, brighter, and back (IEC 61966-2-1)."""
+def exposure(stops: float) -> NDArray[np.uint8]:
+    """Return the 256 values that those of an sRGB image become when it is exposed `stops` more.
+
+    To linear light, brighter, and back (IEC 61966-2-1): burnt out or drowned in black as a camera's would be.
+    """
     encoded = np.arange(256) / 255
     linear = np.where(encoded <= 0.04045, encoded / 12.92, ((encoded + 0.055) / 1.055) ** 2.4)
     brighter = np.clip(linear * 2.0**stops, 0, 1)
     again = np.where(brighter <= 0.0031308, brighter * 12.92, 1.055 * brighter ** (1 / 2.4) - 0.055)
     return np.asarray(np.rint(255 * again), dtype=np.uint8)
-
-
-def depth_message(header: Message, depth_m: NDArray[np.float32]) -> DepthImage:
-    """Make the message of a depth image (height, width) in metres, `inf` where nothing is.
-
-    It has every n-th pixel, so that it is small.
-    """
-    height, width = depth_m.shape
-    every = max(1, math.ceil(width / MOST_COLUMNS), math.ceil(height / MOST_ROWS))
-    # From the middle of each block, so that a pixel of the small image looks where its block does.
-    coarse = depth_m[every // 2 :: every, every // 2 :: every]
-    near = np.where(coarse <= FARTHEST_M, coarse, 0.0)
-    rows, columns = near.shape
-    return DepthImage.after(header, width=columns, height=rows, data=np.rint(1000 * near).astype("<u2").tobytes())
-
-
-def overhead_message(header: Message, image: NDArray[np.uint8], mount: OverheadMount) -> OverheadImage:
-    """Make the message of the overhead camera's image, (height, width, 3), with how that camera sees."""
-    height, width, _ = image.shape
-    calibration = Calibration(
-        focal_px=mount.focal_px,
-        centre_x_px=width / 2,
-        centre_y_px=height / 2,
-        x_m=mount.x_m,
-        y_m=mount.y_m,
-        height_m=mount.height_m,
-        up_rad=math.remainder(math.radians(mount.up_deg), math.tau),
-    )
-    return OverheadImage.after(header, width=width, height=height, data=encode_jpeg(image), calibration=calibration)

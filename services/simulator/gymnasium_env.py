@@ -20,12 +20,12 @@ from schemas.rpc import ResetRequest
 from services.robot.clock import TICK_S
 from services.simulator.camera import CameraSettings
 from services.simulator.lockstep import LockstepEpisode
-from services.simulator.simulation import BaseKind, Simulation, open_simulation
+from services.simulator.simulation import Simulation, open_simulation
 
 #: Frames after which an episode is truncated: five minutes.
 MAX_TICKS: Final = 3000
-FOUND_REWARD: Final = 1.0
 COLLISION_REWARD: Final = -1.0
+_REWARDS: Final = {"found": 1.0, "collision": COLLISION_REWARD}
 Info = dict[str, Any]
 
 
@@ -38,14 +38,14 @@ class SearchEnv(gymnasium.Env[NDArray[np.uint8], np.int64]):
 
     Parameters
     ----------
-    world, base, shake, variation
-        See `open_simulation`, and what it raises.
+    world, settings
+        Those of `open_simulation`, and what it raises.
     width, height
         Size of the camera image, pixels.
     render_mode
         `rgb_array`, or None.
     simulation
-        A simulation made elsewhere, whose images have that size; all the above but `render_mode` is then left aside.
+        A simulation made elsewhere, whose images have that size; world and settings are then left aside.
     """
 
     metadata: dict[str, Any] = {"render_modes": ["rgb_array"], "render_fps": round(1 / TICK_S)}  # noqa: RUF012
@@ -56,18 +56,14 @@ class SearchEnv(gymnasium.Env[NDArray[np.uint8], np.int64]):
         *,
         width: int = 320,
         height: int = 240,
-        base: BaseKind = "physics",
-        shake: float | None = None,
-        variation: str = "day",
         render_mode: str | None = None,
         simulation: Simulation | None = None,
+        **settings: Any,  # noqa: ANN401 - checked by open_simulation
     ) -> None:
         if render_mode not in {None, *self.metadata["render_modes"]}:
             raise ValueError(f"render_mode {render_mode!r}: known are None and {self.metadata['render_modes']}")
         self.render_mode = render_mode
-        self._simulation = simulation or open_simulation(
-            world, CameraSettings(width, height), base=base, shake=shake, variation=variation
-        )
+        self._simulation = simulation or open_simulation(world, CameraSettings(width, height), **settings)
         self.observation_space = spaces.Box(0, 255, (height, width, 3), np.uint8)
         self.action_space = spaces.Discrete(len(ATOMS))
         self._episode: LockstepEpisode | None = None
@@ -84,10 +80,8 @@ class SearchEnv(gymnasium.Env[NDArray[np.uint8], np.int64]):
         if purpose not in get_args(Purpose):
             raise ValueError(f"purpose {purpose!r}: known are {', '.join(get_args(Purpose))}")
         episode = seed if seed is not None else int(self.np_random.integers(2**31))
-        # The limit of steps is `gymnasium.make`'s.
-        self._episode = LockstepEpisode(
-            self._simulation, ResetRequest(seed=episode, purpose=purpose, max_ticks=NO_LIMIT)
-        )
+        request = ResetRequest(seed=episode, purpose=purpose, max_ticks=NO_LIMIT)
+        self._episode = LockstepEpisode(self._simulation, request)
         return self._episode.view.image, _info(self._episode) | {"route": np.array(self._episode.beginning.route)}
 
     def step(self, action: np.int64) -> tuple[NDArray[np.uint8], float, bool, bool, Info]:
@@ -105,9 +99,8 @@ class SearchEnv(gymnasium.Env[NDArray[np.uint8], np.int64]):
         outcome = episode.outcome
         if outcome is None and episode.reached:
             outcome = "found"  # a demonstration would go on
-        reward = {"found": FOUND_REWARD, "collision": COLLISION_REWARD}.get(outcome or "", 0.0)
         info = _info(episode) | ({"outcome": outcome} if outcome else {})
-        return view.image, reward, outcome is not None, False, info
+        return view.image, _REWARDS.get(outcome or "", 0.0), outcome is not None, False, info
 
     def render(self) -> NDArray[np.uint8] | None:
         """Return the last camera image, if the render mode asks for it."""

@@ -19,40 +19,49 @@ from services.simulator.robots import Drive
 from services.simulator.world.place import Pose
 
 GRAVITY_M_S2: Final = 9.81
-#: Inertial readings that are kept until somebody takes them.
-MOST_READINGS: Final = MAX_SAMPLES
+
+# The shake: standard deviation of roll, pitch and yaw at the robot's nominal speed on a floor that is not quite even,
+# and how long a swing lasts, the integral of the angles' autocorrelation over positive lags.
+_SHAKE_RAD: Final = np.radians([1.0, 1.0, 0.5])
+_SWING_S: Final = 0.1
 # Turning on the spot at the nominal rate shakes this much of what driving at the nominal speed does.
 _TURNING: Final = 0.5
 # The floor of a faster drive does not kick without limit.
 _MOST_SHAKE: Final = 1.5
-_EPS_S: Final = 1e-9
+
+# The inertial unit is the ADIS16448 of the EuRoC data set (Burri and others, 2016), in the middle of what small robots
+# have. Of the gyroscope's three axes, in rad/s, and the accelerometer's, in m/s^2: densities of the white noise and of
+# the noise that the bias is the sum of, each by the root of a hertz; bias after a calibration at rest; greatest reading.
+_NOISE: Final = np.repeat([1.6968e-4, 2.0e-3], 3)
+_WALK: Final = np.repeat([1.9393e-5, 3.0e-3], 3)
+_BIAS: Final = np.repeat([1e-3, 0.02], 3)
+_GREATEST: Final = np.repeat([math.radians(2000), 16 * GRAVITY_M_S2], 3)
+
+# The wheels' encoders are those of the TurtleBot II's base, a Kobuki: 11.7 counts for each millimetre of its wheels.
+_TICKS_PER_TURN: Final = 2578.33
+# Relative errors of each wheel's believed radius and of the distance between them, drawn once an episode: about what
+# Borenstein and Feng (1996) find left on small robots that were calibrated.
+_RADIUS_SIGMA: Final = 0.002
+_TRACK_SIGMA: Final = 0.005
 
 
 class Tilt(NamedTuple):
-    """How a camera is turned against the level robot: about x (ahead), y (left), z (up), by the right hand.
+    """How a camera is turned against the level robot, radians; or how fast that changes, rad/s.
 
-    A positive roll lifts the left side, a positive pitch looks down, a positive yaw looks to the left.
+    About x (ahead), y (left), z (up), by the right hand: a positive roll lifts the left side, a positive pitch looks
+    down, a positive yaw looks to the left.
     """
 
-    roll_rad: float
-    pitch_rad: float
-    yaw_rad: float
+    roll: float
+    pitch: float
+    yaw: float
 
     def matrix(self) -> NDArray[np.float64]:
         """Return the rotation (3, 3) that takes the camera's axes to the robot's: roll first, then pitch, then yaw."""
         return np.asarray(Rotation.from_euler("xyz", self).as_matrix(), dtype=np.float64)
 
 
-class TiltRate(NamedTuple):
-    """How fast a tilt changes, rad/s."""
-
-    roll_rad_s: float
-    pitch_rad_s: float
-    yaw_rad_s: float
-
-
 LEVEL: Final = Tilt(0.0, 0.0, 0.0)
-STILL: Final = TiltRate(0.0, 0.0, 0.0)
 
 
 @dataclass(frozen=True)
@@ -75,38 +84,17 @@ class Step:
         return math.remainder(self.after.heading - self.before.heading, math.tau) / self.duration_s
 
 
-@dataclass(frozen=True)
-class ShakeSettings:
-    """How much the camera shakes."""
-
-    strength: float = 1.0
-    """Factor on the three amplitudes; 0 is a camera that never shakes, 1 a TurtleBot on a floor that is not quite even.
-    """
-    roll_deg: float = 1.0
-    pitch_deg: float = 1.0
-    yaw_deg: float = 0.5
-    """Standard deviation of each angle at the robot's nominal speed."""
-    correlation_s: float = 0.1
-    """How long a swing lasts: the integral of the angles' autocorrelation over positive lags."""
-    exposure_s: float = 0.02
-    """Time over which one picture collects light; what moves meanwhile is blurred."""
-
-
 class Shake:
     """The tilt of a camera whose mast is a damped spring that the floor kicks while the robot moves.
 
-    Each angle x is a critically damped oscillator, x'' + 2 k x' + k^2 x = noise, with k = 2 / `correlation_s`: the
-    smoothest process of second order, so that it has a rate. The noise is as strong as the motion, so the robot's first
-    metre builds the swinging up, and it dies away when the robot stands. It is stepped exactly, see `_propagation`.
+    Each angle x is a critically damped oscillator, x'' + 2 k x' + k^2 x = noise, with k = 2 / `_SWING_S`: the smoothest
+    process of second order, so that it has a rate. The noise is as strong as the motion, so the robot's first metre
+    builds the swinging up, and it dies away when the robot stands. It is stepped exactly, see `_propagation`.
     """
 
-    def __init__(self, settings: ShakeSettings, drive: Drive, rng: np.random.Generator) -> None:
-        self._drive = drive
-        self._rng = rng
-        self._stiffness = 2.0 / settings.correlation_s
-        degrees = np.array([settings.roll_deg, settings.pitch_deg, settings.yaw_deg])
-        self._amplitude = settings.strength * np.radians(degrees)
-        # Angles in radians and their rates in rad/s, in units of the amplitude: (2, 3).
+    def __init__(self, strength: float, drive: Drive, rng: np.random.Generator) -> None:
+        self._amplitude, self._drive, self._rng = strength * _SHAKE_RAD, drive, rng
+        # Angles, and their rates by the second, in units of the amplitude: (2, 3).
         self._state = np.zeros((2, 3))
 
     @property
@@ -115,13 +103,13 @@ class Shake:
         return Tilt(*(self._amplitude * self._state[0]).tolist())
 
     @property
-    def rate(self) -> TiltRate:
+    def rate(self) -> Tilt:
         """How fast it changes now."""
-        return TiltRate(*(self._amplitude * self._state[1]).tolist())
+        return Tilt(*(self._amplitude * self._state[1]).tolist())
 
     def step(self, step: Step) -> None:
         """Let the time of one step pass."""
-        swing, kick = _propagation(self._stiffness, step.duration_s)
+        swing, kick = _propagation(step.duration_s)
         # 0 where the robot stands, 1 at its nominal speed straight ahead.
         speed = math.hypot(*step.velocity_m_s) / self._drive.speed_m_s
         turning = _TURNING * step.turn_rate_rad_s / self._drive.turn_rate_rad_s
@@ -130,62 +118,40 @@ class Shake:
 
 
 @lru_cache(maxsize=64)
-def _propagation(stiffness: float, duration_s: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _propagation(duration_s: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return what a step does to angle and rate (2, 2), and to independent unit noise (2, 2) that is added.
 
     In the long run the angle's variance is 1 and the rate's the square of the stiffness; the noise of a step is what
     the step takes from that.
     """
-    k, t = stiffness, duration_s
+    k, t = 2.0 / _SWING_S, duration_s
     swing = math.exp(-k * t) * np.array([[1 + k * t, t], [-(k**2) * t, 1 - k * t]])
     stationary = np.diag([1.0, k**2])
     kick = np.linalg.cholesky(stationary - swing @ stationary @ swing.T)
     return swing, np.asarray(kick, dtype=np.float64)
 
 
-@dataclass(frozen=True)
-class ImuSettings:
-    """Noise and range, gyroscope first, as calibration tools state them.
-
-    The defaults are those of the ADIS16448 in the EuRoC data set (Burri and others, 2016), in the middle of what the
-    sensors of small robots have; biases at switching on are after a short calibration at rest.
-    """
-
-    density: tuple[float, float] = (1.6968e-4, 2.0e-3)
-    """Of the white noise: rad/s and m/s^2, each by the root of a hertz."""
-    walk: tuple[float, float] = (1.9393e-5, 3.0e-3)
-    """Density of the white noise that the bias is the sum of: rad/s^2 and m/s^3, each by the root of a hertz."""
-    bias: tuple[float, float] = (1e-3, 0.02)
-    """Standard deviation of each axis's bias at the start of an episode, rad/s and m/s^2."""
-    greatest: tuple[float, float] = (math.radians(2000), 16 * GRAVITY_M_S2)
-    """Greatest reading, rad/s and m/s^2."""
-
-
 class InertialUnit:
     """A gyroscope and an accelerometer over the middle of the wheels' axis, on what the camera shakes with."""
 
-    def __init__(self, settings: ImuSettings, rng: np.random.Generator) -> None:
-        self._rng = rng
-        self._density, self._walk, self._range = (
-            np.repeat(pair, 3) for pair in (settings.density, settings.walk, settings.greatest)
-        )
-        self._bias = np.repeat(settings.bias, 3) * rng.standard_normal(6)
+    def __init__(self, error: float, rng: np.random.Generator) -> None:
+        self._error, self._rng = error, rng
+        self._bias = error * _BIAS * rng.standard_normal(6)
         self._velocity_m_s = (0.0, 0.0)
         self._time_s = 0.0
 
-    def step(self, step: Step, tilt: Tilt, rate: TiltRate) -> ImuReading:
+    def step(self, step: Step, tilt: Tilt, rate: Tilt) -> ImuReading:
         """Return the reading at the end of a step.
 
         The turn rate is the mean over the step, the acceleration the mean from its middle back to the middle of the
         step before. For a tilt of a few degrees the axes of turning are those of the level robot.
         """
         self._time_s += step.duration_s
-        noise = self._density / math.sqrt(step.duration_s) * self._rng.standard_normal(6)
-        self._bias += self._walk * math.sqrt(step.duration_s) * self._rng.standard_normal(6)
-        turning = [rate.roll_rad_s, rate.pitch_rad_s, rate.yaw_rad_s + step.turn_rate_rad_s]
+        noise = self._error * _NOISE / math.sqrt(step.duration_s) * self._rng.standard_normal(6)
+        self._bias += self._error * _WALK * math.sqrt(step.duration_s) * self._rng.standard_normal(6)
+        turning = [rate.roll, rate.pitch, rate.yaw + step.turn_rate_rad_s]
         true = np.concatenate([turning, self._acceleration(step, tilt)])
-        read = np.clip(true + self._bias + noise, -self._range, self._range)
-        gx, gy, gz, ax, ay, az = read.tolist()
+        gx, gy, gz, ax, ay, az = np.clip(true + self._bias + noise, -_GREATEST, _GREATEST).tolist()
         return ImuReading(self._time_s, (gx, gy, gz), (ax, ay, az))
 
     def _acceleration(self, step: Step, tilt: Tilt) -> NDArray[np.float64]:
@@ -197,22 +163,6 @@ class InertialUnit:
         return np.asarray(tilt.matrix().T @ level, dtype=np.float64)
 
 
-@dataclass(frozen=True)
-class EncoderSettings:
-    """Encoders on both wheels, and how well wheels and track were measured.
-
-    Borenstein and Feng (1996) find about this much error left on small robots that were calibrated.
-    """
-
-    ticks_per_turn: float = 2578.33
-    """Counts in one turn of a wheel; the default is that of the TurtleBot II's base, a Kobuki: 11.7 counts for each
-    millimetre of its 70 mm wheels."""
-    radius_sigma: float = 0.002
-    """Standard deviation of the relative error of each wheel's believed radius, drawn once an episode."""
-    track_sigma: float = 0.005
-    """The same for the believed distance between the wheels."""
-
-
 class Odometer:
     """Dead reckoning by the wheels' encoders, as if wheels and track were what they are believed to be.
 
@@ -220,11 +170,11 @@ class Odometer:
     its error grows with the way.
     """
 
-    def __init__(self, drive: Drive, settings: EncoderSettings, rng: np.random.Generator) -> None:
-        self._tick_m = math.tau * drive.wheel_radius_m / settings.ticks_per_turn
-        radii = 1.0 + settings.radius_sigma * rng.standard_normal(2)
-        self._believed_m = self._tick_m * float(radii[0]), self._tick_m * float(radii[1])
-        self._track_m = drive.track_m * (1.0 + settings.track_sigma * float(rng.standard_normal()))
+    def __init__(self, drive: Drive, error: float, rng: np.random.Generator) -> None:
+        self._tick_m = math.tau * drive.wheel_radius_m / _TICKS_PER_TURN
+        left, right = (1.0 + error * _RADIUS_SIGMA * rng.standard_normal(2)).tolist()
+        self._believed_m = self._tick_m * left, self._tick_m * right
+        self._track_m = drive.track_m * (1.0 + error * _TRACK_SIGMA * float(rng.standard_normal()))
         self._rolled_m = [0.0, 0.0]
         self._ticks = [0, 0]
         self._pose = Pose(0.0, 0.0, 0.0)
@@ -258,37 +208,30 @@ class Odometer:
 class Sensors:
     """Odometry, inertial unit and shaking camera of one robot.
 
-    A reading is taken every `STEP_S` of simulated time, however finely the robot is moved between.
+    A reading is taken every `STEP_S` of simulated time, however finely the robot is moved between. `shake` is a factor
+    on how much the camera shakes, 1 on a floor that is not quite even; `error` one on what the others measure wrong.
     """
 
-    def __init__(
-        self,
-        drive: Drive,
-        shake: ShakeSettings,
-        encoders: EncoderSettings = EncoderSettings(),
-        imu: ImuSettings = ImuSettings(),
-    ) -> None:
-        self._drive = drive
-        self._settings = shake, encoders, imu
+    def __init__(self, drive: Drive, shake: float, error: float = 1.0) -> None:
+        self._drive, self._strength, self._error = drive, shake, error
 
     def begin(
         self, start: Pose, odometry: np.random.Generator, imu: np.random.Generator, shake: np.random.Generator
     ) -> None:
         """Begin an episode at a pose; each sensor has a source of noise of its own, so that none changes another's."""
-        shaking, encoders, unit = self._settings
         self._pose = start
         self._rolled_m = (0.0, 0.0)
         self._elapsed_s = 0.0
-        self._odometer = Odometer(self._drive, encoders, odometry)
-        self._unit = InertialUnit(unit, imu)
-        self._shake = Shake(shaking, self._drive, shake)
-        self._readings: deque[ImuReading] = deque(maxlen=MOST_READINGS)
+        self._odometer = Odometer(self._drive, self._error, odometry)
+        self._unit = InertialUnit(self._error, imu)
+        self._shake = Shake(self._strength, self._drive, shake)
+        self._readings: deque[ImuReading] = deque(maxlen=MAX_SAMPLES)
 
     def feel(self, motion: Motion, duration_s: float) -> None:
         """Feel what the base did in `duration_s`, greater than 0."""
         self._rolled_m = (self._rolled_m[0] + motion.rolled_m[0], self._rolled_m[1] + motion.rolled_m[1])
         self._elapsed_s += duration_s
-        if self._elapsed_s < STEP_S - _EPS_S:
+        if self._elapsed_s < STEP_S - 1e-9:
             return
         step = Step(self._pose, motion.pose, self._rolled_m, self._elapsed_s)
         self._pose, self._rolled_m, self._elapsed_s = motion.pose, (0.0, 0.0), 0.0
@@ -302,8 +245,8 @@ class Sensors:
         return self._shake.tilt
 
     @property
-    def tilt_rate(self) -> TiltRate:
-        """How fast that changes."""
+    def tilt_rate(self) -> Tilt:
+        """How fast that changes, rad/s."""
         return self._shake.rate
 
     def odometry(self) -> OdometryReading:
@@ -311,7 +254,7 @@ class Sensors:
         return self._odometer.read()
 
     def imu(self) -> tuple[ImuReading, ...]:
-        """Return the inertial readings since this was last called, oldest first, at most the last `MOST_READINGS`."""
+        """Return the inertial readings since this was last called, oldest first, at most the last `MAX_SAMPLES`."""
         readings = tuple(self._readings)
         self._readings.clear()
         return readings

@@ -15,7 +15,7 @@ from schemas.episode import Purpose
 from schemas.topics import Topic
 from services.simulator.base import STEP_S, Base, KinematicBase
 from services.simulator.camera import Camera, CameraSettings
-from services.simulator.sensors import Sensors, ShakeSettings
+from services.simulator.sensors import Sensors
 from services.simulator.variation import DAY, Variation, variation_named
 from services.simulator.view import Eye, SimulatedView
 from services.simulator.world import load_world
@@ -25,10 +25,6 @@ from services.simulator.world.task import sample_start
 from services.simulator.world.varying import vary
 
 _PURPOSE_NUMBER: Final[dict[Purpose, int]] = {"drive": 0, "run": 1, "recovery": 2}
-# Sources of chance in an episode: start, wheels, odometry, inertial unit, shake. Their order is part of every seed.
-_STREAMS: Final = 5
-# Sources of chance of being carried away: where to, and the wheels from there on.
-_CARRIED: Final = (5, 6)
 BaseKind = Literal["physics", "kinematic"]
 
 
@@ -60,21 +56,20 @@ class Simulation:
         camera: Camera | CameraSettings,
         base: Base | None = None,
         *,
-        shake: ShakeSettings | None = None,
+        shake: float | None = None,
         variation: Variation = DAY,
     ) -> None:
         if isinstance(camera, CameraSettings):
             from services.simulator.scene.rendering import SceneCamera  # noqa: PLC0415 - only this needs a renderer
 
             camera = SceneCamera(world, camera)
-        shake = shake or ShakeSettings(world.place.shake)
         self.world, self.name = world, world.name
         self.speed_m_s, self.found_m = world.robot.drive.speed_m_s, world.scale.found_m
         self.focal_px = camera.focal_px
-        self._eye = Eye(world, camera, variation, shake.exposure_s)
+        self._eye = Eye(world, camera, variation)
         self._base = base or KinematicBase(world.place)
         self.braking_s = self._base.braking_s
-        self._sensors = Sensors(world.robot.drive, shake)
+        self._sensors = Sensors(world.robot.drive, world.place.shake if shake is None else shake)
         self.reset(0, "drive")
 
     def reset(self, seed: int, purpose: Purpose, *, anywhere: bool = False) -> Pose:
@@ -83,24 +78,23 @@ class Simulation:
         Different purposes with one seed are independent. `anywhere` begins beside the way, as recovery drives do.
         Returns the start pose.
         """
-        start_rng, wheel_rng, odometry_rng, imu_rng, shake_rng = (
-            np.random.default_rng([seed, _PURPOSE_NUMBER[purpose], stream]) for stream in range(_STREAMS)
-        )
-        self._seed, self._purpose = seed, purpose
-        self.pose = self._start = sample_start(self.world, start_rng, "recovery" if anywhere else purpose)
-        self._base.put(self._start, wheel_rng)
-        self._sensors.begin(self._start, odometry_rng, imu_rng, shake_rng)
+        self._seed = seed, _PURPOSE_NUMBER[purpose]
+        start, wheels, odometry, imu, shake = (self._chance(stream) for stream in range(5))
+        self.pose = self._start = sample_start(self.world, start, "recovery" if anywhere else purpose)
+        self._base.put(self._start, wheels)
+        self._sensors.begin(self._start, odometry, imu, shake)
         self.collided = False
         return self.pose
 
     def carry_away(self) -> Pose:
         """Put the robot anywhere beside the way, as the episode's seed has it; its wheels do not turn meanwhile."""
-        place_rng, wheel_rng = (
-            np.random.default_rng([self._seed, _PURPOSE_NUMBER[self._purpose], stream]) for stream in _CARRIED
-        )
-        self.pose = sample_start(self.world, place_rng, "recovery")
-        self._base.put(self.pose, wheel_rng)
+        self.pose = sample_start(self.world, self._chance(5), "recovery")
+        self._base.put(self.pose, self._chance(6))
         return self.pose
+
+    def _chance(self, stream: int) -> np.random.Generator:
+        """Return one of the episode's sources of chance; their numbers are part of every seed."""
+        return np.random.default_rng([*self._seed, stream])
 
     def advance(self, atom: Atom, speed: float, duration_s: float) -> None:
         """Move the robot at a fraction `speed`, 0 to 1, of its nominal speed; an obstacle stops it where they touch."""
@@ -117,18 +111,11 @@ class Simulation:
 
         `captured_s` and `wanted` are those of `SimulatedView`.
         """
-        sensors = self._sensors
+        felt = self._sensors
         return SimulatedView(
-            self._eye,
-            self.pose,
-            sensors.tilt,
-            sensors.tilt_rate,
-            self.collided,
-            sensors.odometry(),
-            sensors.imu(),
-            captured_s,
+            self._eye, self.pose, felt.tilt, felt.tilt_rate, self.collided, felt.odometry(), felt.imu(), captured_s,
             wanted,
-        )
+        )  # fmt: skip
 
     def route(self) -> NDArray[np.float64]:
         """Return the way (k, 2), in metres, from this episode's start to the victim."""
@@ -157,14 +144,8 @@ def open_simulation(
     task
         Start, and where the victim lies; those of the world if not given.
 
-    Raises
-    ------
-    WorldError
-        The world cannot be used.
-    RenderingUnavailableError, PhysicsUnavailableError
-        This machine lacks what is needed.
-    ValueError
-        The variation is unknown.
+    Raises WorldError where the world cannot be used; UnavailableError where this machine lacks what is needed; ValueError where the
+    variation is unknown.
     """
     conditions = variation_named(variation)
     there = load_world(world)
@@ -176,10 +157,4 @@ def open_simulation(
         from services.simulator.physics.base import PhysicalBase  # noqa: PLC0415 - only this needs SAPIEN
 
         wheels = PhysicalBase(there.place)
-    return Simulation(
-        there,
-        replace(camera, light=conditions.light),
-        wheels,
-        shake=None if shake is None else ShakeSettings(shake),
-        variation=conditions,
-    )
+    return Simulation(there, replace(camera, light=conditions.light), wheels, shake=shake, variation=conditions)

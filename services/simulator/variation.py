@@ -1,14 +1,12 @@
-"""Conditions other than those of teaching: light by time of day, haze, façades, moved things, exposure.
-
-A table of names, so that a model taught under one condition can be run under another (``--variation NAME``), and so
-that everybody means the same by a name.
-"""
+"""Conditions other than those of teaching, by name: light by time of day, haze, façades, moved things, exposure."""
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Final
+from typing import Any, Final
+
+from services.simulator.tables import table
 
 Colour = tuple[float, float, float]
 
@@ -63,42 +61,18 @@ class Variation:
     """Movable things (furniture, trees) stand elsewhere for every number but 0."""
 
 
-DAY: Final = Variation("day", "A fair afternoon, as in teaching unless said otherwise.")
-_MORNING: Final = Daylight(
-    elevation_deg=18.0, azimuth_deg=95.0, sun=(2.5, 2.0, 1.45), sky=(0.34, 0.38, 0.46), fill=(0.25, 0.3, 0.4),
-    zenith=(96.0, 140.0, 198.0), horizon=(236.0, 222.0, 200.0), lamps=(0.92, 0.95, 1.02),
-)  # fmt: skip
-_EVENING: Final = Daylight(
-    elevation_deg=9.0, azimuth_deg=282.0, sun=(2.1, 1.25, 0.62), sky=(0.3, 0.3, 0.38), fill=(0.2, 0.2, 0.3),
-    zenith=(74.0, 92.0, 146.0), horizon=(238.0, 176.0, 124.0), lamps=(0.82, 0.7, 0.54),
-)  # fmt: skip
-_OVERCAST: Final = Daylight(
-    elevation_deg=60.0, azimuth_deg=180.0, sun=(0.0, 0.0, 0.0), sky=(0.92, 0.95, 1.0), fill=(0.32, 0.33, 0.35),
-    zenith=(172.0, 178.0, 186.0), horizon=(204.0, 208.0, 212.0), clouds=2.5, lamps=(0.88, 0.9, 0.95),
-)  # fmt: skip
+@dataclass(frozen=True)
+class _Table:
+    lights: dict[str, Daylight]
+    variations: dict[str, dict[str, Any]]
 
+
+_TABLE: Final = table("variations", _Table)
 VARIATIONS: Final[dict[str, Variation]] = {
-    one.name: one
-    for one in (
-        DAY,
-        Variation("morning", "Low sun in the east: long shadows that fall the other way.", light=_MORNING),
-        Variation("evening", "Low red sun in the west.", light=_EVENING),
-        Variation("overcast", "No sun and no shadows.", light=_OVERCAST),
-        Variation("haze", "Mist: 60 m of visibility.", light=_OVERCAST, visibility_m=60.0),
-        Variation("dark", "Exposed two stops too little.", exposure_ev=-2.0),
-        Variation("bright", "Exposed one and a half stops too much: skies and white walls burn out.", exposure_ev=1.5),
-        Variation("repainted", "All façades are painted anew.", facade_seed=1),
-        Variation("moved", "Furniture and trees stand a little elsewhere.", clutter_seed=1),
-        Variation(
-            "other-day",
-            "Everything at once: morning, light mist, half a stop too dark, moved things.",
-            light=_MORNING,
-            visibility_m=250.0,
-            exposure_ev=-0.5,
-            clutter_seed=2,
-        ),
-    )
+    name: Variation(name, light=_TABLE.lights.get(said.pop("light", ""), Daylight()), **said)
+    for name, said in _TABLE.variations.items()
 }
+DAY: Final = VARIATIONS["day"]
 
 
 def variation_named(name: str) -> Variation:

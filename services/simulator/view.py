@@ -6,33 +6,37 @@ import math
 from collections.abc import Callable, Collection, Iterator
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Final
+from typing import Final, NamedTuple
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from schemas.base import Message
+from schemas.depth_image import DepthImage
+from schemas.overhead_image import Calibration, OverheadImage
 from schemas.pose import Pose as PoseMessage
 from schemas.topics import DEPTH, OVERHEAD, Topic
 from services.kit.jpeg import decode_jpeg, encode_jpeg
 from services.robot.body import ImuReading, OdometryReading
-from services.simulator.camera import Camera, blur, depth_message, exposed, hazy, overhead_message
-from services.simulator.sensors import Tilt, TiltRate
+from services.simulator.camera import Camera, blur, exposure, hazy
+from services.simulator.sensors import Tilt
 from services.simulator.variation import Variation
-from services.simulator.world.place import Pose, World
+from services.simulator.world.place import OverheadMount, Pose, World
 
 #: Fraction of the image that the victim must fill to be seen.
 VISIBLE_FRACTION: Final = 0.0005
+# Largest depth image, pixels, and the farthest depth that is told: 16 bits of millimetres end there.
+_MOST_COLUMNS, _MOST_ROWS = 320, 240
+_FARTHEST_M: Final = 65.0
 
 
-@dataclass(frozen=True)
-class Eye:
-    """What is looked at, with what, and under which conditions; `exposure_s` is how long the camera collects light."""
+class Eye(NamedTuple):
+    """What is looked at, with what, and under which conditions."""
 
     world: World
     camera: Camera
     variation: Variation
-    exposure_s: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,7 +48,7 @@ class SimulatedView:
     pose: Pose
     """Where the robot truly is."""
     tilt: Tilt
-    tilt_rate: TiltRate
+    tilt_rate: Tilt
     """How the camera shakes."""
     contact: bool
     """Whether the robot has touched anything since the reset."""
@@ -67,12 +71,14 @@ class SimulatedView:
 
     def _rendered(self) -> NDArray[np.uint8]:
         """Return what the camera sees, blurred as far as it shakes."""
-        camera, variation = self.eye.camera, self.eye.variation
+        _, camera, variation = self.eye
         image = camera.render(self.pose, self.tilt)
         if variation.visibility_m is not None:
             image = hazy(image, self.depth_m, variation.visibility_m, variation.light.horizon)
-        image = blur(image, self.tilt_rate, self.eye.exposure_s, camera.focal_px)
-        return exposed(image, variation.exposure_ev) if variation.exposure_ev else image
+        image = blur(image, self.tilt_rate, camera.focal_px)
+        if variation.exposure_ev:
+            image = np.asarray(cv2.LUT(image, exposure(variation.exposure_ev)), dtype=np.uint8)
+        return image
 
     @cached_property
     def depth_m(self) -> NDArray[np.float32]:
@@ -101,6 +107,30 @@ class SimulatedView:
         mount = self.eye.world.place.overhead
         if OVERHEAD.name not in made and mount is not None and self.wanted(OVERHEAD):
             yield overhead_message(header, self.overhead, mount)
+
+
+def depth_message(header: Message, depth_m: NDArray[np.float32]) -> DepthImage:
+    """Make the message of a depth image (height, width) in metres, `inf` where nothing is.
+
+    It has every n-th pixel, so that it is small.
+    """
+    height, width = depth_m.shape
+    every = max(1, math.ceil(width / _MOST_COLUMNS), math.ceil(height / _MOST_ROWS))
+    # From the middle of each block, so that a pixel of the small image looks where its block does.
+    coarse = depth_m[every // 2 :: every, every // 2 :: every]
+    near = np.where(coarse <= _FARTHEST_M, coarse, 0.0)
+    rows, columns = near.shape
+    return DepthImage.after(header, width=columns, height=rows, data=np.rint(1000 * near).astype("<u2").tobytes())
+
+
+def overhead_message(header: Message, image: NDArray[np.uint8], mount: OverheadMount) -> OverheadImage:
+    """Make the message of the overhead camera's image, (height, width, 3), with how that camera sees."""
+    height, width, _ = image.shape
+    calibration = Calibration(
+        focal_px=mount.focal_px, centre_x_px=width / 2, centre_y_px=height / 2, x_m=mount.x_m, y_m=mount.y_m,
+        height_m=mount.height_m, up_rad=math.remainder(math.radians(mount.up_deg), math.tau),
+    )  # fmt: skip
+    return OverheadImage.after(header, width=width, height=height, data=encode_jpeg(image), calibration=calibration)
 
 
 class FindVictim:

@@ -12,8 +12,7 @@ from services.kit.node import ServiceError
 from services.kit.root import WORLDS, OutsideError, below
 from services.simulator.camera import CameraSettings
 from services.simulator.config import SimulatorSettings
-from services.simulator.physics.engine import PhysicsUnavailableError
-from services.simulator.scene.vulkan import RenderingUnavailableError
+from services.simulator.scene.vulkan import UnavailableError
 from services.simulator.simulation import Simulation, open_simulation
 from services.simulator.variation import VARIATIONS
 from services.simulator.world import WorldError, known_worlds
@@ -41,15 +40,12 @@ class Worlds:
         if variation not in VARIATIONS:
             raise ServiceError(f"no variation {variation!r}; known are {', '.join(VARIATIONS)}")
         of = self._settings
+        camera = CameraSettings(of.camera_width, of.camera_height, of.shadows)
         try:
             simulation = open_simulation(
-                self._place(world),
-                CameraSettings(of.camera_width, of.camera_height, of.shadows),
-                base=of.base,
-                shake=of.shake,
-                variation=variation,
+                self._place(world), camera, base=of.base, shake=of.shake, variation=variation
             )
-        except (WorldError, RenderingUnavailableError, PhysicsUnavailableError) as error:
+        except (WorldError, UnavailableError) as error:
             # Where the files lie means nothing to who asks for a name.
             raise ServiceError(str(error).replace(f"{self._settings.root / WORLDS}/", "")) from None
         self.here = world, variation

@@ -22,7 +22,7 @@ from services.experiments.evaluation.results import file_of
 from services.experiments.evaluation.search import PICTURE_TICKS, Driver, finding, search
 from services.experiments.evaluation.units import Unit
 from services.kit.jpeg import encode_jpeg
-from services.simulator.camera import CameraSettings
+from services.simulator.camera import FIELD_OF_VIEW_DEG, CameraSettings
 from services.simulator.simulation import Simulation, open_simulation
 from smal.evaluation.baselines.nearest_neighbour_imitation import NearestNeighbourImitation
 from smal.evaluation.baselines.seqslam_localization import SeqSlamImitation
@@ -72,7 +72,7 @@ def _driver(controller: str, needs: tuple[Unit, ...], folder: Path) -> Driver:
         return PaperRobot(learned[0]) if isinstance(learned[0], PaperModel) else Robot(learned[0])
     taught = [one.demonstration for one in _drives(needs, folder)]
     if controller == "teach-and-repeat":
-        return TeachAndRepeat(taught, math.radians(CameraSettings(*needs[0]["camera"]).field_of_view_deg))
+        return TeachAndRepeat(taught, math.radians(FIELD_OF_VIEW_DEG))
     if controller == "seqslam":
         return SeqSlamImitation(taught)
     return NearestNeighbourImitation(taught, FEATURES, int(controller.removeprefix("nearest-")))

@@ -14,11 +14,9 @@ from services.simulator.physics.engine import (
     OBSTACLE,
     TIMESTEP_S,
     friction_against_floor,
-    hull,
     load,
     new_scene,
-    obstacle_entity,
-    upright_sides,
+    obstacles,
     wall_material,
 )
 from services.simulator.robots import Drive, RobotModel
@@ -51,6 +49,7 @@ _CENTRE_BEHIND: Final = 0.1  # of the way to the rear caster: so much of the wei
 _CENTRE_HEIGHT: Final = 0.25  # of the body's height: batteries lie low
 _GROUND_CLEARANCE_M: Final = 0.02
 _MAST_HALF_WIDTH_M: Final = 0.02
+_HULL_SIDES: Final = 32
 # More make the drive's steady state truer: with 4 the robot is 0.2 % slow and creeps by 0.5 mm/s at rest.
 _SOLVER_ITERATIONS: Final = 16
 # Joints turn about their x axis; this turns it to the robot's left.
@@ -109,7 +108,10 @@ def add_robot(scene: Any, robot: RobotModel, drive: Drive, pose: Pose) -> Any:
 def _chassis(sapien: Any, robot: RobotModel, axle_m: float) -> Any:
     """Return the body with its casters; lengths are from the axle, which is `axle_m` above the floor."""
     link = sapien.physx.PhysxArticulationLinkComponent()
-    corners = hull(robot.radius_m, _GROUND_CLEARANCE_M - axle_m, robot.height_m - axle_m)
+    angles = np.arange(_HULL_SIDES) * math.tau / _HULL_SIDES
+    ring = robot.radius_m * np.column_stack([np.cos(angles), np.sin(angles)])
+    ends = [np.insert(ring, 2, height - axle_m, axis=1) for height in (_GROUND_CLEARANCE_M, robot.height_m)]
+    corners = np.concatenate(ends).astype(np.float32)
     shapes = [sapien.physx.PhysxCollisionShapeConvexMesh(corners, [1.0, 1.0, 1.0], wall_material())]
     half_m = (robot.camera.height_m - robot.height_m) / 2
     if half_m > 0:
@@ -168,15 +170,14 @@ class PhysicalBase:
 
     Time advances in whole steps of `TIMESTEP_S`. What is left of a duration is added to the next one, so that the pose
     is at most one such step behind the time that has been asked for. PhysX calculates with 32 bits: places are exact to
-    0.01 mm at 100 m from the world's origin, and to 0.1 mm at 1 km. Without SAPIEN there is a
-    `PhysicsUnavailableError`.
+    0.01 mm at 100 m from the world's origin, and to 0.1 mm at 1 km. Without SAPIEN there is an `UnavailableError`.
     """
 
     def __init__(self, place: Place, drive: Drive | None = None) -> None:
         self._robot = place.robot
         self._drive = drive or place.robot.drive
         self._scene = new_scene()
-        self._obstacles = obstacle_entity(upright_sides(place.solids, place.robot.top_m))
+        self._obstacles = obstacles(place.solids, place.robot.top_m)
         self._scene.add_entity(self._obstacles)
 
     @property

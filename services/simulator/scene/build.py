@@ -47,7 +47,7 @@ def _outdoors(terrain: Terrain, victim: Pose, light: Daylight, *, shadows: bool)
     return Scene(
         lights=_lights(light),
         still=(*surfaces(things), *surfaces(ground(terrain, shade))),
-        victim=surfaces((finish, mesh.placed(victim)) for finish, mesh in bodies.victim()),
+        victim=surfaces((finish, mesh.placed(victim)) for finish, mesh in bodies.body("person")),
         sky=_sky(light),
     )
 

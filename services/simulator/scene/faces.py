@@ -4,16 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from itertools import pairwise
-from typing import Final, Literal
+from typing import Final
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
-from services.simulator.scene.textures import as_picture, coloured, layered, noise
+from services.simulator.scene.textures import Picture, as_picture, coloured, layered, noise
 from services.simulator.world.place import Rgb
 
-Picture = NDArray[np.uint8]
 #: Width and height of a face's picture, pixels.
 SIZE: Final = 512
 STRONG: Final[tuple[Rgb, ...]] = (
@@ -23,7 +21,6 @@ STRONG: Final[tuple[Rgb, ...]] = (
 PAPER: Final = (240, 238, 230)
 INK: Final = (52, 54, 60)
 FacePainter = Callable[[np.random.Generator, Rgb | None], Picture]
-Face = Literal["books", "carton", "door", "drawers", "poster", "screen", "whiteboard", "window"]
 
 
 def sheet(colour: Rgb) -> Picture:
@@ -50,9 +47,9 @@ def lines(picture: Picture, box: tuple[int, int, int, int], count: int, colour: 
         fill(picture, (left, top + row * height // count, across, thick), colour)
 
 
-def paint_face(face: Face, variant: int, colour: Rgb | None) -> Picture:
+def paint_face(face: str, variant: int, colour: Rgb | None) -> Picture:
     """Return the picture of a face, (512, 512, 3) uint8 RGB; equal arguments give equal pictures."""
-    return _PAINTERS[face](np.random.default_rng([sum(face.encode()), variant]), colour)
+    return FACES[face](np.random.default_rng([sum(face.encode()), variant]), colour)
 
 
 def _whiteboard(rng: np.random.Generator, colour: Rgb | None) -> Picture:
@@ -257,7 +254,8 @@ def _sign(rng: np.random.Generator, accent: Rgb) -> Picture:
     return picture
 
 
-_PAINTERS: Final[dict[Face, FacePainter]] = {
+#: Painters by the name of the face.
+FACES: Final[dict[str, FacePainter]] = {
     "books": _books, "carton": _carton, "door": _door, "drawers": _drawers, "poster": paint_poster, "screen": _screen,
     "whiteboard": _whiteboard, "window": _window,
 }  # fmt: skip

@@ -10,14 +10,14 @@ import json
 import sys
 import time
 
-from services.simulator.scene import vulkan
+from services.simulator.scene.vulkan import INSTALL, UnavailableError, cannot_render, load_sapien
 
 _SOFTWARE_DRIVERS = ("llvmpipe", "lavapipe", "swiftshader")
 
 
 def render_red_box() -> tuple[str, list[int]]:
     """Return the name of the graphics device, and the pixel (0 to 255) in the middle of a red box seen from 3 m."""
-    sapien = vulkan.load_sapien()
+    sapien = load_sapien()
     try:
         sapien.render.set_log_level("error")
         # Others of SAPIEN's first make a table of reflections: six seconds of processor time without a GPU.
@@ -33,7 +33,7 @@ def render_red_box() -> tuple[str, list[int]]:
         camera.take_picture()
         middle = [round(255 * float(level)) for level in camera.get_picture("Color")[24, 32, :3]]
     except RuntimeError as error:
-        raise vulkan.cannot_render(error) from error
+        raise cannot_render(error) from error
     return scene.render_system.device.name, middle
 
 
@@ -41,10 +41,10 @@ def _probed() -> dict[str, str | bool | float]:
     begin_s = time.monotonic()
     try:
         driver, (red, green, blue) = render_red_box()
-    except vulkan.RenderingUnavailableError as error:
+    except UnavailableError as error:
         return {"error": " ".join(str(error).split())}
     if not red > 2 * max(green, blue):
-        return {"error": f"{driver} renders a red box as ({red}, {green}, {blue}); {vulkan.INSTALL}"}
+        return {"error": f"{driver} renders a red box as ({red}, {green}, {blue}); {INSTALL}"}
     software = any(name in driver.lower() for name in _SOFTWARE_DRIVERS)
     return {"driver": driver, "software": software, "seconds": round(time.monotonic() - begin_s, 1)}
 

@@ -14,10 +14,10 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
 
 from services.kit.going_on import each
-from services.simulator.camera import CameraSettings
-from services.simulator.scene import vulkan
+from services.simulator.camera import FIELD_OF_VIEW_DEG, CameraSettings
 from services.simulator.scene.build import build_scene
 from services.simulator.scene.surfaces import Lights, Scene, Surface, Vector
+from services.simulator.scene.vulkan import cannot_render, load_sapien
 from services.simulator.sensors import LEVEL, Tilt
 from services.simulator.world.place import OverheadMount, Pose, World
 
@@ -40,7 +40,7 @@ ROBOT: Final = 252
 @lru_cache(maxsize=1)
 def load_renderer() -> Any:
     """Import and set up SAPIEN once a process: its settings hold only before anything is made with them."""
-    sapien = vulkan.load_sapien()
+    sapien = load_sapien()
     render = sapien.render
     render.set_log_level("error")
     render.set_global_config(max_num_materials=_MOST_PICTURES, max_num_textures=_MOST_PICTURES)
@@ -53,10 +53,7 @@ def load_renderer() -> Any:
 class SceneCamera:
     """A camera on the robot's mast, in a world built for it.
 
-    Raises
-    ------
-    RenderingUnavailableError
-        The machine has no usable Vulkan driver.
+    Raises UnavailableError where the machine has no usable Vulkan driver.
     """
 
     def __init__(self, world: World, settings: CameraSettings) -> None:
@@ -75,12 +72,12 @@ class SceneCamera:
             self._mast = self._add(self._camera)
             self._above = None if world.place.overhead is None else self._look_down(world.place.overhead)
         except RuntimeError as error:
-            raise vulkan.cannot_render(error) from error
+            raise cannot_render(error) from error
 
     @property
     def focal_px(self) -> float:
         """Focal length in pixels of the image."""
-        return self._settings.width / 2 / math.tan(math.radians(self._settings.field_of_view_deg) / 2)
+        return self._settings.width / 2 / math.tan(math.radians(FIELD_OF_VIEW_DEG) / 2)
 
     def render(self, pose: Pose, tilt: Tilt = LEVEL) -> NDArray[np.uint8]:
         """Return the image seen by a robot at `pose` whose camera is tilted, (height, width, 3) uint8 RGB."""

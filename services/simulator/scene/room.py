@@ -77,7 +77,7 @@ def build(room: Room, victim: Pose, light: Daylight, *, shadows: bool) -> Scene:
             Surface(flat(floor, room.walls_m, _CEILING_M).flipped(), paint_ceiling(), glows=True),
             Surface(quads([[(*corner, 0.0) for corner in corners]], [_UPRIGHT]), picture),
         ),
-        victim=surfaces((finish, mesh.placed(victim)) for finish, mesh in bodies.nao()),
+        victim=surfaces((finish, mesh.placed(victim)) for finish, mesh in bodies.body("nao")),
         robot=(*surfaces(bodies.turtlebot(room.robot)), *(() if tag is None else (bodies.tag(tag),))),
     )
 

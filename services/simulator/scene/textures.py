@@ -4,25 +4,19 @@ from __future__ import annotations
 
 import zlib
 from collections.abc import Callable
-from functools import partial
-from typing import Final, Literal
+from typing import Any, Final
 
 import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from services.simulator.tables import table
 from services.simulator.variation import Daylight
 from services.simulator.world.place import Rgb
 
 Picture = NDArray[np.uint8]
-Painter = Callable[[np.random.Generator, Rgb], Picture]
-Material = Literal[
-    "grass", "lawn", "asphalt", "kerb", "sidewalk", "path", "paved", "marking", "water", "gravel", "tiles", "slate",
-    "trim", "leaves", "dark_leaves", "needles", "bark", "hedge", "stone_wall", "fence",
-    "skin", "jacket", "trousers", "tyre",
-    "aluminium", "black_plastic", "blue_plastic", "board", "cardboard", "dark_plastic", "fabric", "foliage", "lacquer",
-    "nao_grey", "orange_plastic", "pot", "soil", "white_plastic", "wood",
-]  # fmt: skip
+Painter = Callable[..., Picture]
+_MATERIALS: Final = table("materials", dict[str, dict[str, Any]])
 _SHAPE: Final = (512, 512)
 _PLAIN_SHAPE: Final = (64, 64)
 _SKY_SHAPE: Final = (1024, 4096)
@@ -77,11 +71,11 @@ def as_picture(values: NDArray[np.float64]) -> Picture:
     return np.clip(values, 0, 255).astype(np.uint8)
 
 
-def paint(material: Material) -> Picture:
-    """Return the picture of a material, (h, w, 3) uint8 RGB with h and w powers of two."""
-    painter, colour = _PAINTERS[material]
+def paint(material: str) -> Picture:
+    """Return the picture of a material of the table `materials`, (h, w, 3) uint8 RGB with h and w powers of two."""
+    how = dict(_MATERIALS[material])
     # A seed of its own, so that adding a material changes no other.
-    return painter(np.random.default_rng(zlib.crc32(material.encode())), colour)
+    return _PAINTERS[how.pop("painter")](np.random.default_rng(zlib.crc32(material.encode())), **how)
 
 
 def _speckled(
@@ -195,44 +189,7 @@ def _skyline(rng: np.random.Generator, mean_deg: float, spread_deg: float, grain
     return np.asarray(mean_deg + spread_deg * line[..., None], dtype=np.float64)
 
 
-_PAINTERS: Final[dict[Material, tuple[Painter, Rgb]]] = {
-    "grass": (_grass, (98, 116, 58)),
-    "lawn": (_grass, (80, 122, 52)),
-    "asphalt": (_asphalt, (96, 96, 99)),
-    "kerb": (_speckled, (168, 166, 160)),
-    "sidewalk": (partial(_paving, rows=4, columns=4, joint_px=4, running=False), (172, 166, 156)),
-    "path": (partial(_paving, rows=16, columns=8, joint_px=3), (176, 150, 122)),
-    "paved": (partial(_speckled, grains=(2.0, 90.0)), (116, 114, 112)),
-    "marking": (partial(_speckled, contrast=0.05), (226, 224, 214)),
-    "water": (partial(_speckled, grains=(12.0, 80.0), contrast=0.10), (84, 116, 138)),
-    "gravel": (partial(_speckled, grains=(2.0, 4.0), contrast=0.15), (128, 122, 114)),
-    "tiles": (partial(_paving, rows=16, columns=16, joint_px=5), (158, 84, 60)),
-    "slate": (partial(_paving, rows=16, columns=8, joint_px=4), (92, 94, 102)),
-    "trim": (partial(_speckled, contrast=0.03), (206, 202, 192)),
-    "leaves": (_leaves, (92, 128, 52)),
-    "dark_leaves": (_leaves, (66, 104, 50)),
-    "needles": (_leaves, (48, 82, 56)),
-    "bark": (_bark, (96, 76, 58)),
-    "hedge": (_leaves, (62, 98, 44)),
-    "stone_wall": (_stones, (150, 140, 126)),
-    "fence": (_boards, (134, 110, 84)),
-    "skin": (_plain, (214, 164, 136)),
-    "jacket": (_plain, (240, 108, 20)),
-    "trousers": (_plain, (46, 66, 128)),
-    "tyre": (_plain, (30, 30, 32)),
-    "aluminium": (partial(_speckled, grains=(1.0, 60.0), contrast=0.03), (186, 188, 192)),
-    "black_plastic": (partial(_speckled, grains=(1.0, 50.0), contrast=0.05), (44, 45, 48)),
-    "board": (_grain, (214, 190, 150)),
-    "cardboard": (partial(_speckled, grains=(1.5, 60.0), contrast=0.03), (188, 148, 102)),
-    "dark_plastic": (_plain, (72, 75, 80)),
-    "fabric": (_weave, (111, 135, 153)),
-    "foliage": (_leaves, (70, 122, 62)),
-    "lacquer": (partial(_speckled, grains=(1.0, 4.0), contrast=0.012), (190, 192, 192)),
-    "nao_grey": (_plain, (128, 132, 138)),
-    "orange_plastic": (_plain, (232, 104, 28)),
-    "pot": (partial(_speckled, grains=(2.0, 60.0), contrast=0.06), (168, 100, 74)),
-    "blue_plastic": (_plain, (60, 132, 214)),
-    "soil": (partial(_speckled, grains=(2.0, 6.0), contrast=0.25), (66, 50, 38)),
-    "white_plastic": (_plain, (236, 236, 232)),
-    "wood": (_grain, (156, 116, 78)),
-}
+_PAINTERS: Final[dict[str, Painter]] = {
+    "asphalt": _asphalt, "bark": _bark, "boards": _boards, "grain": _grain, "grass": _grass, "leaves": _leaves,
+    "paving": _paving, "plain": _plain, "speckled": _speckled, "stones": _stones, "weave": _weave,
+}  # fmt: skip

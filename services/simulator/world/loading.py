@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import math
 import re
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Final
@@ -16,8 +18,8 @@ from shapely.errors import GEOSException
 
 from schemas.codec import describe, printable
 from services.simulator.world.collision import obstacles_of
-from services.simulator.world.osm import Extract, Surroundings, metres_per_degree, read_osm
-from services.simulator.world.place import Pose, World, WorldError
+from services.simulator.world.osm import Extract, Surroundings, read_osm
+from services.simulator.world.place import Bounds, Pose, World, WorldError
 from services.simulator.world.room import RoomFile
 from services.simulator.world.route import lane_graph, plan_route
 from services.simulator.world.survey import terrain_from
@@ -50,6 +52,8 @@ class Wishes:
     """Another one gives another task by rule."""
     around: Surroundings | None = None
     """The part of the map to take; None for all of it."""
+    radius_m: float | None = None
+    """So much of it on each side of the middle between start and victim; None for all."""
 
 
 def known_worlds() -> list[str]:
@@ -68,74 +72,46 @@ def load_world(name_or_path: str | Path) -> World:
         north) and one tagged `smal:role=victim` set the task; a plain extract has none, and gets one by rule (see
         `task.choose_roles`).
 
-    Raises
-    ------
-    WorldError
-        The world is unknown, unreadable, of no known format, empty, or its victim cannot be reached.
+    Raises WorldError where the world is unknown, unreadable, of no known format, empty, or its victim cannot be reached.
     """
     path = _find(name_or_path)
-    if path.suffix != ".json":
-        return world_of_map(path)
-    try:
-        return world_of_text(_read(path), path)
-    except OSError as error:
-        raise WorldError(f"{path}: {error.strerror}") from error
+    return world_of_text(_read(path), path) if path.suffix == ".json" else world_of_map(path)
 
 
-def world_of_map(path: Path, wishes: Wishes | None = None) -> World:
+def world_of_map(path: Path, wishes: Wishes = Wishes()) -> World:  # noqa: B008 - frozen
     """Turn an OpenStreetMap XML file into a world; see `load_world`."""
-    wishes = wishes or Wishes()
     extract = read_osm(path, wishes.around)
-    try:
+    with _naming(path):
         terrain = terrain_from(extract, path.stem, path.name)
         _check_content(terrain)
         start = wishes.start or _role(extract, "start")
         victim = wishes.victim or _role(extract, "victim")
         world = World(terrain, *choose_roles(terrain, start, victim, wishes.seed))
         _check_task(world)
-    except GEOSException as error:
-        raise WorldError(f"{path}: its outlines cannot be cut to size ({printable(str(error))})") from error
-    except ValidationError as error:
-        raise WorldError(f"{path}: {describe(error)}") from None
-    except WorldError as error:
-        raise WorldError(f"{path}: {error}") from None
+        if wishes.radius_m is not None:
+            part = extract._replace(bounds=_about_the_task(world, wishes.radius_m))
+            world = replace(world, place=terrain_from(part, path.stem, path.name))
+            _check_task(world)
     return world
 
 
-def import_map(osm_map: Path, out: Path, wishes: Wishes, radius_m: float | None = None) -> tuple[World, str]:
+def import_map(osm_map: Path, out: Path, wishes: Wishes) -> tuple[World, str]:
     """Turn a map into the world that whoever reads the file `out` will have, and the text for that file.
 
-    `radius_m` takes only so much of the map on each side of the middle between start and victim.
-
-    Raises
-    ------
-    WorldError
-        The map cannot be used, or there is no way from start to victim.
+    Raises WorldError where the map cannot be used, or there is no way from start to victim.
     """
-    world = world_of_map(osm_map, wishes)
-    if radius_m is not None:
-        world = world_of_map(osm_map, _about_the_task(world, wishes, radius_m, osm_map))
-    text = terrain_text(_connected(world))
+    text = terrain_text(_connected(world_of_map(osm_map, wishes)))
     return world_of_text(text.encode(), out), text
 
 
-def _about_the_task(world: World, wishes: Wishes, radius_m: float, path: Path) -> Wishes:
-    """Return the wish for the very same task with less of the map about it."""
+def _about_the_task(world: World, radius_m: float) -> Bounds:
     start, victim = world.start, world.victim
     least_m = max(abs(start.x - victim.x), abs(start.y - victim.y)) / 2 + _MARGIN_M
     if radius_m < least_m:
         needs = f"does not hold start and victim, which need {math.ceil(least_m)} m"
-        raise WorldError(f"{path}: a radius of {radius_m:.0f} m {needs}")
-    terrain = world.place
-    if not isinstance(terrain, Terrain) or terrain.source is None:
-        raise TypeError("only a map's terrain can be cut")
+        raise WorldError(f"a radius of {radius_m:.0f} m {needs}")
     x, y = (start.x + victim.x) / 2, (start.y + victim.y) / 2
-    east, north = metres_per_degree(terrain.source.latitude_deg)
-    around = Surroundings(
-        terrain.source.latitude_deg + y / float(north), terrain.source.longitude_deg + x / float(east), radius_m
-    )
-    moved = [Pose(pose.x - x, pose.y - y, pose.heading) for pose in (start, victim)]
-    return replace(wishes, start=moved[0], victim=moved[1], around=around)
+    return x - radius_m, y - radius_m, x + radius_m, y + radius_m
 
 
 def _connected(world: World) -> World:
@@ -170,10 +146,13 @@ def _find(name_or_path: str | Path) -> Path:
 
 def _read(path: Path) -> bytes:
     """Return the content of a world file, within bounds of bytes and of how many things it holds."""
-    size = path.stat().st_size
-    if size > LARGEST_FILE:
-        raise WorldError(f"{path}: {size / 1e6:.0f} MB; a world has at most {LARGEST_FILE / 1e6:.0f} MB")
-    data = path.read_bytes()
+    try:
+        size = path.stat().st_size
+        if size > LARGEST_FILE:
+            raise WorldError(f"{path}: {size / 1e6:.0f} MB; a world has at most {LARGEST_FILE / 1e6:.0f} MB")
+        data = path.read_bytes()
+    except OSError as error:
+        raise WorldError(f"{path}: {error.strerror}") from error
     for mark, most in _MOST_OF.items():
         if data.count(mark) > most:
             raise WorldError(f"{path}: more than {most:,} of '{mark.decode()}'; no world has so much in it")
@@ -182,17 +161,26 @@ def _read(path: Path) -> bytes:
 
 def world_of_text(data: bytes, path: Path) -> World:
     """Return the world that a file of that content and name describes."""
-    try:
+    with _naming(path):
         world = _FILE.validate_json(data).world(path.stem)
         if isinstance(world.place, Terrain):
             _check_content(world.place)
             _check_task(world)
+    return world
+
+
+@contextmanager
+def _naming(path: Path) -> Iterator[None]:
+    """Have whatever is wrong with a world name its file, in one line."""
+    try:
+        yield
     except ValidationError as error:
         # What is wrong in a file is placed below the name of its format.
         raise WorldError(f"{path}: {re.sub(r'^(smal[.][a-z]+/1[.:] ?|message: )', '', describe(error))}") from None
+    except GEOSException as error:
+        raise WorldError(f"{path}: its outlines cannot be cut to size ({printable(str(error))})") from error
     except WorldError as error:
         raise WorldError(f"{path}: {error}") from None
-    return world
 
 
 def _check_content(terrain: Terrain) -> None:
@@ -215,8 +203,9 @@ def _role(extract: Extract, role: str) -> Pose | None:
         raise WorldError(f"{len(nodes)} nodes are tagged smal:role={role}; one is allowed")
     if not nodes:
         return None
-    direction = nodes[0].tags.get("direction", "0")
+    (node,) = nodes
+    direction = node.tags.get("direction", "0")
     if not re.fullmatch(r"-?\d+(\.\d+)?", direction):
         raise WorldError(f"direction={direction} of smal:role={role} is not a number of degrees")
-    heading = math.remainder(math.pi / 2 - math.radians(float(direction)), math.tau)
-    return Pose(float(nodes[0].xy[0]), float(nodes[0].xy[1]), heading)
+    x, y = np.asarray(node.shape).tolist()
+    return Pose(x, y, math.remainder(math.pi / 2 - math.radians(float(direction)), math.tau))

@@ -41,8 +41,7 @@ _LINEAR_KEYS: Final = frozenset({"highway", "barrier", "waterway", "natural"})
 _SMALLEST_M: Final = 1.0
 # About the outermost thing of a map without bounds.
 _BEYOND_M: Final = 10.0
-# Tags that say nothing of what an area is, and tags that say what kind of thing it is.
-_FORMAL_KEYS: Final = frozenset({"type", "source", "created_by", "note", "fixme", "FIXME"})
+# Tags that say what kind of thing an area is.
 _KIND_KEYS: Final = frozenset({"building", "building:part", "natural", "landuse", "leisure", "waterway", "amenity"})
 
 
@@ -54,27 +53,11 @@ class Surroundings(NamedTuple):
     radius_m: float
 
 
-class Node(NamedTuple):
-    """A tagged point; `xy` is (2,) in metres."""
+class Element(NamedTuple):
+    """A tagged node (2,), a way through points (n, 2), or the area of a multipolygon, in metres."""
 
     id: int
-    xy: NDArray[np.float64]
-    tags: Tags
-
-
-class Way(NamedTuple):
-    """A tagged line; `points` is (n, 2) in metres, n at least 2."""
-
-    id: int
-    points: NDArray[np.float64]
-    tags: Tags
-
-
-class Relation(NamedTuple):
-    """A tagged multipolygon; `area` is valid, in metres, with holes."""
-
-    id: int
-    area: BaseGeometry
+    shape: NDArray[np.float64] | BaseGeometry
     tags: Tags
 
 
@@ -91,9 +74,9 @@ class Extract(NamedTuple):
     bounds: Bounds
     latitude_deg: float
     longitude_deg: float
-    nodes: list[Node]
-    ways: list[Way]
-    relations: list[Relation]
+    nodes: list[Element]
+    ways: list[Element]
+    relations: list[Element]
     broken: list[Unread]
     """Ways and relations that could not be read."""
     repeated: list[Unread]
@@ -105,15 +88,12 @@ def read_osm(path: Path, around: Surroundings | None = None) -> Extract:
 
     Its `<bounds>` set the origin; without them, the extent of what is tagged does.
 
-    Raises
-    ------
-    WorldError
-        The file cannot be read, is not OpenStreetMap XML, defines entities, is cut short, holds no located element,
-        or is too large.
+    Raises WorldError where the file cannot be read, is not OpenStreetMap XML, defines entities, is cut short, holds no
+    located element, or is too large.
     """
-    found = _Collector()
     try:
         _check_file(path)
+        found = _Found()
         box = found.read(path)
         if around is None:
             degrees = found.bounds(box)
@@ -130,12 +110,12 @@ def read_osm(path: Path, around: Surroundings | None = None) -> Extract:
     return extract
 
 
-class _Collector:
-    """Gather elements in degrees while the file streams by."""
+class _Found:
+    """Elements in degrees, gathered while the file streams by."""
 
     def __init__(self) -> None:
-        self._nodes: list[Node] = []
-        self._ways: dict[int, Way] = {}
+        self._nodes: list[tuple[int, tuple[float, float], Tags]] = []
+        self._ways: dict[int, tuple[NDArray[np.float64], Tags]] = {}
         self._relations: list[tuple[int, dict[int, str], Tags]] = []
         self._broken: list[Unread] = []
         self._broken_ways: set[int] = set()
@@ -148,7 +128,7 @@ class _Collector:
             tags = dict(element.tags) if len(element.tags) else {}
             if isinstance(element, osmium.osm.Node):
                 if tags and element.location.valid():
-                    self._nodes.append(Node(element.id, np.array([element.location.lon, element.location.lat]), tags))
+                    self._nodes.append((element.id, (element.location.lon, element.location.lat), tags))
             elif isinstance(element, osmium.osm.Way):
                 self._way(element, tags)
             elif isinstance(element, osmium.osm.Relation) and tags.get("type") == "multipolygon":
@@ -162,29 +142,28 @@ class _Collector:
         return processor.header.box()
 
     def _way(self, way: osmium.osm.Way, tags: Tags) -> None:
-        size, reason = len(way.nodes), ""
+        size = len(way.nodes)
         self._points += size
+        places = [(ref.location.lon, ref.location.lat) for ref in way.nodes if ref.location.valid()]
         if size > MOST_POINTS_OF_A_WAY:
             reason = f"it has more than {MOST_POINTS_OF_A_WAY} points"
+        elif len(places) < size:
+            # One that lost a corner would be drawn as another shape.
+            reason = "a point of it is missing"
+        elif size < 2:
+            reason = "it has fewer than two points"
         else:
-            places = [(ref.location.lon, ref.location.lat) for ref in way.nodes if ref.location.valid()]
-            # A way that lost a corner would be drawn as another shape, so it is left out and counted.
-            if len(places) < size:
-                reason = "a point of it is missing"
-            elif size < 2:
-                reason = "it has fewer than two points"
-            else:
-                self._ways.setdefault(way.id, Way(way.id, np.array(places), tags))
-        if reason:
-            self._broken_ways.add(way.id)
-            if tags:
-                self._broken.append(Unread(tags, reason))
+            self._ways.setdefault(way.id, (np.array(places), tags))
+            return
+        self._broken_ways.add(way.id)
+        if tags:
+            self._broken.append(Unread(tags, reason))
 
     def bounds(self, box: osmium.osm.Box) -> NDArray[np.float64]:
         """Return [[lon_min, lat_min], [lon_max, lat_max]], from the header where it has them."""
         if box.valid():
             return np.array([[corner.lon, corner.lat] for corner in (box.bottom_left, box.top_right)])
-        places = [node.xy[None] for node in self._nodes] + [way.points for way in self._ways.values() if way.tags]
+        places = [np.array([xy]) for _, xy, _ in self._nodes] + [points for points, tags in self._ways.values() if tags]
         if not places:
             raise WorldError("the file holds no located nodes or ways")
         every = np.concatenate(places)
@@ -198,52 +177,41 @@ class _Collector:
         origin = degrees.mean(axis=0)
         scale = metres_per_degree(float(origin[1]))
         x_min, y_min, x_max, y_max = ((degrees - origin) * scale).ravel().tolist()
-        ways = {way.id: way._replace(points=(way.points - origin) * scale) for way in self._ways.values()}
-        relations, broken, drawn = self._put_together(ways)
+        lines = {number: (points - origin) * scale for number, (points, _) in self._ways.items()}
+        relations: list[Element] = []
+        drawn: set[int] = set()
+        points = 0
+        for number, roles, tags in self._relations:
+            points += sum(len(lines[ref]) for ref in roles if ref in lines)
+            try:
+                if points > MOST_POINTS:
+                    raise OutlineError("the file's relations have too many points")
+                relations.append(Element(number, self._area(lines, roles), tags))
+            except OutlineError as error:
+                self._broken.append(Unread(tags, str(error)))
+            else:
+                outer = [ref for ref in roles if roles[ref] != "inner"]
+                drawn.update(ref for ref in outer if _says_the_same(self._ways[ref][1], tags))
         return Extract(
             bounds=(x_min, y_min, x_max, y_max),
             latitude_deg=float(origin[1]),
             longitude_deg=float(origin[0]),
-            nodes=[node._replace(xy=(node.xy - origin) * scale) for node in self._nodes],
-            ways=[way for way in ways.values() if way.tags and way.id not in drawn],
+            nodes=[Element(number, (np.array(xy) - origin) * scale, tags) for number, xy, tags in self._nodes],
+            ways=[Element(n, lines[n], tags) for n, (_, tags) in self._ways.items() if tags and n not in drawn],
             relations=relations,
-            broken=self._broken + broken,
-            repeated=[Unread(ways[number].tags, "drawn with its relation") for number in sorted(drawn)],
+            broken=self._broken,
+            repeated=[Unread(self._ways[number][1], "drawn with its relation") for number in sorted(drawn)],
         )
 
-    def _put_together(self, ways: Mapping[int, Way]) -> tuple[list[Relation], list[Unread], set[int]]:
-        """Return the relations that have an area, those that have none, and the ways that the former draw already."""
-        found: list[Relation] = []
-        broken: list[Unread] = []
-        drawn: set[int] = set()
-        points = 0
-        for number, roles, own_tags in self._relations:
-            known = [ways[ref] for ref in roles if ref in ways]
-            outer = [way for way in known if roles[way.id] != "inner"]
-            tags = _meaning(own_tags, outer)
-            points += sum(len(way.points) for way in known)
-            try:
-                if not self._broken_ways.isdisjoint(roles):
-                    raise OutlineError("a member of it is broken")
-                if len(known) < len(roles):
-                    raise OutlineError("a member of it is not in the file")
-                if points > MOST_POINTS:
-                    raise OutlineError("the file's relations have too many points")
-                lines = [[LineString(way.points) for way in known if (roles[way.id] == "inner") == hole]
-                         for hole in (False, True)]  # fmt: skip
-                found.append(Relation(number, area_of_rings(*lines), tags))
-            except OutlineError as error:
-                broken.append(Unread(tags, str(error)))
-            else:
-                drawn.update(way.id for way in outer if _says_the_same(way.tags, tags))
-        return found, broken, drawn
-
-
-def _meaning(tags: Tags, outer: list[Way]) -> Tags:
-    """Return a relation's tags; those of its outer ways where it has none, as maps had it until 2017."""
-    if tags.keys() - _FORMAL_KEYS:
-        return tags
-    return next((way.tags for way in outer if way.tags.keys() - _FORMAL_KEYS), tags)
+    def _area(self, lines: Mapping[int, NDArray[np.float64]], roles: Mapping[int, str]) -> BaseGeometry:
+        if not self._broken_ways.isdisjoint(roles):
+            raise OutlineError("a member of it is broken")
+        if not lines.keys() >= roles.keys():
+            raise OutlineError("a member of it is not in the file")
+        outer, inner = (
+            [LineString(lines[ref]) for ref in roles if (roles[ref] == "inner") == hole] for hole in (False, True)
+        )
+        return area_of_rings(outer, inner)
 
 
 def _says_the_same(way_tags: Tags, area_tags: Tags) -> bool:
@@ -273,7 +241,7 @@ def _check_size(extract: Extract) -> None:
     if extent_m > LARGEST_M:
         most = f"at most {LARGEST_M / 1000:.0f} km, import a part of it with --around"
         raise WorldError(f"spans {extent_m / 1000:.0f} km; a world spans {most}")
-    lines = [LineString(way.points) for way in extract.ways if not _LINEAR_KEYS.isdisjoint(way.tags)]
+    lines = [LineString(way.shape) for way in extract.ways if not _LINEAR_KEYS.isdisjoint(way.tags)]
     length_m = sum(shapely.clip_by_rect(line, *extract.bounds).length for line in lines)
     if length_m > MOST_WAY_M:
         most = f"a world has at most {MOST_WAY_M / 1000:.0f} km"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import re
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from typing import Final
@@ -13,11 +14,9 @@ from shapely import LineString, Polygon, STRtree
 from shapely.geometry.base import BaseGeometry
 
 from services.simulator.world.osm import Tags
-from services.simulator.world.tags import PATH_WIDTH_M, STREET_WIDTH_M, metres
+from services.simulator.world.tags import MEANINGS, metres
 from services.simulator.world.terrain import Area, Barrier, Building, Road, plan
 
-_NOT_FOR_A_ROBOT: Final = frozenset({"motorway", "motorway_link", "trunk", "trunk_link", "steps"})
-_MARKED: Final = frozenset({"primary", "secondary", "tertiary", "residential"})
 _LANE_M: Final = 3.2
 _NARROWEST_M: Final = 1.0
 _WIDEST_M: Final = 40.0
@@ -25,8 +24,6 @@ _MOST_LANES: Final = 10
 # A way across a square is a line to plan along on ground that is paved already.
 _ACROSS_M: Final = 0.2
 _MOST_ENTRIES: Final = 12
-
-
 # Beside a road on either side, so that a robot in its middle keeps its clearance from what was cut.
 _MARGIN_M: Final = 0.8
 _NARROWEST_GAP_M: Final = 2.0
@@ -43,22 +40,22 @@ def road(line: LineString, tags: Tags) -> Road:
     """Return the road of a line with a known `highway`: as wide as stated, else as its lanes or its class suggest."""
     highway, lanes = tags["highway"], _lanes(tags)
     width_m = metres(tags.get("width")) or metres(tags.get("est_width"))
-    if width_m is None and highway in STREET_WIDTH_M and lanes:
+    if width_m is None and highway in MEANINGS.street_width_m and lanes:
         width_m = lanes * _LANE_M
-    width_m = width_m or STREET_WIDTH_M.get(highway) or PATH_WIDTH_M[highway]
+    width_m = width_m or MEANINGS.street_width_m.get(highway) or MEANINGS.path_width_m[highway]
     return Road(
         line=line,
         width_m=min(max(width_m, _NARROWEST_M), _WIDEST_M),
-        kind="street" if highway in STREET_WIDTH_M else "path",
-        drivable=highway not in _NOT_FOR_A_ROBOT,
-        marked=highway in _MARKED and tags.get("lane_markings") != "no" and lanes != 1,
+        kind="street" if highway in MEANINGS.street_width_m else "path",
+        drivable=highway not in MEANINGS.not_for_a_robot,
+        marked=highway in MEANINGS.marked and tags.get("lane_markings") != "no" and lanes != 1,
         sidewalks=_has_sidewalks(tags),
     )
 
 
 def _lanes(tags: Tags) -> int:
     text = tags.get("lanes", "")
-    return min(int(text), _MOST_LANES) if text.isdecimal() and text.isascii() and len(text) < 4 else 0
+    return min(int(text), _MOST_LANES) if re.fullmatch("[0-9]{1,3}", text) else 0
 
 
 def _has_sidewalks(tags: Tags) -> bool:
@@ -66,7 +63,7 @@ def _has_sidewalks(tags: Tags) -> bool:
     sides = [tags[key] for key in ("sidewalk:both", "sidewalk:left", "sidewalk:right") if key in tags]
     if "sidewalk" in tags:
         return tags["sidewalk"] in {"both", "left", "right", "yes"}
-    return "yes" in sides if sides else tags["highway"] in _MARKED
+    return "yes" in sides if sides else tags["highway"] in MEANINGS.marked
 
 
 def across_squares(squares: Iterable[Polygon], roads: Iterable[Road]) -> Iterator[Road]:

@@ -119,10 +119,7 @@ def plan_route(world: World, start_xy: ArrayLike) -> NDArray[np.float64]:
     It goes back to the lanes, along lanes, and leaves them for the victim, at least `Scale.clearance_m` off everything
     solid (the robot's radius on a first leg that begins closer).
 
-    Raises
-    ------
-    WorldError
-        No free way leads from there to the victim.
+    Raises WorldError where no free way leads from there to the victim.
     """
     path = _routes_to_victim(world).path_from(start_xy)
     if path is None:

@@ -8,16 +8,16 @@ from typing import Final
 import numpy as np
 import shapely
 from numpy.typing import NDArray
-from shapely import LineString, Polygon
+from shapely import LineString, MultiPolygon, Polygon
 from shapely.geometry.base import BaseGeometry
 
 from services.simulator.world import tags as meaning
 from services.simulator.world.buildings import SMALLEST_M2, Outline, compose
-from services.simulator.world.osm import Extract, Node, Tags
+from services.simulator.world.osm import Element, Extract, Tags
 from services.simulator.world.outlines import OutlineError, area_within, line_through, lines_in, polygons_in
 from services.simulator.world.planting import BROAD, USUAL_HEIGHT_M, Row, Sites, Wood, in_rows, scattered
 from services.simulator.world.roads import across_squares, bridge_water, open_barriers, open_passages, road
-from services.simulator.world.tags import Kind, metres
+from services.simulator.world.tags import MEANINGS, Kind, metres
 from services.simulator.world.terrain import Area, Barrier, Road, Source, Terrain, Tree, TreeKind, plan
 
 ATTRIBUTION: Final = "© OpenStreetMap contributors, ODbL 1.0"
@@ -31,18 +31,14 @@ _WATERWAY_M: Final = (0.5, 100.0)
 def terrain_from(extract: Extract, name: str, file: str) -> Terrain:
     """Build the things of a terrain from what was read of a file, leaving out and counting what is broken."""
     survey = _Survey(shapely.box(*extract.bounds))
-    for way in extract.ways:
-        survey.take(way.id, way.points, way.tags)
-    for relation in extract.relations:
-        survey.take(relation.id, relation.area, relation.tags)
+    for element in (*extract.ways, *extract.relations):
+        survey.take(element)
     for node in extract.nodes:
         survey.node(node)
     for tags, reason in extract.broken:
-        for kind in meaning.kinds_of(tags) or ("other",):
-            survey.skipped[f"{kind}: {reason}"] += 1
+        survey.skipped.update(f"{kind}: {reason}" for kind in meaning.kinds_of(tags) or ("other",))
     for tags, reason in extract.repeated:
-        for kind in meaning.kinds_of(tags):
-            survey.left_out[f"{kind}: {reason}"] += 1
+        survey.left_out.update(f"{kind}: {reason}" for kind in meaning.kinds_of(tags))
     return survey.terrain(extract, name, file)
 
 
@@ -69,74 +65,44 @@ class _Survey:
         self._rows: list[Row] = []
         self._trees: list[Tree] = []
 
-    def node(self, node: Node) -> None:
+    def node(self, node: Element) -> None:
         """Take a node: a tree or a gate."""
-        here = shapely.Point(node.xy)
+        here = shapely.Point(node.shape)
         inside = self._frame.covers(here)
-        if node.tags.get("barrier") in meaning.GATES and inside:
+        if node.tags.get("barrier") in MEANINGS.gates and inside:
             self._gates.append(here)
         if node.tags.get("building", "no") != "no":
             self.skipped["building: it is a point without an outline"] += 1
         if node.tags.get("natural") == "tree":
+            (self._used if inside else self.left_out)["tree" if inside else f"tree: {_OUTSIDE}"] += 1
             if inside:
-                self._trees.append(_tree(node))
-                self._used["tree"] += 1
-            else:
-                self.left_out[f"tree: {_OUTSIDE}"] += 1
+                self._trees.append(_tree(node.id, here, node.tags))
 
-    def take(self, number: int, shape: NDArray[np.float64] | BaseGeometry, tags: Tags) -> None:
-        """Take a way, given its points (n, 2), or a relation, given its area, for each thing that it stands for."""
-        for kind in meaning.kinds_of(tags):
-            if meaning.is_hidden(tags):
+    def take(self, element: Element) -> None:
+        """Take a way or a relation for each thing that it stands for."""
+        for kind in meaning.kinds_of(element.tags):
+            if meaning.is_hidden(element.tags):
                 self.left_out[f"{kind}: under the ground or indoors"] += 1
-                continue
-            if not isinstance(shape, np.ndarray):
-                if kind in _LINEAR:
-                    self.left_out[f"{kind}: it is an area"] += 1
-                else:
-                    self._used[f"{kind} relation"] += self._area(kind, number, shape, tags)
-                continue
-            try:
-                if kind in _LINEAR:
-                    self._lines(kind, number, lines_in(line_through(shape), self._frame), tags)
-                else:
-                    self._area(kind, number, area_within(shape), tags)
-            except OutlineError as error:
-                # An open line outside the bounds is not looked at: exports cut outlines there.
-                if self._frame.intersects(LineString(shape)):
-                    self.skipped[f"{kind}: {error}"] += 1
-                else:
-                    self.left_out[f"{kind}: {_OUTSIDE}"] += 1
+            elif isinstance(element.shape, np.ndarray):
+                self._way(kind, element, element.shape)
+            elif kind in _LINEAR:
+                self.left_out[f"{kind}: it is an area"] += 1
+            else:
+                self._used[f"{kind} relation"] += self._area(kind, element, element.shape)
 
-    def terrain(self, extract: Extract, name: str, file: str) -> Terrain:
-        """Return the terrain of everything that was taken."""
-        composed = compose(self._outlines, self._parts)
-        self._used["building part"] = composed.parts_used
-        self.left_out.update({f"building part: {reason}": count for reason, count in composed.unused.items()})
-        buildings = tuple(open_passages(composed.buildings, self._passages))
-        barriers = tuple(open_barriers(self._barriers, self._roads, self._gates))
-        roads = (*self._roads, *across_squares(self._squares, self._roads))
-        areas = tuple(bridge_water(self._areas, self._roads))
-        trees = self._trees
-        if self._woods or self._rows:
-            sites = Sites(roads, buildings, areas, barriers)
-            trees = [*trees, *in_rows(self._rows, sites), *scattered(self._woods, sites)]
-        used, skipped, left_out = (
-            {name: counts[name] for name in sorted(counts) if counts[name]}
-            for counts in (self._used, self.skipped, self.left_out)
-        )
-        return Terrain(
-            name=name,
-            source=Source(file, ATTRIBUTION, extract.latitude_deg, extract.longitude_deg, used, skipped, left_out),
-            bounds=extract.bounds,
-            buildings=buildings,
-            roads=roads,
-            areas=areas,
-            trees=tuple(trees),
-            barriers=barriers,
-        )
+    def _way(self, kind: Kind, way: Element, points: NDArray[np.float64]) -> None:
+        try:
+            if kind in _LINEAR:
+                self._lines(kind, way, lines_in(line_through(points), self._frame))
+            else:
+                self._area(kind, way, area_within(points))
+        except OutlineError as error:
+            # An open line outside the bounds is not looked at: exports cut outlines there.
+            inside = self._frame.intersects(LineString(points))
+            (self.skipped if inside else self.left_out)[f"{kind}: {error if inside else _OUTSIDE}"] += 1
 
-    def _lines(self, kind: Kind, number: int, lines: list[LineString], tags: Tags) -> None:
+    def _lines(self, kind: Kind, way: Element, lines: list[LineString]) -> None:
+        tags = way.tags
         (self._used if lines else self.left_out)[kind if lines else f"{kind}: {_OUTSIDE}"] += 1
         for line in lines:
             match kind:
@@ -145,19 +111,18 @@ class _Survey:
                     if meaning.is_passage(tags):
                         self._passages.append(self._roads[-1])
                 case "barrier":
-                    barrier_kind, usual_m = meaning.BARRIERS[tags["barrier"]]
-                    height_m = _within(_BARRIER_M, metres(tags.get("height")) or usual_m)
-                    self._barriers.append(Barrier(line, height_m, barrier_kind))
+                    barrier_kind, usual_m = MEANINGS.barriers[tags["barrier"]]
+                    self._barriers.append(Barrier(line, _length(tags.get("height"), usual_m, _BARRIER_M), barrier_kind))
                 case "waterway":
-                    usual_m = meaning.WATERWAY_WIDTH_M[tags["waterway"]]
-                    water = line.buffer(_within(_WATERWAY_M, metres(tags.get("width")) or usual_m) / 2)
-                    self._areas += [Area(**plan(part), kind="water") for part in polygons_in(water, self._frame)]
+                    width_m = _length(tags.get("width"), MEANINGS.waterway_width_m[tags["waterway"]], _WATERWAY_M)
+                    water = polygons_in(line.buffer(width_m / 2), self._frame)
+                    self._areas += [Area(**plan(part), kind="water") for part in water]
                 case _:
-                    self._rows.append(Row(number, line, tags.get("leaf_type", "")))
+                    self._rows.append(Row(way.id, line, tags.get("leaf_type", "")))
 
-    def _area(self, kind: Kind, number: int, area: BaseGeometry, tags: Tags) -> bool:
+    def _area(self, kind: Kind, element: Element, area: BaseGeometry) -> bool:
         """Take the part of an area that is inside the frame; return whether there is one."""
-        polygons = polygons_in(area, self._frame)
+        polygons, tags = polygons_in(area, self._frame), element.tags
         if not polygons:
             self.left_out[f"{kind}: {_OUTSIDE}"] += 1
             return False
@@ -166,26 +131,51 @@ class _Survey:
                 self.skipped[f"{kind}: it is smaller than {SMALLEST_M2:.0f} m2"] += 1
                 return False
             outlines = self._outlines if kind == "building" else self._parts
-            outlines.append(Outline(number, tuple(polygons), tags))
-        elif kind == "square":
-            self._areas += [Area(**plan(polygon), kind="paved") for polygon in polygons]
-            self._squares += polygons
-        elif (cover := meaning.cover_of(tags)) is not None:
-            self._areas += [Area(**plan(polygon), kind=cover.kind) for polygon in polygons]
-            if cover.tree_m is not None:
+            outlines.append(Outline(element.id, MultiPolygon(polygons), tags))
+        else:
+            cover = "paved" if kind == "square" else meaning.cover_of(tags) or "grass"
+            self._areas += [Area(**plan(polygon), kind=cover) for polygon in polygons]
+            if kind == "square":
+                self._squares += polygons
+            trees_m = meaning.trees_on(tags)
+            if kind == "wood" and trees_m is not None:
                 leaves = tags.get("leaf_type", "")
-                self._woods += [Wood(number, polygon, cover.tree_m or None, leaves) for polygon in polygons]
+                self._woods += [Wood(element.id, polygon, trees_m or None, leaves) for polygon in polygons]
         if kind != "building part":  # whether a part is used is known only when all are there
             self._used[kind] += 1
         return True
 
+    def terrain(self, extract: Extract, name: str, file: str) -> Terrain:
+        """Return the terrain of everything that was taken."""
+        composed, parts = compose(self._outlines, self._parts)
+        self._used["building part"] = parts.pop("used", 0)
+        self.left_out.update({f"building part: {reason}": count for reason, count in parts.items()})
+        buildings = tuple(open_passages(composed, self._passages))
+        barriers = tuple(open_barriers(self._barriers, self._roads, self._gates))
+        roads = (*self._roads, *across_squares(self._squares, self._roads))
+        areas = tuple(bridge_water(self._areas, self._roads))
+        trees = self._trees
+        if self._woods or self._rows:
+            sites = Sites(roads, buildings, areas, barriers)
+            trees = [*trees, *in_rows(self._rows, sites), *scattered(self._woods, sites)]
+        counts = (dict(sorted((+count).items())) for count in (self._used, self.skipped, self.left_out))
+        return Terrain(
+            name=name,
+            source=Source(file, ATTRIBUTION, extract.latitude_deg, extract.longitude_deg, *counts),
+            bounds=extract.bounds,
+            buildings=buildings,
+            roads=roads,
+            areas=areas,
+            trees=tuple(trees),
+            barriers=barriers,
+        )
 
-def _tree(node: Node) -> Tree:
-    conifer = node.tags.get("leaf_type") == "needleleaved"
-    kind: TreeKind = "conifer" if conifer else BROAD[node.id % 2]
-    height = metres(node.tags.get("height")) or USUAL_HEIGHT_M[kind] * (0.85 + 0.06 * (node.id % 6))
-    return Tree(float(node.xy[0]), float(node.xy[1]), min(height, _TALLEST_TREE_M), kind)
+
+def _tree(number: int, here: shapely.Point, tags: Tags) -> Tree:
+    kind: TreeKind = "conifer" if tags.get("leaf_type") == "needleleaved" else BROAD[number % 2]
+    height = metres(tags.get("height")) or USUAL_HEIGHT_M[kind] * (0.85 + 0.06 * (number % 6))
+    return Tree(here.x, here.y, min(height, _TALLEST_TREE_M), kind)
 
 
-def _within(limits: tuple[float, float], value: float) -> float:
-    return min(max(value, limits[0]), limits[1])
+def _length(text: str | None, usual_m: float, limits: tuple[float, float]) -> float:
+    return min(max(metres(text) or usual_m, limits[0]), limits[1])

@@ -50,19 +50,13 @@ def choose_roles(terrain: Terrain, start: Pose | None, victim: Pose | None, seed
             if rank == 0:
                 break
     if not second_best:
-        raise WorldError(_advice(start, victim))
+        given = "" if start is victim is None else " with the one that is given"
+        raise WorldError(
+            f"found no start and victim{given}: the start must see nothing of the victim, reach it by road and be at "
+            f"least {_ROUTES_M[-1][0]:.0f} m away; give both, or tag two nodes smal:role=start (with direction=*) and "
+            "smal:role=victim"
+        )
     return second_best[min(second_best)]
-
-
-def _advice(start: Pose | None, victim: Pose | None) -> str:
-    if victim is not None:
-        what = f"start that sees nothing of the victim at ({victim.x:.1f}, {victim.y:.1f}) m and reaches it by road"
-        return f"found no {what}; give another place, or the start as well"
-    if start is not None:
-        what = f"hidden place for the victim that the start at ({start.x:.1f}, {start.y:.1f}) m reaches by road"
-        return f"found no {what}; give another start, or the victim as well"
-    what = f"hidden place for the victim with a start at least {_ROUTES_M[-1][0]:.0f} m of road away"
-    return f"found no {what}; tag two nodes smal:role=start (with direction=*) and smal:role=victim"
 
 
 def _middle(terrain: Terrain, seed: int) -> shapely.Point:
@@ -134,10 +128,7 @@ def sample_start(world: World, rng: np.random.Generator, purpose: Purpose) -> Po
     degrees off the world's start; for `recovery` beside a point of the route, uniform along it except for the last
     `Scale.last_m` (3 m), up to `Scale.aside_m` (1.5 m) aside and 40 degrees turned away.
 
-    Raises
-    ------
-    WorldError
-        No free pose was found in 1000 draws.
+    Raises WorldError where no free pose was found in 1000 draws.
     """
     draw = _beside_route if purpose == "recovery" else _about_start
     for _ in range(_TRIES):

@@ -6,7 +6,6 @@ the victim, change its x and y.
 
 from __future__ import annotations
 
-import itertools
 import json
 import math
 from collections.abc import Iterator
@@ -299,46 +298,31 @@ def terrain_text(world: World) -> str:
         {"x": spot.x, "y": spot.y, "heading_deg": math.degrees(spot.heading)} for spot in (world.start, world.victim)
     )
     things = asdict(_on_grid(terrain))
-    head = {"format": FORMAT, "source": things.pop("source"), "bounds": things.pop("bounds")}
     del things["name"]
+    head = {"format": FORMAT, "source": things.pop("source"), "bounds": things.pop("bounds")}
+    whole = json.dumps({**head, "start": start, "victim": victim, **things}, default=lambda line: line.coords[:])
+    # Adding zero turns -0.0 into 0.0.
+    rounded = json.loads(whole, parse_float=lambda number: round(float(number), _DECIMALS) + 0.0)
     lines = []
-    for key, value in {**head, "start": start, "victim": victim, **things}.items():
-        if isinstance(value, tuple) and value and isinstance(value[0], dict):
-            text = "[\n  " + ",\n  ".join(map(_json, value)) + "\n ]"
-        else:
-            text = _json(value)
+    for key, value in rounded.items():
+        text = json.dumps(value, ensure_ascii=False, allow_nan=False)
+        if isinstance(value, list) and value and isinstance(value[0], dict):
+            each_one = (json.dumps(one, ensure_ascii=False, allow_nan=False) for one in value)
+            text = "[\n  " + ",\n  ".join(each_one) + "\n ]"
         lines.append(f'"{key}": {text}')
     return "{\n " + ",\n ".join(lines) + "\n}\n"
-
-
-def _json(value: object) -> str:
-    return json.dumps(_rounded(value), ensure_ascii=False, allow_nan=False)
-
-
-def _rounded(value: object) -> object:
-    match value:
-        case float():
-            return round(value, _DECIMALS) + 0.0  # adding zero turns -0.0 into 0.0
-        case dict():
-            return {key: _rounded(item) for key, item in value.items()}
-        case list() | tuple():
-            return [_rounded(item) for item in value]
-        case LineString():
-            return _rounded(list(value.coords))
-    return value
 
 
 def _on_grid(terrain: Terrain) -> Terrain:
     """Return a terrain with its shapes on a grid of millimetres; slivers vanish, and what touches itself is cut."""
 
     def lines(line: LineString) -> Iterator[LineString]:
-        points = _to_grid(shapely.get_coordinates(line)).tolist()
-        kept = points[:1] + [point for before, point in itertools.pairwise(points) if point != before]
-        if len(kept) > 1:
-            yield LineString(kept)
+        rounded = shapely.set_precision(line, 10.0**-_DECIMALS)
+        if not rounded.is_empty:
+            yield rounded
 
     def plans(polygon: Polygon) -> Iterator[dict[str, Any]]:
-        rounded = shapely.transform(polygon, _to_grid)
+        rounded = shapely.transform(polygon, lambda points: np.round(points, _DECIMALS))
         if not rounded.is_valid:
             rounded = shapely.set_precision(polygon, 10.0**-_DECIMALS)
         parts = shapely.get_parts(rounded)
@@ -351,7 +335,3 @@ def _on_grid(terrain: Terrain) -> Terrain:
         roads=tuple(replace(one, line=line) for one in terrain.roads for line in lines(one.line)),
         barriers=tuple(replace(one, line=line) for one in terrain.barriers for line in lines(one.line)),
     )
-
-
-def _to_grid(points: NDArray[np.float64]) -> NDArray[np.float64]:
-    return np.asarray(np.round(points, _DECIMALS) + 0.0, dtype=np.float64)

@@ -10,9 +10,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from schemas.base import ATOMS
-from services.importers.atoms import atoms_of, nominal
 from services.importers.drive import Drive, ImportFailure, Tally, motion_of, track_of
-from services.importers.ticks import GAP_S, HOLD_S, TICK_S, Moves, odometry, ticks
+from services.importers.ticks import GAP_S, HOLD_S, TICK_S, Moves, atoms_of, nominal, odometry, ticks
 
 
 def shown(times_s: list[float]) -> tuple[list[int], list[int], Tally]:
