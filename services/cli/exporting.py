@@ -12,10 +12,9 @@ from tqdm import tqdm
 from typer import Argument, Option
 
 from services.cli import outputs
-from services.exporters.drives import FORMATS, Drive, ExportFailure, read, write
+from services.exporters.drives import FORMATS, Drive, read, write
 from services.importers.drive import Tally
 from services.importers.job import Format, check_format
-from services.kit.errors import JobError
 from services.recordings.dataset import find_recordings
 
 
@@ -54,8 +53,6 @@ def export_recordings(
             total = sum(len(drive.ticks) for drive in drives)
             with tqdm(desc="exporting", unit="tick", total=total, dynamic_ncols=True, disable=None) as bar:
                 write(form, drives, folder, tally, lambda: cast("None", bar.update()))
-    except ExportFailure as error:
-        raise JobError(str(error)) from None
     finally:
         for line in tally.lines():
             sys.stderr.write(f"smal: {line}\n")

@@ -19,17 +19,10 @@ def write(drives: Sequence[Drive], folder: Path, tally: Tally, advance: Callable
         table.writerow(COLUMNS)
         for drive in drives:
             (folder / drive.name).mkdir()
-            for moment in drive.moments(tally):
-                advance()
-                if moment.jpeg is None:
-                    continue
-                if moment.velocity is None:
-                    tally.count("frames do not tell what was done then, and are left out")
-                    continue
+            for moment, jpeg, velocity in drive.usable(tally, advance):
                 image = f"{drive.name}/{moment.tick:06d}.jpg"
-                (folder / image).write_bytes(moment.jpeg)
+                (folder / image).write_bytes(jpeg)
                 seconds, rest_ns = divmod(moment.stamp_ns, 1_000_000_000)
                 pose = moment.pose
                 way = ("", "", "") if pose is None else (pose.x_m, pose.y_m, pose.heading_rad)
-                time_s = f"{seconds}.{rest_ns:09d}"
-                table.writerow([drive.name, image, time_s, *moment.velocity, int(drive.success), *way])
+                table.writerow([drive.name, image, f"{seconds}.{rest_ns:09d}", *velocity, int(drive.success), *way])

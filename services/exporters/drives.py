@@ -19,6 +19,7 @@ from schemas.topics import IMU
 from services.importers.drive import Tally
 from services.importers.job import Format
 from services.importers.ticks import TICK_S
+from services.kit.errors import JobError
 from services.kit.jpeg import is_jpeg
 from services.recordings.encoding import stamped_jpeg
 from services.recordings.reader import USUAL, read_recording
@@ -29,24 +30,9 @@ from smal.movement import Movement
 
 #: Of velocities: a micrometre and a microradian a second.
 _DIGITS: Final = 6
-#: Where each format is written: ``write(drives, folder, tally, advance)``.
-_WRITERS: Final[dict[Format, str]] = {
-    "rosbag2": "services.exporters.rosbag2",
-    "lerobot": "services.exporters.lerobot",
-    "folder": "services.exporters.csv_folder",
-}
+#: What the modules of this package that write a format are called; each has ``write(drives, folder, tally, advance)``.
+_WRITERS: Final[dict[Format, str]] = {"rosbag2": "rosbag2", "lerobot": "lerobot", "folder": "csv_folder"}
 FORMATS: Final = tuple(_WRITERS)
-
-
-class ExportFailure(Exception):  # noqa: N818 - as ImportFailure
-    """Recordings cannot be exported; the text says why in one line."""
-
-
-class Velocity(NamedTuple):
-    """Ahead in metres a second, counter-clockwise in radians a second."""
-
-    linear: float
-    angular: float
 
 
 class Rate(NamedTuple):
@@ -66,14 +52,14 @@ class Nominal(NamedTuple):
 class Moment(NamedTuple):
     """What a drive has at one tick; None where that is missing, damaged or not known.
 
-    The image is as it was recorded; the velocity is what was done from then on, the pose by the wheels, and the
-    inertial unit felt this since the tick before.
+    The image is as it was recorded; the velocity, linear and angular, is what was done from then on, the pose by the
+    wheels, and the inertial unit felt this since the tick before.
     """
 
     tick: int
     stamp_ns: int
     jpeg: bytes | None
-    velocity: Velocity | None
+    velocity: tuple[float, float] | None
     pose: Odometry | None
     imu: Imu | None
 
@@ -96,19 +82,28 @@ class Drive:
         """Those that anything is known of."""
         return sorted(self.episode.images.keys() | self.episode.odometry.keys() | self.episode.applied.keys())
 
-    def moments(self, tally: Tally) -> Iterator[Moment]:
-        """Yield what there is at each tick, and count what cannot be used."""
-        poses, imus = self.episode.odometry, self.episode.imu
+    def moments(self, tally: Tally, advance: Callable[[], None]) -> Iterator[Moment]:
+        """Yield what there is at each tick, and count what cannot be used; ``advance`` is called for each."""
+        poses, imus, applied = self.episode.odometry, self.episode.imu, self.episode.applied
         last_ns = -1
         for tick in self.ticks:
+            advance()
             stamp_ns, jpeg = self._image(tick, tally)
             # What descends from a frame has its stamp.
-            stamp_ns = next((one[tick].stamp_ns for one in (poses, self.episode.applied) if tick in one), stamp_ns)
+            stamp_ns = next((one[tick].stamp_ns for one in (poses, applied) if tick in one), stamp_ns)
             if stamp_ns <= last_ns:
                 tally.count("ticks are not later than the one before, and are left out")
                 continue
             last_ns = stamp_ns
             yield Moment(tick, stamp_ns, jpeg, self._velocity(tick), poses.get(tick), imus.get(tick))
+
+    def usable(self, tally: Tally, advance: Callable[[], None]) -> Iterator[tuple[Moment, bytes, tuple[float, float]]]:
+        """Yield the moments that have an image and tell what was done then, with both; count the others."""
+        for moment in self.moments(tally, advance):
+            if moment.jpeg is not None and moment.velocity is not None:
+                yield moment, moment.jpeg, moment.velocity
+            elif moment.jpeg is not None:
+                tally.count("frames do not tell what was done then, and are left out")
 
     def _image(self, tick: int, tally: Tally) -> tuple[int, bytes | None]:
         if tick not in self.episode.images:
@@ -121,29 +116,27 @@ class Drive:
         tally.count("images are damaged", int(not is_jpeg(jpeg)))
         return stamp_ns, jpeg if is_jpeg(jpeg) else None
 
-    def _velocity(self, tick: int) -> Velocity | None:
+    def _velocity(self, tick: int) -> tuple[float, float] | None:
         # At its end the robot stands.
         if self.episode.end_tick is not None and tick >= self.episode.end_tick:
-            return Velocity(0.0, 0.0)
+            return 0.0, 0.0
         applied = self.episode.applied.get(tick)
         if applied is None:
             return None
         ahead, left = DIRECTIONS[applied.atom]
         forward = self.nominal.speed.value * (ahead * applied.speed + applied.ahead)
-        return Velocity(round(forward, _DIGITS), round(left * self.nominal.turn_rate.value * applied.speed, _DIGITS))
+        return round(forward, _DIGITS), round(left * self.nominal.turn_rate.value * applied.speed, _DIGITS)
 
 
 def read(files: Iterable[Path], speed: float | None, turn_rate: float | None, tally: Tally) -> list[Drive]:
-    """Read recordings.
+    """Read recordings; a JobError says that none of them can be exported, or that nobody knows how fast atoms are.
 
     Speed and turn rate are those of full-speed atoms, metres and radians a second; measured on the odometry of each
     robot if not given.
-
-    Raises ExportFailure when none of them can be exported, or it is not known how fast their atoms are.
     """
     episodes = list(_episodes(files, tally))
     if not episodes:
-        raise ExportFailure(tally.remarks.pop() if len(tally.remarks) == 1 else "nothing to export, for these reasons")
+        raise JobError(tally.remarks.pop() if len(tally.remarks) == 1 else "nothing to export, for these reasons")
     names = [episode.episode for episode in episodes]
     nominal = {}
     for robot in dict.fromkeys(episode.robot for episode in episodes):
@@ -163,9 +156,9 @@ def write(
 ) -> None:
     """Write drives into a folder that is empty; ``advance`` is called for each of their ticks.
 
-    Raises ExportFailure when the format has no room for them; OSError when it cannot be written.
+    Raises JobError when the format has no room for them; OSError when it cannot be written.
     """
-    importlib.import_module(_WRITERS[form]).write(drives, folder, tally, advance)
+    importlib.import_module(f"services.exporters.{_WRITERS[form]}").write(drives, folder, tally, advance)
 
 
 def say_view(drives: Iterable[Drive], tally: Tally) -> None:
@@ -215,4 +208,4 @@ def _rate(episodes: Collection[RecordedEpisode], given: float | None, option: st
     if rate > 0.0 or not made:
         return Rate(rate, "by its odometry" if made else "never done")
     episode, applied = made[0]
-    raise ExportFailure(f"episode {episode.episode}: no odometry says how fast {applied.atom} is; say it with {option}")
+    raise JobError(f"episode {episode.episode}: no odometry says how fast {applied.atom} is; say it with {option}")

@@ -11,18 +11,19 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from fractions import Fraction
 from itertools import chain, count, groupby, pairwise
-from operator import attrgetter
+from operator import itemgetter
 from pathlib import Path
-from typing import Any, Final, NamedTuple, cast
+from typing import Any, Final, NamedTuple
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from services.exporters.drives import Drive, ExportFailure, Moment, Velocity, say_view
+from services.exporters.drives import Drive, say_view
 from services.importers.drive import Tally
 from services.importers.lerobot import ACTION, DATA, EPISODES, INFO, POSE, STATE, SUCCESS, VELOCITIES, VIDEO
 from services.importers.ticks import TICK_S
+from services.kit.errors import JobError
 from services.kit.jpeg import decode_jpeg
 
 CAMERA: Final = "observation.images.front"
@@ -54,7 +55,7 @@ Statistics = dict[str, list[Any]]
 class _Frame(NamedTuple):
     """A row, without what its place in the table says."""
 
-    action: Velocity
+    action: tuple[float, float]
     pose: tuple[float, float, float] | None
     success: bool
 
@@ -67,14 +68,11 @@ class _Episode:
     frames: list[_Frame] = field(default_factory=list)
     counts: NDArray[np.int64] = field(default_factory=lambda: np.zeros((3, 256), np.int64))
 
-
-class _Shown(NamedTuple):
-    """A tick that the data set has, and which episode of it that is in."""
-
-    episode: int
-    drive: Drive
-    moment: Moment
-    pixels: Pixels
+    def take(self, frame: _Frame, pixels: Pixels) -> None:
+        """Keep what the tables say of a frame."""
+        self.frames.append(frame)
+        counts = [cv2.calcHist([pixels], [channel], None, [256], [0.0, 256.0])[:, 0] for channel in range(3)]
+        self.counts += np.stack(counts).astype(np.int64)
 
 
 def write(drives: Sequence[Drive], folder: Path, tally: Tally, advance: Callable[[], None]) -> None:
@@ -84,19 +82,20 @@ def write(drives: Sequence[Drive], folder: Path, tally: Tally, advance: Callable
     episodes: list[_Episode] = []
     size = 0, 0
     try:
-        for number, shown in groupby(_usable(drives, tally, advance), key=attrgetter("episode")):
+        for number, shown in groupby(_usable(drives, tally, advance), key=itemgetter(0)):
             first = next(shown)
-            size = first.pixels.shape[1], first.pixels.shape[0]
+            _, goal, _, pixels = first
+            size = pixels.shape[1], pixels.shape[0]
+            episodes.append(_Episode(f"Go to the {goal}."))
             with _video(folder / VIDEO.format(video_key=CAMERA, **_place(number)), size) as add:
-                episodes.append(_Episode(f"Go to the {first.drive.episode.goal}."))
-                for one in chain((first,), shown):
-                    add(one.pixels)
-                    _note(episodes[-1], one)
+                for _, _, frame, pixels in chain((first,), shown):
+                    add(pixels)
+                    episodes[-1].take(frame, pixels)
     except av.FFmpegError as error:
-        raise ExportFailure(f"the video cannot be written: {error.strerror or type(error).__name__}") from None
+        raise JobError(f"the video cannot be written: {error.strerror or type(error).__name__}") from None
     say_view(drives, tally)
     if not episodes:
-        raise ExportFailure("nothing to export: no frame has an image and tells what was done then")
+        raise JobError("nothing to export: no frame has an image and tells what was done then")
     _describe(folder, episodes, size, drives[0].episode.robot, tally)
 
 
@@ -104,21 +103,17 @@ def _place(episode: int) -> dict[str, int]:
     return {"chunk_index": episode // _CHUNK, "file_index": episode % _CHUNK}
 
 
-def _usable(drives: Sequence[Drive], tally: Tally, advance: Callable[[], None]) -> Iterator[_Shown]:
-    """Yield the ticks that can be in the data set."""
+def _usable(
+    drives: Sequence[Drive], tally: Tally, advance: Callable[[], None]
+) -> Iterator[tuple[int, str, _Frame, Pixels]]:
+    """Yield the ticks that can be in the data set: the episode that each is in, its goal, its row and its image."""
     size: tuple[int, ...] | None = None
     episode = -1
     for drive in drives:
         last: int | None = None
-        for moment in drive.moments(tally):
-            advance()
-            if moment.jpeg is None:
-                continue
-            if moment.velocity is None:
-                tally.count("frames do not tell what was done then, and are left out")
-                continue
+        for moment, jpeg, velocity in drive.usable(tally, advance):
             try:
-                pixels = decode_jpeg(moment.jpeg)
+                pixels = decode_jpeg(jpeg)
             except ValueError:
                 tally.count("images are damaged")
                 continue
@@ -130,7 +125,9 @@ def _usable(drives: Sequence[Drive], tally: Tally, advance: Callable[[], None]) 
                 episode += 1
                 tally.count("gaps are the end of an episode and the beginning of another", int(last is not None))
             last = moment.tick
-            yield _Shown(episode, drive, moment, pixels)
+            way = None if moment.pose is None else (moment.pose.x_m, moment.pose.y_m, moment.pose.heading_rad)
+            arrived = drive.success and moment.tick == drive.episode.end_tick
+            yield episode, drive.episode.goal, _Frame(velocity, way, arrived), pixels
 
 
 @contextmanager
@@ -140,7 +137,7 @@ def _video(path: Path, size: tuple[int, int]) -> Iterator[Callable[[Pixels], Non
 
     width, height = size
     if width % 2 or height % 2:
-        raise ExportFailure(f"images of {width}x{height} pixels: a video has an even number of columns and rows")
+        raise JobError(f"images of {width}x{height} pixels: a video has an even number of columns and rows")
     path.parent.mkdir(parents=True, exist_ok=True)
     with av.open(str(path), "w", format="mp4") as container:
         stream = container.add_stream("libx264", rate=FPS, options=_OPTIONS)
@@ -155,16 +152,6 @@ def _video(path: Path, size: tuple[int, int]) -> Iterator[Callable[[Pixels], Non
 
         yield add
         container.mux(stream.encode())
-
-
-def _note(episode: _Episode, shown: _Shown) -> None:
-    """Keep what the tables say of a frame."""
-    moment, pose = shown.moment, shown.moment.pose
-    arrived = shown.drive.success and moment.tick == shown.drive.episode.end_tick
-    way = None if pose is None else (pose.x_m, pose.y_m, pose.heading_rad)
-    episode.frames.append(_Frame(cast("Velocity", moment.velocity), way, arrived))
-    counts = [cv2.calcHist([shown.pixels], [channel], None, [256], [0.0, 256.0])[:, 0] for channel in range(3)]
-    episode.counts += np.stack(counts).astype(np.int64)
 
 
 def _describe(folder: Path, episodes: list[_Episode], size: tuple[int, int], robot: str, tally: Tally) -> None:

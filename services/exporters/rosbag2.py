@@ -14,10 +14,11 @@ from typing import Any, Final
 import numpy as np
 
 from schemas.camera_info import CameraInfo
-from services.exporters.drives import Drive, ExportFailure, Moment
+from services.exporters.drives import Drive, Moment
 from services.importers import rosbag2 as names
 from services.importers.drive import Tally
 from services.importers.ticks import TICK_S
+from services.kit.errors import JobError
 from services.kit.ros_message import ros_message
 
 _IMU: Final = "sensor_msgs/msg/Imu"
@@ -53,8 +54,7 @@ def write(drives: Sequence[Drive], folder: Path, tally: Tally, advance: Callable
 def _said(drive: Drive, tally: Tally, advance: Callable[[], None]) -> Iterator[tuple[str, str, int, Fields]]:
     """Yield topic, type, time and fields of every message."""
     began_ns: int | None = None
-    for moment in drive.moments(tally):
-        advance()
+    for moment in drive.moments(tally, advance):
         stamp_ns = moment.stamp_ns
         if began_ns is None:
             began_ns = stamp_ns - round(moment.tick * TICK_S * 1e9)
@@ -118,7 +118,7 @@ def _transforms(stamp_ns: int, frames: tuple[str, str], place: Fields, turn: Fie
 
 def _header(stamp_ns: int, frame: str) -> Fields:
     if not 0 <= stamp_ns < _LATEST_NS:
-        raise ExportFailure(f"a time {stamp_ns / 1e9:.0f} s after 1970, which ROS cannot say")
+        raise JobError(f"a time {stamp_ns / 1e9:.0f} s after 1970, which ROS cannot say")
     seconds, rest_ns = divmod(stamp_ns, 1_000_000_000)
     return {"stamp": {"sec": seconds, "nanosec": rest_ns}, "frame_id": frame}
 

@@ -41,52 +41,26 @@ Image = Callable[[], bytes]
 
 @dataclass(frozen=True, eq=False)
 class Drive:
-    """One drive of a source; all times are on the same clock, in seconds.
+    """One drive of a source; all times are on the same clock, in seconds."""
 
-    Parameters
-    ----------
-    name
-        As the source calls it.
-    times_s
-        (n,) of the frames.
-    images
-        Gives the n frames in their order, each time anew.
-    motion
-        (k, 3) time, speed ahead, turn rate counter-clockwise, ascending: what atoms are made of.
-    track
-        (m, 4) time, x and y in metres, heading in radians, ascending: where the wheels say that the robot was.
-    success
-        Whether it reached its goal; None where the source does not say.
-    focal
-        Focal length of the camera over the width of its image, where the source says it.
-    metric
-        Whether velocities are metres and radians a second, so that a way can be reckoned from them.
-    """
-
-    name: str
-    times_s: Array
-    images: Callable[[], Iterator[Image]]
+    name: str  # As the source calls it.
+    times_s: Array  # (n,) of the frames.
+    images: Callable[[], Iterator[Image]]  # Gives the n frames in their order, each time anew.
+    #: (k, 3) time, speed ahead, turn rate counter-clockwise, ascending: what atoms are made of.
     motion: Array
+    #: (m, 4) time, x and y in metres, heading in radians, ascending: where the wheels say that the robot was.
     track: Array = field(default_factory=lambda: np.zeros((0, 4)))
-    success: bool | None = None
-    focal: float | None = None
-    metric: bool = True
+    success: bool | None = None  # Whether it reached its goal; None where the source does not say.
+    focal: float | None = None  # Focal length of the camera over the width of its image, where the source says it.
+    metric: bool = True  # Whether velocities are metres and radians a second, so that a way can be reckoned from them.
 
 
 @dataclass
 class Tally:
-    """Counts what does not fit.
+    """Counts what does not fit."""
 
-    Attributes
-    ----------
-    counts
-        How often, by what is said of it.
-    remarks
-        What is said once.
-    """
-
-    counts: Counter[str] = field(default_factory=Counter)
-    remarks: list[str] = field(default_factory=list)
+    counts: Counter[str] = field(default_factory=Counter)  # How often, by what is said of it.
+    remarks: list[str] = field(default_factory=list)  # What is said once.
 
     def count(self, what: str, times: int = 1) -> None:
         """Count something, for example "images that are damaged"."""

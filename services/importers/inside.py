@@ -26,14 +26,9 @@ Model = TypeVar("Model", bound=BaseModel)
 
 
 class Inside:
-    """A folder, or one file, to read from.
+    """A folder, or one file, to read from; a link in its own path is the user's own.
 
-    Parameters
-    ----------
-    path
-        As the user gave it; a link in it is the user's own.
-
-    Raises ImportFailure when there is nothing.
+    An ImportFailure says that there is nothing.
     """
 
     def __init__(self, path: Path) -> None:

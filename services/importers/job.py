@@ -60,8 +60,7 @@ class Report(Strict):
     odometry: Literal["of the source", "reckoned from velocities", "none"]
     speed: float
     turn_rate: float
-    metric: bool
-    """Whether these are metres and radians a second, and not in units of the source's own."""
+    metric: bool  # Whether these are metres and radians a second, and not in units of the source's own.
     atoms: dict[str, int]
 
 

@@ -198,12 +198,9 @@ def nominal(velocities: Array, quantile: float = QUANTILE) -> Nominal:
 def atoms_of(
     velocities: Array, usual: Nominal, still: float = STILL, turning: float = TURNING
 ) -> tuple[NDArray[np.int8], Array]:
-    """Return what was done in each tick, by its velocities (n, 2), linear and angular.
+    """Return what was done in each tick, by its velocities (n, 2), linear and angular: (n,) places in `ATOMS`.
 
-    Returns
-    -------
-    atoms, ahead
-        (n,) places in `ATOMS`; and (n,) how fast it goes ahead in a turn, -1 to 1 times the nominal speed, else 0.
+    And (n,) how fast it goes ahead in a turn, -1 to 1 times the nominal speed, else 0.
     """
     linear, angular = (velocities / usual).T
     crawls = np.abs(linear) < still

@@ -10,10 +10,9 @@ from services.robot.pace import Paces
 from services.robot.service import ROBOT, serve_robot
 from services.robot.task import OperatorsTask
 from services.simulator.body import SimulatedBody
-from services.simulator.config import SimulatorSettings
+from services.simulator.camera import FindVictim, SimulatedView
 from services.simulator.lockstep import Lockstep
-from services.simulator.view import FindVictim, SimulatedView
-from services.simulator.worlds import Worlds
+from services.simulator.worlds import SimulatorSettings, Worlds
 
 
 def serve() -> None:

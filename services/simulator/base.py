@@ -52,8 +52,7 @@ class Actuator:
     """
 
     def __init__(self, drive: Drive, rng: np.random.Generator) -> None:
-        self._drive = drive
-        self._rng = rng
+        self._drive, self._rng = drive, rng
         self._radius = 1.0 + drive.radius_sigma * rng.standard_normal(2)
         self._time_s = 0.0
         self._tick = -1
@@ -73,12 +72,9 @@ class Actuator:
 class Motion(NamedTuple):
     """What a base did in one step."""
 
-    pose: Pose
-    """Where it is at the end of the step."""
-    rolled_m: tuple[float, float]
-    """How far the left and the right wheel turned, as metres of the rim."""
-    collided: bool
-    """Whether it touched anything in this step."""
+    pose: Pose  # Where it is at the end of the step.
+    rolled_m: tuple[float, float]  # How far the left and the right wheel turned, as metres of the rim.
+    collided: bool  # Whether it touched anything in this step.
 
 
 class Base(Protocol):
@@ -101,14 +97,11 @@ class KinematicBase:
     `drive` are other wheels than those of the place's robot.
     """
 
+    braking_s = 0.0
+
     def __init__(self, place: Place, drive: Drive | None = None) -> None:
         self._drive = drive or place.robot.drive
         self._obstacles = obstacles_of(place)
-
-    @property
-    def braking_s(self) -> float:
-        """Return 0: it stands at once."""
-        return 0.0
 
     def put(self, pose: Pose, rng: np.random.Generator) -> None:
         """Stand still at a pose."""

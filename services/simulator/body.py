@@ -13,9 +13,9 @@ from services.kit.node import Detail, ServiceError
 from services.robot.body import Beginning
 from services.robot.clock import now_s
 from services.simulator.base import STEP_S
+from services.simulator.camera import SimulatedView
 from services.simulator.simulation import Simulation
 from services.simulator.variation import VARIATIONS
-from services.simulator.view import SimulatedView
 from services.simulator.worlds import Worlds
 
 #: Silence after which the simulated base stands by itself, as those of real robots do.
@@ -46,9 +46,7 @@ class SimulatedBody:
         for topic in (DEPTH, OVERHEAD):
             # Who listens becomes known a moment after it was asked for the first time: the first frame is too late.
             wanted(topic)
-        self._clock = clock
-        self._wanted = wanted
-        self._worlds = worlds
+        self._clock, self._wanted, self._worlds = clock, wanted, worlds
         self._lock = Lock()
         self._kidnap_tick: int | None = None
         self._realtime = False

@@ -113,9 +113,5 @@ def _info(episode: LockstepEpisode) -> Info:
 
 
 for _world in ("campus", "indoor"):
-    gymnasium.register(
-        f"smal/{_world.capitalize()}-v0",
-        entry_point="services.simulator.gymnasium_env:SearchEnv",
-        max_episode_steps=MAX_TICKS,
-        kwargs={"world": _world},
-    )
+    _name = f"smal/{_world.capitalize()}-v0"
+    gymnasium.register(_name, entry_point=SearchEnv, max_episode_steps=MAX_TICKS, kwargs={"world": _world})

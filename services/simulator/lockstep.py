@@ -15,8 +15,8 @@ from services.robot.clock import TICK_S, now_s
 from services.robot.episode import Episode
 from services.robot.pace import Running, Teller
 from services.simulator.body import SimulatedBody
+from services.simulator.camera import FindVictim, SimulatedView
 from services.simulator.simulation import Simulation
-from services.simulator.view import FindVictim, SimulatedView
 
 #: Seconds without an answer after which a frame is sent again (a message may be lost), and given up.
 RESEND_S: Final = 2.0
@@ -43,9 +43,11 @@ class LockstepEpisode(Episode[SimulatedView]):
 class Lockstep:
     """The pace of a simulated robot whose world waits for commands; `clock` times what was not answered."""
 
+    #: The world waits.
+    delay_s = 0.0
+
     def __init__(self, body: SimulatedBody, clock: Callable[[], float] = now_s) -> None:
-        self._body = body
-        self._clock = clock
+        self._body, self._clock = body, clock
         self._sent_s = clock()
         self.resent = 0
 
@@ -56,11 +58,6 @@ class Lockstep:
     def captured_s(self, _view: SimulatedView, tick: int) -> float:
         """Return the time of the frame."""
         return self.gate_s(tick)
-
-    @property
-    def delay_s(self) -> float:
-        """Return 0: the world waits."""
-        return 0.0
 
     def detail(self) -> Detail:
         """Tell how often a frame was sent again."""

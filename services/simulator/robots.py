@@ -10,17 +10,12 @@ from typing import Final, NamedTuple
 class Drive:
     """The robot's wheels and how well they obey."""
 
-    speed_m_s: float = 2.0
-    """Speed of `forward` and `backward`."""
-    turn_rate_rad_s: float = 0.785
-    """Turning speed of `left` and `right`, on the spot."""
-    track_m: float = 0.6
-    """Distance between the wheels."""
+    speed_m_s: float = 2.0  # Speed of `forward` and `backward`.
+    turn_rate_rad_s: float = 0.785  # Turning speed of `left` and `right`, on the spot.
+    track_m: float = 0.6  # Distance between the wheels.
     wheel_radius_m: float = 0.2
-    tick_sigma: float = 0.03
-    """Standard deviation of each wheel's relative speed error, drawn anew every tick of 0.1 s."""
-    radius_sigma: float = 0.01
-    """Standard deviation of each wheel's relative radius error, drawn once an episode."""
+    tick_sigma: float = 0.03  # Standard deviation of each wheel's relative speed error, drawn anew every tick of 0.1 s.
+    radius_sigma: float = 0.01  # Standard deviation of each wheel's relative radius error, drawn once an episode.
 
 
 class CameraMount(NamedTuple):
@@ -33,12 +28,9 @@ class CameraMount(NamedTuple):
 class Tag(NamedTuple):
     """A square ArUco marker lying on the robot, its upper edge towards the front, seen from above."""
 
-    number: int
-    """Which marker of OpenCV's dictionary `DICT_4X4_50`."""
-    side_m: float
-    """Length of the black square's side."""
-    height_m: float
-    """Above the ground."""
+    number: int  # Which marker of OpenCV's dictionary `DICT_4X4_50`.
+    side_m: float  # Length of the black square's side.
+    height_m: float  # Above the ground.
 
 
 @dataclass(frozen=True)
@@ -50,8 +42,7 @@ class RobotModel:
     camera: CameraMount
     radius_m: float
     """Of the smallest circle about the middle of the axis that holds the whole robot; planning keeps this free."""
-    height_m: float
-    """Of the body (without the camera's mast)."""
+    height_m: float  # Of the body (without the camera's mast).
     mass_kg: float
     tag: Tag | None = None
 

@@ -31,7 +31,7 @@ _MOST_SHAKE: Final = 1.5
 
 # The inertial unit is the ADIS16448 of the EuRoC data set (Burri and others, 2016), in the middle of what small robots
 # have. Of the gyroscope's three axes, in rad/s, and the accelerometer's, in m/s^2: densities of the white noise and of
-# the noise that the bias is the sum of, each by the root of a hertz; bias after a calibration at rest; greatest reading.
+# the noise that the bias is the sum of, each by the root of a hertz; bias after a calibration; greatest reading.
 _NOISE: Final = np.repeat([1.6968e-4, 2.0e-3], 3)
 _WALK: Final = np.repeat([1.9393e-5, 3.0e-3], 3)
 _BIAS: Final = np.repeat([1e-3, 0.02], 3)
@@ -96,16 +96,7 @@ class Shake:
         self._amplitude, self._drive, self._rng = strength * _SHAKE_RAD, drive, rng
         # Angles, and their rates by the second, in units of the amplitude: (2, 3).
         self._state = np.zeros((2, 3))
-
-    @property
-    def tilt(self) -> Tilt:
-        """The tilt now."""
-        return Tilt(*(self._amplitude * self._state[0]).tolist())
-
-    @property
-    def rate(self) -> Tilt:
-        """How fast it changes now."""
-        return Tilt(*(self._amplitude * self._state[1]).tolist())
+        self.tilt = self.rate = LEVEL
 
     def step(self, step: Step) -> None:
         """Let the time of one step pass."""
@@ -115,6 +106,7 @@ class Shake:
         turning = _TURNING * step.turn_rate_rad_s / self._drive.turn_rate_rad_s
         motion = min(math.hypot(speed, turning), _MOST_SHAKE)
         self._state = swing @ self._state + motion * (kick @ self._rng.standard_normal((2, 3)))
+        self.tilt, self.rate = (Tilt(*row) for row in (self._amplitude * self._state).tolist())
 
 
 @lru_cache(maxsize=64)
@@ -172,8 +164,8 @@ class Odometer:
 
     def __init__(self, drive: Drive, error: float, rng: np.random.Generator) -> None:
         self._tick_m = math.tau * drive.wheel_radius_m / _TICKS_PER_TURN
-        left, right = (1.0 + error * _RADIUS_SIGMA * rng.standard_normal(2)).tolist()
-        self._believed_m = self._tick_m * left, self._tick_m * right
+        radii = 1.0 + error * _RADIUS_SIGMA * rng.standard_normal(2)
+        self._believed_m = self._tick_m * float(radii[0]), self._tick_m * float(radii[1])
         self._track_m = drive.track_m * (1.0 + error * _TRACK_SIGMA * float(rng.standard_normal()))
         self._rolled_m = [0.0, 0.0]
         self._ticks = [0, 0]

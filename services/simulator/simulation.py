@@ -14,10 +14,9 @@ from schemas.base import Atom
 from schemas.episode import Purpose
 from schemas.topics import Topic
 from services.simulator.base import STEP_S, Base, KinematicBase
-from services.simulator.camera import Camera, CameraSettings
+from services.simulator.camera import Camera, CameraSettings, Eye, SimulatedView
 from services.simulator.sensors import Sensors
 from services.simulator.variation import DAY, Variation, variation_named
-from services.simulator.view import Eye, SimulatedView
 from services.simulator.world import load_world
 from services.simulator.world.place import Pose, World
 from services.simulator.world.route import plan_route
@@ -31,13 +30,6 @@ BaseKind = Literal["physics", "kinematic"]
 class Simulation:
     """A robot in a world.
 
-    Attributes
-    ----------
-    pose, collided
-        Where it truly is, and whether it has touched anything since the reset.
-    speed_m_s, braking_s, found_m, focal_px
-        Its nominal speed, how long it brakes, how near the victim counts as found, and the camera's focal length.
-
     Parameters
     ----------
     camera
@@ -49,6 +41,9 @@ class Simulation:
     variation
         Haze and exposure; the rest of it is in the world (see `vary`) and in the camera's light.
     """
+
+    pose: Pose  # Where it truly is.
+    collided: bool  # Whether it has touched anything since the reset.
 
     def __init__(
         self,
@@ -144,8 +139,8 @@ def open_simulation(
     task
         Start, and where the victim lies; those of the world if not given.
 
-    Raises WorldError where the world cannot be used; UnavailableError where this machine lacks what is needed; ValueError where the
-    variation is unknown.
+    Raises WorldError where the world cannot be used; UnavailableError where this machine lacks what is needed;
+    ValueError where the variation is unknown.
     """
     conditions = variation_named(variation)
     there = load_world(world)
@@ -154,7 +149,7 @@ def open_simulation(
     there = vary(there, facade_seed=conditions.facade_seed, clutter_seed=conditions.clutter_seed)
     wheels: Base | None = None
     if base == "physics":
-        from services.simulator.physics.base import PhysicalBase  # noqa: PLC0415 - only this needs SAPIEN
+        from services.simulator.physics import PhysicalBase  # noqa: PLC0415 - only this needs SAPIEN
 
         wheels = PhysicalBase(there.place)
     return Simulation(there, replace(camera, light=conditions.light), wheels, shake=shake, variation=conditions)

@@ -1,23 +1,54 @@
-"""The worlds that the simulated robot can be in, by name."""
+"""The simulator's settings, and the worlds that its robot can be in, by name."""
 
 from __future__ import annotations
 
+from contextlib import suppress
 from pathlib import Path
-from typing import Final
+from typing import Annotated, Final, Literal
 
-from pydantic import TypeAdapter, ValidationError
+from pydantic import Field, TypeAdapter, ValidationError, field_validator
 
 from schemas.rpc import WorldName
 from services.kit.node import ServiceError
-from services.kit.root import WORLDS, OutsideError, below
+from services.kit.root import WORLDS, OutsideError, RootSettings, below
+from services.robot.config import RobotSettings
 from services.simulator.camera import CameraSettings
-from services.simulator.config import SimulatorSettings
 from services.simulator.scene.vulkan import UnavailableError
-from services.simulator.simulation import Simulation, open_simulation
-from services.simulator.variation import VARIATIONS
+from services.simulator.simulation import BaseKind, Simulation, open_simulation
+from services.simulator.variation import VARIATIONS, variation_named
 from services.simulator.world import WorldError, known_worlds
 
 _NAME: Final[TypeAdapter[str]] = TypeAdapter(WorldName)
+
+
+class SimulatorSettings(RobotSettings, RootSettings):
+    """The world and the camera; worlds in the folder ``worlds`` below the root can be chosen as well."""
+
+    attended: bool = False
+    """Whether the robot moves only while an operator is there."""
+    task: Literal["victim", "operator"] = "victim"
+    """Who says that the goal is reached: the simulator, when the victim is near and in view; or only the person at smal
+    teleop, as with a real robot."""
+    world: str = "campus"
+    """Name of a world that comes with the project, or the path of an OpenStreetMap or world file."""
+    camera_width: Annotated[int, Field(ge=32, le=4096)] = 1024
+    """Columns of the camera image."""
+    camera_height: Annotated[int, Field(ge=24, le=3072)] = 768
+    """Rows of the camera image."""
+    shadows: bool = True
+    """Whether the sun casts shadows; without them rendering is faster."""
+    shake: Annotated[float, Field(ge=0, le=10, allow_inf_nan=False)] | None = None
+    """How much the camera shakes while the robot drives: 0 not at all, 1 as on a floor that is not quite even; as is
+    usual in the world if not given."""
+    base: BaseKind = "physics"
+    """How the robot moves: by driven wheels with mass and friction, or along exact arcs (kinematic)."""
+    variation: str = "day"
+    """Conditions other than those of a fair day, for example evening, haze or moved; `smal up --help` lists them."""
+
+    @field_validator("variation")
+    @classmethod
+    def _known(cls, name: str) -> str:
+        return variation_named(name).name
 
 
 class Worlds:
@@ -42,9 +73,7 @@ class Worlds:
         of = self._settings
         camera = CameraSettings(of.camera_width, of.camera_height, of.shadows)
         try:
-            simulation = open_simulation(
-                self._place(world), camera, base=of.base, shake=of.shake, variation=variation
-            )
+            simulation = open_simulation(self._place(world), camera, base=of.base, shake=of.shake, variation=variation)
         except (WorldError, UnavailableError) as error:
             # Where the files lie means nothing to who asks for a name.
             raise ServiceError(str(error).replace(f"{self._settings.root / WORLDS}/", "")) from None
@@ -67,8 +96,6 @@ class Worlds:
 
 
 def _may_be_asked_for(name: str) -> bool:
-    try:
-        _NAME.validate_python(name)
-    except ValidationError:
-        return False
-    return True
+    with suppress(ValidationError):
+        return bool(_NAME.validate_python(name))
+    return False

@@ -25,10 +25,10 @@ from schemas.rpc import ArmRequest, EndRequest, LoadReply, LoadRequest, Nothing,
 from services.cli.episodes.client import EpisodeClient, EpisodeRecord
 from services.cli.episodes.files import name_for, recording
 from services.cli.stack.processes import Stack, StackPlan, flags, free_endpoint
-from services.expert.service import ExpertService
+from services.expert.driver import ExpertService
 from services.kit.bus import RpcError
 from services.kit.node import Detail
-from services.simulator.view import VISIBLE_FRACTION
+from services.simulator.camera import VISIBLE_FRACTION
 from services.simulator.world import load_world
 from services.simulator.world.place import Pose
 from services.simulator.world.route import plan_route

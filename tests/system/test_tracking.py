@@ -15,7 +15,7 @@ from schemas.tracked_pose import TrackedPose
 from services.cli.episodes.client import EpisodeClient
 from services.cli.options import Camera, Simulator
 from services.cli.stack.processes import stack_for
-from services.expert.service import ExpertService
+from services.expert.driver import ExpertService
 
 pytestmark = [pytest.mark.rendering, pytest.mark.system]
 

@@ -16,7 +16,7 @@ from services.simulator.scene.plants import crowns, trees
 from services.simulator.scene.surfaces import Lights, Scene, Surface, surfaces
 from services.simulator.scene.textures import BOTTOM_DEG, TOP_DEG, paint_sky
 from services.simulator.variation import Daylight
-from services.simulator.world.place import Pose, World
+from services.simulator.world.place import World
 from services.simulator.world.room import Room
 from services.simulator.world.terrain import Terrain
 
@@ -29,17 +29,11 @@ def build_scene(world: World, light: Daylight, *, shadows: bool) -> Scene:
 
     `shadows` says whether what stands on the ground darkens it.
     """
-    match world.place:
-        case Terrain() as terrain:
-            return _outdoors(terrain, world.victim, light, shadows=shadows)
-        case Room() as indoors:
-            return room.build(indoors, world.victim, light, shadows=shadows)
-        case other:
-            raise TypeError(f"no scene is known for a {type(other).__name__}")
-
-
-def _outdoors(terrain: Terrain, victim: Pose, light: Daylight, *, shadows: bool) -> Scene:
-    """Make the meshes and pictures of a terrain with a victim lying in it."""
+    terrain = world.place
+    if isinstance(terrain, Room):
+        return room.build(terrain, world.victim, light, shadows=shadows)
+    if not isinstance(terrain, Terrain):
+        raise TypeError(f"no scene is known for a {type(terrain).__name__}")
     shaded = shadows and light.casts_shadows
     shade = cast_shade(terrain, light.direction, crowns(terrain.trees)) if shaded else Polygon()
     # What is drawn first hides what comes later: the ground is last, since it lies behind everything.
@@ -47,7 +41,7 @@ def _outdoors(terrain: Terrain, victim: Pose, light: Daylight, *, shadows: bool)
     return Scene(
         lights=_lights(light),
         still=(*surfaces(things), *surfaces(ground(terrain, shade))),
-        victim=surfaces((finish, mesh.placed(victim)) for finish, mesh in bodies.body("person")),
+        victim=surfaces((finish, mesh.placed(world.victim)) for finish, mesh in bodies.body("person")),
         sky=_sky(light),
     )
 

@@ -14,7 +14,6 @@ from services.kit.going_on import each
 from services.simulator.scene.facades import BARE, BAY_M, BAYS, GROUND, STOREY_M, STOREYS, UPPER, alike, in_steps
 from services.simulator.scene.meshes import Mesh, band, faces, flat, outline, ridged, running, tube, walls
 from services.simulator.scene.surfaces import Finish, Piece
-from services.simulator.scene.textures import Material
 from services.simulator.world.terrain import POST_M, Barrier, BarrierKind, Building, Facade
 
 _OVERHANG_M: Final = 0.4
@@ -36,7 +35,7 @@ _PIER_M: Final = 1.2
 # Not quite the whole height of the picture, or filtering would mix its foot into its top.
 _GROUND_ROWS: Final = (0.99, 0.01)
 _TRIM: Final = Finish("trim")
-_BARRIER: Final[dict[BarrierKind, tuple[Material, float]]] = {
+_BARRIER: Final[dict[BarrierKind, tuple[str, float]]] = {
     "hedge": ("hedge", 0.7), "wall": ("stone_wall", 0.3), "fence": ("fence", 0.08)
 }  # fmt: skip
 
@@ -162,6 +161,6 @@ def _around(eaves: Polygon, z: float, rise_m: float) -> tuple[Mesh, list[Mesh]]:
     return faces(corners, _METRES), level
 
 
-def _cover(material: Material, building: Building) -> Finish:
+def _cover(material: str, building: Building) -> Finish:
     colour = building.roof_colour
     return Finish(material, colour and in_steps(colour, _COLOUR_STEP))

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import math
 import zlib
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
+from itertools import pairwise
 from typing import Final
 
 import numpy as np
@@ -19,6 +20,7 @@ from services.simulator.world.furniture import (
     SEAT_FRACTION,
     SOFA_ARM_M,
     SOFA_BACK_M,
+    Box,
     Furniture,
     FurnitureKind,
 )
@@ -44,6 +46,11 @@ def _variant(piece: Furniture) -> int:
     return zlib.crc32(repr(size).encode()) % _VARIANTS
 
 
+def _blocks(finish: Finish, boxes: Iterable[tuple[Box, float, float]]) -> list[Piece]:
+    """Return boxes that wear the same, each with its lower and upper height."""
+    return [(finish, block(box, low, high)) for box, low, high in boxes]
+
+
 def _crate(piece: Furniture) -> list[Piece]:
     """Return cardboard boxes on top of each other, every second one turned a little and smaller."""
     count = max(1, round(piece.height_m / _CRATE_M))
@@ -53,12 +60,14 @@ def _crate(piece: Furniture) -> list[Piece]:
     for level in range(count):
         turn, shrink = (Pose(0.0, 0.0, 0.0), 1.0) if level % 2 == 0 else _turned_within(piece)
         x, y = shrink * piece.depth_m / 2, shrink * piece.width_m / 2
-        box = (-x, -y, x, y)
         low, high = level * step, (level + 1) * step
-        lid = flat(shapely.box(*box), high, TEXTURE_M)
-        made += [(side, cased(box, low, high).placed(turn)), (top, lid.placed(turn))]
-        tape = flat(shapely.box(-x, -0.05 * piece.width_m, x, 0.05 * piece.width_m), high + 0.001, 1.0)
-        made.append((Finish("lacquer", (206, 178, 128)), tape.placed(turn)))
+        tape = shapely.box(-x, -0.05 * piece.width_m, x, 0.05 * piece.width_m)
+        parts = [
+            (side, cased((-x, -y, x, y), low, high)),
+            (top, flat(shapely.box(-x, -y, x, y), high, TEXTURE_M)),
+            (Finish("lacquer", (206, 178, 128)), flat(tape, high + 0.001, 1.0)),
+        ]
+        made += [(finish, mesh.placed(turn)) for finish, mesh in parts]
     return made
 
 
@@ -71,13 +80,11 @@ def _turned_within(piece: Furniture) -> tuple[Pose, float]:
 
 def _cabinet(piece: Furniture) -> list[Piece]:
     """Return a steel cabinet with drawers in front, on a dark plinth."""
-    box = piece.box
-    x_min, y_min, x_max, y_max = box
-    steel = Finish("lacquer", piece.colour)
+    x_min, y_min, x_max, y_max = piece.box
     body = (x_min, y_min, x_max - 0.01, y_max)
     return [
         (Finish("black_plastic"), block((x_min + 0.02, y_min + 0.02, x_max - 0.03, y_max - 0.02), 0.0, 0.05)),
-        (steel, block(body, 0.05, piece.height_m)),
+        (Finish("lacquer", piece.colour), block(body, 0.05, piece.height_m)),
         (Finish("drawers", piece.colour, 0), front(body, 0.06, piece.height_m - 0.01, 0.01)),
     ]
 
@@ -85,94 +92,79 @@ def _cabinet(piece: Furniture) -> list[Piece]:
 def _shelf(piece: Furniture) -> list[Piece]:
     """Return an open shelf: carcass, boards, and a row of books on each."""
     x_min, y_min, x_max, y_max = box = piece.box
-    wood = Finish("wood", piece.colour)
     rows = max(1, round(piece.height_m / _COMPARTMENT_M))
     bays = max(1, round(piece.width_m / _BAY_M))
-    made: list[Piece] = [(wood, block((x_min, y_min, x_min + 0.012, y_max), 0.0, piece.height_m))]
-    uprights = np.linspace(y_min, y_max - _SHELF_BOARD_M, bays + 1)
-    made += [(wood, block((x_min, y, x_max, y + _SHELF_BOARD_M), 0.0, piece.height_m)) for y in uprights]
-    heights = np.linspace(0.04, piece.height_m - _SHELF_BOARD_M, rows + 1)
-    made += [(wood, block(box, float(z), float(z) + _SHELF_BOARD_M)) for z in heights]
-    for row in range(rows):
-        low, high = float(heights[row]) + _SHELF_BOARD_M, float(heights[row + 1])
-        for bay in range(bays):
-            books = (x_min, float(uprights[bay]) + _SHELF_BOARD_M, x_max - 0.05, float(uprights[bay + 1]))
-            made.append((Finish("books", None, (_variant(piece) + 3 * row + bay) % 7), front(books, low, high)))
+    uprights = np.linspace(y_min, y_max - _SHELF_BOARD_M, bays + 1).tolist()
+    heights = np.linspace(0.04, piece.height_m - _SHELF_BOARD_M, rows + 1).tolist()
+    boards = [((x_min, y_min, x_min + 0.012, y_max), 0.0, piece.height_m)]
+    boards += [((x_min, y, x_max, y + _SHELF_BOARD_M), 0.0, piece.height_m) for y in uprights]
+    boards += [(box, z, z + _SHELF_BOARD_M) for z in heights]
+    made = _blocks(Finish("wood", piece.colour), boards)
+    for row, (low, high) in enumerate(pairwise(heights)):
+        for bay, (left, right) in enumerate(pairwise(uprights)):
+            books = front((x_min, left + _SHELF_BOARD_M, x_max - 0.05, right), low + _SHELF_BOARD_M, high)
+            made.append((Finish("books", None, (_variant(piece) + 3 * row + bay) % 7), books))
     return made
 
 
 def _partition(piece: Furniture) -> list[Piece]:
     """Return a screen of cloth panels in aluminium frames on flat rails."""
     x_min, y_min, x_max, y_max = piece.box
-    cloth, metal = Finish("fabric", piece.colour), Finish("aluminium")
-    count = max(1, round(piece.width_m / _BAY_M))
-    joints = np.linspace(y_min, y_max, count + 1)
-    thin = 0.3 * piece.depth_m
+    joints = np.linspace(y_min, y_max, max(1, round(piece.width_m / _BAY_M)) + 1).tolist()
+    thin, high = 0.3 * piece.depth_m, piece.height_m
+    frame = thin + 0.004
     made: list[Piece] = []
-    for left, right in zip(joints[:-1].tolist(), joints[1:].tolist(), strict=True):
-        made.append((cloth, block((-thin, left + 0.025, thin, right - 0.025), 0.06, piece.height_m - 0.025)))
-        made.append((metal, block((-thin - 0.004, left, thin + 0.004, right), piece.height_m - 0.025, piece.height_m)))
-        made.append((metal, block((-thin - 0.004, left, thin + 0.004, right), 0.03, 0.06)))
-        made += [
-            (metal, block((-thin - 0.004, edge, thin + 0.004, edge + 0.025), 0.0, piece.height_m - 0.01))
-            for edge in (left, right - 0.025)
-        ]
+    for left, right in pairwise(joints):
+        made.append(
+            (Finish("fabric", piece.colour), block((-thin, left + 0.025, thin, right - 0.025), 0.06, high - 0.025))
+        )
+        rails = [((-frame, left, frame, right), low, top) for low, top in ((high - 0.025, high), (0.03, 0.06))]
+        posts = [((-frame, edge, frame, edge + 0.025), 0.0, high - 0.01) for edge in (left, right - 0.025)]
+        made += _blocks(Finish("aluminium"), [*rails, *posts])
         made.append((Finish("dark_plastic"), block((x_min, left + 0.1, x_max, right - 0.1), 0.0, 0.03)))
     return made
 
 
 def _desk(piece: Furniture) -> list[Piece]:
     """Return a desk with drawers, a screen and a keyboard on it; what stands on top is above its height."""
-    box = piece.box
-    x_min, _, _, y_max = box
-    board, white = Finish("board", piece.colour), Finish("lacquer", (214, 214, 210))
-    under = piece.height_m - BOARD_M
-    drawers, side, back = piece.panels
-    made: list[Piece] = [(board, block(box, under, piece.height_m))]
-    made += [(white, block(part, 0.0, under)) for part in (drawers, side, back)]
-    made.append((Finish("drawers", (214, 214, 210), 1), front(drawers, 0.03, under - 0.02, 0.002)))
-    black = Finish("black_plastic")
+    x_min, _, _, y_max = box = piece.box
     top = piece.height_m
+    under = top - BOARD_M
     screen = (x_min + 0.14, -0.28, x_min + 0.17, 0.28)
-    made += [
-        (black, block((x_min + 0.08, -0.12, x_min + 0.26, 0.12), top, top + 0.015)),
-        (black, block((x_min + 0.13, -0.03, x_min + 0.15, 0.03), top, top + 0.14)),
-        (black, block(screen, top + 0.12, top + 0.46)),
+    stand = [
+        ((x_min + 0.08, -0.12, x_min + 0.26, 0.12), top, top + 0.015),
+        ((x_min + 0.13, -0.03, x_min + 0.15, 0.03), top, top + 0.14),
+        (screen, top + 0.12, top + 0.46),
+    ]
+    return [
+        (Finish("board", piece.colour), block(box, under, top)),
+        *_blocks(Finish("lacquer", (214, 214, 210)), [(part, 0.0, under) for part in piece.panels]),
+        (Finish("drawers", (214, 214, 210), 1), front(piece.panels[0], 0.03, under - 0.02, 0.002)),
+        *_blocks(Finish("black_plastic"), stand),
         (Finish("screen", None, 2), front(screen, top + 0.13, top + 0.45, 0.002)),
         (Finish("dark_plastic"), block((0.02, -0.22, 0.16, 0.22), top, top + 0.02)),
         (Finish("white_plastic"), block((x_min + 0.1, y_max - 0.36, x_min + 0.32, y_max - 0.2), top, top + 0.03)),
     ]
-    return made
 
 
 def _table(piece: Furniture) -> list[Piece]:
     """Return a table on four steel legs, with a rail under its board."""
     x_min, y_min, x_max, y_max = box = piece.box
     under = piece.height_m - BOARD_M
-    steel = Finish("dark_plastic")
-    made: list[Piece] = [(Finish("board", piece.colour), block(box, under, piece.height_m))]
-    made += [(steel, block(leg, 0.0, under)) for leg in piece.legs]
-    rail = 0.05
-    made += [
-        (steel, block((x_min + 0.02, y, x_max - 0.02, y + 0.025), under - rail, under))
-        for y in (y_min + 0.02, y_max - 0.045)
-    ]
-    made += [
-        (steel, block((x, y_min + 0.02, x + 0.025, y_max - 0.02), under - rail, under))
-        for x in (x_min + 0.02, x_max - 0.045)
-    ]
-    return made
+    rails = [(x_min + 0.02, y, x_max - 0.02, y + 0.025) for y in (y_min + 0.02, y_max - 0.045)]
+    rails += [(x, y_min + 0.02, x + 0.025, y_max - 0.02) for x in (x_min + 0.02, x_max - 0.045)]
+    steel = [*((leg, 0.0, under) for leg in piece.legs), *((rail, under - 0.05, under) for rail in rails)]
+    return [(Finish("board", piece.colour), block(box, under, piece.height_m)), *_blocks(Finish("dark_plastic"), steel)]
 
 
-def sofa(piece: Furniture) -> list[Piece]:
+def _sofa(piece: Furniture) -> list[Piece]:
     """Return a sofa: plinth, back, arms with round tops, and a cushion a seat."""
     x_min, y_min, x_max, y_max = piece.box
-    cloth = Finish("fabric", piece.colour or (156, 79, 67))
-    red, green, blue = (min(255, round(1.12 * value + 8)) for value in piece.colour or (156, 79, 67))
-    light = Finish("fabric", (red, green, blue))
+    colour = piece.colour or (156, 79, 67)
+    cloth = Finish("fabric", colour)
+    red, green, blue = (min(255, round(1.12 * value + 8)) for value in colour)
     seat, arms, top = SEAT_FRACTION * piece.height_m, ARM_FRACTION * piece.height_m, piece.height_m
-    back = x_min + SOFA_BACK_M
-    roll = 0.05
+    back, roll, side = x_min + SOFA_BACK_M, 0.05, SOFA_ARM_M / 2
     middle = (x_min + back) / 2 - 0.02
     made: list[Piece] = [
         (Finish("black_plastic"), block((x_min + 0.03, y_min + 0.03, x_max - 0.04, y_max - 0.03), 0.0, 0.06)),
@@ -180,26 +172,20 @@ def sofa(piece: Furniture) -> list[Piece]:
         (cloth, block((x_min, y_min, back - 0.04, y_max), seat - 0.12, top - roll)),
         (cloth, tube((middle, y_min, top - roll), (middle, y_max, top - roll), (roll, roll), 12)),
     ]
-    for side in (y_min, y_max - SOFA_ARM_M):
-        made.append((cloth, block((x_min, side, x_max, side + SOFA_ARM_M), 0.06, arms - SOFA_ARM_M / 2)))
-        middle = side + SOFA_ARM_M / 2
-        made += [(cloth, part) for part in _roll((x_min, middle, arms - SOFA_ARM_M / 2), x_max, SOFA_ARM_M / 2)]
+    for y in (y_min, y_max - SOFA_ARM_M):
+        made.append((cloth, block((x_min, y, x_max, y + SOFA_ARM_M), 0.06, arms - side)))
+        # A round top with flat ends.
+        for begin, end, radius in ((x_min, x_max, side), (x_min, x_min - 1e-4, 1e-4), (x_max, x_max + 1e-4, 1e-4)):
+            made.append((cloth, tube((begin, y + side, arms - side), (end, y + side, arms - side), (side, radius), 16)))
     seats = max(1, round((piece.width_m - 2 * SOFA_ARM_M) / 0.6))
-    edges = np.linspace(y_min + SOFA_ARM_M, y_max - SOFA_ARM_M, seats + 1)
-    for left, right in zip(edges[:-1].tolist(), edges[1:].tolist(), strict=True):
-        made.append((light, block((back - 0.04, left + 0.008, x_max - 0.01, right - 0.008), seat - 0.12, seat)))
-        made.append((light, block((back - 0.06, left + 0.012, back + 0.09, right - 0.012), seat, top - 0.03)))
-    return made
+    cushions: list[tuple[Box, float, float]] = []
+    for left, right in pairwise(np.linspace(y_min + SOFA_ARM_M, y_max - SOFA_ARM_M, seats + 1).tolist()):
+        cushions.append(((back - 0.04, left + 0.008, x_max - 0.01, right - 0.008), seat - 0.12, seat))
+        cushions.append(((back - 0.06, left + 0.012, back + 0.09, right - 0.012), seat, top - 0.03))
+    return made + _blocks(Finish("fabric", (red, green, blue)), cushions)
 
 
-def _roll(start: tuple[float, float, float], x_end: float, radius: float) -> list[Mesh]:
-    """Return a round top along x with flat ends."""
-    _, y, z = start
-    ends = [tube((x, y, z), (x + ahead, y, z), (radius, 1e-4), 16) for x, ahead in ((start[0], -1e-4), (x_end, 1e-4))]
-    return [tube(start, (x_end, y, z), (radius, radius), 16), *ends]
-
-
-def chair(piece: Furniture) -> list[Piece]:
+def _chair(piece: Furniture) -> list[Piece]:
     """Return a swivel chair: five feet with castors, a gas spring, a round-edged seat and a back."""
     radius, height = piece.width_m / 2, piece.height_m
     cloth, black = Finish("fabric", piece.colour or (62, 68, 78)), Finish("black_plastic")
@@ -217,7 +203,7 @@ def chair(piece: Furniture) -> list[Piece]:
     return made
 
 
-def plant(piece: Furniture) -> list[Piece]:
+def _plant(piece: Furniture) -> list[Piece]:
     """Return a potted plant: long leaves about a few stems, fuller above."""
     rng = np.random.default_rng(round(1000 * piece.height_m))
     radius, height = piece.width_m / 2, piece.height_m
@@ -258,6 +244,6 @@ def _leaf(tip: NDArray[np.float64], pot: float, rng: np.random.Generator) -> lis
 
 
 _MAKERS: Final[dict[FurnitureKind, Callable[[Furniture], list[Piece]]]] = {
-    "cabinet": _cabinet, "chair": chair, "crate": _crate, "desk": _desk, "partition": _partition, "plant": plant,
-    "shelf": _shelf, "sofa": sofa, "table": _table,
+    "cabinet": _cabinet, "chair": _chair, "crate": _crate, "desk": _desk, "partition": _partition, "plant": _plant,
+    "shelf": _shelf, "sofa": _sofa, "table": _table,
 }  # fmt: skip

@@ -21,7 +21,6 @@ from shapely.ops import substring
 from services.kit.going_on import each
 from services.simulator.scene.meshes import UP, flat
 from services.simulator.scene.surfaces import Finish, Piece
-from services.simulator.scene.textures import Material
 from services.simulator.world.place import Bounds
 from services.simulator.world.terrain import AreaKind, Road, Terrain
 
@@ -39,7 +38,7 @@ _SHADE_M: Final = 0.1
 _TEXTURE_M: Final = 4.0
 # Cutting layers out of each other costs more than the square of their corners.
 _TILE_M: Final = 250.0
-_AREA_MATERIAL: Final[dict[AreaKind, Material]] = {"water": "water", "paved": "paved", "grass": "lawn"}
+_AREA_MATERIAL: Final[dict[AreaKind, str]] = {"water": "water", "paved": "paved", "grass": "lawn"}
 
 
 def ground(terrain: Terrain, shade: BaseGeometry) -> Iterator[Piece]:
@@ -58,7 +57,7 @@ def ground(terrain: Terrain, shade: BaseGeometry) -> Iterator[Piece]:
     yield from _laid("marking", marks, shade, _PAINT_M)
 
 
-def _laid(material: Material, area: BaseGeometry, shade: BaseGeometry, z: float) -> Iterator[Piece]:
+def _laid(material: str, area: BaseGeometry, shade: BaseGeometry, z: float) -> Iterator[Piece]:
     for parts, normal in ((area.difference(shade), UP), (area.intersection(shade), -UP)):
         yield from ((Finish(material), flat(part, z, _TEXTURE_M, normal)) for part in _polygons(parts))
 
@@ -76,12 +75,12 @@ def _tiles(bounds: Bounds) -> list[Polygon]:
     ]
 
 
-def _claims(terrain: Terrain) -> list[tuple[Material, BaseGeometry]]:
+def _claims(terrain: Terrain) -> list[tuple[str, BaseGeometry]]:
     """Return what each material covers, with overlaps; the first to claim a place keeps it, grass takes the rest."""
     streets = [road for road in terrain.roads if road.kind == "street"]
     paths = [road for road in terrain.roads if road.kind == "path"]
     asphalt = shapely.union_all([_widened(road) for road in streets])
-    claims: list[tuple[Material, BaseGeometry]] = [
+    claims: list[tuple[str, BaseGeometry]] = [
         ("asphalt", asphalt),
         ("kerb", asphalt.buffer(_KERB_M, quad_segs=_ROUND)),
         ("sidewalk", shapely.union_all([_widened(road, _SIDEWALK_M) for road in streets if road.sidewalks])),
@@ -93,9 +92,9 @@ def _claims(terrain: Terrain) -> list[tuple[Material, BaseGeometry]]:
     return [(material, claim.intersection(frame)) for material, claim in claims]
 
 
-def _layers(claims: list[tuple[Material, BaseGeometry]], tile: Polygon) -> dict[Material, BaseGeometry]:
+def _layers(claims: list[tuple[str, BaseGeometry]], tile: Polygon) -> dict[str, BaseGeometry]:
     """Return what each material covers of a tile, without overlaps and without a gap."""
-    layers: dict[Material, BaseGeometry] = {}
+    layers: dict[str, BaseGeometry] = {}
     left: BaseGeometry = tile
     for material, claim in claims:
         if not claim.intersects(tile):

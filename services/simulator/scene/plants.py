@@ -11,7 +11,7 @@ from shapely import Point, Polygon
 
 from services.simulator.scene.meshes import Mesh, ball, tube
 from services.simulator.scene.surfaces import Finish, Piece
-from services.simulator.scene.textures import Material, noise
+from services.simulator.scene.textures import noise
 from services.simulator.world.terrain import Tree, TreeKind
 
 #: Of each kind: radius of the crown and height of its lower end, as fractions of the tree's height.
@@ -20,7 +20,7 @@ _CROWN: Final[dict[TreeKind, tuple[float, float]]] = {
     "tall": (0.2, 0.22),
     "conifer": (0.22, 0.12),
 }
-_LEAVES: Final[dict[TreeKind, Material]] = {"round": "leaves", "tall": "dark_leaves", "conifer": "needles"}
+_LEAVES: Final[dict[TreeKind, str]] = {"round": "leaves", "tall": "dark_leaves", "conifer": "needles"}
 # Leaves hide how few faces a crown has; a town has thousands of trees.
 _DETAIL: Final = 5
 _SMALL_DETAIL: Final = 3

@@ -15,10 +15,11 @@ from services.simulator.scene.vulkan import INSTALL, UnavailableError, cannot_re
 _SOFTWARE_DRIVERS = ("llvmpipe", "lavapipe", "swiftshader")
 
 
-def render_red_box() -> tuple[str, list[int]]:
-    """Return the name of the graphics device, and the pixel (0 to 255) in the middle of a red box seen from 3 m."""
-    sapien = load_sapien()
+def probed() -> dict[str, str | bool | float]:
+    """Render a red box, seen from 3 m, and look at the pixel in its middle."""
+    begin_s = time.monotonic()
     try:
+        sapien = load_sapien()
         sapien.render.set_log_level("error")
         # Others of SAPIEN's first make a table of reflections: six seconds of processor time without a GPU.
         sapien.render.set_camera_shader_dir("trivial")
@@ -31,18 +32,12 @@ def render_red_box() -> tuple[str, list[int]]:
         camera.set_local_pose(sapien.Pose([-3.0, 0.0, 0.0]))
         scene.update_render()
         camera.take_picture()
-        middle = [round(255 * float(level)) for level in camera.get_picture("Color")[24, 32, :3]]
-    except RuntimeError as error:
-        raise cannot_render(error) from error
-    return scene.render_system.device.name, middle
-
-
-def _probed() -> dict[str, str | bool | float]:
-    begin_s = time.monotonic()
-    try:
-        driver, (red, green, blue) = render_red_box()
+        red, green, blue = (round(255 * float(level)) for level in camera.get_picture("Color")[24, 32, :3])
     except UnavailableError as error:
         return {"error": " ".join(str(error).split())}
+    except RuntimeError as error:
+        return {"error": " ".join(str(cannot_render(error)).split())}
+    driver = scene.render_system.device.name
     if not red > 2 * max(green, blue):
         return {"error": f"{driver} renders a red box as ({red}, {green}, {blue}); {INSTALL}"}
     software = any(name in driver.lower() for name in _SOFTWARE_DRIVERS)
@@ -50,6 +45,6 @@ def _probed() -> dict[str, str | bool | float]:
 
 
 if __name__ == "__main__":
-    answer = _probed()
+    answer = probed()
     sys.stdout.write(f"\n{json.dumps(answer)}\n")
     sys.exit("error" in answer)

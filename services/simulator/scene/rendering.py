@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Sequence
 from functools import lru_cache
 from pathlib import Path
 from typing import Any, Final
@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation
 from services.kit.going_on import each
 from services.simulator.camera import FIELD_OF_VIEW_DEG, CameraSettings
 from services.simulator.scene.build import build_scene
-from services.simulator.scene.surfaces import Lights, Scene, Surface, Vector
+from services.simulator.scene.surfaces import Lights, Surface, Vector
 from services.simulator.scene.vulkan import cannot_render, load_sapien
 from services.simulator.sensors import LEVEL, Tilt
 from services.simulator.world.place import OverheadMount, Pose, World
@@ -57,27 +57,25 @@ class SceneCamera:
     """
 
     def __init__(self, world: World, settings: CameraSettings) -> None:
-        sapien = load_renderer()
-        self._render, self._pose = sapien.render, sapien.Pose
-        self._entity_class = sapien.Entity
-        self._settings = settings
-        self._mount = world.robot.camera
+        self._sapien = sapien = load_renderer()
+        self._mount, above = world.robot.camera, world.place.overhead
+        #: Focal length in pixels of the image.
+        self.focal_px = settings.width / 2 / math.tan(math.radians(FIELD_OF_VIEW_DEG) / 2)
         self._seen_from: tuple[Pose, Tilt] | None = None
-        self._materials: dict[tuple[int, int], Any] = {}
         scene = build_scene(world, settings.light, shadows=settings.shadows)
         try:
             self._scene = sapien.Scene([sapien.render.RenderSystem()])
-            self._fill(scene)
+            self._light(scene.lights)
+            # In the order of drawing: what is drawn first hides the others; the sky is last, and goes with the camera.
+            self._add(self._body(scene.victim, VICTIM))
+            self._robot = self._add(self._body(scene.robot, ROBOT))
+            self._add(self._body(scene.still, STILL))
+            self._sky = None if scene.sky is None else self._add(self._body([scene.sky], SKY))
             self._camera = self._lens(settings.width, settings.height, self.focal_px)
             self._mast = self._add(self._camera)
-            self._above = None if world.place.overhead is None else self._look_down(world.place.overhead)
+            self._above = None if above is None else self._look_down(above)
         except RuntimeError as error:
             raise cannot_render(error) from error
-
-    @property
-    def focal_px(self) -> float:
-        """Focal length in pixels of the image."""
-        return self._settings.width / 2 / math.tan(math.radians(FIELD_OF_VIEW_DEG) / 2)
 
     def render(self, pose: Pose, tilt: Tilt = LEVEL) -> NDArray[np.uint8]:
         """Return the image seen by a robot at `pose` whose camera is tilted, (height, width, 3) uint8 RGB."""
@@ -133,50 +131,40 @@ class SceneCamera:
         ahead_m = self._mount.ahead_m
         x, y = pose.x + ahead_m * math.cos(pose.heading), pose.y + ahead_m * math.sin(pose.heading)
         self._put_robot(pose)
-        self._take(self._pose((x, y, self._mount.height_m), _turn(pose.heading, tilt)))
+        self._take(self._sapien.Pose((x, y, self._mount.height_m), _turn(pose.heading, tilt)))
         self._seen_from = pose, tilt
 
     def _put_robot(self, pose: Pose) -> None:
-        self._robot.set_pose(self._pose((pose.x, pose.y, 0.0), _turn(pose.heading)))
+        self._robot.set_pose(self._sapien.Pose((pose.x, pose.y, 0.0), _turn(pose.heading)))
 
     def _take(self, mast: Any) -> None:
         """Take a picture from where SAPIEN's pose `mast` is."""
         self._mast.set_pose(mast)
         if self._sky is not None:
-            self._sky.set_pose(self._pose(mast.p))
+            self._sky.set_pose(self._sapien.Pose(mast.p))
         self._scene.update_render()
         self._camera.take_picture()
-
-    def _fill(self, scene: Scene) -> None:
-        """Add everything in the order of drawing: what is drawn first hides the others, the sky is last."""
-        self._light(scene.lights)
-        self._add(self._body(scene.victim, VICTIM))
-        self._robot = self._add(self._body(scene.robot, ROBOT))
-        self._add(self._body(scene.still, STILL))
-        # It goes with the camera.
-        self._sky = None if scene.sky is None else self._add(self._body([scene.sky], SKY))
 
     def _light(self, lights: Lights) -> None:
         self._scene.set_ambient_light(lights.ambient)
         for direction, colour in (*lights.directional, *[_DARK] * (_LIGHTS - len(lights.directional))):
             self._scene.add_directional_light(direction, colour, shadow=False)
 
-    def _body(self, surfaces: Iterable[Surface], label: int) -> Any:
-        """Return a body of all the surfaces, whose pixels carry `label`."""
-        body = self._render.RenderBodyComponent()
-        for surface in each(list(surfaces)):
-            mesh, key = surface.mesh, (id(surface.picture), label)
-            if key not in self._materials:
-                self._materials[key] = _material(self._render, surface, label)
-            shape = self._render.RenderShapeTriangleMesh(
-                mesh.vertices, mesh.triangles, mesh.normals, mesh.uvs, self._materials[key]
-            )
-            body.attach(shape)
+    def _body(self, surfaces: Sequence[Surface], label: int) -> Any:
+        """Return a body of all the surfaces, whose pixels carry `label`; each picture is one material."""
+        render, materials = self._sapien.render, dict[int, Any]()
+        body = render.RenderBodyComponent()
+        for surface in each(surfaces):
+            mesh, picture = surface.mesh, surface.picture
+            if id(picture) not in materials:
+                materials[id(picture)] = _material(render, surface, label)
+            arrays = mesh.vertices, mesh.triangles, mesh.normals, mesh.uvs
+            body.attach(render.RenderShapeTriangleMesh(*arrays, materials[id(picture)]))
         return body
 
     def _add(self, component: Any) -> Any:
         """Add an entity of one component."""
-        entity = self._entity_class()
+        entity = self._sapien.Entity()
         entity.add_component(component)
         self._scene.add_entity(entity)
         return entity
@@ -190,7 +178,7 @@ class SceneCamera:
         return camera
 
     def _lens(self, width: int, height: int, focal_px: float) -> Any:
-        camera = self._render.RenderCameraComponent(width, height)
+        camera = self._sapien.render.RenderCameraComponent(width, height)
         camera.set_perspective_parameters(_NEAR_M, _FAR_M, focal_px, focal_px, width / 2, height / 2, 0.0)
         return camera
 
@@ -198,7 +186,7 @@ class SceneCamera:
         """Return SAPIEN's pose of a camera at a place, its axes ahead, to the left and up in rows."""
         frame = np.eye(4)
         frame[:3, :3], frame[:3, 3] = np.transpose(axes), eye
-        return self._pose(frame)
+        return self._sapien.Pose(frame)
 
 
 def _material(render: Any, surface: Surface, label: int) -> Any:
@@ -216,7 +204,7 @@ def _material(render: Any, surface: Surface, label: int) -> Any:
 
 def _turn(heading: float, tilt: Tilt = LEVEL) -> NDArray[np.float64]:
     """Return a heading, and a tilt on top of it, as a unit quaternion (w, x, y, z)."""
-    turn = Rotation.from_euler("ZYX", [heading + tilt.yaw_rad, tilt.pitch_rad, tilt.roll_rad])
+    turn = Rotation.from_euler("ZYX", [heading + tilt.yaw, tilt.pitch, tilt.roll])
     return np.asarray(turn.as_quat(scalar_first=True))
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import Final, get_args
 
 import cv2
@@ -20,13 +21,11 @@ from services.simulator.world.place import Pose, Rgb
 from services.simulator.world.room import Fitting, FittingKind, Room, Wall, WallFrame
 
 # Lamps above light level things most; the windows' light, from the north, keeps upright things apart from each other.
-_LIGHTS: Final = Lights(
-    (0.5, 0.5, 0.49),
-    (
-        ((0.12, 0.18, -0.97), (1.15, 1.13, 1.08)),
-        ((0.25, -0.9, -0.35), (0.62, 0.66, 0.72)),
-        ((-0.85, 0.35, -0.3), (0.34, 0.33, 0.3)),
-    ),
+_AMBIENT: Final = (0.5, 0.5, 0.49)
+_LAMPS: Final[tuple[tuple[Vector, Vector], ...]] = (
+    ((0.12, 0.18, -0.97), (1.15, 1.13, 1.08)),
+    ((0.25, -0.9, -0.35), (0.62, 0.66, 0.72)),
+    ((-0.85, 0.35, -0.3), (0.34, 0.33, 0.3)),
 )
 _FEET_M: Final = 0.08
 #: The ceiling's picture is four tiles of 0.6 m wide.
@@ -47,49 +46,42 @@ _SHEET_M: Final = 2.0
 _CONTACT: Final = (0.5, 0.07)
 _AROUND: Final = (0.42, 0.22)
 _SEED: Final = 11
+Metres = NDArray[np.float64]
 # A picture upright on a rectangle, from its lower left corner on.
 _UPRIGHT: Final = [(0.0, 1.0), (1.0, 1.0), (1.0, 0.0), (0.0, 0.0)]
 
 
 def build(room: Room, victim: Pose, light: Daylight, *, shadows: bool) -> Scene:
     """Make the meshes and pictures of a room with a victim standing in it."""
-    pieces: list[Piece] = skirting(room)
-    shining: list[Piece] = []
-    for furniture in room.furniture:
-        pieces += furnish(furniture)
-    for fitting in room.fittings:
-        face, rim = hang(fitting, room)
-        (shining if fitting.kind == "window" else pieces).append(face)
-        pieces.append(rim)
+    hung = [(fitting.kind, *hang(fitting, room)) for fitting in room.fittings]
+    pieces = [*skirting(room), *(piece for furniture in room.furniture for piece in furnish(furniture))]
+    for kind, face, rim in hung:
+        pieces += [rim] if kind == "window" else [face, rim]
+    shining = [face for kind, face, _ in hung if kind == "window"]
     x, y = room.east_west_m, room.north_south_m
-    floor, corners = shapely.box(*room.bounds), [(0.0, 0.0), (x, 0.0), (x, y), (0.0, y)]
+    corners = [(0.0, 0.0, 0.0), (x, 0.0, 0.0), (x, y, 0.0), (0.0, y, 0.0)]
     feet = shapely.Point(victim.x, victim.y).buffer(_FEET_M)
-    picture = paint_floor(room, feet, shadows=shadows)
     tag = room.robot.tag
     return Scene(
-        lights=_lights(light),
+        # As bright and in the colour that the time of day gives them.
+        Lights(_times(_AMBIENT, light.lamps), tuple((to, _times(colour, light.lamps)) for to, colour in _LAMPS)),
         # What is in front comes first, so that what is behind it need not be drawn there.
         still=(
             *surfaces(pieces),
             *surfaces(shining, glows=True),
             *walls(room),
             # Outsides only are drawn, so a camera above the ceiling looks through.
-            Surface(flat(floor, room.walls_m, _CEILING_M).flipped(), paint_ceiling(), glows=True),
-            Surface(quads([[(*corner, 0.0) for corner in corners]], [_UPRIGHT]), picture),
+            Surface(flat(shapely.box(*room.bounds), room.walls_m, _CEILING_M).flipped(), paint_ceiling(), glows=True),
+            Surface(quads([corners], [_UPRIGHT]), paint_floor(room, feet, shadows=shadows)),
         ),
         victim=surfaces((finish, mesh.placed(victim)) for finish, mesh in bodies.body("nao")),
         robot=(*surfaces(bodies.turtlebot(room.robot)), *(() if tag is None else (bodies.tag(tag),))),
     )
 
 
-def _lights(light: Daylight) -> Lights:
-    """Return the room's lights, as bright and in the colour that the time of day gives them."""
-
-    def lit(colour: Vector) -> Vector:
-        red, green, blue = np.multiply(colour, light.lamps).tolist()
-        return red, green, blue
-
-    return Lights(lit(_LIGHTS.ambient), tuple((direction, lit(colour)) for direction, colour in _LIGHTS.directional))
+def _times(colour: Vector, other: Vector) -> Vector:
+    red, green, blue = np.multiply(colour, other).tolist()
+    return red, green, blue
 
 
 def walls(room: Room) -> list[Surface]:
@@ -102,10 +94,9 @@ def walls(room: Room) -> list[Surface]:
     return made
 
 
-def skirting(room: Room) -> list[Piece]:
-    """Return the skirting boards, with a gap where a door reaches the floor."""
+def skirting(room: Room) -> Iterator[Piece]:
+    """Yield the skirting boards, with a gap where a door reaches the floor."""
     high, thick = _SKIRTING_M
-    made: list[Piece] = []
     for wall in get_args(Wall):
         frame = room.wall_frame(wall)
         doors = sorted(
@@ -113,13 +104,10 @@ def skirting(room: Room) -> list[Piece]:
             for fitting in room.fittings
             if fitting.wall == wall and fitting.foot_m < high
         )
-        ends = np.array([0.0, *(end for door in doors for end in door), frame.length_m]).reshape(-1, 2)
-        made += [
-            (Finish("lacquer", (226, 223, 214)), _slab(frame, left, right, 0.0, high, thick))
-            for left, right in ends.tolist()
-            if right > left
-        ]
-    return made
+        ends = [0.0, *(end for door in doors for end in door), frame.length_m]
+        for left, right in zip(ends[::2], ends[1::2], strict=True):
+            if right > left:
+                yield Finish("lacquer", (226, 223, 214)), _slab(frame, left, right, 0.0, high, thick)
 
 
 def hang(fitting: Fitting, room: Room) -> tuple[Piece, Piece]:
@@ -155,9 +143,11 @@ def paint_floor(room: Room, standing: Polygon, *, shadows: bool) -> NDArray[np.u
 
     `standing` is what stands on it besides the furniture, seen from above, metres.
     """
-    x_min, y_min, x_max, y_max = room.bounds
-    shape = _pixels(y_max - y_min), _pixels(x_max - x_min)
-    plain = _PATTERNS[room.floor](shape, (y_max - y_min, x_max - x_min))
+    shape = _pixels(room.north_south_m), _pixels(room.east_west_m)
+    sizes = zip(shape, (room.north_south_m, room.east_west_m), strict=True)
+    down, across = ((np.arange(count) + 0.5) / count * size_m for count, size_m in sizes)
+    colour, tone = _PATTERNS[room.floor](down[:, None], across[None, :], np.random.default_rng(_SEED))
+    plain = coloured(colour, tone)
     if not shadows:
         return plain
     shade = cv2.resize(floor_light(room, standing), (shape[1], shape[0]), interpolation=cv2.INTER_LINEAR)
@@ -217,51 +207,39 @@ def _pixels(metres: float) -> int:
     return int(min(2 ** np.ceil(np.log2(metres * _PIXELS_PER_M)), _LARGEST_PX))
 
 
-def _metres(shape: tuple[int, int], size_m: tuple[float, float]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    down, across = ((np.arange(count) + 0.5) / count * size for count, size in zip(shape, size_m, strict=True))
-    return down[:, None], across[None, :]
-
-
-def _planks(shape: tuple[int, int], size_m: tuple[float, float]) -> NDArray[np.uint8]:
+def _planks(down: Metres, across: Metres, rng: np.random.Generator) -> tuple[Rgb, Metres]:
     """Paint planks from west to east, each of its own tone, with thin dark joints."""
-    rng = np.random.default_rng(_SEED)
-    down, across = _metres(shape, size_m)
     width_m, length_m = _PLANK_M
     row = np.floor(down / width_m).astype(int)
     shifted = across + rng.uniform(0.0, length_m, row.max() + 1)[row]
     column = np.floor(shifted / length_m).astype(int)
     tone = 1.0 + 0.075 * rng.standard_normal((row.max() + 1, column.max() + 1))[row, column]
     joint = (down % width_m < 0.004) | (shifted % length_m < 0.005)
-    grain = 0.035 * _sheet(rng, shape, (1.5, 60.0)) + 0.03 * _sheet(rng, shape, (8.0, 120.0))
-    return coloured((176, 138, 98), tone * np.where(joint, 0.62, 1.0) * (1.0 + grain))
+    grain = 0.035 * _sheet(rng, joint.shape, (1.5, 60.0)) + 0.03 * _sheet(rng, joint.shape, (8.0, 120.0))
+    return (176, 138, 98), tone * np.where(joint, 0.62, 1.0) * (1.0 + grain)
 
 
-def _lino(shape: tuple[int, int], size_m: tuple[float, float]) -> NDArray[np.uint8]:
+def _lino(down: Metres, across: Metres, rng: np.random.Generator) -> tuple[Rgb, Metres]:
     """Paint marbled linoleum in sheets 2 m wide with welded seams, scuffed here and there."""
-    rng = np.random.default_rng(_SEED)
-    _, across = _metres(shape, size_m)
     sheet = np.floor(across / _SHEET_M).astype(int)
     tone = 1.0 + 0.02 * rng.standard_normal(sheet.max() + 1)[sheet]
     seam = np.where(across % _SHEET_M < 0.008, 0.82, 1.0)
+    shape = down.size, across.size
     marble = 0.045 * _sheet(rng, shape, 2.0) + 0.03 * _sheet(rng, shape, (5.0, 14.0)) + 0.015 * _sheet(rng, shape, 90.0)
-    return coloured((150, 156, 156), tone * seam * (1.0 + marble))
+    return (150, 156, 156), tone * seam * (1.0 + marble)
 
 
-def _carpet(shape: tuple[int, int], size_m: tuple[float, float]) -> NDArray[np.uint8]:
+def _carpet(down: Metres, across: Metres, rng: np.random.Generator) -> tuple[Rgb, Metres]:
     """Paint carpet tiles of half a metre, laid crosswise."""
-    rng = np.random.default_rng(_SEED)
-    down, across = _metres(shape, size_m)
-    crosswise = (np.floor(down / 0.5) + np.floor(across / 0.5)).astype(int) % 2
-    pile = np.where(crosswise == 0, _sheet(rng, shape, (1.2, 4.0)), _sheet(rng, shape, (4.0, 1.2)))
-    return coloured((98, 104, 118), 1.0 + 0.05 * np.where(crosswise == 0, 1.0, -1.0) + 0.10 * pile)
+    straight = (np.floor(down / 0.5) + np.floor(across / 0.5)).astype(int) % 2 == 0
+    pile = np.where(straight, _sheet(rng, straight.shape, (1.2, 4.0)), _sheet(rng, straight.shape, (4.0, 1.2)))
+    return (98, 104, 118), 1.0 + 0.05 * np.where(straight, 1.0, -1.0) + 0.10 * pile
 
 
-def _sheet(
-    rng: np.random.Generator, shape: tuple[int, int], grain_px: float | tuple[float, float]
-) -> NDArray[np.float64]:
+def _sheet(rng: np.random.Generator, shape: tuple[int, ...], grain_px: float | tuple[float, float]) -> Metres:
     """Return noise of a shape, repeated after 1024 pixels, since making noise is slow."""
-    size = min(shape[0], 1024), min(shape[1], 1024)
-    return np.tile(noise(rng, size, grain_px), (shape[0] // size[0], shape[1] // size[1]))
+    rows, columns = (min(count, 1024) for count in shape)
+    return np.tile(noise(rng, (rows, columns), grain_px), (shape[0] // rows, shape[1] // columns))
 
 
 _PATTERNS: Final = {"planks": _planks, "lino": _lino, "carpet": _carpet}

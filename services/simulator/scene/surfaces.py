@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections import defaultdict
 from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import NamedTuple, cast, get_args
+from typing import NamedTuple
 
 from services.kit.going_on import each
 from services.simulator.scene.facades import paint_facade
-from services.simulator.scene.faces import Face, paint_face
+from services.simulator.scene.faces import FACES, paint_face
 from services.simulator.scene.meshes import Mesh, merge
-from services.simulator.scene.textures import Material, Picture, paint, tinted
+from services.simulator.scene.textures import Picture, paint, tinted
 from services.simulator.world.place import Rgb
 from services.simulator.world.terrain import Facade
 
@@ -38,23 +38,19 @@ class Scene(NamedTuple):
     """Everything to be drawn."""
 
     lights: Lights
-    still: tuple[Surface, ...]
-    """What never moves."""
-    victim: tuple[Surface, ...]
-    """The victim, in its place."""
-    robot: tuple[Surface, ...] = ()
-    """The robot, about its own origin, x forward; nothing where no camera sees it."""
-    sky: Surface | None = None
-    """The dome that goes with the camera; None under a ceiling."""
+    still: tuple[Surface, ...]  # What never moves.
+    victim: tuple[Surface, ...]  # The victim, in its place.
+    robot: tuple[Surface, ...] = ()  # The robot, about its own origin, x forward; nothing where no camera sees it.
+    sky: Surface | None = None  # The dome that goes with the camera; None under a ceiling.
 
 
 class Finish(NamedTuple):
-    """What a mesh wears: a material, or the picture of a face or of a façade, perhaps in another colour.
+    """What a mesh wears: a material or a face, by name, or a façade; perhaps in another colour.
 
     `variant` is that of a face's picture, or the part of a façade.
     """
 
-    wears: Material | Face | Facade
+    wears: str | Facade
     colour: Rgb | None = None
     variant: int = 0
 
@@ -62,9 +58,9 @@ class Finish(NamedTuple):
         """Return it painted."""
         if isinstance(self.wears, Facade):
             return paint_facade(self.wears)[self.variant]
-        if self.wears in get_args(Face):
-            return paint_face(cast("Face", self.wears), self.variant, self.colour)
-        plain = paint(cast("Material", self.wears))
+        if self.wears in FACES:
+            return paint_face(self.wears, self.variant, self.colour)
+        plain = paint(self.wears)
         return plain if self.colour is None else tinted(plain, self.colour)
 
 

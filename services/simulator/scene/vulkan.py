@@ -15,7 +15,7 @@ INSTALL: Final = "install Mesa 24.3 or newer: apt-get install mesa-vulkan-driver
 
 
 class UnavailableError(Exception):
-    """This machine cannot render, or has no SAPIEN; the message is one line that says what to install."""
+    """The machine cannot render, or has no SAPIEN; the message is one line that says what to install."""
 
 
 def cannot_render(error: RuntimeError) -> UnavailableError:

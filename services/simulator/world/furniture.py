@@ -62,20 +62,14 @@ class Furniture:
     """
 
     kind: FurnitureKind
-    x_m: Metres
-    """Middle of its footprint, from the west wall."""
-    y_m: Metres
-    """Middle of its footprint, from the south wall."""
+    x_m: Metres  # Middle of its footprint, from the west wall.
+    y_m: Metres  # Middle of its footprint, from the south wall.
     facing_deg: Degrees = 0.0
     """Where its front looks; a shelf's front is the side with the books, a desk's the side where one sits."""
-    width_m: Size
-    """From its left to its right side, seen from the front; the diameter of what is round."""
-    depth_m: Metres = 0.0
-    """From its front to its back; left out for what is round."""
-    height_m: Size
-    """From the floor to its top."""
-    colour: Colour | None = None
-    """Of its main surface, for instance "#7a8fa6"; left out, the usual one of its kind."""
+    width_m: Size  # From its left to its right side, seen from the front; the diameter of what is round.
+    depth_m: Metres = 0.0  # From its front to its back; left out for what is round.
+    height_m: Size  # From the floor to its top.
+    colour: Colour | None = None  # Of its main surface, for instance "#7a8fa6"; left out, the usual one of its kind.
 
     def __post_init__(self) -> None:
         """Refuse what no such piece can be."""

@@ -46,14 +46,10 @@ class Wishes:
     """What a person asks of the task in a map, and of how much of it to take."""
 
     start: Pose | None = None
-    victim: Pose | None = None
-    """By hand, in the metres of the world; None for what the map says, else by rule."""
-    seed: int = 0
-    """Another one gives another task by rule."""
-    around: Surroundings | None = None
-    """The part of the map to take; None for all of it."""
-    radius_m: float | None = None
-    """So much of it on each side of the middle between start and victim; None for all."""
+    victim: Pose | None = None  # By hand, in the metres of the world; None for what the map says, else by rule.
+    seed: int = 0  # Another one gives another task by rule.
+    around: Surroundings | None = None  # The part of the map to take; None for all of it.
+    radius_m: float | None = None  # So much of it on each side of the middle between start and victim; None for all.
 
 
 def known_worlds() -> list[str]:
@@ -72,13 +68,13 @@ def load_world(name_or_path: str | Path) -> World:
         north) and one tagged `smal:role=victim` set the task; a plain extract has none, and gets one by rule (see
         `task.choose_roles`).
 
-    Raises WorldError where the world is unknown, unreadable, of no known format, empty, or its victim cannot be reached.
+    Raises WorldError where it is unknown, unreadable, of no known format, empty, or its victim cannot be reached.
     """
     path = _find(name_or_path)
     return world_of_text(_read(path), path) if path.suffix == ".json" else world_of_map(path)
 
 
-def world_of_map(path: Path, wishes: Wishes = Wishes()) -> World:  # noqa: B008 - frozen
+def world_of_map(path: Path, wishes: Wishes = Wishes()) -> World:
     """Turn an OpenStreetMap XML file into a world; see `load_world`."""
     extract = read_osm(path, wishes.around)
     with _naming(path):
@@ -133,15 +129,15 @@ def _connected(world: World) -> World:
 
 def _find(name_or_path: str | Path) -> Path:
     path = Path(name_or_path)
+    named = [WORLDS_FOLDER / f"{path}{suffix}" for suffix in _SUFFIXES]
     if path.suffix or len(path.parts) != 1 or path.is_file():
-        if not path.is_file():
-            raise WorldError(f"{path}: no such file")
-        return path
-    for suffix in _SUFFIXES:
-        named = WORLDS_FOLDER / f"{path}{suffix}"
-        if named.is_file():
-            return named
-    raise WorldError(f"unknown world '{path}'; known are {', '.join(known_worlds()) or 'none'}, or give a path")
+        named = [path]
+    found = next((one for one in named if one.is_file()), None)
+    if found is None and named == [path]:
+        raise WorldError(f"{path}: no such file")
+    if found is None:
+        raise WorldError(f"unknown world '{path}'; known are {', '.join(known_worlds()) or 'none'}, or give a path")
+    return found
 
 
 def _read(path: Path) -> bytes:

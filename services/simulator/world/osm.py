@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Final, NamedTuple
+from typing import Final, Generic, NamedTuple, TypeVar
 
 import numpy as np
 import osmium
@@ -19,6 +19,8 @@ from services.simulator.world.outlines import OutlineError, area_of_rings
 from services.simulator.world.place import Bounds, WorldError
 
 Tags = Mapping[str, str]
+Points = NDArray[np.float64]
+Shape = TypeVar("Shape")
 
 #: Bytes; a town of several thousand buildings has a third of it.
 LARGEST_FILE: Final = 64 * 1024 * 1024
@@ -53,11 +55,11 @@ class Surroundings(NamedTuple):
     radius_m: float
 
 
-class Element(NamedTuple):
+class Element(NamedTuple, Generic[Shape]):
     """A tagged node (2,), a way through points (n, 2), or the area of a multipolygon, in metres."""
 
     id: int
-    shape: NDArray[np.float64] | BaseGeometry
+    shape: Shape
     tags: Tags
 
 
@@ -74,13 +76,11 @@ class Extract(NamedTuple):
     bounds: Bounds
     latitude_deg: float
     longitude_deg: float
-    nodes: list[Element]
-    ways: list[Element]
-    relations: list[Element]
-    broken: list[Unread]
-    """Ways and relations that could not be read."""
-    repeated: list[Unread]
-    """Ways that are drawn as part of a relation."""
+    nodes: list[Element[Points]]
+    ways: list[Element[Points]]
+    relations: list[Element[BaseGeometry]]
+    broken: list[Unread]  # Ways and relations that could not be read.
+    repeated: list[Unread]  # Ways that are drawn as part of a relation.
 
 
 def read_osm(path: Path, around: Surroundings | None = None) -> Extract:
@@ -178,7 +178,7 @@ class _Found:
         scale = metres_per_degree(float(origin[1]))
         x_min, y_min, x_max, y_max = ((degrees - origin) * scale).ravel().tolist()
         lines = {number: (points - origin) * scale for number, (points, _) in self._ways.items()}
-        relations: list[Element] = []
+        relations: list[Element[BaseGeometry]] = []
         drawn: set[int] = set()
         points = 0
         for number, roles, tags in self._relations:

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
-from typing import Annotated, Any, Final, NamedTuple, Protocol, TypeVar
+from dataclasses import dataclass
+from typing import Annotated, Final, NamedTuple, Protocol
 
 from pydantic import ConfigDict, Field
 from pydantic.dataclasses import dataclass as checked
@@ -36,40 +36,27 @@ class Pose:
 class Solid(NamedTuple):
     """Something that stands in the way, from one height to another."""
 
-    shape: BaseGeometry
-    """What it covers, seen from above, in metres: an area, or a line for something thin."""
+    shape: BaseGeometry  # What it covers, seen from above, in metres: an area, or a line for something thin.
     low_m: float
     high_m: float
-    opaque: bool
-    """Whether it hides what is behind it from a robot; trees and hedges are not counted on."""
+    opaque: bool  # Whether it hides what is behind it from a robot; trees and hedges are not counted on.
 
 
 @dataclass(frozen=True)
 class Scale:
     """How far is far and how close is close in a place: metres."""
 
-    spacing_m: float = 2.0
-    """Between points of the graph that routes are planned on."""
-    clearance_m: float = 0.7
-    """That a route keeps from everything solid; more than the robot's radius."""
-    room_m: float = 1.3
-    """From solid things where a lane is not tight; tight ones are avoided."""
-    leg_room_m: float = 1.8
-    """The same off the lanes, where nothing keeps a driver in the middle."""
-    leg_end_m: float = 2.5
-    """So close to the end of a leg, `leg_room_m` is not asked for."""
-    longest_leg_m: float = 40.0
-    """Off the lanes, in one straight leg."""
-    start_m: float = 1.0
-    """How far starts scatter east-west and north-south."""
-    start_room_m: float = 0.5
-    """How much room each start has."""
-    aside_m: float = 1.5
-    """How far beside the route recovery drives begin."""
-    last_m: float = 3.0
-    """So long before the route's end no recovery drive begins."""
-    found_m: float = 5.0
-    """From the victim where the robot has found it, if it also sees it."""
+    spacing_m: float = 2.0  # Between points of the graph that routes are planned on.
+    clearance_m: float = 0.7  # That a route keeps from everything solid; more than the robot's radius.
+    room_m: float = 1.3  # From solid things where a lane is not tight; tight ones are avoided.
+    leg_room_m: float = 1.8  # The same off the lanes, where nothing keeps a driver in the middle.
+    leg_end_m: float = 2.5  # So close to the end of a leg, `leg_room_m` is not asked for.
+    longest_leg_m: float = 40.0  # Off the lanes, in one straight leg.
+    start_m: float = 1.0  # How far starts scatter east-west and north-south.
+    start_room_m: float = 0.5  # How much room each start has.
+    aside_m: float = 1.5  # How far beside the route recovery drives begin.
+    last_m: float = 3.0  # So long before the route's end no recovery drive begins.
+    found_m: float = 5.0  # From the victim where the robot has found it, if it also sees it.
 
 
 @checked(frozen=True, config=STRICT)
@@ -147,12 +134,3 @@ class World:
     def scale(self) -> Scale:
         """How far is far here."""
         return self.place.scale
-
-
-Kind = TypeVar("Kind")
-
-
-def part_of(file: object, kind: type[Kind], **others: object) -> Kind:
-    """Return those fields of a world file that make a `kind`, a dataclass that the file's class extends."""
-    taken: dict[str, Any] = {field.name: getattr(file, field.name) for field in fields(kind)}  # type: ignore[arg-type]
-    return kind(**taken | others)

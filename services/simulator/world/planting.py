@@ -34,10 +34,8 @@ class Wood(NamedTuple):
 
     number: int
     polygon: Polygon
-    height_m: float | None
-    """Of a tree; None for what is usual for its kind."""
-    leaf_type: str
-    """As OpenStreetMap has it: "broadleaved", "needleleaved", else mixed."""
+    height_m: float | None  # Of a tree; None for what is usual for its kind.
+    leaf_type: str  # As OpenStreetMap has it: "broadleaved", "needleleaved", else mixed.
 
 
 class Row(NamedTuple):

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import itertools
 import math
+from dataclasses import replace
 from functools import cached_property
 from typing import Annotated, ClassVar, Final, Literal
 
@@ -23,7 +24,7 @@ from shapely.geometry.base import BaseGeometry
 from services.simulator.robots import TURTLEBOT, RobotModel
 from services.simulator.world.collision import obstacles_of
 from services.simulator.world.furniture import HIDING_M, ROUND, Colour, Degrees, Furniture, Metres, Size
-from services.simulator.world.place import STRICT, Bounds, OverheadMount, Pose, Scale, Solid, World, WorldError, part_of
+from services.simulator.world.place import STRICT, Bounds, OverheadMount, Pose, Scale, Solid, World, WorldError
 from services.simulator.world.route import plan_route
 
 FloorKind = Literal["planks", "lino", "carpet"]
@@ -58,16 +59,13 @@ class Fitting:
 
     kind: FittingKind
     wall: Wall
-    along_m: Metres
-    """From the wall's left end to the middle of it, seen from inside the room."""
-    foot_m: Metres
-    """From the floor to its lower edge."""
+    along_m: Metres  # From the wall's left end to the middle of it, seen from inside the room.
+    foot_m: Metres  # From the floor to its lower edge.
     width_m: Size
     height_m: Size
     variant: Annotated[int, Field(ge=0, lt=2**32)] = 0
     """Which of many pictures it wears; two of a kind with the same variant and colour look the same."""
-    colour: Colour | None = None
-    """Of a poster's paper or a door's leaf; left out, the variant chooses."""
+    colour: Colour | None = None  # Of a poster's paper or a door's leaf; left out, the variant chooses.
 
 
 @dataclass(frozen=True, config=STRICT)
@@ -88,18 +86,14 @@ class Room:
     """A rectangular room."""
 
     name: str = ""
-    east_west_m: Annotated[float, Field(ge=1.5, le=50)]
-    """From the west to the east wall."""
-    north_south_m: Annotated[float, Field(ge=1.5, le=50)]
-    """From the south to the north wall."""
-    walls_m: Annotated[float, Field(ge=1, le=10)] = 2.8
-    """From the floor to the ceiling."""
+    east_west_m: Annotated[float, Field(ge=1.5, le=50)]  # From the west to the east wall.
+    north_south_m: Annotated[float, Field(ge=1.5, le=50)]  # From the south to the north wall.
+    walls_m: Annotated[float, Field(ge=1, le=10)] = 2.8  # From the floor to the ceiling.
     floor: FloorKind = "lino"
     wall_colour: Colour = (230, 226, 216)
     furniture: Annotated[tuple[Furniture, ...], Field(max_length=200)]
     fittings: Annotated[tuple[Fitting, ...], Field(max_length=200)] = ()
-    overhead: OverheadMount | None = None
-    """The camera above, if there is one; it sees through the ceiling."""
+    overhead: OverheadMount | None = None  # The camera above, if there is one; it sees through the ceiling.
 
     #: The robot of the paper's laboratory, metres between furniture, and the paper's TurtleBot often shook.
     robot: ClassVar[RobotModel] = TURTLEBOT
@@ -188,10 +182,8 @@ class RoomFile(Room):
     """A room with a task, as it is in a file."""
 
     format: Literal["smal.room/1"]
-    note: Annotated[str, Field(max_length=2000)] = ""
-    """For people; nothing reads it."""
-    start: Spot
-    """Where the robot starts, up to 0.15 m east-west and north-south and 15 degrees off."""
+    note: Annotated[str, Field(max_length=2000)] = ""  # For people; nothing reads it.
+    start: Spot  # Where the robot starts, up to 0.15 m east-west and north-south and 15 degrees off.
     victim: Spot
     hidden: bool = True
     """Whether the victim must be out of sight from every start; false allows a victim that is seen at once."""
@@ -207,12 +199,13 @@ class RoomFile(Room):
                 what = f"at ({piece.x_m:g}, {piece.y_m:g}) m it reaches out of the room"
                 raise ValueError(f"furniture.{number} ({piece.kind}): {what}")
         for number, fitting in enumerate(self.fittings):
-            low, high = fitting.width_m / 2, self.wall_frame(fitting.wall).length_m - fitting.width_m / 2
-            if not low - _TOLERANCE_M <= fitting.along_m <= high + _TOLERANCE_M:
-                what = f"the {fitting.kind} reaches past an end of the {fitting.wall} wall"
-                raise ValueError(f"fittings.{number}.along_m: {what}")
-            if fitting.foot_m + fitting.height_m > self.walls_m + _TOLERANCE_M:
-                raise ValueError(f"fittings.{number}.foot_m: the {fitting.kind} reaches above the wall")
+            wall = shapely.box(0.0, 0.0, self.wall_frame(fitting.wall).length_m, self.walls_m).buffer(_TOLERANCE_M)
+            half_m = fitting.width_m / 2
+            ends = fitting.along_m - half_m, fitting.along_m + half_m
+            if not wall.covers(shapely.box(ends[0], fitting.foot_m, ends[1], fitting.foot_m + fitting.height_m)):
+                raise ValueError(
+                    f"fittings.{number}: the {fitting.kind} reaches past an edge of the {fitting.wall} wall"
+                )
         above = self.overhead
         if above is not None and not (above.x_m <= self.east_west_m and above.y_m <= self.north_south_m):
             raise ValueError(f"overhead: at ({above.x_m:g}, {above.y_m:g}) m it hangs outside the room")
@@ -223,7 +216,7 @@ class RoomFile(Room):
         A `WorldError` says that start or victim have no room, that the victim cannot be reached, or that it can be seen
         from a start although the file does not say "hidden": false.
         """
-        world = World(part_of(self, Room, name=name), self.start.pose, self.victim.pose)
+        world = World(replace(self, name=name), self.start.pose, self.victim.pose)
         self._check_room_for("start", world.start, _SCALE.start_room_m)
         self._check_room_for("victim", world.victim, _VICTIM_RADIUS_M)
         try:
@@ -242,12 +235,9 @@ class RoomFile(Room):
         return world
 
     def _check_room_for(self, role: str, pose: Pose, least_m: float) -> None:
-        here, place = shapely.Point(pose.x, pose.y), f"{role}: ({pose.x:g}, {pose.y:g}) m"
-        if not shapely.box(*self.bounds).buffer(-least_m).covers(here):
-            raise WorldError(f"{place} is not inside the room, {least_m:g} m from its walls")
-        for number, piece in enumerate(self.furniture):
-            if piece.footprint.distance(here) < least_m:
-                raise WorldError(f"{place} is less than {least_m:g} m from furniture.{number} ({piece.kind})")
+        if not self._floor_off_things(least_m).covers(shapely.Point(pose.x, pose.y)):
+            where = f"{role}: ({pose.x:g}, {pose.y:g}) m"
+            raise WorldError(f"{where} is less than {least_m:g} m from the furniture or a wall, or outside the room")
 
 
 def sights(world: World) -> NDArray[np.float64]:

@@ -3,17 +3,16 @@
 from __future__ import annotations
 
 from collections import Counter
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 import shapely
-from numpy.typing import NDArray
 from shapely import LineString, MultiPolygon, Polygon
 from shapely.geometry.base import BaseGeometry
 
 from services.simulator.world import tags as meaning
 from services.simulator.world.buildings import SMALLEST_M2, Outline, compose
-from services.simulator.world.osm import Element, Extract, Tags
+from services.simulator.world.osm import Element, Extract, Points, Tags
 from services.simulator.world.outlines import OutlineError, area_within, line_through, lines_in, polygons_in
 from services.simulator.world.planting import BROAD, USUAL_HEIGHT_M, Row, Sites, Wood, in_rows, scattered
 from services.simulator.world.roads import across_squares, bridge_water, open_barriers, open_passages, road
@@ -31,8 +30,10 @@ _WATERWAY_M: Final = (0.5, 100.0)
 def terrain_from(extract: Extract, name: str, file: str) -> Terrain:
     """Build the things of a terrain from what was read of a file, leaving out and counting what is broken."""
     survey = _Survey(shapely.box(*extract.bounds))
-    for element in (*extract.ways, *extract.relations):
-        survey.take(element)
+    for way in extract.ways:
+        survey.take(way)
+    for relation in extract.relations:
+        survey.take(relation)
     for node in extract.nodes:
         survey.node(node)
     for tags, reason in extract.broken:
@@ -65,7 +66,7 @@ class _Survey:
         self._rows: list[Row] = []
         self._trees: list[Tree] = []
 
-    def node(self, node: Element) -> None:
+    def node(self, node: Element[Points]) -> None:
         """Take a node: a tree or a gate."""
         here = shapely.Point(node.shape)
         inside = self._frame.covers(here)
@@ -78,7 +79,7 @@ class _Survey:
             if inside:
                 self._trees.append(_tree(node.id, here, node.tags))
 
-    def take(self, element: Element) -> None:
+    def take(self, element: Element[Points] | Element[BaseGeometry]) -> None:
         """Take a way or a relation for each thing that it stands for."""
         for kind in meaning.kinds_of(element.tags):
             if meaning.is_hidden(element.tags):
@@ -90,7 +91,7 @@ class _Survey:
             else:
                 self._used[f"{kind} relation"] += self._area(kind, element, element.shape)
 
-    def _way(self, kind: Kind, way: Element, points: NDArray[np.float64]) -> None:
+    def _way(self, kind: Kind, way: Element[Any], points: Points) -> None:
         try:
             if kind in _LINEAR:
                 self._lines(kind, way, lines_in(line_through(points), self._frame))
@@ -101,7 +102,7 @@ class _Survey:
             inside = self._frame.intersects(LineString(points))
             (self.skipped if inside else self.left_out)[f"{kind}: {error if inside else _OUTSIDE}"] += 1
 
-    def _lines(self, kind: Kind, way: Element, lines: list[LineString]) -> None:
+    def _lines(self, kind: Kind, way: Element[Any], lines: list[LineString]) -> None:
         tags = way.tags
         (self._used if lines else self.left_out)[kind if lines else f"{kind}: {_OUTSIDE}"] += 1
         for line in lines:
@@ -120,7 +121,7 @@ class _Survey:
                 case _:
                     self._rows.append(Row(way.id, line, tags.get("leaf_type", "")))
 
-    def _area(self, kind: Kind, element: Element, area: BaseGeometry) -> bool:
+    def _area(self, kind: Kind, element: Element[Any], area: BaseGeometry) -> bool:
         """Take the part of an area that is inside the frame; return whether there is one."""
         polygons, tags = polygons_in(area, self._frame), element.tags
         if not polygons:

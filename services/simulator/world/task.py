@@ -41,7 +41,11 @@ def choose_roles(terrain: Terrain, start: Pose | None, victim: Pose | None, seed
     if start is not None and victim is not None:
         return start, victim
     graph = lane_graph(terrain)
-    candidates = [victim] if victim is not None else _places_beside_walls(terrain, _middle(terrain, seed))
+    low, high = np.reshape(terrain.bounds, (2, 2))
+    middle = shapely.Point(
+        low + (high - low) * (0.5 if seed == 0 else np.random.default_rng(seed).uniform(0.1, 0.9, 2))
+    )
+    candidates = [victim] if victim is not None else _places_beside_walls(terrain, middle)
     second_best: dict[int, tuple[Pose, Pose]] = {}
     for place in itertools.islice(candidates, _MOST_CANDIDATES):
         rank, found = _start_for(terrain, graph, place, start, min(second_best, default=len(_ROUTES_M)))
@@ -57,12 +61,6 @@ def choose_roles(terrain: Terrain, start: Pose | None, victim: Pose | None, seed
             "smal:role=victim"
         )
     return second_best[min(second_best)]
-
-
-def _middle(terrain: Terrain, seed: int) -> shapely.Point:
-    x_min, y_min, x_max, y_max = terrain.bounds
-    across, up = (0.5, 0.5) if seed == 0 else np.random.default_rng(seed).uniform(0.1, 0.9, 2)
-    return shapely.Point(x_min + across * (x_max - x_min), y_min + up * (y_max - y_min))
 
 
 def _places_beside_walls(terrain: Terrain, middle: shapely.Point) -> Iterator[Pose]:
@@ -93,23 +91,13 @@ def _start_for(
     for rank, (shortest, longest, preferred) in enumerate(_ROUTES_M[:better_than]):
         fitting = np.flatnonzero((routes.cost >= shortest) & (routes.cost <= longest))
         best_first = fitting[np.argsort(np.abs(routes.cost[fitting] - preferred), kind="stable")]
-        found = _first_start(terrain, graph.points[best_first[:_MOST_STARTS_TRIED]], routes, goal)
-        if found is not None:
-            return rank, found
-    return 0, None
-
-
-def _first_start(
-    terrain: Terrain, points: NDArray[np.float64], routes: RoutesTo, goal: NDArray[np.float64]
-) -> Pose | None:
-    obstacles = obstacles_of(terrain)
-    for here in points[_are_hidden(terrain, points, goal)]:
-        if obstacles.is_free(float(here[0]), float(here[1]), _START_ROOM_M):
+        points = graph.points[best_first[:_MOST_STARTS_TRIED]]
+        for here in points[_are_hidden(terrain, points, goal)]:
             ahead = routes.path_from(here)
-            if ahead is not None:
+            if ahead is not None and obstacles_of(terrain).is_free(float(here[0]), float(here[1]), _START_ROOM_M):
                 east, north = ahead[1] - ahead[0]
-                return Pose(float(here[0]), float(here[1]), math.atan2(north, east))
-    return None
+                return rank, Pose(float(here[0]), float(here[1]), math.atan2(north, east))
+    return 0, None
 
 
 def _are_hidden(terrain: Terrain, starts: NDArray[np.float64], victim: NDArray[np.float64]) -> NDArray[np.bool_]:

@@ -9,7 +9,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Iterator
-from dataclasses import asdict, replace
+from dataclasses import asdict, fields, replace
 from functools import cached_property
 from typing import Annotated, Any, ClassVar, Final, Literal, TypeVar
 
@@ -25,7 +25,7 @@ from shapely.geometry.base import BaseGeometry
 from services.kit.going_on import each
 from services.simulator.robots import RESCUEBOT, RobotModel
 from services.simulator.world.osm import LARGEST_M, MOST_WAY_M
-from services.simulator.world.place import STRICT, OverheadMount, Pose, Scale, Solid, World, part_of
+from services.simulator.world.place import STRICT, OverheadMount, Pose, Scale, Solid, World
 
 FORMAT: Final = "smal.terrain/1"
 FacadeStyle = Literal["brick", "plaster", "concrete", "glass", "wood"]
@@ -114,15 +114,12 @@ def plan(polygon: Polygon) -> dict[str, Any]:
 class Building(Plan):
     """A plan pulled up from one height to another, and a roof above."""
 
-    height_m: Annotated[float, Field(gt=0, le=500)]
-    """Of the eaves, above the ground."""
+    height_m: Annotated[float, Field(gt=0, le=500)]  # Of the eaves, above the ground.
     min_height_m: Annotated[float, Field(ge=0, le=500)] = 0.0
     """Where the walls begin; above 0 for what stands on posts or bridges a passage."""
     roof: RoofShape = "flat"
-    roof_height_m: Annotated[float, Field(ge=0, le=100)] = 0.0
-    """Of the ridge above the eaves; 0 for a flat roof."""
-    roof_colour: tuple[Byte, Byte, Byte] | None = None
-    """None where nobody has said."""
+    roof_height_m: Annotated[float, Field(ge=0, le=100)] = 0.0  # Of the ridge above the eaves; 0 for a flat roof.
+    roof_colour: tuple[Byte, Byte, Byte] | None = None  # None where nobody has said.
     facade: Facade
 
     def __post_init__(self) -> None:
@@ -147,12 +144,9 @@ class Road:
     line: Line
     width_m: Annotated[float, Field(gt=0, le=40)]
     kind: RoadKind
-    drivable: bool
-    """Whether the robot may plan along it."""
-    marked: bool = False
-    """Whether a dashed line runs along its middle."""
-    sidewalks: bool = False
-    """Whether there are sidewalks on both sides."""
+    drivable: bool  # Whether the robot may plan along it.
+    marked: bool = False  # Whether a dashed line runs along its middle.
+    sidewalks: bool = False  # Whether there are sidewalks on both sides.
 
 
 @dataclass(frozen=True, eq=False, kw_only=True, config=STRICT)
@@ -187,15 +181,11 @@ class Source:
     """Where a terrain comes from, and what became of the elements of its map."""
 
     file: Text
-    attribution: Text
-    """Whom the map's licence asks to name."""
+    attribution: Text  # Whom the map's licence asks to name.
     latitude_deg: Annotated[float, Field(ge=-90, le=90)]
-    longitude_deg: Annotated[float, Field(ge=-180, le=180)]
-    """Of the point where x and y are 0."""
-    used: Counts
-    """How many elements of the map became things, by kind ("building", "building relation", "road", ...)."""
-    skipped: Counts
-    """How many could not be used, by kind and reason ("building: its outline is not closed")."""
+    longitude_deg: Annotated[float, Field(ge=-180, le=180)]  # Of the point where x and y are 0.
+    used: Counts  # How many elements of the map became things, by kind ("building", "building relation", "road", ...).
+    skipped: Counts  # How many could not be used, by kind and reason ("building: its outline is not closed").
     left_out: Counts
     """How many are as they should be but show nothing here, by kind and reason ("road: under the ground")."""
 
@@ -283,7 +273,7 @@ class TerrainFile(Terrain):
             Pose(spot.x, spot.y, math.remainder(math.radians(spot.heading_deg), math.tau))
             for spot in (self.start, self.victim)
         )
-        return World(part_of(self, Terrain, name=name), start, victim)
+        return World(replace(self, name=name), start, victim)
 
 
 def terrain_text(world: World) -> str:
@@ -298,9 +288,9 @@ def terrain_text(world: World) -> str:
         {"x": spot.x, "y": spot.y, "heading_deg": math.degrees(spot.heading)} for spot in (world.start, world.victim)
     )
     things = asdict(_on_grid(terrain))
-    del things["name"]
-    head = {"format": FORMAT, "source": things.pop("source"), "bounds": things.pop("bounds")}
-    whole = json.dumps({**head, "start": start, "victim": victim, **things}, default=lambda line: line.coords[:])
+    names = [field.name for field in fields(Terrain) if field.name != "name"]
+    content = {"format": FORMAT, "start": start, "victim": victim} | {name: things[name] for name in names}
+    whole = json.dumps(content, default=lambda line: line.coords[:])
     # Adding zero turns -0.0 into 0.0.
     rounded = json.loads(whole, parse_float=lambda number: round(float(number), _DECIMALS) + 0.0)
     lines = []

@@ -33,27 +33,23 @@ def vary(world: World, *, facade_seed: int = 0, clutter_seed: int = 0) -> World:
     up to 0.3 m. None comes nearer to the way from start to victim than `Scale.room_m`; what finds no such place stays.
     """
     place = world.place
-    if facade_seed:
-        match place:
-            case Terrain():
-                facades = [
-                    replace(one.facade, colour=None, variant=_mixed(one.facade, facade_seed)) for one in place.buildings
-                ]
-                pairs = zip(place.buildings, facades, strict=True)
-                place = replace(place, buildings=tuple(replace(one, facade=facade) for one, facade in pairs))
-            case Room():
-                fittings = [
-                    replace(one, colour=None, variant=_mixed((one.kind, one.variant), facade_seed))
-                    for one in place.fittings
-                ]
-                place = replace(place, fittings=tuple(fittings))
+    if facade_seed and isinstance(place, Terrain):
+        facades = {
+            one: replace(one, colour=None, variant=_mixed(one, facade_seed))
+            for one in {building.facade for building in place.buildings}
+        }
+        place = replace(place, buildings=tuple(replace(one, facade=facades[one.facade]) for one in place.buildings))
+    if facade_seed and isinstance(place, Room):
+        fittings = (
+            replace(one, colour=None, variant=_mixed((one.kind, one.variant), facade_seed)) for one in place.fittings
+        )
+        place = replace(place, fittings=tuple(fittings))
     if clutter_seed:
         kept_free, rng = _kept_free(world), np.random.default_rng(clutter_seed)
-        match place:
-            case Terrain():
-                place = replace(place, trees=_replanted(place, kept_free, rng))
-            case Room():
-                place = replace(place, furniture=_pushed_about(place, kept_free, rng))
+        if isinstance(place, Terrain):
+            place = replace(place, trees=_replanted(place, kept_free, rng))
+        elif isinstance(place, Room):
+            place = replace(place, furniture=_pushed_about(place, kept_free, rng))
     return replace(world, place=place)
 
 

@@ -15,8 +15,7 @@ from schemas.base import Message
 from schemas.observation import Observation
 from schemas.pose import Pose
 from schemas.rpc import ResetReply
-from services.expert.driver import RouteDriver
-from services.expert.service import ExpertService
+from services.expert.driver import ExpertService, RouteDriver
 from services.robot.clock import TICK_S
 from services.simulator.base import move, wheel_speeds
 from services.simulator.robots import RESCUEBOT

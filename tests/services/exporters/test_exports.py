@@ -13,8 +13,9 @@ import numpy as np
 import pytest
 
 from schemas.base import DIRECTIONS
-from services.exporters.drives import FORMATS, ExportFailure, Nominal, read, write
+from services.exporters.drives import FORMATS, Nominal, read, write
 from services.importers.drive import Tally
+from services.kit.errors import JobError
 from services.kit.jpeg import decode_jpeg, encode_jpeg
 from services.recordings.encoding import stamped_jpeg
 from services.recordings.recorded import RecordedEpisode
@@ -132,9 +133,9 @@ def test_a_turn_that_went_ahead_is_exported_so(tmp_path: Path) -> None:
 
 def test_without_odometry_velocities_are_what_the_user_says(tmp_path: Path) -> None:
     file = recording(tmp_path / "recordings", odometry=False)
-    with pytest.raises(ExportFailure, match="episode drive: no odometry says how fast forward is; say it with --speed"):
+    with pytest.raises(JobError, match="episode drive: no odometry says how fast forward is; say it with --speed"):
         exported([file], "rosbag2", tmp_path / "none")
-    with pytest.raises(ExportFailure, match="no odometry says how fast left is; say it with --turn-rate"):
+    with pytest.raises(JobError, match="no odometry says how fast left is; say it with --turn-rate"):
         exported([file], "rosbag2", tmp_path / "none", speed=0.5)
     nominal, _ = exported([file], "rosbag2", tmp_path / "out", speed=0.5, turn_rate=1.0)
     assert (nominal.speed.origin, nominal.turn_rate.origin) == ("as --speed says", "as --turn-rate says")
@@ -225,7 +226,7 @@ def test_a_bag_can_be_sought_in_and_says_of_what_drive_it_is(tmp_path: Path) -> 
 
 def test_a_time_that_ros_cannot_say_is_one_line(tmp_path: Path) -> None:
     file = recording(tmp_path / "recordings", start_ns=5 * 10**18)
-    with pytest.raises(ExportFailure, match="a time 5000000000 s after 1970, which ROS cannot say"):
+    with pytest.raises(JobError, match="a time 5000000000 s after 1970, which ROS cannot say"):
         exported([file], "rosbag2", tmp_path / "out")
 
 
@@ -311,7 +312,7 @@ def test_the_statistics_of_a_data_set_are_those_of_its_values(dataset: Path) -> 
 
 def test_images_that_a_video_has_no_room_for_are_said(tmp_path: Path) -> None:
     odd = {tick: encode_jpeg(np.zeros((49, 65, 3), np.uint8)) for tick in range(FRAMES)}
-    with pytest.raises(ExportFailure, match="images of 65x49 pixels: a video has an even number of columns and rows"):
+    with pytest.raises(JobError, match="images of 65x49 pixels: a video has an even number of columns and rows"):
         exported([recording(tmp_path / "odd", jpeg=odd)], "lerobot", tmp_path / "none")
     files = [recording(tmp_path / "recordings", f"scale-{scale}", scale=scale) for scale in (1, 2)]
     _, tally = exported(files, "lerobot", tmp_path / "set")

@@ -14,9 +14,9 @@ from services.robot.loop import PERIOD_S
 from services.robot.pace import Pace, RealTime
 from services.robot.runner import EpisodeRunner
 from services.simulator.body import SimulatedBody
+from services.simulator.camera import FindVictim, SimulatedView
 from services.simulator.lockstep import Lockstep
 from services.simulator.simulation import Simulation
-from services.simulator.view import FindVictim, SimulatedView
 from tests.services.robot.line import Clock, LineBody, LineView, Reach
 
 Runner = EpisodeRunner[LineView]

@@ -19,7 +19,7 @@ from services.robot.loop import PERIOD_S, STAND_WITHIN_S, ActuatorLoop, check_st
 from services.robot.runner import EpisodeRunner
 from services.simulator.base import KinematicBase
 from services.simulator.body import SimulatedBody
-from services.simulator.physics.base import PhysicalBase
+from services.simulator.physics import PhysicalBase
 from services.simulator.simulation import Simulation
 from services.simulator.world import load_world
 from tests.services.robot.driving import advance, answer, armed, command, runner_of

@@ -16,7 +16,7 @@ from schemas.base import ATOMS, Atom
 from services.robot.clock import TICK_S
 from services.robot.gate import MAX_AGE_S
 from services.simulator.base import STEP_S, Base, KinematicBase, Motion
-from services.simulator.physics.base import PhysicalBase
+from services.simulator.physics import PhysicalBase
 from services.simulator.robots import RESCUEBOT, TURTLEBOT, Drive, RobotModel
 from services.simulator.world.place import Bounds, OverheadMount, Pose, Scale, Solid
 

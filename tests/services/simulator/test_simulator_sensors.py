@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 
 import numpy as np
 import pytest
@@ -11,29 +12,29 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from services.robot.body import ImuReading
+from services.simulator import sensors as sensing
 from services.simulator.base import Motion, WheelSpeeds, move
 from services.simulator.robots import TURTLEBOT
-from services.simulator.sensors import (
-    GRAVITY_M_S2,
-    EncoderSettings,
-    ImuSettings,
-    Sensors,
-    ShakeSettings,
-)
+from services.simulator.sensors import GRAVITY_M_S2, Sensors
 from services.simulator.world.place import Pose
 
 STEP_S = 0.02
 START = Pose(3.0, -2.0, 2.5)
-STEADY = ShakeSettings(0.0)
-#: So fine that nothing is left of the ticks, and measured without error.
-EXACT = EncoderSettings(ticks_per_turn=1e9, radius_sigma=0.0, track_sigma=0.0)
-SILENT = ImuSettings(density=(0.0, 0.0), walk=(0.0, 0.0), bias=(0.0, 0.0))
 Wheels = list[tuple[float, float]]
 wheel_speeds = st.lists(st.tuples(st.floats(-0.5, 0.5), st.floats(-0.5, 0.5)), min_size=1, max_size=60)
 
 
-def sensors(imu: ImuSettings = SILENT, shake: ShakeSettings = STEADY) -> Sensors:
-    made = Sensors(TURTLEBOT.drive, shake, EXACT, imu)
+@pytest.fixture(autouse=True, scope="module")
+def fine_ticks() -> Iterator[None]:
+    """Make the encoders so fine that nothing is left of their ticks."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(sensing, "_TICKS_PER_TURN", 1e9)
+        yield
+
+
+def sensors(shake: float = 0.0) -> Sensors:
+    """Return sensors that measure nothing wrong."""
+    made = Sensors(TURTLEBOT.drive, shake, error=0.0)
     made.begin(START, *(np.random.default_rng([0, stream]) for stream in range(3)))
     return made
 
@@ -94,14 +95,14 @@ def test_the_integrals_are_the_true_heading_and_velocity(wheels: Wheels) -> None
 
 def test_a_shaking_camera_shakes_the_unit() -> None:
     """Its gyroscope feels the tilt's rates, and gravity leans the other way than the unit does."""
-    made = sensors(shake=ShakeSettings())
+    made = sensors(shake=1.0)
     for _ in range(50):
         go(made, [(0.4, 0.4)])
         (reading,) = made.imu()
         rates = reading.angular_velocity_rad_s
         assert rates == pytest.approx(made.tilt_rate, abs=1e-9)
         _, left, up = reading.acceleration_m_s2
-        assert math.atan2(left, up) == pytest.approx(made.tilt.roll_rad, abs=0.03)
+        assert math.atan2(left, up) == pytest.approx(made.tilt.roll, abs=0.03)
     steady = sensors()
     go(steady, [(0.4, 0.4)] * 50)
     assert not gyro(steady.imu())[:, :2].any()

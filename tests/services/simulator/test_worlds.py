@@ -16,12 +16,11 @@ from services.kit.node import ServiceError
 from services.simulator.base import KinematicBase
 from services.simulator.body import SimulatedBody
 from services.simulator.camera import CameraSettings
-from services.simulator.config import SimulatorSettings
 from services.simulator.simulation import Simulation
 from services.simulator.variation import VARIATIONS
 from services.simulator.world import load_world
 from services.simulator.world.loading import WORLDS_FOLDER, Wishes, import_map
-from services.simulator.worlds import Worlds
+from services.simulator.worlds import SimulatorSettings, Worlds
 from tests.services.simulator.simulator_driving import StubCamera
 
 OWN = ["campus", "indoor", "terrace", "yard"]

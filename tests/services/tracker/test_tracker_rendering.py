@@ -10,8 +10,7 @@ import numpy as np
 import pytest
 
 from schemas.base import Message
-from services.simulator.camera import CameraSettings
-from services.simulator.view import overhead_message
+from services.simulator.camera import CameraSettings, overhead_message
 from services.simulator.robots import TURTLEBOT
 from services.simulator.scene.rendering import SceneCamera
 from services.simulator.world import load_world
