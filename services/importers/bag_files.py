@@ -53,21 +53,18 @@ def received(inside: Inside, tally: Tally, topic: str | None = None) -> Iterator
 
 
 def _files(inside: Inside) -> list[str]:
+    suffixes = (".mcap", ".db3")
     if not inside.is_folder:
-        if inside.path.suffix not in (".mcap", ".db3"):
+        if inside.path.suffix not in suffixes:
             raise ImportFailure(f"{inside.path}: not a bag: a folder, or a file *.mcap or *.db3")
         return [""]
     names = inside.names()
-    found = sorted((name for name in names if name.endswith((".mcap", ".db3"))), key=_by_number)
+    found = sorted((name for name in names if name.endswith(suffixes)), key=_by_number)
     if not found:
-        packed = [f"; unpack {printable(name)} first: zstd -d" for name in names if name.endswith(".zstd")]
-        bags = [
-            f"; {printable(name)} in it is a bag: import each by itself"
-            for name in names
-            if "metadata.yaml" in inside.names(name)
-        ]
-        more = [*bags, *packed, ""][0]
-        raise ImportFailure(f"{inside.path}: no *.mcap and no *.db3 in this folder{more}")
+        bags = [name for name in names if "metadata.yaml" in inside.names(name)]
+        more = [f"; {printable(name)} in it is a bag: import each by itself" for name in bags]
+        more += [f"; unpack {printable(name)} first: zstd -d" for name in names if name.endswith(".zstd")]
+        raise ImportFailure(f"{inside.path}: no *.mcap and no *.db3 in this folder{[*more, ''][0]}")
     return found
 
 

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from schemas.compressed_image import CompressedImage
 from services.importers.drive import Array, Drive, Image, ImportFailure, NotAnImage, Tally, motion_of, track_of
 from services.importers.inside import Inside
-from services.kit.jpeg import MOST_PIXELS, decode_image_file, decode_jpeg, encode_jpeg
+from services.kit.jpeg import MOST_PIXELS, decode_image_file, encode_jpeg, is_jpeg
 
 #: Most bytes of an image file.
 MOST_BYTES: Final = CompressedImage.max_bytes - 2**16
@@ -29,24 +29,25 @@ _PNG: Final = b"\x89PNG\r\n\x1a\n"
 
 
 def as_jpeg(data: bytes) -> bytes:
-    """Return an image file as JPEG.
+    """Return an image file as JPEG; what is neither JPEG nor PNG, damaged or of a size of no camera is `NotAnImage`.
 
     It is decoded in any case: half an image is found here, where it is counted, and not in learning.
-
-    Raises NotAnImage when it is neither JPEG nor PNG, is damaged, or has a size that no camera has.
     """
     if len(data) > MOST_BYTES:
         raise NotAnImage("images are larger than 16 MiB")
-    if data.startswith(_JPEG):
-        try:
-            pixels = decode_jpeg(data)
-        except ValueError:
-            raise NotAnImage("images are damaged") from None
-        _check_size(pixels)
-        return data
+    if not data.startswith((_JPEG, _PNG)):
+        raise NotAnImage("images are neither JPEG nor PNG")
+    # Before OpenCV, which makes room for what the header claims; and a PNG without an end makes libpng write of it.
+    width, height = int.from_bytes(data[16:20], "big"), int.from_bytes(data[20:24], "big")
+    png = data[12:16] == b"IHDR" and 0 < width * height <= MOST_PIXELS and b"IEND" in data[-16:]
+    sound = png if data.startswith(_PNG) else is_jpeg(data)
+    pixels = decode_image_file(data) if sound else None
+    if pixels is None:
+        raise NotAnImage("images are damaged")
     if data.startswith(_PNG):
-        return raw_as_jpeg(_decoded_png(data))
-    raise NotAnImage("images are neither JPEG nor PNG")
+        return raw_as_jpeg(pixels)
+    _check_size(pixels)
+    return data
 
 
 def raw_as_jpeg(pixels: NDArray[np.uint8]) -> bytes:
@@ -59,16 +60,6 @@ def _check_size(pixels: NDArray[np.uint8]) -> None:
     height, width = pixels.shape[:2]
     if not (_LEAST[0] <= width <= _MOST[0] and _LEAST[1] <= height <= _MOST[1]):
         raise NotAnImage("images are not within 32x24 and 4096x3072 pixels")
-
-
-def _decoded_png(data: bytes) -> NDArray[np.uint8]:
-    # Before OpenCV, which makes room for what the header claims; and a PNG without an end makes libpng write of it.
-    width, height = int.from_bytes(data[16:20], "big"), int.from_bytes(data[20:24], "big")
-    claims = data[12:16] == b"IHDR" and 0 < width * height <= MOST_PIXELS and b"IEND" in data[-16:]
-    pixels = decode_image_file(data) if claims else None
-    if pixels is None:
-        raise NotAnImage("images are damaged")
-    return pixels
 
 
 class Row(NamedTuple):
@@ -85,7 +76,7 @@ def drive_of(
 ) -> Drive:
     """Make a drive of its frames.
 
-    Raises ImportFailure when no camera's frames have such times: the ticks would show nothing of how the robot drove.
+    An ImportFailure says that no camera's frames have such times: the ticks would show nothing of how the robot drove.
     """
     times_s = np.array([row.time_s for row in rows])
     _check_rate(times_s, inside)

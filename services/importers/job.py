@@ -70,10 +70,7 @@ def missing_packages(form: Format) -> list[str]:
 
 
 def check_format(name: str, formats: Sequence[Format] = FORMATS) -> Format:
-    """Return the format of a name; what it needs is installed.
-
-    Raises UsageError when there is none of that name, or something that it needs is missing.
-    """
+    """Return the format of a name; a UsageError says that there is none, or what has to be installed for it."""
     form = next((one for one in formats if one == name), None)
     if form is None:
         raise UsageError(f"no format {name!r}; known are: {', '.join(formats)}")

@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import Final, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from schemas.base import ATOMS, Message
 from schemas.camera_info import CameraInfo
@@ -29,6 +28,7 @@ from smal.movement import wrapped
 #: Of poses: a micrometre and a microradian.
 _DIGITS: Final = 6
 _LEAST_FRAMES: Final = 2
+_POSE: Final = ("x_m", "y_m", "heading_rad", "speed_m_s", "turn_rate_rad_s")
 
 
 class Written(NamedTuple):
@@ -40,20 +40,10 @@ class Written(NamedTuple):
     success: bool
 
 
-class _Done(NamedTuple):
-    """What was done, (n,), and where the robot was, (n, 5) and whether that is known, (n,), at each tick."""
-
-    atoms: NDArray[np.int8]
-    ahead: Array
-    poses: Array
-    known: NDArray[np.bool_]
-
-
 def write(drive: Drive, job: Job, usual: Nominal, tally: Tally, advance: Callable[[], None]) -> Written | None:
     """Write the recording of a drive; None where nothing of it can be used. ``advance`` is called for each frame.
 
-    Raises ImportFailure when the source is damaged there; then nothing is left behind; OSError when it cannot be
-    written.
+    Raises ImportFailure when the source is damaged there, and OSError when it cannot be written; then nothing is left.
     """
     shown = ticks(drive.times_s, job.from_s, job.to_s, tally)
     images = _images(drive, shown, tally, advance)
@@ -61,7 +51,10 @@ def write(drive: Drive, job: Job, usual: Nominal, tally: Tally, advance: Callabl
     if len(begin) < _LEAST_FRAMES:
         tally.count("drives have less than two usable frames and are left out")
         return None
-    done = _done(drive, job, usual, shown.times_s, tally)
+    moves = Moves(drive.motion)
+    tally.count("ticks lack a velocity; the robot is taken to stand", moves.silent(shown.times_s))
+    atoms, ahead = atoms_of(moves.velocities(shown.times_s), usual, job.still, job.turning)
+    poses = _poses(drive, shown.times_s, moves if job.reckon and drive.metric else None)
     success = drive.success is not False if job.success is None else job.success
     name = _name(drive, shown, begin[0][1])
     told = {"purpose": "drive", "driver": "teleop", "world": job.format, "seed": 0, "goal": job.goal}
@@ -74,15 +67,23 @@ def write(drive: Drive, job: Job, usual: Nominal, tally: Tally, advance: Callabl
     cause = header(begin[0][0])
     started = Episode.after(cause, event="started", **told)
     writer = EpisodeWriter.begin(Path(job.folder), started)
-    atoms: Counter[str] = Counter()
+    made: Counter[str] = Counter()
     try:
         writer.write(started)
         for row, jpeg in chain(begin, images):
-            cause = header(row)
-            focal = None if atoms else job.focal or drive.focal
-            for message in _messages(cause, jpeg, focal, done, row):
-                writer.write(message)
-            atoms[ATOMS[done.atoms[row]]] += 1
+            cause, atom = header(row), ATOMS[atoms[row]]
+            width, height = jpeg_size(jpeg) or (0, 0)
+            writer.write(CompressedImage.after(cause, width=width, height=height, data=jpeg))
+            focal = job.focal or drive.focal
+            if focal is not None and not made:
+                sees = {"focal_px": focal * width, "centre_x_px": width / 2, "centre_y_px": height / 2}
+                writer.write(CameraInfo.after(cause, width=width, height=height, **sees))
+            if poses is not None and not np.isnan(poses[row, 0]):
+                where = dict(zip(_POSE, poses[row].round(_DIGITS).tolist(), strict=True))
+                writer.write(Odometry.after(cause, **where))
+            done = {"atom": atom, "speed": float(atom != "stop"), "ahead": round(float(ahead[row]), _DIGITS)}
+            writer.write(CommandApplied.after(cause, source="teleop", reason="command", **done))
+            made[atom] += 1
         ended = {"outcome": "found", "judge": "operator"} if success else {"outcome": "aborted"}
         writer.write(Episode.after(cause, event="ended", **told, **ended))
     except BaseException:
@@ -91,7 +92,7 @@ def write(drive: Drive, job: Job, usual: Nominal, tally: Tally, advance: Callabl
     path = writer.seal()
     if writer.problem is not None:
         raise ImportFailure(f"{path}: cannot be written: {writer.problem}")
-    return Written(path, atoms, bool(done.known.any()), success)
+    return Written(path, made, poses is not None, success)
 
 
 def _images(drive: Drive, shown: Ticks, tally: Tally, advance: Callable[[], None]) -> Iterator[tuple[int, bytes]]:
@@ -109,32 +110,17 @@ def _images(drive: Drive, shown: Ticks, tally: Tally, advance: Callable[[], None
         yield from ((row, jpeg) for row in range(rows[frame], rows[frame + 1]))
 
 
-def _done(drive: Drive, job: Job, usual: Nominal, times_s: Array, tally: Tally) -> _Done:
-    moves = Moves(drive.motion)
-    tally.count("ticks lack a velocity; the robot is taken to stand", moves.silent(times_s))
-    atoms, ahead = atoms_of(moves.velocities(times_s), usual, job.still, job.turning)
-    way = odometry(drive, times_s, moves if job.reckon and drive.metric else None)
+def _poses(drive: Drive, times_s: Array, moves: Moves | None) -> Array | None:
+    """Return what odometry says at each tick, (n, 5), NaN where it is not known; None where it never is."""
+    way = odometry(drive, times_s, moves)
     if way is None:
-        return _Done(atoms, ahead, np.zeros((times_s.size, 5)), np.zeros(times_s.size, dtype=bool))
+        return None
     poses, known = way
     moved, passed_s = np.diff(poses, axis=0, prepend=poses[:1]), np.diff(times_s, prepend=times_s[0] - TICK_S)
     heading = wrapped(poses[:, 2])
     speed = (moved[:, 0] * np.cos(heading) + moved[:, 1] * np.sin(heading)) / passed_s
-    return _Done(atoms, ahead, np.column_stack([poses[:, :2], heading, speed, wrapped(moved[:, 2]) / passed_s]), known)
-
-
-def _messages(cause: Message, jpeg: bytes, focal: float | None, done: _Done, row: int) -> Iterator[Message]:
-    width, height = jpeg_size(jpeg) or (0, 0)
-    yield CompressedImage.after(cause, width=width, height=height, data=jpeg)
-    if focal is not None:
-        sees = {"focal_px": focal * width, "centre_x_px": width / 2, "centre_y_px": height / 2}
-        yield CameraInfo.after(cause, width=width, height=height, **sees)
-    if done.known[row]:
-        names = ("x_m", "y_m", "heading_rad", "speed_m_s", "turn_rate_rad_s")
-        yield Odometry.after(cause, **dict(zip(names, done.poses[row].round(_DIGITS).tolist(), strict=True)))
-    atom, ahead = ATOMS[done.atoms[row]], round(float(done.ahead[row]), _DIGITS)
-    speed = 0.0 if atom == "stop" else 1.0
-    yield CommandApplied.after(cause, atom=atom, speed=speed, ahead=ahead, source="teleop", reason="command")
+    told = np.column_stack([poses[:, :2], heading, speed, wrapped(moved[:, 2]) / passed_s])
+    return np.asarray(np.where(known[:, None], told, np.nan), dtype=np.float64)
 
 
 def _name(drive: Drive, shown: Ticks, first: bytes) -> str:

@@ -10,8 +10,8 @@ import numpy as np
 from schemas.base import Atom
 from services.robot.clock import TICK_S
 from services.simulator.robots import Drive
-from services.simulator.world.collision import obstacles_of
 from services.simulator.world.place import Place, Pose
+from services.simulator.world.route import obstacles_of
 
 #: Longest step of time that a base is moved by, seconds; sensors are read once a step, and real time goes by it.
 STEP_S: Final = 0.02

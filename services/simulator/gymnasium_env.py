@@ -36,16 +36,8 @@ class SearchEnv(gymnasium.Env[NDArray[np.uint8], np.int64]):
     left, right, stop), held for one frame of 0.1 s. Reward: 1 when the victim is found, -1 at a collision (both end the
     episode), else 0.
 
-    Parameters
-    ----------
-    world, settings
-        Those of `open_simulation`, and what it raises.
-    width, height
-        Size of the camera image, pixels.
-    render_mode
-        `rgb_array`, or None.
-    simulation
-        A simulation made elsewhere, whose images have that size; world and settings are then left aside.
+    World and settings are those of `open_simulation`, and what it raises; width and height are those of the image,
+    pixels. `simulation` is one made elsewhere, whose images have that size; world and settings are then left aside.
     """
 
     metadata: dict[str, Any] = {"render_modes": ["rgb_array"], "render_fps": round(1 / TICK_S)}  # noqa: RUF012

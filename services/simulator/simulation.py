@@ -30,16 +30,9 @@ BaseKind = Literal["physics", "kinematic"]
 class Simulation:
     """A robot in a world.
 
-    Parameters
-    ----------
-    camera
-        What it sees with: settings of the rendered camera, or any other `Camera`.
-    base
-        What it drives with; without one a `KinematicBase`.
-    shake
-        How much the camera shakes; without it as much as is usual in that place.
-    variation
-        Haze and exposure; the rest of it is in the world (see `vary`) and in the camera's light.
+    It sees with a rendered camera of such settings, or with any other `Camera`, and drives with a `base`, a
+    `KinematicBase` if not given. `shake` is how much the camera shakes, as is usual in that place if not given. Of the
+    `variation` haze and exposure are taken; the rest of it is in the world (see `vary`) and in the camera's light.
     """
 
     pose: Pose  # Where it truly is.
@@ -128,19 +121,9 @@ def open_simulation(
 ) -> Simulation:
     """Load a world by name or path, and put its robot into it.
 
-    Parameters
-    ----------
-    base
-        `physics`: wheels driven in PhysX. `kinematic`: exact arcs, without mass.
-    shake
-        Strength of the camera's shake; None for as much as is usual in that world.
-    variation
-        A name in `VARIATIONS`; it decides about the camera's light.
-    task
-        Start, and where the victim lies; those of the world if not given.
-
-    Raises WorldError where the world cannot be used; UnavailableError where this machine lacks what is needed;
-    ValueError where the variation is unknown.
+    The base `physics` has wheels driven in PhysX, `kinematic` goes along exact arcs, without mass. `task` is a start
+    and where the victim lies, those of the world if not given. Raises WorldError where the world cannot be used,
+    UnavailableError where this machine lacks what is needed, ValueError where the variation is unknown.
     """
     conditions = variation_named(variation)
     there = load_world(world)

@@ -27,8 +27,8 @@ from services.kit.ros_message import ros_message
 from services.simulator.base import WheelSpeeds, move
 from services.simulator.camera import CameraSettings
 from services.simulator.world import load_world
-from services.simulator.world.collision import obstacles_of
 from services.simulator.world.place import Pose
+from services.simulator.world.route import obstacles_of
 from tests.ros2.truth import Truth
 
 STEP_S = 0.02

@@ -1,27 +1,39 @@
-"""A world as meshes, pictures and lights, ready for any renderer; knows nothing of SAPIEN."""
+"""A world as meshes, pictures and lights, ready for any renderer: here sky and trees. Knows nothing of SAPIEN."""
 
 from __future__ import annotations
 
 import math
+import zlib
+from collections.abc import Iterable, Iterator
 from typing import Final
 
 import numpy as np
-from shapely import Polygon
+from shapely import Point, Polygon
 
 from services.simulator.scene import bodies, room
 from services.simulator.scene.buildings import barriers, buildings
 from services.simulator.scene.ground import cast_shade, ground
-from services.simulator.scene.meshes import ball, make
-from services.simulator.scene.plants import crowns, trees
-from services.simulator.scene.surfaces import Lights, Scene, Surface, surfaces
-from services.simulator.scene.textures import BOTTOM_DEG, TOP_DEG, paint_sky
+from services.simulator.scene.meshes import Mesh, ball, make, tube
+from services.simulator.scene.surfaces import Finish, Lights, Piece, Scene, Surface, surfaces
+from services.simulator.scene.textures import BOTTOM_DEG, TOP_DEG, noise, paint_sky
 from services.simulator.variation import Daylight
 from services.simulator.world.place import World
 from services.simulator.world.room import Room
-from services.simulator.world.terrain import Terrain
+from services.simulator.world.terrain import Terrain, Tree, TreeKind
 
 _SKY_RADIUS_M: Final = 900.0
 _SKY_SEED: Final = 7
+#: Of each kind: radius of the crown and height of its lower end, as fractions of the tree's height.
+_CROWN: Final[dict[TreeKind, tuple[float, float]]] = {
+    "round": (0.34, 0.28),
+    "tall": (0.2, 0.22),
+    "conifer": (0.22, 0.12),
+}
+_LEAVES: Final[dict[TreeKind, str]] = {"round": "leaves", "tall": "dark_leaves", "conifer": "needles"}
+# Leaves hide how few faces a crown has; a town has thousands of trees.
+_DETAIL: Final = 5
+_SMALL_DETAIL: Final = 3
+_TIERS: Final = 4
 
 
 def build_scene(world: World, light: Daylight, *, shadows: bool) -> Scene:
@@ -62,3 +74,63 @@ def _sky(light: Daylight) -> Surface:
     uvs = np.column_stack([dome.uvs[:, 0] / 2, np.clip((TOP_DEG - elevation) / (TOP_DEG - BOTTOM_DEG), 0.002, 0.998)])
     inside = make(dome.vertices * _SKY_RADIUS_M, dome.normals, uvs, dome.triangles).flipped()
     return Surface(inside, paint_sky(_SKY_SEED, light), glows=True)
+
+
+def trees(items: Iterable[Tree]) -> Iterator[Piece]:
+    """Yield trunks and crowns."""
+    for tree in items:
+        rng = np.random.default_rng(zlib.crc32(f"{tree.x:.1f} {tree.y:.1f}".encode()))
+        base, neck = (tree.x, tree.y, 0.0), (tree.x, tree.y, tree.height_m * 0.6)
+        yield Finish("bark"), tube(base, neck, (tree.trunk_radius_m, tree.trunk_radius_m * 0.6), 6)
+        crown = _tiers(tree) if tree.kind == "conifer" else _crown(tree, rng)
+        yield from ((Finish(_LEAVES[tree.kind]), mesh) for mesh in crown)
+
+
+def crowns(items: Iterable[Tree]) -> list[tuple[Polygon, float, float]]:
+    """Return the outline of each crown from above with the heights between which it casts shade."""
+    found = []
+    for tree in items:
+        radius, low = (fraction * tree.height_m for fraction in _CROWN[tree.kind])
+        middle = (low + tree.height_m) / 2
+        disc = Point(tree.x, tree.y).buffer(radius * 0.9, quad_segs=4)
+        found.append((disc, middle - (middle - low) * 0.4, middle + (tree.height_m - middle) * 0.4))
+    return found
+
+
+def _crown(tree: Tree, rng: np.random.Generator) -> list[Mesh]:
+    """Return a big ball of leaves and smaller ones around it, none of them smooth."""
+    radius, low = (fraction * tree.height_m for fraction in _CROWN[tree.kind])
+    middle = (low + tree.height_m) / 2
+    half = (tree.height_m - low) / 2
+    blobs = [_blob((tree.x, tree.y, middle), (radius * 0.8, radius * 0.8, half * 0.95), _DETAIL, rng)]
+    for angle in np.linspace(0, 2 * np.pi, 4, endpoint=False) + rng.uniform(0, 1.5):
+        out = radius * rng.uniform(0.35, 0.5)
+        lift = half * rng.uniform(-0.45, 0.35)
+        size = radius * rng.uniform(0.5, 0.65)
+        centre = (tree.x + out * np.cos(angle), tree.y + out * np.sin(angle), middle + lift)
+        blobs.append(_blob(centre, (size, size, min(size, half * 0.6) * 0.9), _SMALL_DETAIL, rng))
+    return blobs
+
+
+def _blob(
+    centre: tuple[float, float, float], radii: tuple[float, float, float], detail: int, rng: np.random.Generator
+) -> Mesh:
+    bumps = np.ones((detail + 1, 2 * detail + 1))
+    bumps[1:-1, :-1] += 0.08 * noise(rng, (detail - 1, 2 * detail), 1.0)
+    bumps[:, -1] = bumps[:, 0]
+    return ball(centre, radii, detail, bumps)
+
+
+def _tiers(tree: Tree) -> list[Mesh]:
+    """Return cones stacked into each other, the upper ones smaller."""
+    radius, low = (fraction * tree.height_m for fraction in _CROWN["conifer"])
+    rise = tree.height_m - low
+    return [
+        tube(
+            (tree.x, tree.y, low + rise * step / _TIERS * 0.8),
+            (tree.x, tree.y, low + rise * min(1.0, (step + 1.6) / _TIERS)),
+            (radius * (1 - 0.8 * step / _TIERS), 0.0),
+            10,
+        )
+        for step in range(_TIERS)
+    ]

@@ -17,11 +17,10 @@ from shapely import LineString, STRtree, points
 from shapely.errors import GEOSException
 
 from schemas.codec import describe, printable
-from services.simulator.world.collision import obstacles_of
 from services.simulator.world.osm import Extract, Surroundings, read_osm
 from services.simulator.world.place import Bounds, Pose, World, WorldError
 from services.simulator.world.room import RoomFile
-from services.simulator.world.route import lane_graph, plan_route
+from services.simulator.world.route import lane_graph, obstacles_of, plan_route
 from services.simulator.world.survey import terrain_from
 from services.simulator.world.task import choose_roles
 from services.simulator.world.terrain import Terrain, TerrainFile, terrain_text
@@ -58,17 +57,11 @@ def known_worlds() -> list[str]:
 
 
 def load_world(name_or_path: str | Path) -> World:
-    """Load a world.
+    """Load a world that comes with the project, by name, or a world file (*.json) or OpenStreetMap XML file, by path.
 
-    Parameters
-    ----------
-    name_or_path
-        The name of a world that comes with the project, or the path of an OpenStreetMap XML file or of a world file
-        (its name ends in .json). In a map, a node tagged `smal:role=start` (with `direction=` in degrees clockwise from
-        north) and one tagged `smal:role=victim` set the task; a plain extract has none, and gets one by rule (see
-        `task.choose_roles`).
-
-    Raises WorldError where it is unknown, unreadable, of no known format, empty, or its victim cannot be reached.
+    In a map, a node tagged `smal:role=start` (with `direction=` in degrees clockwise from north) and one tagged
+    `smal:role=victim` set the task; a plain extract has none, and gets one by rule (see `task.choose_roles`). Raises
+    WorldError where it is unknown, unreadable, of no known format, empty, or its victim cannot be reached.
     """
     path = _find(name_or_path)
     return world_of_text(_read(path), path) if path.suffix == ".json" else world_of_map(path)

@@ -22,10 +22,9 @@ from shapely import LineString, Polygon
 from shapely.geometry.base import BaseGeometry
 
 from services.simulator.robots import TURTLEBOT, RobotModel
-from services.simulator.world.collision import obstacles_of
 from services.simulator.world.furniture import HIDING_M, ROUND, Colour, Degrees, Furniture, Metres, Size
 from services.simulator.world.place import STRICT, Bounds, OverheadMount, Pose, Scale, Solid, World, WorldError
-from services.simulator.world.route import plan_route
+from services.simulator.world.route import obstacles_of, plan_route
 
 FloorKind = Literal["planks", "lino", "carpet"]
 FittingKind = Literal["door", "poster", "whiteboard", "window"]

@@ -12,9 +12,8 @@ import shapely
 from numpy.typing import NDArray
 
 from schemas.episode import Purpose
-from services.simulator.world.collision import obstacles_of
 from services.simulator.world.place import Pose, World, WorldError
-from services.simulator.world.route import LaneGraph, RoutesTo, lane_graph, plan_route
+from services.simulator.world.route import LaneGraph, RoutesTo, lane_graph, obstacles_of, plan_route
 from services.simulator.world.terrain import Terrain
 
 _FROM_WALL_M: Final = 1.2

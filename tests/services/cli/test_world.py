@@ -10,8 +10,7 @@ import numpy as np
 import pytest
 
 from services.simulator.world import World, load_world
-from services.simulator.world.collision import obstacles_of
-from services.simulator.world.route import plan_route, route_length_m
+from services.simulator.world.route import obstacles_of, plan_route, route_length_m
 from tests.services.cli.conftest import Mistake, Smal
 from tests.services.simulator.map_text import LATITUDE, LONGITUDE, block_of_houses
 

@@ -56,9 +56,6 @@ class MapText:
         members = [("way", ref, "outer") for ref in outer] + [("way", ref, "inner") for ref in inner]
         return self.relation(members, type="multipolygon", **tags)
 
-    def raw(self, element: str) -> None:
-        self._relations.append(element)
-
     def text(self) -> str:
         north, east = self._half_m / NORTH_M, self._half_m / EAST_M
         bounds = (

@@ -13,7 +13,7 @@ from services.simulator.base import KinematicBase
 from services.simulator.robots import Drive
 from services.simulator.simulation import Simulation
 from services.simulator.world import load_world
-from services.simulator.world.collision import obstacles_of
+from services.simulator.world.route import obstacles_of
 from tests.services.simulator.simulator_driving import StubCamera, drive_to
 
 YARD = load_world("yard")

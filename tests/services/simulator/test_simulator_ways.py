@@ -9,9 +9,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from services.simulator.world import load_world
-from services.simulator.world.collision import Obstacles, obstacles_of
 from services.simulator.world.place import World
-from services.simulator.world.route import plan_route
+from services.simulator.world.route import Obstacles, obstacles_of, plan_route
 from services.simulator.world.task import sample_start
 from services.simulator.world.varying import vary
 
