@@ -21,18 +21,13 @@ import numpy as np
 from schemas.base import ATOMS
 from services.importers.drive import Drive, ImportFailure, Tally
 from services.importers.inside import Inside
-from services.importers.job import Format, Job, Report
+from services.importers.job import FORMATS, Format, Job, Report
 from services.importers.recording import write
 from services.importers.ticks import nominal
 from services.kit.errors import describe_os_error
 
-#: Where each is read: ``read(inside, job, tally)``. What it needs is imported only then.
-_READERS: Final[dict[Format, str]] = {
-    "rosbag2": "services.importers.rosbag2",
-    "lerobot": "services.importers.lerobot",
-    "donkeycar": "services.importers.donkeycar",
-    "folder": "services.importers.csv_folder",
-}
+#: What the modules of this package that read a format are called; each has ``read(inside, job, tally)``.
+_READERS: Final[dict[Format, str]] = {form: form for form in FORMATS} | {"folder": "csv_folder"}
 #: Memory that an import may take, bytes; numbers of the longest drive that is read take a quarter of it.
 MOST_MEMORY: Final = 2 * 2**30
 #: Between two reports of progress, seconds.
@@ -52,7 +47,9 @@ def run(job: Job, tally: Tally, advance: Callable[[int], None] = lambda _total: 
 
 
 def _run(job: Job, tally: Tally, advance: Callable[[int], None]) -> Report:
-    every: list[Drive] = importlib.import_module(_READERS[job.format]).read(Inside(Path(job.path)), job, tally)
+    every: list[Drive] = importlib.import_module(f"services.importers.{_READERS[job.format]}").read(
+        Inside(Path(job.path)), job, tally
+    )
     drives = [drive for drive in every if not job.episodes or drive.name in job.episodes]
     if not drives:
         names = ", ".join(drive.name for drive in every[:10]) or "none"

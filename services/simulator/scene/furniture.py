@@ -14,16 +14,8 @@ from numpy.typing import NDArray
 
 from services.simulator.scene.meshes import TEXTURE_M, Mesh, ball, block, cased, flat, front, quads, tube
 from services.simulator.scene.surfaces import Finish, Piece
-from services.simulator.world.furniture import (
-    ARM_FRACTION,
-    BOARD_M,
-    SEAT_FRACTION,
-    SOFA_ARM_M,
-    SOFA_BACK_M,
-    Box,
-    Furniture,
-    FurnitureKind,
-)
+from services.simulator.world import furniture as sizes
+from services.simulator.world.furniture import Box, Furniture, FurnitureKind
 from services.simulator.world.place import Pose
 
 _CRATE_M: Final = 0.36
@@ -129,7 +121,7 @@ def _desk(piece: Furniture) -> list[Piece]:
     """Return a desk with drawers, a screen and a keyboard on it; what stands on top is above its height."""
     x_min, _, _, y_max = box = piece.box
     top = piece.height_m
-    under = top - BOARD_M
+    under = top - sizes.BOARD_M
     screen = (x_min + 0.14, -0.28, x_min + 0.17, 0.28)
     stand = [
         ((x_min + 0.08, -0.12, x_min + 0.26, 0.12), top, top + 0.015),
@@ -150,7 +142,7 @@ def _desk(piece: Furniture) -> list[Piece]:
 def _table(piece: Furniture) -> list[Piece]:
     """Return a table on four steel legs, with a rail under its board."""
     x_min, y_min, x_max, y_max = box = piece.box
-    under = piece.height_m - BOARD_M
+    under = piece.height_m - sizes.BOARD_M
     rails = [(x_min + 0.02, y, x_max - 0.02, y + 0.025) for y in (y_min + 0.02, y_max - 0.045)]
     rails += [(x, y_min + 0.02, x + 0.025, y_max - 0.02) for x in (x_min + 0.02, x_max - 0.045)]
     steel = [*((leg, 0.0, under) for leg in piece.legs), *((rail, under - 0.05, under) for rail in rails)]
@@ -163,8 +155,8 @@ def _sofa(piece: Furniture) -> list[Piece]:
     colour = piece.colour or (156, 79, 67)
     cloth = Finish("fabric", colour)
     red, green, blue = (min(255, round(1.12 * value + 8)) for value in colour)
-    seat, arms, top = SEAT_FRACTION * piece.height_m, ARM_FRACTION * piece.height_m, piece.height_m
-    back, roll, side = x_min + SOFA_BACK_M, 0.05, SOFA_ARM_M / 2
+    seat, arms, top = sizes.SEAT_FRACTION * piece.height_m, sizes.ARM_FRACTION * piece.height_m, piece.height_m
+    back, roll, side = x_min + sizes.SOFA_BACK_M, 0.05, sizes.SOFA_ARM_M / 2
     middle = (x_min + back) / 2 - 0.02
     made: list[Piece] = [
         (Finish("black_plastic"), block((x_min + 0.03, y_min + 0.03, x_max - 0.04, y_max - 0.03), 0.0, 0.06)),
@@ -172,14 +164,14 @@ def _sofa(piece: Furniture) -> list[Piece]:
         (cloth, block((x_min, y_min, back - 0.04, y_max), seat - 0.12, top - roll)),
         (cloth, tube((middle, y_min, top - roll), (middle, y_max, top - roll), (roll, roll), 12)),
     ]
-    for y in (y_min, y_max - SOFA_ARM_M):
-        made.append((cloth, block((x_min, y, x_max, y + SOFA_ARM_M), 0.06, arms - side)))
+    for y in (y_min, y_max - sizes.SOFA_ARM_M):
+        made.append((cloth, block((x_min, y, x_max, y + sizes.SOFA_ARM_M), 0.06, arms - side)))
         # A round top with flat ends.
         for begin, end, radius in ((x_min, x_max, side), (x_min, x_min - 1e-4, 1e-4), (x_max, x_max + 1e-4, 1e-4)):
             made.append((cloth, tube((begin, y + side, arms - side), (end, y + side, arms - side), (side, radius), 16)))
-    seats = max(1, round((piece.width_m - 2 * SOFA_ARM_M) / 0.6))
+    seats = max(1, round((piece.width_m - 2 * sizes.SOFA_ARM_M) / 0.6))
     cushions: list[tuple[Box, float, float]] = []
-    for left, right in pairwise(np.linspace(y_min + SOFA_ARM_M, y_max - SOFA_ARM_M, seats + 1).tolist()):
+    for left, right in pairwise(np.linspace(y_min + sizes.SOFA_ARM_M, y_max - sizes.SOFA_ARM_M, seats + 1).tolist()):
         cushions.append(((back - 0.04, left + 0.008, x_max - 0.01, right - 0.008), seat - 0.12, seat))
         cushions.append(((back - 0.06, left + 0.012, back + 0.09, right - 0.012), seat, top - 0.03))
     return made + _blocks(Finish("fabric", (red, green, blue)), cushions)

@@ -53,7 +53,7 @@ def ground(terrain: Terrain, shade: BaseGeometry) -> Iterator[Piece]:
     for tile in each(_tiles(shapely.box(*terrain.bounds).buffer(_BEYOND_M, join_style="mitre").bounds)):
         for material, layer in _layers(claims, tile).items():
             yield from _laid(material, layer, shade, 0.0)
-    marks = shapely.union_all(_dashes([road for road in terrain.roads if road.kind == "street"]))
+    marks = shapely.union_all(list(_dashes([road for road in terrain.roads if road.kind == "street"])))
     yield from _laid("marking", marks, shade, _PAINT_M)
 
 
@@ -109,24 +109,20 @@ def _widened(road: Road, more_m: float = 0.0) -> Polygon:
     return road.line.buffer(road.width_m / 2 + more_m, quad_segs=_ROUND)
 
 
-def _dashes(streets: list[Road]) -> list[Polygon]:
-    """Return the dashes along the middles of marked roads, except where another road joins."""
+def _dashes(streets: list[Road]) -> Iterator[Polygon]:
+    """Yield the dashes along the middles of marked roads, except where another road joins."""
+    dash, gap = _DASH_M
     joins = np.array([_widened(road, _JOIN_M) for road in streets], dtype=object)
     tree = shapely.STRtree(joins)
-    dashes: list[Polygon] = []
     for number, road in enumerate(streets):
         if road.marked:
             near = tree.query(road.line, predicate="intersects")
-            dashes += _dashes_of(road, shapely.union_all(joins[near[near != number]]))
-    return dashes
-
-
-def _dashes_of(road: Road, crossings: BaseGeometry) -> list[Polygon]:
-    dash, gap = _DASH_M
-    starts = np.arange(gap, road.line.length - dash, dash + gap)
-    lines = [substring(road.line, start, start + dash) for start in starts]
-    shapely.prepare(crossings)
-    return [line.buffer(_MARKING_M / 2, cap_style="flat") for line in lines if not crossings.intersects(line)]
+            crossings = shapely.union_all(joins[near[near != number]])
+            shapely.prepare(crossings)
+            for start in np.arange(gap, road.line.length - dash, dash + gap):
+                line = substring(road.line, start, start + dash)
+                if not crossings.intersects(line):
+                    yield line.buffer(_MARKING_M / 2, cap_style="flat")
 
 
 def cast_shade(
@@ -150,18 +146,11 @@ def cast_shade(
 
 def _swept(polygon: Polygon, begin: NDArray[np.float64], end: NDArray[np.float64]) -> BaseGeometry:
     """Return what a polygon covers while it is pushed from one displacement (2,) to another."""
-    ring = shapely.get_coordinates(polygon)
-    edges = np.stack([ring[:-1] + begin, ring[1:] + begin, ring[1:] + end, ring[:-1] + end], axis=1)
-    # Rings follow each other: what joins the end of one to the beginning of the next is no edge.
-    sides = np.asarray(shapely.polygons(edges[_within_a_ring(polygon, len(ring))]))
+    rings = [shapely.get_coordinates(ring) for ring in shapely.get_rings(polygon)]
+    edges = [np.stack([r[:-1] + begin, r[1:] + begin, r[1:] + end, r[:-1] + end], axis=1) for r in rings]
+    sides = np.asarray(shapely.polygons(np.concatenate(edges)))
     # An edge along the push sweeps no area; its flat quadrilateral would be invalid.
     return shapely.union_all([*sides[shapely.is_valid(sides)], _ends(polygon, begin, end)])
-
-
-def _within_a_ring(polygon: Polygon, points: int) -> NDArray[np.bool_]:
-    """Return of each pair of points that follow each other whether both are of the same ring, (points - 1,)."""
-    _, ring = shapely.get_coordinates(shapely.get_rings(polygon), return_index=True)
-    return np.asarray(ring[1:points] == ring[: points - 1], dtype=np.bool_)
 
 
 def _ends(polygon: Polygon, begin: NDArray[np.float64], end: NDArray[np.float64]) -> BaseGeometry:

@@ -32,11 +32,11 @@ class Mesh:
     uvs: NDArray[np.float32]
     triangles: NDArray[np.uint32]
 
-    def placed(self, pose: Pose, z: float = 0.0) -> Mesh:
+    def placed(self, pose: Pose) -> Mesh:
         """Return the mesh turned about the vertical and moved."""
         cos, sin = math.cos(pose.heading), math.sin(pose.heading)
         turn = np.array([[cos, sin, 0.0], [-sin, cos, 0.0], [0.0, 0.0, 1.0]])
-        return make(self.vertices @ turn + (pose.x, pose.y, z), self.normals @ turn, self.uvs, self.triangles)
+        return make(self.vertices @ turn + (pose.x, pose.y, 0.0), self.normals @ turn, self.uvs, self.triangles)
 
     def flipped(self) -> Mesh:
         """Return the mesh with its inside out; the renderer draws outsides only."""

@@ -81,22 +81,19 @@ def across_squares(squares: Iterable[Polygon], roads: Iterable[Road]) -> Iterato
                 yield Road(line, _ACROSS_M, "path", drivable=True, marked=False)
 
 
-def open_passages(buildings: Sequence[Building], passages: Sequence[Road]) -> Iterator[Building]:
+def open_passages(buildings: Iterable[Building], passages: Sequence[Road]) -> Iterator[Building]:
     """Yield the buildings, with those that a passage leads through opened up to 3.2 m above it."""
-    if not passages:
-        yield from buildings
-        return
     ways = [_strip(road) for road in passages]
     tree = STRtree(ways)
     for building in buildings:
-        hits = tree.query(building.footprint, "intersects")
-        if len(hits) == 0 or building.min_height_m >= PASSAGE_M:
+        hits = tree.query(building.footprint, "intersects") if building.min_height_m < PASSAGE_M else ()
+        if len(hits) == 0:
             yield building
         else:
             yield from _opened(building, shapely.union_all([ways[hit] for hit in hits]))
 
 
-def bridge_water(areas: Sequence[Area], roads: Sequence[Road]) -> Iterator[Area]:
+def bridge_water(areas: Iterable[Area], roads: Iterable[Road]) -> Iterator[Area]:
     """Yield the areas, with water cut out under roads: they are bridges, or fords, and the robot crosses on them."""
     strips = [_strip(road) for road in roads]
     tree = STRtree(strips)
@@ -104,28 +101,25 @@ def bridge_water(areas: Sequence[Area], roads: Sequence[Road]) -> Iterator[Area]
         hits = tree.query(area.footprint, "intersects") if area.kind == "water" else ()
         if len(hits) == 0:
             yield area
-            continue
-        rest = area.footprint.difference(shapely.union_all([strips[hit] for hit in hits]))
-        yield from (replace(area, **plan(part)) for part in _polygons(rest))
+        else:
+            rest = area.footprint.difference(shapely.union_all([strips[hit] for hit in hits]))
+            yield from (replace(area, **plan(part)) for part in _polygons(rest))
 
 
 def open_barriers(
-    barriers: Sequence[Barrier], roads: Sequence[Road], gates: Sequence[shapely.Point]
+    barriers: Iterable[Barrier], roads: Sequence[Road], gates: Sequence[shapely.Point]
 ) -> Iterator[Barrier]:
     """Yield the barriers, with gaps where roads cross them and at gates."""
-    tree = STRtree([road.line for road in roads])
-    gate_tree = STRtree(list(gates))
+    tree, gate_tree = STRtree([road.line for road in roads]), STRtree(list(gates))
     for barrier in barriers:
         gaps = [gates[hit].buffer(_GATE_M) for hit in gate_tree.query(barrier.line, "dwithin", 0.1)]
-        for hit in tree.query(barrier.line, "intersects"):
-            crossing = barrier.line.intersection(roads[hit].line)
-            gaps.append(crossing.buffer(_half_width_m(roads[hit])))
+        crossed = [roads[hit] for hit in tree.query(barrier.line, "intersects")]
+        gaps += [barrier.line.intersection(road.line).buffer(_half_width_m(road)) for road in crossed]
         if not gaps:
             yield barrier
-            continue
-        rest = barrier.line.difference(shapely.union_all(gaps))
-        parts = shapely.get_parts(rest)
-        yield from (replace(barrier, line=part) for part in parts if part.length > _SHORTEST_M)
+        else:
+            parts = shapely.get_parts(barrier.line.difference(shapely.union_all(gaps)))
+            yield from (replace(barrier, line=part) for part in parts if part.length > _SHORTEST_M)
 
 
 def _opened(building: Building, passage: BaseGeometry) -> Iterator[Building]:

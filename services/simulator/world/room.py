@@ -10,7 +10,7 @@ import itertools
 import math
 from dataclasses import replace
 from functools import cached_property
-from typing import Annotated, ClassVar, Final, Literal
+from typing import Annotated, ClassVar, Final, Literal, NamedTuple
 
 import numpy as np
 import shapely
@@ -67,8 +67,7 @@ class Fitting:
     colour: Colour | None = None  # Of a poster's paper or a door's leaf; left out, the variant chooses.
 
 
-@dataclass(frozen=True, config=STRICT)
-class WallFrame:
+class WallFrame(NamedTuple):
     """A wall seen from inside: where its left end is, which way is right, and how long it is."""
 
     left: tuple[float, float]

@@ -185,7 +185,7 @@ def plan_route(world: World, start_xy: ArrayLike) -> NDArray[np.float64]:
 
 def route_length_m(route: NDArray[np.float64]) -> float:
     """Return the length in metres of a route (k, 2)."""
-    return float(np.linalg.norm(np.diff(route, axis=0), axis=1).sum())
+    return float(shapely.LineString(route).length)
 
 
 def _consecutive(chains: list[NDArray[np.float64]], index: NDArray[np.int64]) -> NDArray[np.int64]:

@@ -23,11 +23,6 @@ from services.simulator.world.place import Pose as PlanarPose
 
 DRIVE = RESCUEBOT.drive
 FOUND_M = 5.0
-ROUTE = [(0.0, 0.0), (10.0, 0.0), (10.0, 10.0)]
-
-
-def reset(episode: str) -> ResetReply:
-    return ResetReply(episode=episode, world="w", route=tuple(ROUTE), speed_m_s=DRIVE.speed_m_s, found_m=FOUND_M)
 
 
 @st.composite
@@ -82,51 +77,45 @@ def test_driver_comes_back_from_beside_the_route() -> None:
     assert abs(pose.y) < 0.5
 
 
-def cause(tick: int, episode: str) -> Message:
-    return Message(robot="rescuebot", episode=episode, tick=tick, stamp_ns=tick)
-
-
-def pose(tick: int, x: float = 0.0, y: float = 0.0, heading: float = 0.0, episode: str = "e") -> Pose:
-    return Pose.after(cause(tick, episode), x_m=x, y_m=y, heading_rad=heading)
-
-
-def observation(tick: int, episode: str = "e") -> Observation:
+def frame(
+    tick: int, x: float = 0.0, y: float = 0.0, heading: float = 0.0, episode: str = "e"
+) -> tuple[Pose, Observation]:
+    """Return what the expert hears of a frame."""
+    cause = Message(robot="rescuebot", episode=episode, tick=tick, stamp_ns=tick)
     vector = Float32Array.from_numpy(np.zeros(4, np.float32))
-    return Observation.after(cause(tick, episode), fingerprint="0123456789ab", features=vector)
+    observation = Observation.after(cause, fingerprint="0123456789ab", features=vector)
+    return Pose.after(cause, x_m=x, y_m=y, heading_rad=heading), observation
 
 
-@pytest.fixture
-def expert() -> ExpertService:
-    service = ExpertService()
-    service.begin(reset("e"))
-    return service
+def begun(expert: ExpertService, episode: str = "e") -> ExpertService:
+    route = ((0.0, 0.0), (10.0, 0.0), (10.0, 10.0))
+    expert.begin(ResetReply(episode=episode, world="w", route=route, speed_m_s=DRIVE.speed_m_s, found_m=FOUND_M))
+    return expert
 
 
-def test_pose_and_observation_come_in_either_order(expert: ExpertService) -> None:
-    assert expert.see(pose(0)) is None
-    first = expert.handle(observation(0))
-    assert expert.handle(observation(1)) is None
-    second = expert.see(pose(1, heading=1.0))
+def test_a_frame_is_answered_once_its_two_halves_are_there_and_always_the_same() -> None:
+    expert = begun(ExpertService())
+    pose, observation = frame(0)
+    assert expert.see(pose) is None
+    first = expert.handle(observation)
+    pose, observation = frame(1, heading=1.0)
+    assert expert.handle(observation) is None
+    second = expert.see(pose)
     assert first is not None
     assert second is not None
     assert (first.tick, first.atom, first.source) == (0, "forward", "expert")
     assert (second.tick, second.atom) == (1, "right")
+    assert expert.see(pose) == expert.handle(observation) == second, "a frame that is sent again"
 
 
-def test_a_frame_that_is_sent_again_has_the_same_answer(expert: ExpertService) -> None:
-    expert.see(pose(0, heading=1.0))
-    answer = expert.handle(observation(0))
-    assert answer is not None
-    assert expert.see(pose(0, heading=1.0)) == answer
-    assert expert.handle(observation(0)) == answer
-
-
-def test_nothing_is_commanded_after_arrival(expert: ExpertService) -> None:
+def test_nothing_is_commanded_after_arrival() -> None:
+    expert = begun(ExpertService())
     for tick, y in enumerate((8.0, 8.0, 0.0)):
-        assert expert.see(pose(tick, 10.0, y)) is None
-        assert expert.handle(observation(tick)) is None
+        pose, observation = frame(tick, 10.0, y)
+        assert expert.see(pose) is expert.handle(observation) is None
         assert expert.arrived
-    expert.begin(reset("next"))
+    begun(expert, "next")
     assert not expert.arrived
-    expert.see(pose(0, episode="next"))
-    assert expert.handle(observation(0, episode="next")) is not None
+    pose, observation = frame(0, episode="next")
+    expert.see(pose)
+    assert expert.handle(observation) is not None

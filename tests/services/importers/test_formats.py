@@ -86,13 +86,10 @@ def test_a_bag_is_imported(kind: str, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("suffix", ["mcap", "db3"])
-def test_the_bare_file_of_a_bag_is_imported_too(suffix: str, tmp_path: Path) -> None:
-    (file,) = sources.rosbag2(tmp_path / "bag", sqlite=suffix == "db3").glob(f"*.{suffix}")
-    assert imported(file, "rosbag2", tmp_path / "out")[0].ticks == len(MADE)
-
-
-def test_a_grey_camera_is_a_camera(tmp_path: Path) -> None:
-    report, _ = imported(sources.rosbag2(tmp_path / "bag", raw="mono8"), "rosbag2", tmp_path / "out")
+def test_the_bare_file_of_a_bag_is_imported_too_and_a_grey_camera_is_a_camera(suffix: str, tmp_path: Path) -> None:
+    (file,) = sources.rosbag2(tmp_path / "bag", sqlite=suffix == "db3", raw="mono8").glob(f"*.{suffix}")
+    report, _ = imported(file, "rosbag2", tmp_path / "out")
+    assert report.ticks == len(MADE)
     pixels = decode_image(bytes(episode_of(report).images[0]))
     assert np.abs(pixels[..., 0].astype(int) - pixels[..., 2]).max() <= 2
 
@@ -122,13 +119,8 @@ def test_a_lerobot_data_set_is_imported(version: str, video: bool, tmp_path: Pat
     for file in report.files:
         check_drive(episode_of(file))
     assert not [line for line in tally.lines() if "announces" in line]
-
-
-def test_one_episode_of_a_data_set_is_imported(tmp_path: Path) -> None:
-    dataset = sources.lerobot(tmp_path / "set", episodes=3)
-    report, _ = imported(dataset, "lerobot", tmp_path / "out", episodes=("1",))
+    report, _ = imported(dataset, "lerobot", tmp_path / "one", episodes=("1",))
     assert [Path(file).name[:2] for file in report.files] == ["1-"]
-    check_drive(episode_of(report))
 
 
 def test_velocities_of_a_data_set_can_be_named_and_going_sideways_is_counted(tmp_path: Path) -> None:
@@ -150,15 +142,9 @@ def test_a_tub_is_imported(tmp_path: Path) -> None:
     assert tally.lines() == [f"{FRAMES - len(MADE)} frames between two ticks are not needed"]
     # What was JPEG is the same JPEG, to the byte.
     assert (tmp_path / "tub/images/0_cam_image_array_.jpg").read_bytes() in bytes(episode.images[0])
-
-
-def test_a_tub_with_its_speeds_has_a_way(tmp_path: Path) -> None:
-    tub = sources.donkeycar(tmp_path / "tub")
-    report, _ = imported(tub, "donkeycar", tmp_path / "out", speed=4.0, turn_rate=0.8 / 0.3)
+    report, _ = imported(tmp_path / "tub", "donkeycar", tmp_path / "metric", speed=4.0, turn_rate=0.8 / 0.3)
     assert report.odometry == "reckoned from velocities"
-    way = episode_of(report)
-    assert way.wheels(15)[0] == pytest.approx(3.0, abs=0.02)
-    assert way.wheels(19)[2] == pytest.approx(0.32, abs=0.02)
+    assert episode_of(report).wheels(19) == pytest.approx((3.0, 0.0, 0.32), abs=0.06)
 
 
 def test_what_is_not_a_persons_drive_is_left_out_and_its_time_is_a_gap(tmp_path: Path) -> None:
@@ -184,7 +170,7 @@ def test_a_tub_with_the_times_of_its_copying_wants_a_rate(tmp_path: Path) -> Non
     check_drive(episode_of(imported(tub, "donkeycar", tmp_path / "out", rate_hz=20.0)[0]))
 
 
-@pytest.mark.parametrize(("rate_hz", "png"), [(10.0, False), (20.0, True), (30.0, False)])
+@pytest.mark.parametrize(("rate_hz", "png"), [(20.0, True), (30.0, False)])
 def test_a_folder_is_imported(rate_hz: float, png: bool, tmp_path: Path) -> None:
     report, _ = imported(sources.csv_folder(tmp_path / "set", rate_hz, png=png), "folder", tmp_path / "out")
     assert report.odometry == "of the source"
@@ -194,7 +180,6 @@ def test_a_folder_is_imported(rate_hz: float, png: bool, tmp_path: Path) -> None
 def test_a_slow_camera_shows_frames_twice(tmp_path: Path) -> None:
     report, tally = imported(sources.csv_folder(tmp_path / "set", 5.0), "folder", tmp_path / "out")
     assert tally.counts["ticks show the frame of the tick before"] == report.ticks - len(sources.drive(5.0))
-    assert sorted(episode_of(report).images) == list(range(report.ticks))
 
 
 def test_success_is_what_the_source_or_the_user_says(tmp_path: Path) -> None:
@@ -253,8 +238,6 @@ def test_a_turn_is_taught_with_the_speed_that_it_was_driven_with(form: str, ahea
 
 def test_an_import_is_the_same_every_time_and_another_source_is_another(tmp_path: Path) -> None:
     one, other = sources.csv_folder(tmp_path / "one"), sources.csv_folder(tmp_path / "other", 30.0)
-    names = [
-        Path(imported(folder, "folder", tmp_path / out)[0].files[0]).name
-        for folder, out in ((one, "a"), (one, "b"), (other, "c"))
-    ]
+    reports = [imported(folder, "folder", tmp_path / out)[0] for folder, out in ((one, "a"), (one, "b"), (other, "c"))]
+    names = [Path(report.files[0]).name for report in reports]
     assert names[0] == names[1] != names[2]

@@ -139,11 +139,8 @@ def test_atoms_are_shares_of_what_is_usual_and_a_turn_keeps_how_fast_it_goes_ahe
     assert ahead == pytest.approx([row[3] for row in table])
 
 
-def test_noise_of_a_robot_that_never_turns_is_no_turn() -> None:
+def test_noise_of_a_robot_that_never_turns_is_no_turn_and_one_that_never_drives_teaches_nothing() -> None:
     velocities = np.stack([np.ones(100), np.random.default_rng(1).normal(0.0, 0.01, 100)], axis=1)
     assert {ATOMS[atom] for atom in atoms_of(velocities, nominal(velocities))[0]} == {"forward"}
-
-
-def test_a_robot_that_never_drives_teaches_nothing() -> None:
     with pytest.raises(ImportFailure, match="the robot never drives"):
         nominal(np.zeros((10, 2)))

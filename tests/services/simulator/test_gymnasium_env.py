@@ -8,24 +8,21 @@ import pytest
 from gymnasium.utils.env_checker import check_env
 
 from schemas.base import ATOMS
-from services.simulator.base import KinematicBase
 from services.simulator.gymnasium_env import COLLISION_REWARD, MAX_TICKS, SearchEnv
 from services.simulator.simulation import Simulation
 from services.simulator.world import load_world
 from tests.services.simulator.simulator_driving import StubCamera
 
 FORWARD, RIGHT = ATOMS.index("forward"), ATOMS.index("right")
-YARD = load_world("yard")
-
-
-def blind(fraction: float = 0.0) -> SearchEnv:
-    """Return the yard without a renderer; the victim fills so much of the image when it is near."""
-    return SearchEnv(width=32, height=24, simulation=Simulation(YARD, StubCamera(fraction)))
 
 
 @pytest.mark.rendering
 def test_gymnasium_finds_nothing_wrong() -> None:
-    env = gymnasium.make("smal/Indoor-v0", width=64, height=48, render_mode="rgb_array")
+    env = gymnasium.make(
+        "services.simulator.gymnasium_env:smal/Indoor-v0", width=64, height=48, render_mode="rgb_array"
+    )
+    assert env.spec is not None
+    assert env.spec.max_episode_steps == MAX_TICKS
     check_env(env.unwrapped, skip_render_check=True)
     image, info = env.reset(seed=1)
     assert image.std() > 5, "there is something to see"
@@ -34,19 +31,8 @@ def test_gymnasium_finds_nothing_wrong() -> None:
     env.close()
 
 
-def test_the_module_may_be_named_with_the_environment() -> None:
-    env = gymnasium.make(
-        "services.simulator.gymnasium_env:smal/Campus-v0",
-        width=32,
-        height=24,
-        simulation=Simulation(YARD, StubCamera(), KinematicBase(YARD.place)),
-    )
-    assert env.spec is not None
-    assert env.spec.max_episode_steps == MAX_TICKS
-
-
 def test_a_wall_ends_the_episode_with_a_penalty() -> None:
-    env = blind()
+    env = SearchEnv(width=32, height=24, simulation=Simulation(load_world("yard"), StubCamera()))
     env.reset(seed=0)
     steps = [env.step(np.int64(RIGHT)) for _ in range(20)]
     assert all((reward, terminated) == (0.0, False) for _, reward, terminated, _, _ in steps)

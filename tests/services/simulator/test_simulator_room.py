@@ -47,7 +47,7 @@ def away_from_things(distance_m: float) -> BaseGeometry:
 
 
 @given(seed=seeds, purpose=st.sampled_from(["drive", "run", "recovery"]))
-@settings(max_examples=100)
+@settings(max_examples=40)
 def test_starts_are_free_and_the_same_chance_gives_the_same(seed: int, purpose: Any) -> None:
     pose, again = (sample_start(INDOOR, np.random.default_rng(seed), purpose) for _ in range(2))
     assert pose == again
@@ -60,7 +60,7 @@ def test_starts_are_free_and_the_same_chance_gives_the_same(seed: int, purpose: 
 
 
 @given(x=st.floats(0.3, 7.7), y=st.floats(0.3, 5.7))
-@settings(max_examples=200)
+@settings(max_examples=60)
 def test_the_lanes_reach_all_free_floor_and_touch_nothing(x: float, y: float) -> None:
     victim = shapely.Point(INDOOR.victim.x, INDOOR.victim.y)
     reachable = [part for part in shapely.get_parts(away_from_things(0.29)) if part.covers(victim)]

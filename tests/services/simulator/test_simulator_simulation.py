@@ -25,7 +25,7 @@ PERFECT = Drive(tick_sigma=0.0, radius_sigma=0.0)
     purpose=st.sampled_from(["drive", "run", "recovery"]),
     atoms=st.lists(st.sampled_from(ATOMS), max_size=30),
 )
-@settings(max_examples=40)
+@settings(max_examples=20)
 def test_the_same_seed_gives_the_same_episode_however_it_is_stepped(seed: int, purpose: str, atoms: list[Atom]) -> None:
     whole, sliced = (Simulation(YARD, StubCamera()) for _ in range(2))
     assert whole.reset(seed, purpose) == sliced.reset(seed, purpose)  # type: ignore[arg-type]
@@ -65,7 +65,7 @@ def test_a_robot_that_is_carried_away_does_not_know_it_by_its_wheels(physical: b
 
 
 @given(seed=st.integers(0, 500), atoms=st.lists(st.sampled_from(ATOMS), min_size=5, max_size=25))
-@settings(max_examples=60)
+@settings(max_examples=25)
 def test_the_robot_never_enters_anything(seed: int, atoms: list[Atom]) -> None:
     simulation = Simulation(YARD, StubCamera())
     simulation.reset(seed, "recovery")

@@ -36,7 +36,7 @@ def brute_force(x: float, y: float) -> float:
 
 
 @given(x=st.floats(-103, 103), y=st.floats(-103, 103))
-@settings(max_examples=300)
+@settings(max_examples=150)
 def test_clearance_is_the_distance_to_the_nearest_thing(x: float, y: float) -> None:
     expected = brute_force(x, y)
     # Trunks are polygons of 32 sides inside their circle, up to a millimetre smaller.
@@ -53,7 +53,7 @@ def solid(world: World) -> shapely.Geometry:
 
 
 @given(name=st.sampled_from(sorted(WORLDS)), seed=st.integers(0, 2**32 - 1), recovery=st.booleans())
-@settings(max_examples=150)
+@settings(max_examples=50)
 def test_a_route_touches_nothing_and_ends_at_the_victim(name: str, seed: int, recovery: bool) -> None:
     world = WORLDS[name]
     start = sample_start(world, np.random.default_rng(seed), "recovery" if recovery else "run")
@@ -64,7 +64,7 @@ def test_a_route_touches_nothing_and_ends_at_the_victim(name: str, seed: int, re
 
 
 @given(name=worlds, seed=other_days)
-@settings(max_examples=25)
+@settings(max_examples=10)
 def test_moved_things_leave_the_way_free(name: str, seed: int) -> None:
     world = WORLDS[name]
     moved = vary(world, clutter_seed=seed)

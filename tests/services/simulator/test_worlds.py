@@ -82,46 +82,24 @@ def test_an_episode_begins_in_the_world_that_is_asked_for(made: Path, opened: li
     assert str(body.detail()["variations"]).split(", ") == list(VARIATIONS)
 
 
-def link_out(folder: Path) -> None:
-    (folder / "bad.json").symlink_to(WORLDS_FOLDER / "indoor.json")
-
-
-def pipe(folder: Path) -> None:
-    os.mkfifo(folder / "bad.json")
-
-
-def nothing(_folder: Path) -> None:
-    """Leave no such file."""
-
-
-def rubbish(folder: Path) -> None:
-    (folder / "bad.json").write_text("{}")
-
-
 @pytest.mark.timeout(20)
 @pytest.mark.parametrize(
     ("make", "why"),
     [
-        (nothing, "no world 'bad'; known are campus, indoor, my town, terrace, yard"),
-        (link_out, "world 'bad': leads out of"),
-        (pipe, "no world 'bad'"),
-        (rubbish, "Unable to extract tag using discriminator 'format'"),
+        (lambda _: None, "no world 'bad'; known are campus, indoor, my town, terrace, yard"),
+        (lambda path: path.symlink_to(WORLDS_FOLDER / "indoor.json"), "world 'bad': leads out of"),
+        (os.mkfifo, "no world 'bad'"),
     ],
 )
 def test_a_world_that_cannot_be_used_leaves_the_robot_where_it_is(
-    made: Path, opened: list[tuple[str, str]], make: Callable[[Path], None], why: str
+    made: Path, opened: list[tuple[str, str]], make: Callable[[Path], object], why: str
 ) -> None:
-    make(made / "worlds")
+    make(made / "worlds" / "bad.json")
     worlds = worlds_of(made, world="yard")
     body = SimulatedBody(Simulation(load_world("yard"), StubCamera()), worlds=worlds)
-    if make is rubbish:
-        # What the file holds is only seen when it is opened in earnest.
-        with pytest.raises(ServiceError, match=f"^bad.json: {why}"):
-            Worlds.open(worlds, "bad")
-    else:
-        with pytest.raises(ServiceError, match=why):
-            begin(body, world="bad")
-        assert opened == []
+    with pytest.raises(ServiceError, match=why):
+        begin(body, world="bad")
+    assert opened == []
     with pytest.raises(ServiceError, match="no variation 'bad'; known are day, morning"):
         begin(body, variation="bad")
     begin(body)
