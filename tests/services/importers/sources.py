@@ -5,8 +5,12 @@ from __future__ import annotations
 import csv
 import json
 import math
+import shutil
 from collections.abc import Callable
+from functools import wraps
+from hashlib import sha256
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any, Final, NamedTuple
 
 import cv2
@@ -51,6 +55,27 @@ def drive(rate_hz: float = 20.0) -> list[Moment]:
     return [*moments, Moment(START_S + time_s, pose, 0.0, 0.0)]
 
 
+Writes = Callable[..., Path]
+
+
+def made_once(write: Writes) -> Writes:
+    """Have each source be written once, and copied from then on."""
+    home = TemporaryDirectory()
+
+    @wraps(write)
+    def copied(folder: Path, *how: Any, **options: Any) -> Path:
+        if "change" in options:
+            return write(folder, *how, **options)
+        # A bag has the name of its folder.
+        template = Path(home.name, sha256(repr((how, options)).encode()).hexdigest(), folder.name)
+        if not template.exists():
+            write(template, *how, **options)
+        return shutil.copytree(template, folder)
+
+    return copied
+
+
+@made_once
 def donkeycar(
     folder: Path, rate_hz: float = 20.0, change: Callable[[dict[str, Any]], object] = lambda _record: None,
     deleted: tuple[int, ...] = (), announced: int | None = None,
@@ -77,6 +102,7 @@ def donkeycar(
     return folder
 
 
+@made_once
 def csv_folder(folder: Path, rate_hz: float = 20.0, *, poses: bool = True, png: bool = False) -> Path:
     """Write a folder of images and a drive.csv."""
     folder.mkdir(parents=True)
@@ -92,6 +118,7 @@ def csv_folder(folder: Path, rate_hz: float = 20.0, *, poses: bool = True, png: 
     return folder
 
 
+@made_once
 def lerobot(folder: Path, version: str = "v3.0", *, video: bool = True, episodes: int = 2, fps: int = 20) -> Path:
     """Write a LeRobotDataset of a LeKiwi, whose turn rate is in degrees a second."""
     import pyarrow as pa  # noqa: PLC0415
@@ -158,6 +185,7 @@ def mp4(path: Path, images: list[NDArray[np.uint8]], fps: int) -> None:
         container.mux(stream.encode())
 
 
+@made_once
 def rosbag2(
     folder: Path, *, sqlite: bool = False, raw: str | None = None, stamped: bool = False, odometry: bool = True,
     command: bool = True, packed: bool = False, hundredths: int | None = None,
@@ -167,6 +195,7 @@ def rosbag2(
     from rosbags.typesys import Stores, get_typestore  # noqa: PLC0415
 
     store = get_typestore(Stores.ROS2_HUMBLE)
+    folder.parent.mkdir(parents=True, exist_ok=True)
     writer = Writer(folder, version=9, storage_plugin=StoragePlugin.SQLITE3 if sqlite else StoragePlugin.MCAP)
     if packed:
         writer.set_compression(CompressionMode.MESSAGE if sqlite else CompressionMode.STORAGE, CompressionFormat.ZSTD)

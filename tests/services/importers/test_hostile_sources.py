@@ -292,7 +292,7 @@ def test_a_packed_message_that_unpacks_to_all_memory_is_named(tmp_path: Path) ->
 
     bag = sources.rosbag2(tmp_path / "bag", sqlite=True)
     with sqlite3.connect(bag / "bag.db3") as database:
-        database.execute("UPDATE messages SET data = ? WHERE id = 3", (ZstdCompressor().compress(bytes(2**30)),))
+        database.execute("UPDATE messages SET data = ? WHERE id = 3", (ZstdCompressor().compress(bytes(2**26)),))
     database.close()
     assert "a packed message of more than" in refused(bag, "rosbag2", tmp_path)
 

@@ -1,17 +1,27 @@
-"""A driver with four keys, for tests."""
+"""Cameras, and a driver with four keys, for tests."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
 
 from schemas.base import Atom
+from services.simulator.camera import CameraSettings
+from services.simulator.scene.rendering import SceneCamera
 from services.simulator.sensors import Tilt
 from services.simulator.simulation import Simulation
+from services.simulator.world import load_world
 from services.simulator.world.place import Pose
+
+
+@cache
+def camera_in(name: str) -> SceneCamera:
+    """Return the rendered camera of a world, 160x120, that tests share."""
+    return SceneCamera(load_world(name), CameraSettings(160, 120))
 
 
 class StubCamera:

@@ -11,16 +11,16 @@ from schemas.base import ATOMS
 from services.simulator.gymnasium_env import COLLISION_REWARD, MAX_TICKS, SearchEnv
 from services.simulator.simulation import Simulation
 from services.simulator.world import load_world
-from tests.services.simulator.simulator_driving import StubCamera
+from tests.services.simulator.simulator_driving import StubCamera, camera_in
 
 FORWARD, RIGHT = ATOMS.index("forward"), ATOMS.index("right")
 
 
 @pytest.mark.rendering
 def test_gymnasium_finds_nothing_wrong() -> None:
-    env = gymnasium.make(
-        "services.simulator.gymnasium_env:smal/Indoor-v0", width=64, height=48, render_mode="rgb_array"
-    )
+    simulation = Simulation(load_world("indoor"), camera_in("indoor"))
+    name = "services.simulator.gymnasium_env:smal/Indoor-v0"
+    env = gymnasium.make(name, width=160, height=120, render_mode="rgb_array", simulation=simulation)
     assert env.spec is not None
     assert env.spec.max_episode_steps == MAX_TICKS
     check_env(env.unwrapped, skip_render_check=True)

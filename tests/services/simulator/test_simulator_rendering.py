@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from functools import cache
 
 import numpy as np
 import pytest
@@ -16,6 +15,7 @@ from services.simulator.simulation import Simulation
 from services.simulator.world import load_world
 from services.simulator.world.place import Pose
 from services.simulator.world.route import plan_route
+from tests.services.simulator.simulator_driving import camera_in
 
 pytestmark = pytest.mark.rendering
 
@@ -23,11 +23,6 @@ YARD, INDOOR = (load_world(name) for name in ("yard", "indoor"))
 WIDTH, HEIGHT = 160, 120
 EYE = YARD.robot.camera
 TILTS = [LEVEL, Tilt(0.1, 0, 0), Tilt(0, 0.1, 0), Tilt(0, -0.08, 0), Tilt(0.05, 0.1, -0.2), Tilt(-0.1, 0.03, 0.3)]
-
-
-@cache
-def camera_in(name: str) -> SceneCamera:
-    return SceneCamera(load_world(name), CameraSettings(160, 120))
 
 
 def facing_the_victim(name: str, away_m: float) -> Pose:

@@ -12,6 +12,7 @@ from schemas.base import ATOMS, Atom
 from services.simulator.base import KinematicBase
 from services.simulator.robots import Drive
 from services.simulator.simulation import Simulation
+from services.simulator.variation import VARIATIONS
 from services.simulator.world import load_world
 from services.simulator.world.route import obstacles_of
 from tests.services.simulator.simulator_driving import StubCamera, drive_to
@@ -65,7 +66,7 @@ def test_a_robot_that_is_carried_away_does_not_know_it_by_its_wheels(physical: b
 
 
 @given(seed=st.integers(0, 500), atoms=st.lists(st.sampled_from(ATOMS), min_size=5, max_size=25))
-@settings(max_examples=25)
+@settings(max_examples=12)
 def test_the_robot_never_enters_anything(seed: int, atoms: list[Atom]) -> None:
     simulation = Simulation(YARD, StubCamera())
     simulation.reset(seed, "recovery")
@@ -85,3 +86,11 @@ def test_the_victim_is_found_only_when_near_and_seen() -> None:
     assert simulation.look().victim_found
     camera.fraction = 0.0004
     assert not simulation.look().victim_found
+
+
+def test_another_exposure_is_seen() -> None:
+    fair, dark = (
+        Simulation(YARD, StubCamera(), variation=variation).look().image.mean()
+        for variation in (VARIATIONS["day"], VARIATIONS["dark"])
+    )
+    assert dark < 0.7 * fair

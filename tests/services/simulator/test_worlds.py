@@ -106,16 +106,6 @@ def test_a_world_that_cannot_be_used_leaves_the_robot_where_it_is(
     assert body.name == "yard"
 
 
-@pytest.mark.rendering
-def test_another_light_is_seen(made: Path) -> None:
-    worlds = worlds_of(made, world="indoor")
-    body = SimulatedBody(worlds.open(), worlds=worlds)
-    begin(body)
-    fair = body.look(0).image
-    begin(body, variation="dark")
-    assert body.look(0).image.mean() < 0.7 * fair.mean()
-
-
 class EnoughError(Exception):
     """What ends the opening of a world."""
 
