@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import Final, NamedTuple, Protocol
+from typing import TYPE_CHECKING, Final, NamedTuple, TypeAlias
 
 import numpy as np
 
@@ -11,8 +11,13 @@ from schemas.base import Atom
 from services.robot.clock import TICK_S
 from services.simulator.robots import Drive
 from services.simulator.world.place import Place, Pose
+
+if TYPE_CHECKING:
+    from services.simulator.physics import PhysicalBase
 from services.simulator.world.route import obstacles_of
 
+#: What can drive a robot in a place.
+Base: TypeAlias = "KinematicBase | PhysicalBase"
 #: Longest step of time that a base is moved by, seconds; sensors are read once a step, and real time goes by it.
 STEP_S: Final = 0.02
 # Halvings of a step that would collide: 2 m/s for 20 ms is 40 mm, a 64th of which is under a millimetre.
@@ -77,39 +82,28 @@ class Motion(NamedTuple):
     collided: bool  # Whether it touched anything in this step.
 
 
-class Base(Protocol):
-    """A robot's base in a place."""
-
-    @property
-    def braking_s(self) -> float:
-        """Seconds from nominal speed to standing."""
-
-    def put(self, pose: Pose, rng: np.random.Generator) -> None:
-        """Stand still at a pose; `rng` is the source of this episode's wheel errors."""
-
-    def step(self, atom: Atom, speed: float, duration_s: float) -> Motion:
-        """Drive for a moment, above 0 and at most `STEP_S`, at a fraction `speed`, 0 to 1, of the nominal speed."""
-
-
 class KinematicBase:
     """A base without mass, that has the speed of its wheels at once and stops where it touches something.
 
     `drive` are other wheels than those of the place's robot.
     """
 
-    braking_s = 0.0
+    braking_s = 0.0  # Seconds from nominal speed to standing.
 
     def __init__(self, place: Place, drive: Drive | None = None) -> None:
         self._drive = drive or place.robot.drive
         self._obstacles = obstacles_of(place)
 
     def put(self, pose: Pose, rng: np.random.Generator) -> None:
-        """Stand still at a pose."""
+        """Stand still at a pose; `rng` is the source of this episode's wheel errors."""
         self._pose = pose
         self._actuator = Actuator(self._drive, rng)
 
     def step(self, atom: Atom, speed: float, duration_s: float) -> Motion:
-        """Move by the arc that the wheels' speeds make; an obstacle stops the robot where they touch."""
+        """Move for a moment, above 0 and at most `STEP_S`, at a fraction `speed`, 0 to 1, of the nominal speed.
+
+        It goes by the arc that the wheels' speeds make; an obstacle stops the robot where they touch.
+        """
         wheels = self._actuator.wheels(atom, speed, duration_s)
         collided = not self._advance(wheels, duration_s)
         if collided:

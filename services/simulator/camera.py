@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable, Collection, Iterator
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
-from typing import Final, NamedTuple, Protocol
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 import cv2
 import numpy as np
@@ -22,6 +22,9 @@ from services.robot.body import ImuReading, OdometryReading
 from services.simulator.sensors import Tilt
 from services.simulator.variation import DAY, Daylight, Variation
 from services.simulator.world.place import OverheadMount, Pose, World
+
+if TYPE_CHECKING:
+    from services.simulator.scene.rendering import SceneCamera
 
 #: How wide the robot's camera sees.
 FIELD_OF_VIEW_DEG: Final = 75.0
@@ -48,26 +51,6 @@ class CameraSettings:
     height: int = 768
     shadows: bool = True
     light: Daylight = DAY.light
-
-
-class Camera(Protocol):
-    """The robot's eye, and the one above it; `rendering.SceneCamera` is the real one."""
-
-    @property
-    def focal_px(self) -> float:
-        """Focal length of the robot's eye in pixels."""
-
-    def render(self, pose: Pose, tilt: Tilt) -> NDArray[np.uint8]:
-        """Return the image seen from `pose` by a camera that is tilted there."""
-
-    def depth_m(self, pose: Pose, tilt: Tilt) -> NDArray[np.float32]:
-        """Return how far along the optical axis each pixel's surface is, (height, width) metres or `inf`."""
-
-    def victim_pixels(self, pose: Pose, tilt: Tilt) -> float:
-        """Return the fraction of the image, 0 to 1, that the victim fills, seen from `pose`."""
-
-    def overhead(self, pose: Pose) -> NDArray[np.uint8]:
-        """Return what the camera above the scene, if there is one, sees of a robot at `pose`."""
 
 
 def blur(image: NDArray[np.uint8], rate: Tilt, focal_px: float) -> NDArray[np.uint8]:
@@ -123,7 +106,7 @@ class Eye(NamedTuple):
     """What is looked at, with what, and under which conditions."""
 
     world: World
-    camera: Camera
+    camera: SceneCamera
     variation: Variation
 
 

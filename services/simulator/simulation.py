@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import replace
-from typing import Final, Literal
+from typing import TYPE_CHECKING, Final, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,7 +14,7 @@ from schemas.base import Atom
 from schemas.episode import Purpose
 from schemas.topics import Topic
 from services.simulator.base import STEP_S, Base, KinematicBase
-from services.simulator.camera import Camera, CameraSettings, Eye, SimulatedView
+from services.simulator.camera import CameraSettings, Eye, SimulatedView
 from services.simulator.sensors import Sensors
 from services.simulator.variation import DAY, Variation, variation_named
 from services.simulator.world import load_world
@@ -23,6 +23,9 @@ from services.simulator.world.route import plan_route
 from services.simulator.world.task import sample_start
 from services.simulator.world.varying import vary
 
+if TYPE_CHECKING:
+    from services.simulator.scene.rendering import SceneCamera
+
 _PURPOSE_NUMBER: Final[dict[Purpose, int]] = {"drive": 0, "run": 1, "recovery": 2}
 BaseKind = Literal["physics", "kinematic"]
 
@@ -30,7 +33,7 @@ BaseKind = Literal["physics", "kinematic"]
 class Simulation:
     """A robot in a world.
 
-    It sees with a rendered camera of such settings, or with any other `Camera`, and drives with a `base`, a
+    It sees with a rendered camera of such settings, or with a camera that is given, and drives with a `base`, a
     `KinematicBase` if not given. `shake` is how much the camera shakes, as is usual in that place if not given. Of the
     `variation` haze and exposure are taken; the rest of it is in the world (see `vary`) and in the camera's light.
     """
@@ -41,7 +44,7 @@ class Simulation:
     def __init__(
         self,
         world: World,
-        camera: Camera | CameraSettings,
+        camera: SceneCamera | CameraSettings,
         base: Base | None = None,
         *,
         shake: float | None = None,

@@ -19,7 +19,7 @@ from services.simulator.scene.textures import BOTTOM_DEG, TOP_DEG, noise, paint_
 from services.simulator.variation import Daylight
 from services.simulator.world.place import World
 from services.simulator.world.room import Room
-from services.simulator.world.terrain import Terrain, Tree, TreeKind
+from services.simulator.world.terrain import Tree, TreeKind
 
 _SKY_RADIUS_M: Final = 900.0
 _SKY_SEED: Final = 7
@@ -44,8 +44,6 @@ def build_scene(world: World, light: Daylight, *, shadows: bool) -> Scene:
     terrain = world.place
     if isinstance(terrain, Room):
         return room.build(terrain, world.victim, light, shadows=shadows)
-    if not isinstance(terrain, Terrain):
-        raise TypeError(f"no scene is known for a {type(terrain).__name__}")
     shaded = shadows and light.casts_shadows
     shade = cast_shade(terrain, light.direction, crowns(terrain.trees)) if shaded else Polygon()
     # What is drawn first hides what comes later: the ground is last, since it lies behind everything.

@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Annotated, Final, NamedTuple, Protocol
+from typing import TYPE_CHECKING, Annotated, Final, NamedTuple, TypeAlias
 
 from pydantic import ConfigDict, Field
 from pydantic.dataclasses import dataclass as checked
-from shapely import LineString
 from shapely.geometry.base import BaseGeometry
 
 from services.simulator.robots import RobotModel
+
+if TYPE_CHECKING:
+    from services.simulator.world.room import Room
+    from services.simulator.world.terrain import Terrain
 
 Rgb = tuple[int, int, int]
 Bounds = tuple[float, float, float, float]
@@ -73,43 +76,9 @@ class OverheadMount:
     """Direction on the floor that points up in its image, from east, anticlockwise."""
 
 
-class Place(Protocol):
-    """A place without a task; two are equal only if they are one."""
-
-    def __hash__(self) -> int:
-        """Its identity."""
-
-    @property
-    def name(self) -> str:
-        """For messages and results."""
-
-    @property
-    def bounds(self) -> Bounds:
-        """The robot stays inside."""
-
-    @property
-    def robot(self) -> RobotModel:
-        """The robot that drives here."""
-
-    @property
-    def scale(self) -> Scale:
-        """How far is far here."""
-
-    @property
-    def shake(self) -> float:
-        """How much a robot's camera usually shakes when it drives here; 1 on a floor that is not quite even."""
-
-    @property
-    def overhead(self) -> OverheadMount | None:
-        """The camera above the scene, where there is one."""
-
-    @property
-    def solids(self) -> tuple[Solid, ...]:
-        """Everything that stands in the robot's way, or hides the victim."""
-
-    @property
-    def lanes(self) -> tuple[LineString, ...]:
-        """Where routes lead; lanes meet where they share a point."""
+#: A place without a task: `name`, `bounds`, the `robot` that drives there, `scale`, usual `shake` of its camera (1 on a
+#: floor that is not quite even), `overhead` camera if there is one, `solids`, and `lanes`, which meet in shared points.
+Place: TypeAlias = "Terrain | Room"
 
 
 @dataclass(frozen=True, eq=False)
