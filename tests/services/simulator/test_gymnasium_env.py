@@ -19,10 +19,10 @@ FORWARD, RIGHT = ATOMS.index("forward"), ATOMS.index("right")
 @pytest.mark.rendering
 def test_gymnasium_finds_nothing_wrong() -> None:
     simulation = Simulation(load_world("indoor"), camera_in("indoor"))
-    name = "services.simulator.gymnasium_env:smal/Indoor-v0"
-    env = gymnasium.make(name, width=160, height=120, render_mode="rgb_array", simulation=simulation)
-    assert gymnasium.spec("smal/Indoor-v0").max_episode_steps == MAX_TICKS
-    check_env(env.unwrapped, skip_render_check=True)
+    env = SearchEnv(width=160, height=120, render_mode="rgb_array", simulation=simulation)
+    known = gymnasium.spec("smal/Indoor-v0")
+    assert (known.max_episode_steps, known.kwargs) == (MAX_TICKS, {"world": "indoor"})
+    check_env(env, skip_render_check=True)
     image, info = env.reset(seed=1)
     assert image.std() > 5, "there is something to see"
     np.testing.assert_array_equal(env.render(), image)
